@@ -1,0 +1,51 @@
+# What a stranger types: make demo, make test. Needs Python 3.11+, pip and make; uses uv where it is on the PATH.
+PYTHON ?= python3
+VENV ?= .venv
+BIN := $(VENV)/bin
+JOBS ?= 2
+export CBSR_QA_VAR ?= var
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test check lint types imports bench clean
+
+help: ## Say what can be made
+	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
+
+# An added entry point or dependency needs a reinstall, hence the stamps.
+$(BIN)/python:
+	@if command -v uv >/dev/null 2>&1; then uv venv --quiet --seed --python $(PYTHON) $(VENV); else $(PYTHON) -m venv $(VENV); fi
+
+$(VENV)/.run-stamp: pyproject.toml constraints.txt | $(BIN)/python
+	@echo "installing cbsr-qa and what it needs into $(VENV) (a minute or two, once)"
+	@if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python -c constraints.txt -e .; \
+	else $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e .; fi
+	@touch $@
+
+$(VENV)/.dev-stamp: $(VENV)/.run-stamp
+	@echo "installing what the tests need"
+	@if command -v uv >/dev/null 2>&1; then uv pip install --quiet --python $(BIN)/python -c constraints.txt -e '.[dev]'; \
+	else $(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[dev]'; fi
+	@touch $@
+
+demo: $(VENV)/.run-stamp ## Test a simulated sensor: run, verdict, report, calibration file (in var/)
+	@$(BIN)/cbsr-qa run --station simulated --recipe nine-locations --serial DEMO-001 --batch demo --operator demo
+
+test: $(VENV)/.dev-stamp ## Run every test
+	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q $(PYTEST_ARGS)
+
+lint: $(VENV)/.dev-stamp ## Style
+	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
+
+types: $(VENV)/.dev-stamp ## Types, strictly
+	@$(BIN)/mypy
+
+imports: $(VENV)/.dev-stamp ## The import contract
+	@PYTHONPATH=. $(BIN)/lint-imports
+
+check: lint types imports ## Style, types and import contract
+
+bench: $(VENV)/.dev-stamp ## Time what matters, as ratios (see benchmarks/)
+	@$(BIN)/python -m benchmarks
+
+clean: ## Remove what was made, but not var/
+	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

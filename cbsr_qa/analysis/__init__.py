@@ -1,0 +1,1 @@
+"""Stored frames to corrected frames, images, events and measurements: pure functions of what is stored."""

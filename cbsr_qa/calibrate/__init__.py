@@ -1,0 +1,1 @@
+"""Quasi-static and relaxation fits, settling, conductance map, the calibration file."""

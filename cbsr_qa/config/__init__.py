@@ -1,0 +1,1 @@
+"""Station, recipe, sensor type, material and scene files: TOML to pydantic to domain."""

@@ -1,0 +1,85 @@
+"""Errors a user may meet. Each carries what went wrong, what to do about it, and the exit code it ends with."""
+
+from typing import ClassVar
+
+
+class CbsrError(Exception):
+    """Base of every error this package raises on purpose.
+
+    Parameters
+    ----------
+    reason : what was found, naming the file, key, row or role.
+    remedy : what the reader can do about it; may be empty where the reason says it all.
+    """
+
+    exit_code: ClassVar[int] = 2
+
+    def __init__(self, reason: str, *, remedy: str = "") -> None:
+        super().__init__(f"{reason}\n{remedy}" if remedy else reason)
+        self.reason = reason
+        self.remedy = remedy
+
+
+class RefusedError(CbsrError):
+    """Input that cannot be used: the program did nothing with it and wrote nothing (exit code 2)."""
+
+
+class ConfigError(RefusedError):
+    """A configuration file is missing, malformed or says something that is not allowed."""
+
+
+class PluginError(RefusedError):
+    """A plugin that was asked for is unknown or cannot be loaded."""
+
+
+class RecordingError(RefusedError):
+    """A recording holds nothing that can be analysed, or not what its format promises."""
+
+
+class StoreError(RefusedError):
+    """The database is missing, damaged, of another version, or does not hold what was asked for."""
+
+
+class CalibrationError(RefusedError):
+    """A calibration file is damaged, edited, of another version, or does not fit what it is used for."""
+
+
+class NumericsError(RefusedError):
+    """A computation was refused by name (rank, range, shape) instead of returning an image of noise."""
+
+
+class InstrumentError(CbsrError):
+    """An instrument did not do what it was told (exit code 3).
+
+    Parameters
+    ----------
+    role : the instrument's role in the station file, e.g. ``"load_cell"``.
+    address : where it was looked for.
+    """
+
+    exit_code = 3
+
+    def __init__(self, role: str, address: str, reason: str, *, remedy: str = "") -> None:
+        super().__init__(f"{role} at {address}: {reason}", remedy=remedy)
+        self.role = role
+        self.address = address
+
+
+class SafetyError(CbsrError):
+    """A safety rule was broken; the bench has been brought to its safe state (exit code 3)."""
+
+    exit_code = 3
+
+    def __init__(self, rule: str, reason: str, *, remedy: str = "") -> None:
+        super().__init__(reason, remedy=remedy)
+        self.rule = rule
+
+
+class AbortedError(CbsrError):
+    """Somebody stopped the run; the bench has been brought to its safe state (exit code 3)."""
+
+    exit_code = 3
+
+    def __init__(self, by: str) -> None:
+        super().__init__(f"aborted by {by}")
+        self.by = by

@@ -1,0 +1,145 @@
+"""What the instruments deliver: frames of voltages, and samples of everything else."""
+
+from dataclasses import dataclass
+from enum import IntFlag, StrEnum
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import RefusedError
+
+
+class VoltageUnit(StrEnum):
+    """Unit of the readings. Counts stay counts: a scale nobody states is not guessed."""
+
+    VOLT = "V"
+    COUNT = "count"
+
+
+class ReadingFlag(IntFlag):
+    """What is known against a single reading."""
+
+    NONE = 0
+    SATURATED = 1  #: at the end of the converter's range
+    COMPLIANCE = 2  #: the source was at its voltage limit
+    MISSING = 4  #: not recorded; the voltage stored is 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameBlock:
+    """Consecutive frames in canonical order (row = drive pair, column = measure pair).
+
+    Parameters
+    ----------
+    time_s : (n,) float64, the middle of each frame [s] on the run's or the recording's clock.
+    voltages : (n, drives, measures) float64 in ``unit``.
+    flags : (n, drives, measures) uint8 of :class:`ReadingFlag`.
+    unit : of the voltages.
+    current_A : drive current [A]; None where the recording does not state it.
+    reading_time_s : (n, drives, measures) float64, each reading's own time [s]; None where not recorded.
+
+    Raises
+    ------
+    RefusedError
+        If the shapes disagree or a voltage is not finite (a missing reading is flagged, never NaN).
+    """
+
+    time_s: NDArray[np.float64]
+    voltages: NDArray[np.float64]
+    flags: NDArray[np.uint8]
+    unit: VoltageUnit
+    current_A: float | None
+    reading_time_s: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        if self.voltages.ndim != 3 or self.voltages.shape[0] != self.time_s.shape[0]:
+            raise RefusedError(
+                f"a block of {self.time_s.shape[0]} times cannot hold voltages of shape {self.voltages.shape}"
+            )
+        if self.flags.shape != self.voltages.shape:
+            raise RefusedError(f"flags of shape {self.flags.shape} do not fit voltages of {self.voltages.shape}")
+        if not np.isfinite(self.voltages).all():
+            raise RefusedError("a frame holds a voltage that is not a finite number; flag it as missing instead")
+
+    def __len__(self) -> int:
+        return int(self.time_s.shape[0])
+
+    def select(self, which: NDArray[np.bool_] | slice) -> Self:
+        """Return the frames chosen by a mask or a slice, as a block of their own."""
+        own = None if self.reading_time_s is None else self.reading_time_s[which]
+        return type(self)(self.time_s[which], self.voltages[which], self.flags[which], self.unit, self.current_A, own)
+
+    def between(self, start_s: float, end_s: float) -> Self:
+        """Return the frames whose time lies in [start_s, end_s)."""
+        return self.select((self.time_s >= start_s) & (self.time_s < end_s))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleBlock:
+    """Samples of one channel that is not a frame: force, position, temperature.
+
+    Parameters
+    ----------
+    channel : e.g. ``"force"``; a load cell's compression is positive.
+    unit : e.g. ``"N"``.
+    time_s, values : (n,) float64 on the same clock as the frames.
+    """
+
+    channel: str
+    unit: str
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if self.time_s.shape != self.values.shape or self.time_s.ndim != 1:
+            raise RefusedError(f"channel {self.channel}: {self.time_s.shape} times for {self.values.shape} values")
+
+    def __len__(self) -> int:
+        return int(self.time_s.shape[0])
+
+    def between(self, start_s: float, end_s: float) -> Self:
+        """Return the samples whose time lies in [start_s, end_s)."""
+        which = (self.time_s >= start_s) & (self.time_s < end_s)
+        return type(self)(self.channel, self.unit, self.time_s[which], self.values[which])
+
+
+def join_frames(blocks: list[FrameBlock]) -> FrameBlock:
+    """Put blocks behind each other; they must agree in unit and current.
+
+    Raises
+    ------
+    RefusedError
+        If there are none, or they differ in unit, shape or current.
+    """
+    if not blocks:
+        raise RefusedError("there are no frames to join")
+    if len({(b.unit, b.current_A, b.voltages.shape[1:]) for b in blocks}) > 1:
+        raise RefusedError("blocks of frames differ in unit, drive current or shape")
+    own = [b.reading_time_s for b in blocks if b.reading_time_s is not None]
+    return FrameBlock(
+        np.concatenate([b.time_s for b in blocks]),
+        np.concatenate([b.voltages for b in blocks]),
+        np.concatenate([b.flags for b in blocks]),
+        blocks[0].unit,
+        blocks[0].current_A,
+        np.concatenate(own) if len(own) == len(blocks) else None,
+    )
+
+
+def join_samples(blocks: list[SampleBlock]) -> SampleBlock:
+    """Put sample blocks of one channel behind each other.
+
+    Raises
+    ------
+    RefusedError
+        If there are none, or they differ in channel or unit.
+    """
+    if len({(b.channel, b.unit) for b in blocks}) != 1:
+        raise RefusedError("sample blocks of one channel and one unit are needed to join them")
+    return SampleBlock(
+        blocks[0].channel,
+        blocks[0].unit,
+        np.concatenate([b.time_s for b in blocks]),
+        np.concatenate([b.values for b in blocks]),
+    )

@@ -1,0 +1,127 @@
+"""What was found in a recording nobody annotated: channels, noise, and presses as events."""
+
+from dataclasses import dataclass
+
+from cbsr_qa.domain.image import Image
+from cbsr_qa.domain.recording import Recording
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseStep:
+    """The noise or the level of a recording changed at once.
+
+    Parameters
+    ----------
+    time_s : when.
+    what : ``"level"`` or ``"noise"``.
+    before, after : level or rms noise on either side, in the recording's unit.
+    """
+
+    time_s: float
+    what: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseReport:
+    """Noise of the quiet part of a recording, estimated robustly.
+
+    Parameters
+    ----------
+    rms : median over channels of the rms noise of one reading, in ``unit``; None where too few frames exist.
+    unit : the recording's, ``"V"`` or ``"count"``.
+    drift_per_min : median over channels of the slope, in ``unit`` per minute; None where time is unknown.
+    steps : changes of level or noise; where there are any, ``rms`` is that of the longest quiet stretch.
+    quiet_s : (start, end) of the stretch the figures are from; None where there is none.
+    frames : how many frames that is.
+    """
+
+    rms: float | None
+    unit: str
+    drift_per_min: float | None
+    steps: tuple[NoiseStep, ...]
+    quiet_s: tuple[float, float] | None
+    frames: int
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelReport:
+    """What the channels of a recording are worth.
+
+    Parameters
+    ----------
+    saturated, stuck : (drive, measure) index pairs at the converter's end, or that never change.
+    not_connected : whether nothing was connected at all.
+    used : number of readings that were imaged.
+    snr_db : median over used channels of level over noise; None where there is no noise estimate.
+    reciprocity_error : rms |V_ij − V_ji| over rms |V| on used pairs, as recorded; None for one-row scans.
+    reading_memory : share m of the previous reading estimated from reciprocity; None where not estimated.
+    reciprocity_error_corrected : the same after the memory was taken out.
+    memory_corrected : whether the correction was applied before imaging.
+    """
+
+    saturated: tuple[tuple[int, int], ...]
+    stuck: tuple[tuple[int, int], ...]
+    not_connected: bool
+    used: int
+    snr_db: float | None
+    reciprocity_error: float | None
+    reading_memory: float | None
+    reciprocity_error_corrected: float | None
+    memory_corrected: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadEvent:
+    """One press (or object) found without being told where or when.
+
+    Parameters
+    ----------
+    start_s, peak_s, end_s : on the recording's clock [s]; ``end_s`` is the last frame where it goes on to the end.
+    x_over_R, y_over_R : place in units of the sheet's radius, x towards electrode 0's direction as drawn.
+    electrode : its direction as a fractional 0-based electrode number.
+    sign : +1 where the place conducts more, −1 less.
+    snr : detection statistic over its noise, dimensionless.
+    x_mm, y_mm : only where a sensor type was named.
+    image : of the change it made.
+    force_N : peak force while it lasted; None where not recorded.
+    """
+
+    start_s: float
+    peak_s: float
+    end_s: float
+    x_over_R: float
+    y_over_R: float
+    electrode: float
+    sign: int
+    snr: float
+    image: Image
+    x_mm: float | None = None
+    y_mm: float | None = None
+    force_N: float | None = None
+
+    @property
+    def r_over_R(self) -> float:
+        """Distance from the centre in units of the radius."""
+        return float((self.x_over_R**2 + self.y_over_R**2) ** 0.5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordingResult:
+    """A recording with everything that was found in it.
+
+    Parameters
+    ----------
+    frame_rate_hz : None for still images.
+    events_why : why there is no event, where there is none ("nothing stands out of the noise", …).
+    """
+
+    recording: Recording
+    frame_rate_hz: float | None
+    channels: ChannelReport
+    noise: NoiseReport
+    events: tuple[LoadEvent, ...]
+    events_why: str
+    warnings: tuple[str, ...] = ()
+    compute_s: tuple[tuple[str, float], ...] = ()

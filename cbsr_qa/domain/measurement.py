@@ -1,0 +1,157 @@
+"""Measurements, the limits they are held against, and the verdict that follows."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.outcome import Outcome, worst
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """Bounds of one measurement, both inclusive; None is no bound on that side.
+
+    Parameters
+    ----------
+    measurement : name of the measurement it judges.
+    unit : must equal the measurement's.
+    lower, upper : bounds.
+    marginal : width of the guard band inside each bound, in the same unit; a value in it passes marginally.
+    phase : judges only measurements of this phase; empty for every phase.
+    qualifier : judges only measurements with exactly this qualifier (empty: only those without one).
+    """
+
+    measurement: str
+    unit: str
+    lower: float | None
+    upper: float | None
+    marginal: float = 0.0
+    phase: str = ""
+    qualifier: str = ""
+
+    def __post_init__(self) -> None:
+        if self.lower is None and self.upper is None:
+            raise RefusedError(f"limit of {self.measurement}: neither lower nor upper is given")
+        if self.lower is not None and self.upper is not None and self.lower > self.upper:
+            raise RefusedError(f"limit of {self.measurement}: lower {self.lower} is above upper {self.upper}")
+
+    def judge(self, value: float | None) -> Outcome:
+        """Judge a value; a value nobody could determine is NOT_MEASURED."""
+        if value is None:
+            return Outcome.NOT_MEASURED
+        margin = self.margin(value)
+        if margin < 0:
+            return Outcome.FAIL
+        return Outcome.MARGINAL if margin < self.marginal else Outcome.PASS
+
+    def margin(self, value: float) -> float:
+        """Distance from the nearer bound, negative outside, in the limit's unit."""
+        above = float("inf") if self.lower is None else value - self.lower
+        below = float("inf") if self.upper is None else self.upper - value
+        return min(above, below)
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """A named number with its unit, or a named refusal.
+
+    Parameters
+    ----------
+    name : e.g. ``"centre_of_mass_error"``.
+    value : None where it could not be determined; ``how`` then says why. Never NaN.
+    unit : ``"1"`` for pure numbers.
+    uncertainty : one standard deviation, same unit; None where none is stated.
+    phase : the phase it was measured in; empty for the whole run.
+    location : label of the load; empty where it is not about one.
+    trial : 0-based; None where it is not about one.
+    qualifier : what else tells it from its siblings, e.g. ``"mask 85 %"``.
+    how : method, or the reason of a refusal with its remedy.
+    limit, outcome : set by :meth:`judged`.
+    """
+
+    name: str
+    value: float | None
+    unit: str
+    uncertainty: float | None = None
+    phase: str = ""
+    location: str = ""
+    trial: int | None = None
+    qualifier: str = ""
+    how: str = ""
+    limit: Limit | None = None
+    outcome: Outcome = Outcome.NOT_JUDGED
+
+    def __post_init__(self) -> None:
+        for number in (self.value, self.uncertainty):
+            if number is not None and not abs(number) < float("inf"):
+                raise RefusedError(f"measurement {self.name}: {number} is not a finite number")
+
+    def judged(self, limit: Limit) -> Self:
+        """Return this measurement with a limit and its outcome.
+
+        Raises
+        ------
+        RefusedError
+            If the units differ: a limit in mm does not judge a value in µm.
+        """
+        if limit.unit != self.unit:
+            raise RefusedError(
+                f"limit of {self.name} is in {limit.unit}, the measurement in {self.unit}",
+                remedy="give the limit in the measurement's unit",
+            )
+        return replace(self, limit=limit, outcome=limit.judge(self.value))
+
+    @property
+    def label(self) -> str:
+        """Name with location and trial, as a reader would say it."""
+        parts = [self.location, "" if self.trial is None else f"trial {self.trial + 1}", self.qualifier]
+        detail = ", ".join(part for part in parts if part)
+        name = self.name.replace("_", " ")
+        return f"{name} ({detail})" if detail else name
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The outcome of a run and the one reason that decided it."""
+
+    outcome: Outcome
+    reason: str
+
+
+def decide(measurements: tuple[Measurement, ...]) -> Verdict:
+    """Decide a finished run from its judged measurements.
+
+    The worst outcome wins; among equals the one furthest beyond its limit, relative to the limit's size.
+    """
+    outcome = worst(m.outcome for m in measurements)
+    judged = [m for m in measurements if m.limit is not None]
+    if not judged:
+        return Verdict(Outcome.NOT_JUDGED, "the recipe sets no limit")
+    deciding = min((m for m in judged if m.outcome is outcome), key=_relative_margin)
+    return Verdict(outcome, _reason(deciding, outcome, len(judged)))
+
+
+def _relative_margin(measurement: Measurement) -> float:
+    limit = measurement.limit
+    if limit is None or measurement.value is None:
+        return -float("inf")
+    size = max(abs(bound) for bound in (limit.lower, limit.upper) if bound is not None)
+    return limit.margin(measurement.value) / (size or 1.0)
+
+
+def _reason(measurement: Measurement, outcome: Outcome, judged: int) -> str:
+    if measurement.value is None:
+        return f"{measurement.label} could not be measured: {measurement.how}"
+    limit = measurement.limit
+    assert limit is not None
+    bounds = [f"at least {limit.lower:g}"] if limit.lower is not None else []
+    bounds += [f"at most {limit.upper:g}"] if limit.upper is not None else []
+    said = f"{measurement.label} is {measurement.value:.4g} {_shown(measurement.unit)}".rstrip()
+    allowed = f"allowed: {' and '.join(bounds)} {_shown(limit.unit)}".rstrip()
+    if outcome is Outcome.PASS:
+        return f"all {judged} limits are met; the closest: {said} ({allowed})"
+    return f"{said} ({allowed})"
+
+
+def _shown(unit: str) -> str:
+    return "" if unit == "1" else unit

@@ -1,0 +1,56 @@
+"""Triangle meshes of the sheet."""
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import RefusedError
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """Triangles that cover the sheet, with the electrodes' rims where the mesh carries them.
+
+    Parameters
+    ----------
+    nodes_mm : (n, 2) float64 [mm], relative to the sheet's centre.
+    elements : (e, 3) int64, counterclockwise.
+    electrode_edges : one (k, 2) int64 array of node pairs per electrode; empty for a mesh that only carries images.
+
+    Raises
+    ------
+    RefusedError
+        If an element is turned or has no area, or names a node that is not there.
+    """
+
+    nodes_mm: NDArray[np.float64]
+    elements: NDArray[np.int64]
+    electrode_edges: tuple[NDArray[np.int64], ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.elements.size and not 0 <= self.elements.min() <= self.elements.max() < len(self.nodes_mm):
+            raise RefusedError("a mesh element names a node that is not in the mesh")
+        flat = np.flatnonzero(self.areas_mm2 <= 0)
+        if flat.size:
+            raise RefusedError(f"mesh element {flat[0]} (of {flat.size}) is turned or has no area")
+
+    @cached_property
+    def corners_mm(self) -> NDArray[np.float64]:
+        """Corners of the elements, (e, 3, 2) [mm]."""
+        return self.nodes_mm[self.elements]
+
+    @cached_property
+    def areas_mm2(self) -> NDArray[np.float64]:
+        """Areas of the elements, (e,) [mm²]."""
+        first, second, third = np.moveaxis(self.nodes_mm[self.elements], 1, 0)
+        one, other = second - first, third - first
+        area: NDArray[np.float64] = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
+        return area
+
+    @cached_property
+    def centroids_mm(self) -> NDArray[np.float64]:
+        """Centroids of the elements, (e, 2) [mm]."""
+        centroids: NDArray[np.float64] = self.corners_mm.mean(axis=1)
+        return centroids

@@ -1,0 +1,142 @@
+"""What the analysis has worked out about a load and about a run: the input of every metric plugin."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.frames import FrameBlock
+from cbsr_qa.domain.image import Blob, Image
+from cbsr_qa.domain.loads import Indenter, LoadRecord
+from cbsr_qa.domain.reconstruction import LinearReconstruction
+from cbsr_qa.domain.relaxation import RelaxationFit, SettlingTime
+from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.domain.sensor import Response
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """A quantity against time, e.g. a blob's mean conductance change through a press.
+
+    Parameters
+    ----------
+    name, unit : what and in what.
+    time_s, values : (n,) float64.
+    """
+
+    name: str
+    unit: str
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelaxationObservation:
+    """A relaxation of one load: which signal, loading or unloading, the trace and its fit.
+
+    Parameters
+    ----------
+    signal : ``"conductance"``, ``"stress"``, ``"image"``.
+    loading : True after the press, False after the release.
+    trace : times from the end of the ramp.
+    """
+
+    signal: str
+    loading: bool
+    trace: Trace
+    fit: RelaxationFit
+    settling: SettlingTime
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MaskView:
+    """One percentage mask applied to the steady image of a load.
+
+    Parameters
+    ----------
+    fraction : p, of the image's maximum.
+    blobs : every blob, heaviest first; empty is "no blob".
+    sensed : the blob nearest to the indenter; None where there is none.
+    """
+
+    fraction: float
+    blobs: tuple[Blob, ...]
+    sensed: Blob | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadObservation:
+    """One press: its steady image, its blobs, its force.
+
+    Parameters
+    ----------
+    phase : name of the phase.
+    record : when and where.
+    indenter : the head.
+    image : steady image, un-subtracted and not response-signed.
+    response : sign that was applied before masking.
+    noise_floor : relative, subtracted for masks only.
+    masks : one view per percentage mask, in the recipe's order.
+    steady_frames : how many frames the steady image averages.
+    settled : whether they lie at or beyond 1.5 × the settling time.
+    force_N, force_stderr_N : mean over the same window; None where no force was recorded.
+    relaxations : fits of this load's traces.
+    """
+
+    phase: str
+    record: LoadRecord
+    indenter: Indenter
+    image: Image
+    response: Response
+    noise_floor: float
+    masks: tuple[MaskView, ...]
+    steady_frames: int
+    settled: bool
+    force_N: float | None
+    force_stderr_N: float | None
+    relaxations: tuple[RelaxationObservation, ...] = ()
+
+    @property
+    def stress_kPa(self) -> float | None:
+        """Mean stress under the head [kPa]; None where no force was recorded."""
+        return None if self.force_N is None else self.force_N / self.indenter.area_mm2 * 1e3
+
+    def mask(self, fraction: float) -> MaskView | None:
+        """Return the view of one percentage mask, or None where the recipe did not ask for it."""
+        return next((view for view in self.masks if abs(view.fraction - fraction) < 1e-9), None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunObservation:
+    """Everything worked out about a run before metrics are taken.
+
+    Parameters
+    ----------
+    record : the run as stored.
+    reconstruction : the matrix used throughout.
+    scale : s of :class:`LinearReconstruction`, V per unit-model V [A·Ω].
+    unloaded : frames of the rested sheet that set reference and noise floor.
+    reference : (drives, measures) float64 V, the reference frame.
+    noise_floor : relative.
+    noise_images : (8, e) images the floor was taken from.
+    response : what was configured or decided, INCREASE or DECREASE.
+    response_how : ``"configured"`` or how it was decided.
+    main_mask : fraction the verdict uses (0.85).
+    loads : every held press, in time order.
+    usable : (drives, measures) bool, readings that were imaged.
+    warnings : in plain words.
+    """
+
+    record: RunRecord
+    reconstruction: LinearReconstruction
+    scale: float
+    unloaded: FrameBlock
+    reference: NDArray[np.float64]
+    noise_floor: float
+    noise_images: NDArray[np.float64]
+    response: Response
+    response_how: str
+    main_mask: float
+    loads: tuple[LoadObservation, ...]
+    usable: NDArray[np.bool_]
+    warnings: tuple[str, ...] = ()

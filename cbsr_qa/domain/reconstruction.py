@@ -1,0 +1,101 @@
+"""What a reconstruction is given and what a linear one becomes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.sensor import SensorType
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImagingProblem:
+    """The linearised forward model around the unloaded homogeneous sheet.
+
+    Parameters
+    ----------
+    sensor_type : what is imaged.
+    mesh : of the image, e elements (coarser than the forward model's; no electrodes needed).
+    jacobian : (m, e) float64, change of the m used readings per *relative* change of an element's conductance,
+        at unit current and unit sheet conductance [V/(A·Ω)].
+    reference : (m,) float64, the used readings of the unloaded sheet, same scaling.
+    used : (drives, measures) bool with m True entries; readings are taken in C order.
+    noise_variance : (m,) float64 relative variances of the used readings, or None for equal noise on all.
+    """
+
+    sensor_type: SensorType
+    mesh: Mesh
+    jacobian: NDArray[np.float64]
+    reference: NDArray[np.float64]
+    used: NDArray[np.bool_]
+    noise_variance: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        count = int(self.used.sum())
+        if self.jacobian.shape != (count, len(self.mesh.elements)) or self.reference.shape != (count,):
+            raise RefusedError(
+                f"a Jacobian of {self.jacobian.shape} and a reference of {self.reference.shape} do not fit"
+                f" {count} used readings on {len(self.mesh.elements)} elements"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterChoice:
+    """A regularisation parameter and why it has this value.
+
+    Parameters
+    ----------
+    value : λ.
+    how : e.g. ``"noise figure 1.00 on the nominal model"``.
+    noise_figure : of the resulting matrix, Adler et al. 2009 form, on the nominal model.
+    """
+
+    value: float
+    how: str
+    noise_figure: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearReconstruction:
+    """One matrix per sensor type, x = R·y, applied to whole runs as a matrix product.
+
+    ``y`` are the used readings' changes (V − V_ref)/s, where s is the scale of the sensor against the unit model,
+    s = ⟨V_ref, reference⟩ / ⟨reference, reference⟩ (a least-squares fit of sheet resistance times current).
+
+    Parameters
+    ----------
+    method : name of the plugin.
+    problem : what it was prepared for.
+    matrix : (e, m) float64.
+    choice : the regularisation parameter.
+    """
+
+    method: str
+    problem: ImagingProblem
+    matrix: NDArray[np.float64]
+    choice: ParameterChoice
+
+    def images(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Reconstruct relative conductance changes.
+
+        Parameters
+        ----------
+        changes : (n, m) float64, scaled changes of the used readings.
+
+        Returns
+        -------
+        (n, e) float64.
+
+        Raises
+        ------
+        RefusedError
+            If the number of readings is not the prepared one, or one is not finite.
+        """
+        if changes.ndim != 2 or changes.shape[1] != self.matrix.shape[1]:
+            raise RefusedError(f"readings of shape {changes.shape} do not fit {self.matrix.shape[1]} used channels")
+        if not np.isfinite(changes).all():
+            raise RefusedError("a reading is not a finite number; mask its channel instead of imaging it")
+        images: NDArray[np.float64] = changes @ self.matrix.T
+        return images

@@ -1,0 +1,89 @@
+"""A recording somebody else's rig, or ours, wrote to a file."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from pathlib import Path
+
+from cbsr_qa.domain.electrodes import ElectrodeLayout
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.loads import LoadRecord
+
+
+class ScanKind(StrEnum):
+    """What one frame of a recording covers."""
+
+    FULL = "full"  #: every drive pair against every measure pair
+    DRIVEN_PAIRS = "driven_pairs"  #: one row: the voltage across each pair while that pair is driven
+
+
+@dataclass(frozen=True, slots=True)
+class RowProblem:
+    """A row that was not used, or used with care.
+
+    Parameters
+    ----------
+    line : 1-based line of the file.
+    what : in words, with what was found.
+    rejected : whether the row's numbers were left out (a log line inside a frame is not a rejected row).
+    """
+
+    line: int
+    what: str
+    rejected: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """The content of a recording, before any analysis.
+
+    Parameters
+    ----------
+    path, format, dataset : where it came from; ``dataset`` is empty where a file holds only one.
+    scan : what a frame covers. For ``DRIVEN_PAIRS`` blocks have shape (n, 1, pairs).
+    frames : the complete frames; times count from the first, on the board's clock where there is one.
+    reference : frames of the unloaded domain recorded apart (tank data); None where the recording holds its own.
+    still : True for single or averaged images, whose times say nothing (no frame rate).
+    magnitudes_only : readings are absolute values (the sign of the pattern's geometry is to be put back).
+    samples : force and other channels; empty where none was recorded.
+    loads : presses the recording itself documents (our own exports); empty where nobody said.
+    problems : rows left out or noteworthy, by line.
+    clock : which clock the times are from, ``"board"``, ``"computer"`` or ``"none"``.
+    layout : electrode numbering the format documents; None where it is unknown.
+    sensor_type : name of the sensor type where the recording states it.
+    notes : facts worth telling a reader, in words.
+    """
+
+    path: Path
+    format: str
+    dataset: str
+    scan: ScanKind
+    frames: FrameBlock
+    reference: FrameBlock | None
+    still: bool
+    magnitudes_only: bool
+    clock: str
+    samples: tuple[SampleBlock, ...] = ()
+    loads: tuple[LoadRecord, ...] = ()
+    problems: tuple[RowProblem, ...] = ()
+    layout: ElectrodeLayout | None = None
+    sensor_type: str | None = None
+    notes: tuple[str, ...] = field(default=())
+
+    @property
+    def rows_rejected(self) -> int:
+        """Number of rows whose numbers were left out."""
+        return sum(problem.rejected for problem in self.problems)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOptions:
+    """What a user may say about a recording.
+
+    Parameters
+    ----------
+    dataset : one of several data sets in a file; None to take the only one.
+    reference : a file (and data set within it) holding the unloaded domain.
+    """
+
+    dataset: str | None = None
+    reference: tuple[Path, str | None] | None = None

@@ -1,0 +1,87 @@
+"""Content of a report, before anybody decided how it looks. Text stays text: escaping is the template's job."""
+
+from dataclasses import dataclass, field
+
+from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.measurement import Measurement, Verdict
+from cbsr_qa.domain.observation import RunObservation
+from cbsr_qa.domain.outcome import Outcome
+from cbsr_qa.domain.run import RunRecord
+
+
+@dataclass(frozen=True, slots=True)
+class Paragraph:
+    """Plain words; ``tone`` is ``"plain"``, ``"note"`` or ``"warning"``."""
+
+    text: str
+    tone: str = "plain"
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One cell of a table; ``outcome`` colours it."""
+
+    text: str
+    outcome: Outcome | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Columns and rows, with a caption that says what to see.
+
+    Parameters
+    ----------
+    numeric : indices of columns that hold numbers (set to the right).
+    """
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    numeric: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """An inline SVG with a caption, and the same in words for who cannot see it.
+
+    Parameters
+    ----------
+    svg : the ``<svg>`` element, made by :mod:`cbsr_qa.report` from numbers and escaped text only.
+    """
+
+    caption: str
+    alternative: str
+    svg: str
+
+
+Block = Paragraph | Table | Figure
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One section of a report."""
+
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunResult:
+    """A run with everything that was concluded from it: what a report section is given.
+
+    Parameters
+    ----------
+    record : the run as stored.
+    observation : None where the run ended before anything could be analysed.
+    calibration : None where none was issued; ``calibration_why`` then says why.
+    compute_s : seconds of computing by stage.
+    """
+
+    record: RunRecord
+    observation: RunObservation | None
+    measurements: tuple[Measurement, ...]
+    verdict: Verdict
+    calibration: Calibration | None
+    calibration_why: str
+    compute_s: tuple[tuple[str, float], ...] = ()
+    warnings: tuple[str, ...] = field(default=())

@@ -1,0 +1,127 @@
+"""A run as it is stored: who, where, with what, and everything the instruments said."""
+
+from dataclasses import dataclass, field
+from datetime import datetime
+
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.loads import Indenter, LoadRecord
+from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentIdentity:
+    """What an instrument says it is.
+
+    Parameters
+    ----------
+    role : in the station file.
+    driver : name of the plugin.
+    model, serial, firmware : as the instrument reports them.
+    simulated : whether no real instrument stands behind it.
+    calibration_due : ISO date; None where the station file states none.
+    """
+
+    role: str
+    driver: str
+    model: str
+    serial: str
+    firmware: str
+    simulated: bool
+    calibration_due: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunIdentity:
+    """Everything that traces a run.
+
+    Parameters
+    ----------
+    run : time-ordered UUID as text.
+    sensor : serial, batch and type.
+    station, recipe, operator : names; the operator may be empty.
+    started_at : wall clock, with time zone.
+    configuration_digest : SHA-256 of the merged configuration.
+    software : distribution name → version, of this package, its plugins and its numerical libraries.
+    instruments : what was on the bench.
+    simulated : in words, what was simulated; empty for a real bench.
+    """
+
+    run: str
+    sensor: SensorIdentity
+    station: str
+    recipe: str
+    operator: str
+    started_at: datetime
+    configuration_digest: str
+    software: tuple[tuple[str, str], ...]
+    instruments: tuple[InstrumentIdentity, ...]
+    simulated: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseRecord:
+    """One sequence of a run, as it happened.
+
+    Parameters
+    ----------
+    index, name, sequence : order, the recipe's name for it, the plugin that made its steps.
+    started_s, ended_s : on the run's clock [s].
+    frames : every frame of the phase; None where it took none.
+    samples : one joined block per channel.
+    loads : the presses held to their end.
+    unloaded_from_s : from when the sheet counted as rested (see ``MarkUnloaded``); None where it never did.
+    """
+
+    index: int
+    name: str
+    sequence: str
+    started_s: float
+    ended_s: float
+    frames: FrameBlock | None
+    samples: tuple[SampleBlock, ...] = ()
+    loads: tuple[LoadRecord, ...] = ()
+    unloaded_from_s: float | None = None
+
+    def channel(self, name: str) -> SampleBlock | None:
+        """Return the samples of a channel, or None where it was not recorded."""
+        return next((block for block in self.samples if block.channel == name), None)
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """A whole run, the sole input of its analysis.
+
+    Parameters
+    ----------
+    identity, sensor_type, material, indenter : what was tested, how.
+    phases : in the order they were run.
+    end : how it ended.
+    end_detail : by whom it was aborted, or which rule or instrument broke it.
+    station_s : time the sensor occupied the station [s].
+    """
+
+    identity: RunIdentity
+    sensor_type: SensorType
+    material: Material
+    indenter: Indenter
+    phases: tuple[PhaseRecord, ...]
+    end: EndReason
+    end_detail: str = ""
+    station_s: float = 0.0
+    spent: tuple[tuple[str, float], ...] = field(default=())  #: station seconds by kind of step
+
+    def phase(self, name: str) -> PhaseRecord:
+        """Return a phase by the recipe's name for it.
+
+        Raises
+        ------
+        RefusedError
+            If the run has no such phase.
+        """
+        for phase in self.phases:
+            if phase.name == name:
+                return phase
+        known = ", ".join(phase.name for phase in self.phases) or "none"
+        raise RefusedError(f"run {self.identity.run} has no phase {name!r}; it has {known}")

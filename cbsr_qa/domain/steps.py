@@ -1,0 +1,66 @@
+"""Steps a sequence asks for. The runner executes them; a dry run only counts them."""
+
+from dataclasses import dataclass
+
+from cbsr_qa.domain.loads import Load
+
+
+@dataclass(frozen=True, slots=True)
+class Home:
+    """Find the applicator's zero."""
+
+
+@dataclass(frozen=True, slots=True)
+class FindSurface:
+    """Step down at a place until the contact force, and remember the zero-strain height there."""
+
+    x_mm: float
+    y_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class Press:
+    """Travel to a load's place and press to its strain, at the press speed."""
+
+    load: Load
+
+
+@dataclass(frozen=True, slots=True)
+class Hold:
+    """Stay for a while, pressed or not.
+
+    Parameters
+    ----------
+    hold_s : how long [s].
+    acquire : whether frames are taken all the while.
+    """
+
+    hold_s: float
+    acquire: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Release:
+    """Lift the head to the hover height."""
+
+
+@dataclass(frozen=True, slots=True)
+class AcquireFrames:
+    """Take a number of frames."""
+
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class MarkUnloaded:
+    """Say that the sheet has rested: frames from here to the next press are reference and noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Prompt:
+    """Ask the operator to do something and wait for the answer."""
+
+    text: str
+
+
+Step = Home | FindSurface | Press | Hold | Release | AcquireFrames | MarkUnloaded | Prompt

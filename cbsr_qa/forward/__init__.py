@@ -1,0 +1,1 @@
+"""Forward model: meshing, complete electrode model, Jacobian, exact local updates."""

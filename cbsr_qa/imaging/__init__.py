@@ -1,0 +1,1 @@
+"""From images to regions: noise floor, percentage masks, blobs, exact clipping."""

@@ -1,0 +1,225 @@
+"""What a plugin implements: small Protocols, one verb each where possible.
+
+A factory registered under a kind (see :mod:`cbsr_qa.hookspecs`) is called with the options of the station,
+recipe or scene file and returns an object with these methods. There is nothing to subclass.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from cbsr_qa.clock import Clock
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
+from cbsr_qa.domain.recording import ReadOptions, Recording
+from cbsr_qa.domain.report import RunResult, Section
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.domain.scene import Moment
+from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.domain.steps import Step
+
+# --- instruments -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class StationContext:
+    """What an instrument's factory is given.
+
+    Parameters
+    ----------
+    role : the table's name in the station file.
+    clock : the station's; an instrument never sleeps by itself.
+    sensor_type, material, indenter : what will be tested.
+    seed : of the run, for simulated instruments.
+    options : the remaining keys of the instrument's table, already free of ``driver`` and ``provides``.
+    """
+
+    role: str
+    clock: Clock
+    sensor_type: SensorType
+    material: Material
+    indenter: Indenter
+    seed: int
+    options: Mapping[str, Any]
+
+
+class Instrument(Protocol):
+    """Anything on the bench."""
+
+    def identity(self) -> InstrumentIdentity:
+        """Say who you are; called once after opening. Raises InstrumentError if nobody answers."""
+        ...
+
+    def safe_state(self) -> None:
+        """Stop doing harm: source off, head up. Must be fast, and may be called at any time, more than once."""
+        ...
+
+    def close(self) -> None:
+        """Give the connection back."""
+        ...
+
+
+@runtime_checkable
+class FrameSource(Instrument, Protocol):
+    """Takes whole frames (role ``frame_source``)."""
+
+    @property
+    def frame_period_s(self) -> float:
+        """How long one frame takes [s]; the dry run counts with it."""
+        ...
+
+    def acquire(self, count: int) -> FrameBlock:
+        """Take this many frames one after the other, at least one; returns when they are there."""
+        ...
+
+
+@runtime_checkable
+class ForceApplicator(Instrument, Protocol):
+    """Moves a head over the sheet and presses (role ``force_applicator``); lengths from the sheet's centre."""
+
+    def home(self) -> None:
+        """Find the zero of all axes."""
+        ...
+
+    def find_surface(self, x_mm: float, y_mm: float) -> float:
+        """Find the zero-strain height at a place; returns the depth travelled from the hover height [mm]."""
+        ...
+
+    def move_to(self, x_mm: float, y_mm: float) -> None:
+        """Travel at the hover height; returns when there."""
+        ...
+
+    def press(self, depth_mm: float, speed_mm_s: float) -> None:
+        """Go this far below the surface found here; returns when there."""
+        ...
+
+    def release(self) -> None:
+        """Go up to the hover height; returns when clear of the sheet."""
+        ...
+
+
+@runtime_checkable
+class Sampler(Instrument, Protocol):
+    """Samples one quantity all the time: a load cell (``force`` in N, compression positive), a thermometer."""
+
+    @property
+    def channel(self) -> str:
+        """Name of the quantity."""
+        ...
+
+    @property
+    def unit(self) -> str:
+        """Its unit."""
+        ...
+
+    def samples_since(self, time_s: float) -> SampleBlock:
+        """Return the samples taken after a time on the station's clock, up to now."""
+        ...
+
+
+# --- sequences -------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceContext:
+    """What a sequence may know when it makes its steps.
+
+    Parameters
+    ----------
+    sensor_type, indenter : what is tested.
+    seed : of the run; a sequence that draws numbers addresses them by its own name.
+    """
+
+    sensor_type: SensorType
+    indenter: Indenter
+    seed: int
+
+
+class Sequence(Protocol):
+    """Makes steps. It never touches an instrument: the runner does, and a dry run only counts."""
+
+    def steps(self, context: SequenceContext) -> Iterator[Step]:
+        """Yield the steps, the same ones each time it is asked."""
+        ...
+
+
+# --- imaging and metrics ---------------------------------------------------------------------------------
+
+
+class Reconstruction(Protocol):
+    """Turns a linearised problem into an imaging matrix."""
+
+    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
+        """Prepare once per sensor type; NumericsError where the problem cannot be solved."""
+        ...
+
+
+@runtime_checkable
+class LoadMetric(Protocol):
+    """A metric of one press."""
+
+    def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; a quantity that cannot be determined is a Measurement without value, never an exception."""
+        ...
+
+
+@runtime_checkable
+class RunMetric(Protocol):
+    """A metric of a whole run. A metric plugin may be both."""
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; a quantity that cannot be determined is a Measurement without value, never an exception."""
+        ...
+
+
+# --- the simulated world ---------------------------------------------------------------------------------
+
+
+class Effect(Protocol):
+    """One physical effect of a scene. An effect that is off is not imported."""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Effects that must be on and come before this one."""
+        ...
+
+    @property
+    def perturbs(self) -> str:
+        """What it changes: ``response``, ``stress``, ``voltages`` or ``force`` (a stage of the moment)."""
+        ...
+
+    def apply(self, moment: Moment) -> None:
+        """Change the moment. Random numbers come from the stream of (seed, own name, ``moment.index``)."""
+        ...
+
+
+# --- recordings and reports ------------------------------------------------------------------------------
+
+
+class RecordingFormat(Protocol):
+    """Reads one family of files."""
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """Tell from the name and the first 4096 bytes whether this is such a file."""
+        ...
+
+    def datasets(self, path: Path) -> tuple[str, ...]:
+        """Name the data sets of a file that can hold several; empty for a file that is one."""
+        ...
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        """Read it whole. RecordingError if nothing in it can be used; single bad rows are problems, not errors."""
+        ...
+
+
+class ReportSection(Protocol):
+    """Writes one section of the report."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section, or None where the result has nothing for it."""
+        ...

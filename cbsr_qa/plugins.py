@@ -1,0 +1,148 @@
+"""Finding plugins: one door, lazily, and a plugin that fails takes nothing else down."""
+
+import importlib
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+import pluggy
+
+from cbsr_qa import hookspecs
+from cbsr_qa.domain.errors import PluginError
+from cbsr_qa.hookspecs import PROJECT, Kind
+
+Factory = Callable[..., Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """One thing a plugin added.
+
+    Parameters
+    ----------
+    target : ``"package.module:factory"``, imported on first use.
+    distribution, version : where it came from.
+    """
+
+    kind: Kind
+    name: str
+    target: str
+    distribution: str
+    version: str
+
+
+@dataclass(frozen=True, slots=True)
+class PluginFailure:
+    """A plugin that could not be loaded, and why."""
+
+    distribution: str
+    entry_point: str
+    reason: str
+
+
+class Plugins:
+    """What is installed. Made by :func:`discover`; there is no global instance."""
+
+    def __init__(self) -> None:
+        self.manager = pluggy.PluginManager(PROJECT)
+        self.manager.add_hookspecs(hookspecs)
+        self.failures: list[PluginFailure] = []
+        self._registered: dict[tuple[Kind, str], Registration] = {}
+
+    def registrations(self, kind: Kind | None = None) -> tuple[Registration, ...]:
+        """What is registered, sorted by kind and name, whatever order the plugins were found in."""
+        chosen = (r for r in self._registered.values() if kind in (None, r.kind))
+        return tuple(sorted(chosen, key=lambda r: (r.kind, r.name)))
+
+    def names(self, kind: Kind) -> tuple[str, ...]:
+        """Names registered under a kind, sorted."""
+        return tuple(r.name for r in self.registrations(kind))
+
+    def factory(self, kind: Kind, name: str) -> Factory:
+        """Import what a name stands for.
+
+        Raises
+        ------
+        PluginError
+            If nobody registered the name, or its module cannot be imported; says which plugins failed to load.
+        """
+        registration = self._registered.get((kind, name))
+        if registration is None:
+            raise PluginError(f"there is no {kind} plugin named {name!r}", remedy=self._remedy(kind, name))
+        module, _, attribute = registration.target.partition(":")
+        try:
+            factory: Factory = getattr(importlib.import_module(module), attribute)
+        except Exception as error:
+            raise PluginError(
+                f"{kind} plugin {name!r} of {registration.distribution} cannot be loaded: {_said(error)}",
+                remedy="mend or uninstall that distribution",
+            ) from error
+        return factory
+
+    def add(self, plugin: object, distribution: str, version: str, entry_point: str) -> None:
+        """Take in one plugin; whatever it does wrong is kept as a failure."""
+        pending: dict[tuple[Kind, str], Registration] = {}
+
+        def register(kind: Kind, name: str, target: str) -> None:
+            key = (Kind(kind), name)
+            if taken := self._registered.get(key) or pending.get(key):
+                raise ValueError(f"{kind} {name!r} is already registered by {taken.distribution}")
+            if ":" not in target:
+                raise ValueError(f"target {target!r} of {kind} {name!r} is not 'package.module:factory'")
+            pending[key] = Registration(key[0], name, target, distribution, version)
+
+        try:
+            self.manager.register(plugin, name=f"{distribution}:{entry_point}")
+            hook = getattr(plugin, "cbsr_register", None)
+            if hook is not None:
+                hook(register)
+        except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+            if self.manager.is_registered(plugin):
+                self.manager.unregister(plugin)
+            self.failures.append(PluginFailure(distribution, entry_point, _said(error)))
+        else:
+            self._registered |= pending
+
+    def _remedy(self, kind: Kind, name: str) -> str:
+        known = self.names(kind)
+        near = get_close_matches(name, known, n=1)
+        parts = [f"did you mean {near[0]!r}?"] if near else []
+        parts.append(f"installed: {', '.join(known) or 'none'}")
+        parts += [f"{f.distribution} failed to load: {f.reason}" for f in self.failures]
+        return "; ".join(parts)
+
+
+def discover(*, blocked: Iterable[str] = (), found: Iterable[EntryPoint] | None = None) -> Plugins:
+    """Load every installed plugin, each in its own ``try``.
+
+    Parameters
+    ----------
+    blocked : distributions to leave out.
+    found : entry points to use instead of the installed ones.
+    """
+    plugins = Plugins()
+    available = entry_points(group=PROJECT) if found is None else found
+    # The built-ins go first, so that a stranger cannot take one of their names away.
+    for point in sorted(available, key=lambda p: (_provenance(p)[0] != "cbsr-qa", _provenance(p))):
+        distribution, version = _provenance(point)[:2]
+        if distribution in set(blocked):
+            continue
+        try:
+            module = point.load()
+        except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+            plugins.failures.append(PluginFailure(distribution, point.name, _said(error)))
+        else:
+            plugins.add(module, distribution, version, point.name)
+    return plugins
+
+
+def _provenance(point: EntryPoint) -> tuple[str, str, str]:
+    if point.dist is None:
+        return "unknown", "unknown", point.name
+    return point.dist.name, point.dist.version, point.name
+
+
+def _said(error: BaseException) -> str:
+    return f"{type(error).__name__}: {error}"

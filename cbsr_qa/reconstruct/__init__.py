@@ -1,0 +1,1 @@
+"""What reconstructions share: the linearised problem, priors, choice of λ, noise propagation."""

@@ -1,0 +1,1 @@
+"""Executes steps: dry run, safety, journalling, progress."""

@@ -1,0 +1,1 @@
+"""The simulated world: scenes, the chain of enabled effects, addressed random streams."""

@@ -1,0 +1,1 @@
+"""Kit for plugin authors: conformance checks, convergence-order and adjoint assertions."""

@@ -1,0 +1,1 @@
+"""Built-in plugins, one a file. They enter by the same door as a stranger's."""

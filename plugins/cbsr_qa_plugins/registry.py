@@ -1,0 +1,58 @@
+"""What this distribution adds. Modules are imported when their name is used, not here."""
+
+from typing import Final
+
+from cbsr_qa.hookspecs import Kind, Register, hookimpl
+
+_HERE: Final = "cbsr_qa_plugins"
+
+#: (kind, name, module and factory below this package)
+BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
+    (Kind.INSTRUMENT, "simulated-bench", "hardware.simulated_bench:open_bench"),
+    (Kind.SEQUENCE, "noise-figure", "sequences.noise_figure:NoiseFigureSequence"),
+    (Kind.SEQUENCE, "location-grid", "sequences.location_grid:LocationGridSequence"),
+    (Kind.SEQUENCE, "random-loads", "sequences.random_loads:RandomLoadsSequence"),
+    (Kind.SEQUENCE, "relaxation", "sequences.relaxation:RelaxationSequence"),
+    (Kind.RECONSTRUCTION, "gauss-newton-noser", "reconstruction.gauss_newton_noser:GaussNewtonNoser"),
+    (Kind.METRIC, "centre-of-mass-error", "metrics.centre_of_mass_error:CentreOfMassError"),
+    (Kind.METRIC, "area-overlap", "metrics.area_overlap:AreaOverlap"),
+    (Kind.METRIC, "shape-deviation", "metrics.shape_deviation:ShapeDeviation"),
+    (Kind.METRIC, "noise-figure", "metrics.noise_figure:NoiseFigure"),
+    (Kind.METRIC, "image-noise", "metrics.image_noise:ImageNoise"),
+    (Kind.METRIC, "channel-noise", "metrics.channel_noise:ChannelNoise"),
+    (Kind.METRIC, "reciprocity", "metrics.reciprocity:ReciprocityError"),
+    (Kind.METRIC, "contact-resistance", "metrics.contact_resistance:ContactResistance"),
+    (Kind.METRIC, "settling-time", "metrics.settling_time:SettlingTimes"),
+    (Kind.METRIC, "applied-force", "metrics.applied_force:AppliedForce"),
+    (Kind.EFFECT, "piezoresistivity", "effects.piezoresistivity:Piezoresistivity"),
+    (Kind.EFFECT, "conductance-relaxation", "effects.conductance_relaxation:ConductanceRelaxation"),
+    (Kind.EFFECT, "elastic-stress", "effects.elastic_stress:ElasticStress"),
+    (Kind.EFFECT, "stress-relaxation", "effects.stress_relaxation:StressRelaxation"),
+    (Kind.EFFECT, "measurement-noise", "effects.measurement_noise:MeasurementNoise"),
+    (Kind.EFFECT, "load-cell-noise", "effects.load_cell_noise:LoadCellNoise"),
+    (Kind.RECORDING, "cbsr-recording", "recordings.cbsr_recording:CbsrRecording"),
+    (Kind.RECORDING, "ert-board-csv", "recordings.ert_board_csv:ErtBoardCsv"),
+    (Kind.RECORDING, "smu-rig-csv", "recordings.smu_rig_csv:SmuRigCsv"),
+    (Kind.RECORDING, "eidors-mat", "recordings.eidors_mat:EidorsMat"),
+    (Kind.RECORDING, "ds-tank-text", "recordings.ds_tank_text:DsTankText"),
+    (Kind.SECTION, "nine-locations", "sections.nine_locations:NineLocations"),
+    (Kind.SECTION, "load-images", "sections.load_images:LoadImages"),
+    (Kind.SECTION, "mask-comparison", "sections.mask_comparison:MaskComparison"),
+    (Kind.SECTION, "random-loads", "sections.random_loads:RandomLoads"),
+    (Kind.SECTION, "relaxation", "sections.relaxation:RelaxationFits"),
+    (Kind.SECTION, "baseline-conductance", "sections.baseline_conductance:BaselineConductanceMap"),
+    (Kind.SECTION, "noise-and-contacts", "sections.noise_and_contacts:NoiseAndContacts"),
+    (Kind.SECTION, "time-and-accuracy", "sections.time_and_accuracy:TimeAndAccuracy"),
+    (Kind.SECTION, "limits", "sections.limits:Limits"),
+    (Kind.SECTION, "traceability", "sections.traceability:Traceability"),
+    (Kind.SECTION, "recording-events", "sections.recording_events:RecordingEvents"),
+    (Kind.SECTION, "recording-channels", "sections.recording_channels:RecordingChannels"),
+    (Kind.SECTION, "recording-rows", "sections.recording_rows:RecordingRows"),
+)
+
+
+@hookimpl
+def cbsr_register(register: Register) -> None:
+    """Register every built-in."""
+    for kind, name, target in BUILT_IN:
+        register(kind, name, f"{_HERE}.{target}")

@@ -1,0 +1,1 @@
+"""Shipped station, recipe, sensor type, material and scene files."""
