@@ -110,7 +110,7 @@ class AnalysisSettings:
     masks : percentage masks to report, as fractions.
     main_mask : the one the verdict uses; must be among ``masks``.
     noise_floor_frames : unloaded frames the floor is taken from (the paper's first eight).
-    reference : ``"run"`` (mean of the rested frames that are not noise-floor frames) or ``"load"`` (before each press).
+    reference : ``"run"`` (mean of the rested frames without the noise-floor ones) or ``"load"`` (before each press).
     reference_frames : frames before each press that ``"load"`` averages.
     steady_frames : at most this many frames at the end of a hold make the steady image.
     settling_multiple : a hold is settled from this multiple of the settling time on.
