@@ -1,0 +1,31 @@
+#!/usr/bin/env bash
+# Build the wheel, install it in a fresh environment, and run the demonstration where no checkout is near.
+set -euo pipefail
+top=$(cd "$(dirname "$0")/../.." && pwd)
+python=${PYTHON:-python3}
+away=$(mktemp -d)
+trap 'rm -rf "$away"' EXIT
+
+# From a copy: setuptools leaves build/ and egg-info behind in the folder it builds from.
+git -C "$top" ls-files -z --cached --others --exclude-standard | (cd "$top" && tar --null -T - -cf -) | (mkdir "$away/source" && tar -C "$away/source" -xf -)
+"$top/.venv/bin/python" -m build --wheel --outdir "$away/dist" "$away/source" >"$away/build.log" 2>&1 || { cat "$away/build.log"; exit 1; }
+
+"$python" -m venv "$away/venv"
+"$away/venv/bin/python" -m pip install --quiet --disable-pip-version-check -c "$top/constraints.txt" "$away"/dist/*.whl
+cd "$away"
+mkdir home
+cd home
+"$away/venv/bin/cbsr-qa" --version
+"$away/venv/bin/cbsr-qa" plugins list >/dev/null
+"$away/venv/bin/cbsr-qa" run --station simulated --recipe nine-locations --serial WHEEL-001 --batch wheel --json >run.json
+"$away/venv/bin/python" - <<'PY'
+import json
+import pathlib
+
+run = json.loads(pathlib.Path("run.json").read_text())
+assert run["end"] == "finished", run
+for made in ("report", "calibration"):
+    assert pathlib.Path(run[made]).is_file(), made
+assert sorted(p.name for p in pathlib.Path.cwd().iterdir()) == ["run.json", "var"], "a run writes only to var/"
+PY
+echo "the wheel works away from the checkout"

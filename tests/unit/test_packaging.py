@@ -1,0 +1,60 @@
+"""The hand-written package list against the disk."""
+
+import tomllib
+from pathlib import Path
+
+_TOP = Path(__file__).resolve().parents[2]
+_PROJECT = tomllib.loads((_TOP / "pyproject.toml").read_text())
+_SETUPTOOLS = _PROJECT["tool"]["setuptools"]
+
+
+def _packages_on_disk() -> set[str]:
+    found = set()
+    for package, folder in _SETUPTOOLS["package-dir"].items():
+        for init in (_TOP / folder).rglob("__init__.py"):
+            below = init.parent.relative_to(_TOP / folder).parts
+            found.add(".".join([package, *below]))
+    return found
+
+
+def test_every_package_on_disk_is_listed_and_the_other_way_round():
+    assert set(_SETUPTOOLS["packages"]) == _packages_on_disk()
+
+
+def test_every_python_file_is_in_a_package():
+    for folder in _SETUPTOOLS["package-dir"].values():
+        for module in (_TOP / folder).rglob("*.py"):
+            assert (module.parent / "__init__.py").exists() or "migrations" in module.parts, module
+
+
+def test_every_data_file_is_matched_by_a_pattern():
+    for package, patterns in _SETUPTOOLS["package-data"].items():
+        top = _TOP / _SETUPTOOLS["package-dir"].get(package, package.replace(".", "/"))
+        matched = {path for pattern in patterns for path in top.glob(pattern)}
+        data = {p for p in top.rglob("*") if p.is_file() and p.suffix not in {".py", ".pyc"} and "__pycache__" not in p.parts}
+        if package == "cbsr_qa":
+            data = {p for p in data if p.name == "py.typed"}
+        assert data <= matched, (package, sorted(data - matched))
+
+
+def test_runtime_dependencies_are_the_imported_ones():
+    """A dependency nobody imports, or an import nobody declares, is found here."""
+    import ast
+
+    names = {"pyserial": "serial", "pyvisa-py": "pyvisa_py", "scikit-fem": "skfem", "scikit-image": "skimage"}
+    reserved = {"pyserial", "pyvisa", "pyvisa-py"}  # for the drivers of the real bench
+    declared = {d.split(">")[0].split("[")[0] for d in _PROJECT["project"]["dependencies"]}
+    modules = {names.get(d, d): d for d in declared - reserved}
+    imported = set()
+    for folder in ("cbsr_qa", "plugins", "migrations"):
+        for module in (_TOP / folder).rglob("*.py"):
+            for node in ast.walk(ast.parse(module.read_text())):
+                if isinstance(node, ast.Import):
+                    imported |= {alias.name.split(".")[0] for alias in node.names}
+                elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+                    imported.add(node.module.split(".")[0])
+    import sys
+
+    foreign = imported - set(sys.stdlib_module_names) - {"cbsr_qa", "cbsr_qa_plugins"}
+    assert set(modules) <= imported, "declared but never imported"
+    assert foreign <= set(modules) | {"click", "psycopg"}, "imported but not declared"
