@@ -1,13 +1,15 @@
 """What the analysis has worked out about a load and about a run: the input of every metric plugin."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.frames import FrameBlock
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.image import Blob, Image
 from cbsr_qa.domain.loads import Indenter, LoadRecord
+from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.domain.relaxation import RelaxationFit, SettlingTime
 from cbsr_qa.domain.run import RunRecord
@@ -81,6 +83,9 @@ class LoadObservation:
     settled : whether they lie at or beyond 1.5 × the settling time.
     force_N, force_stderr_N : mean over the same window; None where no force was recorded.
     relaxations : fits of this load's traces.
+    residue : largest response-signed value of the image just before the press: what earlier loads left behind.
+    alternate : the same load against the other reference (``settings.reference``), given where the residue
+        exceeds the noise floor; None elsewhere.
     """
 
     phase: str
@@ -95,6 +100,8 @@ class LoadObservation:
     force_N: float | None
     force_stderr_N: float | None
     relaxations: tuple[RelaxationObservation, ...] = ()
+    residue: float = 0.0
+    alternate: Self | None = None
 
     @property
     def stress_kPa(self) -> float | None:
@@ -104,6 +111,28 @@ class LoadObservation:
     def mask(self, fraction: float) -> MaskView | None:
         """Return the view of one percentage mask, or None where the recipe did not ask for it."""
         return next((view for view in self.masks if abs(view.fraction - fraction) < 1e-9), None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MetricTimeline:
+    """Spatial metrics of every frame of a phase, for each mask (the paper's Figs 10 and E.23).
+
+    Parameters
+    ----------
+    phase : name of the phase.
+    time_s : (n,) float64 on the run's clock.
+    masks : k fractions.
+    error_mm, overlap_percent, deviation_mm2 : (k, n) float64, NaN while nothing is pressed or no blob is seen.
+    force : samples over the same time; None where not recorded.
+    """
+
+    phase: str
+    time_s: NDArray[np.float64]
+    masks: tuple[float, ...]
+    error_mm: NDArray[np.float64]
+    overlap_percent: NDArray[np.float64]
+    deviation_mm2: NDArray[np.float64]
+    force: SampleBlock | None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,10 +150,12 @@ class RunObservation:
     noise_images : (8, e) images the floor was taken from.
     response : what was configured or decided, INCREASE or DECREASE.
     response_how : ``"configured"`` or how it was decided.
-    main_mask : fraction the verdict uses (0.85).
+    main_mask : fraction the verdict uses (0.85), as in ``settings``.
     loads : every held press, in time order.
     usable : (drives, measures) bool, readings that were imaged.
     warnings : in plain words.
+    timelines : metrics of every frame, for the phases that press a grid of places.
+    settings : how images became numbers.
     """
 
     record: RunRecord
@@ -139,4 +170,6 @@ class RunObservation:
     main_mask: float
     loads: tuple[LoadObservation, ...]
     usable: NDArray[np.bool_]
+    settings: AnalysisSettings
     warnings: tuple[str, ...] = ()
+    timelines: tuple[MetricTimeline, ...] = ()
