@@ -4,7 +4,7 @@ A factory registered under a kind (see :mod:`cbsr_qa.hookspecs`) is called with 
 recipe or scene file and returns an object with these methods. There is nothing to subclass.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, runtime_checkable
@@ -15,6 +15,7 @@ from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.plan import Scene
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
 from cbsr_qa.domain.recording import ReadOptions, Recording
 from cbsr_qa.domain.report import RunResult, Section
@@ -37,6 +38,8 @@ class StationContext:
     sensor_type, material, indenter : what will be tested.
     seed : of the run, for simulated instruments.
     options : the remaining keys of the instrument's table, already free of ``driver`` and ``provides``.
+    scene : what a simulated instrument's world contains; None on a real bench.
+    effect_factory : finds an effect's factory by name, for simulated instruments; None on a real bench.
     """
 
     role: str
@@ -46,6 +49,8 @@ class StationContext:
     indenter: Indenter
     seed: int
     options: Mapping[str, Any]
+    scene: Scene | None = None
+    effect_factory: Callable[[str], Callable[..., Any]] | None = None
 
 
 class Instrument(Protocol):

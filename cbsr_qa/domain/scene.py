@@ -41,13 +41,23 @@ class SimulatedPress:
 
 @dataclass(frozen=True, slots=True)
 class SceneSetting:
-    """What does not change through a scene."""
+    """What does not change through a scene.
+
+    Parameters
+    ----------
+    sensor_type, material, indenter : what is simulated.
+    seed : of the run; random numbers are addressed with it.
+    current_A : drive current.
+    reading_scale_V : mean magnitude of the used readings of the unloaded sheet [V], for effects that are stated
+        relative to it.
+    """
 
     sensor_type: SensorType
     material: Material
     indenter: Indenter
     seed: int
     current_A: float
+    reading_scale_V: float = 0.0
 
 
 @dataclass(slots=True, eq=False)
