@@ -1,0 +1,124 @@
+"""Options of the built-in sequences: read once, checked fully, refused with what is allowed."""
+
+import math
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Any, Final
+
+from cbsr_qa.domain.errors import ConfigError
+
+#: Highest strain any sequence may be asked for [%]; what the station allows is checked by the runner besides.
+STRAIN_CEILING_PERCENT: Final = 60.0
+#: Longest single hold or rest [s].
+LONGEST_S: Final = 86400.0
+#: Unloaded frames before the first press: eight for the noise floor and eight others for the reference.
+UNLOADED_FRAMES: Final = 16
+
+
+class Options:
+    """Options of one phase as the recipe gives them.
+
+    Parameters
+    ----------
+    sequence : name of the sequence, for messages.
+    given : the phase's options.
+    known : every option the sequence has.
+
+    Raises
+    ------
+    ConfigError
+        If an option is unknown; names the nearest one that exists.
+    """
+
+    def __init__(self, sequence: str, given: Mapping[str, Any], known: tuple[str, ...]) -> None:
+        self._sequence = sequence
+        self._given = given
+        for name in given:
+            if name not in known:
+                near = get_close_matches(name, known, n=1)
+                hint = f"did you mean {near[0]!r}? " if near else ""
+                raise ConfigError(
+                    f"sequence {sequence!r} has no option {name!r}", remedy=f"{hint}allowed: {', '.join(known)}"
+                )
+
+    def number(self, name: str, default: float, low: float, high: float) -> float:
+        """Return a number in [low, high]."""
+        return self._number(name, self._given.get(name, default), low, high)
+
+    def duration_s(self, name: str, default: float, *, shortest_s: float = 0.0) -> float:
+        """Return a duration in [shortest_s, one day] seconds."""
+        return self.number(name, default, shortest_s, LONGEST_S)
+
+    def strain(self, name: str, default_percent: float) -> float:
+        """Return a strain as a fraction, from an option in percent."""
+        return self.strain_of(name, self._given.get(name, default_percent))
+
+    def strain_of(self, name: str, percent: object) -> float:
+        """Return one value of a strain option as a fraction; above 0 and at most the ceiling."""
+        value = self._number(name, percent, 0.0, STRAIN_CEILING_PERCENT)
+        if value == 0.0:
+            raise self._refused(name, percent, f"above 0 and at most {STRAIN_CEILING_PERCENT:g}")
+        return value / 100
+
+    def whole(self, name: str, default: int, low: int, high: int) -> int:
+        """Return a whole number in [low, high]."""
+        value = self._given.get(name, default)
+        if isinstance(value, bool) or not isinstance(value, int) or not low <= value <= high:
+            raise self._refused(name, value, f"a whole number from {low} to {high}")
+        return value
+
+    def flag(self, name: str, default: bool) -> bool:
+        """Return true or false."""
+        value = self._given.get(name, default)
+        if not isinstance(value, bool):
+            raise self._refused(name, value, "true or false")
+        return value
+
+    def word(self, name: str, default: str) -> str:
+        """Return a text that is not empty."""
+        value = self._given.get(name, default)
+        if not isinstance(value, str) or not value.strip():
+            raise self._refused(name, value, "a name")
+        return value
+
+    def interval(self, name: str, default: tuple[float, float], low: float, high: float) -> tuple[float, float]:
+        """Return a pair [lowest, highest] of numbers, both in [low, high], rising or equal."""
+        value = self._given.get(name, default)
+        if not isinstance(value, list | tuple) or len(value) != 2:
+            raise self._refused(name, value, "a pair [lowest, highest]")
+        first, second = (self._number(name, item, low, high) for item in value)
+        if first > second:
+            raise self._refused(name, value, "a pair [lowest, highest] with the lower one first")
+        return first, second
+
+    def items(self, name: str, default: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Return a list of at least one entry, entries not yet checked."""
+        value = self._given.get(name, default)
+        if not isinstance(value, list | tuple) or not value:
+            raise self._refused(name, value, "a list of at least one entry")
+        return tuple(value)
+
+    def places_mm(self, name: str, default: tuple[tuple[float, float], ...]) -> tuple[tuple[float, float], ...]:
+        """Return a list of places [x, y] in mm from the sheet's centre."""
+        places = []
+        for item in self.items(name, default):
+            if not isinstance(item, list | tuple) or len(item) != 2:
+                raise self._refused(name, item, "places [x, y] in mm")
+            places.append((self._number(name, item[0], -1e3, 1e3), self._number(name, item[1], -1e3, 1e3)))
+        return tuple(places)
+
+    def refuse_repeats(self, name: str, values: tuple[Any, ...]) -> None:
+        """Refuse a list that says the same thing twice: repeats are what ``trials`` is for."""
+        if len(set(values)) != len(values):
+            raise self._refused(name, self._given.get(name), "each entry once (trials repeats them)")
+
+    def _number(self, name: str, value: object, low: float, high: float) -> float:
+        allowed = f"a number from {low:g} to {high:g}"
+        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+            raise self._refused(name, value, allowed)
+        if not low <= value <= high:
+            raise self._refused(name, value, allowed)
+        return float(value)
+
+    def _refused(self, name: str, found: object, allowed: str) -> ConfigError:
+        return ConfigError(f"sequence {self._sequence!r}: {name} is {found!r}", remedy=f"allowed: {allowed}")
