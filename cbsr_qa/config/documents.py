@@ -1,0 +1,173 @@
+"""Finding and reading configuration files: by path or by the name of a shipped one."""
+
+import math
+import tomllib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from difflib import get_close_matches
+from enum import Enum
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from cbsr_qa.config.echo import echo
+from cbsr_qa.domain.errors import ConfigError
+
+#: Larger than any configuration anybody writes by hand; a recording given by mistake is not read into memory.
+LARGEST_FILE_BYTES = 1_000_000
+
+
+class DocumentKind(Enum):
+    """What a configuration file describes: (name in messages, folder among the shipped files)."""
+
+    STATION = ("station", "")
+    RECIPE = ("recipe", "recipes")
+    SENSOR_TYPE = ("sensor type", "sensor_types")
+    MATERIAL = ("material", "materials")
+    SCENE = ("scene", "scenes")
+
+    @property
+    def noun(self) -> str:
+        """The kind as messages name it."""
+        return self.value[0]
+
+    @property
+    def folder(self) -> str:
+        """Where shipped files of this kind are, below ``cbsr_qa._stations``."""
+        return self.value[1]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Document:
+    """A configuration file as read, before anybody checked what it says.
+
+    Parameters
+    ----------
+    kind : what it describes.
+    label : how messages name it: a path, or ``shipped station 'simulated'``.
+    path : where a user's file is; None for shipped files and for configurations restored from a run.
+    text : its source; empty where it was restored.
+    data : the parsed content.
+    """
+
+    kind: DocumentKind
+    label: str
+    path: Path | None
+    text: str
+    data: Mapping[str, Any]
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder in which this file's references are looked for first."""
+        return None if self.path is None else self.path.parent
+
+
+def shipped_names(kind: DocumentKind) -> tuple[str, ...]:
+    """Names of the shipped files of one kind, sorted."""
+    folder = files("cbsr_qa._stations").joinpath(kind.folder)
+    if not folder.is_dir():
+        return ()
+    return tuple(sorted(f.name.removesuffix(".toml") for f in folder.iterdir() if f.name.endswith(".toml")))
+
+
+def open_document(kind: DocumentKind, name_or_path: str | Path, *, near: Path | None = None) -> Document:
+    """Find and parse a configuration file.
+
+    Parameters
+    ----------
+    name_or_path : a path (it has a folder or ends in ``.toml``) or the name of a shipped file.
+    near : folder of the file that refers to it; looked in before the shipped files.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file (lists the shipped names), it cannot be read, or it is not TOML (with the line).
+    """
+    path = _path_of(name_or_path, near)
+    if path is not None:
+        return _parsed(kind, str(path), path, _read(kind, path))
+    name = str(name_or_path)
+    if name not in shipped_names(kind):
+        raise _unknown(kind, name)
+    source = files("cbsr_qa._stations").joinpath(kind.folder, f"{name}.toml")
+    return _parsed(kind, f"shipped {kind.noun} {name!r}", None, source.read_text(encoding="utf-8"))
+
+
+def reference_path(name: str, near: Path | None) -> Path | None:
+    """Where a reference inside a user's file points next to that file; None where nothing is there."""
+    if near is None:
+        return None
+    for candidate in (near / name, near / f"{name}.toml"):
+        if candidate.suffix == ".toml" and _is_file(candidate):
+            return candidate
+    return None
+
+
+def _path_of(name_or_path: str | Path, near: Path | None) -> Path | None:
+    """Decide whether a path is meant. A path that is given but absent is still a path."""
+    if isinstance(name_or_path, Path):
+        return name_or_path
+    if found := reference_path(name_or_path, near):
+        return found
+    if name_or_path.endswith(".toml") or "/" in name_or_path or "\\" in name_or_path:
+        return (near or Path()) / name_or_path
+    return None
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except (OSError, ValueError):  # a name too long for the file system, or with a NUL in it
+        return False
+
+
+def _unknown(kind: DocumentKind, name: str) -> ConfigError:
+    known = shipped_names(kind)
+    near = get_close_matches(name, known, n=1)
+    remedy = [f"did you mean {near[0]!r}?"] if near else []
+    if name and _is_file(Path(f"{name}.toml")):
+        remedy.append(f"for the file in this folder give {name}.toml")
+    remedy.append(f"shipped: {', '.join(known) or 'none'}; or give the path of a .toml file")
+    return ConfigError(f"there is no {kind.noun} named {echo(name)}", remedy="; ".join(remedy))
+
+
+def _read(kind: DocumentKind, path: Path) -> str:
+    if not _is_file(path):
+        found = "is a folder" if path.is_dir() else "does not exist"
+        raise ConfigError(
+            f"{kind.noun} file {echo(str(path), 200)} {found}",
+            remedy=f"shipped names that can be given instead: {', '.join(shipped_names(kind)) or 'none'}",
+        )
+    try:
+        if (size := path.stat().st_size) > LARGEST_FILE_BYTES:
+            raise ConfigError(f"{path} has {size} bytes; a {kind.noun} file has at most {LARGEST_FILE_BYTES}")
+        return path.read_bytes().decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise ConfigError(
+            f"{path} is not a text file: byte {error.start} is not UTF-8",
+            remedy=f"give the {kind.noun}'s TOML file, saved as UTF-8",
+        ) from error
+    except OSError as error:
+        raise ConfigError(f"{kind.noun} file {path} cannot be read: {error.strerror}") from error
+
+
+def _parsed(kind: DocumentKind, label: str, path: Path | None, text: str) -> Document:
+    try:
+        data = tomllib.loads(text)
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise ConfigError(
+            f"{label} is not valid TOML: {error}", remedy="see https://toml.io for the syntax"
+        ) from error
+    return Document(kind, label, path, text, data)
+
+
+def not_finite(data: object, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Yield the key paths of numbers that are not finite: TOML allows ``nan`` and ``inf``, no quantity here does."""
+    if isinstance(data, Mapping):
+        for key, value in data.items():
+            yield from not_finite(value, (*path, key))
+    elif isinstance(data, list):
+        for index, value in enumerate(data):
+            yield from not_finite(value, (*path, index))
+    elif isinstance(data, float) and not math.isfinite(data):
+        yield path

@@ -1,0 +1,81 @@
+"""Configuration files, checked and turned into domain objects: the front door of this package."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+from cbsr_qa.config.documents import Document, DocumentKind, open_document
+from cbsr_qa.config.material_file import MaterialFile
+from cbsr_qa.config.recipe_file import RecipeFile
+from cbsr_qa.config.scene_file import SceneFile
+from cbsr_qa.config.sensor_type_file import SensorTypeFile
+from cbsr_qa.config.station_file import StationFile, resolved_options
+from cbsr_qa.config.tables import FileModel, validated
+from cbsr_qa.domain.plan import Recipe, Scene, Station
+from cbsr_qa.domain.sensor import Material, SensorType
+
+T = TypeVar("T")
+
+#: A path, the name of a shipped file, or the parsed content itself (restored from a stored run).
+Source = str | Path | Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loaded(Generic[T]):
+    """A domain object with the document it came from.
+
+    Parameters
+    ----------
+    value : e.g. a :class:`~cbsr_qa.domain.plan.Station`.
+    document : its source: text, path (None where shipped or restored), parsed data, and a label for messages.
+    """
+
+    value: T
+    document: Document
+
+    @property
+    def folder(self) -> Path | None:
+        """Folder in which references are looked for first; hand it on as ``near``."""
+        return self.document.folder
+
+
+def load_station(source: Source) -> Loaded[Station]:
+    """Load a station. References of its instruments to files next to it become full paths.
+
+    Raises
+    ------
+    ConfigError
+        As every loader here: no such file, not TOML, or a list of all that is wrong with it.
+    """
+    loaded = _load(DocumentKind.STATION, StationFile, source, None)
+    instruments = tuple(resolved_options(i, loaded.folder) for i in loaded.value.instruments)
+    return Loaded(replace(loaded.value, instruments=instruments), loaded.document)
+
+
+def load_recipe(source: Source) -> Loaded[Recipe]:
+    """Load a recipe. See :func:`load_station` for what is raised."""
+    return _load(DocumentKind.RECIPE, RecipeFile, source, None)
+
+
+def load_sensor_type(source: Source, *, near: Path | None = None) -> Loaded[SensorType]:
+    """Load a sensor type, looked for in the folder ``near`` first. See :func:`load_station` for what is raised."""
+    return _load(DocumentKind.SENSOR_TYPE, SensorTypeFile, source, near)
+
+
+def load_material(source: Source, *, near: Path | None = None) -> Loaded[Material]:
+    """Load a material, looked for in the folder ``near`` first. See :func:`load_station` for what is raised."""
+    return _load(DocumentKind.MATERIAL, MaterialFile, source, near)
+
+
+def load_scene(source: Source, *, near: Path | None = None) -> Loaded[Scene]:
+    """Load a scene, looked for in the folder ``near`` first. See :func:`load_station` for what is raised."""
+    return _load(DocumentKind.SCENE, SceneFile, source, near)
+
+
+def _load(kind: DocumentKind, model: type[FileModel[T]], source: Source, near: Path | None) -> Loaded[T]:
+    if isinstance(source, Mapping):
+        document = Document(kind, f"stored {kind.noun}", None, "", source)
+    else:
+        document = open_document(kind, source, near=near)
+    return Loaded(validated(model, document), document)

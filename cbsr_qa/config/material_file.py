@@ -1,0 +1,111 @@
+"""Material files: every parameter with its source, or said to be chosen by us."""
+
+from collections.abc import Iterator
+from typing import Annotated
+
+from pydantic import Field
+
+from cbsr_qa.config.tables import FileModel, Problem, Table
+from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation
+
+Name = Annotated[str, Field(min_length=1, max_length=64)]
+Source = Annotated[str, Field(min_length=1, max_length=1000)]
+Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+
+class MaterialTable(Table):
+    """``[material]``."""
+
+    name: Name
+
+
+class ParameterTable(Table):
+    """A parameter of either sign with its standard error, where one is stated, and its source."""
+
+    value: float
+    stderr: Annotated[float, Field(ge=0)] | None = None
+    source: Source
+
+    def to_domain(self) -> Parameter:
+        """Return the parameter."""
+        return Parameter(self.value, self.stderr, self.source)
+
+
+class PositiveParameterTable(ParameterTable):
+    """A parameter that cannot be zero or negative."""
+
+    value: Annotated[float, Field(gt=0)]
+
+
+class StressTable(Table):
+    """``[against_stress]``: Δρ/ρ₀ = slope · stress + intercept (paper Eq 1)."""
+
+    slope_per_kPa: ParameterTable
+    intercept: ParameterTable
+
+
+class StrainTable(Table):
+    """``[against_strain]``: Δρ/ρ₀ = slope · strain + intercept (paper Eq 2), strain as a fraction."""
+
+    slope: ParameterTable
+    intercept: ParameterTable
+
+
+class RelaxationTable(Table):
+    """A relaxation of a unit step: weights relative to its steady change, and two rising time constants."""
+
+    weights: Pair
+    time_constants_s: Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=2, max_length=2)]
+    source: Source
+
+    def problems(self, name: str) -> Iterator[Problem]:
+        """Yield what does not fit together within the table."""
+        first, second = self.time_constants_s
+        if first >= second:
+            what = f"is [{first:g}, {second:g}]; the first must be below the second"
+            yield Problem((name, "time_constants_s"), what)
+
+    def to_domain(self) -> Relaxation:
+        """Return the relaxation."""
+        return Relaxation(
+            weights=(self.weights[0], self.weights[1]),
+            time_constants_s=(self.time_constants_s[0], self.time_constants_s[1]),
+            source=self.source,
+        )
+
+
+class MaterialFile(FileModel[Material]):
+    """A material file."""
+
+    material: MaterialTable
+    interelectrode_resistance_ohm: PositiveParameterTable
+    modulus_kPa: PositiveParameterTable
+    relative_noise: PositiveParameterTable
+    against_stress: StressTable
+    against_strain: StrainTable
+    stress_relaxation: RelaxationTable
+    loading_relaxation: RelaxationTable
+    unloading_relaxation: RelaxationTable
+
+    def problems(self) -> Iterator[Problem]:
+        """Time constants rise."""
+        for name in ("stress_relaxation", "loading_relaxation", "unloading_relaxation"):
+            yield from getattr(self, name).problems(name)
+
+    def to_domain(self) -> Material:
+        """Return the material."""
+        return Material(
+            name=self.material.name,
+            interelectrode_resistance_ohm=self.interelectrode_resistance_ohm.to_domain(),
+            modulus_kPa=self.modulus_kPa.to_domain(),
+            against_stress=QuasiStatic(
+                self.against_stress.slope_per_kPa.to_domain(), self.against_stress.intercept.to_domain()
+            ),
+            against_strain=QuasiStatic(
+                self.against_strain.slope.to_domain(), self.against_strain.intercept.to_domain()
+            ),
+            stress_relaxation=self.stress_relaxation.to_domain(),
+            loading_relaxation=self.loading_relaxation.to_domain(),
+            unloading_relaxation=self.unloading_relaxation.to_domain(),
+            relative_noise=self.relative_noise.to_domain(),
+        )

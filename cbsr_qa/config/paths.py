@@ -1,0 +1,52 @@
+"""Where a run writes: one folder, and nowhere else."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+
+from cbsr_qa.domain.errors import ConfigError
+
+
+def var_folder(environment: Mapping[str, str] = os.environ) -> Path:
+    """Folder for everything that is written: ``CBSR_QA_VAR``, or ``var`` in the current folder. Not created here."""
+    return Path(environment.get("CBSR_QA_VAR") or "var")
+
+
+def database_url(option: str | None = None, environment: Mapping[str, str] = os.environ) -> str:
+    """URL of the database: the option, else ``CBSR_QA_DATABASE``, else SQLite at ``var/cbsr-qa.db``.
+
+    A plain path instead of a URL means a SQLite file there.
+    """
+    chosen = option or environment.get("CBSR_QA_DATABASE") or str(var_folder(environment) / "cbsr-qa.db")
+    return chosen if "://" in chosen else f"sqlite:///{chosen}"
+
+
+def reports_folder(environment: Mapping[str, str] = os.environ) -> Path:
+    """Folder for reports, below :func:`var_folder`."""
+    return var_folder(environment) / "reports"
+
+
+def calibrations_folder(environment: Mapping[str, str] = os.environ) -> Path:
+    """Folder for calibration files, below :func:`var_folder`."""
+    return var_folder(environment) / "calibrations"
+
+
+def writable_folder(folder: Path) -> Path:
+    """Create a folder if need be and make sure that files can be written there, before anything is moved.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be created or written to; nothing was written then.
+    """
+    probe = folder / f".cbsr-qa-{os.getpid()}"
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe.touch(exist_ok=True)
+        probe.unlink()
+    except OSError as error:
+        raise ConfigError(
+            f"folder {folder} cannot be written to: {error.strerror}",
+            remedy="free it, or name another one in CBSR_QA_VAR",
+        ) from error
+    return folder

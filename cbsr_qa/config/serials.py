@@ -1,0 +1,69 @@
+"""What people type to identify things: serial numbers, batches, operators. Nothing else reaches a path or a page."""
+
+import re
+import unicodedata
+
+from cbsr_qa.config.echo import echo
+from cbsr_qa.domain.errors import ConfigError
+
+LONGEST = 64
+
+_IDENTIFIER = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+
+
+def validate_serial(text: str) -> str:
+    """Return a serial number that is fit for use.
+
+    Raises
+    ------
+    ConfigError
+        Unless it has 1 to 64 ASCII letters, digits, ``.``, ``_`` or ``-`` and starts with a letter or digit.
+    """
+    return _identifier("serial number", text)
+
+
+def validate_batch(text: str) -> str:
+    """Return a batch name that is fit for use; the same rule as for serial numbers, but it may be empty."""
+    return _identifier("batch", text) if text else ""
+
+
+def validate_operator(text: str) -> str:
+    """Return an operator's name that is fit for use; may be empty.
+
+    Raises
+    ------
+    ConfigError
+        If it is longer than 64 characters or holds anything but letters and digits of any script, single
+        spaces between them, and ``. _ - '``.
+    """
+    for character in text:
+        if not (unicodedata.category(character)[0] in "LMN" or character in " ._-'’"):
+            raise _refused("operator", text, f"{character!r} is not allowed")
+    if text != text.strip():
+        raise _refused("operator", text, "it starts or ends with a space")
+    if len(text) > LONGEST:
+        raise _refused("operator", text, f"it is longer than {LONGEST} characters")
+    return text
+
+
+def _identifier(noun: str, text: str) -> str:
+    if not text:
+        raise _refused(noun, text, "it is empty")
+    if len(text) > LONGEST:
+        raise _refused(noun, text, f"it is longer than {LONGEST} characters")
+    if not _IDENTIFIER.fullmatch(text):
+        wrong = next((c for c in text if not re.fullmatch(r"[A-Za-z0-9._-]", c)), text[0])
+        where = "allowed at the start" if wrong in "._-" else "allowed"
+        raise _refused(noun, text, f"{wrong!r} is not {where}")
+    return text
+
+
+def _refused(noun: str, text: str, why: str) -> ConfigError:
+    allowed = (
+        "letters, digits, single spaces and . _ - '"
+        if noun == "operator"
+        else "letters, digits and . _ -, starting with a letter or a digit"
+    )
+    return ConfigError(
+        f"{noun} {echo(text, 24)} cannot be used: {why}", remedy=f"allowed: 1 to {LONGEST} characters: {allowed}"
+    )

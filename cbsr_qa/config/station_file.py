@@ -1,0 +1,135 @@
+"""Station files: what is on the bench and what the bench may do."""
+
+from collections.abc import Iterator
+from datetime import date, datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from cbsr_qa.config.documents import reference_path
+from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table
+from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.plan import InstrumentSpec, Motion, SafetyLimits, Station
+
+Positive = Annotated[float, Field(gt=0)]
+Name = Annotated[str, Field(min_length=1, max_length=64)]
+Role = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+
+#: Roles that every run needs filled.
+NEEDED_ROLES = ("frame_source", "force_applicator")
+#: Option keys of instrument tables that name another configuration file.
+REFERENCES = ("scene", "material", "sensor_type")
+
+
+def _iso_date(value: Any) -> str:
+    """Take a TOML date or the same as text; keep it as text."""
+    if isinstance(value, date) and not isinstance(value, datetime):
+        return value.isoformat()
+    if not isinstance(value, str):
+        raise ValueError("it must be a date like 2027-03-31")
+    try:
+        return date.fromisoformat(value).isoformat()
+    except ValueError:
+        raise ValueError("it must be a date like 2027-03-31") from None
+
+
+class StationTable(Table):
+    """``[station]``."""
+
+    name: Name
+    clock: Literal["virtual", "real"]
+    sensor_type: Name
+    material: Name
+
+
+class IndenterTable(Table):
+    """``[indenter]``: the flat round head."""
+
+    diameter_mm: Positive = 13.0
+
+
+class MotionTable(Table):
+    """``[motion]``. The press speed defaults to the paper's 40 mm/min."""
+
+    press_speed_mm_per_min: Positive = 40.0
+    travel_speed_mm_per_min: Positive
+    hover_mm: Positive
+
+
+class SafetyTable(Table):
+    """``[safety]``: what this station allows, whatever a recipe asks for."""
+
+    force_N: Positive
+    strain_percent: Annotated[float, Field(gt=0, lt=100)]
+    travel_radius_mm: Positive
+    duration_h: Positive
+    stale_s: Positive
+
+
+class InstrumentTable(OpenTable):
+    """``[instruments.<role>]``: its driver, what it provides, and the driver's own options."""
+
+    driver: Name
+    provides: Annotated[list[Role], Field(min_length=1)]
+    calibration_due: Annotated[str | None, BeforeValidator(_iso_date)] = None
+
+
+class StationFile(FileModel[Station]):
+    """A station file."""
+
+    station: StationTable
+    indenter: IndenterTable
+    motion: MotionTable
+    safety: SafetyTable
+    instruments: Annotated[dict[Role, InstrumentTable], Field(min_length=1)]
+
+    def problems(self) -> Iterator[Problem]:
+        """Every role filled once; the head clears the sheet when it travels."""
+        filled: dict[str, str] = {}
+        for name, table in self.instruments.items():
+            for role in table.provides:
+                if role in filled:
+                    what = f"names {role!r}, which instruments.{filled[role]} already provides"
+                    yield Problem(("instruments", name, "provides"), what)
+                filled.setdefault(role, name)
+        for role in NEEDED_ROLES:
+            if role not in filled:
+                yield Problem(("instruments",), f"has nothing that provides {role!r}; every run needs it")
+
+    def to_domain(self) -> Station:
+        """Speeds become mm/s, percent a fraction, hours seconds."""
+        return Station(
+            name=self.station.name,
+            clock=self.station.clock,
+            sensor_type=self.station.sensor_type,
+            material=self.station.material,
+            indenter=Indenter(self.indenter.diameter_mm),
+            motion=Motion(
+                press_speed_mm_s=self.motion.press_speed_mm_per_min / 60,
+                travel_speed_mm_s=self.motion.travel_speed_mm_per_min / 60,
+                hover_mm=self.motion.hover_mm,
+            ),
+            safety=SafetyLimits(
+                force_N=self.safety.force_N,
+                strain=self.safety.strain_percent / 100,
+                travel_radius_mm=self.safety.travel_radius_mm,
+                duration_s=self.safety.duration_h * 3600,
+                stale_s=self.safety.stale_s,
+            ),
+            instruments=tuple(
+                InstrumentSpec(name, t.driver, tuple(t.provides), t.options, t.calibration_due)
+                for name, t in self.instruments.items()
+            ),
+        )
+
+
+def resolved_options(instrument: InstrumentSpec, near: Path | None) -> InstrumentSpec:
+    """Turn references to files next to the station file into their full paths, so that a driver can open them."""
+    options = dict(instrument.options)
+    for key in REFERENCES:
+        if isinstance(name := options.get(key), str) and (path := reference_path(name, near)):
+            options[key] = str(path.resolve())
+    return InstrumentSpec(
+        instrument.role, instrument.driver, instrument.provides, options, instrument.calibration_due
+    )
