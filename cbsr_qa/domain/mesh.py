@@ -54,3 +54,30 @@ class Mesh:
         """Centroids of the elements, (e, 2) [mm]."""
         centroids: NDArray[np.float64] = self.corners_mm.mean(axis=1)
         return centroids
+
+    @cached_property
+    def edges(self) -> NDArray[np.int64]:
+        """Distinct edges as pairs of nodes, the lower first, in rising order: (k, 2) int64."""
+        return self._edge_table[0]
+
+    @cached_property
+    def element_edges(self) -> NDArray[np.int64]:
+        """Indices into :attr:`edges`, (e, 3) int64: edge j of an element joins its corners j and j + 1."""
+        return self._edge_table[1]
+
+    @cached_property
+    def neighbours(self) -> NDArray[np.int64]:
+        """Pairs of elements that share an edge, (p, 2) int64."""
+        edge = self.element_edges.ravel()
+        order = np.argsort(edge, kind="stable")
+        same = np.flatnonzero(edge[order][1:] == edge[order][:-1])
+        element = order // 3
+        return np.column_stack([element[same], element[same + 1]]).astype(np.int64)
+
+    @cached_property
+    def _edge_table(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        pairs = np.stack([self.elements, np.roll(self.elements, -1, axis=1)], axis=-1).reshape(-1, 2)
+        count = len(self.nodes_mm)
+        keys, of_element = np.unique(pairs.min(axis=1) * count + pairs.max(axis=1), return_inverse=True)
+        edges = np.column_stack([keys // count, keys % count]).astype(np.int64)
+        return edges, of_element.reshape(-1, 3).astype(np.int64)

@@ -1,0 +1,62 @@
+"""What metrics share: checking of options, and labels of what was measured at a load."""
+
+from collections.abc import Iterator, Mapping
+from difflib import get_close_matches
+from typing import Any, Final
+
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.observation import LoadObservation, MaskView, RunObservation
+
+#: Why a spatial metric has no value.
+NOT_DETECTED: Final = "not detected: no positive element of the image stands above the noise floor"
+
+
+def refuse_unknown(metric: str, options: Mapping[str, Any], allowed: tuple[str, ...] = ()) -> None:
+    """Refuse options a metric does not have.
+
+    Raises
+    ------
+    ConfigError
+        Naming the metric, the option, the nearest valid one and all that are allowed.
+    """
+    for name in options:
+        if name in allowed:
+            continue
+        near = get_close_matches(name, allowed, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise ConfigError(
+            f"metric {metric!r} has no option {name!r}", remedy=f"{hint}allowed: {', '.join(allowed) or 'none'}"
+        )
+
+
+def masks_of(load: LoadObservation, run: RunObservation) -> Iterator[tuple[MaskView, str]]:
+    """Yield each mask of a load with its qualifier: empty for the main one, ``"mask 25 %"`` for another."""
+    for view in load.masks:
+        main = abs(view.fraction - run.main_mask) < 1e-9
+        yield view, "" if main else f"mask {100 * view.fraction:g} %"
+
+
+def at_load(
+    load: LoadObservation,
+    name: str,
+    value: float | None,
+    unit: str,
+    *,
+    uncertainty: float | None = None,
+    qualifier: str = "",
+    how: str = "",
+) -> Measurement:
+    """Make a measurement of one load."""
+    place = load.record.load
+    return Measurement(
+        name,
+        value,
+        unit,
+        uncertainty=uncertainty,
+        phase=load.phase,
+        location=place.label,
+        trial=place.trial,
+        qualifier=qualifier,
+        how=how,
+    )
