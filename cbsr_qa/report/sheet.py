@@ -1,0 +1,125 @@
+"""How the sheet, its electrodes and what lies on it are drawn; shared by every figure that shows a place."""
+
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
+from matplotlib.colors import Colormap, Normalize
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Circle
+from matplotlib.path import Path
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.report.style import FAINT, INK, QUIET
+
+#: A circle of this many sides is round in print.
+_SIDES: Final = 72
+
+Shift = tuple[float, float]
+
+
+def draw_sheet(axes: Axes, radius_mm: float, shift: Shift = (0.0, 0.0), *, filled: bool = False) -> None:
+    """Draw the sheet's edge."""
+    face = "#fbfbfb" if filled else "none"
+    axes.add_patch(
+        Circle(shift, radius_mm, facecolor=face, edgecolor=QUIET, linewidth=0.7, zorder=3 if not filled else 0)
+    )
+
+
+def draw_electrodes(
+    axes: Axes, layout: ElectrodeLayout, radius_mm: float, shift: Shift = (0.0, 0.0), *, numbered: bool = True
+) -> None:
+    """Draw the electrodes where they are, with their numbers just outside the sheet.
+
+    Parameters
+    ----------
+    radius_mm : of the sheet as drawn; the layout is scaled to it where a drawing is in units of the radius.
+    numbered : every number where there is room, else only electrode 0.
+    """
+    angles = layout.angles_rad()
+    direction = np.column_stack([np.cos(angles), np.sin(angles)])
+    if layout.kind is ElectrodeKind.PIN:
+        ring = min(layout.ring_radius_mm, radius_mm)
+        pins = direction * ring + np.asarray(shift)
+        axes.scatter(pins[:, 0], pins[:, 1], s=4, c=INK, linewidths=0, zorder=4)
+    else:
+        half = layout.width_mm / layout.ring_radius_mm / 2
+        arcs = [_arc(angle - half, angle + half, radius_mm) + np.asarray(shift) for angle in angles]
+        axes.add_collection(LineCollection(arcs, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
+    for number, (x, y) in enumerate(direction * radius_mm * 1.075 + np.asarray(shift)):
+        if numbered or number == 0:
+            axes.text(x, y, str(number), ha="center", va="center", fontsize=6, color=QUIET)
+
+
+def draw_circles(
+    axes: Axes,
+    centres_mm: NDArray[np.float64],
+    radius_mm: float,
+    *,
+    color: str = INK,
+    width: float = 0.8,
+    dashed: bool = False,
+) -> None:
+    """Draw equal circles, e.g. the indenter at many places, as one collection.
+
+    Parameters
+    ----------
+    centres_mm : (n, 2).
+    """
+    round_ = _arc(0.0, 2 * np.pi, radius_mm)
+    collection = PolyCollection(
+        [round_ + centre for centre in np.asarray(centres_mm).reshape(-1, 2)],
+        facecolors="none",
+        edgecolors=color,
+        linewidths=width,
+        linestyles=[(0, (2.5, 1.8))] if dashed else "solid",
+        zorder=6,
+    )
+    axes.add_collection(collection)
+
+
+def draw_outlines(axes: Axes, paths: list[Path], *, color: str = INK, width: float = 1.1, face: str = "none") -> None:
+    """Draw blob outlines (see :func:`cbsr_qa.report.outlines.outline_path`) as one collection."""
+    if paths:
+        axes.add_collection(PathCollection(paths, facecolors=face, edgecolors=color, linewidths=width, zorder=5))
+
+
+def add_scale(figure: Canvas, axes: Axes, norm: Normalize, colours: Colormap, *, label: str, place: str) -> None:
+    """Draw a slim colour scale beside (``"right"``) or below (``"bottom"``) the axes."""
+    box = axes.get_position()
+    beside = place == "right"
+    if beside:
+        slot = figure.add_axes((box.x1 + 0.015, box.y0 + 0.15 * box.height, 0.013, 0.7 * box.height))
+    else:
+        height_in = figure.get_size_inches()[1]
+        slot = figure.add_axes((box.x0 + 0.3 * box.width, 0.36 / height_in, 0.4 * box.width, 0.09 / height_in))
+    low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
+    ramp = np.linspace(low, high, 128)[None, :]
+    extent = (0, 1, low, high) if beside else (low, high, 0, 1)
+    picture = ramp.T if beside else ramp
+    slot.imshow(picture, norm=norm, cmap=colours, extent=extent, aspect="auto", origin="lower")
+    for side in slot.spines.values():
+        side.set_visible(False)
+    slot.tick_params(length=2, color=FAINT)
+    if beside:
+        slot.set_xticks([])
+        slot.yaxis.tick_right()
+        slot.yaxis.set_label_position("right")
+        slot.set_ylabel(label)
+    else:
+        slot.set_yticks([])
+        slot.set_xlabel(label)
+
+
+def fit_sheet(axes: Axes, radius_mm: float, margin: float = 1.16) -> None:
+    """Show exactly the sheet with room for the electrodes' numbers."""
+    axes.set_xlim(-margin * radius_mm, margin * radius_mm)
+    axes.set_ylim(-margin * radius_mm, margin * radius_mm)
+
+
+def _arc(start: float, end: float, radius: float) -> NDArray[np.float64]:
+    steps = max(int(_SIDES * abs(end - start) / (2 * np.pi)), 4)
+    angles = np.linspace(start, end, steps + 1)
+    return radius * np.column_stack([np.cos(angles), np.sin(angles)])

@@ -1,0 +1,146 @@
+"""One look for all figures: type sizes, line weights and colours that survive colour blindness and a grey printer.
+
+Figures are made with matplotlib's object API; there is no pyplot state. The settings are applied while a figure is
+drawn (:func:`drawing`) and taken back afterwards.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Final, cast
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure as Canvas
+
+INK: Final = "#1c1c1c"
+QUIET: Final = "#6a6a6a"
+FAINT: Final = "#b9b9b9"
+HAIR: Final = "#e2e2e2"
+
+#: Okabe & Ito 2008, told apart with every common colour blindness.
+BLUE: Final = "#0072B2"
+VERMILION: Final = "#D55E00"
+GREEN: Final = "#009E73"
+PURPLE: Final = "#8E5BA6"
+ORANGE: Final = "#E69F00"
+SKY: Final = "#56B4E9"
+CYCLE: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+
+#: An ordered quantity (25, 50, 75, 85 %): light to dark, so that it survives a grey printer.
+ORDERED: Final = ("#9ecae1", "#56a0d3", "#2171b5", "#08306b")
+
+#: Text width of an A4 page with the report's margins [in].
+WIDTH_IN: Final = 6.9
+
+#: Conductance falls (orange-brown), nothing (white), rises (blue).
+CHANGE_MAP: Final = LinearSegmentedColormap.from_list(
+    "cbsr_change", ["#5d2b02", "#b35806", "#f1a340", "#fde7c8", "#ffffff", "#d6e6f2", "#74add1", "#2166ac", "#072a5c"]
+)
+
+#: Little (pale) to much (dark).
+AMOUNT_MAP: Final = LinearSegmentedColormap.from_list(
+    "cbsr_amount", ["#f4f8fb", "#c6dbef", "#74a9cf", "#2b79b5", "#08306b"]
+)
+
+_SETTINGS: Final[dict[str, Any]] = {
+    "svg.fonttype": "none",  # text stays text: searchable, and drawn in the page's own typeface
+    "svg.hashsalt": "cbsr-qa",  # the same numbers give the same bytes
+    "font.family": ["DejaVu Sans"],  # ships with matplotlib; wider than the page's face, so nothing overlaps
+    "font.size": 7.5,
+    "axes.titlesize": 8,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 5,
+    "axes.labelsize": 7.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": QUIET,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.unicode_minus": True,
+    "axes.formatter.use_mathtext": False,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-4, 5),
+    "xtick.color": QUIET,
+    "ytick.color": QUIET,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "lines.linewidth": 1.0,
+    "lines.solid_capstyle": "round",
+    "patch.linewidth": 0.6,
+    "text.color": INK,
+    "text.parse_math": False,  # a serial number with $ in it is not a formula
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    "path.simplify": True,
+    "path.simplify_threshold": 0.1,
+    "image.interpolation": "none",
+}
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """Apply the shared settings while a figure is built and written."""
+    with mpl.rc_context(cast(Any, _SETTINGS)):  # the stubs want literal keys
+        yield
+
+
+def canvas(height_in: float, width_in: float = WIDTH_IN) -> Canvas:
+    """Return an empty figure of the page's width."""
+    return Canvas(figsize=(width_in, height_in))
+
+
+def change_norm(largest: float) -> Normalize:
+    """Return a symmetric scale around no change; ``largest`` 0 is drawn as one part per million."""
+    limit = largest if largest > 0 else 1e-6
+    return Normalize(-limit, limit)
+
+
+def light_grid(axes: Axes, which: str = "y") -> None:
+    """Draw hairlines behind the data."""
+    axes.grid(True, axis=which, color=HAIR, linewidth=0.5)  # type: ignore[arg-type]
+    axes.set_axisbelow(True)
+
+
+def bare(axes: Axes) -> None:
+    """Leave nothing of the axes but what is drawn in them, in equal scale."""
+    axes.set_axis_off()
+    axes.set_aspect("equal")
+
+
+def spread_labels(places: list[float], gap: float) -> list[float]:
+    """Move labels apart along one axis so that none overlap, keeping their order and their mean.
+
+    Parameters
+    ----------
+    places : wanted positions.
+    gap : smallest distance between neighbours.
+
+    Returns
+    -------
+    New positions in the order of ``places``.
+    """
+    order = sorted(range(len(places)), key=lambda i: places[i])
+    moved = [places[i] for i in order]
+    for _ in range(50 * len(moved)):
+        pushed = False
+        for lower in range(len(moved) - 1):
+            lacking = gap - (moved[lower + 1] - moved[lower])
+            if lacking > 1e-9 * max(gap, 1e-300):
+                moved[lower] -= lacking / 2
+                moved[lower + 1] += lacking / 2
+                pushed = True
+        if not pushed:
+            break
+    back = [0.0] * len(places)
+    for rank, index in enumerate(order):
+        back[index] = moved[rank]
+    return back
