@@ -25,8 +25,9 @@ def line_of(text: str, path: KeyPath) -> int | None:
     for line, place in _places(text):
         found.setdefault(place, line)
     for length in range(len(path), 0, -1):
-        if (line_number := found.get(path[:length])) is not None:
-            return line_number
+        inside = [line for place, line in found.items() if place[:length] == path[:length]]
+        if inside:
+            return min(inside)
     return None
 
 

@@ -5,18 +5,13 @@ from typing import Annotated
 
 from pydantic import Field
 
+from cbsr_qa.config.lines import KeyPath
 from cbsr_qa.config.tables import FileModel, Problem, Table
 from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation
 
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 Source = Annotated[str, Field(min_length=1, max_length=1000)]
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
-
-
-class MaterialTable(Table):
-    """``[material]``."""
-
-    name: Name
 
 
 class ParameterTable(Table):
@@ -58,12 +53,12 @@ class RelaxationTable(Table):
     time_constants_s: Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=2, max_length=2)]
     source: Source
 
-    def problems(self, name: str) -> Iterator[Problem]:
+    def problems(self, where: KeyPath) -> Iterator[Problem]:
         """Yield what does not fit together within the table."""
         first, second = self.time_constants_s
         if first >= second:
             what = f"is [{first:g}, {second:g}]; the first must be below the second"
-            yield Problem((name, "time_constants_s"), what)
+            yield Problem((*where, "time_constants_s"), what)
 
     def to_domain(self) -> Relaxation:
         """Return the relaxation."""
@@ -74,10 +69,10 @@ class RelaxationTable(Table):
         )
 
 
-class MaterialFile(FileModel[Material]):
-    """A material file."""
+class MaterialTable(Table):
+    """``[material]``: the name, and below it one table per parameter or relaxation."""
 
-    material: MaterialTable
+    name: Name
     interelectrode_resistance_ohm: PositiveParameterTable
     modulus_kPa: PositiveParameterTable
     relative_noise: PositiveParameterTable
@@ -87,15 +82,10 @@ class MaterialFile(FileModel[Material]):
     loading_relaxation: RelaxationTable
     unloading_relaxation: RelaxationTable
 
-    def problems(self) -> Iterator[Problem]:
-        """Time constants rise."""
-        for name in ("stress_relaxation", "loading_relaxation", "unloading_relaxation"):
-            yield from getattr(self, name).problems(name)
-
     def to_domain(self) -> Material:
         """Return the material."""
         return Material(
-            name=self.material.name,
+            name=self.name,
             interelectrode_resistance_ohm=self.interelectrode_resistance_ohm.to_domain(),
             modulus_kPa=self.modulus_kPa.to_domain(),
             against_stress=QuasiStatic(
@@ -109,3 +99,18 @@ class MaterialFile(FileModel[Material]):
             unloading_relaxation=self.unloading_relaxation.to_domain(),
             relative_noise=self.relative_noise.to_domain(),
         )
+
+
+class MaterialFile(FileModel[Material]):
+    """A material file."""
+
+    material: MaterialTable
+
+    def problems(self) -> Iterator[Problem]:
+        """Time constants rise."""
+        for name in ("stress_relaxation", "loading_relaxation", "unloading_relaxation"):
+            yield from getattr(self.material, name).problems(("material", name))
+
+    def to_domain(self) -> Material:
+        """Return the material."""
+        return self.material.to_domain()

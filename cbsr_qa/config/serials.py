@@ -41,6 +41,8 @@ def validate_operator(text: str) -> str:
             raise _refused("operator", text, f"{character!r} is not allowed")
     if text != text.strip():
         raise _refused("operator", text, "it starts or ends with a space")
+    if "  " in text:
+        raise _refused("operator", text, "it has two spaces in a row")
     if len(text) > LONGEST:
         raise _refused("operator", text, f"it is longer than {LONGEST} characters")
     return text
