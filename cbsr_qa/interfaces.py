@@ -15,7 +15,7 @@ from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
-from cbsr_qa.domain.plan import Scene
+from cbsr_qa.domain.plan import Motion, Scene
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
 from cbsr_qa.domain.recording import ReadOptions, Recording
 from cbsr_qa.domain.report import RunResult, Section
@@ -40,6 +40,7 @@ class StationContext:
     options : the remaining keys of the instrument's table, already free of ``driver`` and ``provides``.
     scene : what a simulated instrument's world contains; None on a real bench.
     effect_factory : finds an effect's factory by name, for simulated instruments; None on a real bench.
+    motion : speeds and hover height of the station; :mod:`cbsr_qa.domain.kinematics` says how long moves take.
     """
 
     role: str
@@ -51,6 +52,7 @@ class StationContext:
     options: Mapping[str, Any]
     scene: Scene | None = None
     effect_factory: Callable[[str], Callable[..., Any]] | None = None
+    motion: Motion | None = None
 
 
 class Instrument(Protocol):
