@@ -1,0 +1,195 @@
+"""Meshes of a sensor type's round sheet: graded at the electrodes for voltages, near-uniform for images."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.forward.triangulate import Outline, fill
+
+Points = NDArray[np.float64]
+Size = Callable[[Points], NDArray[np.float64]]
+
+_FINEST = 1 / 16  # edge length at a pin's rim or an arc's end, relative to the sheet's
+_EDGES_PER_ELECTRODE = 12  # at least so many edges on an electrode
+_STEEPEST = 0.45  # growth of the edge length per distance from an electrode; more makes thin triangles
+_REACH = 0.13  # of the radius: how far the refinement reaches, so that a family of meshes refines everywhere alike
+_COARSEST = 0.25  # largest edge length, of the radius
+_SMOOTHING = 8
+
+
+def sheet_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
+    """Mesh a sheet for its forward model.
+
+    Pins are round holes whose rims are the electrodes; arcs are stretches of the edge, refined at their ends
+    where the current density is singular. All edge lengths scale with ``size_mm`` once there are 12 edges on an
+    electrode, so that a sequence of sizes shows a clean order of convergence.
+
+    Parameters
+    ----------
+    size_mm : edge length far from the electrodes [mm], at most a quarter of the radius.
+
+    Raises
+    ------
+    RefusedError
+        If the size is out of range, or the electrodes do not fit the sheet.
+    """
+    _check_size(sensor_type, size_mm)
+    layout = sensor_type.electrodes
+    _check_layout(sensor_type)
+    ring = _pins if layout.kind is ElectrodeKind.PIN else _arcs
+    boundary = ring(layout, sensor_type.radius_mm, size_mm)
+    nodes, elements = fill(boundary.outline, np.zeros((0, 2)), smoothing=_SMOOTHING)
+    return Mesh(nodes, elements, boundary.electrode_edges)
+
+
+def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
+    """Mesh a sheet with near-uniform triangles, without electrodes, to carry images.
+
+    Parameters
+    ----------
+    size_mm : edge length [mm], at most a quarter of the radius.
+
+    Raises
+    ------
+    RefusedError
+        If the size is out of range.
+    """
+    _check_size(sensor_type, size_mm)
+    radius = sensor_type.radius_mm
+    count = int(np.ceil(2 * np.pi * radius / size_mm))
+    rim = radius * _unit(2 * np.pi * np.arange(count) / count)
+    outline = Outline(
+        rim,
+        np.full(count, -1, dtype=np.int64),
+        lambda points: np.full(len(points), size_mm),
+        lambda points: radius - np.hypot(points[:, 0], points[:, 1]),
+    )
+    lattice = _hexagonal(radius, size_mm)
+    start = lattice[np.hypot(lattice[:, 0], lattice[:, 1]) < radius - 0.7 * size_mm]
+    nodes, elements = fill(outline, start, smoothing=_SMOOTHING)
+    return Mesh(nodes, elements)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Boundary:
+    outline: Outline
+    electrode_edges: tuple[NDArray[np.int64], ...]
+
+
+def _pins(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
+    centres, pin = layout.positions_mm(), layout.width_mm / 2
+    tree = cKDTree(centres)
+    gap = radius - layout.ring_radius_mm - pin
+
+    def from_pin(points: Points) -> NDArray[np.float64]:
+        distance: NDArray[np.float64] = tree.query(points)[0] - pin
+        return np.maximum(distance, 0)
+
+    def clearance(points: Points) -> NDArray[np.float64]:
+        distance: NDArray[np.float64] = tree.query(points)[0] - pin
+        return np.minimum(distance, radius - np.hypot(points[:, 0], points[:, 1]))
+
+    finest = min(size * _FINEST, 2 * np.pi * pin / _EDGES_PER_ELECTRODE, gap)
+    sizes = _graded(size, finest, radius, from_pin)
+    rim_count = int(np.ceil(2 * np.pi * pin / finest - 1e-9))
+    edge = _rotated(_spread_arc(radius, layout.angles_rad()[0], abs(layout.step_rad), sizes)[:-1], layout, radius)
+    rim = pin * _unit(2 * np.pi * np.arange(rim_count) / rim_count)
+    rims = [centre + _turn(rim, angle) for centre, angle in zip(centres, layout.angles_rad(), strict=True)]
+    hole = np.concatenate([np.full(len(edge), -1), np.repeat(np.arange(layout.count), rim_count)])
+    ring = np.column_stack([np.arange(rim_count), (np.arange(rim_count) + 1) % rim_count])
+    edges = tuple(len(edge) + k * rim_count + ring for k in range(layout.count))
+    return _Boundary(Outline(np.vstack([edge, *rims]), hole.astype(np.int64), sizes, clearance), edges)
+
+
+def _arcs(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
+    half = layout.width_mm / radius / 2
+    ends = layout.angles_rad()[:, None] + np.array([-half, half])
+    tree = cKDTree(radius * _unit(ends.ravel()))
+    finest = min(size * _FINEST, layout.width_mm / _EDGES_PER_ELECTRODE)
+    sizes = _graded(size, finest, radius, lambda points: np.asarray(tree.query(points)[0], dtype=np.float64))
+    start = float(ends[0, 0])
+    arc = _spread_arc(radius, start, 2 * half, sizes, at_least=_EDGES_PER_ELECTRODE)
+    space = _spread_arc(radius, start + 2 * half, abs(layout.step_rad) - 2 * half, sizes)
+    edge = _rotated(np.concatenate([arc[:-1], space[:-1]]), layout, radius)
+    period = len(edge) // layout.count
+    along = np.arange(len(arc) - 1)
+    edges = tuple((np.column_stack([along, along + 1]) + k * period) % len(edge) for k in range(layout.count))
+    outline = Outline(
+        edge,
+        np.full(len(edge), -1, dtype=np.int64),
+        sizes,
+        lambda points: radius - np.hypot(points[:, 0], points[:, 1]),
+    )
+    return _Boundary(outline, edges)
+
+
+def _graded(size: float, finest: float, radius: float, distance: Callable[[Points], NDArray[np.float64]]) -> Size:
+    growth = min(_STEEPEST, size / (_REACH * radius))
+
+    def sizes(points: Points) -> NDArray[np.float64]:
+        return np.minimum(size, finest + growth * distance(points))
+
+    return sizes
+
+
+def _spread_arc(radius: float, start: float, span: float, sizes: Size, *, at_least: int = 2) -> NDArray[np.float64]:
+    """Angles along an arc, both ends included, with the wanted distances between them."""
+    angles = start + np.linspace(0, span, 2001)
+    density = radius / sizes(radius * _unit(angles))
+    total = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2) * (angles[1] - angles[0])])
+    count = max(at_least, int(np.ceil(total[-1])))
+    spread: NDArray[np.float64] = np.interp(np.arange(count + 1) / count * total[-1], total, angles)
+    return spread
+
+
+def _rotated(angles: NDArray[np.float64], layout: ElectrodeLayout, radius: float) -> Points:
+    """Nodes of one electrode's stretch of the edge, repeated for every electrode, in the electrodes' order."""
+    every = angles + layout.step_rad * np.arange(layout.count)[:, None]
+    return radius * _unit(every.ravel())
+
+
+def _unit(angles: NDArray[np.float64]) -> Points:
+    return np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def _turn(points: Points, angle: float) -> Points:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.column_stack([cosine * points[:, 0] - sine * points[:, 1], sine * points[:, 0] + cosine * points[:, 1]])
+
+
+def _hexagonal(radius: float, size: float) -> Points:
+    """Equilateral lattice over a square of this half width, one node in the centre."""
+    count = int(np.ceil(radius / size * 2 / np.sqrt(3))) + 1
+    row, column = np.meshgrid(np.arange(-count, count + 1), np.arange(-2 * count, 2 * count + 1), indexing="ij")
+    x = size * (column + 0.5 * (row % 2))
+    return np.column_stack([x.ravel(), (size * np.sqrt(3) / 2 * row).ravel()])
+
+
+def _check_size(sensor_type: SensorType, size_mm: float) -> None:
+    largest = _COARSEST * sensor_type.radius_mm
+    if not 0 < size_mm <= largest:
+        raise RefusedError(
+            f"mesh size {size_mm} mm does not fit sensor type {sensor_type.name!r};"
+            f" it must be above 0 and at most a quarter of the radius, {largest:g} mm"
+        )
+
+
+def _check_layout(sensor_type: SensorType) -> None:
+    layout, radius = sensor_type.electrodes, sensor_type.radius_mm
+    if layout.kind is ElectrodeKind.PIN and layout.ring_radius_mm + layout.width_mm / 2 >= radius:
+        raise RefusedError(
+            f"sensor type {sensor_type.name!r}: pins of {layout.width_mm} mm on a ring of radius"
+            f" {layout.ring_radius_mm} mm do not lie inside the sheet of radius {radius} mm"
+        )
+    if layout.kind is ElectrodeKind.ARC and abs(layout.ring_radius_mm - radius) > 1e-6 * radius:
+        raise RefusedError(
+            f"sensor type {sensor_type.name!r}: electrodes.ring_radius_mm is {layout.ring_radius_mm};"
+            f" arcs lie on the sheet's edge, at its radius of {radius} mm"
+        )
