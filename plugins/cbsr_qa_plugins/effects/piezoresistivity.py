@@ -1,0 +1,24 @@
+"""Quasi-static piezoresistivity: the sheet's conductance follows the strain under the head."""
+
+from cbsr_qa.domain.scene import Moment, SceneSetting
+from cbsr_qa.simulate.ramps import done, response_ramps
+
+
+class Piezoresistivity:
+    """Δρ/ρ₀ = α_ε ε + β_ε under the head (paper Eq 2), with the material's α_ε and β_ε.
+
+    The paper fits the line to held loads; β_ε is the line's value where nothing presses, which cannot be. Here it
+    fades in over the first contact (:data:`cbsr_qa.simulate.ramps.CONTACT_STRAIN`) and goes with it.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "response"
+
+    def __init__(self, setting: SceneSetting) -> None:
+        self._line = setting.material.against_strain
+
+    def apply(self, moment: Moment) -> None:
+        """Add the quasi-static change of every press."""
+        for number, press in enumerate(moment.presses):
+            ramps = response_ramps(press, self._line)
+            moment.response[number] += sum(ramp.change * done(ramp, moment.time_s) for _, ramp in ramps)

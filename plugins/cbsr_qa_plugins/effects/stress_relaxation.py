@@ -1,0 +1,26 @@
+"""Stress relaxation of the sheet: a generalised Maxwell body with two terms."""
+
+from cbsr_qa.domain.scene import Moment, SceneSetting
+from cbsr_qa.simulate.ramps import transient
+
+
+class StressRelaxation:
+    """σ(t) = E ∫ (1 + w₁ e^(−(t−s)/τ₁) + w₂ e^(−(t−s)/τ₂)) ε̇(s) ds (paper Eq 3 over its steady state).
+
+    The elastic effect is the 1 of the kernel; this effect adds the rest. Right after a release the sheet would pull
+    on a head that stuck to it; the head does not stick, so the world reads no negative stress.
+    """
+
+    needs: tuple[str, ...] = ("elastic-stress",)
+    perturbs = "stress"
+
+    def __init__(self, setting: SceneSetting) -> None:
+        self._modulus_kPa = setting.material.modulus_kPa.value
+        self._kernel = setting.material.stress_relaxation
+
+    def apply(self, moment: Moment) -> None:
+        """Add what has not yet relaxed of every press."""
+        for number, press in enumerate(moment.presses):
+            moment.stress_kPa[number] += self._modulus_kPa * sum(
+                step.change * transient(step, self._kernel, moment.time_s) for step in press.steps
+            )
