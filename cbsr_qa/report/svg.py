@@ -15,11 +15,13 @@ from cbsr_qa.report.style import drawing
 
 _NAMESPACE: Final = "{http://www.w3.org/2000/svg}"
 _HREFS: Final = ("href", "{http://www.w3.org/1999/xlink}href")
-_DRAWN: Final = frozenset(
-    ("svg", "g", "defs", "use", "symbol", "title", "desc", "text", "tspan", "image", "path", "rect", "circle")
-    + ("ellipse", "line", "polyline", "polygon", "clipPath", "mask", "pattern", "marker", "stop")
-    + ("linearGradient", "radialGradient")
+_SHAPES: Final = frozenset(
+    {"path", "rect", "circle", "ellipse", "line", "polyline", "polygon", "image", "text", "tspan"}
 )
+_DRAWN: Final = _SHAPES | {
+    *("svg", "g", "defs", "use", "symbol", "title", "desc", "clipPath", "mask", "pattern", "marker"),
+    *("linearGradient", "radialGradient", "stop"),
+}
 _BITMAP: Final = re.compile(r"data:image/(png|jpeg);base64,[A-Za-z0-9+/=\s]*\Z")
 _OWN_URL: Final = re.compile(r"url\(\s*(?!['\"]?#)", re.IGNORECASE)
 

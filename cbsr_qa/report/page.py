@@ -1,0 +1,122 @@
+"""What the head of a report says: the banner, who and what it is about, and what was simulated."""
+
+from dataclasses import dataclass
+from typing import Final
+
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.outcome import EndReason, Outcome
+from cbsr_qa.domain.report import RunResult
+from cbsr_qa.report.numbers import duration, plural
+
+_SYMBOLS: Final = {
+    Outcome.PASS: "✓",
+    Outcome.MARGINAL: "≈",
+    Outcome.FAIL: "✗",
+    Outcome.NOT_MEASURED: "?",
+    Outcome.NOT_JUDGED: "–",
+}
+
+#: How a run that did not finish is announced; its verdict alone would hide that.
+_ENDS: Final = {
+    EndReason.RUNNING: "The run is incomplete: it was begun and never ended",
+    EndReason.ABORTED: "The run was aborted",
+    EndReason.BROKEN: "The run was broken off",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Banner:
+    """The first thing a reader sees.
+
+    Parameters
+    ----------
+    tone : ``"pass"``, ``"marginal"``, ``"fail"``, ``"not-measured"`` or ``"plain"``; chooses the colours.
+    symbol, headline, reason : a sign that survives a grey printer, the verdict, and the one reason for it.
+    """
+
+    tone: str
+    symbol: str
+    headline: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """Everything outside the sections.
+
+    Parameters
+    ----------
+    kind : ``"Test report"`` or ``"Recording report"``.
+    subject : serial number or file name.
+    identity : (name, value) pairs, in reading order.
+    simulated : in words, what was simulated; empty for a real bench.
+    warnings : in plain words.
+    """
+
+    kind: str
+    subject: str
+    banner: Banner
+    identity: tuple[tuple[str, str], ...]
+    simulated: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+
+def run_page(result: RunResult) -> Page:
+    """Say what a run's report begins with."""
+    record, identity = result.record, result.record.identity
+    facts = (
+        ("Sensor", identity.sensor.serial),
+        ("Batch", identity.sensor.batch or "not stated"),
+        ("Type", identity.sensor.sensor_type),
+        ("Material", record.material.name),
+        ("Station", identity.station),
+        ("Recipe", identity.recipe),
+        ("Operator", identity.operator or "not stated"),
+        ("Started", identity.started_at.isoformat(sep=" ", timespec="seconds")),
+        ("Station time", duration(record.station_s)),
+        ("Calibration", "issued" if result.calibration else f"none: {result.calibration_why}"),
+        ("Run", identity.run),
+    )
+    observed = result.observation.warnings if result.observation else ()
+    warnings = tuple(dict.fromkeys((*result.warnings, *observed)))
+    return Page("Test report", identity.sensor.serial, _verdict(result), facts, identity.simulated, warnings)
+
+
+def recording_page(result: RecordingResult) -> Page:
+    """Say what a recording's report begins with."""
+    recording, found = result.recording, len(result.events)
+    rate = result.frame_rate_hz
+    facts = (
+        ("File", recording.path.name),
+        ("Data set", recording.dataset or "the only one"),
+        ("Format", recording.format),
+        ("Sensor type", recording.sensor_type or "not stated: lengths are in units of the radius"),
+        ("Frames", str(len(recording.frames))),
+        ("Frame rate", "none: still images" if rate is None else f"{rate:.3g} frames/s"),
+        ("Clock", "no time recorded" if recording.clock == "none" else f"the {recording.clock}'s"),
+        ("Rows rejected", str(recording.rows_rejected)),
+        ("Force", "recorded" if any(s.channel == "force" for s in recording.samples) else "not recorded"),
+    )
+    headline = f"{plural(found, 'event')} found" if found else "no event"
+    banner = Banner("plain", "●" if found else "○", headline, _found(result))
+    return Page("Recording report", recording.path.name, banner, facts, (), result.warnings)
+
+
+def _verdict(result: RunResult) -> Banner:
+    outcome, end = result.verdict.outcome, result.record.end
+    tone = "plain" if outcome is Outcome.NOT_JUDGED else outcome.value.replace(" ", "-")
+    reason = result.verdict.reason
+    if end in _ENDS:
+        detail = f" ({result.record.end_detail})" if result.record.end_detail else ""
+        reason = f"{_ENDS[end]}{detail}. {reason}".strip()
+    return Banner(tone, _SYMBOLS[outcome], outcome.value.upper(), reason)
+
+
+def _found(result: RecordingResult) -> str:
+    if not result.events:
+        return result.events_why
+    strongest = max(result.events, key=lambda event: event.snr)
+    sense = "conducts more" if strongest.sign > 0 else "conducts less"
+    place = f"electrode {strongest.electrode:.1f}, r/R {strongest.r_over_R:.2f}"
+    when = "" if result.frame_rate_hz is None else f" at {strongest.peak_s:.1f} s"
+    return f"the clearest{when} near {place}: the place {sense}, SNR {strongest.snr:.3g}"

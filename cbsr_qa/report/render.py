@@ -1,0 +1,151 @@
+"""From a result and its sections to one self-contained HTML file."""
+
+import os
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+
+from cbsr_qa.domain.errors import CbsrError, RefusedError
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
+from cbsr_qa.interfaces import ReportSection
+from cbsr_qa.report.page import Page, recording_page, run_page
+from cbsr_qa.report.svg import checked_svg
+
+_TEMPLATE: Final = "report.html.j2"
+_STYLE: Final = "report.css"
+
+
+@dataclass(frozen=True, slots=True)
+class _Shown:
+    """A section as the template sees it: blocks with their kind, figures checked."""
+
+    anchor: str
+    title: str
+    blocks: tuple[tuple[str, Any], ...]
+
+
+def render_run(result: RunResult, sections: Sequence[ReportSection], *, warnings: Sequence[str] = ()) -> str:
+    """Render a run's report: the same input gives the same bytes.
+
+    Parameters
+    ----------
+    result : everything concluded from the run.
+    sections : in the order they are printed. One that raises, or returns what cannot be shown safely, is replaced
+        by a warning with its name and takes nothing else down.
+    warnings : what else went wrong on the way here, e.g. a section plugin that could not be loaded.
+
+    Returns
+    -------
+    One HTML document without scripts, that loads nothing, with all text escaped.
+    """
+    return _render(run_page(result), result, sections, warnings)
+
+
+def render_recording(
+    result: RecordingResult, sections: Sequence[ReportSection], *, warnings: Sequence[str] = ()
+) -> str:
+    """Render a recording's report; see :func:`render_run`."""
+    return _render(recording_page(result), result, sections, warnings)
+
+
+def write_report(path: Path, html: str) -> None:
+    """Write a report whole or not at all: to a temporary file beside it, then renamed over it.
+
+    Raises
+    ------
+    RefusedError
+        If the folder cannot be made or written to; names it, and leaves nothing behind.
+    """
+    temporary = ""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(prefix=".report-", suffix=".html", dir=path.parent)
+        with os.fdopen(handle, "w", encoding="utf-8", errors="xmlcharrefreplace", newline="\n") as file:
+            file.write(html)
+            file.flush()
+            os.fsync(file.fileno())
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except OSError as error:
+        if temporary:
+            Path(temporary).unlink(missing_ok=True)
+        raise RefusedError(
+            f"the report cannot be written to {path.parent}: {error.strerror or error}",
+            remedy="make the folder writable, or set CBSR_QA_VAR to one that is",
+        ) from error
+
+
+def report_name(*parts: str) -> str:
+    """Return a file name from a serial number, a run or a recording's name, whatever they contain.
+
+    Everything but letters, digits, dot, dash and underscore becomes an underscore; leading dots go; each part
+    keeps at most 80 characters.
+    """
+    safe = [re.sub(r"[^A-Za-z0-9._-]+", "_", part).lstrip(".")[:80] for part in parts]
+    return "-".join(part for part in safe if part) + ".html"
+
+
+def _render(
+    page: Page, result: RunResult | RecordingResult, sections: Sequence[ReportSection], warnings: Sequence[str]
+) -> str:
+    failed: list[str] = []
+    shown = tuple(_shown(sections, result, failed))
+    environment = _environment()
+    style, _, _ = PackageLoader("cbsr_qa._reports", ".").get_source(environment, _STYLE)
+    return environment.get_template(_TEMPLATE).render(
+        page=page, sections=shown, warnings=(*page.warnings, *warnings, *failed), style=Markup(style)
+    )
+
+
+def _environment() -> Environment:
+    return Environment(
+        loader=PackageLoader("cbsr_qa._reports", "."),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+
+
+def _shown(
+    sections: Sequence[ReportSection], result: RunResult | RecordingResult, failed: list[str]
+) -> Iterator[_Shown]:
+    for number, section in enumerate(sections, start=1):
+        try:
+            content = section.render(result)
+            if content is not None:
+                yield _prepared(content, f"s{number}")
+        except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+            said = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
+            failed.append(f"The report section {type(section).__name__} failed and is left out: {said}")
+
+
+def _prepared(section: Section, anchor: str) -> _Shown:
+    return _Shown(anchor, section.title, tuple(_block(block) for block in section.blocks))
+
+
+def _block(block: Block) -> tuple[str, Any]:
+    if isinstance(block, Figure):
+        svg = Markup(checked_svg(block.svg))  # nothing passes that could do more than be looked at
+        return "figure", {"svg": svg, "caption": block.caption, "alternative": block.alternative}
+    if isinstance(block, Table):
+        _check_table(block)
+        return "table", block
+    if isinstance(block, Paragraph):
+        return "paragraph", block
+    raise RefusedError(f"a section holds a {type(block).__name__}; it may hold paragraphs, tables and figures")
+
+
+def _check_table(table: Table) -> None:
+    for number, row in enumerate(table.rows, start=1):
+        if len(row) != len(table.columns):
+            raise RefusedError(
+                f"row {number} of table {table.caption!r} has {len(row)} cells for {len(table.columns)} columns"
+            )
