@@ -61,9 +61,10 @@ def electrode_system(
     columns = [np.tile(elements, 3).ravel()]
     values = [(conductance[:, None, None] * stiffness).ravel()]
     for number, edges in enumerate(mesh.electrode_edges):
-        terms = _contact(mesh, edges, nodes + number, float(contact_impedance[number]))
-        for parts, term in zip((rows, columns, values), terms, strict=True):
-            parts.append(term)
+        row, column, value = _contact(mesh, edges, nodes + number, float(contact_impedance[number]))
+        rows.append(row)
+        columns.append(column)
+        values.append(value)
     block = nodes + np.arange(electrodes)
     rows.append(np.repeat(block, electrodes))
     columns.append(np.tile(block, electrodes))

@@ -1,9 +1,9 @@
 """Exact voltages after local changes of conductance, without factorising again.
 
-A change on elements E with nodes P alters the system by P ΔK Pᵀ, where ΔK is small and dense. With F the fields of the
-electrodes on P and W = Pᵀ K⁻¹ P, the transfer impedance changes by −Fᵀ (I + ΔK W)⁻¹ ΔK F (Woodbury; Hager 1989). It is an
-identity, not an approximation. W does not depend on the change, so each further change on the same elements is one dense
-solve of the size of P.
+A change on elements E with nodes P alters the system by P ΔK Pᵀ, where ΔK is small and dense. With F the fields
+of the electrodes on P and W = Pᵀ K⁻¹ P, the transfer impedance changes by −Fᵀ (I + ΔK W)⁻¹ ΔK F (Woodbury; Hager
+1989). It is an identity, not an approximation. W does not depend on the change, so each further change on the same
+elements is one dense solve of the size of P.
 """
 
 from collections import OrderedDict
@@ -83,7 +83,7 @@ class LocalUpdate:
         if elements.size and not 0 <= elements.min() <= elements.max() < count:
             raise NumericsError(f"a changed element is not one of 0 to {count - 1}")
         unique, place = np.unique(elements, return_inverse=True)
-        total = np.bincount(place, change, minlength=len(unique))
+        total: Array = np.bincount(place, change, minlength=len(unique)).astype(np.float64)
         new = self.model.conductance[unique] + total
         wrong = np.flatnonzero(~(np.isfinite(new) & (new > 0)))
         if wrong.size:
@@ -91,7 +91,7 @@ class LocalUpdate:
                 f"the change of element {unique[wrong[0]]} leaves it with a conductance of {new[wrong[0]]} S;"
                 " it must stay a positive finite number"
             )
-        return unique, total
+        return unique.astype(np.int64), total
 
     def _patch(self, elements: Indices) -> _Patch:
         key = elements.tobytes()

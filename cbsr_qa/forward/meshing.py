@@ -89,12 +89,10 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
     gap = radius - layout.ring_radius_mm - pin
 
     def from_pin(points: Points) -> NDArray[np.float64]:
-        distance: NDArray[np.float64] = tree.query(points)[0] - pin
-        return np.maximum(distance, 0)
+        return np.asarray(tree.query(points)[0], dtype=np.float64) - pin
 
     def clearance(points: Points) -> NDArray[np.float64]:
-        distance: NDArray[np.float64] = tree.query(points)[0] - pin
-        return np.minimum(distance, radius - np.hypot(points[:, 0], points[:, 1]))
+        return np.minimum(from_pin(points), radius - np.hypot(points[:, 0], points[:, 1]))
 
     finest = min(size * _FINEST, 2 * np.pi * pin / _EDGES_PER_ELECTRODE, gap)
     sizes = _graded(size, finest, radius, from_pin)
@@ -134,7 +132,7 @@ def _graded(size: float, finest: float, radius: float, distance: Callable[[Point
     growth = min(_STEEPEST, size / (_REACH * radius))
 
     def sizes(points: Points) -> NDArray[np.float64]:
-        return np.minimum(size, finest + growth * distance(points))
+        return np.minimum(size, finest + growth * np.maximum(distance(points), 0))
 
     return sizes
 

@@ -1,8 +1,8 @@
 """Complete electrode model of a sheet: factorised once, solved for every drive.
 
 ∇·(γ∇u) = 0, u + z_l γ ∂u/∂n = U_l on electrode l, ∫ γ ∂u/∂n = I_l, no flux elsewhere, ΣI = ΣU = 0
-(Somersalo, Cheney & Isaacson 1992), in linear finite elements (Vauhkonen et al. 1999). γ is *sheet* conductance, so that
-contact impedance is per length of an electrode's outline.
+(Somersalo, Cheney & Isaacson 1992), in linear finite elements (Vauhkonen et al. 1999). γ is *sheet* conductance, so
+that contact impedance is per length of an electrode's outline.
 """
 
 from functools import cached_property
@@ -32,8 +32,8 @@ class ForwardModel:
     Raises
     ------
     NumericsError
-        If the mesh is in pieces or has electrodes without edges, or a conductance or contact impedance is not a positive
-        finite number.
+        If the mesh is in pieces or has electrodes without edges, or a conductance or contact impedance is not a
+        positive finite number.
     """
 
     def __init__(self, mesh: Mesh, pattern: DrivePattern, conductance: Array, contact_impedance: Array) -> None:
@@ -64,7 +64,12 @@ class ForwardModel:
 
     @cached_property
     def electrode_fields(self) -> Array:
-        """Potentials for a unit current into each electrode and out of all others alike: (n + electrodes, electrodes) [V/A]."""
+        """Potentials for a unit current into each electrode and out of all alike.
+
+        Returns
+        -------
+        (n + electrodes, electrodes) float64 [V/A].
+        """
         count = len(self.mesh.electrode_edges)
         load = np.zeros((len(self.mesh.nodes_mm) + count, count))
         load[-count:] = np.eye(count) - 1 / count
@@ -88,8 +93,8 @@ class ForwardModel:
     def jacobian(self) -> Array:
         """Change of every reading per change of every element's conductance.
 
-        ∂V_kl/∂γ_e = −∫_e ∇u_k·∇u_l with u_k the field of the drive and u_l of a unit current through the measured pair
-        (Lionheart 2004); the adjoint field needs no further factorisation because the system is symmetric.
+        ∂V_kl/∂γ_e = −∫_e ∇u_k·∇u_l with u_k the field of the drive and u_l of a unit current through the measured
+        pair (Lionheart 2004); the adjoint field needs no further factorisation because the system is symmetric.
 
         Returns
         -------

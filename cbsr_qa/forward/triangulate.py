@@ -71,7 +71,8 @@ def triangulate(outline: Outline, points: Points) -> Elements:
     turned = twice_area < 0
     elements[turned] = elements[turned][:, ::-1]
     longest = _edge_lengths(points, elements).max(axis=1)
-    return elements[np.abs(twice_area) > 1e-9 * longest**2]
+    solid: Elements = elements[np.abs(twice_area) > 1e-9 * longest**2]
+    return solid
 
 
 def smallest_angle_deg(points: Points, elements: Elements) -> NDArray[np.float64]:
