@@ -1,0 +1,158 @@
+"""Variable projection for sums of exponentials: the amplitudes are linear and are never searched for."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+from scipy.optimize import least_squares
+
+#: Time constants tried on the log grid before the best are refined.
+_GRID: Final = 24
+#: How many of the best starts are refined.
+_STARTS: Final = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exponentials:
+    """A least-squares fit of a constant and k decaying exponentials.
+
+    Parameters
+    ----------
+    time_constants_s : (k,) rising [s].
+    coefficients : (1 + k,) offset and amplitudes at t = 0, in the unit of the values.
+    residual : (n,) values − fit.
+    stderr : (1 + 2 k,) of offset, amplitudes and logarithms of the time constants; infinite where undetermined.
+    """
+
+    time_constants_s: NDArray[np.float64]
+    coefficients: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    stderr: NDArray[np.float64]
+
+    @property
+    def sum_of_squares(self) -> float:
+        """Sum of the squared residuals."""
+        return float(self.residual @ self.residual)
+
+
+def fit_exponentials(
+    time_s: NDArray[np.float64],
+    values: NDArray[np.float64],
+    count: int,
+    bounds_s: tuple[float, float],
+    rounding: float,
+) -> Exponentials:
+    """Fit a constant and one or two exponentials, started from the best places of a log grid of time constants.
+
+    The search runs over log τ; at every point the amplitudes follow by QR of the centred basis (Golub & Pereyra
+    1973, with Kaufman's Jacobian), so that a large offset costs no digits and τ is positive by construction.
+
+    Parameters
+    ----------
+    time_s, values : (n,) float64, n > 1 + 2 count.
+    count : 1 or 2 exponentials.
+    bounds_s : lowest and highest time constant.
+    rounding : rms rounding error of the values; a fit is never taken to be better than this.
+    """
+    centred = values - values.mean()
+    scale = float(np.abs(centred).max()) or 1.0
+    lowest, highest = np.log(bounds_s)
+
+    def residual(log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
+        q, _ = np.linalg.qr(_centred_basis(time_s, log_tau))
+        y = centred / scale
+        left: NDArray[np.float64] = y - q @ (q.T @ y)
+        return left
+
+    def jacobian(log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
+        q, r = np.linalg.qr(_centred_basis(time_s, log_tau))
+        amplitudes = _back_substitute(r, q.T @ (centred / scale))
+        slope = _slopes(time_s, log_tau)
+        slope = (slope - slope.mean(axis=0)) * amplitudes
+        kaufman: NDArray[np.float64] = q @ (q.T @ slope) - slope
+        return kaufman
+
+    best: NDArray[np.float64] | None = None
+    cost = np.inf
+    for start in _starts(time_s, centred / scale, count, (lowest, highest)):
+        found = least_squares(residual, start, jac=jacobian, bounds=(lowest, highest), xtol=1e-12, ftol=1e-13)
+        if found.cost < cost or best is None:
+            best, cost = np.asarray(found.x), float(found.cost)
+    assert best is not None
+    return _assembled(time_s, values, np.sort(best), rounding)
+
+
+def _basis(time_s: NDArray[np.float64], log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
+    basis: NDArray[np.float64] = np.exp(-time_s[:, None] / np.exp(log_tau)[None, :])
+    return basis
+
+
+def _centred_basis(time_s: NDArray[np.float64], log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
+    basis = _basis(time_s, log_tau)
+    centred: NDArray[np.float64] = basis - basis.mean(axis=0)
+    return centred
+
+
+def _slopes(time_s: NDArray[np.float64], log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Derivatives of the exponentials with respect to log τ."""
+    slopes: NDArray[np.float64] = _basis(time_s, log_tau) * time_s[:, None] / np.exp(log_tau)[None, :]
+    return slopes
+
+
+def _back_substitute(r: NDArray[np.float64], right: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solve R x = b, leaving out columns that the earlier ones already span (τ₁ = τ₂)."""
+    diagonal = np.abs(np.diag(r))
+    kept = diagonal > 1e-12 * diagonal.max(initial=0.0)
+    solution = np.zeros(r.shape[1])
+    if kept.any():
+        solution[kept] = solve_triangular(r[np.ix_(kept, kept)], right[kept])
+    return solution
+
+
+def _starts(
+    time_s: NDArray[np.float64], values: NDArray[np.float64], count: int, bounds: tuple[float, float]
+) -> list[NDArray[np.float64]]:
+    """Best places of the log grid, by the variance each time constant (or pair) explains."""
+    grid = np.linspace(*bounds, _GRID + 2)[1:-1]
+    basis = _centred_basis(time_s, grid)
+    basis = basis / np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
+    first = basis.T @ values
+    if count == 1:
+        return [grid[[index]] for index in np.argsort(-(first**2))[:_STARTS]]
+    # Second columns made orthogonal to the first: what they explain adds to what the first explains.
+    overlap = basis.T @ basis
+    left = np.maximum(1 - overlap**2, 1e-9)
+    gain = first[:, None] ** 2 + (first[None, :] - overlap * first[:, None]) ** 2 / left
+    gain[np.tril_indices(_GRID)] = -np.inf
+    best = np.argsort(-gain, axis=None)[: _STARTS * 8 : 8]
+    return [grid[list(np.unravel_index(int(index), gain.shape))] for index in best]
+
+
+def _assembled(
+    time_s: NDArray[np.float64], values: NDArray[np.float64], log_tau: NDArray[np.float64], rounding: float
+) -> Exponentials:
+    q, r = np.linalg.qr(_centred_basis(time_s, log_tau))
+    amplitudes = _back_substitute(r, q.T @ (values - values.mean()))
+    basis = _basis(time_s, log_tau)
+    offset = values.mean() - float(basis.mean(axis=0) @ amplitudes)
+    residual = (values - values.mean()) - (basis - basis.mean(axis=0)) @ amplitudes
+    design = np.column_stack([np.ones_like(time_s), basis, _slopes(time_s, log_tau) * amplitudes])
+    spare = max(len(values) - design.shape[1], 1)
+    noise = max(float(np.sqrt(residual @ residual / spare)), rounding)
+    return Exponentials(np.exp(log_tau), np.concatenate([[offset], amplitudes]), residual, noise * _spread(design))
+
+
+def _spread(design: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Standard errors per unit noise, √diag (XᵀX)⁻¹ by QR of the scaled design; infinite where it is singular."""
+    size = np.linalg.norm(design, axis=0)
+    if (size == 0).any():
+        return np.full(design.shape[1], np.inf)
+    r = np.linalg.qr(design / size, mode="r")
+    diagonal = np.abs(np.diag(r))
+    if diagonal.min() <= 1e-13 * diagonal.max():
+        return np.full(design.shape[1], np.inf)
+    inverse = solve_triangular(r, np.eye(len(r)))
+    spread: NDArray[np.float64] = np.linalg.norm(inverse, axis=1) / size
+    return spread

@@ -1,0 +1,181 @@
+"""Relaxation of a signal after a step (paper Eq 3), with a justified fallback to one exponential."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import f as f_distribution
+
+from cbsr_qa.calibrate._separable import Exponentials, fit_exponentials
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit
+
+#: Fewest points for one and for two exponentials: their parameters and two to spare.
+_FEWEST: Final = {1: 5, 2: 7}
+#: The second exponential is kept only if chance would do as well less often than this.
+_SIGNIFICANCE: Final = 0.01
+#: Two time constants closer than this ratio are one.
+_SEPARATION: Final = 2.0
+#: An amplitude must be this many of its standard errors from zero.
+_CLEAR: Final = 3.0
+#: A time constant is determined if its logarithm's standard error is below this.
+_LOG_ERROR: Final = 0.5
+
+
+def fit_relaxation(
+    time_s: NDArray[np.float64],
+    values: NDArray[np.float64],
+    *,
+    r_squared_gate: float = 0.85,
+    flat_within: float = 0.0,
+) -> RelaxationFit:
+    """Fit G(t) = a₀ + a₁ e^(−t/τ₁) + a₂ e^(−t/τ₂), τ₁ < τ₂, and keep only what the data carry.
+
+    The second exponential is kept if all of these hold: an F test corrected for the residuals' autocorrelation
+    finds it significant at 1 %, both amplitudes are 3 standard errors from zero, the time constants differ by at
+    least a factor of 2, and both are determined (standard error of log τ below 0.5, not at a bound). Otherwise one
+    exponential is kept and ``why`` says which of them failed. The paper fits two throughout.
+
+    Parameters
+    ----------
+    time_s : (n,) float64 [s], strictly rising, from the end of the ramp.
+    values : (n,) float64, any unit; a trace shifted or scaled gives a fit shifted or scaled.
+    r_squared_gate : fits that explain less of the variance are REJECTED.
+    flat_within : a trace that stays within this distance of its final level (median of the last quarter) from
+        the start is FLAT, in the trace's unit; a constant trace always is.
+
+    Returns
+    -------
+    RelaxationFit whose status is TWO, ONE, FLAT or REJECTED; the numbers of a rejected one are its best attempt.
+    Time constants lie within half the median frame interval and ten times the window.
+
+    Raises
+    ------
+    NumericsError
+        If shapes differ, a number is not finite, or time stamps repeat or step back.
+    """
+    time_s, values = _checked(time_s, values)
+    if len(values) == 0:
+        return _without_curve(FitStatus.REJECTED, values, 0.0, "the trace is empty")
+    rounding = 4 * float(np.finfo(np.float64).eps * np.abs(values).max())
+    final = float(np.median(values[-max(len(values) // 4, 1) :]))
+    if np.abs(values - final).max() <= max(flat_within, 4 * rounding):
+        return _without_curve(FitStatus.FLAT, values, rounding, "no relaxation: within the band from the start")
+    if len(values) < _FEWEST[1]:
+        return _without_curve(
+            FitStatus.REJECTED, values, rounding, f"{len(values)} points are too few; {_FEWEST[1]} are needed"
+        )
+    bounds_s = _bounds_s(time_s)
+    one = fit_exponentials(time_s, values, 1, bounds_s, rounding)
+    if len(values) < _FEWEST[2]:
+        return _kept(one, values, bounds_s, r_squared_gate, "too few points for a second exponential")
+    two = fit_exponentials(time_s, values, 2, bounds_s, rounding)
+    why = _why_not_two(one, two, bounds_s, rounding)
+    return _kept(one if why else two, values, bounds_s, r_squared_gate, why)
+
+
+def relaxation_curve(fit: RelaxationFit, time_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Evaluate a fit: (n,) float64 in the trace's unit at (n,) times from the end of the ramp [s]."""
+    curve = np.full(np.shape(time_s), fit.offset)
+    for amplitude, tau in zip(fit.amplitudes, fit.time_constants_s, strict=True):
+        curve = curve + amplitude * np.exp(-np.asarray(time_s) / tau)
+    return curve
+
+
+def _checked(
+    time_s: NDArray[np.float64], values: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    time_s, values = np.asarray(time_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
+    if time_s.ndim != 1 or time_s.shape != values.shape:
+        raise NumericsError(f"a trace of {values.shape} values cannot have {time_s.shape} times")
+    if not (np.isfinite(time_s).all() and np.isfinite(values).all()):
+        raise NumericsError("a trace holds a time or a value that is not a finite number")
+    backward = np.flatnonzero(np.diff(time_s) <= 0)
+    if backward.size:
+        first = int(backward[0])
+        raise NumericsError(
+            f"time stamps repeat or step back: sample {first + 1} at {time_s[first + 1]:g} s"
+            f" follows {time_s[first]:g} s",
+            remedy="drop or re-time the repeated samples before fitting",
+        )
+    return time_s, values
+
+
+def _bounds_s(time_s: NDArray[np.float64]) -> tuple[float, float]:
+    lowest = float(np.median(np.diff(time_s))) / 2
+    highest = 10 * float(time_s[-1] - time_s[0])
+    # Amplitudes are stated at t = 0; this keeps those of a trace that starts late (after a spike) in range.
+    return max(lowest, abs(float(time_s[0])) / 30), highest
+
+
+def _why_not_two(one: Exponentials, two: Exponentials, bounds_s: tuple[float, float], rounding: float) -> str:
+    """Why the second exponential cannot be kept; empty if it can."""
+    first, second = two.time_constants_s
+    at_bound = second > 0.99 * bounds_s[1] or first < 1.01 * bounds_s[0]
+    chance = _chance_of_gain(one, two)
+    checks = (
+        (
+            one.sum_of_squares <= len(one.residual) * rounding**2,
+            "one exponential explains the trace to rounding",
+        ),
+        (
+            second < _SEPARATION * first,
+            f"time constants {first:.3g} s and {second:.3g} s cannot be told apart",
+        ),
+        (at_bound, f"a second time constant would lie at a bound ({bounds_s[0]:.3g} s to {bounds_s[1]:.3g} s)"),
+        (bool((two.stderr[3:] > _LOG_ERROR).any()), "the data do not determine a second time constant"),
+        (
+            bool((np.abs(two.coefficients[1:]) < _CLEAR * two.stderr[1:3]).any()),
+            "one of two amplitudes is not clear of zero",
+        ),
+        (chance > _SIGNIFICANCE, f"a second exponential explains no more than chance would (p = {chance:.2g})"),
+    )
+    return next((why for failed, why in checks if failed), "")
+
+
+def _chance_of_gain(one: Exponentials, two: Exponentials) -> float:
+    """Probability that chance gains as much as the second exponential: F test over the independent points only."""
+    left = two.residual - two.residual.mean()
+    lag = float(left[1:] @ left[:-1] / max(float(left @ left), np.finfo(float).tiny))
+    memory = min(max(lag, 0.0), 0.99)
+    spare = len(left) * (1 - memory) / (1 + memory) - 5
+    if spare < 1:
+        return 1.0
+    gain = (one.sum_of_squares - two.sum_of_squares) / 2
+    return float(f_distribution.sf(gain * spare / max(two.sum_of_squares, np.finfo(float).tiny), 2, spare))
+
+
+def _kept(
+    found: Exponentials,
+    values: NDArray[np.float64],
+    bounds_s: tuple[float, float],
+    r_squared_gate: float,
+    why: str,
+) -> RelaxationFit:
+    count = len(found.time_constants_s)
+    status = FitStatus.TWO if count == 2 else FitStatus.ONE
+    centred = values - values.mean()
+    r_squared = 1 - found.sum_of_squares / float(centred @ centred)
+    stderr = np.where(np.isfinite(found.stderr), found.stderr, np.finfo(np.float64).max)
+    if r_squared < r_squared_gate:
+        status, why = FitStatus.REJECTED, f"R² {r_squared:.3f} is below {r_squared_gate:g}"
+    elif count == 1 and found.time_constants_s[0] > 0.99 * bounds_s[1]:
+        status, why = FitStatus.REJECTED, "still drifting: the trace is too short for its time constant"
+    elif count == 1 and found.stderr[2] > 1.0:
+        status, why = FitStatus.REJECTED, "the data do not determine a time constant"
+    return RelaxationFit(
+        status=status,
+        offset=float(found.coefficients[0]),
+        amplitudes=tuple(found.coefficients[1:].tolist()),
+        time_constants_s=tuple(found.time_constants_s.tolist()),
+        offset_stderr=float(stderr[0]),
+        time_constant_stderr_s=tuple(np.minimum(found.time_constants_s * stderr[1 + count :], np.finfo(float).max)),
+        r_squared=r_squared,
+        why=why,
+    )
+
+
+def _without_curve(status: FitStatus, values: NDArray[np.float64], rounding: float, why: str) -> RelaxationFit:
+    offset = float(values.mean()) if len(values) else 0.0
+    spread = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
+    return RelaxationFit(status, offset, (), (), max(spread, rounding), (), 0.0, why)

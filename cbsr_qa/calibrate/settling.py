@@ -1,0 +1,141 @@
+"""Settling times of fitted relaxations, and their means where some are only known to be longer than the window."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from scipy.optimize import brentq
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, SettlingTime
+
+_BANDS: Final = ("steady", "step")
+
+
+def settling_time(
+    fit: RelaxationFit,
+    *,
+    window_s: float,
+    tolerance: float = 0.15,
+    band: str = "steady",
+    baseline: float = 0.0,
+    loaded_change: float | None = None,
+    start_s: float = 0.0,
+) -> SettlingTime:
+    """Return the last time at which the fitted curve leaves the band about its steady level a₀.
+
+    Parameters
+    ----------
+    fit : t = 0 is the end of the ramp.
+    window_s : how long the trace was observed from t = 0 [s].
+    tolerance : half width of the band as a fraction (the paper's 15 %).
+    band : ``"steady"``: of the steady change from before the load, the paper's reading; ``"step"``: of G(0) − a₀.
+    baseline : level before the load, in the trace's unit; 0 where the trace is a change already.
+    loaded_change : the steady change under load. Given for an unloading: that ends near zero change, where a band
+        relative to its own end would vanish, so the band is taken of this.
+    start_s : where the fit begins (behind an unloading spike): the trace counts as unsettled before.
+
+    Returns
+    -------
+    SettlingTime: 0 where the trace is inside the band from t = 0 (or ``start_s``) on; the window's length and
+    ``censored`` where it is not inside at the window's end; no value where the fit was rejected or there is no band.
+
+    Raises
+    ------
+    NumericsError
+        If window or tolerance is not positive, or the band is unknown.
+    """
+    _check(window_s, tolerance, band)
+    if fit.status is FitStatus.REJECTED:
+        return SettlingTime(None, False, 0.0, f"the relaxation fit was rejected: {fit.why}")
+    steady = fit.offset - baseline if loaded_change is None else loaded_change
+    half_width = tolerance * abs(_deviation(fit, start_s) if band == "step" else steady)
+    if fit.status is FitStatus.FLAT:
+        return SettlingTime(start_s, False, half_width, "inside the band from the start")
+    if half_width == 0:
+        return SettlingTime(None, False, 0.0, "there is no steady change that a band could be a share of")
+    if abs(_deviation(fit, window_s)) > half_width:
+        return SettlingTime(window_s, True, half_width, f"not settled within {window_s:.4g} s")
+    last = _last_outside(fit, half_width, start_s, window_s)
+    return SettlingTime(last, False, half_width, "" if last > start_s else "inside the band from the start")
+
+
+def restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> tuple[float, float]:
+    """Mean and standard deviation of times of which some are only known to be longer (Kaplan & Meier 1958).
+
+    The survival curve is integrated up to the longest time observed, so with censored times the mean is a lower
+    bound: each counts as at least its window, and neither as settled nor as missing.
+
+    Parameters
+    ----------
+    times_s : settling times, or the windows' lengths where censored; at least one.
+    censored : which are.
+
+    Returns
+    -------
+    (mean, deviation) [s]; without censoring exactly the sample mean and the population standard deviation.
+
+    Raises
+    ------
+    NumericsError
+        If there is no time, or the lengths differ.
+    """
+    if len(times_s) == 0 or len(times_s) != len(censored):
+        raise NumericsError(f"{len(times_s)} settling times with {len(censored)} marks have no mean")
+    time = np.asarray(times_s, dtype=np.float64)
+    settled = ~np.asarray(censored, dtype=np.bool_)
+    edges = np.unique(np.concatenate([[0.0], time]))
+    survival = np.ones(len(edges))
+    for index in range(1, len(edges)):
+        at_risk = int((time >= edges[index]).sum())
+        died = int(((time == edges[index]) & settled).sum())
+        survival[index] = survival[index - 1] * (1 - died / at_risk)
+    # At t = 0 some may have settled already.
+    survival[edges <= 0] = 1 - float((settled & (time <= 0)).sum()) / len(time)
+    mean, second = _moments(edges, survival)
+    return mean, float(np.sqrt(max(second - mean**2, 0.0)))
+
+
+def _check(window_s: float, tolerance: float, band: str) -> None:
+    if not window_s > 0 or not tolerance > 0:
+        raise NumericsError(f"a window of {window_s} s and a tolerance of {tolerance} must be positive")
+    if band not in _BANDS:
+        raise NumericsError(f"settling band {band!r} is unknown", remedy=f"use {' or '.join(map(repr, _BANDS))}")
+
+
+def _deviation(fit: RelaxationFit, time_s: float) -> float:
+    return float(sum(a * np.exp(-time_s / tau) for a, tau in zip(fit.amplitudes, fit.time_constants_s, strict=True)))
+
+
+def _last_outside(fit: RelaxationFit, half_width: float, start_s: float, end_s: float) -> float:
+    """Last time in [start, end] outside the band, start if there is none; the end is known to be inside.
+
+    Between its zero and its extremum (it has at most one of each) the deviation's size is monotone, so that the
+    search goes backwards over monotone pieces and each root is bracketed.
+    """
+
+    def excess(time_s: float) -> float:
+        return abs(_deviation(fit, time_s)) - half_width
+
+    inside = end_s
+    for edge in [*sorted((t for t in _turning_points(fit) if start_s < t < end_s), reverse=True), start_s]:
+        if excess(edge) > 0:
+            return float(brentq(excess, edge, inside, xtol=1e-12, rtol=1e-12))
+        inside = edge
+    return start_s
+
+
+def _turning_points(fit: RelaxationFit) -> list[float]:
+    """Times where the deviation is zero or extreme."""
+    if len(fit.amplitudes) < 2 or fit.amplitudes[0] * fit.amplitudes[1] >= 0:
+        return []
+    (fast, slow), (first, second) = fit.amplitudes, fit.time_constants_s
+    rate = 1 / first - 1 / second
+    return [float(np.log(-fast / slow) / rate), float(np.log(-fast * second / (slow * first)) / rate)]
+
+
+def _moments(edges: np.ndarray, survival: np.ndarray) -> tuple[float, float]:
+    """First and second moment of a restricted lifetime, ∫ S dt and 2 ∫ t S dt over the steps of its survival."""
+    first = float(np.sum(np.diff(edges) * survival[:-1]))
+    second = float(np.sum(np.diff(edges**2) * survival[:-1]))
+    return first, second
