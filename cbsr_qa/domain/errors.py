@@ -55,14 +55,16 @@ class InstrumentError(CbsrError):
     ----------
     role : the instrument's role in the station file, e.g. ``"load_cell"``.
     address : where it was looked for.
+    retryable : whether the same request may simply be made again (a lost reply, not a broken rule).
     """
 
     exit_code = 3
 
-    def __init__(self, role: str, address: str, reason: str, *, remedy: str = "") -> None:
+    def __init__(self, role: str, address: str, reason: str, *, remedy: str = "", retryable: bool = False) -> None:
         super().__init__(f"{role} at {address}: {reason}", remedy=remedy)
         self.role = role
         self.address = address
+        self.retryable = retryable
 
 
 class SafetyError(CbsrError):

@@ -15,7 +15,7 @@ def travel_s(motion: Motion, distance_mm: float) -> float:
 
 
 def press_s(motion: Motion, depth_mm: float) -> float:
-    """Time from the hover height to a depth: down to the surface at travel speed, into the sheet at press speed [s]."""
+    """Time from the hover height to a depth: to the surface at travel speed, then at press speed [s]."""
     return motion.hover_mm / motion.travel_speed_mm_s + depth_mm / motion.press_speed_mm_s
 
 

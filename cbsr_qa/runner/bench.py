@@ -1,0 +1,157 @@
+"""The instruments of a station, by the roles they fill."""
+
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan import InstrumentSpec
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.interfaces import ForceApplicator, FrameSource, Instrument, Sampler
+from cbsr_qa.runner.stopping import stop_all
+
+FRAME_SOURCE: Final = "frame_source"
+FORCE_APPLICATOR: Final = "force_applicator"
+#: Channel whose samples the force ceiling is held against.
+FORCE_CHANNEL: Final = "force"
+
+_PROTOCOLS: Final[dict[str, type]] = {FRAME_SOURCE: FrameSource, FORCE_APPLICATOR: ForceApplicator}
+
+
+@dataclass(frozen=True, slots=True)
+class Mounted:
+    """One opened instrument and the station file's table for it."""
+
+    spec: InstrumentSpec
+    instrument: Instrument
+
+    @property
+    def name(self) -> str:
+        """Role and driver, as messages name it."""
+        return f"{self.spec.role} ({self.spec.driver})"
+
+
+class Bench:
+    """Opened instruments, each known to do what the station file says it does.
+
+    Parameters
+    ----------
+    mounted : in the station file's order, which is also the order they are stopped in.
+
+    Raises
+    ------
+    ConfigError
+        Naming role and driver, if an instrument does not provide what it is said to, a role is filled twice or
+        not at all, or nothing measures the force.
+    """
+
+    def __init__(self, mounted: Iterable[Mounted]) -> None:
+        self.mounted = tuple(mounted)
+        filled: dict[str, Mounted] = {}
+        for one in self.mounted:
+            for role in one.spec.provides:
+                if role in filled:
+                    raise ConfigError(f"role {role!r} is provided by {filled[role].name} and by {one.name}")
+                filled[role] = _checked(one, role)
+        self.frame_source: FrameSource = _filled(filled, FRAME_SOURCE)
+        self.force_applicator: ForceApplicator = _filled(filled, FORCE_APPLICATOR)
+        self.samplers = _samplers([one for role, one in filled.items() if role not in _PROTOCOLS])
+
+    def identities(self) -> tuple[InstrumentIdentity, ...]:
+        """Ask every instrument who it is.
+
+        Raises
+        ------
+        InstrumentError
+            If one does not answer.
+        """
+        return tuple(
+            replace(
+                one.instrument.identity(),
+                role=one.spec.role,
+                driver=one.spec.driver,
+                calibration_due=one.spec.calibration_due,
+            )
+            for one in self.mounted
+        )
+
+    def safe_state(self) -> tuple[str, ...]:
+        """Bring every instrument to its safe state, whatever the others do.
+
+        Returns
+        -------
+        In words, who did not get there; empty if all did.
+        """
+        return stop_all([(one.name, one.instrument.safe_state) for one in self.mounted])
+
+    def close(self) -> tuple[str, ...]:
+        """Close every instrument, whatever the others do; returns who did not, in words."""
+        return stop_all([(one.name, one.instrument.close) for one in self.mounted])
+
+
+def open_bench(specs: Iterable[InstrumentSpec], make: Callable[[InstrumentSpec], Instrument]) -> Bench:
+    """Open the instruments of a station; if one cannot be opened, those that were are closed again.
+
+    Parameters
+    ----------
+    make : opens one instrument (finds its factory and calls it with its context).
+
+    Raises
+    ------
+    ConfigError
+        If an instrument is not what the station file says it is.
+    CbsrError
+        Whatever ``make`` raises.
+    """
+    opened: list[Mounted] = []
+    try:
+        for spec in specs:
+            opened.append(Mounted(spec, make(spec)))
+        return Bench(opened)
+    except BaseException:
+        # What went wrong first is what the reader needs; a second failure while closing would hide it.
+        with suppress(Exception):
+            stop_all([(one.name, one.instrument.safe_state) for one in opened])
+            stop_all([(one.name, one.instrument.close) for one in opened])
+        raise
+
+
+def _checked(one: Mounted, role: str) -> Mounted:
+    protocol = _PROTOCOLS.get(role, Sampler)
+    if not isinstance(one.instrument, protocol):
+        lacking = sorted(name for name in _members(protocol) if not hasattr(one.instrument, name))
+        raise ConfigError(
+            f"instrument {one.name} is said to provide {role!r} but is no {protocol.__name__}:"
+            f" it has no {', '.join(lacking)}",
+            remedy="mend 'provides' in the station file, or use another driver",
+        )
+    return one
+
+
+def _members(protocol: type) -> set[str]:
+    return {name for kind in protocol.__mro__ for name in vars(kind) if not name.startswith("_")}
+
+
+def _filled(filled: dict[str, Mounted], role: str) -> Any:
+    if role not in filled:
+        raise ConfigError(
+            f"no instrument of the station provides {role!r}",
+            remedy="name it in the 'provides' of one of its instruments",
+        )
+    return filled[role].instrument
+
+
+def _samplers(mounted: list[Mounted]) -> tuple[Sampler, ...]:
+    by_channel: dict[str, Mounted] = {}
+    for one in mounted:
+        assert isinstance(one.instrument, Sampler)
+        first = by_channel.setdefault(one.instrument.channel, one)
+        if first is not one:
+            raise ConfigError(f"channel {one.instrument.channel!r} is sampled by {first.name} and by {one.name}")
+    if FORCE_CHANNEL not in by_channel:
+        raise ConfigError(
+            f"no instrument of the station samples {FORCE_CHANNEL!r}",
+            remedy="a head must not press without it: name a load cell's role in 'provides'",
+        )
+    return tuple(one.instrument for one in by_channel.values() if isinstance(one.instrument, Sampler))

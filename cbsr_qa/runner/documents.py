@@ -1,0 +1,80 @@
+"""The stream of documents: the journal has them first, everybody else only what the journal has."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from cbsr_qa.domain.errors import AbortedError, SafetyError
+from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.domain.run_events import RunEnded, RunEvent
+from cbsr_qa.runner.interrupts import Interrupts
+
+Subscriber = Callable[[RunEvent], None]
+Warn = Callable[[str], None]
+
+
+class Documents:
+    """Delivers each document to the journal, then to the listeners.
+
+    Parameters
+    ----------
+    subscribers : the first is the journal and must store a document before it returns. The others only
+        watch: one that raises is warned about and not called again.
+    interrupts : signals wait until a document is delivered.
+    warn : is told about listeners that fail.
+    """
+
+    def __init__(self, subscribers: Sequence[Subscriber], interrupts: Interrupts, warn: Warn) -> None:
+        self._journal, *self._listeners = subscribers
+        self._interrupts = interrupts
+        self._warn = warn
+
+    def emit(self, event: RunEvent) -> None:
+        """Deliver one document.
+
+        Raises
+        ------
+        SafetyError
+            With rule ``"journal"`` if the journal could not store it: what is not stored was not measured.
+        """
+        with self._interrupts.deferred():
+            self._store(event)
+            self._tell(event)
+
+    def finish(self, event: RunEnded) -> RunEnded:
+        """Deliver the last document; the bench is safe already, and nothing raises any more.
+
+        Returns
+        -------
+        The document as delivered: broken by the journal, if the journal could not store it.
+        """
+        try:
+            self._store(event)
+        except SafetyError as error:
+            detail = f"{error.reason}; before that the run was {event.end}"
+            event = replace(
+                event, end=EndReason.BROKEN, detail=f"{detail}: {event.detail}" if event.detail else detail
+            )
+        self._tell(event)
+        return event
+
+    def _store(self, event: RunEvent) -> None:
+        try:
+            self._journal(event)
+        except AbortedError:  # raised by a signal's handler, not by the journal
+            raise
+        except Exception as error:
+            raise SafetyError(
+                "journal", f"the journal could not store {type(event).__name__}: {type(error).__name__}: {error}"
+            ) from error
+
+    def _tell(self, event: RunEvent) -> None:
+        for listener in tuple(self._listeners):
+            try:
+                listener(event)
+            except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+                self._listeners.remove(listener)
+                self._warn(f"{_name(listener)} failed and is not told more: {type(error).__name__}: {error}")
+
+
+def _name(listener: Subscriber) -> str:
+    return getattr(listener, "__qualname__", type(listener).__qualname__)

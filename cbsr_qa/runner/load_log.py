@@ -1,0 +1,36 @@
+"""Times of the press under way, until its rest is over and it becomes a record."""
+
+from dataclasses import dataclass, field
+
+from cbsr_qa.domain.loads import Load, LoadRecord
+
+
+@dataclass(slots=True)
+class LoadLog:
+    """The press under way.
+
+    Parameters
+    ----------
+    times_s : press start, hold start, release start, release end, as far as they have happened.
+    """
+
+    index: int = -1
+    load: Load | None = None
+    times_s: list[float] = field(default_factory=list)
+
+    def begin(self, index: int, load: Load, now_s: float) -> None:
+        """The head starts down."""
+        self.index, self.load, self.times_s = index, load, [now_s]
+
+    def mark(self, now_s: float) -> None:
+        """The head is down; then it starts up; then it is up."""
+        self.times_s.append(now_s)
+
+    def finish(self, now_s: float) -> LoadRecord | None:
+        """The rest is over: return the record of a press that came to its end, or None where there is none."""
+        if self.load is None or len(self.times_s) != 4:
+            return None
+        press_s, hold_s, release_s, up_s = self.times_s
+        record = LoadRecord(self.index, self.load, press_s, hold_s, release_s, up_s, now_s)
+        self.load = None
+        return record

@@ -1,0 +1,201 @@
+"""Carries out one step after the other on the bench."""
+
+from collections.abc import Callable
+from functools import partial
+from typing import Final, TypeVar
+
+from cbsr_qa.clock import Clock
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.frames import FrameBlock
+from cbsr_qa.domain.loads import Load
+from cbsr_qa.domain.run_events import FramesTaken, LoadFinished, SamplesTaken, StepRetried, Unloaded
+from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Prompt, Release
+from cbsr_qa.interfaces import Sampler
+from cbsr_qa.runner.bench import FRAME_SOURCE, Bench
+from cbsr_qa.runner.documents import Documents
+from cbsr_qa.runner.frame_count import another_frame
+from cbsr_qa.runner.kinds import Kind, Spent
+from cbsr_qa.runner.load_log import LoadLog
+from cbsr_qa.runner.plan import Plan
+from cbsr_qa.runner.safety import Interlock, State
+from cbsr_qa.runner.schedule import ScheduledStep, ends_rest
+
+T = TypeVar("T")
+
+#: While nothing else happens, force and duration are looked at this often [s].
+WATCH_S: Final = 5.0
+#: Pause before an operation that failed is tried again [s].
+RETRY_PAUSE_S: Final = 0.5
+#: Shorter rests of a hold than this are over: below the resolution of any clock after hours [s].
+_OVER_S: Final = 1e-9
+
+Ask = Callable[[str], None]
+
+
+class Performer:
+    """Carries out steps; knows the bench, tells the documents, obeys the interlock.
+
+    Parameters
+    ----------
+    retries : how often an operation that failed retryably is tried again.
+    ask : shows a prompt and returns when it is answered; None where nobody is there.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        bench: Bench,
+        clock: Clock,
+        documents: Documents,
+        interlock: Interlock,
+        *,
+        retries: int,
+        ask: Ask | None,
+    ) -> None:
+        self.spent = Spent()
+        self._plan = plan
+        self._bench = bench
+        self._clock = clock
+        self._documents = documents
+        self._interlock = interlock
+        self._retries = retries
+        self._ask = ask
+        self._loads = LoadLog()
+        self._at = ScheduledStep(0, 0, Home(), None)
+        self._drained_s = dict.fromkeys(range(len(bench.samplers)), clock.now())
+
+    def perform(self, scheduled: ScheduledStep) -> None:
+        """Carry out one step.
+
+        Raises
+        ------
+        InstrumentError, SafetyError, AbortedError
+            The bench is then left as it is: whoever catches this stops it.
+        """
+        if ends_rest(scheduled.step):
+            self.finish_load()
+        self._at = scheduled
+        match scheduled.step:
+            case Press(load=load):
+                self._press(load)
+            case Hold() as hold:
+                self._hold(hold)
+            case Release():
+                self._release()
+            case AcquireFrames(count=count):
+                with self.spent.on(Kind.FRAMES, self._clock):
+                    for _ in range(count):
+                        self._take_frame()
+            case MarkUnloaded():
+                self._documents.emit(Unloaded(scheduled.phase, self._clock.now()))
+            case _:
+                self._set_up(scheduled)
+        self._watch()
+
+    def finish_load(self) -> None:
+        """Tell about the last load, once its rest is over."""
+        record = self._loads.finish(self._clock.now())
+        if record is not None:
+            self._documents.emit(LoadFinished(self._at.phase, record))
+
+    def _set_up(self, scheduled: ScheduledStep) -> None:
+        applicator = self._bench.force_applicator
+        match scheduled.step:
+            case Home():
+                with self.spent.on(Kind.HOME, self._clock):
+                    self._move(applicator.home)
+            case FindSurface(x_mm=x_mm, y_mm=y_mm):
+                self._travel(x_mm, y_mm)
+                with self.spent.on(Kind.SURFACE, self._clock):
+                    self._move(partial(applicator.find_surface, x_mm, y_mm))
+            case Prompt(text=text):
+                assert self._ask is not None  # the dry run refuses prompts that nobody can answer
+                with self.spent.on(Kind.PROMPT, self._clock):
+                    self._ask(text)
+
+    def _press(self, load: Load) -> None:
+        self._interlock.check_load(load)
+        self._travel(load.x_mm, load.y_mm)
+        self._watch()
+        depth_mm = load.strain * self._plan.sensor_type.thickness_mm
+        assert self._at.load is not None
+        self._loads.begin(self._at.load, load, self._clock.now())
+        # A press that failed is not tried again: nobody knows how deep the head is.
+        with self.spent.on(Kind.PRESS, self._clock), self._interlock.passing(State.PRESSING, State.PRESSED):
+            self._bench.force_applicator.press(depth_mm, self._plan.motion.press_speed_mm_s)
+        self._loads.mark(self._clock.now())
+
+    def _release(self) -> None:
+        self._loads.mark(self._clock.now())
+        with self.spent.on(Kind.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
+            self._attempt(self._bench.force_applicator.release)  # going up is safe however often
+        self._loads.mark(self._clock.now())
+
+    def _travel(self, x_mm: float, y_mm: float) -> None:
+        self._interlock.check_place(x_mm, y_mm)
+        with self.spent.on(Kind.TRAVEL, self._clock):
+            self._move(partial(self._bench.force_applicator.move_to, x_mm, y_mm))
+
+    def _move(self, motion: Callable[[], object]) -> None:
+        """Move with the head up; before another attempt the head is lifted, wherever the first one left it."""
+        with self._interlock.passing(State.MOVING, State.ARMED):
+            self._attempt(motion, before_another=self._bench.force_applicator.release)
+
+    def _hold(self, hold: Hold) -> None:
+        end_s = self._clock.now() + hold.hold_s
+        kind = Kind.HOLD if self._interlock.touching else Kind.REST
+        with self.spent.on(kind, self._clock):
+            if hold.acquire:
+                self._take_frame()
+                while another_frame(end_s - self._clock.now(), self._bench.frame_source.frame_period_s):
+                    self._take_frame()
+            self._wait_until(end_s)
+
+    def _wait_until(self, end_s: float) -> None:
+        safety_s = self._plan.safety.stale_s / 2 if self._interlock.touching else WATCH_S
+        while (left_s := end_s - self._clock.now()) > _OVER_S:
+            self._clock.sleep(min(left_s, safety_s, WATCH_S))
+            self._watch()
+
+    def _take_frame(self) -> None:
+        before_s = self._clock.now()
+        block = self._attempt(partial(self._bench.frame_source.acquire, 1))
+        self._check_frame(block, self._clock.now() - before_s)
+        self._documents.emit(FramesTaken(self._at.phase, block))
+        self._watch()
+
+    def _check_frame(self, block: FrameBlock, took_s: float) -> None:
+        expected = (1, *self._plan.sensor_type.pattern.shape)
+        if block.voltages.shape != expected:
+            raise InstrumentError(
+                FRAME_SOURCE, "the bench", f"frames of shape {block.voltages.shape} came; {expected} was asked for"
+            )
+        if not took_s > 0:  # a hold would never end
+            raise InstrumentError(FRAME_SOURCE, "the bench", "a frame took no time on the station's clock")
+
+    def _watch(self) -> None:
+        """Take over what the samplers have, and check the limits."""
+        for number, sampler in enumerate(self._bench.samplers):
+            self._drain(number, sampler)
+        self._interlock.check_time(self._clock.now())
+
+    def _drain(self, number: int, sampler: Sampler) -> None:
+        block = self._attempt(partial(sampler.samples_since, self._drained_s[number]))
+        if len(block):
+            self._drained_s[number] = float(block.time_s[-1])
+            self._documents.emit(SamplesTaken(self._at.phase, block))
+            self._interlock.check_samples(block)  # after the journal has it: it is the evidence
+
+    def _attempt(self, operation: Callable[[], T], *, before_another: Callable[[], object] | None = None) -> T:
+        attempt = 0
+        while True:
+            try:
+                return operation()
+            except InstrumentError as error:
+                attempt += 1
+                if not error.retryable or attempt > self._retries:
+                    raise
+                self._documents.emit(StepRetried(self._at.phase, self._at.number, attempt, error.reason))
+            self._clock.sleep(RETRY_PAUSE_S)
+            if before_another is not None:
+                before_another()

@@ -1,0 +1,60 @@
+"""What a station allows a step to ask for. The dry run lists every broken rule; the runner stops at the first."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from cbsr_qa.domain.loads import Load
+from cbsr_qa.runner.plan import Plan
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A rule a step would break.
+
+    Parameters
+    ----------
+    rule : ``"strain"``, ``"force"``, ``"travel"``, ``"duration"`` or ``"order"``.
+    what : what is asked for and what is allowed.
+    """
+
+    rule: str
+    what: str
+
+
+def place_violations(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
+    """Yield what is wrong with a place: out of the head's range, or the head not wholly on the sheet."""
+    radius_mm = math.hypot(x_mm, y_mm)
+    head_mm, sheet_mm = plan.indenter.radius_mm, plan.sensor_type.radius_mm
+    if not radius_mm <= plan.safety.travel_radius_mm:
+        yield Violation(
+            "travel", f"{radius_mm:.4g} mm from the centre; the station allows {plan.safety.travel_radius_mm:g} mm"
+        )
+    if not radius_mm + head_mm <= sheet_mm:
+        yield Violation(
+            "travel",
+            f"the head of {2 * head_mm:g} mm would reach {radius_mm + head_mm:.4g} mm; the sheet ends at"
+            f" {sheet_mm:g} mm",
+        )
+
+
+def load_violations(load: Load, plan: Plan) -> Iterator[Violation]:
+    """Yield what is wrong with a load: its place, its strain, the force it is expected to take."""
+    yield from place_violations(load.x_mm, load.y_mm, plan)
+    if not 0 < load.strain <= plan.safety.strain:
+        yield Violation(
+            "strain", f"{100 * load.strain:.4g} % strain; the station allows up to {100 * plan.safety.strain:g} %"
+        )
+    force_N = expected_force_N(load.strain, plan)
+    if not force_N <= plan.safety.force_N:
+        yield Violation("force", f"{force_N:.3g} N expected; the station allows {plan.safety.force_N:g} N")
+
+
+def expected_force_N(strain: float, plan: Plan) -> float:
+    """Return the highest force a press is expected to take [N].
+
+    E ε A is the relaxed force (E of the material file is the relaxed modulus); at the end of a fast ramp the
+    relaxing terms stand on top of it: F = E ε A (1 + Σ max(w, 0)), an upper bound for any mixture of signs.
+    """
+    relaxed_N = plan.material.modulus_kPa.value * 1e-3 * strain * plan.indenter.area_mm2
+    return relaxed_N * (1 + sum(max(weight, 0.0) for weight in plan.material.stress_relaxation.weights))

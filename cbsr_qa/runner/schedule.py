@@ -1,0 +1,111 @@
+"""The steps of all phases in order, each with the load it belongs to.
+
+The schedule is made once and then executed: what the dry run has checked is what moves.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import chain, islice
+from typing import Final
+
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Release, Step
+from cbsr_qa.runner.plan import Plan, PlannedPhase
+
+#: A sequence that makes more steps than this is taken to be endless.
+MOST_STEPS: Final = 100_000
+
+#: A load as (phase index, load index within the phase).
+LoadKey = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class ScheduledStep:
+    """One step with its place in the run.
+
+    Parameters
+    ----------
+    phase : index of its phase.
+    number : 0-based within the phase.
+    load : index within the phase of the load it presses, holds, releases or rests after; None before the first.
+    """
+
+    phase: int
+    number: int
+    step: Step
+    load: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class ScheduledPhase:
+    """The steps of one phase.
+
+    Parameters
+    ----------
+    loads : how many loads it presses, finished ones included.
+    finished : every load of it was finished in an earlier session; only what sets the bench up is left.
+    """
+
+    index: int
+    name: str
+    sequence: str
+    steps: tuple[ScheduledStep, ...]
+    loads: int
+    finished: bool
+
+
+def schedule(plan: Plan, done: frozenset[LoadKey] = frozenset()) -> tuple[ScheduledPhase, ...]:
+    """Ask every sequence for its steps.
+
+    Nobody knows where the head is when a run begins, so a run begins with homing whether its first sequence
+    asks for it or not. Loads that are ``done`` are left out with their holds and rests; homing and surface
+    finding are not, because the applicator forgets them with the power.
+
+    Parameters
+    ----------
+    done : loads finished in an earlier session of the same run.
+
+    Raises
+    ------
+    RefusedError
+        If there is no phase, or a sequence makes no step or no end of them.
+    """
+    if not plan.phases:
+        raise RefusedError("the recipe has no phase", remedy="give it at least one [[phases]] table")
+    return tuple(_scheduled(plan, index, phase, done) for index, phase in enumerate(plan.phases))
+
+
+def _scheduled(plan: Plan, index: int, phase: PlannedPhase, done: frozenset[LoadKey]) -> ScheduledPhase:
+    steps = tuple(islice(phase.sequence.steps(plan.context), MOST_STEPS + 1))
+    if not 0 < len(steps) <= MOST_STEPS:
+        found = "no step" if not steps else f"more than {MOST_STEPS} steps"
+        raise RefusedError(f"sequence {phase.sequence_name!r} of phase {phase.name!r} makes {found}")
+    if index == 0 and not isinstance(steps[0], Home):
+        steps = tuple(chain([Home()], steps))
+    numbered = tuple(_numbered(index, steps))
+    loads = sum(isinstance(step, Press) for step in steps)
+    finished = loads > 0 and all((index, load) in done for load in range(loads))
+    left = tuple(s for s in numbered if _is_left(s, done, finished))
+    return ScheduledPhase(index, phase.name, phase.sequence_name, left, loads, finished)
+
+
+def _numbered(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:
+    pressed = -1
+    inside = False
+    for number, step in enumerate(steps):
+        if isinstance(step, Press):
+            pressed, inside = pressed + 1, True
+        elif not isinstance(step, Hold | Release | AcquireFrames):
+            inside = False
+        yield ScheduledStep(phase, number, step, pressed if inside else None)
+
+
+def _is_left(scheduled: ScheduledStep, done: frozenset[LoadKey], finished: bool) -> bool:
+    if finished:
+        return isinstance(scheduled.step, Home | FindSurface)
+    return scheduled.load is None or (scheduled.phase, scheduled.load) not in done
+
+
+def ends_rest(step: Step) -> bool:
+    """Whether the rest after a load is over when this step begins."""
+    return not isinstance(step, Hold | AcquireFrames | Release | MarkUnloaded)
