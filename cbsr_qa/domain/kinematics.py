@@ -1,12 +1,23 @@
-"""How long the head takes, as a station's motion tells: the dry run counts with it, the simulated head obeys it."""
+"""How long the head takes, as a station's motion tells: the dry run counts with it before anything has moved.
+
+Speeds are taken as constant: at the rig's 200 mm/s² reaching 10 mm/s costs 0.05 s a move, under 1 % of a cycle.
+"""
 
 import math
 from typing import Final
 
 from cbsr_qa.domain.plan import Motion
 
-#: Finding the zero of all axes, as a Cartesian stage does it [s].
-HOMING_S: Final = 20.0
+#: Above a surface the head goes at its press speed, because the surface may lie a little higher than expected.
+CLEARANCE_MM: Final = 0.2
+#: The surface search begins this far above the nominal surface,
+SEARCH_FROM_MM: Final = 0.5
+#: goes down in the rig's steps of 0.05 mm,
+SEARCH_STEP_MM: Final = 0.05
+#: this many of them in contact, so that zero force can be extrapolated,
+SEARCH_CONTACT_STEPS: Final = 3
+#: and waits after each for the load cell [s].
+SEARCH_DWELL_S: Final = 0.25
 
 
 def travel_s(motion: Motion, distance_mm: float) -> float:
@@ -14,19 +25,25 @@ def travel_s(motion: Motion, distance_mm: float) -> float:
     return distance_mm / motion.travel_speed_mm_s
 
 
-def press_s(motion: Motion, depth_mm: float) -> float:
-    """Time from the hover height to a depth: to the surface at travel speed, then at press speed [s]."""
-    return motion.hover_mm / motion.travel_speed_mm_s + depth_mm / motion.press_speed_mm_s
+def homing_s(motion: Motion, reach_mm: float) -> float:
+    """Time to find the zero of all axes from wherever the head is within its reach [s]: up, and across."""
+    return travel_s(motion, motion.hover_mm + reach_mm)
 
 
-def release_s(motion: Motion, depth_mm: float) -> float:
-    """Time from a depth back to the hover height, at travel speed [s]."""
-    return (motion.hover_mm + depth_mm) / motion.travel_speed_mm_s
+def stroke_s(motion: Motion, depth_mm: float) -> float:
+    """Time between the hover height and a depth, either way: fast in free air, at press speed near the sheet [s]."""
+    slow_mm = min(CLEARANCE_MM, motion.hover_mm)
+    return (motion.hover_mm - slow_mm) / motion.travel_speed_mm_s + (slow_mm + depth_mm) / motion.press_speed_mm_s
 
 
-def surface_s(motion: Motion) -> float:
-    """Time to feel for the surface from the hover height, and to come back [s]."""
-    return motion.hover_mm / motion.press_speed_mm_s + motion.hover_mm / motion.travel_speed_mm_s
+def surface_search_s(motion: Motion) -> float:
+    """Time to feel for the surface from the hover height and to come back to it [s]."""
+    steps = SEARCH_FROM_MM / SEARCH_STEP_MM + SEARCH_CONTACT_STEPS
+    stepping_s = steps * (SEARCH_STEP_MM / motion.press_speed_mm_s + SEARCH_DWELL_S)
+    approach_mm = max(motion.hover_mm - SEARCH_FROM_MM, 0.0)
+    return (
+        approach_mm / motion.travel_speed_mm_s + stepping_s + stroke_s(motion, SEARCH_CONTACT_STEPS * SEARCH_STEP_MM)
+    )
 
 
 def distance_mm(start: tuple[float, float], end: tuple[float, float]) -> float:

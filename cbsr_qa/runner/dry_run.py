@@ -197,7 +197,7 @@ class _Walk:
             case FindSurface(x_mm=x_mm, y_mm=y_mm):
                 yield from place_violations(x_mm, y_mm, self.plan)
                 self._travel(x_mm, y_mm)
-                self.spent.add(Kind.SURFACE, kinematics.surface_s(self.plan.motion))
+                self.spent.add(Kind.SURFACE, kinematics.surface_search_s(self.plan.motion))
             case Release():
                 if self.depth_mm is None:
                     yield Violation("order", "the head is not down")
@@ -210,7 +210,7 @@ class _Walk:
     def _other(self, step: Step) -> Iterator[Violation]:
         match step:
             case Home():
-                self.spent.add(Kind.HOME, kinematics.HOMING_S)
+                self.spent.add(Kind.HOME, kinematics.homing_s(self.plan.motion, self.plan.safety.travel_radius_mm))
                 self.place_mm = (0.0, 0.0)
             case AcquireFrames(count=count):
                 if count < 1:
@@ -228,13 +228,13 @@ class _Walk:
     def _press(self, load: Load) -> None:
         depth_mm = load.strain * self.plan.sensor_type.thickness_mm
         self._travel(load.x_mm, load.y_mm)
-        self.spent.add(Kind.PRESS, kinematics.press_s(self.plan.motion, depth_mm))
+        self.spent.add(Kind.PRESS, kinematics.stroke_s(self.plan.motion, depth_mm))
         self.depth_mm = depth_mm
         self.peak_strain = max(self.peak_strain, load.strain)
         self.peak_force_N = max(self.peak_force_N, expected_force_N(load.strain, self.plan))
 
     def _release(self) -> None:
-        self.spent.add(Kind.RELEASE, kinematics.release_s(self.plan.motion, self.depth_mm or 0.0))
+        self.spent.add(Kind.RELEASE, kinematics.stroke_s(self.plan.motion, self.depth_mm or 0.0))
         self.depth_mm = None
 
     def _hold(self, step: Hold) -> Iterator[Violation]:
