@@ -1,0 +1,213 @@
+"""The simulated head: it travels in the station's time and leaves strain ramps under it."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.clock import Clock
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.scene import SimulatedPress, StrainStep
+from cbsr_qa.simulate.streams import RandomStream
+
+#: Above a surface the head slows down from its travel speed to its press speed.
+CLEARANCE_MM: Final = 0.2
+
+_SEARCH_DEPTH_MM: Final = 1.0  # below the nominal surface; deeper than any seat is wrong
+_FIT_STEPS: Final = 2  # beyond the contact force, so that a line can be drawn through three readings
+
+
+@dataclass(frozen=True, slots=True)
+class HeadMotion:
+    """How the head moves and how it searches the surface.
+
+    Parameters
+    ----------
+    hover_mm : above the nominal surface.
+    travel_speed_mm_s : sideways, and up and down in free air.
+    search_speed_mm_s, search_step_mm, search_from_mm : of the surface search, which starts that far above nominal.
+    contact_force_N : where the search stops (0.2 N on the rig).
+    dwell_s : wait after each step, over which the force is averaged.
+    """
+
+    hover_mm: float = 25.0
+    travel_speed_mm_s: float = 10.0
+    search_speed_mm_s: float = 40 / 60
+    search_step_mm: float = 0.05
+    search_from_mm: float = 0.5
+    contact_force_N: float = 0.2
+    dwell_s: float = 0.25
+
+
+class SheetSeat:
+    """How the sheet lies: level and tilt off nominal, drawn once per seed.
+
+    Parameters
+    ----------
+    seed : of the run.
+    error_mm : standard deviation of the level, and of what the tilt adds at the sheet's edge.
+    radius_mm : of the sheet.
+    """
+
+    def __init__(self, seed: int, error_mm: float, radius_mm: float) -> None:
+        self._level, *self._tilt = error_mm * RandomStream(seed, "sheet-seat").normal(0, (3,))
+        self._radius_mm = radius_mm
+
+    def depth_mm(self, x_mm: float, y_mm: float) -> float:
+        """Depth of the surface below nominal at a place [mm]."""
+        across = (self._tilt[0] * x_mm + self._tilt[1] * y_mm) / self._radius_mm
+        return float(self._level + across)
+
+
+class SimulatedHead:
+    """A head over a sheet. Depths are below the nominal surface, so that hovering is a negative depth.
+
+    Every movement takes its time on the clock; where the head is below the true surface, the movement is written
+    as a strain ramp into a press of its own.
+
+    Parameters
+    ----------
+    clock : the station's.
+    presses : appended to, and read by the world.
+    seat : where the true surface is.
+    motion : speeds and heights.
+    thickness_mm : of the sheet.
+    role : in the station file, for messages.
+    """
+
+    def __init__(
+        self,
+        clock: Clock,
+        presses: list[SimulatedPress],
+        seat: SheetSeat,
+        motion: HeadMotion,
+        *,
+        thickness_mm: float,
+        role: str,
+    ) -> None:
+        self._role = role
+        self._clock = clock
+        self._presses = presses
+        self._thickness_mm = thickness_mm
+        self._seat = seat
+        self._motion = motion
+        self._place = (0.0, 0.0)
+        self._depth_mm = -motion.hover_mm
+        self._speed_mm_s = motion.search_speed_mm_s
+        self._found: dict[tuple[float, float], float] = {}
+        self._pressing: SimulatedPress | None = None
+        self._free_at_s = 0.0
+
+    @property
+    def place_mm(self) -> tuple[float, float]:
+        """Where the head is, from the sheet's centre."""
+        return self._place
+
+    def travel(self, x_mm: float, y_mm: float) -> None:
+        """Go to a place at the hover height, lifting first if need be."""
+        self.lift()
+        self._clock.sleep(math.dist(self._place, (x_mm, y_mm)) / self._motion.travel_speed_mm_s)
+        self._place = (x_mm, y_mm)
+
+    def press(self, depth_mm: float, speed_mm_s: float) -> None:
+        """Go this far below the surface found here (or else found nearest, or else nominal)."""
+        surface = self._surface_mm()
+        self._speed_mm_s = speed_mm_s
+        if self._depth_mm < surface - CLEARANCE_MM:
+            self._go(surface - CLEARANCE_MM, self._motion.travel_speed_mm_s)
+        self._go(surface + depth_mm, speed_mm_s)
+
+    def lift(self) -> None:
+        """Go up to the hover height: out of the sheet at the speed it was pressed with, then faster."""
+        clear = self._surface_mm() - CLEARANCE_MM
+        if self._depth_mm > clear:
+            self._go(clear, self._speed_mm_s)
+        self._go(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
+
+    def drop_everything(self) -> None:
+        """Start lifting at the travel speed and return at once; the next movement waits until the head is up."""
+        self._free_at_s = self._start(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
+
+    def find_surface(self, read_force_N: Callable[[float], float]) -> float:
+        """Step down until the contact force, and extrapolate the force–depth line to zero.
+
+        Parameters
+        ----------
+        read_force_N : mean force over this many seconds up to now.
+
+        Returns
+        -------
+        Depth of the surface from the hover height [mm].
+
+        Raises
+        ------
+        InstrumentError
+            If there is no contact force down to the deepest point, or it does not rise with depth.
+        """
+        self.lift()
+        depths, forces = self._search(read_force_N)
+        self.lift()
+        stiffness, offset = np.polyfit(depths, forces, 1)
+        if stiffness <= 0:
+            raise self._no_surface("the force does not rise with depth at the surface")
+        self._found[self._place] = float(-offset / stiffness)
+        return self._motion.hover_mm + self._found[self._place]
+
+    def _search(self, read_force_N: Callable[[float], float]) -> tuple[list[float], list[float]]:
+        """Step down past the contact force; return the last depths [mm] and their forces [N]."""
+        motion = self._motion
+        self._speed_mm_s = motion.search_speed_mm_s
+        self._go(-motion.search_from_mm, motion.travel_speed_mm_s)
+        depths: list[float] = []
+        forces: list[float] = []
+        while sum(force >= motion.contact_force_N for force in forces) <= _FIT_STEPS:
+            if self._depth_mm > _SEARCH_DEPTH_MM:
+                self.lift()
+                raise self._no_surface(
+                    f"no contact force of {motion.contact_force_N:g} N down to {_SEARCH_DEPTH_MM:g} mm below nominal"
+                )
+            self._go(self._depth_mm + motion.search_step_mm, motion.search_speed_mm_s)
+            self._clock.sleep(motion.dwell_s)
+            depths.append(self._depth_mm)
+            forces.append(read_force_N(motion.dwell_s))
+        return depths[-_FIT_STEPS - 1 :], forces[-_FIT_STEPS - 1 :]
+
+    def _no_surface(self, reason: str) -> InstrumentError:
+        x_mm, y_mm = self._place
+        return InstrumentError(
+            self._role,
+            f"({x_mm:g}, {y_mm:g}) mm",
+            reason,
+            remedy="look whether a sheet is in place; a simulated one needs the effect 'elastic-stress'",
+        )
+
+    def _surface_mm(self) -> float:
+        if not self._found:
+            return 0.0
+        return self._found[min(self._found, key=lambda place: math.dist(place, self._place))]
+
+    def _go(self, depth_mm: float, speed_mm_s: float) -> None:
+        self._clock.sleep(self._free_at_s - self._clock.now())
+        self._clock.sleep(self._start(depth_mm, speed_mm_s) - self._clock.now())
+
+    def _start(self, depth_mm: float, speed_mm_s: float) -> float:
+        """Begin a movement now; write the part of it below the true surface; return when it will be over."""
+        start, surface = self._clock.now(), self._seat.depth_mm(*self._place)
+        duration_s = abs(depth_mm - self._depth_mm) / speed_mm_s
+        before, after = max(self._depth_mm - surface, 0.0), max(depth_mm - surface, 0.0)
+        if before != after:
+            ramp_s = abs(after - before) / speed_mm_s
+            begins = start if after < before else start + duration_s - ramp_s
+            self._write(StrainStep(begins, ramp_s, (after - before) / self._thickness_mm))
+        if after == 0:
+            self._pressing = None
+        self._depth_mm = depth_mm
+        return start + duration_s
+
+    def _write(self, step: StrainStep) -> None:
+        if self._pressing is None:
+            self._pressing = SimulatedPress(len(self._presses), *self._place)
+            self._presses.append(self._pressing)
+        self._pressing.steps.append(step)

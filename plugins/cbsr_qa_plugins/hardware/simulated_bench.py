@@ -1,0 +1,215 @@
+"""A whole bench in one object: frames, head and load cell over one simulated world."""
+
+import math
+from collections.abc import Mapping
+from difflib import get_close_matches
+from typing import Any, Final
+
+import numpy as np
+
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.interfaces import StationContext
+from cbsr_qa.simulate.head import HeadMotion, SheetSeat, SimulatedHead
+from cbsr_qa.simulate.sheet import CONTACT_LENGTH_MM
+from cbsr_qa.simulate.world import SimulatedWorld
+
+_DRIVER: Final = "simulated-bench"
+_FORCE_RATE_HZ: Final = 8  # of the rig's load cell; a power of two, so that sample times are exact
+
+#: Options of the instrument's table and their lowest values. The station's motion is the default of the first two.
+_OPTIONS: Final[Mapping[str, float]] = {
+    "hover_mm": 1.0,
+    "travel_speed_mm_s": 0.01,
+    "contact_length_mm": 1e-6,
+    "surface_error_mm": 0.0,
+}
+_OTHER_KEYS: Final = ("scene",)  # read by whoever opened the bench
+
+
+def open_bench(context: StationContext) -> "SimulatedBench":
+    """Open a simulated bench (frame source, force applicator and the sampler ``force``).
+
+    Options of its table: ``hover_mm`` and ``travel_speed_mm_s`` (default: the station's motion),
+    ``contact_length_mm`` (contact impedance over sheet resistance, default 0.2), ``surface_error_mm`` (standard
+    deviation of how the sheet lies, default 0.05: chosen by us, one step of the surface search).
+
+    Raises
+    ------
+    ConfigError
+        If an option is unknown or out of range, or the scene or its effects are missing or do not fit together.
+    """
+    return SimulatedBench(context)
+
+
+class SimulatedBench:
+    """Simulated instruments that share one world and the station's clock."""
+
+    channel = "force"
+    unit = "N"
+
+    def __init__(self, context: StationContext) -> None:
+        if context.scene is None or context.effect_factory is None:
+            raise ConfigError(
+                f"instrument {context.role!r} ({_DRIVER}) was given no scene",
+                remedy='name one in its table, e.g. scene = "base"',
+            )
+        options = _checked(context)
+        self._context = context
+        self._scene = context.scene
+        self.world = SimulatedWorld(
+            context.scene,
+            context.sensor_type,
+            context.material,
+            context.indenter,
+            seed=context.seed,
+            effect_factory=context.effect_factory,
+            contact_length_mm=options.get("contact_length_mm", CONTACT_LENGTH_MM),
+        )
+        radius_mm = context.sensor_type.radius_mm
+        seat = SheetSeat(context.seed, options.get("surface_error_mm", 0.05), radius_mm)
+        motion = _motion(context, options)
+        self._head = SimulatedHead(
+            context.clock,
+            self.world.presses,
+            seat,
+            motion,
+            thickness_mm=context.sensor_type.thickness_mm,
+            role=context.role,
+        )
+        self._open = True
+
+    # --- instrument ---
+
+    def identity(self) -> InstrumentIdentity:
+        """Name the scene and the seed: together with the software's version they are this bench."""
+        self._check_open()
+        model = f"simulated bench, scene {self._scene.name}, seed {self._context.seed}"
+        return InstrumentIdentity(self._context.role, _DRIVER, model, str(self._context.seed), "", simulated=True)
+
+    def safe_state(self) -> None:
+        """Start lifting the head and return at once."""
+        self._head.drop_everything()
+
+    def close(self) -> None:
+        """Take no more orders."""
+        self._open = False
+
+    # --- frame source ---
+
+    @property
+    def frame_period_s(self) -> float:
+        """Time of one frame [s]."""
+        return self._scene.frame_period_s
+
+    def acquire(self, count: int) -> FrameBlock:
+        """Take frames one after the other; all readings of a frame are taken in its middle."""
+        self._check_open()
+        if count < 1:
+            raise InstrumentError(
+                self._context.role, "simulated", f"{count} frames were asked for; at least 1 is needed"
+            )
+        clock, period_s = self._context.clock, self.frame_period_s
+        times, frames = [], []
+        for _ in range(count):
+            middle_s = clock.now() + period_s / 2
+            # Addressed by time in half periods: frames never share an index, and a bench opened late goes on with
+            # the numbers of one that ran all the while.
+            frames.append(self.world.voltages_V(middle_s, round(middle_s / (period_s / 2))))
+            times.append(middle_s)
+            clock.sleep(period_s)
+        voltages = np.stack(frames)
+        flags = np.zeros(voltages.shape, dtype=np.uint8)
+        return FrameBlock(np.array(times), voltages, flags, VoltageUnit.VOLT, self._scene.current_A)
+
+    # --- sampler: the load cell ---
+
+    def samples_since(self, time_s: float) -> SampleBlock:
+        """Return the force samples after a time up to now, 8 a second, worked out only now."""
+        self._check_open()
+        first = max(math.floor(time_s * _FORCE_RATE_HZ) + 1, 0)
+        last = math.floor(self._context.clock.now() * _FORCE_RATE_HZ)
+        numbers = range(first, last + 1)
+        forces = [self.world.force_N(number / _FORCE_RATE_HZ, number) for number in numbers]
+        times = np.arange(first, first + len(forces)) / _FORCE_RATE_HZ
+        return SampleBlock(self.channel, self.unit, times, np.array(forces, dtype=np.float64))
+
+    # --- force applicator ---
+
+    def home(self) -> None:
+        """Lift the head and take it to the sheet's centre."""
+        self._check_open()
+        self._head.travel(0.0, 0.0)
+
+    def find_surface(self, x_mm: float, y_mm: float) -> float:
+        """Step down at a place until the contact force; returns the depth from the hover height [mm]."""
+        self.move_to(x_mm, y_mm)
+        return self._head.find_surface(self._mean_force_N)
+
+    def move_to(self, x_mm: float, y_mm: float) -> None:
+        """Travel at the hover height."""
+        self._check_open()
+        radius_mm = self._context.sensor_type.radius_mm
+        if not math.hypot(x_mm, y_mm) <= radius_mm:
+            place = f"({x_mm:g}, {y_mm:g}) mm"
+            raise InstrumentError(
+                self._context.role, place, "outside the sheet", remedy=f"the sheet's radius is {radius_mm:g} mm"
+            )
+        self._head.travel(x_mm, y_mm)
+
+    def press(self, depth_mm: float, speed_mm_s: float) -> None:
+        """Go this far below the surface found here."""
+        self._check_open()
+        thickness_mm = self._context.sensor_type.thickness_mm
+        if not (0 <= depth_mm < thickness_mm and speed_mm_s > 0):
+            raise InstrumentError(
+                self._context.role,
+                "simulated",
+                f"cannot press {depth_mm:g} mm deep at {speed_mm_s:g} mm/s",
+                remedy=f"the depth is from 0 to below the sheet's {thickness_mm:g} mm, the speed above 0",
+            )
+        self._head.press(depth_mm, speed_mm_s)
+
+    def release(self) -> None:
+        """Go up to the hover height."""
+        self._check_open()
+        self._head.lift()
+
+    def _mean_force_N(self, window_s: float) -> float:
+        return float(self.samples_since(self._context.clock.now() - window_s).values.mean())
+
+    def _check_open(self) -> None:
+        if not self._open:
+            raise InstrumentError(self._context.role, "simulated", "the bench is closed", remedy="open it again")
+
+
+def _checked(context: StationContext) -> dict[str, float]:
+    known = [*_OPTIONS, *_OTHER_KEYS]
+    for key, value in context.options.items():
+        if key not in known:
+            near = get_close_matches(key, known, n=1)
+            meant = f"did you mean {near[0]!r}? " if near else ""
+            raise ConfigError(
+                f"instrument {context.role!r} ({_DRIVER}) has no option {key!r}",
+                remedy=f"{meant}it has {', '.join(known)}",
+            )
+        if key in _OPTIONS and not _within(value, _OPTIONS[key]):
+            raise ConfigError(
+                f"instrument {context.role!r} ({_DRIVER}): {key} is {value!r}",
+                remedy=f"it is a finite number of at least {_OPTIONS[key]:g}",
+            )
+    return {key: float(context.options[key]) for key in _OPTIONS if key in context.options}
+
+
+def _within(value: Any, lowest: float) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and lowest <= value < math.inf
+
+
+def _motion(context: StationContext, options: Mapping[str, float]) -> HeadMotion:
+    default = context.motion or HeadMotion()
+    return HeadMotion(
+        hover_mm=options.get("hover_mm", default.hover_mm),
+        travel_speed_mm_s=options.get("travel_speed_mm_s", default.travel_speed_mm_s),
+        search_speed_mm_s=context.motion.press_speed_mm_s if context.motion else HeadMotion().search_speed_mm_s,
+    )
