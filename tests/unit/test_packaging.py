@@ -31,7 +31,11 @@ def test_every_data_file_is_matched_by_a_pattern():
     for package, patterns in _SETUPTOOLS["package-data"].items():
         top = _TOP / _SETUPTOOLS["package-dir"].get(package, package.replace(".", "/"))
         matched = {path for pattern in patterns for path in top.glob(pattern)}
-        data = {p for p in top.rglob("*") if p.is_file() and p.suffix not in {".py", ".pyc"} and "__pycache__" not in p.parts}
+        data = {
+            p
+            for p in top.rglob("*")
+            if p.is_file() and p.suffix not in {".py", ".pyc"} and "__pycache__" not in p.parts
+        }
         if package == "cbsr_qa":
             data = {p for p in data if p.name == "py.typed"}
         assert data <= matched, (package, sorted(data - matched))

@@ -1,0 +1,101 @@
+"""Observations to judged measurements: asks every metric, then holds the answers against the recipe's limits."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import replace
+
+from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain.measurement import Limit, Measurement
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.outcome import SEVERITY
+from cbsr_qa.interfaces import LoadMetric, RunMetric
+
+
+def measure_run(
+    observation: RunObservation, metrics: Mapping[str, LoadMetric | RunMetric]
+) -> tuple[tuple[Measurement, ...], tuple[str, ...]]:
+    """Ask every metric.
+
+    Parameters
+    ----------
+    metrics : plugin name → object, in the recipe's order.
+
+    Returns
+    -------
+    The measurements in that order, and a warning for every metric that failed: one that raises takes nothing
+    else down, and a limit on it then finds nothing measured.
+    """
+    taken: list[Measurement] = []
+    warnings: list[str] = []
+    for name, metric in metrics.items():
+        try:
+            taken += _ask(metric, observation)
+        except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+            reason = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
+            warnings.append(f"metric {name} failed and measured nothing: {reason}")
+    return tuple(taken), tuple(warnings)
+
+
+def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple[Measurement, ...]:
+    """Hold measurements against limits; the strictest outcome counts where several limits fit one measurement.
+
+    Returns
+    -------
+    Every measurement, judged where a limit fits, and one without value for each limit that found nothing.
+
+    Raises
+    ------
+    RefusedError
+        If a limit and its measurement differ in unit.
+    """
+    judged = list(measurements)
+    for limit in limits:
+        fitting = [number for number, measurement in enumerate(judged) if _fits(limit, measurement)]
+        for number in fitting:
+            judged[number] = _stricter(judged[number], judged[number].judged(limit))
+        if not fitting:
+            judged.append(_missing(limit))
+    return tuple(judged)
+
+
+def _ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
+    taken: list[Measurement] = []
+    if isinstance(metric, LoadMetric):
+        for load in observation.loads:
+            taken += metric.measure_load(load, observation)
+            if load.alternate is not None:
+                taken += _other_reference(metric, load.alternate, observation)
+    if isinstance(metric, RunMetric):
+        taken += metric.measure_run(observation)
+    return taken
+
+
+def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservation) -> list[Measurement]:
+    """Measure a load against the reference the recipe did not choose; never judged, only reported beside."""
+    other = "before the press" if run.settings.reference == "run" else "unloaded run"
+    return [
+        replace(m, qualifier=f"{m.qualifier}, reference {other}".removeprefix(", "))
+        for m in metric.measure_load(load, run)
+    ]
+
+
+def _fits(limit: Limit, measurement: Measurement) -> bool:
+    return (
+        limit.measurement == measurement.name
+        and limit.phase in ("", measurement.phase)
+        and limit.qualifier == measurement.qualifier
+    )
+
+
+def _stricter(before: Measurement, after: Measurement) -> Measurement:
+    return before if SEVERITY.index(before.outcome) < SEVERITY.index(after.outcome) else after
+
+
+def _missing(limit: Limit) -> Measurement:
+    return Measurement(
+        limit.measurement,
+        None,
+        limit.unit,
+        phase=limit.phase,
+        qualifier=limit.qualifier,
+        how="no metric of this recipe measured it: enable one under [metrics], or remove the limit",
+    ).judged(limit)

@@ -1,0 +1,106 @@
+"""A stored run to observations: reference, noise floor, response, every press. Pure, given a reconstruction."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from cbsr_qa.analysis.imager import Imager
+from cbsr_qa.analysis.run_loads import LoadSetting, LoadWindow, load_window, mean_change_under_head, observe_load
+from cbsr_qa.analysis.run_reference import split_unloaded, unloaded_frames, usable_readings
+from cbsr_qa.analysis.run_response import decide_response
+from cbsr_qa.analysis.run_timeline import metric_timelines
+from cbsr_qa.domain.loads import LoadRecord
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.sensor import Response
+from cbsr_qa.imaging.noise_floor import noise_floor
+from cbsr_qa.interfaces import Reconstruction
+from cbsr_qa.reconstruct.problem import imaging_problem
+from cbsr_qa.reconstruct.scaling import scale_of
+
+#: Told with the number of loads done and to do.
+Progress = Callable[[int, int], None]
+
+_Cut = tuple[PhaseRecord, LoadRecord, LoadWindow]
+
+
+def observe_run(
+    record: RunRecord,
+    reconstruction: Reconstruction,
+    settings: AnalysisSettings,
+    *,
+    progress: Progress = lambda done, total: None,
+) -> RunObservation:
+    """Work out everything about a run that metrics need.
+
+    Parameters
+    ----------
+    record : the run as stored; nothing else is looked at.
+    reconstruction : a plugin's object.
+    settings : of the recipe.
+    progress : called after each load.
+
+    Raises
+    ------
+    NumericsError
+        If the run has no unloaded frames, too few usable readings, or a load without a frame.
+    """
+    usable, warnings = usable_readings(record)
+    unloaded = unloaded_frames(record)
+    for_noise, for_reference = split_unloaded(unloaded, settings.noise_floor_frames)
+    reference = for_reference.voltages.mean(axis=0)
+    problem = imaging_problem(record.sensor_type, used=usable)
+    prepared = reconstruction.prepare(problem)
+    imager = Imager(prepared, reference, scale_of(reference, problem))
+    noise_images = imager.images(for_noise)
+    floor = noise_floor(noise_images)
+
+    undecided = LoadSetting(imager, settings, record.indenter, floor, Response.AUTO)
+    cut = [(phase, load, load_window(phase, load, settings)) for phase in record.phases for load in phase.loads]
+    signals = [mean_change_under_head(undecided, load, window) for _, load, window in cut]
+    response, how, doubts = decide_response(record.sensor_type.response, signals, floor)
+    setting = replace(undecided, response=response)
+    loads = _observe_all(setting, cut, progress)
+    return RunObservation(
+        record=record,
+        reconstruction=prepared,
+        scale=imager.scale,
+        unloaded=unloaded,
+        reference=reference,
+        noise_floor=floor,
+        noise_images=noise_images,
+        response=response,
+        response_how=how,
+        main_mask=settings.main_mask,
+        loads=loads,
+        usable=usable,
+        settings=settings,
+        warnings=(*warnings, *doubts, *_remarks(loads, settings.settling_multiple)),
+        timelines=metric_timelines(setting, record),
+    )
+
+
+def _observe_all(setting: LoadSetting, cut: list[_Cut], progress: Progress) -> tuple[LoadObservation, ...]:
+    seen = []
+    for number, (phase, load, window) in enumerate(cut, start=1):
+        seen.append(observe_load(setting, phase, load, window))
+        progress(number, len(cut))
+    return tuple(seen)
+
+
+def _remarks(loads: tuple[LoadObservation, ...], multiple: float) -> tuple[str, ...]:
+    words = []
+    residual = [load for load in loads if load.alternate is not None]
+    if residual:
+        worst = max(residual, key=lambda load: load.residue)
+        words.append(
+            f"before {len(residual)} of {len(loads)} presses the image still showed earlier loads above the noise"
+            f" floor, most before {worst.record.load.label} of {worst.phase}: both references are reported there"
+        )
+    early = sum(not load.settled for load in loads)
+    if early:
+        words.append(
+            f"in {early} of {len(loads)} holds the last frames were taken before {multiple:g} settling times had"
+            " passed: their images are of a sheet still relaxing"
+        )
+    return tuple(words)

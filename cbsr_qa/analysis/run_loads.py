@@ -1,0 +1,152 @@
+"""One press at a time: its steady image, its blobs, its force, its relaxations."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.imager import Imager
+from cbsr_qa.analysis.run_masks import mask_views
+from cbsr_qa.analysis.run_relaxation import relaxations_of
+from cbsr_qa.analysis.run_response import mean_under
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.image import Image
+from cbsr_qa.domain.loads import Indenter, LoadRecord
+from cbsr_qa.domain.observation import LoadObservation, RelaxationObservation
+from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.run import PhaseRecord
+from cbsr_qa.domain.sensor import Response
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadWindow:
+    """The frames of one press, apart.
+
+    Parameters
+    ----------
+    before : last frames before the head starts down (may be empty).
+    cycle : every frame from the press to the end of the rest.
+    steady : the last frames of the hold, at least one.
+    """
+
+    before: FrameBlock
+    cycle: FrameBlock
+    steady: FrameBlock
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSetting:
+    """What every load of a run is looked at with."""
+
+    imager: Imager
+    settings: AnalysisSettings
+    indenter: Indenter
+    noise_floor: float
+    response: Response
+
+    @property
+    def sign(self) -> int:
+        """Factor that makes a load's change positive."""
+        return -1 if self.response is Response.DECREASE else 1
+
+
+def load_window(phase: PhaseRecord, record: LoadRecord, settings: AnalysisSettings) -> LoadWindow:
+    """Cut the frames of one press out of its phase.
+
+    Raises
+    ------
+    NumericsError
+        If the hold has no frame.
+    """
+    frames = phase.frames
+    hold = None if frames is None else frames.between(record.hold_start_s, record.release_start_s)
+    if frames is None or hold is None or not len(hold):
+        raise NumericsError(f"load {record.load.label} of phase {phase.name!r} was held without taking a frame")
+    before = frames.between(phase.started_s, record.press_start_s)
+    return LoadWindow(
+        before.select(slice(max(len(before) - settings.reference_frames, 0), None)),
+        frames.between(record.press_start_s, record.rest_end_s),
+        hold.select(slice(max(len(hold) - settings.steady_frames, 0), None)),
+    )
+
+
+def mean_change_under_head(setting: LoadSetting, record: LoadRecord, window: LoadWindow) -> float:
+    """Mean relative change under the head in the steady frames, unsigned: what votes on the response."""
+    values = setting.imager.images(window.steady).mean(axis=0)
+    place = (record.load.x_mm, record.load.y_mm)
+    return mean_under(setting.imager.mesh, values, place, setting.indenter.radius_mm)
+
+
+def observe_load(setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, window: LoadWindow) -> LoadObservation:
+    """Work out one press; against the other reference too where earlier loads left more than the noise floor."""
+    imager = setting.imager
+    before = imager.images(window.before).mean(axis=0) if len(window.before) else np.zeros(len(imager.mesh.elements))
+    residue = float(max((setting.sign * before).max(), 0.0))
+    absolute = imager.images(window.steady).mean(axis=0)
+    values = {"run": absolute, "load": absolute - before}
+    chosen = setting.settings.reference
+    other = "load" if chosen == "run" else "run"
+    load = _observe(setting, phase, record, window, values[chosen], residue)
+    relaxations = relaxations_of(
+        setting.sign, imager, setting.settings, load, window.cycle, before, phase.channel("force")
+    )
+    load = replace(load, relaxations=relaxations, settled=_settled(load, relaxations, window, setting.settings))
+    if residue <= setting.noise_floor:
+        return load
+    return replace(load, alternate=_observe(setting, phase, record, window, values[other], residue))
+
+
+def _observe(
+    setting: LoadSetting,
+    phase: PhaseRecord,
+    record: LoadRecord,
+    window: LoadWindow,
+    values: NDArray[np.float64],
+    residue: float,
+) -> LoadObservation:
+    force, stderr = _mean_force(phase.channel("force"), window.steady, record)
+    mesh = setting.imager.mesh
+    return LoadObservation(
+        phase=phase.name,
+        record=record,
+        indenter=setting.indenter,
+        image=Image(mesh, values),
+        response=setting.response,
+        noise_floor=setting.noise_floor,
+        masks=mask_views(mesh, setting.sign * values, setting.noise_floor, setting.settings, record.load),
+        steady_frames=len(window.steady),
+        settled=False,
+        force_N=force,
+        force_stderr_N=stderr,
+        residue=residue,
+    )
+
+
+def _mean_force(
+    samples: SampleBlock | None, steady: FrameBlock, record: LoadRecord
+) -> tuple[float | None, float | None]:
+    """Mean force while the steady frames were taken, with the standard error of that mean."""
+    if samples is None:
+        return None, None
+    half_frame = float(np.median(np.diff(steady.time_s))) / 2 if len(steady) > 1 else 0.0
+    taken = samples.between(float(steady.time_s[0]) - half_frame, record.release_start_s)
+    if not len(taken):
+        return None, None
+    spread = float(np.std(taken.values, ddof=1)) if len(taken) > 1 else 0.0
+    return float(taken.values.mean()), spread / len(taken) ** 0.5
+
+
+def _settled(
+    load: LoadObservation,
+    relaxations: tuple[RelaxationObservation, ...],
+    window: LoadWindow,
+    settings: AnalysisSettings,
+) -> bool:
+    """Whether the steady frames lie beyond the stated multiple of the load's own settling time."""
+    for seen in relaxations:
+        if seen.signal == "conductance" and seen.loading and seen.settling.value_s is not None:
+            needed_s = settings.settling_multiple * seen.settling.value_s
+            held_s = float(window.steady.time_s[0]) - load.record.hold_start_s
+            return not seen.settling.censored and held_s >= needed_s
+    return False

@@ -1,0 +1,138 @@
+"""From configuration files to a plan, a clock and a bench."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from cbsr_qa.clock import Clock, RealClock, VirtualClock
+from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type, load_station
+from cbsr_qa.config.merge import Configuration, merge
+from cbsr_qa.domain.errors import ConfigError, PluginError
+from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.interfaces import Instrument, StationContext
+from cbsr_qa.plugins import Plugins
+from cbsr_qa.runner.bench import Bench, open_bench
+from cbsr_qa.runner.plan import Plan, PlannedPhase
+
+
+def configure(
+    station: str, recipe: str, *, sensor_type: str | None, material: str | None, seed: int
+) -> Configuration:
+    """Load and merge the files of a run.
+
+    Parameters
+    ----------
+    station, recipe : paths or shipped names.
+    sensor_type, material : instead of the station's own, which are looked for next to its file first.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing or wrong.
+    """
+    at = load_station(station)
+    return merge(
+        at,
+        load_recipe(recipe),
+        load_sensor_type(sensor_type) if sensor_type else load_sensor_type(at.value.sensor_type, near=at.folder),
+        load_material(material) if material else load_material(at.value.material, near=at.folder),
+        seed=seed,
+    )
+
+
+def plan_of(configuration: Configuration, plugins: Plugins) -> Plan:
+    """Put the sequences of a recipe together with the station they run on.
+
+    Raises
+    ------
+    PluginError, ConfigError
+        If a sequence is unknown, or refuses its options.
+    """
+    recipe, station = configuration.recipe, configuration.station
+    phases = tuple(
+        PlannedPhase(
+            phase.name,
+            phase.sequence,
+            made(plugins, Kind.SEQUENCE, PluginChoice(phase.sequence, phase.options), f"phase {phase.name!r}"),
+        )
+        for phase in recipe.phases
+    )
+    return Plan(
+        phases,
+        configuration.sensor_type,
+        configuration.material,
+        station.indenter,
+        station.motion,
+        station.safety,
+        configuration.seed,
+    )
+
+
+def made(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str) -> Any:
+    """Make the object a plugin stands for, with its options.
+
+    Raises
+    ------
+    PluginError
+        If the plugin is unknown, cannot be loaded, or its factory fails.
+    ConfigError
+        If it refuses its options; the message names where they are given.
+    """
+    factory = plugins.factory(kind, choice.name)
+    try:
+        return factory(**choice.options)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error.reason}", remedy=error.remedy) from error
+    except TypeError as error:
+        given = ", ".join(choice.options) or "none"
+        raise ConfigError(
+            f"{where}: {kind} {choice.name!r} does not take these options (given: {given}): {error}"
+        ) from error
+
+
+def station_clock(configuration: Configuration) -> Clock:
+    """Return the clock the station file asks for."""
+    return VirtualClock() if configuration.station.clock == "virtual" else RealClock()
+
+
+def open_station(configuration: Configuration, plugins: Plugins, clock: Clock) -> Bench:
+    """Open every instrument of the station.
+
+    Raises
+    ------
+    InstrumentError
+        If one does not answer.
+    ConfigError
+        If one is not what the station file says, or a real one is put on a virtual clock.
+    """
+    bench = open_bench(configuration.station.instruments, lambda spec: _opened(spec, configuration, plugins, clock))
+    real = [one.role for one in bench.identities() if not one.simulated]
+    if real and configuration.station.clock == "virtual":
+        bench.close()
+        raise ConfigError(
+            f"station {configuration.station.name!r} has a virtual clock, but {', '.join(real)} is a real instrument",
+            remedy='set clock = "real" in the station file: real instruments need real time',
+        )
+    return bench
+
+
+def _opened(spec: InstrumentSpec, configuration: Configuration, plugins: Plugins, clock: Clock) -> Instrument:
+    options: dict[str, Any] = dict(spec.options)
+    scene: Mapping[str, Any] | None = options.pop("scene", None)
+    context = StationContext(
+        role=spec.role,
+        clock=clock,
+        sensor_type=configuration.sensor_type,
+        material=configuration.material,
+        indenter=configuration.station.indenter,
+        seed=configuration.seed,
+        options=options,
+        scene=None if scene is None else load_scene(scene).value,
+        effect_factory=lambda name: plugins.factory(Kind.EFFECT, name),
+    )
+    factory = plugins.factory(Kind.INSTRUMENT, spec.driver)
+    try:
+        instrument: Instrument = factory(context)
+    except (PluginError, ConfigError) as error:
+        raise ConfigError(f"instrument {spec.role} ({spec.driver}): {error.reason}", remedy=error.remedy) from error
+    return instrument
