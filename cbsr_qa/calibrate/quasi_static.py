@@ -41,7 +41,9 @@ class QuasiStaticFit:
         left_out = ", ".join(f"{100 * strain:g} %" for strain in self.excluded)
         said = f"{source}; left out: {left_out}" if left_out else source
         return QuasiStatic(
-            Parameter(self.slope, float(slope_error), said), Parameter(self.intercept, float(intercept_error), said)
+            Parameter(self.slope, float(slope_error), said),
+            Parameter(self.intercept, float(intercept_error), said),
+            float(self.covariance[0, 1]),
         )
 
 

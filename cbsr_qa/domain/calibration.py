@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.reconstruction import LinearReconstruction
+from cbsr_qa.domain.relaxation import RelaxationFit, SettlingTime
 from cbsr_qa.domain.sensor import QuasiStatic, Response, SensorIdentity, SensorType
 
 
@@ -51,6 +52,24 @@ class SettlingSummary:
     accepted: int
     censored: int
     rejected: int
+
+
+@dataclass(frozen=True, slots=True)
+class LoadRelaxation:
+    """Relaxation of one signal after one press or release, as it was fitted.
+
+    Parameters
+    ----------
+    location, trial : of the load.
+    signal, loading : as in :class:`SettlingSummary`.
+    """
+
+    location: str
+    trial: int
+    signal: str
+    loading: bool
+    fit: RelaxationFit
+    settling: SettlingTime
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +122,7 @@ class Calibration:
     overlap_bands, overlap_threshold : thresholds on area overlap [%].
     validity : range of use.
     simulated : what was simulated in the issuing run; empty for a real one.
+    relaxations : every fit the summaries were taken from.
     """
 
     calibration: str
@@ -127,3 +147,4 @@ class Calibration:
     overlap_threshold: float
     validity: Validity
     simulated: tuple[str, ...] = ()
+    relaxations: tuple[LoadRelaxation, ...] = ()

@@ -59,10 +59,12 @@ class QuasiStatic:
     ----------
     slope : α, per kPa for stress and per unit strain for strain.
     intercept : β, relative.
+    covariance : of slope and intercept, in the product of their units; None where nobody stated one.
     """
 
     slope: Parameter
     intercept: Parameter
+    covariance: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,168 @@
+"""Issuing a calibration from a run that passed."""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from cbsr_qa.calibrate.baseline import baseline_conductance, load_baseline
+from cbsr_qa.calibrate.settling import restricted_mean
+from cbsr_qa.domain.calibration import (
+    BaselineConductance,
+    Calibration,
+    LoadRelaxation,
+    SettlingSummary,
+    Validity,
+)
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.measurement import Verdict
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.outcome import EndReason, Outcome
+from cbsr_qa.domain.sensor import QuasiStatic
+
+
+def issue_calibration(
+    observation: RunObservation,
+    verdict: Verdict,
+    *,
+    calibration: str,
+    issued_at: str,
+    phases: Sequence[str],
+    overlap_threshold: float,
+    measured_stress: QuasiStatic | None = None,
+    measured_strain: QuasiStatic | None = None,
+) -> Calibration:
+    """Issue a calibration.
+
+    Parameters
+    ----------
+    observation : of the finished run.
+    verdict : of the run; only passed and marginal ones get a calibration.
+    calibration, issued_at : identity (time-ordered UUID as text) and wall clock (ISO with zone).
+    phases : names of the phases whose loads are used.
+    overlap_threshold : lowest area overlap the recipe accepts [%].
+    measured_stress, measured_strain : α, β where this sensor was characterised; else the material's are used and
+        named in ``assumed``.
+
+    Raises
+    ------
+    CalibrationError
+        If the run did not pass or was not finished, no load of those phases gave a baseline conductance, or the
+        drive current is not known. Single loads that say nothing only reduce the validity, each with its reason.
+    """
+    _check_passed(observation, verdict)
+    loads = [load for load in observation.loads if load.phase in phases]
+    material = observation.record.material
+    against_stress = measured_stress or material.against_stress
+    noise, mask = observation.noise_images, observation.main_mask
+    baseline = baseline_conductance(loads, against_stress, noise, mask)
+    used = [load for load in loads if load_baseline(load, against_stress, noise, mask).value is not None]
+    if not used:
+        reasons = "; ".join(dict.fromkeys(place.why for place in baseline)) or f"no load in {', '.join(phases)}"
+        raise CalibrationError(f"no load gives a baseline conductance: {reasons}")
+    relaxations = tuple(_relaxations(observation.loads))
+    return Calibration(
+        calibration=calibration,
+        run=observation.record.identity.run,
+        issued_at=issued_at,
+        sensor=observation.record.identity.sensor,
+        sensor_type=observation.record.sensor_type,
+        indenter=observation.record.indenter,
+        reference=observation.reference,
+        current_A=_current_A(observation),
+        scale=observation.scale,
+        reconstruction=observation.reconstruction,
+        response=observation.response,
+        noise_floor=observation.noise_floor,
+        mask=mask,
+        baseline=baseline,
+        against_stress=against_stress,
+        against_strain=measured_strain or material.against_strain,
+        assumed=_assumed(measured_stress, measured_strain),
+        settling=summarise_settling(relaxations),
+        overlap_bands=observation.settings.overlap_bands,
+        overlap_threshold=overlap_threshold,
+        validity=_validity(observation, used, baseline),
+        simulated=observation.record.identity.simulated,
+        relaxations=relaxations,
+    )
+
+
+def summarise_settling(relaxations: Sequence[LoadRelaxation]) -> tuple[SettlingSummary, ...]:
+    """Summarise settling times by signal and direction, in the order they first occur.
+
+    Mean and deviation are Kaplan–Meier restricted ones: where times are censored the mean is a lower bound.
+    """
+    groups: dict[tuple[str, bool], list[LoadRelaxation]] = {}
+    for relaxation in relaxations:
+        groups.setdefault((relaxation.signal, relaxation.loading), []).append(relaxation)
+    return tuple(_summary(signal, loading, members) for (signal, loading), members in groups.items())
+
+
+def _summary(signal: str, loading: bool, members: Sequence[LoadRelaxation]) -> SettlingSummary:
+    timed = [m.settling for m in members if m.settling.value_s is not None]
+    times = [t.value_s for t in timed if t.value_s is not None]
+    censored = [t.censored for t in timed]
+    mean, deviation = restricted_mean(times, censored) if times else (None, None)
+    return SettlingSummary(
+        signal, loading, mean, deviation, len(timed) - sum(censored), sum(censored), len(members) - len(timed)
+    )
+
+
+def _check_passed(observation: RunObservation, verdict: Verdict) -> None:
+    record = observation.record
+    if record.end is not EndReason.FINISHED:
+        raise CalibrationError(f"run {record.identity.run} was not finished ({record.end}): no calibration is issued")
+    if verdict.outcome not in (Outcome.PASS, Outcome.MARGINAL):
+        raise CalibrationError(f"the verdict is {verdict.outcome}, so no calibration is issued: {verdict.reason}")
+
+
+def _current_A(observation: RunObservation) -> float:
+    current_A = observation.unloaded.current_A
+    if current_A is None:
+        raise CalibrationError("the drive current of the reference frames is not known")
+    return current_A
+
+
+def _relaxations(loads: Sequence[LoadObservation]) -> Iterator[LoadRelaxation]:
+    for load in loads:
+        place = load.record.load
+        for seen in load.relaxations:
+            yield LoadRelaxation(place.label, place.trial, seen.signal, seen.loading, seen.fit, seen.settling)
+
+
+def _assumed(stress: QuasiStatic | None, strain: QuasiStatic | None) -> tuple[str, ...]:
+    names = [] if stress else ["α against stress", "β against stress"]
+    return (*names, *([] if strain else ["α against strain", "β against strain"]))
+
+
+def _validity(
+    observation: RunObservation, used: Sequence[LoadObservation], baseline: Sequence[BaselineConductance]
+) -> Validity:
+    forces = [load.force_N for load in used if load.force_N is not None]
+    strains = [load.record.load.strain for load in used]
+    radii = [float(np.hypot(load.record.load.x_mm, load.record.load.y_mm)) for load in used]
+    return Validity(
+        force_N=(min(forces), max(forces)) if forces else None,
+        strain=(min(strains), max(strains)),
+        temperature_C=_temperature_C(observation),
+        radius_mm=max(radii),
+        reduced=tuple(_reductions(observation, baseline)),
+    )
+
+
+def _temperature_C(observation: RunObservation) -> tuple[float, float] | None:
+    recorded = [phase.channel("temperature") for phase in observation.record.phases]
+    values = [block.values for block in recorded if block is not None and len(block)]
+    if not values:
+        return None
+    joined = np.concatenate(values)
+    return float(joined.min()), float(joined.max())
+
+
+def _reductions(observation: RunObservation, baseline: Sequence[BaselineConductance]) -> Iterator[str]:
+    for place in baseline:
+        if place.value is None:
+            yield f"{place.location} at ({place.x_mm:g}, {place.y_mm:g}) mm is left out: {place.why}"
+    missing = int((observation.record.sensor_type.pattern.usable() & ~observation.usable).sum())
+    if missing:
+        yield f"{missing} readings were not imaged: saturated, constant or not connected"
