@@ -1,0 +1,244 @@
+"""Our own recording file: HDF5 with a schema version, units on every dataset, and a digest.
+
+Frames, reading flags, times, samples of other channels, and the presses that are documented. Nothing in it can
+execute; datasets are plain numbers and UTF-8 text, readable from MATLAB, LabVIEW, C and Python.
+"""
+
+import hashlib
+import json
+import os
+import tempfile
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.errors import CbsrError, RecordingError
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.domain.loads import Load, LoadRecord
+from cbsr_qa.domain.recording import Recording, ScanKind
+
+FORMAT: Final = "cbsr-recording"
+SCHEMA_VERSION: Final = 1
+SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+
+_LOAD_COLUMNS: Final = (
+    ("x_mm", "mm"),
+    ("y_mm", "mm"),
+    ("strain", "1"),
+    ("press_start_s", "s"),
+    ("hold_start_s", "s"),
+    ("release_start_s", "s"),
+    ("release_end_s", "s"),
+    ("rest_end_s", "s"),
+)
+
+
+def write_recording(path: Path, recording: Recording) -> None:
+    """Write a recording whole or not at all: to a temporary file beside it, then renamed over it.
+
+    Parameters
+    ----------
+    path : of the HDF5 file.
+    recording : problems of the file it was read from are not written; its notes are.
+
+    Raises
+    ------
+    RecordingError
+        If the folder cannot be written to.
+    """
+    temporary = ""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(prefix=".recording-", suffix=".h5", dir=path.parent)
+        os.close(handle)
+        with h5py.File(temporary, "w") as file:
+            _write(file, recording)
+            file.attrs["sha256"] = _digest(file)
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except OSError as error:
+        Path(temporary).unlink(missing_ok=True)
+        raise RecordingError(
+            f"the recording cannot be written to {path}: {error.strerror or error}",
+            remedy="choose a folder that can be written to",
+        ) from error
+
+
+def read_recording(path: Path) -> Recording:
+    """Read a recording back.
+
+    Raises
+    ------
+    RecordingError
+        If the file is no recording of ours, cut, edited (its digest does not fit), or of a later version.
+    """
+    try:
+        with h5py.File(path, "r") as file:
+            _check(path, file)
+            return _read(path, file)
+    except CbsrError:
+        raise
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
+        raise RecordingError(
+            f"{path.name} is damaged: {error}", remedy="export the run again, or copy the file again"
+        ) from error
+
+
+def _check(path: Path, file: h5py.File) -> None:
+    if file.attrs.get("format") != FORMAT:
+        raise RecordingError(
+            f"{path.name} is an HDF5 file but not a recording of this program",
+            remedy="a calibration file is looked at with cbsr-qa calibration show",
+        )
+    version = int(file.attrs["schema_version"])
+    if not 1 <= version <= SCHEMA_VERSION:
+        raise RecordingError(
+            f"{path.name} has schema version {version}; this program reads up to {SCHEMA_VERSION}",
+            remedy="update cbsr-qa",
+        )
+    if file.attrs["sha256"] != _digest(file):
+        raise RecordingError(
+            f"{path.name} was changed after it was written (its digest does not fit)", remedy="export the run again"
+        )
+
+
+def _write(file: h5py.File, recording: Recording) -> None:
+    file.attrs["format"] = FORMAT
+    file.attrs["schema_version"] = SCHEMA_VERSION
+    described = {
+        "dataset": recording.dataset,
+        "scan": recording.scan.value,
+        "still": recording.still,
+        "magnitudes_only": recording.magnitudes_only,
+        "clock": recording.clock,
+        "sensor_type": recording.sensor_type,
+        "layout": None if recording.layout is None else asdict(recording.layout),
+        "notes": list(recording.notes),
+    }
+    file.attrs["description"] = json.dumps(described, ensure_ascii=False, sort_keys=True)
+    _write_frames(file.create_group("frames"), recording.frames)
+    if recording.reference is not None:
+        _write_frames(file.create_group("reference"), recording.reference)
+    for k, block in enumerate(recording.samples):
+        group = file.create_group(f"samples/{k:02d}")
+        group.attrs["channel"] = block.channel
+        _put(group, "time_s", block.time_s, "s")
+        _put(group, "values", block.values, block.unit)
+    if recording.loads:
+        _write_loads(file.create_group("loads"), recording.loads)
+
+
+def _write_frames(group: h5py.Group, block: FrameBlock) -> None:
+    group.attrs["order"] = "frame, drive pair, measure pair"
+    if block.current_A is not None:
+        group.attrs["current_A"] = block.current_A
+    _put(group, "time_s", block.time_s, "s")
+    _put(group, "voltages", block.voltages, block.unit.value)
+    _put(group, "flags", block.flags, "bits: 1 saturated, 2 compliance, 4 missing")
+    if block.reading_time_s is not None:
+        _put(group, "reading_time_s", block.reading_time_s, "s")
+
+
+def _write_loads(group: h5py.Group, loads: tuple[LoadRecord, ...]) -> None:
+    group.attrs["labels"] = json.dumps([load.load.label for load in loads])
+    _put(group, "index", np.array([load.index for load in loads]), "1")
+    _put(group, "trial", np.array([load.load.trial for load in loads]), "1")
+    for name, unit in _LOAD_COLUMNS:
+        column = [getattr(load.load if hasattr(load.load, name) else load, name) for load in loads]
+        _put(group, name, np.array(column, dtype=np.float64), unit)
+
+
+def _put(group: h5py.Group, name: str, values: NDArray[Any], unit: str) -> None:
+    compressed = {"compression": "gzip", "shuffle": True} if values.size > 1024 else {}
+    group.create_dataset(name, data=values, track_times=False, **compressed).attrs["unit"] = unit
+
+
+def _read(path: Path, file: h5py.File) -> Recording:
+    said: dict[str, Any] = json.loads(file.attrs["description"])
+    layout = said["layout"]
+    return Recording(
+        path=path,
+        format=FORMAT,
+        dataset=str(said["dataset"]),
+        scan=ScanKind(said["scan"]),
+        frames=_read_frames(file["frames"]),
+        reference=_read_frames(file["reference"]) if "reference" in file else None,
+        still=bool(said["still"]),
+        magnitudes_only=bool(said["magnitudes_only"]),
+        clock=str(said["clock"]),
+        samples=tuple(_read_samples(file["samples"][key]) for key in sorted(file["samples"]))
+        if "samples" in file
+        else (),
+        loads=_read_loads(file["loads"]) if "loads" in file else (),
+        layout=None if layout is None else ElectrodeLayout(**{**layout, "kind": ElectrodeKind(layout["kind"])}),
+        sensor_type=said["sensor_type"],
+        notes=tuple(said["notes"]),
+    )
+
+
+def _read_frames(group: h5py.Group) -> FrameBlock:
+    voltages = group["voltages"]
+    current = group.attrs.get("current_A")
+    own = group["reading_time_s"][()].astype(np.float64) if "reading_time_s" in group else None
+    return FrameBlock(
+        group["time_s"][()].astype(np.float64),
+        voltages[()].astype(np.float64),
+        group["flags"][()].astype(np.uint8),
+        VoltageUnit(voltages.attrs["unit"]),
+        None if current is None else float(current),
+        own,
+    )
+
+
+def _read_samples(group: h5py.Group) -> SampleBlock:
+    values = group["values"]
+    return SampleBlock(
+        str(group.attrs["channel"]),
+        str(values.attrs["unit"]),
+        group["time_s"][()].astype(np.float64),
+        values[()].astype(np.float64),
+    )
+
+
+def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
+    labels: list[str] = json.loads(group.attrs["labels"])
+    columns = {name: group[name][()].astype(np.float64) for name, _ in _LOAD_COLUMNS}
+    return tuple(
+        LoadRecord(
+            int(group["index"][k]),
+            Load(label, *_place(columns, k), int(group["trial"][k])),
+            *(float(columns[name][k]) for name, _ in _LOAD_COLUMNS[3:]),
+        )
+        for k, label in enumerate(labels)
+    )
+
+
+def _place(columns: dict[str, NDArray[np.float64]], k: int) -> tuple[float, float, float]:
+    return float(columns["x_mm"][k]), float(columns["y_mm"][k]), float(columns["strain"][k])
+
+
+def _digest(file: h5py.File) -> str:
+    """SHA-256 over names, shapes, types, values and attributes in sorted order, however HDF5 packs them."""
+    sha = hashlib.sha256()
+
+    def add(name: str, item: h5py.Group | h5py.Dataset) -> None:
+        sha.update(name.encode() + b"\x00")
+        if isinstance(item, h5py.Dataset):
+            values = np.ascontiguousarray(item[()])
+            sha.update(f"{values.shape}{values.dtype.str}".encode())
+            sha.update(values.tobytes())
+        for key in sorted(item.attrs):
+            if key != "sha256":
+                sha.update(f"{key}={item.attrs[key]!s}\x00".encode())
+
+    add("/", file)
+    names: list[str] = []
+    file.visit(names.append)
+    for name in sorted(names):
+        add(name, file[name])
+    return sha.hexdigest()

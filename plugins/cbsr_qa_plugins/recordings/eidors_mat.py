@@ -1,0 +1,150 @@
+"""MATLAB files of 16-electrode adjacent data as EIDORS distributes them (format ``eidors-mat``)."""
+
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import scipy.io
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
+from cbsr_qa.domain.patterns import adjacent_pattern
+from cbsr_qa.domain.recording import ReadOptions, Recording, ScanKind
+
+_ELECTRODES: Final = 16
+_VALUES: Final = _ELECTRODES**2
+#: Frame rates the data's authors state; the files themselves hold no times.
+_DOCUMENTED_RATE_HZ: Final = {"zc_": 7.0}
+_LAYOUT: Final = ElectrodeLayout(_ELECTRODES, ElectrodeKind.ARC, 1.0, 0.1, 0.0, counterclockwise=True)
+
+Matrix = NDArray[np.float64]
+
+
+class EidorsMat:
+    """Reads matrices of 256 rows, index 16·drive + measure, one column a frame, absolute values.
+
+    Every such matrix is a data set; what one is compared with follows from the naming convention of these files
+    (``zc_h_X`` is the homogeneous frame of ``zc_X``, ``vvRef`` that of ``vvAvg1`` …) unless a reference is named.
+    Electrode 0 lies on +x and electrode 4 on +y.
+    """
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """Tell by the header every MATLAB file starts with."""
+        return head.startswith(b"MATLAB 5.0 MAT-file") or (path.suffix == ".mat" and head.startswith(b"MATLAB"))
+
+    def datasets(self, path: Path) -> tuple[str, ...]:
+        """Name the matrices of 256 rows, in the file's order."""
+        return tuple(_matrices(path))
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        """Read one data set and its reference.
+
+        Returns
+        -------
+        Recording with (n, 16, 16) frames; readings at driven electrodes are flagged MISSING.
+
+        Raises
+        ------
+        RecordingError
+            If the file is damaged, holds no such matrix, several and none was chosen, or not the one asked for.
+        """
+        matrices = _matrices(path)
+        name = _chosen(path, matrices, options.dataset)
+        matrix = matrices[name]
+        reference, reference_note = _reference(path, matrices, name, options)
+        still = matrix.shape[1] == 1
+        rate_hz = None if still else next((r for p, r in _DOCUMENTED_RATE_HZ.items() if name.startswith(p)), None)
+        notes = [reference_note, "readings are absolute values: signs are put back from the pattern's geometry"]
+        if rate_hz is not None:
+            notes.append(f"the file holds no times; its authors document {rate_hz:g} frames a second")
+        elif not still:
+            notes.append("the file holds no times: frame numbers stand in for seconds")
+        return Recording(
+            path=path,
+            format="eidors-mat",
+            dataset=name,
+            scan=ScanKind.FULL,
+            frames=_block(matrix, rate_hz),
+            reference=reference,
+            still=still,
+            magnitudes_only=True,
+            clock="documented" if rate_hz is not None else "none",
+            layout=_LAYOUT,
+            notes=tuple(note for note in notes if note),
+        )
+
+
+def _matrices(path: Path) -> dict[str, Matrix]:
+    try:
+        content: dict[str, Any] = scipy.io.loadmat(path)
+    except NotImplementedError as error:
+        raise RecordingError(f"{path.name} is a MATLAB 7.3 file", remedy="save it with -v7") from error
+    except Exception as error:  # a damaged file makes scipy raise nearly anything
+        raise RecordingError(
+            f"{path.name} cannot be read as a MATLAB file: {error}", remedy="it is cut or damaged; get it again"
+        ) from error
+    found = {name: value for name, value in content.items() if _is_frames(value)}
+    if not found:
+        raise RecordingError(
+            f"{path.name} holds no matrix of {_VALUES} rows",
+            remedy=f"frames are columns of {_VALUES} values, index {_ELECTRODES}·drive + measure",
+        )
+    return {name: np.asarray(value, dtype=np.float64) for name, value in found.items()}
+
+
+def _is_frames(value: object) -> bool:
+    if not isinstance(value, np.ndarray) or value.ndim != 2 or value.dtype.kind not in "iuf":
+        return False
+    return value.shape[0] == _VALUES and value.shape[1] > 0 and bool(np.isfinite(value).all())
+
+
+def _chosen(path: Path, matrices: dict[str, Matrix], asked: str | None) -> str:
+    if asked is None and len(matrices) == 1:
+        return next(iter(matrices))
+    listed = ", ".join(f"{name} ({_frames_said(matrix)})" for name, matrix in matrices.items())
+    if asked is None:
+        raise RecordingError(
+            f"{path.name} holds {len(matrices)} data sets and none was chosen: {listed}",
+            remedy="choose one with --dataset NAME",
+        )
+    if asked not in matrices:
+        raise RecordingError(f"{path.name} has no data set {asked!r}; it has {listed}", remedy="choose one of these")
+    return asked
+
+
+def _frames_said(matrix: Matrix) -> str:
+    return "1 frame" if matrix.shape[1] == 1 else f"{matrix.shape[1]} frames"
+
+
+def _reference(
+    path: Path, matrices: dict[str, Matrix], name: str, options: ReadOptions
+) -> tuple[FrameBlock | None, str]:
+    if options.reference is not None:
+        other, asked = options.reference
+        candidates = matrices if other == path else _matrices(other)
+        chosen = _chosen(other, candidates, asked)
+        return _block(candidates[chosen], None), f"changes are against {chosen} of {other.name}"
+    conventional = _conventional_reference(name)
+    if conventional is not None and conventional in matrices:
+        return _block(
+            matrices[conventional], None
+        ), f"changes are against {conventional} of the same file, by its name"
+    return None, ""
+
+
+def _conventional_reference(name: str) -> str | None:
+    if name.startswith("vvAvg"):
+        return "vvRef"
+    if name.startswith("zc_") and not name.startswith("zc_h_"):
+        return "zc_h_" + name.removeprefix("zc_")
+    return None
+
+
+def _block(matrix: Matrix, rate_hz: float | None) -> FrameBlock:
+    frames = matrix.T.reshape(-1, _ELECTRODES, _ELECTRODES)
+    times = np.arange(len(frames), dtype=np.float64) / (rate_hz or 1.0)
+    missing = ~adjacent_pattern(_ELECTRODES).usable() & (frames == 0).all(axis=0)
+    flags = np.broadcast_to(np.where(missing, ReadingFlag.MISSING.value, 0).astype(np.uint8), frames.shape).copy()
+    return FrameBlock(times, frames, flags, VoltageUnit.VOLT, None)

@@ -1,0 +1,159 @@
+r"""Lines of the ERT board's CSV files, one at a time.
+
+The lab's script puts its own clock and the load cell in front of whatever line the board printed. The board prints
+rows of readings, ``A`` at the start of each frame, and, now and then, a log. Variants that exist:
+
+- with a load cell (``time_pc, mass, payload``) or without (``time, payload``);
+- the payload with the board's clock in ms first, or without it, whatever the title says;
+- the mass, or the whole serial line, written as a Python bytes literal (``b'0.62'``, ``"b'183927,11022,…\r\n'"``);
+- saved again by a spreadsheet, which pads every line with commas to the longest one.
+"""
+
+import csv
+import re
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Final
+
+PAIRS: Final = 16
+#: A 16-bit converter, printed as signed or unsigned.
+LOWEST_COUNT, HIGHEST_COUNT = -(2**15), 2**16 - 1
+
+_BYTES_LITERAL = re.compile(r"""^b(['"])(.*)\1$""", re.DOTALL)
+_INTEGER = re.compile(r"^[+-]?\d+(\.0*)?$")
+#: A line with at least this many numbers in front is a row of readings with something printed into it, not a log.
+_NUMBERS_OF_A_ROW: Final = 3
+
+
+class LineKind(Enum):
+    """What a line is."""
+
+    HEADER = auto()  #: ``UTC:``, ``Isrc:`` or the column titles
+    MARK = auto()  #: ``A``: a frame starts
+    ROW = auto()  #: readings, possibly with the board's clock in front
+    LOG = auto()  #: text the board printed, or an empty payload
+    GARBLED = auto()  #: readings that cannot all be read
+    TORN = auto()  #: the start of a row into which the board printed a log; its rest follows the log
+    BLANK = auto()  #: nothing at all
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line of a file, taken apart.
+
+    Parameters
+    ----------
+    number : 1-based line of the file.
+    computer_s : the computer's clock [s]; None for headers.
+    mass_g : the load cell [g]; None where the line has none.
+    numbers : the payload's numbers; empty unless the line is a row.
+    said : the payload in words: a header's key, a log line's text, or what is wrong with a garbled row.
+    """
+
+    number: int
+    kind: LineKind
+    computer_s: float | None = None
+    mass_g: float | None = None
+    numbers: tuple[int, ...] = ()
+    said: str = ""
+
+
+def split_fields(text: str) -> tuple[list[str], bool]:
+    """Split one line into fields: quotes and bytes literals opened, empty fields at its end dropped.
+
+    Parameters
+    ----------
+    text : without its line end.
+
+    Returns
+    -------
+    The fields, and whether all after the first came out of one bytes literal (the whole serial line, no mass).
+    """
+    fields = next(csv.reader([text]), []) if '"' in text else text.split(",")
+    fields = [field.strip() for field in fields]
+    while fields and not fields[-1]:
+        fields.pop()
+    whole_line = len(fields) == 2 and bool(_BYTES_LITERAL.match(fields[1]))
+    opened: list[str] = []
+    for field in fields:
+        literal = _BYTES_LITERAL.match(field)
+        opened += literal.group(2).replace("\\r", "").replace("\\n", "").split(",") if literal else [field]
+    while opened and not opened[-1]:
+        opened.pop()
+    return opened, whole_line
+
+
+def parse_line(number: int, text: str, *, with_mass: bool) -> Line:
+    """Take a line apart.
+
+    Parameters
+    ----------
+    number : 1-based line of the file.
+    with_mass : whether the titles promise a load cell column.
+    """
+    fields, whole_line = split_fields(text)
+    if not fields:
+        return Line(number, LineKind.BLANK)
+    key = fields[0].lower()
+    if key in ("utc:", "isrc:") or key.startswith("time"):
+        return Line(number, LineKind.HEADER, said=",".join(fields))
+    computer_s = _float(fields[0])
+    if computer_s is None:
+        return Line(number, LineKind.GARBLED, said=f"it does not start with a time but with {fields[0][:20]!r}")
+    with_mass = with_mass and not whole_line
+    mass_g = _float(fields[1]) if with_mass and len(fields) > 1 else None
+    payload = fields[2:] if with_mass else fields[1:]
+    kind, numbers, said = _payload(payload)
+    return Line(number, kind, computer_s, mass_g, numbers, said)
+
+
+def _payload(fields: list[str]) -> tuple[LineKind, tuple[int, ...], str]:
+    if fields == ["A"]:
+        return LineKind.MARK, (), "A"
+    if fields and all(_INTEGER.match(field) for field in fields):
+        return LineKind.ROW, tuple(int(float(field)) for field in fields), ""
+    leading = next((k for k, field in enumerate(fields) if not _INTEGER.match(field)), len(fields))
+    if leading < _NUMBERS_OF_A_ROW:
+        return LineKind.LOG, (), ",".join(fields)
+    odd = fields[leading] or "an empty field"
+    if "\x1b" in odd or "task_wdt" in odd:
+        return (
+            LineKind.TORN,
+            (),
+            f"a log is printed into a row after {leading} numbers; the rest of the row follows it",
+        )
+    return LineKind.GARBLED, (), f"{len(fields)} fields with {odd[:40]!r} among the numbers"
+
+
+def _float(text: str) -> float | None:
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if abs(value) < float("inf") else None
+
+
+def complaint(numbers: tuple[int, ...], width: int) -> str:
+    """Say what is wrong with a row of numbers; empty if nothing is.
+
+    Parameters
+    ----------
+    numbers : of the row.
+    width : numbers a good row of this file has (16, or 17 with the board's clock).
+    """
+    if len(numbers) != width:
+        return f"{_shape(len(numbers), width)}: {len(numbers)} numbers where a row has {width}"
+    for value in numbers[width - PAIRS :]:
+        if not LOWEST_COUNT <= value <= HIGHEST_COUNT:
+            return f"absurd: {value} is not a count of a 16-bit converter"
+    if width > PAIRS and numbers[0] < 0:
+        return f"absurd: the board's clock says {numbers[0]} ms"
+    return ""
+
+
+def _shape(count: int, width: int) -> str:
+    if count > width:
+        return "joined lines"
+    if count == PAIRS:
+        return "cut row (the board's time is missing, or a reading)"
+    return "cut row"
