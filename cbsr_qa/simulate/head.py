@@ -2,43 +2,25 @@
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.clock import Clock
 from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.kinematics import (
+    CLEARANCE_MM,
+    SEARCH_CONTACT_STEPS,
+    SEARCH_DWELL_S,
+    SEARCH_FROM_MM,
+    SEARCH_STEP_MM,
+)
+from cbsr_qa.domain.plan import Motion
 from cbsr_qa.domain.scene import SimulatedPress, StrainStep
 from cbsr_qa.simulate.streams import RandomStream
 
-#: Above a surface the head slows down from its travel speed to its press speed.
-CLEARANCE_MM: Final = 0.2
-
+_CONTACT_FORCE_N: Final = 0.2  # the rig's
 _SEARCH_DEPTH_MM: Final = 1.0  # below the nominal surface; deeper than any seat is wrong
-_FIT_STEPS: Final = 2  # beyond the contact force, so that a line can be drawn through three readings
-
-
-@dataclass(frozen=True, slots=True)
-class HeadMotion:
-    """How the head moves and how it searches the surface.
-
-    Parameters
-    ----------
-    hover_mm : above the nominal surface.
-    travel_speed_mm_s : sideways, and up and down in free air.
-    search_speed_mm_s, search_step_mm, search_from_mm : of the surface search, which starts that far above nominal.
-    contact_force_N : where the search stops (0.2 N on the rig).
-    dwell_s : wait after each step, over which the force is averaged.
-    """
-
-    hover_mm: float = 25.0
-    travel_speed_mm_s: float = 10.0
-    search_speed_mm_s: float = 40 / 60
-    search_step_mm: float = 0.05
-    search_from_mm: float = 0.5
-    contact_force_N: float = 0.2
-    dwell_s: float = 0.25
 
 
 class SheetSeat:
@@ -72,7 +54,7 @@ class SimulatedHead:
     clock : the station's.
     presses : appended to, and read by the world.
     seat : where the true surface is.
-    motion : speeds and heights.
+    motion : the station's speeds and hover height.
     thickness_mm : of the sheet.
     role : in the station file, for messages.
     """
@@ -82,7 +64,7 @@ class SimulatedHead:
         clock: Clock,
         presses: list[SimulatedPress],
         seat: SheetSeat,
-        motion: HeadMotion,
+        motion: Motion,
         *,
         thickness_mm: float,
         role: str,
@@ -95,7 +77,7 @@ class SimulatedHead:
         self._motion = motion
         self._place = (0.0, 0.0)
         self._depth_mm = -motion.hover_mm
-        self._speed_mm_s = motion.search_speed_mm_s
+        self._speed_mm_s = motion.press_speed_mm_s
         self._found: dict[tuple[float, float], float] = {}
         self._pressing: SimulatedPress | None = None
         self._free_at_s = 0.0
@@ -158,21 +140,21 @@ class SimulatedHead:
     def _search(self, read_force_N: Callable[[float], float]) -> tuple[list[float], list[float]]:
         """Step down past the contact force; return the last depths [mm] and their forces [N]."""
         motion = self._motion
-        self._speed_mm_s = motion.search_speed_mm_s
-        self._go(-motion.search_from_mm, motion.travel_speed_mm_s)
+        self._speed_mm_s = motion.press_speed_mm_s
+        self._go(-SEARCH_FROM_MM, motion.travel_speed_mm_s)
         depths: list[float] = []
         forces: list[float] = []
-        while sum(force >= motion.contact_force_N for force in forces) <= _FIT_STEPS:
+        while sum(force >= _CONTACT_FORCE_N for force in forces) < SEARCH_CONTACT_STEPS:
             if self._depth_mm > _SEARCH_DEPTH_MM:
                 self.lift()
                 raise self._no_surface(
-                    f"no contact force of {motion.contact_force_N:g} N down to {_SEARCH_DEPTH_MM:g} mm below nominal"
+                    f"no contact force of {_CONTACT_FORCE_N:g} N down to {_SEARCH_DEPTH_MM:g} mm below nominal"
                 )
-            self._go(self._depth_mm + motion.search_step_mm, motion.search_speed_mm_s)
-            self._clock.sleep(motion.dwell_s)
+            self._go(self._depth_mm + SEARCH_STEP_MM, motion.press_speed_mm_s)
+            self._clock.sleep(SEARCH_DWELL_S)
             depths.append(self._depth_mm)
-            forces.append(read_force_N(motion.dwell_s))
-        return depths[-_FIT_STEPS - 1 :], forces[-_FIT_STEPS - 1 :]
+            forces.append(read_force_N(SEARCH_DWELL_S))
+        return depths[-SEARCH_CONTACT_STEPS:], forces[-SEARCH_CONTACT_STEPS:]
 
     def _no_surface(self, reason: str) -> InstrumentError:
         x_mm, y_mm = self._place

@@ -54,9 +54,12 @@ def response_ramps(press: SimulatedPress, line: QuasiStatic) -> Iterator[tuple[b
     (whether the head presses harder, the ramp of the change).
     """
     slope, intercept = line.slope.value, line.intercept.value
+    if not intercept:
+        yield from ((s.change > 0, StrainStep(s.start_s, s.ramp_s, slope * s.change)) for s in press.steps)
+        return
     strain = 0.0
     for step in press.steps:
-        for piece in _split(step, strain) if intercept else (step,):
+        for piece in _split(step, strain):
             rise = _contact(strain + piece.change) - _contact(strain)
             strain += piece.change
             yield piece.change > 0, StrainStep(piece.start_s, piece.ramp_s, slope * piece.change + intercept * rise)

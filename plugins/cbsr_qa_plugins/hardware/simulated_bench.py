@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 from difflib import get_close_matches
 from typing import Any, Final
 
@@ -9,9 +10,10 @@ import numpy as np
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.domain.plan import Motion
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.interfaces import StationContext
-from cbsr_qa.simulate.head import HeadMotion, SheetSeat, SimulatedHead
+from cbsr_qa.simulate.head import SheetSeat, SimulatedHead
 from cbsr_qa.simulate.sheet import CONTACT_LENGTH_MM
 from cbsr_qa.simulate.world import SimulatedWorld
 
@@ -25,6 +27,8 @@ _OPTIONS: Final[Mapping[str, float]] = {
     "contact_length_mm": 1e-6,
     "surface_error_mm": 0.0,
 }
+#: Where the station states none: the rig's press speed of 40 mm/min, and the shipped station's other numbers.
+_RIG_MOTION: Final = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hover_mm=25.0)
 _OTHER_KEYS: Final = ("scene",)  # read by whoever opened the bench
 
 
@@ -206,10 +210,7 @@ def _within(value: Any, lowest: float) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and lowest <= value < math.inf
 
 
-def _motion(context: StationContext, options: Mapping[str, float]) -> HeadMotion:
-    default = context.motion or HeadMotion()
-    return HeadMotion(
-        hover_mm=options.get("hover_mm", default.hover_mm),
-        travel_speed_mm_s=options.get("travel_speed_mm_s", default.travel_speed_mm_s),
-        search_speed_mm_s=context.motion.press_speed_mm_s if context.motion else HeadMotion().search_speed_mm_s,
-    )
+def _motion(context: StationContext, options: Mapping[str, float]) -> Motion:
+    motion = context.motion or _RIG_MOTION
+    own = {key: options[key] for key in ("hover_mm", "travel_speed_mm_s") if key in options}
+    return replace(motion, **own)
