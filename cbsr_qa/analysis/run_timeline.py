@@ -12,16 +12,21 @@ from cbsr_qa.domain.run import PhaseRecord, RunRecord
 from cbsr_qa.imaging.shape import area_overlap_percent, centre_of_mass_error_mm, shape_deviation_mm2
 
 #: A phase is drawn over time if it presses at least this many different places.
-_PLACES = 5
+_FEWEST_PLACES = 5
 
 
 def metric_timelines(setting: LoadSetting, record: RunRecord) -> tuple[MetricTimeline, ...]:
-    """Metrics over time of the phases that press a grid of places."""
-    return tuple(
-        _timeline(setting, phase)
-        for phase in record.phases
-        if phase.frames is not None and len({(r.load.x_mm, r.load.y_mm) for r in phase.loads}) >= _PLACES
-    )
+    """Metrics over time of the phases that press many places at the same strains."""
+    return tuple(_timeline(setting, phase) for phase in record.phases if _is_grid(phase))
+
+
+def _is_grid(phase: PhaseRecord) -> bool:
+    """Random loads differ in place and strain alike: a row of them over time compares nothing."""
+    if phase.frames is None:
+        return False
+    places = {(record.load.x_mm, record.load.y_mm) for record in phase.loads}
+    strains = {record.load.strain for record in phase.loads}
+    return len(places) >= _FEWEST_PLACES and len(strains) < len(places)
 
 
 def _timeline(setting: LoadSetting, phase: PhaseRecord) -> MetricTimeline:
