@@ -1,0 +1,246 @@
+"""A bench that does what a script says: no physics, every call written down, failing on demand.
+
+For tests of the runner, and for authors of sequences and instruments who want to see what the runner asks of a
+bench. To see what a *sensor* answers, use the simulated bench.
+"""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+
+import numpy as np
+
+from cbsr_qa.clock import Clock
+from cbsr_qa.config.loader import load_material, load_sensor_type, load_station
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.domain.plan import InstrumentSpec
+from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
+from cbsr_qa.domain.sensor import SensorIdentity, SensorType
+from cbsr_qa.domain.steps import Step
+from cbsr_qa.interfaces import SequenceContext
+from cbsr_qa.runner.bench import FORCE_APPLICATOR, FORCE_CHANNEL, FRAME_SOURCE, Bench, Mounted
+from cbsr_qa.runner.plan import Plan, PlannedPhase
+
+#: Role of the scripted bench's load cell.
+LOAD_CELL = "load_cell"
+
+Action = Callable[[], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """One call the runner made.
+
+    Parameters
+    ----------
+    name : ``"role.method"``, e.g. ``"force_applicator.press"``.
+    arguments : as given.
+    time_s : on the station's clock, when it was made.
+    """
+
+    name: str
+    arguments: tuple[object, ...]
+    time_s: float
+
+
+@dataclass(slots=True)
+class Script:
+    """What the bench was asked, and what it does besides.
+
+    Parameters
+    ----------
+    clock : the station's.
+    took_s : how long calls take, by name; every other call takes no time.
+    force_N : what the load cell reads at a time, given whether the head is down; None for no sample.
+    """
+
+    clock: Clock
+    took_s: Mapping[str, float] = field(default_factory=dict)
+    force_N: Callable[[float, bool], float | None] = lambda _, down: 1.0 if down else 0.0
+    calls: list[Call] = field(default_factory=list)
+    _by_name: dict[tuple[str, int], Action] = field(default_factory=dict)
+    _by_number: dict[int, Action] = field(default_factory=dict)
+
+    def on(self, name: str, action: Action, *, call: int = 1) -> None:
+        """Do something inside the n-th call (from 1) of a method: raise, block, advance the clock."""
+        self._by_name[name, call] = action
+
+    def at(self, number: int, action: Action) -> None:
+        """Do something inside the n-th call (from 0) of all."""
+        self._by_number[number] = action
+
+    def names(self) -> list[str]:
+        """Names of the calls so far."""
+        return [call.name for call in self.calls]
+
+    def count(self, name: str) -> int:
+        """How often a method was called."""
+        return self.names().count(name)
+
+    def called(self, name: str, *arguments: object) -> None:
+        """Write a call down, let its time pass, and do what was scripted for it."""
+        number = len(self.calls)
+        self.calls.append(Call(name, arguments, self.clock.now()))
+        self.clock.sleep(self.took_s.get(name, 0.0))
+        for action in (self._by_number.get(number), self._by_name.get((name, self.count(name)))):
+            if action is not None:
+                action()
+
+
+def raising(error: BaseException) -> Action:
+    """Return an action that raises."""
+
+    def act() -> None:
+        raise error
+
+    return act
+
+
+class _Scripted:
+    """What all scripted instruments share."""
+
+    def __init__(self, role: str, script: Script) -> None:
+        self.role = role
+        self.script = script
+
+    def identity(self) -> InstrumentIdentity:
+        """Say that it is scripted."""
+        self.script.called(f"{self.role}.identity")
+        return InstrumentIdentity(self.role, "scripted", "scripted", "", "", simulated=True)
+
+    def safe_state(self) -> None:
+        """Write it down."""
+        self.script.called(f"{self.role}.safe_state")
+
+    def close(self) -> None:
+        """Write it down."""
+        self.script.called(f"{self.role}.close")
+
+
+class ScriptedFrames(_Scripted):
+    """Frames of ones."""
+
+    def __init__(self, script: Script, shape: tuple[int, int], frame_period_s: float) -> None:
+        super().__init__(FRAME_SOURCE, script)
+        self.frame_period_s = frame_period_s
+        self._shape = shape
+
+    def acquire(self, count: int) -> FrameBlock:
+        """Take frames, each in its period."""
+        self.script.called(f"{self.role}.acquire", count)
+        times_s = self.script.clock.now() + self.frame_period_s * (np.arange(count, dtype=np.float64) + 0.5)
+        self.script.clock.sleep(count * self.frame_period_s)
+        frames = np.ones((count, *self._shape))
+        return FrameBlock(times_s, frames, np.zeros(frames.shape, np.uint8), VoltageUnit.VOLT, 1e-3)
+
+
+class ScriptedApplicator(_Scripted):
+    """A head that is down or up."""
+
+    def __init__(self, script: Script) -> None:
+        super().__init__(FORCE_APPLICATOR, script)
+        self.down = False
+
+    def home(self) -> None:
+        """Write it down."""
+        self.script.called(f"{self.role}.home")
+
+    def find_surface(self, x_mm: float, y_mm: float) -> float:
+        """Find it 20 mm below the hover height."""
+        self.script.called(f"{self.role}.find_surface", x_mm, y_mm)
+        return 20.0
+
+    def move_to(self, x_mm: float, y_mm: float) -> None:
+        """Write it down."""
+        self.script.called(f"{self.role}.move_to", x_mm, y_mm)
+
+    def press(self, depth_mm: float, speed_mm_s: float) -> None:
+        """Be down, also when the call fails: a real head may be anywhere then."""
+        self.down = True
+        self.script.called(f"{self.role}.press", depth_mm, speed_mm_s)
+
+    def release(self) -> None:
+        """Be up, if the call does not fail."""
+        self.script.called(f"{self.role}.release")
+        self.down = False
+
+    def safe_state(self) -> None:
+        """Be up, if the call does not fail."""
+        super().safe_state()
+        self.down = False
+
+
+class ScriptedLoadCell(_Scripted):
+    """Ten samples a second of what the script says."""
+
+    channel = FORCE_CHANNEL
+    unit = "N"
+    rate_hz = 10
+
+    def __init__(self, script: Script, applicator: ScriptedApplicator) -> None:
+        super().__init__(LOAD_CELL, script)
+        self._applicator = applicator
+
+    def samples_since(self, time_s: float) -> SampleBlock:
+        """Return what was sampled after a time."""
+        self.script.called(f"{self.role}.samples_since", time_s)
+        first = int(np.floor(time_s * self.rate_hz + 1e-6)) + 1
+        last = int(np.floor(self.script.clock.now() * self.rate_hz + 1e-6))
+        times_s = [number / self.rate_hz for number in range(first, last + 1)]
+        read = [(t, self.script.force_N(t, self._applicator.down)) for t in times_s]
+        kept = [(t, force) for t, force in read if force is not None]
+        times, forces = np.array(kept, dtype=np.float64).reshape(-1, 2).T
+        return SampleBlock(self.channel, self.unit, times, forces)
+
+
+def scripted_bench(script: Script, sensor_type: SensorType, *, frame_period_s: float = 2.5) -> Bench:
+    """Return a bench of three scripted instruments: frame source, force applicator, load cell."""
+    applicator = ScriptedApplicator(script)
+    frames = ScriptedFrames(script, sensor_type.pattern.shape, frame_period_s)
+    return Bench(
+        Mounted(InstrumentSpec(one.role, "scripted", (one.role,), {}, None), one)
+        for one in (applicator, frames, ScriptedLoadCell(script, applicator))
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class FixedSequence:
+    """A sequence of given steps."""
+
+    given: tuple[Step, ...]
+
+    def steps(self, context: SequenceContext) -> Iterator[Step]:
+        """Yield them, whatever the context."""
+        del context
+        yield from self.given
+
+
+def example_plan(*phases: PlannedPhase | Iterable[Step], seed: int = 0) -> Plan:
+    """Return a plan for the shipped 100 mm disc of 8 wt% on the shipped simulated station.
+
+    Parameters
+    ----------
+    phases : planned ones, or just their steps.
+    """
+    station = load_station("simulated").value
+    planned = tuple(
+        phase
+        if isinstance(phase, PlannedPhase)
+        else PlannedPhase(f"phase {number}", "fixed", FixedSequence(tuple(phase)))
+        for number, phase in enumerate(phases)
+    )
+    return Plan(
+        planned,
+        load_sensor_type(station.sensor_type).value,
+        load_material(station.material).value,
+        station.indenter,
+        station.motion,
+        station.safety,
+        seed,
+    )
+
+
+def example_identity() -> RunIdentity:
+    """Return the identity of a run that is a test of something else."""
+    sensor = SensorIdentity("EXAMPLE-001", "example", "disc-100mm")
+    return RunIdentity("example", sensor, "scripted", "example", "", datetime(2026, 1, 1, tzinfo=UTC), "", (), ())
