@@ -184,7 +184,8 @@ class RecipeFile(FileModel[Recipe]):
             name=self.recipe.name,
             phases=tuple(PhaseSpec(p.name, p.sequence, p.options) for p in self.phases),
             reconstruction=PluginChoice(self.reconstruction.method, self.reconstruction.options),
-            metrics=tuple(PluginChoice(name, options) for name, options in self.metrics.items()),
+            # Tables have no order in TOML: sorted, so that a restored recipe is the one that was read.
+            metrics=tuple(PluginChoice(name, options) for name, options in sorted(self.metrics.items())),
             analysis=self.analysis.to_domain(),
             limits=tuple(limit.to_domain() for limit in self.limits),
             calibrate_phases=tuple(self.recipe.calibrate_phases),

@@ -119,7 +119,7 @@ class StationFile(FileModel[Station]):
             ),
             instruments=tuple(
                 InstrumentSpec(name, t.driver, tuple(t.provides), t.options, t.calibration_due)
-                for name, t in self.instruments.items()
+                for name, t in sorted(self.instruments.items())  # tables have no order in TOML
             ),
         )
 

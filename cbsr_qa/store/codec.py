@@ -1,0 +1,64 @@
+"""Sensor type, material and indenter as JSON within a run's row: a stored run needs no configuration file."""
+
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Any
+
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.patterns import DrivePattern
+from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation, Response, SensorType
+
+
+def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | None = None) -> dict[str, Any]:
+    """Return plain lists, numbers and texts; :func:`decoded_sensor_type` and its neighbours are the inverse."""
+    setting = {"sensor_type": asdict(sensor_type), "indenter": asdict(indenter)}
+    if material is not None:
+        setting["material"] = asdict(material)
+    return setting
+
+
+def decoded_sensor_type(setting: Mapping[str, Any]) -> SensorType:
+    """Return the sensor type; KeyError or TypeError where the JSON is not ours."""
+    data = dict(setting["sensor_type"])
+    electrodes, pattern = dict(data.pop("electrodes")), dict(data.pop("pattern"))
+    return SensorType(
+        **{**data, "response": Response(data["response"])},
+        electrodes=ElectrodeLayout(**{**electrodes, "kind": ElectrodeKind(electrodes["kind"])}),
+        pattern=DrivePattern(pattern["electrode_count"], _pairs(pattern["drive"]), _pairs(pattern["measure"])),
+    )
+
+
+def decoded_indenter(setting: Mapping[str, Any]) -> Indenter:
+    """Return the indenter."""
+    return Indenter(**setting["indenter"])
+
+
+def decoded_material(setting: Mapping[str, Any]) -> Material:
+    """Return the material."""
+    data = setting["material"]
+    return Material(
+        name=data["name"],
+        interelectrode_resistance_ohm=Parameter(**data["interelectrode_resistance_ohm"]),
+        modulus_kPa=Parameter(**data["modulus_kPa"]),
+        against_stress=_quasi_static(data["against_stress"]),
+        against_strain=_quasi_static(data["against_strain"]),
+        stress_relaxation=_relaxation(data["stress_relaxation"]),
+        loading_relaxation=_relaxation(data["loading_relaxation"]),
+        unloading_relaxation=_relaxation(data["unloading_relaxation"]),
+        relative_noise=Parameter(**data["relative_noise"]),
+    )
+
+
+def _pairs(data: list[list[int]]) -> tuple[tuple[int, int], ...]:
+    return tuple((plus, minus) for plus, minus in data)
+
+
+def _quasi_static(data: Mapping[str, Any]) -> QuasiStatic:
+    return QuasiStatic(Parameter(**data["slope"]), Parameter(**data["intercept"]))
+
+
+def _relaxation(data: Mapping[str, Any]) -> Relaxation:
+    first, second = data["weights"]
+    fast, slow = data["time_constants_s"]
+    return Relaxation((first, second), (fast, slow), data["source"])

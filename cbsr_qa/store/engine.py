@@ -1,0 +1,112 @@
+"""Connections: SQLite set up for journalling, PostgreSQL as it is."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
+from sqlalchemy.exc import ArgumentError
+
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store.failures import shown, translated
+
+#: How long a writer waits for another one before it gives up [ms].
+BUSY_TIMEOUT_MS = 10_000
+
+_DRIVERS = {"sqlite": "sqlite", "postgresql": "postgresql+psycopg"}
+
+
+def parsed_url(text: str) -> URL:
+    """Read a database URL.
+
+    Raises
+    ------
+    StoreError
+        If it is not one, or of a database this program does not speak to.
+    """
+    try:
+        url = make_url(text)
+    except (ArgumentError, ValueError):
+        # The text is not repeated: it may hold a password.
+        raise StoreError(
+            "the database URL cannot be read",
+            remedy="it looks like sqlite:///folder/file.db or postgresql://user:password@host:5432/name",
+        ) from None
+    name = url.get_backend_name()
+    if name not in _DRIVERS:
+        raise StoreError(f"{name} databases are not supported", remedy=f"supported: {', '.join(_DRIVERS)}")
+    return url.set(drivername=_DRIVERS[name]) if "+" not in url.drivername else url
+
+
+def sqlite_file(url: URL) -> Path | None:
+    """Return the file behind a SQLite URL; None for other databases and for one in memory."""
+    if url.get_backend_name() != "sqlite" or not url.database or url.database == ":memory:":
+        return None
+    return Path(url.database.removeprefix("file:").partition("?")[0])
+
+
+def open_engine(url: URL) -> Engine:
+    """Make the engine; nothing is opened yet.
+
+    Raises
+    ------
+    StoreError
+        If the driver of this kind of database is not installed.
+    """
+    try:
+        engine = create_engine(url)
+    except ModuleNotFoundError as error:
+        raise StoreError(
+            f"{shown(url)} needs {error.name}, which is not installed", remedy="pip install 'cbsr-qa[postgres]'"
+        ) from error
+    if url.get_backend_name() == "sqlite":
+        event.listen(engine, "connect", _set_up_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+    return engine
+
+
+@contextmanager
+def reading(engine: Engine) -> Iterator[Connection]:
+    """One transaction that reads; what the database raises becomes a StoreError."""
+    with translated(engine.url), engine.begin() as connection:
+        yield connection
+
+
+@contextmanager
+def writing(engine: Engine) -> Iterator[Connection]:
+    """One transaction that writes: committed at the end, undone on any error."""
+    with translated(engine.url), engine.connect() as connection:
+        writer = connection.execution_options(cbsr_writes=True)
+        with writer.begin():
+            yield writer
+
+
+def use_write_ahead_log(engine: Engine) -> None:
+    """Make a SQLite file journal ahead, for good: readers and one writer do not wait for each other."""
+    if sqlite_file(engine.url) is None:
+        return
+    with translated(engine.url):
+        connection = engine.raw_connection()
+        try:
+            connection.cursor().execute("PRAGMA journal_mode = WAL")
+        finally:
+            connection.close()
+
+
+def _set_up_sqlite(connection: Any, record: object) -> None:
+    # Python's sqlite3 begins transactions by its own rules, and never before DDL; we begin them ourselves, so
+    # that a migration is one transaction as it is on PostgreSQL.
+    connection.isolation_level = None
+    cursor = connection.cursor()
+    cursor.execute(f"PRAGMA busy_timeout = {BUSY_TIMEOUT_MS}")
+    cursor.execute("PRAGMA foreign_keys = ON")
+    # A power cut loses no committed frame: with WAL alone (synchronous NORMAL) it may.
+    cursor.execute("PRAGMA synchronous = FULL")
+    cursor.close()
+
+
+def _begin_sqlite(connection: Connection) -> None:
+    # A transaction that will write takes the lock at once: one that asks for it later can fail without waiting.
+    immediate = connection.get_execution_options().get("cbsr_writes", False)
+    connection.exec_driver_sql("BEGIN IMMEDIATE" if immediate else "BEGIN")

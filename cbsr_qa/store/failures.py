@@ -1,0 +1,68 @@
+"""What a database says when something is wrong, turned into one clear message with what to do."""
+
+import sqlite3
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from sqlalchemy import URL
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError, StatementError
+
+from cbsr_qa.domain.errors import CbsrError, StoreError
+
+#: Part of the driver's message → (what it means, what to do). The first that fits is used.
+_KNOWN = (
+    ("file is not a database", "is not a database", "name another file, or restore it from a copy"),
+    ("malformed", "is damaged or cut off", "restore it from a copy; the damaged file is left as it is"),
+    ("unable to open database file", "cannot be opened", "check that its folder exists and may be written to"),
+    ("readonly database", "is read-only", "make the file and its folder writable, or name another database"),
+    ("read-only transaction", "is read-only", "connect as a user who may write, or name another database"),
+    ("permission denied", "refuses this user", "grant the user the right to read and write its tables"),
+    ("database is locked", "is in use by another program", "end that program, or try again"),
+    ("disk is full", "cannot grow: the disk is full", "free space; everything committed so far is kept"),
+    ("no space left", "cannot grow: the disk is full", "free space; everything committed so far is kept"),
+    ("disk i/o error", "cannot be read or written: the disk fails", "check the disk; restore the file from a copy"),
+    ("authentication failed", "refuses the user or the password", "check both in the database URL"),
+    ("does not exist", "does not exist", "create it, or correct its name in the database URL"),
+    ("connection refused", "does not answer", "start the server, or correct its address in the database URL"),
+    ("could not translate host", "has an unknown host", "correct its address in the database URL"),
+    ("failed to resolve host", "has an unknown host", "correct its address in the database URL"),
+    ("server closed the connection", "hung up", "check the server; everything committed so far is kept"),
+    ("terminating connection", "hung up", "check the server; everything committed so far is kept"),
+)
+
+
+def shown(url: URL) -> str:
+    """Write a URL with its password hidden; a SQLite file as its path."""
+    if url.get_backend_name() == "sqlite":
+        return f"database {url.database or 'in memory'}"
+    return f"database {url.render_as_string(hide_password=True)}"
+
+
+@contextmanager
+def translated(url: URL) -> Iterator[None]:
+    """Turn whatever the database raises inside into a StoreError that names it and says what to do."""
+    try:
+        yield
+    except CbsrError:
+        raise
+    except sqlite3.Error as error:  # outside of a statement, e.g. while a connection is set up
+        raise _driver_error(url, error) from error
+    except StatementError as error:
+        if isinstance(error, DBAPIError) and error.orig is not None:
+            raise _driver_error(url, error.orig) from error
+        # A value our column types refuse.
+        raise StoreError(f"{shown(url)}: {_first_line(str(error.orig))}") from error
+    except SQLAlchemyError as error:
+        raise StoreError(f"{shown(url)}: {_first_line(str(error))}") from error
+
+
+def _driver_error(url: URL, error: BaseException) -> StoreError:
+    said = _first_line(str(error))
+    for part, meaning, remedy in _KNOWN:
+        if part in said.lower():
+            return StoreError(f"{shown(url)} {meaning} ({said})", remedy=remedy)
+    return StoreError(f"{shown(url)}: {said}")
+
+
+def _first_line(text: str) -> str:
+    return text.strip().splitlines()[0] if text.strip() else "no reason given"

@@ -1,0 +1,183 @@
+"""The journal: every document of a run is committed before anybody else sees it."""
+
+import hashlib
+from collections import Counter
+from dataclasses import asdict
+from functools import singledispatchmethod
+from typing import Any
+
+from sqlalchemy import Connection, Engine, func, insert, select, update
+from sqlalchemy.orm import InstrumentedAttribute
+
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.domain.run_events import (
+    FramesTaken,
+    LoadFinished,
+    PhaseFinished,
+    PhaseStarted,
+    RunEnded,
+    RunEvent,
+    RunStarted,
+    SamplesTaken,
+    StepRetried,
+    StepStarted,
+    Unloaded,
+)
+from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.store.blocks import frame_values, sample_values
+from cbsr_qa.store.codec import encoded
+from cbsr_qa.store.engine import writing
+from cbsr_qa.store.extent import last_time_s
+from cbsr_qa.store.run_rows import begin_run, current_state, run_row
+from cbsr_qa.store.run_tables import (
+    FrameBlockRow,
+    LoadRow,
+    PhaseRow,
+    RunStateRow,
+    SampleBlockRow,
+    StepRow,
+    UnloadedMarkRow,
+)
+from cbsr_qa.store.shift import shifted
+
+
+class Journal:
+    """Stores the documents of one run: one transaction each, committed when the call returns.
+
+    A run that is already stored and not finished is resumed: its documents go on where the earlier session
+    stopped. The clock of a session begins at zero, so times are shifted to go on after the last stored one.
+
+    Parameters
+    ----------
+    engine : of an up-to-date database.
+    configuration : canonical JSON whose SHA-256 is the identity's digest.
+    sensor_type, material, indenter : what is tested, and with which head.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        *,
+        configuration: str,
+        sensor_type: SensorType,
+        material: Material,
+        indenter: Indenter,
+    ) -> None:
+        self._engine = engine
+        self._configuration = configuration
+        self._setting = encoded(sensor_type, indenter, material)
+        self._run = ""
+        self._offset_s = 0.0
+        self._next: Counter[tuple[str, int]] = Counter()
+
+    def __call__(self, event: RunEvent) -> None:
+        """Commit one document.
+
+        Raises
+        ------
+        StoreError
+            If it could not be stored; nothing of it is stored then.
+        """
+        if not self._run and not isinstance(event, RunStarted):
+            raise StoreError(f"{type(event).__name__} came before the run was started")
+        with writing(self._engine) as connection:
+            self._store(shifted(event, self._offset_s), connection)
+
+    @singledispatchmethod
+    def _store(self, event: object, connection: Connection) -> None:
+        raise TypeError(f"{type(event).__name__} is not a document of a run")
+
+    @_store.register
+    def _(self, event: RunStarted, connection: Connection) -> None:
+        identity = event.identity
+        if hashlib.sha256(self._configuration.encode()).hexdigest() != identity.configuration_digest:
+            raise StoreError(f"run {identity.run}: the configuration does not fit the identity's digest")
+        stored = run_row(connection, identity.run)
+        if stored is None:
+            begin_run(connection, identity, self._configuration, self._setting)
+        elif stored.configuration_digest != identity.configuration_digest:
+            raise StoreError(
+                f"run {identity.run} was begun with another configuration",
+                remedy="resume it without changes, or begin a new run",
+            )
+        elif current_state(connection, identity.run).end == EndReason.FINISHED:
+            raise StoreError(f"run {identity.run} is finished", remedy="begin a new run")
+        else:
+            self._offset_s = last_time_s(connection, identity.run)
+        self._run = identity.run
+        self._state(connection, EndReason.RUNNING, "", self._offset_s, ())
+
+    @_store.register
+    def _(self, event: PhaseStarted, connection: Connection) -> None:
+        known = select(PhaseRow.phase).where(PhaseRow.run == self._run, PhaseRow.phase == event.index)
+        if connection.scalar(known) is None:  # a resumed phase keeps its first beginning
+            values = {"name": event.name, "sequence": event.sequence, "started_s": event.time_s}
+            connection.execute(insert(PhaseRow), {"run": self._run, "phase": event.index, **values, "ended_s": None})
+
+    @_store.register
+    def _(self, event: StepStarted, connection: Connection) -> None:
+        step = {"step": type(event.step).__name__, **asdict(event.step)}
+        values = {"number": event.number, "attempt": 0, "step": step, "why": "", "time_s": event.time_s}
+        self._add(connection, StepRow.entry, event.phase, values)
+
+    @_store.register
+    def _(self, event: StepRetried, connection: Connection) -> None:
+        values = {"number": event.number, "attempt": event.attempt, "step": {}, "why": event.why, "time_s": None}
+        self._add(connection, StepRow.entry, event.phase, values)
+
+    @_store.register
+    def _(self, event: FramesTaken, connection: Connection) -> None:
+        if len(event.frames):
+            self._add(connection, FrameBlockRow.block, event.phase, frame_values(event.frames))
+
+    @_store.register
+    def _(self, event: SamplesTaken, connection: Connection) -> None:
+        if len(event.samples):
+            self._add(connection, SampleBlockRow.block, event.phase, sample_values(event.samples))
+
+    @_store.register
+    def _(self, event: Unloaded, connection: Connection) -> None:
+        self._add(connection, UnloadedMarkRow.mark, event.phase, {"time_s": event.time_s})
+
+    @_store.register
+    def _(self, event: LoadFinished, connection: Connection) -> None:
+        times = asdict(event.record)
+        load = times.pop("load")
+        values = {"run": self._run, "phase": event.phase, "load_index": times.pop("index"), **load, **times}
+        connection.execute(insert(LoadRow), values)
+
+    @_store.register
+    def _(self, event: PhaseFinished, connection: Connection) -> None:
+        unended = update(PhaseRow).where(
+            PhaseRow.run == self._run, PhaseRow.phase == event.index, PhaseRow.ended_s.is_(None)
+        )
+        if connection.execute(unended.values(ended_s=event.time_s)).rowcount != 1:
+            raise StoreError(f"phase {event.index} of run {self._run} was not started, or has ended already")
+
+    @_store.register
+    def _(self, event: RunEnded, connection: Connection) -> None:
+        if current_state(connection, self._run).end != EndReason.RUNNING:
+            raise StoreError(f"run {self._run} has ended already")
+        self._state(connection, event.end, event.detail, event.time_s, event.spent)
+
+    def _state(
+        self, connection: Connection, end: EndReason, detail: str, time_s: float, spent: tuple[tuple[str, float], ...]
+    ) -> None:
+        number = connection.scalar(select(func.count()).where(RunStateRow.run == self._run))
+        values = {"run": self._run, "number": number, "end": str(end), "detail": detail, "time_s": time_s}
+        connection.execute(insert(RunStateRow), {**values, "spent": [[kind, float(s)] for kind, s in spent]})
+
+    def _add(
+        self, connection: Connection, column: InstrumentedAttribute[int], phase: int, values: dict[str, Any]
+    ) -> None:
+        """Insert a row with the next number of its phase."""
+        table: Any = column.class_
+        key = (table.__tablename__, phase)
+        if key not in self._next:
+            place = table.run == self._run, table.phase == phase
+            last = connection.scalar(select(func.max(column)).where(*place))
+            self._next[key] = 0 if last is None else last + 1
+        connection.execute(insert(table), {"run": self._run, "phase": phase, column.key: self._next[key], **values})
+        self._next[key] += 1

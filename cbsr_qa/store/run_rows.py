@@ -1,0 +1,85 @@
+"""Rows of a run: begun once, looked up by everybody."""
+
+from typing import Any
+
+from sqlalchemy import Connection, Row, insert, select
+
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.store.run_tables import InstrumentRow, RunRow, RunStateRow, SensorRow
+
+
+def begin_run(connection: Connection, identity: RunIdentity, configuration: str, setting: dict[str, Any]) -> None:
+    """Insert a run with its sensor (where it is new) and its instruments."""
+    sensor = identity.sensor
+    if connection.scalar(select(SensorRow.serial).where(SensorRow.serial == sensor.serial)) is None:
+        values = {"serial": sensor.serial, "batch": sensor.batch, "sensor_type": sensor.sensor_type}
+        connection.execute(insert(SensorRow), {**values, "first_seen": identity.started_at})
+    connection.execute(
+        insert(RunRow),
+        {
+            "run": identity.run,
+            "serial": sensor.serial,
+            "batch": sensor.batch,
+            "sensor_type": sensor.sensor_type,
+            "station": identity.station,
+            "recipe": identity.recipe,
+            "operator": identity.operator,
+            "started_at": identity.started_at,
+            "configuration": configuration,
+            "configuration_digest": identity.configuration_digest,
+            "software": [list(pair) for pair in identity.software],
+            "simulated": list(identity.simulated),
+            "setting": setting,
+        },
+    )
+    for position, instrument in enumerate(identity.instruments):
+        place = {"run": identity.run, "position": position}
+        connection.execute(insert(InstrumentRow), place | _instrument_values(instrument))
+
+
+def run_row(connection: Connection, run: str) -> Row[Any] | None:
+    """Return a run's row, or None where there is no such run."""
+    return connection.execute(select(*RunRow.__table__.columns).where(RunRow.run == run)).one_or_none()
+
+
+def current_state(connection: Connection, run: str) -> Row[Any]:
+    """Return how a run stands: the last of its states."""
+    states = select(*RunStateRow.__table__.columns).where(RunStateRow.run == run)
+    row = connection.execute(states.order_by(RunStateRow.number.desc()).limit(1)).one_or_none()
+    if row is None:
+        raise StoreError(f"there is no run {run}")
+    return row
+
+
+def identity_of(connection: Connection, row: Row[Any]) -> RunIdentity:
+    """Return the identity stored in a run's row."""
+    instruments = select(*InstrumentRow.__table__.columns).where(InstrumentRow.run == row.run)
+    return RunIdentity(
+        run=row.run,
+        sensor=SensorIdentity(row.serial, row.batch, row.sensor_type),
+        station=row.station,
+        recipe=row.recipe,
+        operator=row.operator,
+        started_at=row.started_at,
+        configuration_digest=row.configuration_digest,
+        software=tuple((name, version) for name, version in row.software),
+        instruments=tuple(
+            InstrumentIdentity(i.role, i.driver, i.model, i.serial, i.firmware, i.simulated, i.calibration_due)
+            for i in connection.execute(instruments.order_by(InstrumentRow.position))
+        ),
+        simulated=tuple(row.simulated),
+    )
+
+
+def _instrument_values(instrument: InstrumentIdentity) -> dict[str, Any]:
+    return {
+        "role": instrument.role,
+        "driver": instrument.driver,
+        "model": instrument.model,
+        "serial": instrument.serial,
+        "firmware": instrument.firmware,
+        "simulated": bool(instrument.simulated),
+        "calibration_due": instrument.calibration_due,
+    }

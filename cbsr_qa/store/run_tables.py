@@ -1,0 +1,204 @@
+"""Tables of what happened: sensors, runs, phases, frames, samples, presses. Rows are added, never changed.
+
+The two exceptions say nothing a verdict rests on: a phase gets its end time, once.
+"""
+
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import JSON, ForeignKey, ForeignKeyConstraint, Index, LargeBinary, MetaData, String
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole
+
+#: Constraints are named alike on every database, so that a migration can name them.
+NAMING = {
+    "ix": "ix_%(table_name)s_%(column_0_N_name)s",
+    "uq": "uq_%(table_name)s_%(column_0_N_name)s",
+    "fk": "fk_%(table_name)s_%(column_0_N_name)s_%(referred_table_name)s",
+    "pk": "pk_%(table_name)s",
+}
+
+Identifier = String(36)  #: a time-ordered UUID as text
+
+
+class Base(DeclarativeBase):
+    """Base of every table."""
+
+    metadata = MetaData(naming_convention=NAMING)
+    type_annotation_map = {  # noqa: RUF012 - SQLAlchemy reads it as a class attribute
+        float: FiniteDouble,
+        int: Whole,
+        str: PlainText,
+        datetime: Instant,
+        bytes: LargeBinary,
+        list[Any]: JSON,
+        dict[str, Any]: JSON,
+    }
+
+
+class SensorRow(Base):
+    """One physical sensor; its batch and type as they were when it was first seen."""
+
+    __tablename__ = "sensors"
+
+    serial: Mapped[str] = mapped_column(String(64), primary_key=True)
+    batch: Mapped[str]
+    sensor_type: Mapped[str]
+    first_seen: Mapped[datetime]
+
+
+class RunRow(Base):
+    """One recipe on one sensor at one station, with everything that traces it."""
+
+    __tablename__ = "runs"
+    __table_args__ = (Index(None, "serial", "run"), Index(None, "station"), Index(None, "batch"))
+
+    run: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    serial: Mapped[str] = mapped_column(String(64), ForeignKey("sensors.serial"))
+    batch: Mapped[str]
+    sensor_type: Mapped[str]
+    station: Mapped[str]
+    recipe: Mapped[str]
+    operator: Mapped[str]
+    started_at: Mapped[datetime]
+    configuration: Mapped[str]  #: canonical JSON
+    configuration_digest: Mapped[str] = mapped_column(String(64))
+    software: Mapped[list[Any]]  #: [[distribution, version], …]
+    simulated: Mapped[list[Any]]  #: in words
+    setting: Mapped[dict[str, Any]]  #: sensor type, material and indenter in domain terms, see codec.py
+
+
+class RunStateRow(Base):
+    """How a run stands: one row when it begins, is resumed, and ends. The highest number holds."""
+
+    __tablename__ = "run_states"
+
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    end: Mapped[str]  #: an EndReason; "running" from begin or resume on
+    detail: Mapped[str]
+    time_s: Mapped[float]  #: on the run's clock
+    spent: Mapped[list[Any]]  #: [[kind of step, seconds], …] of the session that ended
+
+
+class InstrumentRow(Base):
+    """What was on the bench."""
+
+    __tablename__ = "instruments"
+
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
+    position: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    role: Mapped[str]
+    driver: Mapped[str]
+    model: Mapped[str]
+    serial: Mapped[str]
+    firmware: Mapped[str]
+    simulated: Mapped[bool]
+    calibration_due: Mapped[str | None]
+
+
+class PhaseRow(Base):
+    """One sequence of a run; without an end it was cut off."""
+
+    __tablename__ = "phases"
+
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
+    phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    name: Mapped[str]
+    sequence: Mapped[str]
+    started_s: Mapped[float]
+    ended_s: Mapped[float | None]
+
+
+def _of_phase() -> ForeignKeyConstraint:
+    return ForeignKeyConstraint(["run", "phase"], ["phases.run", "phases.phase"])
+
+
+class StepRow(Base):
+    """A step that began, or was tried again; the last one of a run that was cut off is where it stood."""
+
+    __tablename__ = "steps"
+    __table_args__ = (_of_phase(),)
+
+    run: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    entry: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)  #: counts rows of the phase
+    number: Mapped[int]  #: of the step within its phase
+    attempt: Mapped[int]  #: 0 for the first
+    step: Mapped[dict[str, Any]]  #: {"step": kind, …its fields}; empty where it is tried again
+    why: Mapped[str]  #: why it is tried again; empty on the first attempt
+    time_s: Mapped[float | None]  #: None where it is tried again
+
+
+class FrameBlockRow(Base):
+    """Consecutive frames: little-endian arrays, one transaction a block, checked by their digest when read."""
+
+    __tablename__ = "frame_blocks"
+    __table_args__ = (_of_phase(),)
+
+    run: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    block: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    frames: Mapped[int]
+    drives: Mapped[int]
+    measures: Mapped[int]
+    unit: Mapped[str] = mapped_column(String(16))
+    current_a: Mapped[float | None]
+    first_s: Mapped[float]
+    last_s: Mapped[float]
+    time_s: Mapped[bytes]  #: float64 (frames,)
+    voltages: Mapped[bytes]  #: float64 (frames, drives, measures)
+    flags: Mapped[bytes]  #: uint8 (frames, drives, measures)
+    reading_time_s: Mapped[bytes | None]  #: float64 (frames, drives, measures)
+    sha256: Mapped[str] = mapped_column(String(64))
+
+
+class SampleBlockRow(Base):
+    """Consecutive samples of one channel, stored like frames."""
+
+    __tablename__ = "sample_blocks"
+    __table_args__ = (_of_phase(),)
+
+    run: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    block: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    channel: Mapped[str]
+    unit: Mapped[str] = mapped_column(String(16))
+    samples: Mapped[int]
+    time_s: Mapped[bytes]  #: float64 (samples,)
+    sample_values: Mapped[bytes] = mapped_column()  #: float64 (samples,)
+    sha256: Mapped[str] = mapped_column(String(64))
+
+
+class LoadRow(Base):
+    """A press that was held to its end."""
+
+    __tablename__ = "loads"
+    __table_args__ = (_of_phase(),)
+
+    run: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    load_index: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    label: Mapped[str]
+    x_mm: Mapped[float]
+    y_mm: Mapped[float]
+    strain: Mapped[float]
+    trial: Mapped[int]
+    press_start_s: Mapped[float]
+    hold_start_s: Mapped[float]
+    release_start_s: Mapped[float]
+    release_end_s: Mapped[float]
+    rest_end_s: Mapped[float]
+
+
+class UnloadedMarkRow(Base):
+    """From when on the sheet counted as rested; a resumed phase has one per session, the latest holds."""
+
+    __tablename__ = "unloaded_marks"
+    __table_args__ = (_of_phase(),)
+
+    run: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    mark: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    time_s: Mapped[float]

@@ -1,0 +1,142 @@
+"""Versions of the database's schema: what is there, what this program needs, and how to get from one to the other."""
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+from sqlalchemy import Connection, Engine, inspect, text
+
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store.engine import reading, sqlite_file, use_write_ahead_log, writing
+from cbsr_qa.store.failures import shown
+
+#: Revisions in order; the last is what this program reads and writes. Kept here so that opening a database
+#: that is up to date costs no import of Alembic; a test compares it with the migration scripts.
+REVISIONS: Final = ("0001", "0002")
+HEAD: Final = REVISIONS[-1]
+VERSION_TABLE: Final = "alembic_version"
+
+
+class Age(Enum):
+    """How a database's schema stands to this program's."""
+
+    EMPTY = "empty"
+    CURRENT = "current"
+    OLDER = "older"
+    NEWER = "newer"
+    FOREIGN = "of another program"
+
+
+@dataclass(frozen=True, slots=True)
+class SchemaVersion:
+    """What was found.
+
+    Parameters
+    ----------
+    revision : None where the database has no version.
+    """
+
+    age: Age
+    revision: str | None
+
+
+def found_version(engine: Engine) -> SchemaVersion:
+    """Look at a database without changing it; a SQLite file that does not exist counts as empty, and stays so.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be opened or read.
+    """
+    file = sqlite_file(engine.url)
+    if file is not None and not file.exists() and not file.is_symlink():
+        return SchemaVersion(Age.EMPTY, None)
+    with reading(engine) as connection:
+        return _found(connection)
+
+
+def upgrade(engine: Engine, target: str = HEAD) -> SchemaVersion:
+    """Bring a database to a revision, in one transaction: after an error it is as it was.
+
+    Returns
+    -------
+    The version it had before.
+
+    Raises
+    ------
+    StoreError
+        If it is newer than this program, belongs to another, or cannot be written.
+    """
+    before = found_version(engine)
+    if before.age in (Age.NEWER, Age.FOREIGN):
+        raise refusal(engine, before)
+    _make_folder(engine)
+    use_write_ahead_log(engine)
+    with writing(engine) as connection:
+        before = _found(connection)  # again, under the lock: another program may have been faster
+        if before.revision != target:
+            _alembic(connection, "upgrade", target)
+    return before
+
+
+def downgrade(engine: Engine, target: str) -> None:
+    """Take a database back to an earlier revision (``"base"``: nothing left); what only later ones hold is lost."""
+    with writing(engine) as connection:
+        _alembic(connection, "downgrade", target)
+
+
+def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
+    """Say why a database cannot be used as it is."""
+    match version.age:
+        case Age.OLDER:
+            return StoreError(
+                f"{shown(engine.url)} has schema {version.revision}, older than this program's {HEAD}",
+                remedy="copy it, then run: cbsr-qa db upgrade",
+            )
+        case Age.NEWER:
+            return StoreError(
+                f"{shown(engine.url)} has schema {version.revision}, which this program ({HEAD}) does not know",
+                remedy="use the newer version of cbsr-qa that made it",
+            )
+        case Age.FOREIGN:
+            return StoreError(
+                f"{shown(engine.url)} belongs to another program: it has tables, but no schema version of ours",
+                remedy="name another database",
+            )
+        case _:
+            return StoreError(f"{shown(engine.url)} does not exist or is empty", remedy="test a sensor first")
+
+
+def _found(connection: Connection) -> SchemaVersion:
+    tables = inspect(connection).get_table_names()
+    if VERSION_TABLE not in tables:
+        return SchemaVersion(Age.FOREIGN if tables else Age.EMPTY, None)
+    revision = connection.scalar(text(f"SELECT version_num FROM {VERSION_TABLE}"))
+    if revision is None:
+        return SchemaVersion(Age.EMPTY if tables == [VERSION_TABLE] else Age.FOREIGN, None)
+    if revision == HEAD:
+        return SchemaVersion(Age.CURRENT, revision)
+    return SchemaVersion(Age.OLDER if revision in REVISIONS else Age.NEWER, revision)
+
+
+def _make_folder(engine: Engine) -> None:
+    file = sqlite_file(engine.url)
+    if file is None:
+        return
+    try:
+        file.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StoreError(
+            f"folder {file.parent} of the database cannot be made: {error.strerror}",
+            remedy="free it, or name another database with --database or CBSR_QA_DATABASE",
+        ) from error
+
+
+def _alembic(connection: Connection, direction: str, target: str) -> None:
+    from alembic import command
+    from alembic.config import Config
+
+    config = Config()
+    config.set_main_option("script_location", "cbsr_qa._migrations:")
+    config.attributes["connection"] = connection
+    getattr(command, direction)(config, target)
