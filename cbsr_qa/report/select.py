@@ -1,0 +1,99 @@
+"""Finding loads and measurements: what several sections ask for."""
+
+from collections.abc import Iterable, Sequence
+from itertools import groupby
+from statistics import fmean, stdev
+
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.report import RunResult
+from cbsr_qa.report.numbers import with_uncertainty
+
+#: The spatial metrics: measurement name, heading, unit.
+SPATIAL = (
+    ("centre_of_mass_error", "E_CoM", "mm"),
+    ("area_overlap", "A_OL", "%"),
+    ("shape_deviation", "SD", "mm²"),
+)
+
+
+def observed(result: RunResult | RecordingResult) -> RunObservation | None:
+    """Return what was observed in a run; None for a recording, or where nothing could be analysed."""
+    return result.observation if isinstance(result, RunResult) else None
+
+
+def loads_of(run: RunObservation, sequence: str) -> tuple[LoadObservation, ...]:
+    """Return the loads of the phases a sequence plugin made, in time order."""
+    phases = {phase.name for phase in run.record.phases if phase.sequence == sequence}
+    return tuple(load for load in run.loads if load.phase in phases)
+
+
+def by_label(loads: Iterable[LoadObservation]) -> dict[str, list[LoadObservation]]:
+    """Group loads by their label, in order of first appearance."""
+    groups: dict[str, list[LoadObservation]] = {}
+    for load in loads:
+        groups.setdefault(load.record.load.label, []).append(load)
+    return groups
+
+
+def by_phase(loads: Iterable[LoadObservation]) -> list[tuple[str, list[LoadObservation]]]:
+    """Split loads in time order where the phase changes."""
+    return [(phase, list(members)) for phase, members in groupby(loads, key=lambda load: load.phase)]
+
+
+class Measured:
+    """Measurements by name, phase, location, trial and qualifier.
+
+    A load is told by its place in its phase: the same label and trial at several strains are told apart by order.
+    """
+
+    def __init__(self, measurements: Sequence[Measurement]) -> None:
+        self._found: dict[tuple[str, str, str, int | None, str], list[Measurement]] = {}
+        for m in measurements:
+            self._found.setdefault((m.name, m.phase, m.location, m.trial, m.qualifier), []).append(m)
+
+    def of_load(
+        self, name: str, load: LoadObservation, siblings: Sequence[LoadObservation], qualifier: str = ""
+    ) -> Measurement | None:
+        """Return one measurement of one load; None where no metric took it.
+
+        Parameters
+        ----------
+        siblings : the loads of the run in time order, the load among them.
+        """
+        wanted = load.record.load
+        found = self._found.get((name, load.phase, wanted.label, wanted.trial, qualifier), [])
+        same = [s for s in siblings if _key(s) == _key(load)]
+        if len(found) == len(same):
+            return found[next(rank for rank, sibling in enumerate(same) if sibling is load)]
+        return found[0] if len(found) == 1 else None
+
+    def values(
+        self, name: str, loads: Sequence[LoadObservation], siblings: Sequence[LoadObservation], qualifier: str = ""
+    ) -> list[float]:
+        """Return the values of one measurement over some loads; those without one are left out."""
+        found = (self.of_load(name, load, siblings, qualifier) for load in loads)
+        return [m.value for m in found if m is not None and m.value is not None]
+
+
+def mask_qualifier(run: RunObservation, fraction: float) -> str:
+    """Return the qualifier the metrics give a mask: none for the main one."""
+    return "" if abs(fraction - run.main_mask) < 1e-9 else f"mask {100 * fraction:g} %"
+
+
+def mean_deviation(values: Sequence[float]) -> tuple[float, float | None] | None:
+    """Return mean and standard deviation (None for a single value); None where there is no value."""
+    if not values:
+        return None
+    return fmean(values), stdev(values) if len(values) > 1 else None
+
+
+def spread_text(values: Sequence[float]) -> str:
+    """Write mean ± standard deviation of some values; a dash where there are none."""
+    found = mean_deviation(values)
+    return "–" if found is None else with_uncertainty(*found)
+
+
+def _key(load: LoadObservation) -> tuple[str, str, int]:
+    return load.phase, load.record.load.label, load.record.load.trial

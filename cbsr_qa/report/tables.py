@@ -1,0 +1,53 @@
+"""Cells and rows that several sections write alike."""
+
+from collections.abc import Sequence
+
+from cbsr_qa.domain.measurement import Limit, Measurement
+from cbsr_qa.domain.report import Cell, Table
+from cbsr_qa.report.numbers import number, quantity, scaled_unit, unit_shown, with_uncertainty
+
+
+def text_table(
+    caption: str, columns: Sequence[str], rows: Sequence[Sequence[str | Cell]], numeric: Sequence[int] = ()
+) -> Table:
+    """Make a table from plain strings and cells."""
+    cells = tuple(tuple(c if isinstance(c, Cell) else Cell(c) for c in row) for row in rows)
+    return Table(caption, tuple(columns), cells, tuple(numeric))
+
+
+def value_cell(measurement: Measurement | None, *, unit: bool = False) -> Cell:
+    """Write a measurement's value, coloured by its outcome; a dash where nobody took it."""
+    if measurement is None:
+        return Cell("–")
+    outcome = measurement.outcome if measurement.limit is not None else None
+    if measurement.value is None:
+        return Cell("not measured", outcome)
+    if unit:
+        return Cell(quantity(measurement.value, measurement.unit, measurement.uncertainty), outcome)
+    return Cell(with_uncertainty(measurement.value, measurement.uncertainty), outcome)
+
+
+def limit_text(limit: Limit) -> str:
+    """Write a limit: ``≤ 5 mm``, ``50 to 100 %``."""
+    bounds = [b for b in (limit.lower, limit.upper) if b is not None]
+    scale, shown = scaled_unit(max(bounds, key=abs), limit.unit)
+    gap = "\N{NO-BREAK SPACE}" if shown else ""
+    if limit.lower is not None and limit.upper is not None:
+        return f"{number(limit.lower / scale)} to {number(limit.upper / scale)}{gap}{shown}"
+    sign, bound = ("≥", limit.lower) if limit.lower is not None else ("≤", limit.upper)
+    assert bound is not None
+    return f"{sign} {number(bound / scale)}{gap}{shown}"
+
+
+def margin_text(measurement: Measurement) -> str:
+    """Write the distance from the nearer bound, negative outside; empty where there is none."""
+    if measurement.limit is None or measurement.value is None:
+        return ""
+    margin = measurement.limit.margin(measurement.value)
+    return f"{'+' if margin > 0 else ''}{quantity(margin, measurement.unit)}"
+
+
+def unit_column(name: str, unit: str) -> str:
+    """Head a column: ``E_CoM [mm]``."""
+    shown = unit_shown(unit)
+    return f"{name} [{shown}]" if shown else name

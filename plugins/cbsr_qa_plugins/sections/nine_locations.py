@@ -1,0 +1,102 @@
+"""The grid of locations: where each load was seen, table and map."""
+
+from collections.abc import Sequence
+from statistics import fmean
+
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.outcome import worst
+from cbsr_qa.domain.report import Cell, Paragraph, RunResult, Section, Table
+from cbsr_qa.report.figures_loads import arrow_scale, location_map_figure
+from cbsr_qa.report.loads import seen_loads
+from cbsr_qa.report.numbers import number, plural, with_uncertainty
+from cbsr_qa.report.select import SPATIAL, Measured, by_label, loads_of, observed, spread_text
+from cbsr_qa.report.tables import value_cell
+
+
+class NineLocations:
+    """Section of the loads that the ``location-grid`` sequence pressed."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where no grid was pressed."""
+        run = observed(result)
+        loads = loads_of(run, "location-grid") if run else ()
+        if run is None or not loads or not isinstance(result, RunResult):
+            return None
+        measured = Measured(result.measurements)
+        seen = seen_loads(loads, run, measured)
+        scale = arrow_scale(seen)
+        longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
+        figure = location_map_figure(
+            seen,
+            run.record.sensor_type,
+            caption=f"Where the loads were and where they were seen (mask {100 * run.main_mask:g} %). Dashed: the"
+            f" indenter. Blue: outline of the sensed blob. Arrows: error from the indenter's centre to the blob's"
+            f" centre of mass, {longer}. Right: every press; a diamond is outside its limit, a cross was not"
+            " detected.",
+            alternative=_in_words(loads, run, measured),
+        )
+        words = Paragraph(
+            f"{plural(len(loads), 'press', 'presses')} at {plural(len(by_label(loads)), 'location')};"
+            f" {_in_words(loads, run, measured)}"
+        )
+        return Section("Locations", (words, figure, _table(loads, result, run, measured)))
+
+
+def _in_words(loads: Sequence[LoadObservation], run: RunObservation, measured: Measured) -> str:
+    errors = measured.values("centre_of_mass_error", loads, run.loads)
+    if not errors:
+        return "none of the presses was seen in the image."
+    largest = max(errors)
+    lost = len(loads) - len(errors)
+    unseen = "" if not lost else f" {plural(lost, 'press was', 'presses were')} not detected."
+    return f"mean error {number(fmean(errors), 2)} mm, largest {number(largest, 2)} mm.{unseen}"
+
+
+def _table(loads: Sequence[LoadObservation], result: RunResult, run: RunObservation, measured: Measured) -> Table:
+    baseline = {b.location: b for b in result.calibration.baseline} if result.calibration else {}
+    columns = ["Location", "x, y [mm]", "Trials", "E_CoM [mm]", "A_OL [%]", "Band", "SD [mm²]", "Force [N]"]
+    columns += ["ρ̄₀ × 10³"] if baseline else []
+    rows = []
+    for label, members in by_label(loads).items():
+        place = members[0].record.load
+        row = [Cell(label), Cell(f"{place.x_mm:g}, {place.y_mm:g}".replace("-", "−")), Cell(str(len(members)))]
+        error, overlap, deviation = (_cell(name, members, run, measured) for name, _, _ in SPATIAL)
+        row += [error, overlap, Cell(_bands(members, run, measured)), deviation, Cell(_force(members))]
+        if baseline:
+            known = baseline.get(label)
+            value = None if known is None else known.value
+            stderr = None if known is None or known.stderr is None else 1e3 * known.stderr
+            row.append(Cell("–" if value is None else with_uncertainty(1e3 * value, stderr)))
+        rows.append(tuple(row))
+    caption = (
+        "Each location: error of the centre of mass, mutual overlap with its band, deviation of the outline, force."
+        " Over several trials: mean ± standard deviation; a single press stands without one."
+    )
+    numeric = (1, 2, 3, 4, 6, 7, 8) if baseline else (1, 2, 3, 4, 6, 7)
+    return Table(caption, tuple(columns), tuple(rows), numeric)
+
+
+def _cell(name: str, members: Sequence[LoadObservation], run: RunObservation, measured: Measured) -> Cell:
+    if len(members) == 1:
+        return value_cell(measured.of_load(name, members[0], run.loads))
+    found = [measured.of_load(name, load, run.loads) for load in members]
+    outcomes = [m.outcome for m in found if m is not None and m.limit is not None]
+    return Cell(spread_text(measured.values(name, members, run.loads)), worst(outcomes) if outcomes else None)
+
+
+def _bands(members: Sequence[LoadObservation], run: RunObservation, measured: Measured) -> str:
+    """Return the bands the overlap metric names at the head of its ``how``, with counts where they differ."""
+    found = [measured.of_load("area_overlap", load, run.loads) for load in members]
+    names = [m.how.partition(";")[0] for m in found if m is not None and m.value is not None]
+    counts = {name: names.count(name) for name in dict.fromkeys(names)}
+    if len(counts) == 1:
+        return next(iter(counts))
+    return ", ".join(f"{count} × {name}" for name, count in counts.items()) or "–"
+
+
+def _force(members: Sequence[LoadObservation]) -> str:
+    forces = [load.force_N for load in members if load.force_N is not None]
+    if len(forces) == 1 and len(members) == 1:
+        return with_uncertainty(forces[0], members[0].force_stderr_N)
+    return spread_text(forces)

@@ -1,0 +1,116 @@
+"""Relaxations after presses and releases: fits on their traces, and settling times."""
+
+from collections.abc import Sequence
+
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.observation import RelaxationObservation
+from cbsr_qa.domain.relaxation import FitStatus
+from cbsr_qa.domain.report import Block, Paragraph, RunResult, Section, Table
+from cbsr_qa.report.figures_relaxation import SettledLoad, relaxation_figure, settling_figure
+from cbsr_qa.report.loads import settled_loads
+from cbsr_qa.report.numbers import plural, with_uncertainty
+from cbsr_qa.report.select import loads_of, observed, spread_text
+from cbsr_qa.report.tables import text_table
+
+
+class RelaxationFits:
+    """Section of relaxation fits and settling times (paper: Figs D.19 to D.22)."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where no relaxation was fitted."""
+        run = observed(result)
+        loads = settled_loads(run.loads) if run else ()
+        if run is None or not loads:
+            return None
+        signals = list(dict.fromkeys(r.signal for load in loads for r in load.relaxations))
+        apart = settled_loads(loads_of(run, "relaxation"))
+        shown = next((load for load in loads if apart and load.label == apart[0].label), None)
+        shown = next((load for load in loads if apart and load.group == apart[0].group), shown) or _best(loads)
+        blocks: list[Block] = [
+            relaxation_figure(
+                loads,
+                shown,
+                signals,
+                caption=f"Relaxation of {shown.label} ({shown.group}): readings (dots), fit of one or two"
+                " exponentials (line), settling band (shaded) and settling time (dashed). Grey: all other presses.",
+                alternative=f"Traces and fits of {', '.join(signals)} after the press and after the release.",
+            ),
+            _fits(shown),
+            settling_figure(
+                loads,
+                signals,
+                caption="Settling time of every press (filled) and release (open), in the order they were made."
+                " Lines: means of those that settled. A triangle is a lower bound: it was still outside the band"
+                " at the end of its window.",
+                alternative="Settling times of all loads, for loading and unloading.",
+            ),
+            _by_strain(loads, signals),
+        ]
+        rejected = [r for load in loads for r in load.relaxations if r.fit.status is FitStatus.REJECTED]
+        if rejected:
+            reasons = ", ".join(dict.fromkeys(r.fit.why for r in rejected if r.fit.why))
+            blocks.append(Paragraph(f"{plural(len(rejected), 'fit was', 'fits were')} rejected: {reasons}.", "note"))
+        return Section("Relaxation and settling", tuple(blocks))
+
+
+def _best(loads: Sequence[SettledLoad]) -> SettledLoad:
+    """Return the load whose fits explain most: the one worth pointing out where none was held for this."""
+    return max(loads, key=lambda load: sum(r.fit.r_squared for r in load.relaxations))
+
+
+def _fits(load: SettledLoad) -> Table:
+    rows = [_fit_row(relaxation) for relaxation in load.relaxations]
+    columns = ("Signal", "After", "Form", "a₀", "τ₁ [s]", "τ₂ [s]", "R²", "Settled [s]")
+    caption = f"Fits of {load.label} ({load.group}), G(t) = a₀ + a₁ exp(−t/τ₁) + a₂ exp(−t/τ₂)."
+    return text_table(caption, columns, rows, (3, 4, 5, 6, 7))
+
+
+def _fit_row(relaxation: RelaxationObservation) -> list[str]:
+    fit = relaxation.fit
+    after = "press" if relaxation.loading else "release"
+    pairs = list(zip(fit.time_constants_s, fit.time_constant_stderr_s, strict=False))
+    taus = [with_uncertainty(tau, stderr) for tau, stderr in pairs] + ["–", "–"]
+    offset = "–" if fit.status is FitStatus.REJECTED else with_uncertainty(fit.offset, fit.offset_stderr)
+    return [
+        relaxation.signal,
+        after,
+        fit.status.value,
+        offset,
+        *taus[:2],
+        f"{fit.r_squared:.3f}",
+        _settled(relaxation),
+    ]
+
+
+def _settled(relaxation: RelaxationObservation) -> str:
+    settling = relaxation.settling
+    if settling.value_s is None:
+        return "–"
+    return f"{'> ' if settling.censored else ''}{settling.value_s:.1f}"
+
+
+def _by_strain(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table:
+    rows = []
+    for signal in signals:
+        for loading in (True, False):
+            for strain in sorted({round(load.strain, 3) for load in loads}):
+                found = [load.one(signal, loading) for load in loads if round(load.strain, 3) == strain]
+                rows.append(_strain_row(signal, loading, strain, [r for r in found if r is not None]))
+    columns = ("Signal", "After", "Strain [%]", "Settling [s]", "Settled", "Later than window", "Rejected")
+    caption = (
+        "Settling by strain: mean ± standard deviation of those that settled, and how many did not. Where some are"
+        " later than their window the mean is too low, and is marked ≥."
+    )
+    return text_table(caption, columns, [row for row in rows if row], (2, 3, 4, 5, 6))
+
+
+def _strain_row(signal: str, loading: bool, strain: float, found: Sequence[RelaxationObservation]) -> list[str]:
+    if not found:
+        return []
+    settled = [r.settling.value_s for r in found if r.settling.value_s is not None and not r.settling.censored]
+    censored = [r.settling.value_s for r in found if r.settling.value_s is not None and r.settling.censored]
+    rejected = len(found) - len(settled) - len(censored)
+    mean = f"≥ {spread_text([*settled, *censored])}" if censored else spread_text(settled)
+    after = "press" if loading else "release"
+    counts = (len(settled), len(censored), rejected)
+    return [signal, after, f"{100 * strain:.3g}", mean, *map(str, counts)]

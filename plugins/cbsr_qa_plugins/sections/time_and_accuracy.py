@@ -1,0 +1,86 @@
+"""Where the time went, and what accuracy it bought."""
+
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.observation import RunObservation
+from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
+from cbsr_qa.domain.run import PhaseRecord
+from cbsr_qa.report.figures_budget import Budget, budget_figure
+from cbsr_qa.report.figures_metrics import Held, waiting_figure
+from cbsr_qa.report.numbers import duration
+from cbsr_qa.report.select import Measured, observed, spread_text
+from cbsr_qa.report.tables import text_table
+
+
+class TimeAndAccuracy:
+    """Section that puts seconds beside millimetres."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None for a recording, or where no time was recorded."""
+        if not isinstance(result, RunResult):
+            return None
+        budgets = [
+            Budget(title, parts)
+            for title, parts in (
+                ("Station", _named(result.record.spent)),
+                ("Computing", _named(result.compute_s)),
+            )
+            if sum(seconds for _, seconds in parts) > 0
+        ]
+        if not budgets:
+            return None
+        computing = sum(seconds for _, seconds in result.compute_s)
+        told = (
+            f"The sensor occupied the station for {duration(result.record.station_s)};"
+            f" computing took {duration(computing)}."
+        )
+        blocks: list[Block] = [Paragraph(told)]
+        caption = "Where the time went, largest part first. Station time is what a test costs."
+        blocks.append(budget_figure(budgets, caption=caption, alternative=told))
+        run = observed(result)
+        if run is not None:
+            blocks.append(_bought(result, run))
+            blocks += _waiting(run)
+        return Section("Time, and what accuracy it bought", tuple(blocks))
+
+
+def _named(parts: tuple[tuple[str, float], ...]) -> tuple[tuple[str, float], ...]:
+    return tuple((name.replace("_", " "), seconds) for name, seconds in parts if seconds > 0)
+
+
+def _bought(result: RunResult, run: RunObservation) -> Table:
+    measured = Measured(result.measurements)
+    rows = [_phase_row(phase, run, measured) for phase in run.record.phases]
+    columns = ("Phase", "Time", "Presses", "Time a press", "Frames averaged", "E_CoM [mm]", "A_OL [%]")
+    caption = "What each phase cost and what it bought: mean ± standard deviation over its presses."
+    return text_table(caption, columns, rows, (1, 2, 3, 4, 5, 6))
+
+
+def _phase_row(phase: PhaseRecord, run: RunObservation, measured: Measured) -> list[str]:
+    loads = [load for load in run.loads if load.phase == phase.name]
+    seconds = phase.ended_s - phase.started_s
+    if not loads:
+        return [phase.name, duration(seconds), "0", "–", "–", "–", "–"]
+    cycle = sum(load.record.rest_end_s - load.record.press_start_s for load in loads) / len(loads)
+    averaged = spread_text([float(load.steady_frames) for load in loads])
+    spatial = [spread_text(measured.values(n, loads, run.loads)) for n in ("centre_of_mass_error", "area_overlap")]
+    return [phase.name, duration(seconds), str(len(loads)), duration(cycle), averaged, *spatial]
+
+
+def _waiting(run: RunObservation) -> list[Figure]:
+    figures = []
+    for timeline in run.timelines:
+        mask = min(range(len(timeline.masks)), key=lambda k: abs(timeline.masks[k] - run.main_mask))
+        records = [load.record for load in run.loads if load.phase == timeline.phase]
+        held = [Held(r.load.label, r.hold_start_s, r.release_start_s) for r in records]
+        figures.append(
+            waiting_figure(
+                timeline,
+                mask,
+                held,
+                caption=f"What waiting buys ({timeline.phase}): error and overlap of single frames against the time"
+                " held, mean over the presses with the middle half of them shaded. Where the line is flat, a shorter"
+                " hold costs no accuracy.",
+                alternative="Error and overlap against the time a load was held.",
+            )
+        )
+    return figures

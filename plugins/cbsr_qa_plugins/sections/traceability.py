@@ -1,0 +1,91 @@
+"""What the numbers can be traced to: instruments, software, settings."""
+
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.observation import RunObservation
+from cbsr_qa.domain.report import Block, RunResult, Section, Table
+from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.report.numbers import duration, number, quantity
+from cbsr_qa.report.tables import text_table
+
+
+class Traceability:
+    """Section of instruments with identity and due dates, software versions, digest, geometry and settings."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None for a recording."""
+        if not isinstance(result, RunResult):
+            return None
+        record = result.record
+        blocks: list[Block] = [_instruments(record), _sensor(record)]
+        if result.observation is not None:
+            blocks.append(_analysis(result.observation))
+        blocks.append(_phases(record))
+        blocks.append(_software(record))
+        return Section("Traceability", tuple(blocks))
+
+
+def _instruments(record: RunRecord) -> Table:
+    rows = []
+    for i in record.identity.instruments:
+        due = "not applicable" if i.simulated else i.calibration_due or "not stated"
+        rows.append(
+            [i.role, i.model, i.serial or "–", i.firmware or "–", i.driver, "yes" if i.simulated else "no", due]
+        )
+    columns = ("Role", "Model", "Serial", "Firmware", "Driver", "Simulated", "Calibration due")
+    return text_table("Instruments on the bench, as they identified themselves.", columns, rows)
+
+
+def _sensor(record: RunRecord) -> Table:
+    sensor, layout = record.sensor_type, record.sensor_type.electrodes
+    turn = "counterclockwise" if layout.counterclockwise else "clockwise"
+    electrodes = (
+        f"{layout.count} {layout.kind.value}s of {layout.width_mm:g} mm on a ring of"
+        f" {layout.ring_radius_mm:g} mm radius, counted {turn} from {layout.first_angle_deg:g}°"
+    )
+    drives, measures = sensor.pattern.shape
+    rows = [
+        ["Sheet", f"{2 * sensor.radius_mm:g} mm diameter, {sensor.thickness_mm:g} mm thick"],
+        ["Electrodes", electrodes],
+        ["Readings a frame", f"{drives} drive pairs × {measures} measure pairs"],
+        ["Indenter", f"{record.indenter.diameter_mm:g} mm diameter, {record.indenter.area_mm2:.1f} mm²"],
+        ["Configuration digest (SHA-256)", record.identity.configuration_digest],
+    ]
+    return text_table("What was tested, and with what configuration.", ("Item", "Value"), rows)
+
+
+def _analysis(run: RunObservation) -> Table:
+    chosen, settings = run.reconstruction.choice, run.settings
+    current = run.unloaded.current_A
+    masks = ", ".join(f"{100 * fraction:g} %" for fraction in settings.masks)
+    rows = [
+        ["Reconstruction", run.reconstruction.method],
+        ["Regularisation λ", f"{number(chosen.value)}: {chosen.how}"],
+        ["Readings imaged", f"{int(run.usable.sum())} of {run.usable.size}"],
+        ["Drive current", "not stated" if current is None else quantity(current, "A")],
+        ["Reference", "mean of the unloaded frames" if settings.reference == "run" else "frames before each press"],
+        ["Response to load", f"{run.response.value} ({run.response_how})"],
+        ["Noise floor", f"{number(run.noise_floor)} (relative), from {len(run.noise_images)} unloaded images"],
+        ["Masks", f"{masks}; {100 * run.main_mask:g} % decides"],
+        ["Overlap and outline", f"{settings.clipping} clipping, perimeter by {settings.perimeter}"],
+    ]
+    return text_table("How images became numbers.", ("Choice", "Value"), rows)
+
+
+def _phases(record: RunRecord) -> Table:
+    rows = [
+        [
+            phase.name,
+            phase.sequence,
+            duration(phase.ended_s - phase.started_s),
+            str(0 if phase.frames is None else len(phase.frames)),
+            str(len(phase.loads)),
+        ]
+        for phase in record.phases
+    ]
+    columns = ("Phase", "Sequence", "Time", "Frames", "Presses")
+    return text_table("What was done.", columns, rows, (2, 3, 4))
+
+
+def _software(record: RunRecord) -> Table:
+    rows = [[name, version] for name, version in record.identity.software]
+    return text_table("Software.", ("Distribution", "Version"), rows)
