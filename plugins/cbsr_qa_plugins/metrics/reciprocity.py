@@ -1,0 +1,37 @@
+"""Reciprocity: exchanging drive and measure pair must not change a reading."""
+
+from typing import Any
+
+import numpy as np
+
+from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.observation import RunObservation
+from cbsr_qa_plugins.metrics._shared import refuse_unknown
+
+
+class ReciprocityError:
+    """``reciprocity_error`` [1] of the reference frame: rms |V_ij − V_ji| over rms |V| of the imaged readings.
+
+    Multiplexers that keep a share of the previous reading break reciprocity too: a large value is a reason to look,
+    not yet an electrode fault. It has no options.
+    """
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("reciprocity", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; patterns whose drive and measure pairs differ have no reciprocal readings."""
+        pattern = run.record.sensor_type.pattern
+        if pattern.drive != pattern.measure:
+            return (_refused("drive and measure pairs differ, so no reading has a reciprocal one"),)
+        both = run.usable & run.usable.T & ~np.eye(len(pattern.drive), dtype=np.bool_)
+        level = float(np.sqrt(np.mean(run.reference[both] ** 2))) if both.any() else 0.0
+        if level == 0:
+            return (_refused("no imaged reading has a reciprocal one, or all are zero"),)
+        error = float(np.sqrt(np.mean((run.reference - run.reference.T)[both] ** 2))) / level
+        how = f"rms over {int(both.sum()) // 2} pairs of readings of the reference frame"
+        return (Measurement("reciprocity_error", error, "1", how=how),)
+
+
+def _refused(why: str) -> Measurement:
+    return Measurement("reciprocity_error", None, "1", how=why)
