@@ -1,0 +1,46 @@
+"""``cbsr-qa db``: looks after the database."""
+
+from typing import Annotated
+
+import typer
+
+from cbsr_qa.cli.output import emit_json, say
+
+app = typer.Typer(help="Look after the database.", no_args_is_help=True)
+
+Database = Annotated[str | None, typer.Option(help="SQLAlchemy URL or SQLite file; by default var/cbsr-qa.db.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
+
+
+@app.command()
+def upgrade(database: Database = None, as_json: AsJson = False) -> None:
+    """Bring a database up to date; make it where there is none."""
+    from cbsr_qa.app.database import upgrade_database
+
+    done = upgrade_database(database)
+    if as_json:
+        emit_json(done.document())
+    elif done.changed:
+        say(f"{done.database}: schema {done.before or 'none'} → {done.after}")
+    else:
+        say(f"{done.database}: schema {done.after} is up to date")
+
+
+@app.command()
+def status(database: Database = None, as_json: AsJson = False) -> None:
+    """Say which database is used, its version, how much is in it, and which runs were cut off."""
+    from cbsr_qa.app.database import database_status
+
+    found = database_status(database)
+    if as_json:
+        emit_json(found.document())
+        return
+    say(f"{found.database}")
+    say(f"schema      {found.schema or 'none'} ({found.state}; this program's is {found.head})")
+    if found.remedy:
+        say(f"            {found.remedy}")
+    for kind, count in found.counts.items():
+        say(f"{kind:<11} {count}")
+    for run in found.incomplete:
+        phase = f" in {run.phase!r}" if run.phase else ""
+        say(f"incomplete  run {run.run} of {run.serial}: stopped{phase}; next: {run.next}")

@@ -1,0 +1,163 @@
+"""Analyses of runs: added beside the earlier ones, never changed."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, Engine, Row, insert, select
+from sqlalchemy.orm import Session
+
+from cbsr_qa.domain.measurement import Limit, Measurement, Verdict
+from cbsr_qa.domain.outcome import Outcome
+from cbsr_qa.domain.report import RunResult
+from cbsr_qa.store.calibrations import insert_calibration
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.result_tables import AnalysisRow, CalibrationRow, MeasurementRow, WarningRow
+
+
+@dataclass(frozen=True, slots=True)
+class StoredAnalysis:
+    """One analysis of a run.
+
+    Parameters
+    ----------
+    analysed_at, software : when, and with which versions.
+    calibration : the one it issued; None where it did not, ``calibration_why`` then says why.
+    """
+
+    analysis: str
+    run: str
+    analysed_at: datetime
+    software: tuple[tuple[str, str], ...]
+    verdict: Verdict
+    measurements: tuple[Measurement, ...]
+    warnings: tuple[str, ...]
+    compute_s: tuple[tuple[str, float], ...]
+    calibration: str | None
+    calibration_why: str
+
+
+def save_result(
+    engine: Engine,
+    result: RunResult,
+    *,
+    analysis: str,
+    analysed_at: datetime,
+    software: Sequence[tuple[str, str]],
+) -> None:
+    """Store what was concluded from a run, its calibration included, in one transaction.
+
+    Parameters
+    ----------
+    analysis : new time-ordered identifier; the latest analysis of a run holds.
+    software : distribution → version, as analysed with.
+
+    Raises
+    ------
+    StoreError
+        If the run is not stored, or a number is not finite; nothing of it is stored then.
+    """
+    run = result.record.identity.run
+    values = {
+        "analysis": analysis,
+        "run": run,
+        "analysed_at": analysed_at,
+        "software": [list(pair) for pair in software],
+        "outcome": str(result.verdict.outcome),
+        "reason": result.verdict.reason,
+        "calibration_why": result.calibration_why,
+        "compute_s": [[stage, float(seconds)] for stage, seconds in result.compute_s],
+    }
+    with writing(engine) as connection:
+        connection.execute(insert(AnalysisRow), values)
+        _insert_all(connection, WarningRow, analysis, [{"text": text} for text in result.warnings])
+        _insert_all(connection, MeasurementRow, analysis, [_values(m) for m in result.measurements])
+        if result.calibration is not None:
+            insert_calibration(connection, result.calibration, analysis)
+
+
+def analyses_of(engine: Engine, run: str) -> tuple[StoredAnalysis, ...]:
+    """Return every analysis of a run, the latest first."""
+    with reading(engine) as connection:
+        query = select(*AnalysisRow.__table__.columns).where(AnalysisRow.run == run)
+        rows = connection.execute(query.order_by(AnalysisRow.analysis.desc())).all()
+        return tuple(_analysis(connection, row) for row in rows)
+
+
+def _insert_all(connection: Connection, table: Any, analysis: str, rows: list[dict[str, Any]]) -> None:
+    numbered = [{"analysis": analysis, "number": number, **row} for number, row in enumerate(rows)]
+    if numbered:
+        connection.execute(insert(table), numbered)
+
+
+def _values(measurement: Measurement) -> dict[str, Any]:
+    limit = measurement.limit
+    return {
+        "name": measurement.name,
+        "value": measurement.value,
+        "unit": measurement.unit,
+        "uncertainty": measurement.uncertainty,
+        "phase": measurement.phase,
+        "location": measurement.location,
+        "trial": measurement.trial,
+        "qualifier": measurement.qualifier,
+        "how": measurement.how,
+        "outcome": str(measurement.outcome),
+        "limited": limit is not None,
+        "lower_limit": limit.lower if limit else None,
+        "upper_limit": limit.upper if limit else None,
+        "marginal": limit.marginal if limit else None,
+        "limit_phase": limit.phase if limit else None,
+        "limit_qualifier": limit.qualifier if limit else None,
+    }
+
+
+def _analysis(connection: Connection, row: Row[Any]) -> StoredAnalysis:
+    issued = select(CalibrationRow.calibration).where(CalibrationRow.analysis == row.analysis)
+    warnings = select(WarningRow.text).where(WarningRow.analysis == row.analysis).order_by(WarningRow.number)
+    measured = select(MeasurementRow).where(MeasurementRow.analysis == row.analysis)
+    with Session(bind=connection) as session:
+        measurements = session.scalars(measured.order_by(MeasurementRow.number))
+        return StoredAnalysis(
+            analysis=row.analysis,
+            run=row.run,
+            analysed_at=row.analysed_at,
+            software=tuple((name, version) for name, version in row.software),
+            verdict=Verdict(Outcome(row.outcome), row.reason),
+            measurements=tuple(_measurement(m) for m in measurements),
+            warnings=tuple(connection.scalars(warnings)),
+            compute_s=tuple((stage, seconds) for stage, seconds in row.compute_s),
+            calibration=connection.scalar(issued),
+            calibration_why=row.calibration_why,
+        )
+
+
+def _measurement(row: MeasurementRow) -> Measurement:
+    return Measurement(
+        name=row.name,
+        value=row.value,
+        unit=row.unit,
+        uncertainty=row.uncertainty,
+        phase=row.phase,
+        location=row.location,
+        trial=row.trial,
+        qualifier=row.qualifier,
+        how=row.how,
+        limit=_limit(row),
+        outcome=Outcome(row.outcome),
+    )
+
+
+def _limit(row: MeasurementRow) -> Limit | None:
+    if not row.limited:
+        return None
+    return Limit(
+        row.name,
+        row.unit,
+        row.lower_limit,
+        row.upper_limit,
+        row.marginal or 0.0,
+        row.limit_phase or "",
+        row.limit_qualifier or "",
+    )

@@ -1,0 +1,154 @@
+"""The store's front door: open a database, journal runs into it, ask it about them."""
+
+from collections.abc import Callable, Sequence
+from datetime import datetime
+from types import TracebackType
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import Engine
+
+from cbsr_qa.clock import RealClock
+from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.reconstruction import LinearReconstruction
+from cbsr_qa.domain.report import RunResult
+from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.store import analyses, calibrations, incomplete, runs, schema
+from cbsr_qa.store.analyses import StoredAnalysis
+from cbsr_qa.store.calibrations import CalibrationSummary
+from cbsr_qa.store.engine import open_engine, parsed_url
+from cbsr_qa.store.failures import shown
+from cbsr_qa.store.ids import IdSource
+from cbsr_qa.store.incomplete import IncompleteRun
+from cbsr_qa.store.journal import Journal
+from cbsr_qa.store.runs import RunSummary
+
+
+def open_store(url: str, *, create: bool = True, wall: Callable[[], datetime] | None = None) -> "Repository":
+    """Open a database that is up to date.
+
+    Parameters
+    ----------
+    url : SQLAlchemy URL, see :func:`cbsr_qa.config.paths.database_url`.
+    create : make the tables where there are none yet.
+    wall : tells the time for identifiers and analyses; by default the computer's clock.
+
+    Raises
+    ------
+    StoreError
+        If it is missing (and not to be created), damaged, of another version or another program, or unreachable.
+    """
+    engine = open_engine(parsed_url(url))
+    version = schema.found_version(engine)
+    if version.age is schema.Age.EMPTY and create:
+        schema.upgrade(engine)
+    elif version.age is not schema.Age.CURRENT:
+        raise schema.refusal(engine, version)
+    return Repository(engine, wall or RealClock().wall)
+
+
+class Repository:
+    """An open database. Made by :func:`open_store`; use it as a context manager, or close it."""
+
+    def __init__(self, engine: Engine, wall: Callable[[], datetime]) -> None:
+        self._engine = engine
+        self._wall = wall
+        self._ids = IdSource(wall)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the connections back."""
+        self._engine.dispose()
+
+    @property
+    def shown(self) -> str:
+        """What database this is, for people; a password is hidden."""
+        return shown(self._engine.url)
+
+    def new_id(self) -> str:
+        """Return a new time-ordered identifier for a run, an analysis or a calibration."""
+        return self._ids.new()
+
+    def journal(
+        self, *, configuration: str, sensor_type: SensorType, material: Material, indenter: Indenter
+    ) -> Journal:
+        """Return the journal of one session: call it with every document of the run."""
+        return Journal(
+            self._engine,
+            configuration=configuration,
+            sensor_type=sensor_type,
+            material=material,
+            indenter=indenter,
+        )
+
+    def load_run(self, run: str) -> RunRecord:
+        """Load a run with every frame, digests checked. StoreError if it is not there or not what was measured."""
+        return runs.load_run(self._engine, run)
+
+    def configuration(self, run: str) -> str:
+        """Return the canonical JSON a run was configured with."""
+        return runs.configuration_of(self._engine, run)
+
+    def finished_loads(self, run: str) -> frozenset[tuple[int, int]]:
+        """Return (phase, index) of the presses of a run that were held to their end."""
+        return runs.finished_loads(self._engine, run)
+
+    def find_runs(self, serial: str | None = None) -> tuple[RunSummary, ...]:
+        """Return runs, the latest first: of one sensor, or all."""
+        return runs.find_runs(self._engine, serial)
+
+    def resolve(self, run_or_serial: str) -> str:
+        """Return the run meant: itself, or the latest of a sensor. StoreError if it is neither."""
+        return runs.resolve(self._engine, run_or_serial)
+
+    def incomplete_runs(self) -> tuple[IncompleteRun, ...]:
+        """Return runs that are under way or were cut off, oldest first."""
+        return incomplete.incomplete_runs(self._engine)
+
+    def counts(self) -> dict[str, int]:
+        """Return how much is stored, by kind."""
+        return incomplete.counts(self._engine)
+
+    def save_result(self, result: RunResult, *, software: Sequence[tuple[str, str]] | None = None) -> str:
+        """Store what was concluded from a run, its calibration included, in one transaction.
+
+        Parameters
+        ----------
+        software : versions it was analysed with; by default those the run was made with.
+
+        Returns
+        -------
+        Identifier of the new analysis; earlier ones stay.
+        """
+        analysis = self.new_id()
+        versions = result.record.identity.software if software is None else software
+        analyses.save_result(
+            self._engine, result, analysis=analysis, analysed_at=self._wall(), software=tuple(versions)
+        )
+        return analysis
+
+    def analyses(self, run: str) -> tuple[StoredAnalysis, ...]:
+        """Return every analysis of a run, the latest first: the first is the one that holds."""
+        return analyses.analyses_of(self._engine, run)
+
+    def calibrations(self, serial: str) -> tuple[CalibrationSummary, ...]:
+        """Return a sensor's calibrations, the latest first."""
+        return calibrations.calibrations_of(self._engine, serial)
+
+    def used_readings(self, calibration: str) -> NDArray[np.bool_]:
+        """Return which readings a calibration images, (drives, measures) bool."""
+        return calibrations.used_readings(self._engine, calibration)
+
+    def load_calibration(self, calibration: str, reconstruction: LinearReconstruction) -> Calibration:
+        """Load a calibration from its rows; its matrix is prepared by the caller for :meth:`used_readings`."""
+        return calibrations.load_calibration(self._engine, calibration, reconstruction)

@@ -1,0 +1,209 @@
+"""Stored runs: loaded whole for analysis, or looked up."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import groupby
+from typing import Any
+
+from sqlalchemy import Connection, Engine, Row, select
+from sqlalchemy.orm import Session
+
+from cbsr_qa.domain.errors import RefusedError, StoreError
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock, join_frames, join_samples
+from cbsr_qa.domain.loads import Load, LoadRecord
+from cbsr_qa.domain.outcome import EndReason, Outcome
+from cbsr_qa.domain.run import PhaseRecord, RunRecord
+from cbsr_qa.store.blocks import frame_block, sample_block
+from cbsr_qa.store.codec import decoded_indenter, decoded_material, decoded_sensor_type
+from cbsr_qa.store.engine import reading
+from cbsr_qa.store.extent import last_time_s
+from cbsr_qa.store.result_tables import AnalysisRow
+from cbsr_qa.store.run_rows import current_state, identity_of, run_row
+from cbsr_qa.store.run_tables import (
+    FrameBlockRow,
+    LoadRow,
+    PhaseRow,
+    RunRow,
+    RunStateRow,
+    SampleBlockRow,
+    UnloadedMarkRow,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """A run in one line.
+
+    Parameters
+    ----------
+    end : RUNNING where it was cut off, or is under way.
+    outcome, reason : of its latest analysis; None and empty where it has none.
+    """
+
+    run: str
+    serial: str
+    batch: str
+    station: str
+    recipe: str
+    started_at: datetime
+    end: EndReason
+    outcome: Outcome | None
+    reason: str
+
+
+def load_run(engine: Engine, run: str) -> RunRecord:
+    """Load a run with every frame, each block's digest checked.
+
+    Raises
+    ------
+    StoreError
+        If there is no such run, or what is stored is not what was measured.
+    """
+    with reading(engine) as connection:
+        row = _known(connection, run)
+        state = current_state(connection, run)
+        states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
+        spent = _summed(pair for one in connection.scalars(states) for pair in one)
+        try:
+            return RunRecord(
+                identity=identity_of(connection, row),
+                sensor_type=decoded_sensor_type(row.setting),
+                material=decoded_material(row.setting),
+                indenter=decoded_indenter(row.setting),
+                phases=_phases(connection, run),
+                end=EndReason(state.end),
+                end_detail=state.detail,
+                station_s=last_time_s(connection, run),
+                spent=spent,
+            )
+        except (KeyError, TypeError, ValueError, RefusedError) as error:
+            if isinstance(error, StoreError):
+                raise
+            raise StoreError(f"run {run} cannot be read: {type(error).__name__}: {error}") from error
+
+
+def configuration_of(engine: Engine, run: str) -> str:
+    """Return the canonical JSON a run was configured with."""
+    with reading(engine) as connection:
+        return str(_known(connection, run).configuration)
+
+
+def finished_loads(engine: Engine, run: str) -> frozenset[tuple[int, int]]:
+    """Return (phase, index) of every press that was held to its end: what a resumed run does not repeat."""
+    with reading(engine) as connection:
+        _known(connection, run)
+        rows = connection.execute(select(LoadRow.phase, LoadRow.load_index).where(LoadRow.run == run))
+        return frozenset((phase, load) for phase, load in rows)
+
+
+def find_runs(engine: Engine, serial: str | None = None) -> tuple[RunSummary, ...]:
+    """Return runs, the latest first: of one sensor, or all."""
+    with reading(engine) as connection:
+        query = select(*RunRow.__table__.columns).order_by(RunRow.run.desc())
+        if serial is not None:
+            query = query.where(RunRow.serial == serial)
+        return tuple(_summary(connection, row) for row in connection.execute(query).all())
+
+
+def resolve(engine: Engine, run_or_serial: str) -> str:
+    """Return the run meant: itself, or the latest of a sensor.
+
+    Raises
+    ------
+    StoreError
+        If it is neither a stored run nor a tested sensor.
+    """
+    with reading(engine) as connection:
+        if run_row(connection, run_or_serial) is not None:
+            return run_or_serial
+        latest = select(RunRow.run).where(RunRow.serial == run_or_serial).order_by(RunRow.run.desc()).limit(1)
+        found = connection.scalar(latest)
+    if found is None:
+        raise StoreError(
+            f"there is no run and no sensor {run_or_serial[:64]!r} in this database",
+            remedy="cbsr-qa db status shows which database is used; --database names another",
+        )
+    return str(found)
+
+
+def _known(connection: Connection, run: str) -> Row[Any]:
+    row = run_row(connection, run)
+    if row is None:
+        raise StoreError(f"there is no run {run[:64]!r} in this database")
+    return row
+
+
+def _summary(connection: Connection, row: Row[Any]) -> RunSummary:
+    latest = select(AnalysisRow.outcome, AnalysisRow.reason).where(AnalysisRow.run == row.run)
+    found = connection.execute(latest.order_by(AnalysisRow.analysis.desc()).limit(1)).one_or_none()
+    return RunSummary(
+        run=row.run,
+        serial=row.serial,
+        batch=row.batch,
+        station=row.station,
+        recipe=row.recipe,
+        started_at=row.started_at,
+        end=EndReason(current_state(connection, row.run).end),
+        outcome=None if found is None else Outcome(found.outcome),
+        reason="" if found is None else found.reason,
+    )
+
+
+def _summed(pairs: Iterable[list[Any]]) -> tuple[tuple[str, float], ...]:
+    seconds: dict[str, float] = {}
+    for kind, spent_s in pairs:
+        seconds[kind] = seconds.get(kind, 0.0) + spent_s
+    return tuple(seconds.items())
+
+
+def _phases(connection: Connection, run: str) -> tuple[PhaseRecord, ...]:
+    with Session(bind=connection) as session:
+        rows = session.scalars(select(PhaseRow).where(PhaseRow.run == run).order_by(PhaseRow.phase)).all()
+        return tuple(_phase(connection, session, row) for row in rows)
+
+
+def _phase(connection: Connection, session: Session, row: PhaseRow) -> PhaseRecord:
+    marks = select(UnloadedMarkRow.time_s).where(UnloadedMarkRow.run == row.run, UnloadedMarkRow.phase == row.phase)
+    return PhaseRecord(
+        index=row.phase,
+        name=row.name,
+        sequence=row.sequence,
+        started_s=row.started_s,
+        # A phase that was cut off ends with the last thing known about it.
+        ended_s=last_time_s(connection, row.run, row.phase) if row.ended_s is None else row.ended_s,
+        frames=_frames(session, row),
+        samples=_samples(session, row),
+        loads=_loads(session, row),
+        # A resumed phase rested again: the latest mark is followed by its presses.
+        unloaded_from_s=connection.scalar(marks.order_by(UnloadedMarkRow.mark.desc()).limit(1)),
+    )
+
+
+def _frames(session: Session, phase: PhaseRow) -> FrameBlock | None:
+    query = select(FrameBlockRow).where(FrameBlockRow.run == phase.run, FrameBlockRow.phase == phase.phase)
+    blocks = [frame_block(row) for row in session.scalars(query.order_by(FrameBlockRow.block))]
+    return join_frames(blocks) if blocks else None
+
+
+def _samples(session: Session, phase: PhaseRow) -> tuple[SampleBlock, ...]:
+    query = select(SampleBlockRow).where(SampleBlockRow.run == phase.run, SampleBlockRow.phase == phase.phase)
+    blocks = [sample_block(row) for row in session.scalars(query.order_by(SampleBlockRow.block))]
+    by_channel = groupby(sorted(blocks, key=lambda b: b.channel), key=lambda b: b.channel)  # sorting is stable
+    return tuple(join_samples(list(group)) for _, group in by_channel)
+
+
+def _loads(session: Session, phase: PhaseRow) -> tuple[LoadRecord, ...]:
+    query = select(LoadRow).where(LoadRow.run == phase.run, LoadRow.phase == phase.phase)
+    return tuple(
+        LoadRecord(
+            row.load_index,
+            Load(row.label, row.x_mm, row.y_mm, row.strain, row.trial),
+            row.press_start_s,
+            row.hold_start_s,
+            row.release_start_s,
+            row.release_end_s,
+            row.rest_end_s,
+        )
+        for row in session.scalars(query.order_by(LoadRow.load_index))
+    )
