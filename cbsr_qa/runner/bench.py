@@ -9,7 +9,7 @@ from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan import InstrumentSpec
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.interfaces import ForceApplicator, FrameSource, Instrument, Sampler
-from cbsr_qa.runner.stopping import stop_all
+from cbsr_qa.runner.stopping import DEADLINE_S, Action, stop_all
 
 FRAME_SOURCE: Final = "frame_source"
 FORCE_APPLICATOR: Final = "force_applicator"
@@ -38,6 +38,7 @@ class Bench:
     Parameters
     ----------
     mounted : in the station file's order, which is also the order they are stopped in.
+    stop_within_s : how long all of them together may take to reach their safe state [s, real time].
 
     Raises
     ------
@@ -46,7 +47,8 @@ class Bench:
         not at all, or nothing measures the force.
     """
 
-    def __init__(self, mounted: Iterable[Mounted]) -> None:
+    def __init__(self, mounted: Iterable[Mounted], *, stop_within_s: float = DEADLINE_S) -> None:
+        self._stop_within_s = stop_within_s
         self.mounted = tuple(mounted)
         filled: dict[str, Mounted] = {}
         for one in self.mounted:
@@ -83,11 +85,14 @@ class Bench:
         -------
         In words, who did not get there; empty if all did.
         """
-        return stop_all([(one.name, one.instrument.safe_state) for one in self.mounted])
+        return self._tell_all([(one.name, one.instrument.safe_state) for one in self.mounted])
 
     def close(self) -> tuple[str, ...]:
         """Close every instrument, whatever the others do; returns who did not, in words."""
-        return stop_all([(one.name, one.instrument.close) for one in self.mounted])
+        return self._tell_all([(one.name, one.instrument.close) for one in self.mounted])
+
+    def _tell_all(self, actions: list[Action]) -> tuple[str, ...]:
+        return stop_all(actions, deadline_s=self._stop_within_s)
 
 
 def open_bench(specs: Iterable[InstrumentSpec], make: Callable[[InstrumentSpec], Instrument]) -> Bench:

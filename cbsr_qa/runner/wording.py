@@ -5,7 +5,8 @@ from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnl
 
 
 def describe(step: Step) -> str:
-    """Say what a step does."""
+    """Say what a step does; a step of a type nobody knows is called by its type."""
+    said = f"an unknown step ({type(step).__name__})"
     match step:
         case Home():
             said = "homing"

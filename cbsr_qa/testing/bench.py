@@ -197,10 +197,11 @@ def scripted_bench(script: Script, sensor_type: SensorType, *, frame_period_s: f
     """Return a bench of three scripted instruments: frame source, force applicator, load cell."""
     applicator = ScriptedApplicator(script)
     frames = ScriptedFrames(script, sensor_type.pattern.shape, frame_period_s)
-    return Bench(
+    mounted = [
         Mounted(InstrumentSpec(one.role, "scripted", (one.role,), {}, None), one)
         for one in (applicator, frames, ScriptedLoadCell(script, applicator))
-    )
+    ]
+    return Bench(mounted, stop_within_s=0.5)
 
 
 @dataclass(frozen=True, slots=True)
