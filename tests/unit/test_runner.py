@@ -1,5 +1,8 @@
 """The runner: documents in order, the journal first, retries, records of loads, and room to resume."""
 
+import re
+from pathlib import Path
+
 import pytest
 
 from cbsr_qa.clock import RealClock, VirtualClock
@@ -316,6 +319,17 @@ def test_a_frame_source_outside_the_clock_is_found_out():
     assert "took no time" in ended.detail
 
 
+def test_frames_of_another_shape_are_refused():
+    script = Script(VirtualClock(), TOOK_S)
+    plan = example_plan(cycle(0))
+    bench = scripted_bench(script, plan.sensor_type)
+    inner = bench.frame_source.acquire
+    bench.frame_source.acquire = lambda count: inner(2)
+    ended = execute(plan, example_identity(), bench, script.clock, [lambda event: None])
+    assert ended.end is EndReason.BROKEN
+    assert "frames of shape (2, 16, 16) came; (1, 16, 16) was asked for" in ended.detail
+
+
 def _without_time(script, acquire, count):
     now = script.clock.now()
     frames = acquire(count)
@@ -337,6 +351,12 @@ def test_real_and_virtual_clock_run_the_same_code():
     assert virtual == real
     record = kinds(told[RealClock], LoadFinished)[0].record
     assert record.release_start_s - record.hold_start_s >= 0.06
+
+
+def test_the_example_in_the_manual_runs():
+    manual = Path(__file__).parents[2] / "docs" / "explanation" / "runs.md"
+    (example,) = re.findall(r"```python\n(.*?)```", manual.read_text(encoding="utf-8"), re.DOTALL)
+    exec(compile(example, str(manual), "exec"), {"print": lambda event: None})
 
 
 # --- the bench -------------------------------------------------------------------------------------------
