@@ -52,10 +52,11 @@ def channel_map_figure(
         drives, measures = values.shape
         shown = np.isfinite(values) & (True if used is None else used)
         size_in = 3.5
-        height_in = min(size_in * max(drives / measures, 0.12), 4.5) + 0.95
+        tall_in = min(size_in * max(drives / measures, 0.12), 4.5)
+        height_in = tall_in + 0.6
         figure = canvas(height_in, WIDTH_IN)
         left, bottom = (WIDTH_IN - size_in) / 2 / WIDTH_IN, 0.45 / height_in
-        axes = figure.add_axes((left, bottom, size_in / WIDTH_IN, 1 - 0.7 / height_in))
+        axes = figure.add_axes((left, bottom, size_in / WIDTH_IN, tall_in / height_in))
         norm = Normalize(*(limits or _middle(values[shown])))
         _empty_cells(axes, shown)
         edges_x, edges_y = np.arange(measures + 1) - 0.5, np.arange(drives + 1) - 0.5
@@ -82,6 +83,7 @@ def channel_map_figure(
 
 def pair_bar_figure(
     values: NDArray[np.float64],
+    names: Sequence[str],
     *,
     label: str,
     unit: str,
@@ -94,7 +96,8 @@ def pair_bar_figure(
 
     Parameters
     ----------
-    values : (pairs,) float64, finite.
+    values : (pairs,) float64, finite, at least one.
+    names : of the pairs, e.g. ``"3–4"``.
     limits : lower and upper bound, drawn where given.
     outside : pairs drawn in the warning colour.
     """
@@ -105,7 +108,6 @@ def pair_bar_figure(
         light_grid(axes)
         colours = [VERMILION if pair in set(outside) else BLUE for pair in range(len(values))]
         axes.bar(np.arange(len(values)), values, width=0.72, color=colours, linewidth=0)
-        names = [f"{pair}–{(pair + 1) % len(values)}" for pair in range(len(values))]
         axes.set_xticks(range(len(values)), names)
         axes.tick_params(axis="x", length=0)
         axes.set_xlim(-0.6, len(values) - 0.4)

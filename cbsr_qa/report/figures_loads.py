@@ -69,7 +69,7 @@ class SeenLoad:
 def load_images_figure(
     loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str, columns: int = 6
 ) -> Figure:
-    """Draw every load's image with the indenter (dashed) over the outline of the sensed blob (solid).
+    """Draw every load's image with the indenter's circle over the outline of the sensed blob.
 
     Parameters
     ----------
@@ -96,7 +96,7 @@ def load_images_figure(
             if load.group != group:
                 axes.text(shift[0] - radius, shift[1] + 1.3 * radius, load.group, fontsize=7, fontweight="bold")
                 group = load.group
-        draw_circles(axes, _shifted(loads, columns, cell_x, cell_y, radius), loads[0].radius_mm, dashed=True)
+        draw_circles(axes, _shifted(loads, columns, cell_x, cell_y, radius), loads[0].radius_mm, color=VERMILION)
         axes.set_xlim(0, columns * cell_x)
         axes.set_ylim(-rows * cell_y, 0)
         whole = figure.add_axes((0, 0, 1, 1))
@@ -285,9 +285,8 @@ def _draw_polar(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType) -> No
 def _label_polar(axes: Axes, loads: Sequence[SeenLoad], radius: float) -> None:
     for side in (-1, 1):
         members = [load for load in loads if (load.x_mm < 0) == (side < 0)]
-        heights = spread_labels([load.y_mm + 0.8 * load.radius_mm for load in members], 0.085 * radius)
+        heights = spread_labels([load.y_mm for load in members], 0.085 * radius)
         for load, height in zip(members, heights, strict=True):
-            error = "not detected" if load.error_mm is None else f"{load.error_mm:.1f} mm"
-            place = load.x_mm + side * 0.95 * load.radius_mm
-            text = axes.text(place, height, f"{load.label}  {error}", va="center", fontsize=6.5, zorder=9)
+            place = load.x_mm + side * 1.05 * load.radius_mm
+            text = axes.text(place, height, load.label, va="center", fontsize=7, fontweight="bold", zorder=9)
             text.set_horizontalalignment("left" if side > 0 else "right")

@@ -153,9 +153,9 @@ def _draw_force(
     time_s, newtons = thinned(force.time_s[inside], force.values[inside], 700)
     behind.fill_between((time_s - start_s) / 60, 0, newtons, color=_FORCE, linewidth=0, alpha=0.75)
     behind.set_ylim(0, 1.25 * max(float(newtons.max(initial=0.0)), 1e-9))
-    behind.tick_params(colors=_FORCE_INK, labelcolor=_FORCE_INK)
-    behind.spines["right"].set(visible=True, color=_FORCE_INK)
+    behind.tick_params(colors=_FORCE_INK, labelcolor=_FORCE_INK, right=labelled, labelright=labelled)
     if labelled:
+        behind.spines["right"].set(visible=True, color=_FORCE_INK)
         behind.set_ylabel("force [N]", color=_FORCE_INK)
     axes.patch.set_visible(False)
 

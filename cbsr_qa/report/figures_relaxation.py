@@ -10,6 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 from numpy.typing import NDArray
 
+from cbsr_qa.calibrate.settling import restricted_mean
 from cbsr_qa.domain.observation import RelaxationObservation
 from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit
 from cbsr_qa.domain.report import Figure
@@ -118,7 +119,7 @@ def settling_figure(
             light_grid(axes)
             for loading, words in _DIRECTIONS:
                 _draw_settling(axes, loads, signal, loading, words)
-            axes.set_ylim(bottom=0)
+            axes.set_ylim(0, 1.12 * _latest(loads, signal))
             axes.set_xlim(-0.8, len(loads) - 0.2)
             axes.set_title(signal, fontweight="normal")
             axes.set_ylabel("settling [s]")
@@ -176,14 +177,20 @@ def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loadin
         if points:
             x, y = zip(*points, strict=True)
             axes.scatter(x, y, s=17, marker=symbol, facecolors=face, edgecolors=colour, linewidths=0.9, zorder=3)
-    plain = [value for _, value, censored in times if not censored]
-    if plain:
-        mean = float(np.mean(plain))
-        axes.axhline(mean, color=colour, linewidth=0.8, linestyle="solid" if loading else (0, (4, 2)))
+    if not times:
+        return
+    mean_s, _ = restricted_mean([value for _, value, _ in times], [censored for _, _, censored in times])
+    axes.axhline(mean_s, color=colour, linewidth=0.8, linestyle="solid" if loading else (0, (4, 2)))
     height = 0.9 if loading else 0.62
     axes.text(1.015, height, words, transform=axes.transAxes, color=colour, va="top", fontsize=7)
-    summary = f"mean {np.mean(plain):.1f} s" if plain else "none settled"
+    bound = "≥ " if any(censored for _, _, censored in times) else ""
+    summary = f"mean {bound}{mean_s:.1f} s"
     axes.text(1.015, height - 0.11, summary, transform=axes.transAxes, color=QUIET, va="top", fontsize=7)
+
+
+def _latest(loads: Sequence[SettledLoad], signal: str) -> float:
+    found = [r.settling.value_s for load in loads for r in load.relaxations if r.signal == signal]
+    return max((value for value in found if value), default=1.0)
 
 
 def _name_columns(axes: Axes, loads: Sequence[SettledLoad], *, last: bool) -> None:

@@ -29,7 +29,7 @@ def titled(load: LoadObservation, *, trials: bool, strains: bool) -> str:
     """Name a load with what tells it from its siblings: ``L3``, ``L3 · 20 %``, ``L3 · 20 % · trial 2``."""
     wanted = load.record.load
     parts = [wanted.label]
-    parts += [f"{100 * wanted.strain:.3g} %"] if strains else []
+    parts += [f"{round(100 * wanted.strain, 1):g} %"] if strains else []
     parts += [f"trial {wanted.trial + 1}"] if trials and wanted.trial else []
     return " · ".join(parts)
 

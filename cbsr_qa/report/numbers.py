@@ -12,6 +12,9 @@ _PREFIXES: Final = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 #: Units that take a prefix; lengths and times stay in the unit their name states.
 _SCALABLE: Final = frozenset({"V", "A", "S", "ohm", "Ω"})
 
+#: Decimals beyond which a value in this unit says nothing on this bench, unless its uncertainty says otherwise.
+_DECIMALS: Final = {"mm": 2, "mm²": 2, "mm2": 2, "%": 1, "percent": 1, "dB": 1, "s": 1, "N": 2, "kPa": 1}
+
 #: What a unit is written as.
 _SHOWN: Final = {"1": "", "ohm": "Ω", "percent": "%", "mm2": "mm²", "dB": "dB", "degC": "°C", "count": "counts"}
 
@@ -45,6 +48,14 @@ def fixed(value: float, decimals: int) -> str:
     return text.lstrip("-") if float(text) == 0 else text.replace("-", _MINUS)
 
 
+def plain(value: float, unit: str) -> str:
+    """Write a value whose uncertainty nobody stated: three digits, but no more decimals than its unit deserves."""
+    most = _DECIMALS.get(unit)
+    if most is None or round(value, most) == 0 or abs(value) >= 1e5:
+        return number(value)
+    return fixed(value, min(most, max(2 - floor(log10(abs(value))), 0)))
+
+
 def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -> str:
     """Write value ± one standard deviation, both to the uncertainty's second significant digit at most.
 
@@ -66,10 +77,13 @@ def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -
     return f"({fixed(value / scale, shown)} ± {fixed(uncertainty / scale, shown)}) × {power}"
 
 
-def quantity(value: float, unit: str, uncertainty: float | None = None, digits: int = 3) -> str:
+def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
     """Write a number with its unit; volts, amperes, siemens and ohms get a prefix (18.1 kΩ)."""
     scale, shown = scaled_unit(value, unit)
-    text = with_uncertainty(value / scale, None if uncertainty is None else uncertainty / scale, digits)
+    if not uncertainty and scale == 1:
+        text = plain(value, unit)
+    else:
+        text = with_uncertainty(value / scale, None if uncertainty is None else uncertainty / scale)
     gap = "\N{NO-BREAK SPACE}" if shown else ""
     return f"{text}{gap}{shown}"
 

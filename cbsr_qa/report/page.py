@@ -72,10 +72,10 @@ def run_page(result: RunResult) -> Page:
         ("Station", identity.station),
         ("Recipe", identity.recipe),
         ("Operator", identity.operator or "not stated"),
-        ("Started", identity.started_at.isoformat(sep=" ", timespec="seconds")),
+        ("Started", identity.started_at.strftime("%Y-%m-%d %H:%M:%S %Z").strip()),
+        ("Run", identity.run),
         ("Station time", duration(record.station_s)),
         ("Calibration", "issued" if result.calibration else f"none: {result.calibration_why}"),
-        ("Run", identity.run),
     )
     observed = result.observation.warnings if result.observation else ()
     warnings = tuple(dict.fromkeys((*result.warnings, *observed)))
@@ -107,8 +107,9 @@ def _verdict(result: RunResult) -> Banner:
     tone = "plain" if outcome is Outcome.NOT_JUDGED else outcome.value.replace(" ", "-")
     reason = result.verdict.reason
     if end in _ENDS:
-        detail = f" ({result.record.end_detail})" if result.record.end_detail else ""
-        reason = f"{_ENDS[end]}{detail}. {reason}".strip()
+        # An unfinished run is never judged: how it ended is the one reason.
+        detail = f": {result.record.end_detail}" if result.record.end_detail else ""
+        reason = f"{_ENDS[end]}{detail}"
     return Banner(tone, _SYMBOLS[outcome], outcome.value.upper(), reason)
 
 

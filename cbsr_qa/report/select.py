@@ -8,7 +8,7 @@ from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.report import RunResult
-from cbsr_qa.report.numbers import with_uncertainty
+from cbsr_qa.report.numbers import plain, with_uncertainty
 
 #: The spatial metrics: measurement name, heading, unit.
 SPATIAL = (
@@ -89,10 +89,12 @@ def mean_deviation(values: Sequence[float]) -> tuple[float, float | None] | None
     return fmean(values), stdev(values) if len(values) > 1 else None
 
 
-def spread_text(values: Sequence[float]) -> str:
-    """Write mean ± standard deviation of some values; a dash where there are none."""
+def spread_text(values: Sequence[float], unit: str = "") -> str:
+    """Write mean ± standard deviation of some values; a dash where there are none, no ± for a single one."""
     found = mean_deviation(values)
-    return "–" if found is None else with_uncertainty(*found)
+    if found is None:
+        return "–"
+    return with_uncertainty(*found) if found[1] else plain(found[0], unit)
 
 
 def _key(load: LoadObservation) -> tuple[str, str, int]:

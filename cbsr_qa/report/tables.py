@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from cbsr_qa.domain.measurement import Limit, Measurement
 from cbsr_qa.domain.report import Cell, Table
-from cbsr_qa.report.numbers import number, quantity, scaled_unit, unit_shown, with_uncertainty
+from cbsr_qa.report.numbers import plain, quantity, scaled_unit, unit_shown, with_uncertainty
 
 
 def text_table(
@@ -24,7 +24,9 @@ def value_cell(measurement: Measurement | None, *, unit: bool = False) -> Cell:
         return Cell("not measured", outcome)
     if unit:
         return Cell(quantity(measurement.value, measurement.unit, measurement.uncertainty), outcome)
-    return Cell(with_uncertainty(measurement.value, measurement.uncertainty), outcome)
+    if measurement.uncertainty:
+        return Cell(with_uncertainty(measurement.value, measurement.uncertainty), outcome)
+    return Cell(plain(measurement.value, measurement.unit), outcome)
 
 
 def limit_text(limit: Limit) -> str:
@@ -32,11 +34,9 @@ def limit_text(limit: Limit) -> str:
     bounds = [b for b in (limit.lower, limit.upper) if b is not None]
     scale, shown = scaled_unit(max(bounds, key=abs), limit.unit)
     gap = "\N{NO-BREAK SPACE}" if shown else ""
-    if limit.lower is not None and limit.upper is not None:
-        return f"{number(limit.lower / scale)} to {number(limit.upper / scale)}{gap}{shown}"
-    sign, bound = ("≥", limit.lower) if limit.lower is not None else ("≤", limit.upper)
-    assert bound is not None
-    return f"{sign} {number(bound / scale)}{gap}{shown}"
+    written = [f"{bound / scale:g}".replace("-", "\N{MINUS SIGN}") for bound in bounds]  # as whoever set it did
+    sign = "" if len(bounds) > 1 else "≥ " if limit.lower is not None else "≤ "
+    return f"{sign}{' to '.join(written)}{gap}{shown}"
 
 
 def margin_text(measurement: Measurement) -> str:

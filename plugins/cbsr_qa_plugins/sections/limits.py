@@ -6,8 +6,8 @@ from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.outcome import SEVERITY, Outcome
 from cbsr_qa.domain.report import Block, Cell, Paragraph, RunResult, Section, Table
-from cbsr_qa.report.numbers import number, plural, quantity
-from cbsr_qa.report.select import mean_deviation, spread_text
+from cbsr_qa.report.numbers import plain, plural, quantity
+from cbsr_qa.report.select import mean_deviation
 from cbsr_qa.report.tables import limit_text, margin_text, text_table, unit_column, value_cell
 
 
@@ -78,9 +78,15 @@ def _group_row(key: tuple[str, str, str, str], members: Sequence[Measurement]) -
     values = [m.value for m in members if m.value is not None]
     found = mean_deviation(values)
     assert found is not None
-    mean = quantity(found[0], unit, found[1]) if found[1] else f"{spread_text(values)} {unit}".strip()
-    ends = [number(end) for end in (min(values), max(values))]
-    return [unit_column(title, unit), phase or "whole run", str(len(members)), mean, *ends]
+    mean = quantity(found[0], unit, found[1]) if found[1] else quantity(found[0], unit)
+    ends = [plain(end, unit) for end in (min(values), max(values))]
+    return [
+        unit_column(title, unit) if unit not in ("Ω", "ohm", "V") else title,
+        phase or "whole run",
+        str(len(members)),
+        mean,
+        *ends,
+    ]
 
 
 def _refused(measurements: Sequence[Measurement]) -> Table:

@@ -31,7 +31,7 @@ class LoadImages:
             seen,
             run.record.sensor_type,
             caption="Steady image of each press, as reconstructed (no noise floor subtracted), all on one scale."
-            f" Dashed: the indenter. Solid: outline of the sensed blob at the {100 * run.main_mask:g} % mask.",
+            f" Orange: the indenter. Black: outline of the sensed blob at the {100 * run.main_mask:g} % mask.",
             alternative=f"{plural(len(seen), 'image')}, {plural(lost, 'load')} not detected.",
         )
         words = f"Pressed places conduct {conducts} ({run.response_how})."

@@ -35,10 +35,9 @@ def _table(result: RunResult, run: RunObservation) -> Table:
     for fraction in run.settings.masks:
         qualifier = mask_qualifier(run, fraction)
         values = [measured.values(name, loads, run.loads, qualifier) for name, _, _ in SPATIAL]
+        spreads = [spread_text(found, unit) for found, (_, _, unit) in zip(values, SPATIAL, strict=True)]
         decides = "" if qualifier else " (decides)"
-        rows.append(
-            [f"{100 * fraction:g} %{decides}", *map(spread_text, values), f"{len(values[0])} of {len(loads)}"]
-        )
+        rows.append([f"{100 * fraction:g} %{decides}", *spreads, f"{len(values[0])} of {len(loads)}"])
     columns = ["Mask", *(unit_column(name, unit) for _, name, unit in SPATIAL), "Loads seen"]
     caption = (
         "Mean ± standard deviation over all locations and trials of the steady images, for each percentage mask. A"

@@ -56,7 +56,7 @@ def _in_words(loads: Sequence[LoadObservation], run: RunObservation, measured: M
 def _table(loads: Sequence[LoadObservation], result: RunResult, run: RunObservation, measured: Measured) -> Table:
     baseline = {b.location: b for b in result.calibration.baseline} if result.calibration else {}
     columns = ["Location", "x, y [mm]", "Trials", "E_CoM [mm]", "A_OL [%]", "Band", "SD [mm²]", "Force [N]"]
-    columns += ["ρ̄₀ × 10³"] if baseline else []
+    columns += ["ρ̄₀"] if baseline else []
     rows = []
     for label, members in by_label(loads).items():
         place = members[0].record.load
@@ -66,8 +66,8 @@ def _table(loads: Sequence[LoadObservation], result: RunResult, run: RunObservat
         if baseline:
             known = baseline.get(label)
             value = None if known is None else known.value
-            stderr = None if known is None or known.stderr is None else 1e3 * known.stderr
-            row.append(Cell("–" if value is None else with_uncertainty(1e3 * value, stderr)))
+            stderr = None if known is None else known.stderr
+            row.append(Cell("–" if value is None else with_uncertainty(value, stderr)))
         rows.append(tuple(row))
     caption = (
         "Each location: error of the centre of mass, mutual overlap with its band, deviation of the outline, force."

@@ -22,7 +22,7 @@ class RandomLoads:
             return None
         measured = Measured(result.measurements)
         seen = seen_loads(loads, run, measured)
-        mean = spread_text([load.error_mm for load in seen if load.error_mm is not None])
+        mean = spread_text([load.error_mm for load in seen if load.error_mm is not None], "mm")
         figure = random_loads_figure(
             seen,
             run.record.sensor_type,

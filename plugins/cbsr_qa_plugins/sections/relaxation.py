@@ -2,14 +2,15 @@
 
 from collections.abc import Sequence
 
+from cbsr_qa.calibrate.settling import restricted_mean
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.observation import RelaxationObservation
 from cbsr_qa.domain.relaxation import FitStatus
 from cbsr_qa.domain.report import Block, Paragraph, RunResult, Section, Table
 from cbsr_qa.report.figures_relaxation import SettledLoad, relaxation_figure, settling_figure
 from cbsr_qa.report.loads import settled_loads
-from cbsr_qa.report.numbers import plural, with_uncertainty
-from cbsr_qa.report.select import loads_of, observed, spread_text
+from cbsr_qa.report.numbers import plain, plural, with_uncertainty
+from cbsr_qa.report.select import loads_of, observed
 from cbsr_qa.report.tables import text_table
 
 
@@ -40,7 +41,7 @@ class RelaxationFits:
                 loads,
                 signals,
                 caption="Settling time of every press (filled) and release (open), in the order they were made."
-                " Lines: means of those that settled. A triangle is a lower bound: it was still outside the band"
+                " Lines: means. A triangle is a lower bound: it was still outside the band"
                 " at the end of its window.",
                 alternative="Settling times of all loads, for loading and unloading.",
             ),
@@ -90,27 +91,47 @@ def _settled(relaxation: RelaxationObservation) -> str:
 
 
 def _by_strain(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table:
+    classes = _strain_classes(loads)
     rows = []
     for signal in signals:
         for loading in (True, False):
-            for strain in sorted({round(load.strain, 3) for load in loads}):
-                found = [load.one(signal, loading) for load in loads if round(load.strain, 3) == strain]
-                rows.append(_strain_row(signal, loading, strain, [r for r in found if r is not None]))
+            for words, members in classes.items():
+                found = [load.one(signal, loading) for load in members]
+                rows.append(_strain_row(signal, loading, words, [r for r in found if r is not None]))
     columns = ("Signal", "After", "Strain [%]", "Settling [s]", "Settled", "Later than window", "Rejected")
     caption = (
-        "Settling by strain: mean ± standard deviation of those that settled, and how many did not. Where some are"
-        " later than their window the mean is too low, and is marked ≥."
+        "Settling by strain: mean ± standard deviation. Presses not settled within their window count with their"
+        " window (Kaplan–Meier), so that the mean is then a lower bound, marked ≥."
     )
     return text_table(caption, columns, [row for row in rows if row], (2, 3, 4, 5, 6))
 
 
-def _strain_row(signal: str, loading: bool, strain: float, found: Sequence[RelaxationObservation]) -> list[str]:
+def _strain_classes(loads: Sequence[SettledLoad]) -> dict[str, list[SettledLoad]]:
+    """Group loads by strain; where there are more strains than the paper's six, in classes of 10 %."""
+    exact = sorted({round(load.strain, 3) for load in loads})
+    if len(exact) <= 6:
+        return {f"{100 * s:.3g}": [load for load in loads if round(load.strain, 3) == s] for s in exact}
+    lowers = sorted({int(load.strain * 10 + 1e-9) for load in loads})
+    return {
+        f"{10 * lower} to {10 * lower + 10}": [load for load in loads if int(load.strain * 10 + 1e-9) == lower]
+        for lower in lowers
+    }
+
+
+def _strain_row(signal: str, loading: bool, strain: str, found: Sequence[RelaxationObservation]) -> list[str]:
     if not found:
         return []
-    settled = [r.settling.value_s for r in found if r.settling.value_s is not None and not r.settling.censored]
-    censored = [r.settling.value_s for r in found if r.settling.value_s is not None and r.settling.censored]
-    rejected = len(found) - len(settled) - len(censored)
-    mean = f"≥ {spread_text([*settled, *censored])}" if censored else spread_text(settled)
+    timed = [(r.settling.value_s, r.settling.censored) for r in found if r.settling.value_s is not None]
+    censored = sum(late for _, late in timed)
+    rejected = len(found) - len(timed)
+    mean = "–" if not timed else _mean_text([time for time, _ in timed], [late for _, late in timed])
     after = "press" if loading else "release"
-    counts = (len(settled), len(censored), rejected)
-    return [signal, after, f"{100 * strain:.3g}", mean, *map(str, counts)]
+    counts = (len(timed) - censored, censored, rejected)
+    return [signal, after, strain, mean, *map(str, counts)]
+
+
+def _mean_text(times_s: list[float], censored: list[bool]) -> str:
+    if len(times_s) == 1:
+        return f"{'> ' if censored[0] else ''}{plain(times_s[0], 's')}"
+    mean_s, deviation_s = restricted_mean(times_s, censored)
+    return f"{'≥ ' if any(censored) else ''}{with_uncertainty(mean_s, deviation_s)}"

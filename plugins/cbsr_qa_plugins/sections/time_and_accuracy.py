@@ -7,7 +7,7 @@ from cbsr_qa.domain.run import PhaseRecord
 from cbsr_qa.report.figures_budget import Budget, budget_figure
 from cbsr_qa.report.figures_metrics import Held, waiting_figure
 from cbsr_qa.report.numbers import duration
-from cbsr_qa.report.select import Measured, observed, spread_text
+from cbsr_qa.report.select import SPATIAL, Measured, observed, spread_text
 from cbsr_qa.report.tables import text_table
 
 
@@ -61,8 +61,9 @@ def _phase_row(phase: PhaseRecord, run: RunObservation, measured: Measured) -> l
     if not loads:
         return [phase.name, duration(seconds), "0", "–", "–", "–", "–"]
     cycle = sum(load.record.rest_end_s - load.record.press_start_s for load in loads) / len(loads)
-    averaged = spread_text([float(load.steady_frames) for load in loads])
-    spatial = [spread_text(measured.values(n, loads, run.loads)) for n in ("centre_of_mass_error", "area_overlap")]
+    counts = sorted({load.steady_frames for load in loads})
+    averaged = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    spatial = [spread_text(measured.values(name, loads, run.loads), unit) for name, _, unit in SPATIAL[:2]]
     return [phase.name, duration(seconds), str(len(loads)), duration(cycle), averaged, *spatial]
 
 
