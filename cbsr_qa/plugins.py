@@ -60,6 +60,10 @@ class Plugins:
         """Names registered under a kind, sorted."""
         return tuple(r.name for r in self.registrations(kind))
 
+    def in_order(self, kind: Kind) -> tuple[str, ...]:
+        """Names registered under a kind: each distribution's in its own order, the built-ins' first."""
+        return tuple(r.name for r in self._registered.values() if r.kind is kind)
+
     def factory(self, kind: Kind, name: str) -> Factory:
         """Import what a name stands for.
 

@@ -7,7 +7,7 @@ import typer
 from cbsr_qa.cli.output import emit_json, note, say
 
 if TYPE_CHECKING:
-    from cbsr_qa.app.run_sensor import RunOutcome
+    from cbsr_qa.app.outputs import RunOutcome
     from cbsr_qa.runner.dry_run import DryRun
 
 

@@ -50,6 +50,11 @@ def open_store(url: str, *, create: bool = True, wall: Callable[[], datetime] | 
     return Repository(engine, wall or RealClock().wall)
 
 
+def database_exists(url: str) -> bool:
+    """Whether there is anything at a URL yet; looks without making it. StoreError if it cannot be reached."""
+    return schema.found_version(open_engine(parsed_url(url))).age is not schema.Age.EMPTY
+
+
 class Repository:
     """An open database. Made by :func:`open_store`; use it as a context manager, or close it."""
 

@@ -1,0 +1,126 @@
+"""A stored run to its conclusions: observations, judged measurements, verdict, and the calibration it earns."""
+
+from dataclasses import dataclass
+
+from cbsr_qa.analysis.measure import judge, measure_run
+from cbsr_qa.analysis.observe import observe_run
+from cbsr_qa.app.setup import made
+from cbsr_qa.app.stages import Stages
+from cbsr_qa.calibrate.issue import issue_calibration
+from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.errors import CalibrationError, CbsrError, NumericsError
+from cbsr_qa.domain.measurement import Measurement, Verdict, decide
+from cbsr_qa.domain.observation import RunObservation
+from cbsr_qa.domain.outcome import EndReason, Outcome
+from cbsr_qa.domain.plan import Recipe
+from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.plugins import Plugins
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conclusion:
+    """What a run's analysis came to.
+
+    Parameters
+    ----------
+    observation : None where the run could not be analysed; the verdict then says why.
+    measurements : judged.
+    warnings : in plain words, those of the observation included.
+    """
+
+    observation: RunObservation | None
+    measurements: tuple[Measurement, ...]
+    verdict: Verdict
+    warnings: tuple[str, ...]
+
+
+def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages) -> Conclusion:
+    """Analyse and judge a stored run.
+
+    Parameters
+    ----------
+    record : as loaded from the store; nothing else is looked at.
+    recipe : says how to image, what to measure and what is allowed.
+    stages : told and timed.
+
+    Returns
+    -------
+    A conclusion whatever the run was: one that did not finish, or cannot be imaged, is "not measured" and why.
+
+    Raises
+    ------
+    PluginError, ConfigError
+        If the recipe's reconstruction or a metric is unknown or refuses its options.
+    RefusedError
+        If a limit and its measurement differ in unit.
+    """
+    if record.end is not EndReason.FINISHED:
+        why = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
+        return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), ())
+    reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+    metrics = {choice.name: made(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics}
+    try:
+        with stages.stage("imaging"):
+            observation = observe_run(record, reconstruction, recipe.analysis)
+    except NumericsError as error:
+        why = f"the frames cannot be imaged: {error.reason}"
+        return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), (error.remedy,) if error.remedy else ())
+    with stages.stage("metrics"):
+        measured, failed = measure_run(observation, metrics)
+        judged = judge(measured, recipe.limits)
+    return Conclusion(observation, judged, decide(judged), (*observation.warnings, *failed))
+
+
+def calibrated(
+    conclusion: Conclusion, recipe: Recipe, *, calibration: str, issued_at: str
+) -> tuple[Calibration | None, str]:
+    """Issue the calibration a run earned.
+
+    Parameters
+    ----------
+    calibration, issued_at : identity and time of issue.
+
+    Returns
+    -------
+    The calibration and an empty reason, or None and why there is none.
+    """
+    if conclusion.observation is None:
+        return None, conclusion.verdict.reason
+    try:
+        issued = issue_calibration(
+            conclusion.observation,
+            conclusion.verdict,
+            calibration=calibration,
+            issued_at=issued_at,
+            phases=recipe.calibrate_phases,
+            overlap_threshold=_overlap_threshold(recipe),
+        )
+    except (CalibrationError, NumericsError) as error:
+        return None, error.reason
+    return issued, ""
+
+
+def check_plugins(recipe: Recipe, plugins: Plugins) -> None:
+    """Make sure, before anything moves, that everything the analysis will need is there and takes its options.
+
+    Raises
+    ------
+    PluginError, ConfigError
+        Naming what is missing, and where the recipe asks for it.
+    """
+    try:
+        made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+        for choice in recipe.metrics:
+            made(plugins, Kind.METRIC, choice, "[metrics]")
+        for name in recipe.sections:
+            plugins.factory(Kind.SECTION, name)
+    except CbsrError as error:
+        raise type(error)(f"recipe {recipe.name!r}: {error.reason}", remedy=error.remedy) from error
+
+
+def _overlap_threshold(recipe: Recipe) -> float:
+    """Lowest area overlap the recipe accepts, or where its second band begins if it sets no limit."""
+    lowest = [limit.lower for limit in recipe.limits if limit.measurement == "area_overlap"]
+    given = [lower for lower in lowest if lower is not None]
+    return max(given) if given else sorted(band.lower for band in recipe.analysis.overlap_bands)[1]

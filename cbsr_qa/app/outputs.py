@@ -1,0 +1,175 @@
+"""What a run leaves behind besides the database: its calibration file, its report, and its document."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from cbsr_qa.app.stages import Stages
+from cbsr_qa.calibrate.file import write_calibration
+from cbsr_qa.config.paths import calibrations_folder, reports_folder
+from cbsr_qa.domain.errors import PluginError
+from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.outcome import EndReason, Outcome
+from cbsr_qa.domain.plan import Recipe
+from cbsr_qa.domain.report import RunResult
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.interfaces import ReportSection
+from cbsr_qa.plugins import Plugins
+from cbsr_qa.report.render import render_run, report_name, write_report
+
+_HEADLINES = {
+    Outcome.PASS: "PASS",
+    Outcome.MARGINAL: "MARGINAL PASS",
+    Outcome.FAIL: "FAIL",
+    Outcome.NOT_MEASURED: "NOT MEASURED",
+    Outcome.NOT_JUDGED: "NOT JUDGED",
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunOutcome:
+    """What came of a run, for whoever asked for it.
+
+    Parameters
+    ----------
+    result : everything concluded.
+    report, calibration : files; the calibration is None where none was issued.
+    warnings : those of the result and of writing the files.
+    """
+
+    result: RunResult
+    report: Path
+    calibration: Path | None
+    warnings: tuple[str, ...]
+    compute_s: float
+    seed: int
+
+    @property
+    def run(self) -> str:
+        """Identifier of the run."""
+        return self.result.record.identity.run
+
+    @property
+    def headline(self) -> str:
+        """The verdict in capitals; how the run ended where it did not finish."""
+        end = self.result.record.end
+        return _HEADLINES[self.result.verdict.outcome] if end is EndReason.FINISHED else str(end).upper()
+
+    @property
+    def reason(self) -> str:
+        """What decided it."""
+        return self.result.verdict.reason
+
+    @property
+    def calibration_why(self) -> str:
+        """Why there is no calibration."""
+        return self.result.calibration_why
+
+    @property
+    def station_s(self) -> float:
+        """Time the sensor occupied the station [s]."""
+        return self.result.record.station_s
+
+    @property
+    def simulated(self) -> tuple[str, ...]:
+        """What was simulated, in words."""
+        return self.result.record.identity.simulated
+
+    @property
+    def exit_code(self) -> int:
+        """0 passed, 1 failed, 3 aborted, broken or not measured."""
+        finished = self.result.record.end is EndReason.FINISHED
+        return self.result.verdict.outcome.exit_code if finished else 3
+
+    def document(self) -> dict[str, Any]:
+        """Return the outcome as one JSON document."""
+        record = self.result.record
+        return {
+            "run": self.run,
+            "serial": record.identity.sensor.serial,
+            "end": str(record.end),
+            "end_detail": record.end_detail,
+            "outcome": str(self.result.verdict.outcome),
+            "reason": self.reason,
+            "report": str(self.report),
+            "calibration": None if self.calibration is None else str(self.calibration),
+            "calibration_why": self.calibration_why,
+            "measurements": [measurement_row(m) for m in self.result.measurements],
+            "warnings": list(self.warnings),
+            "simulated": list(self.simulated),
+            "seed": self.seed,
+            "station_s": self.station_s,
+            "compute_s": self.compute_s,
+        }
+
+
+def measurement_row(measurement: Measurement) -> dict[str, Any]:
+    """Return a measurement as a JSON object; what it does not have is null."""
+    limit = measurement.limit
+    return {
+        "name": measurement.name,
+        "value": measurement.value,
+        "unit": measurement.unit,
+        "uncertainty": measurement.uncertainty,
+        "lower": limit.lower if limit else None,
+        "upper": limit.upper if limit else None,
+        "marginal": limit.marginal if limit else None,
+        "outcome": str(measurement.outcome),
+        "phase": measurement.phase,
+        "location": measurement.location,
+        "trial": measurement.trial,
+        "qualifier": measurement.qualifier,
+        "how": measurement.how,
+    }
+
+
+def write_outputs(result: RunResult, recipe: Recipe, plugins: Plugins, stages: Stages, seed: int) -> RunOutcome:
+    """Write calibration file and report, and tell plugins of the calibration.
+
+    Raises
+    ------
+    RefusedError
+        If a folder cannot be written to; the run and what was concluded from it are stored already.
+    """
+    identity = result.record.identity
+    stem = f"{identity.sensor.serial}-{identity.run}"
+    calibration: Path | None = None
+    failed: list[str] = []
+    if result.calibration is not None:
+        calibration = calibrations_folder() / f"{stem}.h5"
+        with stages.stage("writing the calibration file"):
+            write_calibration(calibration, result.calibration)
+        failed += _tell_plugins(result, plugins)
+    report = reports_folder() / report_name(identity.sensor.serial, identity.run)
+    sections, missing = report_sections(recipe.sections, plugins)
+    with stages.stage("rendering the report"):
+        write_report(report, render_run(result, sections, warnings=(*missing, *failed)))
+    warnings = (*result.warnings, *missing, *failed)
+    return RunOutcome(result, report, calibration, warnings, stages.total_s(), seed)
+
+
+def report_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[ReportSection], list[str]]:
+    """Return the sections a recipe asks for, every installed one where it names none.
+
+    Built-in sections come in the order they are registered in, others behind them by name.
+
+    Returns
+    -------
+    The sections, and a warning for each that could not be loaded.
+    """
+    sections: list[ReportSection] = []
+    missing: list[str] = []
+    for name in names or plugins.in_order(Kind.SECTION):
+        try:
+            sections.append(plugins.factory(Kind.SECTION, name)())
+        except PluginError as error:
+            missing.append(f"The report section {name} is left out: {error.reason}")
+    return sections, missing
+
+
+def _tell_plugins(result: RunResult, plugins: Plugins) -> list[str]:
+    try:
+        plugins.manager.hook.cbsr_calibration_issued(calibration=result.calibration)
+    except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+        return [f"a plugin failed when it was told of the calibration: {type(error).__name__}: {error}"]
+    return []

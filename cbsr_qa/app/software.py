@@ -1,0 +1,31 @@
+"""Which software made a number."""
+
+from importlib.metadata import PackageNotFoundError, version
+from typing import Final
+
+import cbsr_qa
+from cbsr_qa.plugins import Plugins
+
+#: What numbers rest on, besides this package and its plugins.
+_NUMERICS: Final = ("numpy", "scipy", "scikit-image", "scikit-fem", "h5py")
+
+
+def software_versions(plugins: Plugins) -> tuple[tuple[str, str], ...]:
+    """Versions of this package, of every distribution that registered a plugin, and of the numerical libraries.
+
+    Returns
+    -------
+    (distribution, version) pairs: ours first, then plugins and libraries by name.
+    """
+    theirs = {(r.distribution, r.version) for r in plugins.registrations() if r.distribution != "cbsr-qa"}
+    return (("cbsr-qa", cbsr_qa.__version__), *sorted(theirs), *_installed())
+
+
+def _installed() -> tuple[tuple[str, str], ...]:
+    found = []
+    for name in _NUMERICS:
+        try:
+            found.append((name, version(name)))
+        except PackageNotFoundError:
+            found.append((name, "not installed"))
+    return tuple(found)
