@@ -43,9 +43,11 @@ def _under_edges(start: Points, end: Points, radius: float) -> NDArray[np.float6
     middle = -_dot(start, along) / length_squared
     # |start × along|² / |along|² is the squared distance of the line; this form keeps its digits near tangency.
     half = np.sqrt(np.maximum(radius**2 - _cross(start, along) ** 2 / length_squared, 0.0) / length_squared)
-    enters = start + np.clip(middle - half, 0.0, 1.0)[..., None] * along
-    leaves = start + np.clip(middle + half, 0.0, 1.0)[..., None] * along
-    sectors = radius**2 * (_angle(start, enters) + _angle(leaves, end))
+    first, last = np.clip(middle - half, 0.0, 1.0), np.clip(middle + half, 0.0, 1.0)
+    enters, leaves = start + first[..., None] * along, start + last[..., None] * along
+    # An end inside the circle has no sector; near the centre its direction would be rounding alone.
+    before, after = np.where(first > 0, _angle(start, enters), 0.0), np.where(last < 1, _angle(leaves, end), 0.0)
+    sectors = radius**2 * (before + after)
     area: NDArray[np.float64] = (sectors + _cross(enters, leaves)) / 2
     return area
 

@@ -110,7 +110,8 @@ class SimulatedHead:
 
     def drop_everything(self) -> None:
         """Start lifting at the travel speed and return at once; the next movement waits until the head is up."""
-        self._free_at_s = self._start(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
+        up_s = self._start(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
+        self._free_at_s = max(self._free_at_s, up_s)
 
     def find_surface(self, read_force_N: Callable[[float], float]) -> float:
         """Step down until the contact force, and extrapolate the force–depth line to zero.

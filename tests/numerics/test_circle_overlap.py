@@ -20,6 +20,14 @@ def test_the_triangles_of_a_sheet_share_out_the_whole_disc(centre: tuple[float, 
     assert (overlap <= mesh.areas_mm2 * (1 + 1e-12)).all()
 
 
+@pytest.mark.parametrize("off", [0.0, 1e-300, 4e-22, 1e-17, 1e-16, 1e-12])
+@pytest.mark.parametrize("direction", [(1.0, 0.0), (-0.6, 0.8), (0.3, -1.0)])
+def test_a_corner_all_but_at_the_centre_makes_no_difference(off: float, direction: tuple[float, float]):
+    mesh = disc_mesh(30.0, rings=6, spokes=24)
+    centre = (off * direction[0], off * direction[1])
+    assert circle_overlap_mm2(mesh.corners_mm, centre, 6.5).sum() == pytest.approx(np.pi * 6.5**2, rel=1e-11)
+
+
 def test_a_half_plane_cuts_a_circular_segment():
     height, radius = 0.3, 1.0
     corners = np.array([[[-100.0, height], [100.0, height], [0.0, 100.0]]])

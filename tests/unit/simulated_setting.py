@@ -49,7 +49,9 @@ def installed(name: str) -> Callable[..., Any]:
     return _plugins().factory(Kind.EFFECT, name)
 
 
-def world(of: Scene, *, seed: int = 1, effect_factory: Callable[[str], Callable[..., Any]] = installed) -> SimulatedWorld:
+def world(
+    of: Scene, *, seed: int = 1, effect_factory: Callable[[str], Callable[..., Any]] = installed
+) -> SimulatedWorld:
     return SimulatedWorld(of, sensor_type(), material(), HEAD, seed=seed, effect_factory=effect_factory)
 
 

@@ -75,7 +75,10 @@ def test_modules_of_effects_that_are_off_are_not_imported():
         "print(*sorted(m for m in sys.modules if m.startswith('cbsr_qa_plugins.effects.')))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.split() == ["cbsr_qa_plugins.effects.measurement_noise", "cbsr_qa_plugins.effects.piezoresistivity"]
+    assert done.stdout.split() == [
+        "cbsr_qa_plugins.effects.measurement_noise",
+        "cbsr_qa_plugins.effects.piezoresistivity",
+    ]
 
 
 def test_an_effect_without_what_it_needs_is_refused():

@@ -48,7 +48,10 @@ def test_a_longer_draw_begins_with_the_shorter_one():
 
 def test_seed_name_and_index_each_give_other_numbers():
     draws = [
-        RandomStream(seed, name).normal(index, (4,)) for seed in (0, 1, -1) for name in ("a", "b", "ab") for index in range(9)
+        RandomStream(seed, name).normal(index, (4,))
+        for seed in (0, 1, -1)
+        for name in ("a", "b", "ab")
+        for index in range(9)
     ]
     assert len({draw.tobytes() for draw in draws}) == len(draws)
 
@@ -79,7 +82,10 @@ def test_any_number_of_threads_gives_the_same_numbers():
 
 
 def test_another_process_gives_the_same_numbers():
-    code = "from cbsr_qa.simulate.streams import RandomStream; print(RandomStream(7, 'noise').normal(3, (4,)).tobytes().hex())"
+    code = (
+        "from cbsr_qa.simulate.streams import RandomStream\n"
+        "print(RandomStream(7, 'noise').normal(3, (4,)).tobytes().hex())"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == RandomStream(7, "noise").normal(3, (4,)).tobytes().hex()
 

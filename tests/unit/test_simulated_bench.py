@@ -1,0 +1,303 @@
+"""The simulated bench: time, head, surface, load cell, and numbers that repeat."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_setting import MOTION, base_scene, context, installed, scene
+
+from cbsr_qa.clock import VirtualClock
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.kinematics import stroke_s, surface_search_s, travel_s
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.scene import Moment, SceneSetting
+from cbsr_qa.interfaces import ForceApplicator, FrameSource, Sampler
+from cbsr_qa.simulate.head import SheetSeat
+from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench, open_bench
+
+SPEED = 40 / 60
+FLAT = {"surface_error_mm": 0.0}
+
+
+def _bench(of=None, **more) -> tuple[VirtualClock, SimulatedBench]:
+    clock = more.pop("clock", None) or VirtualClock()
+    return clock, open_bench(context(of or base_scene(), clock=clock, **more))
+
+
+def _session(bench: SimulatedBench) -> tuple[FrameBlock, SampleBlock]:
+    bench.home()
+    bench.find_surface(10.0, 5.0)
+    bench.press(0.8, SPEED)
+    frames = bench.acquire(3)
+    bench.release()
+    return frames, bench.samples_since(-1.0)
+
+
+# --- numbers that repeat ---
+
+
+def test_one_object_fills_all_three_roles():
+    _, bench = _bench()
+    for role in (FrameSource, ForceApplicator, Sampler):
+        assert isinstance(bench, role)
+
+
+def test_two_benches_of_one_seed_give_identical_numbers():
+    (one, force), (other, other_force) = (_session(_bench(seed=4)[1]) for _ in range(2))
+    np.testing.assert_array_equal(one.voltages, other.voltages)
+    np.testing.assert_array_equal(one.time_s, other.time_s)
+    np.testing.assert_array_equal(force.values, other_force.values)
+
+
+def test_another_seed_gives_another_noise():
+    one, other = (_bench(seed=seed)[1].acquire(1).voltages for seed in (1, 2))
+    assert (one != other).all()
+
+
+def test_an_effect_more_changes_no_number_of_the_others():
+    class Shift:
+        needs, perturbs = (), "force"
+
+        def __init__(self, setting: SceneSetting) -> None:
+            self._draw = np.random.default_rng(setting.seed)
+
+        def apply(self, moment: Moment) -> None:
+            self._draw.standard_normal()
+
+    more = replace(base_scene(), effects=(PluginChoice("shift"), *base_scene().effects))
+    found = context(more, effect_factory=lambda name: Shift if name == "shift" else installed(name))
+    (one, force), (other, other_force) = _session(_bench()[1]), _session(open_bench(found))
+    np.testing.assert_array_equal(one.voltages, other.voltages)
+    np.testing.assert_array_equal(force.values, other_force.values)
+
+
+def test_a_bench_opened_late_goes_on_with_the_same_numbers():
+    early_clock, early = _bench()
+    whole = early.acquire(8)
+    force = early.samples_since(-1.0)
+    late_clock = VirtualClock()
+    late_clock.sleep(12.5)
+    _, late = _bench(clock=late_clock)
+    np.testing.assert_array_equal(late.acquire(3).voltages, whole.voltages[5:])
+    np.testing.assert_array_equal(late.samples_since(12.5).values, force.between(12.6, 99.0).values)
+    assert early_clock.now() == late_clock.now()
+
+
+def test_no_two_frames_share_their_noise_whenever_they_begin():
+    clock, bench = _bench()
+    frames = []
+    for pause in (0.0, 0.3, 1.1, 1.249999, 0.0, 2.4999999, 1e-9, 0.7):
+        clock.sleep(pause)
+        frames.append(bench.acquire(1).voltages[0])
+    assert len({frame.tobytes() for frame in frames}) == len(frames)
+
+
+# --- frames ---
+
+
+def test_frames_take_their_period_and_are_stamped_in_the_middle():
+    clock, bench = _bench()
+    clock.sleep(7.0)
+    block = bench.acquire(4)
+    np.testing.assert_allclose(block.time_s, 7.0 + 2.5 * (np.arange(4) + 0.5))
+    assert clock.now() == pytest.approx(17.0)
+    assert block.voltages.shape == (4, 16, 16)
+    assert not block.flags.any()
+    assert block.current_A == pytest.approx(0.4e-3)
+
+
+def test_frames_meet_the_press_that_is_on():
+    silent = scene("piezoresistivity")
+    _, bench = _bench(silent, options=FLAT)
+    unloaded = bench.acquire(1).voltages[0]
+    bench.press(0.8, SPEED)
+    loaded = bench.acquire(1).voltages[0]
+    bench.release()
+    again = bench.acquire(1).voltages[0]
+    assert np.abs(loaded - unloaded).max() > 1e-5 * np.abs(unloaded).max()
+    np.testing.assert_allclose(again, unloaded, rtol=0, atol=1e-12 * np.abs(unloaded).max())
+
+
+def test_the_current_leaves_headroom_below_the_source_limit():
+    _, bench = _bench(scene())
+    diagonal = np.abs(np.diagonal(bench.acquire(1).voltages[0]))
+    assert diagonal.max() * (18.1 + 2 * 9.8) / 18.1 < 0.78 * 20.0
+
+
+# --- head ---
+
+
+def test_press_and_release_take_the_time_the_dry_run_counts():
+    clock, bench = _bench(options=FLAT)
+    bench.move_to(30.0, 0.0)
+    assert clock.now() == pytest.approx(travel_s(MOTION, 30.0))
+    start = clock.now()
+    bench.press(0.8, SPEED)
+    assert clock.now() - start == pytest.approx(stroke_s(MOTION, 0.8))
+    start = clock.now()
+    bench.release()
+    assert clock.now() - start == pytest.approx(stroke_s(MOTION, 0.8))
+
+
+def test_a_press_is_a_ramp_of_the_asked_strain_rate():
+    clock, bench = _bench(options=FLAT)
+    bench.press(0.8, SPEED)
+    (press,) = bench.world.presses
+    (ramp,) = press.steps
+    assert ramp.change == pytest.approx(0.2)
+    assert ramp.change / ramp.ramp_s == pytest.approx(1 / 6)  # the paper's 16.67 %/s
+    assert ramp.start_s + ramp.ramp_s == pytest.approx(clock.now())
+    bench.release()
+    assert press.strain_at(clock.now()) == pytest.approx(0.0, abs=1e-15)
+
+
+def test_travelling_lifts_the_head_first():
+    clock, bench = _bench(options=FLAT)
+    bench.press(0.8, SPEED)
+    bench.move_to(20.0, 0.0)
+    bench.press(0.4, SPEED)
+    first, second = bench.world.presses
+    assert first.strain_at(clock.now()) == pytest.approx(0.0, abs=1e-15)
+    assert (second.index, second.x_mm, second.strain_at(clock.now())) == (1, 20.0, pytest.approx(0.1))
+
+
+def test_the_safe_state_lifts_at_once_and_may_be_called_again():
+    clock, bench = _bench(options=FLAT)
+    bench.press(0.8, SPEED)
+    before = clock.now()
+    bench.safe_state()
+    bench.safe_state()
+    assert clock.now() == before
+    clock.sleep(1.0)
+    assert bench.world.presses[0].strain_at(clock.now()) == pytest.approx(0.0, abs=1e-15)
+    bench.press(0.8, SPEED)  # waits until the head is up, then goes down as ever
+    assert clock.now() == pytest.approx(before + 25.8 / 10.0 + stroke_s(MOTION, 0.8))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_surface_is_found_to_a_hundredth_of_a_millimetre(seed: int):
+    clock, bench = _bench(seed=seed, options={"surface_error_mm": 0.08})
+    start = clock.now()
+    found = bench.find_surface(20.0, -10.0)
+    took_s = clock.now() - start - travel_s(MOTION, np.hypot(20.0, 10.0))
+    true = MOTION.hover_mm + SheetSeat(seed, 0.08, 50.0).depth_mm(20.0, -10.0)
+    assert found == pytest.approx(true, abs=0.015)
+    assert took_s == pytest.approx(surface_search_s(MOTION), rel=0.25)
+
+
+def test_a_press_starts_from_the_surface_that_was_found():
+    clock, bench = _bench(options={"surface_error_mm": 0.1}, seed=3)
+    bench.find_surface(0.0, 0.0)
+    bench.press(0.8, SPEED)
+    assert bench.world.presses[-1].strain_at(clock.now()) == pytest.approx(0.2, abs=0.004)
+
+
+def test_finding_the_surface_leaves_a_residue_that_a_rest_takes_away():
+    clock, bench = _bench()
+    bench.find_surface(0.0, 0.0)
+    fresh = abs(bench.world.truth(clock.now())[0].relative_change)
+    assert fresh > 1e-3
+    assert abs(bench.world.truth(clock.now() + 240.0)[0].relative_change) < 1e-3 * fresh
+
+
+def test_without_a_sheet_that_resists_the_surface_is_not_found():
+    clock, bench = _bench(scene())
+    with pytest.raises(InstrumentError, match=r"bench at \(5, 0\) mm: no contact force of 0.2 N") as lost:
+        bench.find_surface(5.0, 0.0)
+    assert "elastic-stress" in lost.value.remedy
+    assert bench.world.presses[0].strain_at(clock.now()) == pytest.approx(0.0, abs=1e-15)
+
+
+# --- load cell ---
+
+
+def test_samples_come_eight_a_second_each_once():
+    clock, bench = _bench()
+    clock.sleep(2.06)
+    first = bench.samples_since(-1.0)
+    clock.sleep(1.0)
+    second = bench.samples_since(float(first.time_s[-1]))
+    times = np.concatenate([first.time_s, second.time_s])
+    np.testing.assert_array_equal(times, np.arange(25) / 8)
+    assert (first.channel, first.unit) == ("force", "N")
+    assert len(bench.samples_since(clock.now())) == 0
+
+
+def test_a_held_press_ends_at_the_relaxed_force():
+    clock, bench = _bench(scene("elastic-stress", "stress-relaxation"), options=FLAT)
+    bench.press(0.8, SPEED)
+    pressed_s = clock.now()
+    clock.sleep(300.0)
+    block = bench.samples_since(pressed_s)
+    relaxed_N = 132.5e3 * 0.2 * np.pi * 6.5e-3**2
+    assert block.values[-1] == pytest.approx(relaxed_N, rel=1e-6)
+    assert 1.1 * relaxed_N < block.values.max() < 1.25 * relaxed_N
+    assert (np.diff(block.values) < 0).all()
+    bench.release()
+    clock.sleep(1.0)
+    assert (bench.samples_since(clock.now() - 1.0).values == 0).all()
+
+
+# --- refusals and identity ---
+
+
+def test_it_says_that_it_is_simulated_and_of_what():
+    identity = _bench(seed=12)[1].identity()
+    assert identity.simulated
+    assert identity.role == "bench"
+    assert "scene base" in identity.model
+    assert "seed 12" in identity.model
+
+
+def test_a_place_off_the_sheet_is_refused_before_anything_moves():
+    clock, bench = _bench()
+    with pytest.raises(InstrumentError, match="outside the sheet"):
+        bench.move_to(40.0, 40.0)
+    with pytest.raises(InstrumentError, match="outside the sheet"):
+        bench.move_to(float("nan"), 0.0)
+    assert clock.now() == 0.0
+
+
+@pytest.mark.parametrize(("depth_mm", "speed_mm_s"), [(4.0, 1.0), (-0.1, 1.0), (0.8, 0.0), (float("nan"), 1.0)])
+def test_an_impossible_press_is_refused(depth_mm: float, speed_mm_s: float):
+    with pytest.raises(InstrumentError, match="cannot press"):
+        _bench()[1].press(depth_mm, speed_mm_s)
+
+
+def test_no_frames_cannot_be_taken():
+    with pytest.raises(InstrumentError, match="at least 1"):
+        _bench()[1].acquire(0)
+
+
+def test_a_closed_bench_takes_no_orders_but_still_goes_safe():
+    _, bench = _bench()
+    bench.close()
+    for order in (
+        bench.identity,
+        bench.home,
+        bench.release,
+        lambda: bench.acquire(1),
+        lambda: bench.samples_since(0.0),
+    ):
+        with pytest.raises(InstrumentError, match="closed"):
+            order()
+    bench.safe_state()
+    bench.close()
+
+
+def test_an_unknown_option_is_refused_with_the_nearest():
+    with pytest.raises(ConfigError, match="no option 'hover'") as refused:
+        _bench(options={"hover": 3.0})
+    assert "did you mean 'hover_mm'" in refused.value.remedy
+
+
+@pytest.mark.parametrize("value", [0.0, "25", True, float("inf")])
+def test_an_option_out_of_range_is_refused(value: object):
+    with pytest.raises(ConfigError, match="hover_mm is"):
+        _bench(options={"hover_mm": value})
+
+
+def test_without_a_scene_it_cannot_open():
+    with pytest.raises(ConfigError, match="no scene"):
+        open_bench(context(None))
