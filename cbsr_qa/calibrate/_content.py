@@ -1,0 +1,151 @@
+"""A calibration as named, typed values with units: what its file holds, whatever the file's format."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import CalibrationError
+
+#: What a value may be: float64, int64 or bool arrays of any shape, one text, or a list of texts.
+Value = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.bool_] | str | tuple[str, ...]
+
+#: Units of values that have none.
+PURE: Final = "1"
+TEXT: Final = "text"
+INDEX: Final = "index"
+FLAG: Final = "flag"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """One value with its unit."""
+
+    units: str
+    value: Value
+
+
+class Writing:
+    """Collects entries under their paths."""
+
+    def __init__(self) -> None:
+        self.entries: dict[str, Entry] = {}
+
+    def number(self, path: str, value: float | None, units: str = PURE) -> None:
+        """Keep a number; None is kept as NaN, which no number in a calibration ever is."""
+        self.entries[path] = Entry(units, np.asarray(np.nan if value is None else value, dtype=np.float64))
+
+    def numbers(self, path: str, values: Sequence[float | None] | NDArray[np.float64], units: str = PURE) -> None:
+        """Keep numbers; None in a sequence is kept as NaN."""
+        if not isinstance(values, np.ndarray):
+            values = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+        self.entries[path] = Entry(units, np.ascontiguousarray(values, dtype=np.float64))
+
+    def optional(self, path: str, values: Sequence[float] | NDArray[np.float64] | None, units: str = PURE) -> None:
+        """Keep numbers that may be absent: an empty array then."""
+        self.numbers(path, () if values is None else values, units)
+
+    def integers(self, path: str, values: NDArray[np.int64] | Sequence[int] | int, units: str = INDEX) -> None:
+        """Keep indices or counts."""
+        self.entries[path] = Entry(units, np.ascontiguousarray(values, dtype=np.int64).reshape(np.shape(values)))
+
+    def flags(self, path: str, values: NDArray[np.bool_] | Sequence[bool] | bool) -> None:
+        """Keep yes and no."""
+        self.entries[path] = Entry(FLAG, np.asarray(values, dtype=np.bool_))
+
+    def text(self, path: str, value: str) -> None:
+        """Keep a text."""
+        self.entries[path] = Entry(TEXT, value)
+
+    def texts(self, path: str, values: Sequence[str]) -> None:
+        """Keep a list of texts."""
+        self.entries[path] = Entry(TEXT, tuple(values))
+
+
+class Reading:
+    """Hands entries out again, typed.
+
+    Every method raises CalibrationError, naming the path, where it is missing or holds something else.
+    """
+
+    def __init__(self, entries: Mapping[str, Entry]) -> None:
+        self._entries = entries
+
+    def number(self, path: str) -> float:
+        """Return a number."""
+        return float(self._array(path, np.float64, ()))
+
+    def maybe(self, path: str) -> float | None:
+        """Return a number, or None where there is none."""
+        value = self.number(path)
+        return None if np.isnan(value) else value
+
+    def numbers(self, path: str) -> NDArray[np.float64]:
+        """Return an array of numbers."""
+        array: NDArray[np.float64] = self._array(path, np.float64)
+        return array
+
+    def maybes(self, path: str) -> list[float | None]:
+        """Return a list of numbers with None where there is none."""
+        return [None if np.isnan(value) else float(value) for value in self._array(path, np.float64)]
+
+    def optional(self, path: str) -> NDArray[np.float64] | None:
+        """Return an array of numbers, or None where it is empty."""
+        values = self.numbers(path)
+        return values if values.size else None
+
+    def pair(self, path: str) -> tuple[float, float] | None:
+        """Return (lowest, highest), or None where it is empty."""
+        values = self.optional(path)
+        if values is None:
+            return None
+        if values.shape != (2,):
+            raise CalibrationError(f"{path} holds {values.shape} numbers instead of two")
+        return float(values[0]), float(values[1])
+
+    def integers(self, path: str) -> NDArray[np.int64]:
+        """Return indices or counts."""
+        array: NDArray[np.int64] = self._array(path, np.int64)
+        return array
+
+    def integer(self, path: str) -> int:
+        """Return one count."""
+        return int(self._array(path, np.int64, ()))
+
+    def flags(self, path: str) -> NDArray[np.bool_]:
+        """Return an array of yes and no."""
+        array: NDArray[np.bool_] = self._array(path, np.bool_)
+        return array
+
+    def flag(self, path: str) -> bool:
+        """Return yes or no."""
+        return bool(self._array(path, np.bool_, ()))
+
+    def text(self, path: str) -> str:
+        """Return a text."""
+        value = self._value(path)
+        if not isinstance(value, str):
+            raise CalibrationError(f"{path} is not a text")
+        return value
+
+    def texts(self, path: str) -> tuple[str, ...]:
+        """Return a list of texts."""
+        value = self._value(path)
+        if not isinstance(value, tuple):
+            raise CalibrationError(f"{path} is not a list of texts")
+        return value
+
+    def _value(self, path: str) -> Value:
+        if path not in self._entries:
+            raise CalibrationError(f"{path} is missing")
+        return self._entries[path].value
+
+    def _array(self, path: str, kind: type[np.generic], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+        value = self._value(path)
+        if not isinstance(value, np.ndarray) or value.dtype != kind:
+            raise CalibrationError(f"{path} does not hold {kind.__name__} numbers")
+        if shape is not None and value.shape != shape:
+            raise CalibrationError(f"{path} has the shape {value.shape} instead of {shape}")
+        return value

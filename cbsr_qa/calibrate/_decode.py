@@ -1,0 +1,227 @@
+"""From the entries of a calibration file (schema version 1) back to the calibration."""
+
+from collections.abc import Mapping
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibrate._content import Entry, Reading
+from cbsr_qa.domain.calibration import (
+    BaselineConductance,
+    Calibration,
+    LoadRelaxation,
+    OverlapBand,
+    SettlingSummary,
+    Validity,
+)
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.errors import CalibrationError, RefusedError
+from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.patterns import DrivePattern
+from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, SettlingTime
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response, SensorIdentity, SensorType
+
+
+def decode(entries: Mapping[str, Entry]) -> Calibration:
+    """Return the calibration that some entries describe.
+
+    Raises
+    ------
+    CalibrationError
+        If an entry is missing, of another type, of another length than its neighbours, or not allowed.
+    """
+    try:
+        return _calibration(Reading(entries))
+    except CalibrationError:
+        raise
+    except (RefusedError, ValueError, IndexError) as error:
+        raise CalibrationError(f"the content contradicts itself: {error}") from error
+
+
+def _calibration(read: Reading) -> Calibration:
+    sensor_type = _sensor_type(read)
+    return Calibration(
+        calibration=read.text("identity/calibration"),
+        run=read.text("identity/run"),
+        issued_at=read.text("identity/issued_at"),
+        sensor=SensorIdentity(
+            read.text("identity/serial"), read.text("identity/batch"), read.text("identity/sensor_type")
+        ),
+        sensor_type=sensor_type,
+        indenter=Indenter(read.number("indenter/diameter")),
+        reference=read.numbers("reference/voltages"),
+        current_A=read.number("reference/current"),
+        scale=read.number("reference/scale"),
+        reconstruction=_reconstruction(read, sensor_type),
+        response=Response(read.text("image/response")),
+        noise_floor=read.number("image/noise_floor"),
+        mask=read.number("image/mask"),
+        baseline=_baseline(read),
+        against_stress=_quasi_static(read, "against_stress"),
+        against_strain=_quasi_static(read, "against_strain"),
+        assumed=read.texts("assumed"),
+        settling=_settling(read),
+        overlap_bands=_bands(read),
+        overlap_threshold=read.number("area_overlap/threshold"),
+        validity=_validity(read),
+        simulated=read.texts("identity/simulated"),
+        relaxations=_relaxations(read),
+    )
+
+
+def _sensor_type(read: Reading) -> SensorType:
+    layout = ElectrodeLayout(
+        count=read.integer("sensor_type/electrodes/count"),
+        kind=ElectrodeKind(read.text("sensor_type/electrodes/kind")),
+        ring_radius_mm=read.number("sensor_type/electrodes/ring_radius"),
+        width_mm=read.number("sensor_type/electrodes/width"),
+        first_angle_deg=read.number("sensor_type/electrodes/first_angle"),
+        counterclockwise=read.flag("sensor_type/electrodes/counterclockwise"),
+    )
+    pattern = DrivePattern(
+        read.integer("sensor_type/pattern/electrode_count"),
+        _pairs(read.integers("sensor_type/pattern/drive")),
+        _pairs(read.integers("sensor_type/pattern/measure")),
+    )
+    return SensorType(
+        read.text("sensor_type/name"),
+        read.number("sensor_type/radius"),
+        read.number("sensor_type/thickness"),
+        layout,
+        pattern,
+        Response(read.text("sensor_type/response")),
+    )
+
+
+def _pairs(table: NDArray[np.int64]) -> tuple[tuple[int, int], ...]:
+    return tuple((int(first), int(second)) for first, second in table)
+
+
+def _reconstruction(read: Reading, sensor_type: SensorType) -> LinearReconstruction:
+    counts = read.integers("mesh/electrode_edge_counts")
+    edges = read.integers("mesh/electrode_edges")
+    if int(counts.sum()) != len(edges):
+        raise CalibrationError(f"mesh/electrode_edges holds {len(edges)} edges, the counts say {int(counts.sum())}")
+    owned = tuple(np.split(edges, np.cumsum(counts)[:-1])) if len(counts) else ()
+    problem = ImagingProblem(
+        sensor_type,
+        Mesh(read.numbers("mesh/nodes"), read.integers("mesh/elements"), owned),
+        read.numbers("reconstruction/jacobian"),
+        read.numbers("reconstruction/reference"),
+        read.flags("reconstruction/used"),
+        read.optional("reconstruction/noise_variance"),
+    )
+    choice = ParameterChoice(
+        read.number("reconstruction/regularisation"),
+        read.text("reconstruction/regularisation_how"),
+        read.number("reconstruction/noise_figure"),
+    )
+    matrix = read.numbers("reconstruction/matrix")
+    if matrix.shape != problem.jacobian.T.shape:
+        raise CalibrationError(f"reconstruction/matrix of {matrix.shape} does not fit its mesh and readings")
+    return LinearReconstruction(read.text("reconstruction/method"), problem, matrix, choice)
+
+
+def _baseline(read: Reading) -> tuple[BaselineConductance, ...]:
+    group = "baseline_conductance"
+    columns = zip(
+        read.texts(f"{group}/location"),
+        read.numbers(f"{group}/x").tolist(),
+        read.numbers(f"{group}/y").tolist(),
+        read.maybes(f"{group}/value"),
+        read.maybes(f"{group}/stderr"),
+        read.integers(f"{group}/loads").tolist(),
+        read.texts(f"{group}/why"),
+        strict=True,
+    )
+    return tuple(BaselineConductance(*row) for row in columns)
+
+
+def _quasi_static(read: Reading, name: str) -> QuasiStatic:
+    def parameter(part: str) -> Parameter:
+        path = f"quasi_static/{name}/{part}"
+        return Parameter(read.number(path), read.maybe(f"{path}_stderr"), read.text(f"{path}_source"))
+
+    return QuasiStatic(parameter("slope"), parameter("intercept"), read.maybe(f"quasi_static/{name}/covariance"))
+
+
+def _settling(read: Reading) -> tuple[SettlingSummary, ...]:
+    columns = zip(
+        read.texts("settling/signal"),
+        read.flags("settling/loading").tolist(),
+        read.maybes("settling/mean"),
+        read.maybes("settling/deviation"),
+        read.integers("settling/accepted").tolist(),
+        read.integers("settling/censored").tolist(),
+        read.integers("settling/rejected").tolist(),
+        strict=True,
+    )
+    return tuple(SettlingSummary(*row) for row in columns)
+
+
+def _relaxations(read: Reading) -> tuple[LoadRelaxation, ...]:
+    loads = zip(
+        read.texts("relaxation/location"),
+        read.integers("relaxation/trial").tolist(),
+        read.texts("relaxation/signal"),
+        read.flags("relaxation/loading").tolist(),
+        _fits(read),
+        _settling_times(read),
+        strict=True,
+    )
+    return tuple(LoadRelaxation(*row) for row in loads)
+
+
+def _fits(read: Reading) -> list[RelaxationFit]:
+    columns = zip(
+        [FitStatus(status) for status in read.texts("relaxation/status")],
+        read.numbers("relaxation/offset").tolist(),
+        _unpadded(read.numbers("relaxation/amplitudes")),
+        _unpadded(read.numbers("relaxation/time_constants")),
+        read.numbers("relaxation/offset_stderr").tolist(),
+        _unpadded(read.numbers("relaxation/time_constants_stderr")),
+        read.numbers("relaxation/r_squared").tolist(),
+        read.texts("relaxation/why"),
+        strict=True,
+    )
+    return [RelaxationFit(*row) for row in columns]
+
+
+def _settling_times(read: Reading) -> list[SettlingTime]:
+    columns = zip(
+        read.maybes("relaxation/settling_time"),
+        read.flags("relaxation/settling_censored").tolist(),
+        read.numbers("relaxation/settling_band").tolist(),
+        read.texts("relaxation/settling_why"),
+        strict=True,
+    )
+    return [SettlingTime(*row) for row in columns]
+
+
+def _unpadded(table: NDArray[np.float64]) -> list[tuple[float, ...]]:
+    return [tuple(row[~np.isnan(row)].tolist()) for row in table]
+
+
+def _bands(read: Reading) -> tuple[OverlapBand, ...]:
+    columns = zip(
+        read.texts("area_overlap/band"),
+        read.numbers("area_overlap/lower").tolist(),
+        read.numbers("area_overlap/upper").tolist(),
+        strict=True,
+    )
+    return tuple(OverlapBand(*row) for row in columns)
+
+
+def _validity(read: Reading) -> Validity:
+    strain = read.pair("validity/strain")
+    if strain is None:
+        raise CalibrationError("validity/strain is empty")
+    return Validity(
+        force_N=read.pair("validity/force"),
+        strain=strain,
+        temperature_C=read.pair("validity/temperature"),
+        radius_mm=read.number("validity/radius"),
+        reduced=read.texts("validity/reduced"),
+    )

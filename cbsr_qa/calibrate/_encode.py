@@ -1,0 +1,169 @@
+"""From a calibration to the entries of its file (schema version 1)."""
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from cbsr_qa.calibrate._content import INDEX, Entry, Writing
+from cbsr_qa.domain.calibration import Calibration, LoadRelaxation
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.reconstruction import LinearReconstruction
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic, SensorType
+
+
+def encode(calibration: Calibration) -> Mapping[str, Entry]:
+    """Return everything a calibration holds as entries by path.
+
+    Raises
+    ------
+    CalibrationError
+        If its matrix was prepared for another sensor type than it names.
+    """
+    prepared_for = calibration.reconstruction.problem.sensor_type
+    if prepared_for != calibration.sensor_type:
+        raise CalibrationError(
+            f"the reconstruction was prepared for sensor type {prepared_for.name!r},"
+            f" the calibration is for {calibration.sensor_type.name!r}"
+        )
+    out = Writing()
+    _identity(out, calibration)
+    _sensor_type(out, calibration.sensor_type)
+    _reconstruction(out, calibration.reconstruction)
+    _image(out, calibration)
+    _baseline(out, calibration)
+    _quasi_static(out, "against_stress", calibration.against_stress, "1/kPa")
+    _quasi_static(out, "against_strain", calibration.against_strain, "1")
+    _settling(out, calibration)
+    _relaxations(out, calibration.relaxations)
+    _use(out, calibration)
+    return out.entries
+
+
+def _identity(out: Writing, c: Calibration) -> None:
+    out.text("identity/calibration", c.calibration)
+    out.text("identity/run", c.run)
+    out.text("identity/issued_at", c.issued_at)
+    out.text("identity/serial", c.sensor.serial)
+    out.text("identity/batch", c.sensor.batch)
+    out.text("identity/sensor_type", c.sensor.sensor_type)
+    out.texts("identity/simulated", c.simulated)
+
+
+def _sensor_type(out: Writing, kind: SensorType) -> None:
+    out.text("sensor_type/name", kind.name)
+    out.number("sensor_type/radius", kind.radius_mm, "mm")
+    out.number("sensor_type/thickness", kind.thickness_mm, "mm")
+    out.text("sensor_type/response", kind.response)
+    layout = kind.electrodes
+    out.integers("sensor_type/electrodes/count", layout.count, "1")
+    out.text("sensor_type/electrodes/kind", layout.kind)
+    out.number("sensor_type/electrodes/ring_radius", layout.ring_radius_mm, "mm")
+    out.number("sensor_type/electrodes/width", layout.width_mm, "mm")
+    out.number("sensor_type/electrodes/first_angle", layout.first_angle_deg, "deg")
+    out.flags("sensor_type/electrodes/counterclockwise", layout.counterclockwise)
+    out.integers("sensor_type/pattern/electrode_count", kind.pattern.electrode_count, "1")
+    out.integers("sensor_type/pattern/drive", np.array(kind.pattern.drive))
+    out.integers("sensor_type/pattern/measure", np.array(kind.pattern.measure))
+
+
+def _reconstruction(out: Writing, reconstruction: LinearReconstruction) -> None:
+    problem, mesh = reconstruction.problem, reconstruction.problem.mesh
+    out.text("reconstruction/method", reconstruction.method)
+    out.numbers("reconstruction/matrix", reconstruction.matrix, "A.Ohm/V")
+    out.number("reconstruction/regularisation", reconstruction.choice.value)
+    out.text("reconstruction/regularisation_how", reconstruction.choice.how)
+    out.number("reconstruction/noise_figure", reconstruction.choice.noise_figure)
+    out.numbers("reconstruction/jacobian", problem.jacobian, "V/(A.Ohm)")
+    out.numbers("reconstruction/reference", problem.reference, "V/(A.Ohm)")
+    out.flags("reconstruction/used", problem.used)
+    out.optional("reconstruction/noise_variance", problem.noise_variance)
+    out.numbers("mesh/nodes", mesh.nodes_mm, "mm")
+    out.integers("mesh/elements", mesh.elements)
+    edges = mesh.electrode_edges
+    joined = np.concatenate(edges) if edges else np.empty((0, 2), dtype=np.int64)
+    out.integers("mesh/electrode_edges", joined)
+    out.integers("mesh/electrode_edge_counts", [len(edge) for edge in edges], "1")
+
+
+def _image(out: Writing, c: Calibration) -> None:
+    out.numbers("reference/voltages", c.reference, "V")
+    out.number("reference/current", c.current_A, "A")
+    out.number("reference/scale", c.scale, "A.Ohm")
+    out.text("image/response", c.response)
+    out.number("image/noise_floor", c.noise_floor)
+    out.number("image/mask", c.mask)
+
+
+def _baseline(out: Writing, c: Calibration) -> None:
+    places = c.baseline
+    out.texts("baseline_conductance/location", [p.location for p in places])
+    out.numbers("baseline_conductance/x", [p.x_mm for p in places], "mm")
+    out.numbers("baseline_conductance/y", [p.y_mm for p in places], "mm")
+    out.numbers("baseline_conductance/value", [p.value for p in places])
+    out.numbers("baseline_conductance/stderr", [p.stderr for p in places])
+    out.integers("baseline_conductance/loads", [p.loads for p in places], "1")
+    out.texts("baseline_conductance/why", [p.why for p in places])
+
+
+def _quasi_static(out: Writing, name: str, fit: QuasiStatic, slope_units: str) -> None:
+    def parameter(part: str, value: Parameter, units: str) -> None:
+        out.number(f"quasi_static/{name}/{part}", value.value, units)
+        out.number(f"quasi_static/{name}/{part}_stderr", value.stderr, units)
+        out.text(f"quasi_static/{name}/{part}_source", value.source)
+
+    parameter("slope", fit.slope, slope_units)
+    parameter("intercept", fit.intercept, "1")
+    out.number(f"quasi_static/{name}/covariance", fit.covariance, slope_units)
+
+
+def _settling(out: Writing, c: Calibration) -> None:
+    out.texts("settling/signal", [s.signal for s in c.settling])
+    out.flags("settling/loading", [s.loading for s in c.settling])
+    out.numbers("settling/mean", [s.mean_s for s in c.settling], "s")
+    out.numbers("settling/deviation", [s.deviation_s for s in c.settling], "s")
+    out.integers("settling/accepted", [s.accepted for s in c.settling], "1")
+    out.integers("settling/censored", [s.censored for s in c.settling], "1")
+    out.integers("settling/rejected", [s.rejected for s in c.settling], "1")
+
+
+def _relaxations(out: Writing, seen: Sequence[LoadRelaxation]) -> None:
+    fits = [r.fit for r in seen]
+    unit = "1; kPa for stress"
+    out.texts("relaxation/location", [r.location for r in seen])
+    out.integers("relaxation/trial", [r.trial for r in seen], INDEX)
+    out.texts("relaxation/signal", [r.signal for r in seen])
+    out.flags("relaxation/loading", [r.loading for r in seen])
+    out.texts("relaxation/status", [fit.status for fit in fits])
+    out.numbers("relaxation/offset", [fit.offset for fit in fits], unit)
+    out.numbers("relaxation/offset_stderr", [fit.offset_stderr for fit in fits], unit)
+    out.numbers("relaxation/amplitudes", _padded([fit.amplitudes for fit in fits]), unit)
+    out.numbers("relaxation/time_constants", _padded([fit.time_constants_s for fit in fits]), "s")
+    out.numbers("relaxation/time_constants_stderr", _padded([fit.time_constant_stderr_s for fit in fits]), "s")
+    out.numbers("relaxation/r_squared", [fit.r_squared for fit in fits])
+    out.texts("relaxation/why", [fit.why for fit in fits])
+    out.numbers("relaxation/settling_time", [r.settling.value_s for r in seen], "s")
+    out.flags("relaxation/settling_censored", [r.settling.censored for r in seen])
+    out.numbers("relaxation/settling_band", [r.settling.band for r in seen], unit)
+    out.texts("relaxation/settling_why", [r.settling.why for r in seen])
+
+
+def _padded(rows: Sequence[tuple[float, ...]]) -> np.ndarray:
+    """Rows of at most two numbers as an (n, 2) array, NaN where there is none."""
+    table = np.full((len(rows), 2), np.nan)
+    for index, row in enumerate(rows):
+        table[index, : len(row)] = row
+    return table
+
+
+def _use(out: Writing, c: Calibration) -> None:
+    out.texts("assumed", c.assumed)
+    out.number("indenter/diameter", c.indenter.diameter_mm, "mm")
+    out.texts("area_overlap/band", [band.name for band in c.overlap_bands])
+    out.numbers("area_overlap/lower", [band.lower for band in c.overlap_bands], "%")
+    out.numbers("area_overlap/upper", [band.upper for band in c.overlap_bands], "%")
+    out.number("area_overlap/threshold", c.overlap_threshold, "%")
+    out.optional("validity/force", c.validity.force_N, "N")
+    out.numbers("validity/strain", c.validity.strain)
+    out.optional("validity/temperature", c.validity.temperature_C, "degC")
+    out.number("validity/radius", c.validity.radius_mm, "mm")
+    out.texts("validity/reduced", c.validity.reduced)

@@ -1,0 +1,224 @@
+"""The calibration file: HDF5, readable from MATLAB, LabVIEW, C and Python, and never executing anything.
+
+Every value is a dataset with an attribute ``units``. Texts are UTF-8 strings, yes and no are one byte (0 or 1),
+a number that does not exist is NaN, an optional array that does not exist is empty. Attributes of the root say
+``format``, ``schema_version`` and ``digest``.
+
+The digest is a SHA-256 over the content, not over the file's bytes: copying a file with another HDF5 library keeps
+it. It can be recomputed with h5py and hashlib alone. Feed the hash, for every dataset in the order of its path
+(without leading ``/``, sorted by Unicode code point), with the UTF-8 bytes of the line
+``path TAB units TAB kind TAB shape NEWLINE``, where ``kind`` is ``f8``, ``i8``, ``u1`` or ``text`` and ``shape``
+the lengths joined by ``x`` (empty for one value), and then with the data in C order: little-endian numbers, or for
+each text its length in bytes in decimal, a NEWLINE and its UTF-8 bytes. The hash begins with the line
+``cbsr-qa calibration TAB schema_version NEWLINE``. A digest tells damage and careless editing; it is not a signature.
+"""
+
+import hashlib
+import os
+import uuid
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+
+from cbsr_qa.calibrate._content import Entry, Value
+from cbsr_qa.calibrate._decode import decode
+from cbsr_qa.calibrate._encode import encode
+from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.errors import CalibrationError
+
+FORMAT: Final = "cbsr-qa calibration"
+SCHEMA_VERSION: Final = 1
+
+#: More than any calibration holds; a file that claims more is refused before memory is taken for it.
+_LARGEST_BYTES: Final = 2**30
+
+
+@dataclass(frozen=True, slots=True)
+class VerifiedFile:
+    """What was found out about a sound calibration file."""
+
+    path: Path
+    schema_version: int
+    digest: str
+    datasets: int
+
+
+def write_calibration(path: Path, calibration: Calibration) -> str:
+    """Write a calibration file; either the whole file appears under its name or nothing does.
+
+    Returns
+    -------
+    The digest.
+
+    Raises
+    ------
+    CalibrationError
+        If the folder cannot be written, or the calibration contradicts itself.
+    """
+    entries = encode(calibration)
+    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
+    try:
+        digest = content_digest(entries, SCHEMA_VERSION)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with h5py.File(partial, "x") as file:
+            _write(file, entries, digest)
+        with partial.open("rb") as written:
+            os.fsync(written.fileno())
+        partial.replace(path)
+    except OSError as error:
+        raise CalibrationError(
+            f"the calibration file {path} cannot be written: {error.strerror or error}",
+            remedy="give a folder that exists and may be written, with room for some megabytes",
+        ) from error
+    except ValueError as error:
+        raise CalibrationError(f"the calibration holds a text that cannot be written: {error}") from error
+    finally:
+        with suppress(OSError):
+            partial.unlink()
+    return digest
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a calibration file whose digest and schema are sound.
+
+    Raises
+    ------
+    CalibrationError
+        If it is not there, truncated, edited since it was issued, of a later version, or not a calibration.
+    """
+    with _naming(path):
+        return decode(_read(path)[0])
+
+
+def verify_calibration(path: Path) -> VerifiedFile:
+    """Check digest and schema of a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`read_calibration`.
+    """
+    with _naming(path):
+        entries, digest = _read(path)
+        decode(entries)
+        return VerifiedFile(path, SCHEMA_VERSION, digest, len(entries))
+
+
+def content_digest(entries: Mapping[str, Entry], schema_version: int) -> str:
+    """Return the SHA-256 of entries as described in the module's text, in hexadecimal digits."""
+    digest = hashlib.sha256(f"{FORMAT}\t{schema_version}\n".encode())
+    for path in sorted(entries):
+        kind, shape, data = _canonical(entries[path].value)
+        digest.update(f"{path}\t{entries[path].units}\t{kind}\t{'x'.join(map(str, shape))}\n".encode())
+        digest.update(data)
+    return digest.hexdigest()
+
+
+def _canonical(value: Value) -> tuple[str, tuple[int, ...], bytes]:
+    if isinstance(value, np.ndarray):
+        kind = {"f": "<f8", "i": "<i8", "b": "|u1"}[value.dtype.kind]
+        return kind[1:], value.shape, value.astype(kind).tobytes()
+    texts = [text.encode() for text in ((value,) if isinstance(value, str) else value)]
+    shape = () if isinstance(value, str) else (len(texts),)
+    return "text", shape, b"".join(b"%d\n%s" % (len(text), text) for text in texts)
+
+
+def _write(file: h5py.File, entries: Mapping[str, Entry], digest: str) -> None:
+    file.attrs["format"] = FORMAT
+    file.attrs["schema_version"] = np.int64(SCHEMA_VERSION)
+    file.attrs["digest"] = digest
+    for path, entry in entries.items():
+        if isinstance(entry.value, np.ndarray):
+            data = entry.value.astype(np.uint8) if entry.value.dtype == np.bool_ else entry.value
+            dataset = file.create_dataset(path, data=data)
+        else:
+            texts = entry.value if isinstance(entry.value, str) else np.array(entry.value, dtype=object)
+            dataset = file.create_dataset(path, data=texts, dtype=h5py.string_dtype())
+        dataset.attrs["units"] = entry.units
+
+
+def _read(path: Path) -> tuple[dict[str, Entry], str]:
+    if not path.is_file():
+        raise CalibrationError("there is no such file")
+    try:
+        with h5py.File(path, "r") as file:
+            version = _version(file)
+            entries = dict(_entries(file, ""))
+            stated = str(file.attrs.get("digest", ""))
+    except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
+        raise CalibrationError(
+            f"not a whole HDF5 file (truncated, damaged or something else): {error}",
+            remedy="copy it again from where it was issued",
+        ) from error
+    digest = content_digest(entries, version)
+    if digest != stated:
+        raise CalibrationError(
+            f"the content was changed after it was issued: its SHA-256 is {digest},"
+            f" the file states {stated or 'none'}",
+            remedy="use the file as it was issued; a sensor's values are changed by calibrating it again",
+        )
+    return entries, digest
+
+
+def _version(file: h5py.File) -> int:
+    if file.attrs.get("format") != FORMAT:
+        raise CalibrationError("an HDF5 file, but not a calibration", remedy="give a file that `cbsr-qa run` issued")
+    version = file.attrs.get("schema_version")
+    if not isinstance(version, np.integer):
+        raise CalibrationError("the schema version is missing or no whole number")
+    if version > SCHEMA_VERSION:
+        raise CalibrationError(
+            f"written to schema version {version}; this program knows versions up to {SCHEMA_VERSION}",
+            remedy="update cbsr-qa",
+        )
+    if version < 1:
+        raise CalibrationError(f"schema version {version} never existed")
+    return int(version)
+
+
+def _entries(group: h5py.Group, prefix: str) -> Iterator[tuple[str, Entry]]:
+    for name in group:
+        path = f"{prefix}{name}"
+        # Links could lead out of the file, or around in circles; nothing we write has any.
+        if not isinstance(group.get(name, getlink=True), h5py.HardLink) or path.count("/") > 4:
+            raise CalibrationError(f"{path} is a link, not content")
+        item = group[name]
+        if isinstance(item, h5py.Group):
+            yield from _entries(item, f"{path}/")
+        else:
+            yield path, _entry(path, item)
+
+
+def _entry(path: str, dataset: Any) -> Entry:
+    if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual:
+        raise CalibrationError(f"{path} does not hold its own data")
+    if dataset.size is None or dataset.nbytes > _LARGEST_BYTES:
+        raise CalibrationError(f"{path} is empty or too large for a calibration")
+    units = dataset.attrs.get("units")
+    if not isinstance(units, str):
+        raise CalibrationError(f"{path} states no units")
+    if h5py.check_string_dtype(dataset.dtype) is not None:
+        texts = dataset.asstr()[()]
+        return Entry(units, texts if isinstance(texts, str) else tuple(texts.tolist()))
+    values = np.asarray(dataset[()])
+    if values.dtype == np.float64:
+        return Entry(units, values.astype(np.float64))
+    if values.dtype == np.int64:
+        return Entry(units, values.astype(np.int64))
+    if values.dtype == np.uint8 and values.max(initial=0) <= 1:
+        return Entry(units, values.astype(np.bool_))
+    raise CalibrationError(f"{path} is of the type {dataset.dtype}, or holds a value, that no calibration has")
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Put the file's name before whatever is said about it."""
+    try:
+        yield
+    except CalibrationError as error:
+        raise CalibrationError(f"calibration file {path}: {error.reason}", remedy=error.remedy) from error

@@ -1,0 +1,109 @@
+"""A small calibration that uses every field, for tests of what is done with one."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from cbsr_qa.domain.calibration import (
+    BaselineConductance,
+    Calibration,
+    LoadRelaxation,
+    OverlapBand,
+    SettlingSummary,
+    Validity,
+)
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.patterns import adjacent_pattern
+from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, SettlingTime
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response, SensorIdentity, SensorType
+
+
+def sample_sensor_type(electrodes: int = 6) -> SensorType:
+    return SensorType(
+        name="disc-test",
+        radius_mm=50.0,
+        thickness_mm=4.0,
+        electrodes=ElectrodeLayout(electrodes, ElectrodeKind.PIN, 48.0, 0.65, 12.5, False),
+        pattern=adjacent_pattern(electrodes),
+        response=Response.AUTO,
+    )
+
+
+def sample_reconstruction(sensor_type: SensorType, seed: int = 5) -> LinearReconstruction:
+    random = np.random.default_rng(seed)
+    used = sensor_type.pattern.usable()
+    nodes = np.array([[0.0, 0.0], [20.0, 0.0], [0.0, 20.0], [-20.0, 0.0], [0.0, -20.0]])
+    elements = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]])
+    mesh = Mesh(nodes, elements, (np.array([[1, 2]]), np.array([[2, 3], [3, 4]])))
+    readings = int(used.sum())
+    problem = ImagingProblem(
+        sensor_type,
+        mesh,
+        random.standard_normal((readings, 4)),
+        random.standard_normal(readings),
+        used,
+        random.uniform(1, 2, readings),
+    )
+    matrix = random.standard_normal((4, readings))
+    return LinearReconstruction("test-method", problem, matrix, ParameterChoice(0.03, "chosen for a test", 1.02))
+
+
+def sample_calibration() -> Calibration:
+    sensor_type = sample_sensor_type()
+    two = RelaxationFit(FitStatus.TWO, 0.12, (-0.02, -0.05), (2.5, 23.1), 1e-3, (0.2, 1.5), 0.998, "")
+    none = RelaxationFit(FitStatus.REJECTED, 0.1, (), (), 0.01, (), 0.0, "3 points are too few; 5 are needed")
+    return Calibration(
+        calibration="0193-c",
+        run="0193-r",
+        issued_at="2026-11-21T08:00:00+13:00",
+        sensor=SensorIdentity("S-001 ü", "batch 41", "disc-test"),
+        sensor_type=sensor_type,
+        indenter=Indenter(13.0),
+        reference=np.random.default_rng(1).standard_normal(sensor_type.pattern.shape),
+        current_A=0.0009,
+        scale=-1.7e-2,
+        reconstruction=sample_reconstruction(sensor_type),
+        response=Response.DECREASE,
+        noise_floor=5.97e-3,
+        mask=0.85,
+        baseline=(
+            BaselineConductance("L0", 0.0, 0.0, 0.31, 0.004, 3),
+            BaselineConductance("L1", 30.0, -0.0, None, None, 0, "no blob was sensed"),
+        ),
+        against_stress=QuasiStatic(
+            Parameter(4.53e-3, 2e-4, "paper"), Parameter(-1e-3, None, "chosen by us"), covariance=-1.5e-8
+        ),
+        against_strain=QuasiStatic(Parameter(0.6, None, "paper"), Parameter(0.0, None, "chosen by us")),
+        assumed=("α against stress", "β against stress"),
+        settling=(
+            SettlingSummary("conductance", True, 29.5, 3.0, 8, 1, 0),
+            SettlingSummary("stress", False, None, None, 0, 0, 9),
+        ),
+        overlap_bands=(OverlapBand("likely poor", 0.0, 50.0), OverlapBand("good", 50.0, 100.0)),
+        overlap_threshold=50.0,
+        validity=Validity((0.9, 3.5), (0.05, 0.2), None, 30.0, ("L1 is left out",)),
+        simulated=("bench",),
+        relaxations=(
+            LoadRelaxation("L0", 0, "conductance", True, two, SettlingTime(24.0, False, 0.018, "")),
+            LoadRelaxation("L0", 1, "stress", False, none, SettlingTime(None, False, 0.0, "rejected")),
+        ),
+    )
+
+
+def sparse_calibration() -> Calibration:
+    """The same with everything optional left out."""
+    full = sample_calibration()
+    problem = full.reconstruction.problem
+    bare = replace(problem, mesh=Mesh(problem.mesh.nodes_mm, problem.mesh.elements), noise_variance=None)
+    return replace(
+        full,
+        reconstruction=replace(full.reconstruction, problem=bare),
+        assumed=(),
+        settling=(),
+        simulated=(),
+        relaxations=(),
+        validity=Validity(None, (0.2, 0.2), (21.5, 22.0), 0.0),
+    )

@@ -1,0 +1,359 @@
+"""The calibration file: exact round trip, digest, atomic writing, and refusal of everything unsound."""
+
+import hashlib
+import json
+import os
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pytest
+from calibration_samples import sample_calibration, sample_sensor_type, sparse_calibration
+from typer.testing import CliRunner
+
+from cbsr_qa.calibrate.file import read_calibration, verify_calibration, write_calibration
+from cbsr_qa.cli.calibration import app
+from cbsr_qa.domain.errors import CalibrationError
+
+
+def _same(one: Any, other: Any, path: str) -> None:
+    """Assert that two nested dataclasses hold the same, bit for bit, naming the field that does not."""
+    assert type(one) is type(other), path
+    if is_dataclass(one):
+        for field in fields(one):
+            _same(getattr(one, field.name), getattr(other, field.name), f"{path}.{field.name}")
+    elif isinstance(one, np.ndarray):
+        assert (one.dtype, one.shape, one.tobytes()) == (other.dtype, other.shape, other.tobytes()), path
+    elif isinstance(one, tuple):
+        assert len(one) == len(other), path
+        for index, (left, right) in enumerate(zip(one, other, strict=True)):
+            _same(left, right, f"{path}[{index}]")
+    elif isinstance(one, float):
+        assert one.hex() == other.hex(), path
+    else:
+        assert one == other, path
+
+
+@pytest.fixture
+def issued(tmp_path: Path) -> Path:
+    path = tmp_path / "calibrations" / "S-001.h5"
+    write_calibration(path, sample_calibration())
+    return path
+
+
+@pytest.mark.parametrize("make", [sample_calibration, sparse_calibration])
+def test_every_field_comes_back_exactly(tmp_path, make):
+    path = tmp_path / "sensor.h5"
+    write_calibration(path, make())
+    _same(read_calibration(path), make(), "calibration")
+
+
+def test_every_dataset_states_its_units(issued):
+    units: dict[str, str] = {}
+    with h5py.File(issued) as file:
+        file.visititems(
+            lambda name, item: (
+                units.__setitem__(name, item.attrs["units"]) if isinstance(item, h5py.Dataset) else None
+            )
+        )
+    assert units["reference/voltages"] == "V"
+    assert units["mesh/nodes"] == "mm"
+    assert units["quasi_static/against_stress/slope"] == "1/kPa"
+    assert units["validity/force"] == "N"
+    assert all(units.values())
+
+
+def _plain_digest(path: Path) -> str:
+    """The digest as the documentation describes it, with h5py and hashlib alone."""
+    with h5py.File(path) as file:
+        names: list[str] = []
+        file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+        digest = hashlib.sha256(f"cbsr-qa calibration\t{file.attrs['schema_version']}\n".encode())
+        for name in sorted(names):
+            dataset = file[name]
+            if h5py.check_string_dtype(dataset.dtype):
+                kind, texts = "text", np.atleast_1d(dataset[()])
+                data = b"".join(b"%d\n%s" % (len(text), text) for text in texts)
+            else:
+                kind = {"f": "f8", "i": "i8", "u": "u1"}[dataset.dtype.kind]
+                data = np.ascontiguousarray(dataset[()]).astype("<" + kind).tobytes()
+            shape = "x".join(str(length) for length in dataset.shape)
+            digest.update(f"{name}\t{dataset.attrs['units']}\t{kind}\t{shape}\n".encode())
+            digest.update(data)
+    return digest.hexdigest()
+
+
+def test_the_digest_can_be_recomputed_with_h5py_and_hashlib(issued):
+    with h5py.File(issued) as file:
+        stated = file.attrs["digest"]
+    assert _plain_digest(issued) == stated == verify_calibration(issued).digest
+
+
+def test_the_digest_does_not_depend_on_the_order_of_writing(issued, tmp_path):
+    copy = tmp_path / "copy.h5"
+    with h5py.File(issued) as source, h5py.File(copy, "w", libver="latest", track_order=True) as target:
+        for name, value in source.attrs.items():
+            target.attrs[name] = value
+        for name in reversed(list(source)):
+            source.copy(name, target)
+    assert copy.read_bytes() != issued.read_bytes()
+    assert verify_calibration(copy).digest == verify_calibration(issued).digest
+
+
+def test_the_same_calibration_gives_the_same_bytes(issued, tmp_path):
+    again = tmp_path / "again.h5"
+    write_calibration(again, sample_calibration())
+    assert again.read_bytes() == issued.read_bytes()
+
+
+def test_a_number_read_with_plain_h5py_is_the_number(issued):
+    with h5py.File(issued) as file:
+        assert file["baseline_conductance/location"].asstr()[()].tolist() == ["L0", "L1"]
+        value = file["baseline_conductance/value"][()]
+        assert value[0] == 0.31
+        assert np.isnan(value[1])
+        assert file["identity/serial"].asstr()[()] == "S-001 ü"
+
+
+# --- what is refused ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_file_is_refused(issued, share):
+    whole = issued.read_bytes()
+    issued.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(CalibrationError, match=rf"{issued.name}.*(truncated|changed)"):
+        read_calibration(issued)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("baseline_conductance/value", [0.32, np.nan]),
+        ("identity/serial", "S-002"),
+        ("validity/force", [0.0, 99.0]),
+        ("sensor_type/electrodes/counterclockwise", True),
+        ("settling/accepted", [9, 0]),
+    ],
+)
+def test_an_edited_value_is_refused(issued, path, value):
+    with h5py.File(issued, "r+") as file:
+        file[path][...] = value
+    with pytest.raises(CalibrationError, match="changed after it was issued"):
+        read_calibration(issued)
+
+
+def test_changed_units_are_refused(issued):
+    with h5py.File(issued, "r+") as file:
+        file["validity/force"].attrs["units"] = "kN"
+    with pytest.raises(CalibrationError, match="changed after it was issued"):
+        verify_calibration(issued)
+
+
+def test_an_added_or_removed_dataset_is_refused(issued):
+    with h5py.File(issued, "r+") as file:
+        file.create_dataset("extra", data=1.0).attrs["units"] = "1"
+    with pytest.raises(CalibrationError, match="changed after it was issued"):
+        verify_calibration(issued)
+    with h5py.File(issued, "r+") as file:
+        del file["extra"]
+        verify_calibration(issued)
+        del file["image/mask"]
+    with pytest.raises(CalibrationError, match="changed after it was issued"):
+        verify_calibration(issued)
+
+
+def test_a_missing_digest_is_refused(issued):
+    with h5py.File(issued, "r+") as file:
+        del file.attrs["digest"]
+    with pytest.raises(CalibrationError, match="states none"):
+        verify_calibration(issued)
+
+
+def test_a_future_version_is_refused_by_name(issued):
+    with h5py.File(issued, "r+") as file:
+        file.attrs["schema_version"] = np.int64(7)
+    with pytest.raises(CalibrationError, match="version 7; this program knows versions up to 1"):
+        read_calibration(issued)
+
+
+@pytest.mark.parametrize("version", [np.int64(0), np.float64(1.0), "1"])
+def test_a_version_that_never_was_is_refused(issued, version):
+    with h5py.File(issued, "r+") as file:
+        file.attrs["schema_version"] = version
+    with pytest.raises(CalibrationError, match="version"):
+        read_calibration(issued)
+
+
+def test_another_hdf5_file_and_no_hdf5_file_are_refused(tmp_path):
+    other = tmp_path / "other.h5"
+    with h5py.File(other, "w") as file:
+        file["x"] = 1.0
+    with pytest.raises(CalibrationError, match="not a calibration"):
+        read_calibration(other)
+    text = tmp_path / "notes.txt"
+    text.write_text("no HDF5 at all")
+    with pytest.raises(CalibrationError, match="not a whole HDF5 file"):
+        read_calibration(text)
+    with pytest.raises(CalibrationError, match="no such file"):
+        read_calibration(tmp_path / "absent.h5")
+    with pytest.raises(CalibrationError, match="no such file"):
+        read_calibration(tmp_path)
+
+
+def _forge(path: Path) -> None:
+    """State the digest that the content now has, as somebody would who knows how."""
+    digest = _plain_digest(path)
+    with h5py.File(path, "r+") as file:
+        file.attrs["digest"] = digest
+
+
+def test_content_that_contradicts_itself_is_refused_even_with_a_fitting_digest(issued):
+    with h5py.File(issued, "r+") as file:
+        del file["baseline_conductance/x"]
+        file.create_dataset("baseline_conductance/x", data=np.zeros(3)).attrs["units"] = "mm"
+    _forge(issued)
+    with pytest.raises(CalibrationError, match="contradicts itself"):
+        read_calibration(issued)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        ("image/mask", None, "image/mask is missing"),
+        ("image/mask", "0.85", "image/mask does not hold float64 numbers"),
+        ("identity/serial", 3.0, "identity/serial is not a text"),
+        ("image/noise_floor", [1.0, 2.0], "shape"),
+        ("image/response", "sideways", "sideways"),
+        ("validity/force", [1.0, 2.0, 3.0], "instead of two"),
+        ("mesh/electrode_edge_counts", [1, 1], "the counts say 2"),
+        ("reconstruction/matrix", [[1.0]], "does not fit"),
+    ],
+)
+def test_content_of_the_wrong_kind_is_named_even_with_a_fitting_digest(issued, path, value, said):
+    with h5py.File(issued, "r+") as file:
+        del file[path]
+        if value is not None:
+            file.create_dataset(path, data=value).attrs["units"] = "1"
+    _forge(issued)
+    with pytest.raises(CalibrationError, match=said):
+        read_calibration(issued)
+
+
+def test_links_out_of_the_file_are_not_followed(issued, tmp_path):
+    secret = tmp_path / "secret.h5"
+    with h5py.File(secret, "w") as file:
+        file["x"] = 1.0
+    with h5py.File(issued, "r+") as file:
+        del file["image/mask"]
+        file["image/mask"] = h5py.ExternalLink(str(secret), "/x")
+    with pytest.raises(CalibrationError, match="image/mask is a link"):
+        read_calibration(issued)
+
+
+def test_circular_groups_end(issued):
+    with h5py.File(issued, "r+") as file:
+        file["image/again"] = file["image"]
+    with pytest.raises(CalibrationError, match="is a link"):
+        read_calibration(issued)
+
+
+def test_a_dataset_of_another_type_or_of_absurd_size_is_refused(issued):
+    with h5py.File(issued, "r+") as file:
+        file.create_dataset("huge", shape=(10**12,), dtype="f8", chunks=(1000,)).attrs["units"] = "1"
+    with pytest.raises(CalibrationError, match="too large"):
+        read_calibration(issued)
+    with h5py.File(issued, "r+") as file:
+        del file["huge"]
+        file.create_dataset("odd", data=np.zeros(2, dtype="f4")).attrs["units"] = "1"
+    with pytest.raises(CalibrationError, match="odd is of the type float32"):
+        read_calibration(issued)
+
+
+def test_a_matrix_prepared_for_another_sensor_type_is_not_written(tmp_path):
+    mixed = replace(sample_calibration(), sensor_type=replace(sample_sensor_type(), name="disc-other"))
+    with pytest.raises(CalibrationError, match=r"'disc-test'.*'disc-other'"):
+        write_calibration(tmp_path / "mixed.h5", mixed)
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- nothing half-written ------------------------------------------------------------------------------------
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(issued, monkeypatch):
+    before = issued.read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(CalibrationError, match="No space left on device"):
+        write_calibration(issued, sample_calibration())
+    assert issued.read_bytes() == before
+    assert list(issued.parent.iterdir()) == [issued]
+
+
+def test_a_folder_that_is_a_file_is_refused(tmp_path):
+    (tmp_path / "calibrations").write_text("in the way")
+    with pytest.raises(CalibrationError, match="cannot be written"):
+        write_calibration(tmp_path / "calibrations" / "x.h5", sample_calibration())
+
+
+def test_a_text_that_hdf5_cannot_hold_is_refused(tmp_path):
+    with pytest.raises(CalibrationError, match="cannot be written"):
+        write_calibration(tmp_path / "x.h5", replace(sample_calibration(), run="a\0b"))
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- commands ------------------------------------------------------------------------------------------------
+
+
+def _run(*arguments: str) -> Any:
+    return CliRunner().invoke(app, list(arguments))
+
+
+def test_show_prints_what_a_reader_needs(issued):
+    shown = _run("show", str(issued)).output
+    assert "sensor S-001 ü (batch batch 41)" in shown
+    assert "SIMULATED, not measured: bench" in shown
+    assert "force: 0.9 to 3.5 N" in shown
+    assert "assumed, not measured on this sensor: α against stress, β against stress" in shown
+    assert "at least 29.5 s" in shown
+    (line,) = [line for line in shown.splitlines() if line.strip().startswith("L0")]
+    assert line.split() == ["L0", "0.0", "0.0", "0.31", "0.004", "3"]
+    (line,) = [line for line in shown.splitlines() if line.strip().startswith("L1 ")]
+    assert line.endswith("no blob was sensed")
+
+
+def test_show_as_json_is_one_document(issued):
+    document = json.loads(_run("show", str(issued), "--json").stdout)
+    assert document["identity"]["serial"] == "S-001 ü"
+    assert document["baseline_conductance"][1]["value"] is None
+    assert document["digest"] == verify_calibration(issued).digest
+
+
+def test_verify_says_sound(issued):
+    assert "is sound" in _run("verify", str(issued)).output
+    document = json.loads(_run("verify", str(issued), "--json").stdout)
+    assert document["sound"] is True
+    assert document["schema_version"] == 1
+
+
+def test_commands_refuse_with_exit_code_two(issued):
+    issued.write_bytes(issued.read_bytes()[:-100])
+    for command in ("show", "verify"):
+        error = _run(command, str(issued)).exception
+        assert isinstance(error, CalibrationError)
+        assert error.exit_code == 2
+        assert issued.name in error.reason
+
+
+def test_control_characters_in_a_file_do_not_reach_the_terminal(tmp_path):
+    path = tmp_path / "hostile.h5"
+    sample = sample_calibration()
+    write_calibration(path, replace(sample, sensor=replace(sample.sensor, serial="\x1b[2JS\r1")))
+    shown = _run("show", str(path)).output
+    assert "\x1b" not in shown
+    assert "\r" not in shown
