@@ -106,14 +106,21 @@ def open_station(configuration: Configuration, plugins: Plugins, clock: Clock) -
         If one is not what the station file says, or a real one is put on a virtual clock.
     """
     bench = open_bench(configuration.station.instruments, lambda spec: _opened(spec, configuration, plugins, clock))
+    try:
+        _check_clock(configuration, bench)
+    except BaseException:
+        bench.close()
+        raise
+    return bench
+
+
+def _check_clock(configuration: Configuration, bench: Bench) -> None:
     real = [one.role for one in bench.identities() if not one.simulated]
     if real and configuration.station.clock == "virtual":
-        bench.close()
         raise ConfigError(
             f"station {configuration.station.name!r} has a virtual clock, but {', '.join(real)} is a real instrument",
             remedy='set clock = "real" in the station file: real instruments need real time',
         )
-    return bench
 
 
 def _opened(spec: InstrumentSpec, configuration: Configuration, plugins: Plugins, clock: Clock) -> Instrument:
@@ -127,6 +134,7 @@ def _opened(spec: InstrumentSpec, configuration: Configuration, plugins: Plugins
         indenter=configuration.station.indenter,
         seed=configuration.seed,
         options=options,
+        motion=configuration.station.motion,
         scene=None if scene is None else load_scene(scene).value,
         effect_factory=lambda name: plugins.factory(Kind.EFFECT, name),
     )
