@@ -1,109 +1,137 @@
-"""Reports of results: which sections, in what order, into which file."""
+"""Reports rendered again from the store."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
 
-from cbsr_qa.domain.errors import PluginError
-from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.analysis.observe import observe_run
+from cbsr_qa.app.conclude import conclude
+from cbsr_qa.app.outputs import report_sections
+from cbsr_qa.app.setup import made
+from cbsr_qa.app.stages import Stages
+from cbsr_qa.config.merge import restore
+from cbsr_qa.config.paths import database_url, reports_folder
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.observation import RunObservation
+from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.report import RunResult
+from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.hookspecs import Kind
-from cbsr_qa.interfaces import ReportSection
-from cbsr_qa.plugins import Plugins
-from cbsr_qa.report.render import render_recording, render_run, report_name, write_report
-
-#: The order of reading; sections nobody named here stand between, by name.
-_FIRST: Final = (
-    "recording-events",
-    "nine-locations",
-    "load-images",
-    "mask-comparison",
-    "random-loads",
-    "relaxation",
-    "baseline-conductance",
-    "recording-channels",
-    "recording-rows",
-    "noise-and-contacts",
-)
-_LAST: Final = ("time-and-accuracy", "limits", "traceability")
+from cbsr_qa.plugins import Plugins, discover
+from cbsr_qa.report.render import render_run, report_name, write_report
+from cbsr_qa.store.analyses import StoredAnalysis
+from cbsr_qa.store.repository import Repository, open_store
 
 
-def write_run_report(result: RunResult, plugins: Plugins, folder: Path, *, sections: Sequence[str] = ()) -> Path:
-    """Render a run's report to ``<serial>-<run>.html``.
+@dataclass(frozen=True, slots=True)
+class Rendered:
+    """What was rendered, and where it is."""
+
+    run: str
+    serial: str
+    outcome: str
+    reason: str
+    report: Path
+
+
+#: Makes the result of a run, and the names of the sections its recipe asks for, from what is stored.
+Rebuild = Callable[[str], tuple[RunResult, tuple[str, ...]]]
+
+
+def render_stored(run_or_serial: str, *, database: str | None = None, folder: Path | None = None) -> Rendered:
+    """Render the report of a stored run again.
 
     Parameters
     ----------
-    folder : made where it is missing.
-    sections : names in order; every installed one, in order of reading, where empty.
+    run_or_serial : a run, or a serial number for its latest run.
+    database : URL or path; None for ``CBSR_QA_DATABASE`` or the default.
+    folder : where to write; None for the reports folder in ``var/``.
+
+    Raises
+    ------
+    StoreError
+        If there is no such database, run or sensor.
+    RefusedError
+        If the folder cannot be written to; nothing was written then.
+    """
+    plugins = discover()
+    with open_store(database_url(database), create=False) as store:
+        run = store.resolve(run_or_serial)
+        return render_again(run, lambda one: rebuilt(one, store, plugins), plugins, folder or reports_folder())
+
+
+def render_again(run: str, rebuild: Rebuild, plugins: Plugins, folder: Path) -> Rendered:
+    """Render one run's report to ``<serial>-<run>.html``, the name the run itself gave it.
 
     Raises
     ------
     RefusedError
         If the folder cannot be written to; nothing was written then.
     """
+    result, names = rebuild(run)
     identity = result.record.identity
-    chosen, warnings = chosen_sections(plugins, sections)
+    sections, missing = report_sections(names, plugins)
     path = folder / report_name(identity.sensor.serial, identity.run)
-    write_report(path, render_run(result, chosen, warnings=warnings))
-    return path
+    write_report(path, render_run(result, sections, warnings=missing))
+    return Rendered(identity.run, identity.sensor.serial, str(result.verdict.outcome), result.verdict.reason, path)
 
 
-def write_recording_report(
-    result: RecordingResult, plugins: Plugins, folder: Path, *, sections: Sequence[str] = ()
-) -> Path:
-    """Render a recording's report to ``<file>[-<data set>].html``; see :func:`write_run_report`."""
-    recording = result.recording
-    chosen, warnings = chosen_sections(plugins, sections)
-    path = folder / report_name(recording.path.stem, recording.dataset)
-    write_report(path, render_recording(result, chosen, warnings=warnings))
-    return path
+def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, tuple[str, ...]]:
+    """Put a run's result together again.
 
-
-def render_again(
-    wanted: str,
-    rebuild: Callable[[str], RunResult],
-    plugins: Plugins,
-    folder: Path,
-    *,
-    sections: Sequence[str] = (),
-) -> Path:
-    """Render the report of a stored run again.
-
-    Parameters
-    ----------
-    wanted : a run, or a serial number for its latest run.
-    rebuild : makes the result from what is stored.
-
-    Raises
-    ------
-    StoreError
-        From ``rebuild``, if there is no such run or sensor.
-    RefusedError
-        If the folder cannot be written to.
-    """
-    return write_run_report(rebuild(wanted), plugins, folder, sections=sections)
-
-
-def chosen_sections(plugins: Plugins, names: Sequence[str] = ()) -> tuple[list[ReportSection], list[str]]:
-    """Make sections by name.
+    Measurements, verdict and calibration are those that were stored with the latest analysis: nothing is judged
+    anew. Images, which are not stored, are worked out from the stored frames with the stored configuration. A run
+    that was never analysed (cut off before it) is analysed here, and nothing of that is stored.
 
     Returns
     -------
-    The sections, and a warning for each that could not be loaded or made: it takes nothing else down.
+    The result, and the sections its recipe names.
     """
-    sections: list[ReportSection] = []
-    warnings: list[str] = []
-    for name in names or reading_order(plugins.names(Kind.SECTION)):
-        try:
-            sections.append(plugins.factory(Kind.SECTION, name)())
-        except PluginError as error:
-            warnings.append(f"The report section {name} is left out: {error.reason}")
-        except Exception as error:  # noqa: BLE001 - a stranger's factory may raise anything
-            warnings.append(f"The report section {name} is left out: {type(error).__name__}: {error}")
-    return sections, warnings
+    record, recipe = store.load_run(run), restore(store.configuration(run)).recipe
+    stored = next(iter(store.analyses(run)), None)
+    if stored is None:
+        return _analysed_now(record, recipe, plugins), recipe.sections
+    observation, why = _observed(record, recipe, plugins)
+    calibration = None
+    if stored.calibration is not None and observation is not None:
+        calibration = store.load_calibration(stored.calibration, observation.reconstruction)
+    result = RunResult(
+        record=record,
+        observation=observation,
+        measurements=stored.measurements,
+        verdict=stored.verdict,
+        calibration=calibration,
+        calibration_why=stored.calibration_why if stored.calibration is None else why,
+        compute_s=stored.compute_s,
+        warnings=_warnings(stored, why),
+    )
+    return result, recipe.sections
 
 
-def reading_order(names: Sequence[str]) -> list[str]:
-    """Sort section names as a report is read: what was found, then a stranger's, then what it rests on."""
-    middle = sorted(set(names) - set(_FIRST) - set(_LAST))
-    return [name for name in (*_FIRST, *middle, *_LAST) if name in names]
+def _observed(record: RunRecord, recipe: Recipe, plugins: Plugins) -> tuple[RunObservation | None, str]:
+    if record.end is not EndReason.FINISHED:
+        return None, ""
+    reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+    try:
+        return observe_run(record, reconstruction, recipe.analysis), ""
+    except NumericsError as error:
+        return None, f"the frames cannot be imaged: {error.reason}"
+
+
+def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins) -> RunResult:
+    stages = Stages()
+    found = conclude(record, recipe, plugins, stages)
+    return RunResult(
+        record=record,
+        observation=found.observation,
+        measurements=found.measurements,
+        verdict=found.verdict,
+        calibration=None,
+        calibration_why="this run was never concluded at the station",
+        warnings=(*found.warnings, "this run was analysed for this report alone; no analysis of it is stored"),
+    )
+
+
+def _warnings(stored: StoredAnalysis, why: str) -> tuple[str, ...]:
+    return (*stored.warnings, why) if why and why not in stored.warnings else stored.warnings

@@ -67,7 +67,7 @@ class SeenLoad:
 
 
 def load_images_figure(
-    loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str, columns: int = 6
+    loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str, columns: int = 5
 ) -> Figure:
     """Draw every load's image with the indenter's circle over the outline of the sensed blob.
 
@@ -85,7 +85,7 @@ def load_images_figure(
         figure = canvas(height_in)
         axes = figure.add_axes((0, 0.62 / height_in, 1, body_in / height_in))
         bare(axes)
-        raster = Raster(loads[0].image.mesh, radius, 168)
+        raster = Raster(loads[0].image.mesh, radius, 200)
         largest = max(float(np.abs(load.image.values).max()) for load in loads)
         group = ""
         for index, load in enumerate(loads):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import FuncFormatter, NullFormatter
 from matplotlib.transforms import blended_transform_factory
 from numpy.typing import NDArray
 
@@ -131,8 +132,19 @@ def _draw_masks(
         for stretch in held:
             inside = (timeline.time_s >= stretch.start_s) & (timeline.time_s < stretch.end_s)
             axes.plot(minutes[inside], series[inside], color=colour, linewidth=0.9 + 0.12 * number, zorder=3 + number)
-    axes.set_ylim(bottom=0)
+    _scale(axes, values)
     axes.set_zorder(2)
+
+
+def _scale(axes: Axes, values: NDArray[np.float64]) -> None:
+    """Start at zero; where masks differ by more than a factor of thirty, use powers of ten instead."""
+    seen = values[np.isfinite(values)]
+    if seen.size and seen.min() > 0 and np.percentile(seen, 98) / np.percentile(seen, 2) > 30:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.set_ylim(bottom=0)
 
 
 def _draw_force(

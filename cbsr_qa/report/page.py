@@ -110,7 +110,8 @@ def _verdict(result: RunResult) -> Banner:
         # An unfinished run is never judged: how it ended is the one reason.
         detail = f": {result.record.end_detail}" if result.record.end_detail else ""
         reason = f"{_ENDS[end]}{detail}"
-    return Banner(tone, _SYMBOLS[outcome], outcome.value.upper(), reason)
+    headline = "MARGINAL PASS" if outcome is Outcome.MARGINAL else outcome.value.upper()
+    return Banner(tone, _SYMBOLS[outcome], headline, reason)
 
 
 def _found(result: RecordingResult) -> str:
