@@ -138,9 +138,9 @@ def _chance_of_gain(one: Exponentials, two: Exponentials) -> float:
     left = two.residual - two.residual.mean()
     lag = float(left[1:] @ left[:-1] / max(float(left @ left), np.finfo(float).tiny))
     memory = min(max(lag, 0.0), 0.99)
-    spare = len(left) * (1 - memory) / (1 + memory) - 5
-    if spare < 1:
-        return 1.0
+    # One degree is left at least: a fit that takes all but a ten-thousandth of the rest away is believed even if
+    # what it leaves is smooth, as it is where there is no noise but that of the search.
+    spare = max(len(left) * (1 - memory) / (1 + memory) - 5, 1.0)
     gain = (one.sum_of_squares - two.sum_of_squares) / 2
     return float(f_distribution.sf(gain * spare / max(two.sum_of_squares, np.finfo(float).tiny), 2, spare))
 
@@ -169,7 +169,9 @@ def _kept(
         amplitudes=tuple(found.coefficients[1:].tolist()),
         time_constants_s=tuple(found.time_constants_s.tolist()),
         offset_stderr=float(stderr[0]),
-        time_constant_stderr_s=tuple(np.minimum(found.time_constants_s * stderr[1 + count :], np.finfo(float).max)),
+        time_constant_stderr_s=tuple(
+            np.minimum(found.time_constants_s * stderr[1 + count :], np.finfo(np.float64).max).tolist()
+        ),
         r_squared=r_squared,
         why=why,
     )

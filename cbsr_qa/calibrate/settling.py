@@ -78,20 +78,18 @@ def restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> tuple
     Raises
     ------
     NumericsError
-        If there is no time, or the lengths differ.
+        If there is no time, one is negative, or the lengths differ.
     """
-    if len(times_s) == 0 or len(times_s) != len(censored):
+    if len(times_s) == 0 or len(times_s) != len(censored) or min(times_s) < 0:
         raise NumericsError(f"{len(times_s)} settling times with {len(censored)} marks have no mean")
     time = np.asarray(times_s, dtype=np.float64)
     settled = ~np.asarray(censored, dtype=np.bool_)
     edges = np.unique(np.concatenate([[0.0], time]))
-    survival = np.ones(len(edges))
-    for index in range(1, len(edges)):
-        at_risk = int((time >= edges[index]).sum())
-        died = int(((time == edges[index]) & settled).sum())
-        survival[index] = survival[index - 1] * (1 - died / at_risk)
-    # At t = 0 some may have settled already.
-    survival[edges <= 0] = 1 - float((settled & (time <= 0)).sum()) / len(time)
+    survival = np.empty(len(edges))
+    alive = 1.0
+    for index, edge in enumerate(edges):
+        alive *= 1 - float(((time == edge) & settled).sum()) / int((time >= edge).sum())
+        survival[index] = alive
     mean, second = _moments(edges, survival)
     return mean, float(np.sqrt(max(second - mean**2, 0.0)))
 
