@@ -5,7 +5,6 @@ from typing import Any
 
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.store.engine import open_engine, parsed_url
-from cbsr_qa.store.failures import shown
 from cbsr_qa.store.incomplete import IncompleteRun, counts, incomplete_runs
 from cbsr_qa.store.schema import HEAD, Age, found_version, refusal, upgrade
 
@@ -14,7 +13,7 @@ from cbsr_qa.store.schema import HEAD, Age, found_version, refusal, upgrade
 class Upgrade:
     """What bringing a database up to date came to; ``before`` is None where it was empty."""
 
-    database: str
+    url: str
     before: str | None
     after: str
 
@@ -34,14 +33,14 @@ class DatabaseStatus:
 
     Parameters
     ----------
-    database : its URL or file, a password hidden.
+    url : a password hidden.
     schema, head : version found (None: empty or absent) and version this program reads and writes.
     state : ``"empty"``, ``"current"``, ``"older"``, ``"newer"`` or ``"of another program"``.
     remedy : what to do where it is not current.
     counts : rows by kind, and ``incomplete`` the runs that were cut off or are under way; both empty unless current.
     """
 
-    database: str
+    url: str
     schema: str | None
     head: str
     state: str
@@ -71,7 +70,7 @@ def upgrade_database(option: str | None) -> Upgrade:
         before = upgrade(engine)
     finally:
         engine.dispose()
-    return Upgrade(shown(engine.url), before.revision, HEAD)
+    return Upgrade(engine.url.render_as_string(hide_password=True), before.revision, HEAD)
 
 
 def database_status(option: str | None) -> DatabaseStatus:
@@ -87,7 +86,7 @@ def database_status(option: str | None) -> DatabaseStatus:
         version = found_version(engine)
         current = version.age is Age.CURRENT
         return DatabaseStatus(
-            database=shown(engine.url),
+            url=engine.url.render_as_string(hide_password=True),
             schema=version.revision,
             head=HEAD,
             state=version.age.value,

@@ -21,9 +21,9 @@ def upgrade(database: Database = None, as_json: AsJson = False) -> None:
     if as_json:
         emit_json(done.document())
     elif done.changed:
-        say(f"{done.database}: schema {done.before or 'none'} → {done.after}")
+        say(f"{done.url}: schema {done.before or 'none'} → {done.after}")
     else:
-        say(f"{done.database}: schema {done.after} is up to date")
+        say(f"{done.url}: schema {done.after} is up to date")
 
 
 @app.command()
@@ -35,7 +35,7 @@ def status(database: Database = None, as_json: AsJson = False) -> None:
     if as_json:
         emit_json(found.document())
         return
-    say(f"{found.database}")
+    say(f"database    {found.url}")
     say(f"schema      {found.schema or 'none'} ({found.state}; this program's is {found.head})")
     if found.remedy:
         say(f"            {found.remedy}")

@@ -58,11 +58,11 @@ def sample_values(block: SampleBlock) -> dict[str, Any]:
 
     Raises
     ------
-    ValueError
+    StoreError
         If a sample is not a finite number.
     """
     if not (np.isfinite(block.values).all() and np.isfinite(block.time_s).all()):
-        raise ValueError(f"a sample of {block.channel} is not a finite number and is not stored")
+        raise StoreError(f"a sample of {block.channel} is not a finite number and is not stored")
     parts = packed(block.time_s), packed(block.values)
     return {
         "channel": block.channel,

@@ -127,7 +127,7 @@ def _make_folder(engine: Engine) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(
-            f"folder {file.parent} of the database cannot be made: {error.strerror}",
+            f"{shown(engine.url)}: its folder cannot be made: {error.strerror}",
             remedy="free it, or name another database with --database or CBSR_QA_DATABASE",
         ) from error
 

@@ -1,0 +1,158 @@
+"""Migrations, up and down with data in every table, on SQLite and on PostgreSQL."""
+
+import datetime as dt
+from contextlib import closing
+from uuid import uuid4
+
+import pytest
+import sqlalchemy as sa
+from alembic.autogenerate import compare_metadata
+from alembic.config import Config
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
+
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store import schema
+from cbsr_qa.store.engine import open_engine, parsed_url, reading, writing
+from cbsr_qa.store.result_tables import AnalysisRow
+from cbsr_qa.store.run_tables import Base
+
+SERVER = "postgresql+psycopg://postgres@127.0.0.1:5432"
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)])
+def engine(request, tmp_path):
+    if request.param == "sqlite":
+        engine = open_engine(parsed_url(f"sqlite:///{tmp_path / 'runs.db'}"))
+        yield engine
+        engine.dispose()
+        return
+    server = sa.create_engine(f"{SERVER}/postgres", isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 3})
+    name = f"cbsr_qa_test_{uuid4().hex}"
+    try:
+        with server.connect() as connection:
+            connection.exec_driver_sql(f"CREATE DATABASE {name}")
+    except sa.exc.OperationalError as error:
+        server.dispose()
+        pytest.skip(f"no PostgreSQL server answers at 127.0.0.1:5432: {error.orig}")
+    engine = open_engine(parsed_url(f"{SERVER}/{name}"))
+    yield engine
+    engine.dispose()
+    with server.connect() as connection:
+        connection.exec_driver_sql(f"DROP DATABASE {name}")
+    server.dispose()
+
+
+def sample(column):
+    """A value of a column's type; keys are alike in every table, so that references hold."""
+    kind = column.type
+    if isinstance(kind, sa.JSON):
+        return {"Δρ": [1, 2.5, None]}
+    if isinstance(kind, sa.DateTime):
+        return dt.datetime(2026, 11, 21, 8, 30, 0, 123456)
+    if isinstance(kind, sa.LargeBinary):
+        return bytes(range(256))
+    if isinstance(kind, sa.Boolean):
+        return True
+    if isinstance(kind, sa.Float):
+        return 0.1 + 0.2
+    return 7 if isinstance(kind, sa.Integer) else "x"
+
+
+def reflected(engine):
+    metadata = sa.MetaData()
+    metadata.reflect(engine)
+    return [table for table in metadata.sorted_tables if table.name != schema.VERSION_TABLE]
+
+
+def fill(engine, names):
+    with writing(engine) as connection:
+        for table in reflected(engine):
+            if table.name in names:
+                connection.execute(table.insert(), {column.name: sample(column) for column in table.columns})
+
+
+def content(engine):
+    """Every row of every table; JSON is read as such on both databases."""
+    with reading(engine) as connection:
+        return {table.name: [tuple(row) for row in connection.execute(table.select())] for table in reflected(engine)}
+
+
+def table_names(engine):
+    return {table.name for table in reflected(engine)}
+
+
+@pytest.mark.filterwarnings("ignore:Cannot correctly sort tables:sqlalchemy.exc.SAWarning")
+def test_data_survive_every_step_up_and_down(engine):
+    schema.upgrade(engine, "0001")
+    measured = table_names(engine)
+    fill(engine, measured)
+    before = content(engine)
+    assert all(len(rows) == 1 for rows in before.values())
+
+    schema.upgrade(engine, "0002")
+    concluded = table_names(engine) - measured
+    assert concluded
+    assert content(engine) == before | {name: [] for name in concluded}
+    fill(engine, concluded)
+    full = content(engine)
+    assert all(len(rows) == 1 for rows in full.values())
+
+    schema.downgrade(engine, "0001")
+    assert content(engine) == before
+    schema.upgrade(engine)
+    assert content(engine) == before | {name: [] for name in concluded}
+
+    schema.downgrade(engine, "base")
+    assert table_names(engine) == set()
+    assert schema.found_version(engine).age is schema.Age.EMPTY
+    schema.upgrade(engine)
+    assert table_names(engine) == measured | concluded
+
+
+def test_the_migrations_make_what_the_program_uses(engine):
+    schema.upgrade(engine)
+    assert AnalysisRow.metadata is Base.metadata
+    with reading(engine) as connection:
+        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
+
+
+def test_a_difference_would_be_found(engine):
+    schema.upgrade(engine)
+    with writing(engine) as connection:
+        connection.exec_driver_sql("ALTER TABLE sensors ADD COLUMN colour TEXT")
+    with reading(engine) as connection:
+        (difference,) = compare_metadata(MigrationContext.configure(connection), Base.metadata)
+    assert difference[0] == "remove_column"
+
+
+def test_upgrading_twice_changes_nothing(engine):
+    schema.upgrade(engine)
+    assert schema.upgrade(engine).age is schema.Age.CURRENT
+
+
+def test_a_migration_that_fails_half_way_leaves_no_trace(engine):
+    schema.upgrade(engine, "0001")
+    with writing(engine) as connection:
+        connection.exec_driver_sql("CREATE TABLE calibration_settling (in_the_way INTEGER)")
+    before = table_names(engine)
+    with pytest.raises(StoreError, match="calibration_settling"):
+        schema.upgrade(engine)
+    assert table_names(engine) == before
+    assert schema.found_version(engine).revision == "0001"
+
+
+def test_the_programs_list_of_revisions_is_the_scripts():
+    config = Config()
+    config.set_main_option("script_location", "cbsr_qa._migrations:")
+    scripts = ScriptDirectory.from_config(config)
+    walked = [script.revision for script in scripts.walk_revisions()]
+    assert tuple(reversed(walked)) == schema.REVISIONS
+    assert scripts.get_heads() == [schema.HEAD]
+
+
+def test_references_between_tables_hold(engine):
+    """A measurement of no analysis is refused by the database itself, on SQLite too."""
+    schema.upgrade(engine)
+    with closing(engine.raw_connection()) as raw, pytest.raises(Exception, match=r"(?i)foreign key"):
+        raw.cursor().execute("INSERT INTO warnings (analysis, number, text) VALUES ('none', 0, 'x')")

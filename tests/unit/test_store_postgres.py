@@ -1,0 +1,96 @@
+"""The same store on PostgreSQL: what was told comes back, unchanged in any bit."""
+
+from dataclasses import fields
+from uuid import uuid4
+
+import numpy as np
+import pytest
+import sqlalchemy as sa
+from stored_runs import calibration, identity, journalled, record, short_run
+
+from cbsr_qa.app.database import database_status
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.measurement import Measurement, Verdict
+from cbsr_qa.domain.outcome import Outcome
+from cbsr_qa.domain.report import RunResult
+from cbsr_qa.domain.run_events import FramesTaken, RunStarted
+from cbsr_qa.store.repository import open_store
+
+pytestmark = pytest.mark.postgres
+
+SERVER = "postgresql+psycopg://postgres@127.0.0.1:5432"
+
+
+@pytest.fixture(scope="module")
+def url():
+    server = sa.create_engine(f"{SERVER}/postgres", isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 3})
+    name = f"cbsr_qa_test_{uuid4().hex}"
+    try:
+        with server.connect() as connection:
+            connection.exec_driver_sql(f"CREATE DATABASE {name}")
+    except sa.exc.OperationalError as error:
+        server.dispose()
+        pytest.skip(f"no PostgreSQL server answers at 127.0.0.1:5432: {error.orig}")
+    yield f"postgresql://postgres@127.0.0.1:5432/{name}"
+    with server.connect() as connection:
+        connection.exec_driver_sql(f"DROP DATABASE {name}")
+    server.dispose()
+
+
+@pytest.fixture
+def repository(url):
+    with open_store(url) as opened:
+        yield opened
+
+
+def test_a_run_comes_back_as_it_was_told(repository):
+    run = repository.new_id()
+    events = short_run(run)
+    journalled(repository, events)
+    back = repository.load_run(run)
+    assert back.identity == identity(run)
+    assert back.phases[0].loads == (record(0, 30.0),)
+    told = next(event.frames for event in events if isinstance(event, FramesTaken))
+    stored = back.phases[0].frames.select(slice(0, len(told)))
+    for name in ("time_s", "voltages", "flags", "reading_time_s"):
+        assert getattr(stored, name).tobytes() == getattr(told, name).tobytes()
+    with pytest.raises(StoreError, match="is finished"):
+        journalled(repository, [RunStarted(identity(run))])
+
+
+def test_results_and_calibrations_come_back(repository):
+    run = repository.new_id()
+    journalled(repository, short_run(run, "S-9"))
+    issued = calibration(repository.new_id(), run, "S-9")
+    measured = (Measurement("noise_floor", np.float64(0.1) + np.float64(0.2), "1", trial=np.int64(1)),)
+    verdict = Verdict(Outcome.MARGINAL, "close\0to the limit")
+    repository.save_result(
+        RunResult(repository.load_run(run), None, measured, verdict, issued, "", warnings=("one",))
+    )
+    (analysis,) = repository.analyses(run)
+    assert analysis.measurements == measured
+    assert analysis.verdict.reason == "close\ufffdto the limit"  # PostgreSQL holds no NUL
+    back = repository.load_calibration(issued.calibration, issued.reconstruction)
+    assert back.reference.tobytes() == issued.reference.tobytes()
+    alike = [f.name for f in fields(issued) if f.name != "reference"]
+    assert [getattr(back, name) for name in alike] == [getattr(issued, name) for name in alike]
+    later = calibration(repository.new_id(), run, "S-9")
+    repository.save_result(RunResult(repository.load_run(run), None, measured, verdict, later, ""))
+    held = {c.calibration: c.superseded_by for c in repository.calibrations("S-9")}
+    assert held == {issued.calibration: later.calibration, later.calibration: None}
+
+
+def test_a_hostile_name_finds_nothing(repository):
+    with pytest.raises(StoreError):
+        repository.resolve("'; DROP TABLE runs; --")
+    with pytest.raises(StoreError):
+        repository.resolve("a\0b")
+    assert repository.counts()["runs"] >= 0
+
+
+def test_the_status_names_a_run_that_was_cut_off(repository, url):
+    run = repository.new_id()
+    journalled(repository, short_run(run, "S-cut")[:8])
+    status = database_status(url)
+    assert [(one.run, one.serial) for one in status.incomplete] == [(run, "S-cut")]
+    assert status.state == "current"

@@ -1,0 +1,157 @@
+"""Analyses and calibrations: added, never changed, and what a query finds is what was concluded."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from stored_runs import calibration, journalled, reconstruction, short_run
+
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.measurement import Limit, Measurement, Verdict
+from cbsr_qa.domain.outcome import Outcome
+from cbsr_qa.domain.reconstruction import ParameterChoice
+from cbsr_qa.domain.report import RunResult
+from cbsr_qa.store.repository import open_store
+
+MEASURED = (
+    Measurement("centre_of_mass_error", 1.2, "mm", 0.1, "nine locations", "L3", 0, "mask 85 %", "exact").judged(
+        Limit("centre_of_mass_error", "mm", None, 6.5, 1.5, "nine locations", "mask 85 %")
+    ),
+    Measurement("area_overlap", None, "%", how="no blob").judged(Limit("area_overlap", "%", 50.0, None)),
+    Measurement("noise_floor", 0.006, "1"),
+)
+
+
+@pytest.fixture
+def repository(tmp_path):
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as opened:
+        yield opened
+
+
+@pytest.fixture
+def run(repository):
+    run = repository.new_id()
+    journalled(repository, short_run(run))
+    return run
+
+
+def result(repository, run, outcome=Outcome.PASS, **changes):
+    values = {
+        "record": repository.load_run(run),
+        "observation": None,
+        "measurements": MEASURED,
+        "verdict": Verdict(outcome, "all limits are met"),
+        "calibration": None,
+        "calibration_why": "not asked for",
+        "compute_s": (("imaging", 0.25),),
+        "warnings": ("first", "second"),
+    }
+    return RunResult(**(values | changes))
+
+
+def test_an_analysis_comes_back_as_it_was_saved(repository, run):
+    name = repository.save_result(result(repository, run), software=[("cbsr-qa", "9")])
+    (back,) = repository.analyses(run)
+    assert (back.analysis, back.run, back.software) == (name, run, (("cbsr-qa", "9"),))
+    assert back.verdict == Verdict(Outcome.PASS, "all limits are met")
+    assert back.measurements == MEASURED
+    assert (back.warnings, back.compute_s) == (("first", "second"), (("imaging", 0.25),))
+    assert (back.calibration, back.calibration_why) == (None, "not asked for")
+    assert back.analysed_at.tzinfo is not None
+
+
+def test_judging_again_adds_an_analysis_and_the_latest_holds(repository, run):
+    first = repository.save_result(result(repository, run))
+    before = repository.analyses(run)
+    second = repository.save_result(result(repository, run, Outcome.FAIL, measurements=MEASURED[:1]))
+    assert [a.analysis for a in repository.analyses(run)] == [second, first]
+    assert repository.analyses(run)[1:] == before
+    (summary,) = repository.find_runs("S-1")
+    assert summary.outcome is Outcome.FAIL
+
+
+def test_numpy_numbers_are_stored_as_plain_ones(repository, run):
+    measured = Measurement("noise_floor", np.float64(0.5), "1", trial=np.int64(2))
+    repository.save_result(result(repository, run, measurements=(measured,)))
+    (back,) = repository.analyses(run)[0].measurements
+    assert (back.value, back.trial) == (0.5, 2)
+    assert type(back.trial) is int
+
+
+def test_a_calibration_comes_back_as_it_was_issued(repository, run):
+    issued = calibration(repository.new_id(), run)
+    repository.save_result(result(repository, run, calibration=issued, calibration_why=""))
+    assert repository.analyses(run)[0].calibration == issued.calibration
+    np.testing.assert_array_equal(repository.used_readings(issued.calibration), issued.reconstruction.problem.used)
+    back = repository.load_calibration(issued.calibration, issued.reconstruction)
+    for field in fields(issued):
+        stored, told = getattr(back, field.name), getattr(issued, field.name)
+        if field.name == "reference":
+            np.testing.assert_array_equal(stored, told)
+        else:
+            assert stored == told, field.name
+
+
+def test_what_was_assumed_is_flagged_parameter_by_parameter(repository, run, tmp_path):
+    import sqlite3
+
+    issued = calibration(repository.new_id(), run)
+    repository.save_result(result(repository, run, calibration=issued))
+    with sqlite3.connect(tmp_path / "runs.db") as other:
+        rows = dict(other.execute("select name, assumed from calibration_parameters"))
+    assert rows == {
+        "against_stress.slope": 1,
+        "against_stress.intercept": 1,
+        "against_strain.slope": 0,
+        "against_strain.intercept": 0,
+    }
+
+
+def test_a_new_calibration_supersedes_only_the_same_sensors_earlier_ones(repository, run):
+    other_run = repository.new_id()
+    journalled(repository, short_run(other_run, "S-2"))
+    names = [repository.new_id() for _ in range(4)]
+    for name in names[:3]:
+        repository.save_result(result(repository, run, calibration=calibration(name, run)))
+    other = calibration(names[3], other_run, "S-2")
+    repository.save_result(result(repository, other_run, calibration=other))
+    held = {c.calibration: c.superseded_by for c in repository.calibrations("S-1")}
+    assert held == {names[0]: names[1], names[1]: names[2], names[2]: None}
+    assert [c.superseded_by for c in repository.calibrations("S-2")] == [None]
+
+
+def test_a_number_that_is_not_finite_stores_nothing_at_all(repository, run):
+    bad = calibration(repository.new_id(), run, scale=float("nan"))
+    with pytest.raises(StoreError, match="not a finite number"):
+        repository.save_result(result(repository, run, calibration=bad))
+    assert repository.analyses(run) == ()
+    assert repository.calibrations("S-1") == ()
+
+
+def test_a_matrix_of_another_making_is_refused(repository, run):
+    issued = calibration(repository.new_id(), run)
+    repository.save_result(result(repository, run, calibration=issued))
+    other = replace(reconstruction(), choice=ParameterChoice(0.5, "by hand", 2.0))
+    with pytest.raises(StoreError, match=r"λ = 0\.02, not with .* λ = 0\.5"):
+        repository.load_calibration(issued.calibration, other)
+
+
+def test_a_result_of_a_run_that_is_not_stored_is_refused(repository, run):
+    stranger = replace(repository.load_run(run).identity, run="unknown")
+    record = replace(repository.load_run(run), identity=stranger)
+    with pytest.raises(StoreError):
+        repository.save_result(result(repository, run, record=record))
+
+
+def test_runs_are_found_by_serial_and_by_name(repository, run):
+    later = repository.new_id()
+    journalled(repository, short_run(later))
+    assert [r.run for r in repository.find_runs("S-1")] == [later, run]
+    assert repository.find_runs("nobody") == ()
+    assert repository.resolve("S-1") == later
+    assert repository.resolve(run) == run
+    with pytest.raises(StoreError, match="no run and no sensor"):
+        repository.resolve("../../x")
+    with pytest.raises(StoreError, match="there is no run"):
+        repository.load_run("nothing")
+    assert repository.counts() == {"sensors": 1, "runs": 2, "frames": 22, "samples": 80, "loads": 2}
