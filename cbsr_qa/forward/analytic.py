@@ -64,7 +64,9 @@ def arc_transfer_impedance(
 
     Parameters
     ----------
-    angles_rad : (electrodes,) centres. half_width_rad : half the angle of an arc. contact_impedance : z [Ω·mm].
+    angles_rad : (electrodes,) centres.
+    half_width_rad : half the angle of an arc.
+    contact_impedance : z [Ω·mm].
     modes : polynomials an electrode; the error falls fast for z ≥ 0.01 R/γ, slowly for z → 0 (edge singularity).
     harmonics : Fourier terms; what is left out falls with their square.
 
@@ -82,8 +84,9 @@ def arc_transfer_impedance(
     own = np.arange(count)
     for p in range(modes):
         system[own, p, own, p] += contact_impedance / (length * (2 * p + 1))
-    higher = system[:, 1:, :, 1:].reshape(count * (modes - 1), -1)
-    coupling = system[:, 1:, :, 0].reshape(count * (modes - 1), count)
+    unknowns = count * (modes - 1)
+    higher = system[:, 1:, :, 1:].reshape(unknowns, unknowns)
+    coupling = system[:, 1:, :, 0].reshape(unknowns, count)
     impedance = system[:, 0, :, 0] - coupling.T @ np.linalg.solve(higher, coupling)
     return grounded(impedance)
 
@@ -93,8 +96,8 @@ def point_transfer_impedance(sheet: ConcentricSheet, angles_rad: Array, *, harmo
 
     Returns
     -------
-    (electrodes, electrodes) float64 [Ω]. A point's own potential is infinite and set to 0 here, so that only readings that
-    touch no driven electrode mean anything; rows do not sum to zero.
+    (electrodes, electrodes) float64 [Ω]. A point's own potential is infinite and set to 0 here, so that only
+    readings that touch no driven electrode mean anything; rows do not sum to zero.
     """
     apart = angles_rad[:, None] - angles_rad
     chord = 2 * np.abs(np.sin(apart / 2))

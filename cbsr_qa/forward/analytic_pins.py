@@ -23,7 +23,10 @@ def pin_transfer_impedance(
 
     Parameters
     ----------
-    radius_mm : of the sheet. conductance_S : sheet conductance γ. contact_impedance : z [Ω·mm].
+    radius_mm : of the sheet.
+    conductance_S : sheet conductance γ.
+    layout : of pins.
+    contact_impedance : z [Ω·mm].
     points : on each rim, even; 24 reach rounding while a pin is at least its own diameter from the edge.
 
     Returns

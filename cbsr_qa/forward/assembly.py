@@ -39,50 +39,68 @@ def local_stiffness(mesh: Mesh) -> Matrix:
     return mesh.areas_mm2[:, None, None] * (gradient @ gradient.transpose(0, 2, 1))
 
 
-def electrode_system(
-    mesh: Mesh, conductance: Matrix, contact_impedance: Matrix, *, stiffness: Matrix
-) -> sparse.csc_matrix:
-    """Matrix of the complete electrode model over node and electrode potentials (Vauhkonen et al. 1999, eq 12).
-
-    The term that fixes ΣU = 0 is added to the electrodes' block: electrode currents sum to zero, so it is not felt by
-    the solution, and the matrix becomes symmetric positive definite.
-
-    Parameters
-    ----------
-    conductance : (e,) [S]. contact_impedance : (electrodes,) [Ω·mm]. stiffness : of :func:`local_stiffness`.
+def contact_lengths(mesh: Mesh) -> Matrix:
+    """∫ φ_i ds along each electrode: its length, shared out among its nodes.
 
     Returns
     -------
-    (n + electrodes, n + electrodes) [S].
+    (n, electrodes) float64 [mm].
     """
-    nodes, electrodes = len(mesh.nodes_mm), len(mesh.electrode_edges)
-    elements = mesh.elements
-    rows = [np.repeat(elements, 3, axis=1).ravel()]
-    columns = [np.tile(elements, 3).ravel()]
-    values = [(conductance[:, None, None] * stiffness).ravel()]
+    lengths = np.zeros((len(mesh.nodes_mm), len(mesh.electrode_edges)))
     for number, edges in enumerate(mesh.electrode_edges):
-        row, column, value = _contact(mesh, edges, nodes + number, float(contact_impedance[number]))
-        rows.append(row)
-        columns.append(column)
-        values.append(value)
-    block = nodes + np.arange(electrodes)
-    rows.append(np.repeat(block, electrodes))
-    columns.append(np.tile(block, electrodes))
-    values.append(np.full(electrodes**2, float(np.median(conductance))))
+        np.add.at(lengths[:, number], edges, _lengths(mesh, edges)[:, None] / 2)
+    return lengths
+
+
+def electrode_system(
+    mesh: Mesh, conductance: Matrix, contact_impedance: Matrix, *, stiffness: Matrix
+) -> sparse.csc_matrix:
+    """Matrix of the complete electrode model over the nodes (Vauhkonen et al. 1999, eq 12).
+
+    Departs from the usual form in that the electrodes' potentials are eliminated, U_l = z_l I_l/|E_l| + mean of u on
+    E_l: contacts of 1e8 Ω·mm then cost no digits of the readings that do not feel them. The free constant is fixed at
+    one node; currents sum to zero, so that the solution does not feel how.
+
+    Parameters
+    ----------
+    conductance : (e,) [S].
+    contact_impedance : (electrodes,) [Ω·mm].
+    stiffness : of :func:`local_stiffness`.
+
+    Returns
+    -------
+    (n, n) symmetric positive definite [S].
+    """
+    rows = [np.repeat(mesh.elements, 3, axis=1).ravel()]
+    columns = [np.tile(mesh.elements, 3).ravel()]
+    values = [(conductance[:, None, None] * stiffness).ravel()]
+    for edges, impedance in zip(mesh.electrode_edges, contact_impedance, strict=True):
+        nodes, contact = _contact(mesh, edges)
+        rows.append(np.repeat(nodes, len(nodes)))
+        columns.append(np.tile(nodes, len(nodes)))
+        values.append(contact.ravel() / impedance)
+    rows.append(mesh.elements[:1, 0])
+    columns.append(mesh.elements[:1, 0])
+    values.append(conductance[:1])
     entries = (np.concatenate(values), (np.concatenate(rows), np.concatenate(columns)))
-    return sparse.csc_matrix(entries, shape=(nodes + electrodes,) * 2)
+    return sparse.csc_matrix(entries, shape=(len(mesh.nodes_mm),) * 2)
 
 
-def _contact(
-    mesh: Mesh, edges: NDArray[np.int64], electrode: int, impedance: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64], Matrix]:
-    """∫ (u − U)(v − V)/z along one electrode."""
+def _contact(mesh: Mesh, edges: NDArray[np.int64]) -> tuple[NDArray[np.int64], Matrix]:
+    """∫ (u − ū)(v − v̄) ds along one electrode: its nodes (k,) and the matrix over them (k, k) [mm]."""
+    nodes, local = np.unique(edges, return_inverse=True)
+    local, length = local.reshape(-1, 2), _lengths(mesh, edges)
+    mass = np.zeros((len(nodes), len(nodes)))
+    for row, column, share in ((0, 0, 2), (0, 1, 1), (1, 0, 1), (1, 1, 2)):
+        np.add.at(mass, (local[:, row], local[:, column]), share * length / 6)
+    share_of = mass.sum(axis=1)
+    return nodes, mass - np.outer(share_of, share_of) / share_of.sum()
+
+
+def _lengths(mesh: Mesh, edges: NDArray[np.int64]) -> Matrix:
     along = mesh.nodes_mm[edges[:, 1]] - mesh.nodes_mm[edges[:, 0]]
-    length = np.hypot(along[:, 0], along[:, 1]) / impedance
-    triple = np.column_stack([edges, np.full(len(edges), electrode)])
-    unit = np.array([[2, 1, -3], [1, 2, -3], [-3, -3, 6]]) / 6
-    values: Matrix = (length[:, None, None] * unit).ravel()
-    return np.repeat(triple, 3, axis=1).ravel(), np.tile(triple, 3).ravel(), values
+    lengths: Matrix = np.hypot(along[:, 0], along[:, 1])
+    return lengths
 
 
 def check_connected(mesh: Mesh) -> None:

@@ -115,10 +115,9 @@ class LocalUpdate:
         """Rows of K⁻¹ at some nodes, (p, n); each is solved for once."""
         missing = nodes[self._column_of[nodes] < 0]
         if missing.size:
-            size = len(self.model.electrode_fields)
-            load = np.zeros((size, missing.size))
+            load = np.zeros((len(self._column_of), missing.size))
             load[missing, np.arange(missing.size)] = 1
-            rows = self.model.solve(load)[: len(self._column_of)].T
+            rows = self.model.solve(load).T
             self._column_of[missing] = len(self._columns) + np.arange(missing.size)
             self._columns = np.vstack([self._columns, rows])
         return self._columns[self._column_of[nodes]]

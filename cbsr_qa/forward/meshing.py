@@ -17,18 +17,19 @@ Points = NDArray[np.float64]
 Size = Callable[[Points], NDArray[np.float64]]
 
 _FINEST = 1 / 16  # edge length at a pin's rim or an arc's end, relative to the sheet's
-_EDGES_PER_ELECTRODE = 12  # at least so many edges on an electrode
+_EDGES_PER_PIN = 12  # at least so many edges round a pin
+_EDGES_PER_ARC = 10  # and along an arc
 _STEEPEST = 0.45  # growth of the edge length per distance from an electrode; more makes thin triangles
 _REACH = 0.13  # of the radius: how far the refinement reaches, so that a family of meshes refines everywhere alike
 _COARSEST = 0.25  # largest edge length, of the radius
-_SMOOTHING = 8
+_SMOOTHING = 10
 
 
 def sheet_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
     """Mesh a sheet for its forward model.
 
     Pins are round holes whose rims are the electrodes; arcs are stretches of the edge, refined at their ends
-    where the current density is singular. All edge lengths scale with ``size_mm`` once there are 12 edges on an
+    where the current density is singular. All edge lengths scale with ``size_mm`` once there are enough edges on an
     electrode, so that a sequence of sizes shows a clean order of convergence.
 
     Parameters
@@ -94,7 +95,7 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
     def clearance(points: Points) -> NDArray[np.float64]:
         return np.minimum(from_pin(points), radius - np.hypot(points[:, 0], points[:, 1]))
 
-    finest = min(size * _FINEST, 2 * np.pi * pin / _EDGES_PER_ELECTRODE, gap)
+    finest = min(size * _FINEST, 2 * np.pi * pin / _EDGES_PER_PIN, gap)
     sizes = _graded(size, finest, radius, from_pin)
     rim_count = int(np.ceil(2 * np.pi * pin / finest - 1e-9))
     edge = _rotated(_spread_arc(radius, layout.angles_rad()[0], abs(layout.step_rad), sizes)[:-1], layout, radius)
@@ -110,10 +111,13 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
     half = layout.width_mm / radius / 2
     ends = layout.angles_rad()[:, None] + np.array([-half, half])
     tree = cKDTree(radius * _unit(ends.ravel()))
-    finest = min(size * _FINEST, layout.width_mm / _EDGES_PER_ELECTRODE)
+    growth = _growth(size, radius)
+    # The size at which an arc refined towards both ends takes its smallest number of edges.
+    enough = growth * layout.width_mm / 2 / np.expm1(growth * _EDGES_PER_ARC / 2)
+    finest = min(size * _FINEST, enough)
     sizes = _graded(size, finest, radius, lambda points: np.asarray(tree.query(points)[0], dtype=np.float64))
     start = float(ends[0, 0])
-    arc = _spread_arc(radius, start, 2 * half, sizes, at_least=_EDGES_PER_ELECTRODE)
+    arc = _spread_arc(radius, start, 2 * half, sizes, at_least=_EDGES_PER_ARC)
     space = _spread_arc(radius, start + 2 * half, abs(layout.step_rad) - 2 * half, sizes)
     edge = _rotated(np.concatenate([arc[:-1], space[:-1]]), layout, radius)
     period = len(edge) // layout.count
@@ -129,12 +133,16 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
 
 
 def _graded(size: float, finest: float, radius: float, distance: Callable[[Points], NDArray[np.float64]]) -> Size:
-    growth = min(_STEEPEST, size / (_REACH * radius))
+    growth = _growth(size, radius)
 
     def sizes(points: Points) -> NDArray[np.float64]:
         return np.minimum(size, finest + growth * np.maximum(distance(points), 0))
 
     return sizes
+
+
+def _growth(size: float, radius: float) -> float:
+    return min(_STEEPEST, size / (_REACH * radius))
 
 
 def _spread_arc(radius: float, start: float, span: float, sizes: Size, *, at_least: int = 2) -> NDArray[np.float64]:

@@ -14,7 +14,7 @@ from scipy.sparse.linalg import SuperLU, splu
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.patterns import DrivePattern
-from cbsr_qa.forward.assembly import check_connected, electrode_system, gradients, local_stiffness
+from cbsr_qa.forward.assembly import check_connected, contact_lengths, electrode_system, gradients, local_stiffness
 
 Array = NDArray[np.float64]
 
@@ -49,17 +49,17 @@ class ForwardModel:
         )
 
     def solve(self, load: Array) -> Array:
-        """Solve for the potentials caused by currents.
+        """Solve for the nodes' potentials caused by currents into nodes.
 
         Parameters
         ----------
-        load : (n + electrodes, k) [A] into nodes and electrodes, each column summing to zero for a physical case.
+        load : (n, k) [A]; columns that do not sum to zero raise the whole sheet by some constant.
 
         Returns
         -------
-        (n + electrodes, k) [V].
+        (n, k) [V].
         """
-        potentials: Array = self._factors.solve(np.ascontiguousarray(load.T).T)
+        potentials: Array = self._factors.solve(np.asfortranarray(load))
         return potentials
 
     @cached_property
@@ -68,17 +68,31 @@ class ForwardModel:
 
         Returns
         -------
-        (n + electrodes, electrodes) float64 [V/A].
+        (n, electrodes) float64 [V/A], up to a constant in each column.
         """
-        count = len(self.mesh.electrode_edges)
-        load = np.zeros((len(self.mesh.nodes_mm) + count, count))
-        load[-count:] = np.eye(count) - 1 / count
-        return self.solve(load)
+        density = self._means - self._means.mean(axis=1, keepdims=True)
+        return self.solve(density)
 
-    @property
+    @cached_property
     def transfer_impedance(self) -> Array:
-        """Electrode potentials per electrode current Z, U = Z·I for ΣI = 0: (electrodes, electrodes) [Ω]."""
-        return self.electrode_fields[-len(self.mesh.electrode_edges) :]
+        """Electrode potentials per electrode current Z.
+
+        Returns
+        -------
+        (electrodes, electrodes) float64 [Ω], U = Z·I for ΣI = 0, with ΣU = 0.
+        """
+        lengths = contact_lengths(self.mesh).sum(axis=0)
+        impedance: Array = self._means.T @ self.electrode_fields + np.diag(self.contact_impedance / lengths)
+        impedance -= impedance.mean(axis=0)
+        impedance -= impedance.mean(axis=1, keepdims=True)
+        return impedance
+
+    @cached_property
+    def _means(self) -> Array:
+        """Weights of the mean over each electrode, (n, electrodes)."""
+        lengths = contact_lengths(self.mesh)
+        means: Array = lengths / lengths.sum(axis=0)
+        return means
 
     def voltages(self) -> Array:
         """Readings per unit current: (drives, measures) [V/A]."""
@@ -110,7 +124,7 @@ class ForwardModel:
     @cached_property
     def _element_fields(self) -> tuple[Array, Array]:
         """Gradients per element for drive and measure pairs, each (pairs, 2, e)."""
-        nodal = self.electrode_fields[: len(self.mesh.nodes_mm)][self.mesh.elements]  # (e, 3, electrodes)
+        nodal = self.electrode_fields[self.mesh.elements]  # (e, 3, electrodes)
         gradient = gradients(self.mesh).transpose(0, 2, 1) @ nodal  # (e, 2, electrodes)
         pairs = (self.pattern.drive_currents(), self.pattern.measure_matrix())
         drive, measure = (np.ascontiguousarray((gradient @ pair).transpose(2, 1, 0)) for pair in pairs)

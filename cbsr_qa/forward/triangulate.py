@@ -15,9 +15,9 @@ from scipy.spatial import Delaunay, cKDTree
 Points = NDArray[np.float64]
 Elements = NDArray[np.int64]
 
-_TOO_LARGE = 1.15  # a circumradius above this many times an equilateral triangle's asks for a point
-_SPACING = 0.8  # points inserted together keep this distance, in wanted sizes
-_CLEARANCE = 0.55  # and this one from the outline
+_TOO_LARGE = 1.25  # a circumradius above this many times an equilateral triangle's asks for a point
+_SPACING = 0.86  # points inserted together keep this distance, in wanted sizes
+_CLEARANCE = 0.58  # and this one from the outline
 _ROUNDS = 60
 
 
@@ -45,18 +45,23 @@ def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, El
     Parameters
     ----------
     start : (n, 2) points to begin with inside the outline; may be empty.
-    smoothing : number of smoothing passes.
+    smoothing : number of smoothing passes, of which the one with the best worst angle is kept; at least one.
 
     Returns
     -------
     nodes : (n, 2), the outline's first, in their order.
     elements : (e, 3) counterclockwise.
     """
-    points = np.vstack([outline.points, start])
-    points = _refine(outline, points)
+    points = _refine(outline, np.vstack([outline.points, start]))
+    elements = triangulate(outline, points)
+    best = points, elements, 0.0
     for _ in range(smoothing):
-        points = _smooth(outline, points)
-    return points, triangulate(outline, points)
+        points = _smoothed(outline, points, elements)
+        elements = triangulate(outline, points)
+        angle = float(smallest_angle_deg(points, elements).min())
+        if angle > best[2]:  # a pass helps on the whole, but may flatten a single element
+            best = points, elements, angle
+    return best[0], best[1]
 
 
 def triangulate(outline: Outline, points: Points) -> Elements:
@@ -111,9 +116,8 @@ def _spread(points: Points, distance: NDArray[np.float64]) -> NDArray[np.int64]:
     return np.flatnonzero(~dropped)
 
 
-def _smooth(outline: Outline, points: Points) -> Points:
+def _smoothed(outline: Outline, points: Points, elements: Elements) -> Points:
     """Push the ends of edges that are too short apart, in proportion to what they lack (Persson & Strang 2004)."""
-    elements = triangulate(outline, points)
     edges = np.sort(np.vstack([elements[:, [0, 1]], elements[:, [1, 2]], elements[:, [2, 0]]]), axis=1)
     edges = np.unique(edges[:, 0] * len(points) + edges[:, 1])
     first, second = np.divmod(edges, len(points))

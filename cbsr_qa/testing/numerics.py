@@ -22,7 +22,9 @@ def convergence_order(errors: Sequence[float], sizes: Sequence[float]) -> float:
     """
     error, size = np.asarray(errors, dtype=np.float64), np.asarray(sizes, dtype=np.float64)
     if error.shape != size.shape or error.size < 3 or len(np.unique(size)) < error.size:
-        raise ValueError(f"a rate needs at least three different sizes with one error each, not {sizes} with {errors}")
+        raise ValueError(
+            f"a rate needs at least three different sizes with one error each, not {sizes} with {errors}"
+        )
     if not (np.isfinite(error) & (error > 0) & (size > 0)).all():
         raise ValueError(f"a rate cannot be read from errors {errors} at sizes {sizes}: all must be positive")
     return float(np.polyfit(np.log(size), np.log(error), 1)[0])
@@ -65,7 +67,9 @@ def assert_adjoint(
     x, y = random.standard_normal(domain_shape), random.standard_normal(range_shape)
     image, back = forward(x), adjoint(y)
     if image.shape != range_shape or back.shape != domain_shape:
-        raise AssertionError(f"the maps give shapes {image.shape} and {back.shape}, not {range_shape}, {domain_shape}")
+        raise AssertionError(
+            f"the maps give shapes {image.shape} and {back.shape}, not {range_shape}, {domain_shape}"
+        )
     difference = abs(float(np.vdot(image, y)) - float(np.vdot(x, back)))
     norm = np.linalg.norm
     scale = float(norm(image.ravel()) * norm(y.ravel()) + norm(x.ravel()) * norm(back.ravel()))

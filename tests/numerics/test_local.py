@@ -1,0 +1,116 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
+from cbsr_qa.forward.coverage import disc_coverage
+from cbsr_qa.forward.local import LocalUpdate
+from cbsr_qa.forward.model import ForwardModel
+
+
+@pytest.fixture(scope="module")
+def model(pin_sensor, model_of) -> ForwardModel:
+    return model_of(pin_sensor(), size_mm=4.0, conductance=2e-4, contact=500.0)
+
+
+@pytest.fixture(scope="module")
+def update(model) -> LocalUpdate:
+    return LocalUpdate(model)
+
+
+def refactorised(model: ForwardModel, elements, change) -> np.ndarray:
+    conductance = model.conductance.copy()
+    np.add.at(conductance, elements, change)
+    return ForwardModel(model.mesh, model.pattern, conductance, model.contact_impedance).voltages()
+
+
+def worst(found: np.ndarray, exact: np.ndarray) -> float:
+    """Largest relative error of any single reading."""
+    return float(np.abs(found / exact - 1).max())
+
+
+@given(
+    x=st.floats(-45, 45),
+    y=st.floats(-45, 45),
+    radius=st.floats(3, 15),
+    log_factor=st.floats(-3, 3),
+)
+@settings(max_examples=25, deadline=None)
+def test_equals_full_refactorisation(model, update, x, y, radius, log_factor):
+    elements, fraction = disc_coverage(model.mesh, x, y, radius)
+    change = model.conductance[elements] * fraction * np.expm1(log_factor)
+    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+def test_nine_presses_at_once_equal_full_refactorisation(model, update):
+    presses = [disc_coverage(model.mesh, x, y, 6.5)[0] for x, y in NINE_LOCATIONS_MM]
+    elements = np.concatenate(presses)
+    change = np.concatenate([model.conductance[p] * (0.1 + 0.05 * k) for k, p in enumerate(presses)])
+    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+def test_a_press_over_an_electrode_equals_full_refactorisation(model, update):
+    elements = disc_coverage(model.mesh, 48.0, 0.0, 4.0)[0]
+    change = 0.7 * model.conductance[elements]
+    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+def test_changes_of_an_element_named_twice_add_up(model, update):
+    elements, change = np.array([10, 200, 10]), np.array([1e-4, 5e-5, -5e-5])
+    once = update.voltages(np.array([10, 200]), np.array([5e-5, 5e-5]))
+    assert np.allclose(update.voltages(elements, change), once, rtol=1e-14)
+
+
+def test_no_change_gives_the_unchanged_voltages(model, update):
+    none = update.voltages(np.array([], dtype=np.int64), np.array([]))
+    assert np.array_equal(none, model.voltages())
+    assert np.array_equal(update.voltages(np.array([4, 5]), np.zeros(2)), model.voltages())
+
+
+def test_the_order_of_elements_does_not_matter(update):
+    elements, change = np.array([700, 30, 301]), np.array([1e-4, 2e-5, -1e-4])
+    order = np.array([2, 0, 1])
+    assert np.array_equal(update.voltages(elements, change), update.voltages(elements[order], change[order]))
+
+
+def test_further_frames_solve_nothing_anew(model, monkeypatch):
+    solves = []
+    original = ForwardModel.solve
+    monkeypatch.setattr(ForwardModel, "solve", lambda self, load: solves.append(load.shape) or original(self, load))
+    update = LocalUpdate(model)
+    one = disc_coverage(model.mesh, 0.0, 0.0, 6.5)[0]
+    other = disc_coverage(model.mesh, 20.0, 0.0, 6.5)[0]
+    for elements in (one, other):
+        update.voltages(elements, 0.2 * model.conductance[elements])
+    solves.clear()
+    for scale in (0.1, 0.3):
+        for elements in (one, other, np.concatenate([one, other])):
+            update.voltages(elements, scale * model.conductance[elements])
+    assert solves == []
+
+
+def test_first_order_term_is_the_jacobian(model, update):
+    elements, fraction = disc_coverage(model.mesh, 12.0, -7.0, 6.5)
+    direction = model.conductance[elements] * fraction
+    linear = model.jacobian()[:, :, elements] @ direction
+    step = 1e-5
+    difference = update.voltages(elements, step * direction) - update.voltages(elements, -step * direction)
+    assert np.allclose(difference / (2 * step), linear, rtol=1e-5, atol=1e-8 * np.abs(linear).max())
+
+
+@pytest.mark.parametrize(
+    ("elements", "change", "reason"),
+    [
+        ([5], [-1.0], "positive finite"),
+        ([5, 5], [-1.5e-4, -1.5e-4], "positive finite"),
+        ([5], [np.nan], "positive finite"),
+        ([-1], [1e-5], "not one of 0 to"),
+        ([10**7], [1e-5], "not one of 0 to"),
+        ([1, 2], [1e-5], "do not fit"),
+    ],
+)
+def test_impossible_changes_are_refused(update, elements, change, reason):
+    with pytest.raises(NumericsError, match=reason):
+        update.voltages(np.array(elements), np.array(change))
