@@ -33,12 +33,12 @@ def overlap_area_mm2(
     if not 0 < radius_mm < float("inf"):
         raise NumericsError(f"the radius of a disc is {radius_mm} mm; it must be a positive number")
     start = mesh.corners_mm[elements] - np.asarray(centre_mm)
-    area = _under_edges(start, np.roll(start, -1, axis=1), radius_mm).sum(axis=1)
+    area = area_under_edges(start, np.roll(start, -1, axis=1), radius_mm).sum(axis=1)
     clipped: NDArray[np.float64] = np.clip(area, 0.0, mesh.areas_mm2[elements])
     return clipped
 
 
-def _under_edges(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
+def area_under_edges(start: NDArray[np.float64], end: NDArray[np.float64], radius: float) -> NDArray[np.float64]:
     """Signed area between the origin and directed edges inside a circle about the origin, (…, 2) → (…)."""
     along = end - start
     length_squared = _dot(along, along)

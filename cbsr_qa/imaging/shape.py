@@ -58,7 +58,7 @@ def shape_deviation_mm2(blob: Blob, x_mm: float, y_mm: float, radius_mm: float, 
         raise NumericsError(f"perimeter mode {mode!r} is unknown", remedy="use 'length' or 'nodes'")
     start, end = nodes_mm[edges[:, 0]], nodes_mm[edges[:, 1]]
     length = np.hypot(*(end - start).T)
-    return float(_squared_deviation(start, end, length, radius_mm).sum() / length.sum())
+    return float(squared_deviation_integral(start, end, length, radius_mm).sum() / length.sum())
 
 
 def perimeter(blob: Blob) -> NDArray[np.int64]:
@@ -84,7 +84,7 @@ def _area_inside_mm2(blob: Blob, x_mm: float, y_mm: float, radius_mm: float, mod
     return float(mesh.areas_mm2[blob.elements][np.hypot(away[:, 0], away[:, 1]) <= radius_mm].sum())
 
 
-def _squared_deviation(
+def squared_deviation_integral(
     start: NDArray[np.float64], end: NDArray[np.float64], length: NDArray[np.float64], radius: float
 ) -> NDArray[np.float64]:
     """Integral of (‖P‖ − r)² along straight edges, in closed form: (k, 2), (k, 2), (k,) → (k,).
