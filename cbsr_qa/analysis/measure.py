@@ -40,20 +40,20 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
 
     Returns
     -------
-    Every measurement, judged where a limit fits, and one without value for each limit that found nothing.
-
-    Raises
-    ------
-    RefusedError
-        If a limit and its measurement differ in unit.
+    Every measurement, judged where a limit fits, and one without value for each limit that found nothing to judge,
+    or only in another unit: a limit in µm says nothing about millimetres, and the run is kept all the same.
     """
     judged = list(measurements)
     for limit in limits:
         fitting = [number for number, measurement in enumerate(judged) if _fits(limit, measurement)]
-        for number in fitting:
+        same_unit = [number for number in fitting if judged[number].unit == limit.unit]
+        for number in same_unit:
             judged[number] = _stricter(judged[number], judged[number].judged(limit))
         if not fitting:
-            judged.append(_missing(limit))
+            judged.append(_unmeasured(limit, "no metric of this recipe measured it: enable one, or remove the limit"))
+        elif not same_unit:
+            found = judged[fitting[0]].unit
+            judged.append(_unmeasured(limit, f"the limit is in {limit.unit}, the measurement in {found}"))
     return tuple(judged)
 
 
@@ -90,12 +90,6 @@ def _stricter(before: Measurement, after: Measurement) -> Measurement:
     return before if SEVERITY.index(before.outcome) < SEVERITY.index(after.outcome) else after
 
 
-def _missing(limit: Limit) -> Measurement:
-    return Measurement(
-        limit.measurement,
-        None,
-        limit.unit,
-        phase=limit.phase,
-        qualifier=limit.qualifier,
-        how="no metric of this recipe measured it: enable one under [metrics], or remove the limit",
-    ).judged(limit)
+def _unmeasured(limit: Limit, why: str) -> Measurement:
+    nothing = Measurement(limit.measurement, None, limit.unit, phase=limit.phase, qualifier=limit.qualifier, how=why)
+    return nothing.judged(limit)

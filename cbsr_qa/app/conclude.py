@@ -52,8 +52,6 @@ def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages
     ------
     PluginError, ConfigError
         If the recipe's reconstruction or a metric is unknown or refuses its options.
-    RefusedError
-        If a limit and its measurement differ in unit.
     """
     if record.end is not EndReason.FINISHED:
         why = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")

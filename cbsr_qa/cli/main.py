@@ -1,9 +1,9 @@
 """The command ``cbsr-qa``: puts the command groups together, and turns errors into messages and exit codes."""
 
+import os
 import sys
-from typing import Annotated
+from typing import Annotated, Any
 
-import click
 import typer
 
 import cbsr_qa
@@ -42,26 +42,35 @@ def _options(
     """Test, judge and calibrate soft pressure sensors read by electrical impedance tomography."""
 
 
+#: What typer raises for a misused command line. It brings its own copy of click, or uses the installed one.
+_UsageError = typer.BadParameter.__mro__[1]
+
+#: Numerical libraries take their number of threads from these when they are loaded.
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+
+
 def entry() -> None:
-    """Run the command line: exit code 0 passed or done, 1 failed, 2 refused, 3 aborted, broken or not measured."""
+    """Run the command line: exit code 0 passed or done, 1 failed, 2 refused, 3 aborted, broken or not measured.
+
+    Numerical libraries are held to one thread: sums split over cores differ in their last digits from one number
+    of cores to another, and matrices of this size are slower with more. What runs in parallel are processes.
+    """
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
     sys.exit(guarded(sys.argv[1:]))
 
 
 def guarded(arguments: list[str]) -> int:
     """Run one command and return its exit code; every expected error becomes one clear message."""
     try:
-        result = app(arguments, standalone_mode=False)
+        result = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
     except CbsrError as error:
         if "--json" in arguments:
             emit_json(refusal(error))
         note(f"cbsr-qa: {error}")
         return error.exit_code
-    except click.ClickException as error:
-        error.show(sys.stderr)
-        if "--json" in arguments:
-            emit_json({"refused": {"reason": error.format_message(), "remedy": "see cbsr-qa --help"}})
-        return 2
-    except (click.Abort, KeyboardInterrupt):
+    except _UsageError as error:
+        return _misused(error, arguments)
+    except (typer.Abort, KeyboardInterrupt):
         note("cbsr-qa: aborted")
         return 3
     except BrokenPipeError:
@@ -69,3 +78,14 @@ def guarded(arguments: list[str]) -> int:
         sys.stderr.close()
         return 0
     return result if isinstance(result, int) else 0
+
+
+def _misused(error: Any, arguments: list[str]) -> int:
+    """Say what is wrong with the command line; a command without any argument gets its help."""
+    if not arguments or not error.format_message():
+        note(error.ctx.get_help() if error.ctx else "")
+        return 2
+    if "--json" in arguments:
+        emit_json({"refused": {"reason": error.format_message(), "remedy": "see cbsr-qa COMMAND --help"}})
+    error.show()
+    return 2

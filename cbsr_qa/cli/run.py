@@ -43,7 +43,7 @@ def run(
     if dry_run:
         _show_dry_run(plan_run(request), as_json)
         return 0
-    outcome = run_sensor(request)
+    outcome = run_sensor(request, tell=lambda stage: note(f"{stage} …"))
     if as_json:
         emit_json(outcome.document())
     else:

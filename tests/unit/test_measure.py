@@ -40,9 +40,12 @@ def test_a_limit_nobody_measures_is_not_measured():
     assert [m.outcome for m in judged] == [Outcome.NOT_JUDGED, Outcome.NOT_MEASURED]
 
 
-def test_units_must_agree():
+def test_a_limit_in_another_unit_judges_nothing_and_never_passes():
+    judged = judge([Measurement("error", 1.0, "µm")], [_limit()])
+    assert [m.outcome for m in judged] == [Outcome.NOT_JUDGED, Outcome.NOT_MEASURED]
+    assert "the limit is in mm, the measurement in µm" in decide(judged).reason
     with pytest.raises(RefusedError, match="limit of error is in mm, the measurement in µm"):
-        judge([Measurement("error", 1.0, "µm")], [_limit()])
+        Measurement("error", 1.0, "µm").judged(_limit())
 
 
 def test_a_limit_judges_only_its_phase_and_qualifier():

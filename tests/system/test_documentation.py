@@ -1,0 +1,85 @@
+"""What the documentation tells a user to type is typed here, and its snippets are run."""
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from cbsr_qa.domain.frames import SampleBlock
+
+_TOP = Path(__file__).resolve().parents[2]
+_PAGES = sorted([_TOP / "README.md", *(_TOP / "docs").rglob("*.md")])
+
+
+def _blocks(page, language):
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+
+
+def _commands(page):
+    return [line[2:] for block in _blocks(page, "console") for line in block.splitlines() if line.startswith("$ ")]
+
+
+def test_the_tour_of_the_readme_runs_as_printed(tmp_path):
+    commands = _commands(_TOP / "README.md")
+    assert len(commands) >= 8
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("CBSR_QA_")}
+    environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
+    for command in commands:
+        if command.startswith("export PATH"):
+            continue
+        done = subprocess.run(
+            ["bash", "-c", command], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+        assert done.stdout.strip(), command
+    assert [path.name for path in tmp_path.iterdir()] == ["var"]
+
+
+@pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
+def test_links_between_pages_lead_somewhere(page):
+    for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
+        if not target.startswith(("http://", "https://")):
+            assert (page.parent / target).exists(), target
+
+
+@pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
+def test_toml_snippets_are_toml(page):
+    for block in _blocks(page, "toml"):
+        tomllib.loads(block)
+
+
+@pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
+def test_commands_that_are_shown_exist(page):
+    from cbsr_qa.cli.main import guarded
+
+    for command in _commands(page):
+        words = shlex.split(command)
+        if words[0] != "cbsr-qa":
+            continue
+        group = [word for word in words[1:3] if re.fullmatch(r"[a-z]+", word)]
+        known = group[:2] if group[0] in ("calibration", "plugins", "db") else group[:1]
+        assert guarded([*known, "--help"]) == 0, command
+
+
+def test_the_metric_of_the_plugin_page_measures():
+    namespace = {}
+    for block in _blocks(_TOP / "docs" / "how-to" / "write-a-plugin.md", "python"):
+        exec(block, namespace)
+    registered = []
+    namespace["cbsr_register"](lambda *registration: registered.append(registration))
+    assert [name for _, name, _ in registered] == ["peak-force"]
+
+    force = SampleBlock("force", "N", np.arange(3.0), np.array([0.0, 4.5, 1.0]))
+    phases = [SimpleNamespace(channel=lambda name: None), SimpleNamespace(channel=lambda name: force)]
+    metric = namespace["PeakForce"]()
+    (peak,) = metric.measure_run(SimpleNamespace(record=SimpleNamespace(phases=phases)))
+    assert (peak.value, peak.unit) == (4.5, "N")
+    (nothing,) = metric.measure_run(SimpleNamespace(record=SimpleNamespace(phases=phases[:1])))
+    assert nothing.value is None

@@ -1,0 +1,195 @@
+"""``cbsr-qa run`` as a user meets it: determinism, refusals, exit codes, what is written and where."""
+
+import sqlite3
+
+import pytest
+from command import cbsr_qa, document, short_recipe
+
+
+def _run(folder, *more, check=True, serial="S-1", **environment):
+    files = ["--station", "simulated", "--recipe", short_recipe(folder)]
+    return cbsr_qa(folder, "run", *files, "--serial", serial, "--json", *more, check=check, **environment)
+
+
+def _stored(folder):
+    """Every stored number of the latest run: frames, samples, presses, measurements."""
+    with sqlite3.connect(folder / "var" / "cbsr-qa.db") as database:
+        run = database.execute("select max(run) from runs").fetchone()
+        queries = [
+            "select phase, block, sha256 from frame_blocks where run = ? order by 1, 2",
+            "select phase, block, channel, sha256 from sample_blocks where run = ? order by 1, 2",
+            "select phase, load_index, label, x_mm, y_mm, press_start_s, rest_end_s from loads where run = ?",
+            "select name, qualifier, location, value, uncertainty, outcome from measurements natural join analyses"
+            " where run = ? order by analysis, number",
+        ]
+        return [database.execute(query, run).fetchall() for query in queries]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished run with seed 11."""
+    folder = tmp_path_factory.mktemp("finished")
+    return folder, document(_run(folder, "--seed", "11"))
+
+
+def test_the_document_says_what_was_promised(finished):
+    folder, run = finished
+    assert {"run", "end", "outcome", "reason", "report", "calibration", "measurements"} <= set(run)
+    assert run["end"] == "finished"
+    assert run["outcome"] in ("pass", "marginal", "fail")
+    for key in ("station_s", "compute_s"):
+        assert run[key] > 0
+    for measurement in run["measurements"]:
+        assert {"name", "value", "unit", "lower", "upper", "outcome"} <= set(measurement)
+    assert (folder / run["report"]).is_file()
+    assert (folder / run["calibration"]).is_file()
+    assert [path.name for path in folder.iterdir() if path.name != "short.toml"] == ["var"]
+
+
+@pytest.mark.parametrize("threads", ["1", "2"])
+def test_the_same_seed_stores_identical_numbers_whatever_the_threads(finished, tmp_path, threads):
+    _run(tmp_path, "--seed", "11", OMP_NUM_THREADS=threads, OPENBLAS_NUM_THREADS=threads)
+    assert _stored(tmp_path) == _stored(finished[0])
+
+
+def test_another_seed_stores_other_frames(finished, tmp_path):
+    _run(tmp_path, "--seed", "12")
+    assert _stored(tmp_path)[0] != _stored(finished[0])[0]
+
+
+def test_without_a_seed_a_second_try_of_a_sensor_is_not_the_first_again(tmp_path):
+    first = document(_run(tmp_path))
+    second = document(_run(tmp_path))
+    assert first["seed"] != second["seed"]
+    assert first["run"] < second["run"]
+
+
+def test_the_calibration_is_in_the_database_as_rows_and_superseded_by_the_next(tmp_path):
+    for _ in range(2):
+        _run(tmp_path)
+    with sqlite3.connect(tmp_path / "var" / "cbsr-qa.db") as database:
+        rows = database.execute("select calibration, superseded_by from calibrations order by 1").fetchall()
+        (baselines,) = database.execute("select count(*) from calibration_baselines where value > 0").fetchone()
+    assert rows == [(rows[0][0], rows[1][0]), (rows[1][0], None)]
+    assert baselines == 2
+
+
+def test_report_renders_the_same_bytes_again(finished):
+    folder, run = finished
+    before = (folder / run["report"]).read_bytes()
+    again = document(cbsr_qa(folder, "report", "S-1", "--json"))
+    assert (folder / again["report"]).read_bytes() == before
+
+
+def test_an_exported_run_is_read_back_with_its_presses(finished):
+    folder, run = finished
+    exported = document(cbsr_qa(folder, "export", run["run"], "--to", "run.h5", "--json"))
+    (folder / "run.h5").rename(folder / "var" / "run.h5")
+    analysed = document(cbsr_qa(folder, "analyse", "var/run.h5", "--json"))
+    assert analysed["recording"]["frames"] == exported["frames"]
+    assert analysed["recording"]["force_recorded"] is True
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--station", "simulatd", "--recipe", "nine-locations", "--serial", "A"], "did you mean 'simulated'"),
+        (["--station", "simulated", "--recipe", "no/such.toml", "--serial", "A"], "no/such.toml"),
+        (["--station", "simulated", "--recipe", "nine-locations", "--serial", ""], "serial number"),
+        (["--station", "simulated", "--recipe", "nine-locations", "--serial", "../../x"], "'/' is not allowed"),
+        (["--station", "simulated", "--recipe", "nine-locations", "--serial", "<script>"], "'<' is not allowed"),
+        (["--station", "simulated", "--recipe", "nine-locations", "--serial", "x" * 5000], "longer than 64"),
+    ],
+)
+def test_refused_input_is_one_clear_message_and_nothing_is_written(tmp_path, arguments, said):
+    done = cbsr_qa(tmp_path, "run", *arguments, "--json", check=False)
+    assert done.returncode == 2
+    refused = document(done)["refused"]
+    assert said in refused["reason"] + refused["remedy"]
+    assert "Traceback" not in done.stderr
+    assert len(done.stderr) < 1000
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_malformed_recipe_names_file_and_line(tmp_path):
+    (tmp_path / "bad.toml").write_text('[recipe]\nname = "x"\nphases = [')
+    done = cbsr_qa(tmp_path, "run", "--station", "simulated", "--recipe", "bad.toml", "--serial", "A", check=False)
+    assert done.returncode == 2
+    assert "bad.toml" in done.stderr
+    assert "line 3" in done.stderr
+
+
+def test_an_unknown_plugin_in_a_recipe_is_refused_before_anything_moves(tmp_path):
+    recipe = short_recipe(tmp_path, **{'sequence = "noise-figure"': 'sequence = "noise-figur"'})
+    done = cbsr_qa(tmp_path, "run", "--station", "simulated", "--recipe", recipe, "--serial", "A", check=False)
+    assert done.returncode == 2
+    assert "did you mean 'noise-figure'" in done.stderr
+    assert not (tmp_path / "var").exists()
+
+
+def test_a_recipe_beyond_the_stations_limits_is_refused_before_anything_moves(tmp_path):
+    recipe = short_recipe(tmp_path, **{"strain_percent = 20.0": "strain_percent = 36.0"})
+    done = cbsr_qa(tmp_path, "run", "--station", "simulated", "--recipe", recipe, "--serial", "A", check=False)
+    assert done.returncode == 2
+    assert "36" in done.stderr
+    assert not (tmp_path / "var").exists()
+
+
+def test_a_limit_that_is_not_met_fails_the_run_with_exit_code_1(tmp_path):
+    recipe = short_recipe(tmp_path, **{"upper = 6.5": "upper = 0.001"})
+    done = cbsr_qa(
+        tmp_path, "run", "--station", "simulated", "--recipe", recipe, "--serial", "A", "--json", check=False
+    )
+    run = document(done)
+    assert (done.returncode, run["outcome"], run["calibration"]) == (1, "fail", None)
+    assert "centre of mass error" in run["reason"]
+    assert run["calibration_why"]
+
+
+def test_a_limit_in_the_wrong_unit_never_passes_and_the_run_is_kept(tmp_path):
+    recipe = short_recipe(tmp_path, **{'unit = "mm"': 'unit = "µm"'})
+    done = cbsr_qa(
+        tmp_path, "run", "--station", "simulated", "--recipe", recipe, "--serial", "A", "--json", check=False
+    )
+    run = document(done)
+    assert (done.returncode, run["end"], run["outcome"]) == (3, "finished", "not measured")
+    assert "the limit is in µm, the measurement in mm" in run["reason"]
+
+
+def test_a_dry_run_writes_nothing(tmp_path):
+    arguments = ["--station", "simulated", "--recipe", "nine-locations", "--serial", "A", "--dry-run"]
+    said = document(cbsr_qa(tmp_path, "run", *arguments, "--json"))
+    assert said["loads"] == 23
+    assert said["violations"] == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_truncated_database_is_named_and_left_as_it_is(tmp_path):
+    (tmp_path / "var").mkdir()
+    damaged = tmp_path / "var" / "cbsr-qa.db"
+    damaged.write_bytes(b"SQLite format 3\0" + b"\x10\x00" * 40)
+    before = damaged.read_bytes()
+    done = _run(tmp_path, check=False)
+    assert done.returncode == 2
+    assert "cbsr-qa.db" in document(done)["refused"]["reason"]
+    assert damaged.read_bytes() == before
+
+
+def test_an_output_folder_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "var").write_text("a file where the folder should be")
+    done = _run(tmp_path, check=False)
+    assert done.returncode == 2
+    assert "var" in done.stderr
+    assert (tmp_path / "var").read_text() == "a file where the folder should be"
+
+
+def test_version_imports_nothing_heavy(tmp_path):
+    import subprocess
+    import sys
+
+    script = (
+        "import sys; from cbsr_qa.cli.main import guarded; guarded(['--version']);"
+        "print(sorted({'numpy', 'scipy', 'sqlalchemy', 'matplotlib', 'cbsr_qa_plugins', 'rich'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True, cwd=tmp_path)
+    assert done.stdout.splitlines()[-1] == "[]"
