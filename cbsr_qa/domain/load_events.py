@@ -35,6 +35,7 @@ class NoiseReport:
     steps : changes of level or noise; where there are any, ``rms`` is that of the longest quiet stretch.
     quiet_s : (start, end) of the stretch the figures are from; None where there is none.
     frames : how many frames that is.
+    outliers : share of all readings further than six times the noise from their channel's level in that stretch.
     """
 
     rms: float | None
@@ -43,6 +44,7 @@ class NoiseReport:
     steps: tuple[NoiseStep, ...]
     quiet_s: tuple[float, float] | None
     frames: int
+    outliers: float | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +88,7 @@ class LoadEvent:
     x_mm, y_mm : only where a sensor type was named.
     image : of the change it made.
     force_N : peak force while it lasted; None where not recorded.
+    track : (time_s, x_over_R, y_over_R) per frame of an object that moves; empty for a press.
     """
 
     start_s: float
@@ -100,6 +103,7 @@ class LoadEvent:
     x_mm: float | None = None
     y_mm: float | None = None
     force_N: float | None = None
+    track: tuple[tuple[float, float, float], ...] = ()
 
     @property
     def r_over_R(self) -> float:

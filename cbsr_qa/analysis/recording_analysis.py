@@ -1,0 +1,174 @@
+"""A recording with everything that can be found in it: channels, reading memory, noise, presses."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from time import perf_counter
+from typing import TypeVar
+
+import numpy as np
+
+from cbsr_qa.analysis.recording_imaging import nominal_disc
+from cbsr_qa.analysis.recording_noise import channel_noise, find_steps, noise_report
+from cbsr_qa.analysis.recording_ready import ReadyReadings, channel_report, make_ready
+from cbsr_qa.analysis.recording_scene import FEWEST_FRAMES, RecordedScene
+from cbsr_qa.domain.errors import NumericsError, RecordingError
+from cbsr_qa.domain.frames import VoltageUnit
+from cbsr_qa.domain.load_events import LoadEvent, NoiseReport, NoiseStep, RecordingResult
+from cbsr_qa.domain.recording import Recording, ScanKind
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.interfaces import Reconstruction
+
+#: Above this, more than a quarter of the readings' power is not reciprocal: no passive sheet was measured.
+_RECIPROCITY_LIMIT = 1.0
+
+_Result = TypeVar("_Result")
+
+
+@dataclass(frozen=True, slots=True)
+class AnalysisChoices:
+    """What a user may decide about the analysis of a recording.
+
+    Parameters
+    ----------
+    correct_memory : True or False; None to correct where the estimate is significant and makes reciprocity better.
+    sensor_type : what was measured; None for the nominal disc, and then nothing is said in millimetres.
+    """
+
+    correct_memory: bool | None = None
+    sensor_type: SensorType | None = None
+
+
+def analyse_recording(
+    recording: Recording, reconstruction: Reconstruction, choices: AnalysisChoices | None = None
+) -> RecordingResult:
+    """Analyse a recording.
+
+    Parameters
+    ----------
+    recording : as its format read it.
+    reconstruction : images the events.
+
+    Raises
+    ------
+    RecordingError
+        If a single image has nothing to be compared with, or the named sensor type does not fit the frames.
+    """
+    choices = choices or AnalysisChoices()
+    spent: dict[str, float] = {}
+    ready = _timed(spent, "channels", lambda: make_ready(recording, choices.correct_memory))
+    rate_hz = frame_rate_hz(recording)
+    events, why = _timed(spent, "events", lambda: _events(recording, ready, reconstruction, choices, rate_hz))
+    noise = _timed(spent, "noise", lambda: _noise(recording, ready, events))
+    return RecordingResult(
+        recording=recording,
+        frame_rate_hz=rate_hz,
+        channels=channel_report(ready),
+        noise=noise,
+        events=events,
+        events_why="" if events else why,
+        warnings=_warnings(recording, ready, why if events else ""),
+        compute_s=tuple(spent.items()),
+    )
+
+
+def frame_rate_hz(recording: Recording) -> float | None:
+    """Frames a second: from the typical step on the board's clock, from the whole length on the computer's.
+
+    None for still images and where the file says nothing about time. Steps half as long again as the median (a
+    watchdog dump inside a frame, lost frames) are left out; a computer's steps are those of its serial buffer, so
+    there only the whole counts.
+    """
+    times = recording.frames.time_s
+    if recording.still or recording.clock == "none" or len(times) < 2 or times[-1] <= times[0]:
+        return None
+    if recording.clock == "computer":
+        return float((len(times) - 1) / (times[-1] - times[0]))
+    steps = np.diff(times)
+    typical = steps[(steps < 1.5 * np.median(steps)) & (steps > 0)]
+    return float(1 / typical.mean()) if typical.size else None
+
+
+def _timed(spent: dict[str, float], stage: str, work: Callable[[], _Result]) -> _Result:
+    begin = perf_counter()
+    result = work()
+    spent[stage] = perf_counter() - begin
+    return result
+
+
+def _events(
+    recording: Recording,
+    ready: ReadyReadings,
+    reconstruction: Reconstruction,
+    choices: AnalysisChoices,
+    rate_hz: float | None,
+) -> tuple[tuple[LoadEvent, ...], str]:
+    if why := _no_image(recording, ready):
+        return (), why
+    sensor_type = choices.sensor_type or nominal_disc(recording.layout, ready.block.voltages.shape[1])
+    if sensor_type.pattern.shape != ready.block.voltages.shape[1:]:
+        raise RecordingError(
+            f"sensor type {sensor_type.name!r} has frames of {sensor_type.pattern.shape},"
+            f" {recording.path.name} has {ready.block.voltages.shape[1:]}",
+            remedy="name the sensor type that was measured, or none",
+        )
+    try:
+        scene = RecordedScene.of(recording, ready, sensor_type, reconstruction, named=choices.sensor_type is not None)
+    except NumericsError as error:
+        return (), f"no image can be made: {error.reason}"
+    if recording.reference is not None:
+        return scene.objects()
+    return scene.presses(rate_hz)
+
+
+def _no_image(recording: Recording, ready: ReadyReadings) -> str:
+    """Why a recording cannot be imaged at all; empty if it can."""
+    if ready.faults.not_connected:
+        return "no signal: every reading is the same, nothing is connected"
+    if recording.scan is ScanKind.DRIVEN_PAIRS:
+        return "one-row scans measure each pair only while it is driven: there is no image to find a load in"
+    if ready.error is not None and ready.error > _RECIPROCITY_LIMIT and not recording.still:
+        return (
+            f"no usable image: the readings are not reciprocal (error {ready.error:.2f}; a passive sheet gives 0,"
+            f" unrelated numbers 1.41, and above {_RECIPROCITY_LIMIT:g} nothing is imaged)"
+        )
+    if recording.reference is None and len(ready.block) == 1:
+        raise RecordingError(
+            f"{recording.path.name} is a single image and there is nothing to compare it with",
+            remedy="name the recording of the empty tank with --reference FILE[:NAME]",
+        )
+    if recording.reference is None and len(ready.block) < FEWEST_FRAMES:
+        return (
+            f"{len(ready.block)} frames are too few to tell a press from noise; at least {FEWEST_FRAMES} are needed"
+        )
+    return ""
+
+
+def _noise(recording: Recording, ready: ReadyReadings, events: tuple[LoadEvent, ...]) -> NoiseReport:
+    use = ready.noise_use()
+    block = recording.frames
+    readings = block.voltages[:, use]
+    busy = tuple((event.start_s, event.end_s) for event in events)
+    steps: tuple[NoiseStep, ...] = ()
+    if len(block) > 1:
+        sigma = channel_noise(readings, counts=block.unit is VoltageUnit.COUNT)
+        steps = find_steps(block.time_s, readings, sigma)
+        steps = tuple(s for s in steps if s.what == "noise" or not any(a - 1 <= s.time_s <= b + 1 for a, b in busy))
+    return noise_report(block, use, steps, busy, timed=not recording.still and recording.clock != "none")
+
+
+def _warnings(recording: Recording, ready: ReadyReadings, besides: str) -> tuple[str, ...]:
+    said = list(recording.notes)
+    if recording.problems and recording.rows_rejected:
+        said.append(f"{recording.rows_rejected} rows were rejected, see the list of problems")
+    if ready.memory is not None and ready.memory.worth_correcting and not ready.corrected:
+        said.append(
+            f"readings keep {ready.memory.share:.0%} of the one before them and were not corrected, as asked for"
+        )
+    if ready.corrected and ready.memory is not None:
+        said.append(
+            f"each reading keeps {ready.memory.share:.1%} of the one before it; this was taken out before imaging"
+            f" (reciprocity error {ready.memory.error:.2f} before, {ready.memory.error_corrected:.2f} after)"
+        )
+    if besides:
+        said.append(besides)
+    return tuple(said)

@@ -1,0 +1,137 @@
+"""What the channels of a recording are worth: saturated, stuck, nothing connected."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
+from cbsr_qa.domain.recording import ScanKind
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: A channel is at a rail if this share of its readings are exactly there, and flagged if so many are flagged.
+_AT_RAIL = 0.5
+_FLAGGED = 0.01
+#: A channel is stuck if this share of its readings are one and the same value while the others vary.
+_CONSTANT = 0.98
+_FEWEST_FRAMES = 8
+#: Largest share of the previous reading that a clipped reading may show, and how well the channels must agree on it.
+_LARGEST_MEMORY = 0.25
+_MEMORY_SPREAD = 0.03
+#: Readings within one count of each other, everywhere and always: nothing is connected.
+_SILENT_COUNTS = 2.0
+#: A ceiling: at least this share of the pairs are at it, and no reading goes above it by so many times the noise.
+_CEILING_SHARE = 0.25
+_CEILING_SIGMA = 6.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelFaults:
+    """Faults found, each (drives, measures) bool.
+
+    Parameters
+    ----------
+    saturated : at the end of the converter's range, or with the source at its limit.
+    stuck : never changes.
+    missing : not recorded.
+    not_connected : whether no reading differs from any other.
+    """
+
+    saturated: Mask
+    stuck: Mask
+    missing: Mask
+    not_connected: bool
+
+    @property
+    def bad(self) -> Mask:
+        """Readings not to image from."""
+        bad: Mask = self.saturated | self.stuck | self.missing
+        return bad
+
+
+def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
+    """Look for faults in a block of frames.
+
+    Parameters
+    ----------
+    block : (n, drives, measures), raw: reading memory not taken out.
+    """
+    missing = (block.flags & ReadingFlag.MISSING.value != 0).mean(axis=0) > _AT_RAIL
+    present = block.voltages[:, ~missing]
+    silent = _SILENT_COUNTS if block.unit is VoltageUnit.COUNT else 0.0
+    not_connected = present.size == 0 or float(np.ptp(present)) <= silent
+    flagged = block.flags & (ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE).value != 0
+    saturated = flagged.mean(axis=0) > _FLAGGED
+    if not not_connected:
+        saturated |= _at_rails(block, missing)
+        if scan is ScanKind.DRIVEN_PAIRS:
+            saturated |= _at_ceiling(block.voltages)
+    return ChannelFaults(saturated & ~missing, _stuck(block) & ~missing, missing, not_connected)
+
+
+def _at_rails(block: FrameBlock, missing: Mask) -> Mask:
+    voltages = np.where(missing, np.median(block.voltages), block.voltages)
+    clipped = np.zeros(missing.shape, dtype=bool)
+    if len(voltages) < _FEWEST_FRAMES:
+        return clipped
+    for rail in (float(voltages.min()), float(voltages.max())):
+        exact = (voltages == rail).mean(axis=0) >= _AT_RAIL
+        if exact.any():
+            clipped |= exact | _remembering_rail(np.median(voltages, axis=0), rail)
+    return clipped
+
+
+def _remembering_rail(level: Array, rail: float) -> Mask:
+    """Channels clipped at a rail that show a share of the reading before them: level = rail + m (previous − rail).
+
+    Looked for among readings at the same distance from the driven pair (m is common to them and nothing else is).
+    """
+    rows, columns = level.shape
+    clipped = np.zeros(level.shape, dtype=bool)
+    if rows != columns:
+        return clipped
+    previous = np.roll(level.ravel(), 1).reshape(level.shape)
+    k = np.arange(rows)
+    for distance in (-1, 0, 1):
+        at = k, (k + distance) % rows
+        share = (level[at] - rail) / np.where(previous[at] == rail, np.inf, previous[at] - rail)
+        middle = float(np.median(share))
+        near = np.abs(share - middle) <= _MEMORY_SPREAD
+        if 0 < middle <= _LARGEST_MEMORY and near.mean() >= 0.75:
+            clipped[at] |= near
+    return clipped
+
+
+def _at_ceiling(voltages: Array) -> Mask:
+    """Different pairs at one level that no reading exceeds: the source has run into its voltage limit.
+
+    Only for one-row scans, where equal levels are not a matter of symmetry.
+    """
+    rows = voltages[:, 0, :]
+    level = np.median(rows, axis=0)
+    sigma = np.maximum(1.4826 * np.median(np.abs(rows - level), axis=0), 1e-12)
+    top = float(np.median(np.sort(level)[-3:]))
+    noise = float(np.median(sigma[level >= top - np.ptp(level) / 2]))
+    together = np.abs(level - top) <= 2 * noise
+    if together.mean() < _CEILING_SHARE or float(rows.max()) > top + _CEILING_SIGMA * noise:
+        return np.zeros(voltages.shape[1:], dtype=bool)
+    # Pairs that have not quite reached the ceiling when they are read (they follow a low one) are at it as well.
+    at: Mask = (top - level <= max(_CEILING_SIGMA * 2 * noise, 0.002 * abs(top)))[None]
+    return at
+
+
+def _stuck(block: FrameBlock) -> Mask:
+    """Channels that never change while most others do."""
+    n = len(block)
+    constant = np.zeros(block.voltages.shape[1:], dtype=bool)
+    if n < _FEWEST_FRAMES:
+        return constant
+    middle = np.median(block.voltages, axis=0)
+    same = (block.voltages == middle).mean(axis=0)
+    # Counts with less than a count of noise stand still without being stuck: only judge where most channels move.
+    if float(np.median(same)) > 0.25:
+        return constant
+    constant |= same >= _CONSTANT
+    return constant

@@ -1,0 +1,170 @@
+"""Where a load is: matching the pattern a small load at each place would leave.
+
+For one small load in Gaussian noise the place whose unit-length whitened pattern has the largest product with the
+whitened change is the maximum-likelihood estimate; unlike the maximum of a regularised image it is not drawn
+outward by the prior. Several loads are found one after the other (orthogonal matching pursuit) and then moved in
+turn, each against what the others leave over.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: A further load must explain this share of the whole change, and of what the first one explains.
+_FURTHER_SHARE = 0.15
+_FURTHER_OF_FIRST = 0.35
+_MOST_LOADS = 4
+_SWEEPS = 4
+#: Places this close to the best one (in radii) are fitted for the vertex of the likelihood.
+_NEIGHBOURHOOD = 0.13
+_SEPARATE = 0.25
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """One load of a change.
+
+    Parameters
+    ----------
+    x, y : in units of the radius.
+    index : of the nearest candidate place.
+    score : product of the unit pattern with the change; signed, + where the place conducts more.
+    """
+
+    x: float
+    y: float
+    index: int
+    score: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matcher:
+    """Whitened unit patterns with the nuisance projected out.
+
+    Parameters
+    ----------
+    places : (p, 2) in units of the radius.
+    sigma : (m,) noise of the readings.
+    nuisance : (m,) unit vector, whitened.
+    patterns : (m, p) float64, unit columns.
+    """
+
+    places: Array
+    sigma: Array
+    nuisance: Array
+    patterns: Array
+
+    def whiten(self, changes: Array) -> Array:
+        """Divide by the noise and take the nuisance out: (n, m) → (n, m)."""
+        white = changes / self.sigma
+        cleaned: Array = white - (white @ self.nuisance)[..., None] * self.nuisance
+        return cleaned
+
+
+def matcher(patterns: Array, places: Array, sigma: Array, nuisance: Array) -> Matcher:
+    """Prepare matching for one noise level.
+
+    Parameters
+    ----------
+    patterns : (m, p) of unit changes. sigma : (m,). nuisance : (m,), any length, unwhitened.
+    """
+    hidden = nuisance / sigma
+    hidden = hidden / np.linalg.norm(hidden)
+    white = patterns / sigma[:, None]
+    white = white - hidden[:, None] * (hidden @ white)
+    return Matcher(places, sigma, hidden, white / np.linalg.norm(white, axis=0))
+
+
+def find_places(
+    change: Array, match: Matcher, *, sign: int = 0, most: int = _MOST_LOADS
+) -> tuple[tuple[Place, ...], float]:
+    """Find the loads behind one change.
+
+    Parameters
+    ----------
+    change : (m,) whitened.
+    sign : +1 or −1 to look for loads of that sign only, 0 for either.
+    most : how many loads to look for.
+
+    Returns
+    -------
+    The loads, strongest first, and the share of the change's energy that they explain, 0 to 1.
+    """
+    total = float(change @ change)
+    if total == 0:
+        return (), 0.0
+    chosen = [_best(change, match, sign, ())]
+    explained = _explained(change, match, chosen)
+    while len(chosen) < most:
+        further = _best(_left(change, match, chosen), match, sign, tuple(chosen))
+        moved = _settled(change, match, [*chosen, further], sign)
+        gain = _explained(change, match, moved) - explained
+        if gain < _FURTHER_SHARE * total or gain < _FURTHER_OF_FIRST * explained or _touching(match, moved):
+            break
+        chosen, explained = moved, explained + gain
+    found = [_refined(change, match, chosen, k) for k in range(len(chosen))]
+    return tuple(sorted(found, key=lambda place: -abs(place.score))), explained / total
+
+
+def _best(change: Array, match: Matcher, sign: int, besides: tuple[int, ...]) -> int:
+    scores = change @ match.patterns
+    scores = np.abs(scores) if sign == 0 else sign * scores
+    for taken in besides:
+        near = np.hypot(*(match.places - match.places[taken]).T) < _SEPARATE
+        scores = np.where(near, -np.inf, scores)
+    return int(np.argmax(scores))
+
+
+def _left(change: Array, match: Matcher, chosen: list[int]) -> Array:
+    if not chosen:
+        return change
+    basis = match.patterns[:, chosen]
+    weights = np.linalg.lstsq(basis, change, rcond=None)[0]
+    return change - basis @ weights
+
+
+def _explained(change: Array, match: Matcher, chosen: list[int]) -> float:
+    left = _left(change, match, chosen)
+    return float(change @ change - left @ left)
+
+
+def _settled(change: Array, match: Matcher, chosen: list[int], sign: int) -> list[int]:
+    for _ in range(_SWEEPS):
+        before = list(chosen)
+        for k in range(len(chosen)):
+            others = chosen[:k] + chosen[k + 1 :]
+            chosen[k] = _best(_left(change, match, others), match, sign, tuple(others))
+        if chosen == before:
+            break
+    return chosen
+
+
+def _touching(match: Matcher, chosen: list[int]) -> bool:
+    places = match.places[chosen]
+    apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 9 * np.eye(len(chosen))
+    return bool(apart.min() < _SEPARATE)
+
+
+def _refined(change: Array, match: Matcher, chosen: list[int], k: int) -> Place:
+    """Move to the vertex of the likelihood between the candidate places, by a quadratic through the neighbours."""
+    left = _left(change, match, chosen[:k] + chosen[k + 1 :])
+    scores = left @ match.patterns
+    best = chosen[k]
+    centre = match.places[best]
+    offset = match.places - centre
+    near = np.hypot(*offset.T) <= _NEIGHBOURHOOD
+    x, y = offset[near].T
+    moved = np.zeros(2)
+    if near.sum() >= 8:
+        design = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
+        _, b, c, d, e, f = np.linalg.lstsq(design, np.abs(scores[near]), rcond=None)[0]
+        hessian = np.array([[2 * d, e], [e, 2 * f]])
+        if np.all(np.linalg.eigvalsh(hessian) < 0):
+            moved = np.linalg.solve(hessian, [-b, -c])
+    if np.hypot(*moved) > _NEIGHBOURHOOD:
+        moved = np.zeros(2)
+    place = centre + moved
+    return Place(float(place[0]), float(place[1]), best, float(scores[best]))

@@ -1,0 +1,123 @@
+"""A recording made ready for imaging: bad channels known, reading memory taken out."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording_channels import ChannelFaults, find_faults
+from cbsr_qa.analysis.recording_memory import (
+    MemoryEstimate,
+    correct_memory,
+    estimate_memory,
+    offset_of,
+    reciprocity_error,
+    scan_order,
+)
+from cbsr_qa.analysis.recording_noise import channel_noise
+from cbsr_qa.domain.frames import FrameBlock, VoltageUnit
+from cbsr_qa.domain.load_events import ChannelReport
+from cbsr_qa.domain.patterns import adjacent_pattern
+from cbsr_qa.domain.recording import Recording, ScanKind
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadyReadings:
+    """What is left of a recording once its instrument's faults are known.
+
+    Parameters
+    ----------
+    block : frames, reading memory taken out where ``corrected``.
+    reference : (drives, measures) mean of the reference frames, treated alike; None where there are none.
+    faults : of the raw frames.
+    used : (drives, measures) bool, sound readings that touch no driven electrode.
+    memory : estimate; None where none was made.
+    error : reciprocity error of ``block``; None for one-row scans.
+    """
+
+    block: FrameBlock
+    reference: Array | None
+    faults: ChannelFaults
+    used: Mask
+    memory: MemoryEstimate | None
+    corrected: bool
+    error: float | None
+
+    def noise_use(self) -> Mask:
+        """Readings to judge noise by: the used ones; all that are not bad where none is used."""
+        use = self.used if self.used.any() else ~self.faults.bad
+        return use if use.any() else np.ones_like(use)
+
+
+def _usable(recording: Recording) -> Mask:
+    shape = recording.frames.voltages.shape[1:]
+    if recording.scan is ScanKind.DRIVEN_PAIRS or shape[0] != shape[1]:
+        return np.ones(shape, dtype=bool)
+    return adjacent_pattern(shape[0]).usable()
+
+
+def make_ready(recording: Recording, wanted: bool | None) -> ReadyReadings:
+    block = recording.frames
+    faults = find_faults(block, recording.scan)
+    used = _usable(recording) & ~faults.bad
+    imaged = recording.scan is ScanKind.FULL
+    memory = None
+    scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
+    if scanned:
+        memory = estimate_memory(block, used)
+    apply = memory is not None and (memory.worth_correcting if wanted is None else wanted) and memory.share < 1
+    reference = None if recording.reference is None else recording.reference.voltages
+    voltages = block.voltages
+    if apply and memory is not None:
+        order = scan_order(block)
+        voltages = correct_memory(voltages, memory.share, order)
+        reference = None if reference is None else correct_memory(reference, memory.share, order)
+    mean = voltages.mean(axis=0)
+    error = reciprocity_error(mean, used, offset_of(mean, used, block.unit)) if imaged and used.any() else None
+    return ReadyReadings(
+        replace(block, voltages=voltages),
+        None if reference is None else reference.mean(axis=0),
+        faults,
+        used,
+        memory,
+        bool(apply),
+        error,
+    )
+
+
+def channel_report(ready: ReadyReadings) -> ChannelReport:
+    memory = ready.memory
+    return ChannelReport(
+        saturated=_pairs(ready.faults.saturated),
+        stuck=_pairs(ready.faults.stuck),
+        not_connected=ready.faults.not_connected,
+        used=int(ready.used.sum()) if ready.used.shape[0] > 1 else 0,
+        snr_db=_snr_db(ready),
+        reciprocity_error=memory.error if memory is not None else ready.error,
+        reading_memory=memory.share if memory is not None else None,
+        reciprocity_error_corrected=memory.error_corrected if memory is not None else None,
+        memory_corrected=ready.corrected,
+    )
+
+
+def _pairs(mask: Mask) -> tuple[tuple[int, int], ...]:
+    one_row = mask.shape[0] == 1
+    return tuple((int(j) if one_row else int(i), int(j)) for i, j in np.argwhere(mask))
+
+
+def _snr_db(ready: ReadyReadings) -> float | None:
+    """Median over channels of level over noise; offsets of counts are taken off full scans."""
+    use = ready.noise_use()
+    block = ready.block
+    if len(block) < 3 or ready.faults.not_connected:
+        return None
+    readings = block.voltages[:, use]
+    level = np.median(readings, axis=0)
+    if block.voltages.shape[1] > 1:
+        level = level - offset_of(np.median(block.voltages, axis=0), use, block.unit)
+    sigma = channel_noise(readings, counts=block.unit is VoltageUnit.COUNT)
+    ratio = float(np.median(np.abs(level) / sigma))
+    return 20 * float(np.log10(ratio)) if ratio > 0 else None
