@@ -132,4 +132,3 @@ def _with_scenes(station: Station, scenes: Mapping[str, Loaded[Scene]]) -> Stati
         for i in station.instruments
     )
     return replace(station, instruments=instruments)
-

@@ -63,15 +63,8 @@ class SensorTypeFile(FileModel[SensorType]):
     def problems(self) -> Iterator[Problem]:
         """The ring lies inside the sheet (pins) or on its edge (arcs), and neighbours do not touch."""
         electrodes, radius_mm = self.electrodes, self.sensor_type.radius_mm
-        other = "length_mm" if electrodes.width_key == "diameter_mm" else "diameter_mm"
-        if getattr(electrodes, other) is not None:
-            yield Problem(("electrodes", other), f"does not apply to a {electrodes.kind}; use {electrodes.width_key}")
-        width_mm = electrodes.width_mm
-        if width_mm is None:
-            yield Problem(("electrodes", electrodes.width_key), f"is missing; a {electrodes.kind} needs it")
-            return
-        yield from self._width_problems(width_mm)
-        ring_mm = electrodes.ring_radius_mm
+        yield from self._width_problems()
+        ring_mm, width_mm = electrodes.ring_radius_mm, electrodes.width_mm or 0.0
         if electrodes.kind == "pin" and ring_mm + width_mm / 2 >= radius_mm:
             highest = radius_mm - width_mm / 2
             what = f"is {ring_mm:g}; pins must lie inside the sheet: below {highest:g} mm here"
@@ -80,12 +73,18 @@ class SensorTypeFile(FileModel[SensorType]):
             what = f"is {ring_mm:g}; arcs lie on the sheet's edge: it must be {radius_mm:g}"
             yield Problem(("electrodes", "ring_radius_mm"), what)
 
-    def _width_problems(self, width_mm: float) -> Iterator[Problem]:
-        electrodes = self.electrodes
+    def _width_problems(self) -> Iterator[Problem]:
+        electrodes, key = self.electrodes, self.electrodes.width_key
+        other = "length_mm" if key == "diameter_mm" else "diameter_mm"
+        if getattr(electrodes, other) is not None:
+            yield Problem(("electrodes", other), f"does not apply where kind is {electrodes.kind!r}; use {key}")
+        if electrodes.width_mm is None:
+            yield Problem(("electrodes", key), f"is missing; it is needed where kind is {electrodes.kind!r}")
+            return
         spacing_mm = 2 * math.pi * electrodes.ring_radius_mm / electrodes.count
-        if width_mm >= spacing_mm:
-            what = f"is {width_mm:g}; it must be below the electrodes' spacing of {spacing_mm:.3g} mm"
-            yield Problem(("electrodes", electrodes.width_key), what)
+        if electrodes.width_mm >= spacing_mm:
+            what = f"is {electrodes.width_mm:g}; it must be below the electrodes' spacing of {spacing_mm:.3g} mm"
+            yield Problem(("electrodes", key), what)
 
     def to_domain(self) -> SensorType:
         """Return the sensor type."""
