@@ -11,7 +11,8 @@ from cbsr_qa.app.setup import made
 from cbsr_qa.app.stages import Stages
 from cbsr_qa.config.merge import restore
 from cbsr_qa.config.paths import database_url, reports_folder
-from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.errors import NumericsError, StoreError
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.plan import Recipe
@@ -93,16 +94,14 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
     if stored is None:
         return _analysed_now(record, recipe, plugins), recipe.sections
     observation, why = _observed(record, recipe, plugins)
-    calibration = None
-    if stored.calibration is not None and observation is not None:
-        calibration = store.load_calibration(stored.calibration, observation.reconstruction)
+    calibration, unseen = _calibration(store, stored, observation)
     result = RunResult(
         record=record,
         observation=observation,
         measurements=stored.measurements,
         verdict=stored.verdict,
         calibration=calibration,
-        calibration_why=stored.calibration_why if stored.calibration is None else why,
+        calibration_why=unseen or stored.calibration_why,
         compute_s=stored.compute_s,
         warnings=_warnings(stored, why),
     )
@@ -117,6 +116,20 @@ def _observed(record: RunRecord, recipe: Recipe, plugins: Plugins) -> tuple[RunO
         return observe_run(record, reconstruction, recipe.analysis), ""
     except NumericsError as error:
         return None, f"the frames cannot be imaged: {error.reason}"
+
+
+def _calibration(
+    store: Repository, stored: StoredAnalysis, observation: RunObservation | None
+) -> tuple[Calibration | None, str]:
+    """Load the calibration an analysis issued, or say why it cannot be shown: its matrix is not stored as rows."""
+    if stored.calibration is None:
+        return None, ""
+    if observation is None:
+        return None, f"{stored.calibration} was issued, but cannot be shown without images"
+    try:
+        return store.load_calibration(stored.calibration, observation.reconstruction), ""
+    except StoreError as error:
+        return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"
 
 
 def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins) -> RunResult:

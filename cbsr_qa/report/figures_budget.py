@@ -8,7 +8,7 @@ from matplotlib.figure import Figure as Canvas
 
 from cbsr_qa.domain.report import Figure
 from cbsr_qa.report.numbers import duration
-from cbsr_qa.report.style import BLUE, QUIET, canvas
+from cbsr_qa.report.style import BLUE, canvas
 from cbsr_qa.report.svg import drawn
 
 
@@ -44,12 +44,9 @@ def _draw_bars(axes: Axes, budget: Budget) -> None:
     total = sum(seconds for _, seconds in parts)
     axes.barh(range(len(parts)), [seconds for _, seconds in parts], height=0.68, color=BLUE, linewidth=0)
     for row, (_, seconds) in enumerate(parts):
-        share = f"{100 * seconds / total:.0f} %" if total else ""
-        label = axes.annotate(duration(seconds), (seconds, row), (3, 0), textcoords="offset points", va="center")
-        label.set_fontsize(7)
-        axes.annotate(
-            share, (seconds, row), (46, 0), textcoords="offset points", va="center", fontsize=6.5, color=QUIET
-        )
+        share = f"  ({100 * seconds / total:.0f} %)" if total else ""
+        told = f"{duration(seconds)}{share}"
+        axes.annotate(told, (seconds, row), (3, 0), textcoords="offset points", va="center", fontsize=7)
     axes.set_yticks(range(len(parts)), [name for name, _ in parts])
     axes.set_ylim(len(parts) - 0.5, -0.5)
     axes.set_xticks([])

@@ -67,7 +67,7 @@ class SeenLoad:
 
 
 def load_images_figure(
-    loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str, columns: int = 5
+    loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str, columns: int = 6
 ) -> Figure:
     """Draw every load's image with the indenter's circle over the outline of the sensed blob.
 

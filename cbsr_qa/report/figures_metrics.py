@@ -86,6 +86,8 @@ def waiting_figure(
             axes.set_title(name, fontweight="normal")
             axes.set_xlabel("time held [s]")
             axes.set_xlim(left=0)
+            if column == 0:
+                axes.set_ylim(bottom=0)
         return figure
 
     return drawn(build, caption=caption, alternative=alternative)

@@ -142,6 +142,7 @@ def _draw_quiet(axes: Axes, relaxations: Sequence[RelaxationObservation | None])
 def _draw_fit(axes: Axes, relaxation: RelaxationObservation | None) -> None:
     if relaxation is None or not len(relaxation.trace.values):
         axes.text(0.5, 0.5, "no trace", transform=axes.transAxes, ha="center", color=QUIET)
+        axes.set_axis_off()
         return
     time_s, values = thinned(relaxation.trace.time_s, relaxation.trace.values, 240)
     axes.plot(time_s, values, linestyle="none", marker="o", markersize=2, color=BLUE, markeredgewidth=0, zorder=3)

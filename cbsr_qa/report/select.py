@@ -1,5 +1,6 @@
 """Finding loads and measurements: what several sections ask for."""
 
+import re
 from collections.abc import Iterable, Sequence
 from itertools import groupby
 from statistics import fmean, stdev
@@ -95,6 +96,11 @@ def spread_text(values: Sequence[float], unit: str = "") -> str:
     if found is None:
         return "–"
     return with_uncertainty(*found) if found[1] else plain(found[0], unit)
+
+
+def alike(reason: str) -> str:
+    """Return a reason without its numbers: reasons that differ in nothing else are told once."""
+    return re.sub(r"[\d.,]*\d", "#", reason)
 
 
 def _key(load: LoadObservation) -> tuple[str, str, int]:

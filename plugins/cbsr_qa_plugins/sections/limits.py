@@ -1,14 +1,18 @@
 """Every limit with its value, margin and outcome, and every other measurement."""
 
 from collections.abc import Sequence
+from typing import Final
 
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.outcome import SEVERITY, Outcome
 from cbsr_qa.domain.report import Block, Cell, Paragraph, RunResult, Section, Table
-from cbsr_qa.report.numbers import plain, plural, quantity
-from cbsr_qa.report.select import mean_deviation
+from cbsr_qa.report.numbers import plural
+from cbsr_qa.report.select import alike, spread_text
 from cbsr_qa.report.tables import limit_text, margin_text, text_table, unit_column, value_cell
+
+#: A measurement with more qualifiers than this gets one row for all of them.
+_MOST_QUALIFIERS: Final = 8
 
 
 class Limits:
@@ -57,44 +61,50 @@ def _judged(judged: Sequence[Measurement]) -> Table:
 
 
 def _others(measurements: Sequence[Measurement]) -> Table:
-    groups: dict[tuple[str, str, str, str], list[Measurement]] = {}
+    phases = list(dict.fromkeys(m.phase for m in measurements))
+    rows = [_row(name, members, phases) for name, members in _grouped(measurements).items()]
+    columns = ("Measurement", *(phase or "whole run" for phase in phases))
+    caption = (
+        "Everything else that was measured; no limit was set for it. Several values of one phase are given as mean ±"
+        " standard deviation with their number, a single one with its own uncertainty."
+    )
+    return text_table(caption, columns, rows, tuple(range(1, len(columns))))
+
+
+def _grouped(measurements: Sequence[Measurement]) -> dict[str, list[Measurement]]:
+    """Group what belongs in one row; a measurement with many qualifiers (one per electrode pair) is one row."""
+    qualifiers: dict[str, set[str]] = {}
     for m in measurements:
-        groups.setdefault((m.name, m.qualifier, m.phase, m.unit), []).append(m)
-    rows = [_group_row(key, members) for key, members in groups.items()]
-    columns = ("Measurement", "Phase", "Number", "Value, or mean ± standard deviation", "Lowest", "Highest")
-    caption = "Everything else that was measured; no limit was set for it. Several values are summarised in one row."
-    return text_table(caption, columns, rows, (2, 3, 4, 5))
+        qualifiers.setdefault(m.name, set()).add(m.qualifier)
+    groups: dict[str, list[Measurement]] = {}
+    for m in measurements:
+        words = m.name.replace("_", " ")
+        each = 1 < len(qualifiers[m.name]) <= _MOST_QUALIFIERS or qualifiers[m.name] == {m.qualifier}
+        title = f"{words} ({m.qualifier})" if m.qualifier and each else words
+        groups.setdefault(unit_column(title, m.unit), []).append(m)
+    return groups
 
 
-def _group_row(key: tuple[str, str, str, str], members: Sequence[Measurement]) -> list[str]:
-    name, qualifier, phase, unit = key
-    words = name.replace("_", " ")
-    title = f"{words} ({qualifier})" if qualifier else words
-    if len(members) == 1:
-        only = members[0]
-        assert only.value is not None
-        value = quantity(only.value, unit, only.uncertainty)
-        return [only.label, phase or "whole run", "1", value, "", ""]
+def _row(name: str, members: Sequence[Measurement], phases: Sequence[str]) -> list[str]:
+    return [name, *(_summary([m for m in members if m.phase == phase]) for phase in phases)]
+
+
+def _summary(members: Sequence[Measurement]) -> str:
     values = [m.value for m in members if m.value is not None]
-    found = mean_deviation(values)
-    assert found is not None
-    mean = quantity(found[0], unit, found[1]) if found[1] else quantity(found[0], unit)
-    ends = [plain(end, unit) for end in (min(values), max(values))]
-    return [
-        unit_column(title, unit) if unit not in ("Ω", "ohm", "V") else title,
-        phase or "whole run",
-        str(len(members)),
-        mean,
-        *ends,
-    ]
+    if not values:
+        return ""
+    if len(values) == 1:
+        return value_cell(members[0]).text
+    return f"{spread_text(values, members[0].unit)} ({len(values)})"
 
 
 def _refused(measurements: Sequence[Measurement]) -> Table:
-    groups: dict[tuple[str, str, str], list[str]] = {}
+    groups: dict[tuple[str, str, str], list[Measurement]] = {}
     for m in measurements:
-        groups.setdefault((m.name, m.phase, m.how), []).append(", ".join(p for p in (m.location, m.qualifier) if p))
-    rows = [
-        [name.replace("_", " "), phase or "whole run", "; ".join(dict.fromkeys(w for w in where if w)) or "–", how]
-        for (name, phase, how), where in groups.items()
-    ]
+        groups.setdefault((m.name, m.phase, alike(m.how)), []).append(m)
+    rows = []
+    for (name, phase, _), members in groups.items():
+        where = dict.fromkeys(", ".join(p for p in (m.location, m.qualifier) if p) for m in members)
+        why = members[0].how if len({m.how for m in members}) == 1 else f"for example: {members[0].how}"
+        rows.append([name.replace("_", " "), phase or "whole run", "; ".join(w for w in where if w) or "–", why])
     return text_table("What could not be measured, and why.", ("Measurement", "Phase", "Where", "Why"), rows)

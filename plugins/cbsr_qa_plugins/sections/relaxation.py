@@ -10,7 +10,7 @@ from cbsr_qa.domain.report import Block, Paragraph, RunResult, Section, Table
 from cbsr_qa.report.figures_relaxation import SettledLoad, relaxation_figure, settling_figure
 from cbsr_qa.report.loads import settled_loads
 from cbsr_qa.report.numbers import plain, plural, with_uncertainty
-from cbsr_qa.report.select import loads_of, observed
+from cbsr_qa.report.select import alike, loads_of, observed
 from cbsr_qa.report.tables import text_table
 
 
@@ -49,8 +49,10 @@ class RelaxationFits:
         ]
         rejected = [r for load in loads for r in load.relaxations if r.fit.status is FitStatus.REJECTED]
         if rejected:
-            reasons = ", ".join(dict.fromkeys(r.fit.why for r in rejected if r.fit.why))
-            blocks.append(Paragraph(f"{plural(len(rejected), 'fit was', 'fits were')} rejected: {reasons}.", "note"))
+            examples = {alike(r.fit.why): r.fit.why for r in reversed(rejected) if r.fit.why}
+            count = plural(len(rejected), "fit was", "fits were")
+            told = f"{count} rejected, for example: {'; '.join(examples.values())}."
+            blocks.append(Paragraph(told, "note"))
         return Section("Relaxation and settling", tuple(blocks))
 
 
