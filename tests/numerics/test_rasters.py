@@ -44,7 +44,7 @@ def test_a_shifted_disc_on_32_pixels_agrees_with_exact_clipping():
     assert np.mean(deviations) == pytest.approx(2.04, abs=0.03)
     assert np.mean(deviations) == pytest.approx(shape_deviation_mm2(exact, 0.0, 0.0, R), abs=0.1)
     assert np.max(np.abs(np.array(deviations) - 1.99)) < 0.25
-    assert np.mean(overlaps) == pytest.approx(area_overlap_percent(exact, 0.0, 0.0, R), abs=0.3)
+    assert np.mean(overlaps) == pytest.approx(area_overlap_percent(exact, 0.0, 0.0, R), abs=0.7)
 
 
 def test_pixel_edges_would_have_added_more_than_a_square_millimetre():
