@@ -1,0 +1,282 @@
+"""Every built-in metric: names, units, values that follow from the run made by hand, and refusals with a reason."""
+
+from dataclasses import replace
+from importlib import import_module
+
+import numpy as np
+import pytest
+from observation_samples import SETTINGS, sample_load, sample_relaxation, sample_run
+
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
+from cbsr_qa.domain.patterns import DrivePattern
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.interfaces import LoadMetric, RunMetric
+from cbsr_qa_plugins.metrics.applied_force import AppliedForce
+from cbsr_qa_plugins.metrics.area_overlap import AreaOverlap
+from cbsr_qa_plugins.metrics.centre_of_mass_error import CentreOfMassError
+from cbsr_qa_plugins.metrics.channel_noise import ChannelNoise
+from cbsr_qa_plugins.metrics.contact_resistance import ContactResistance
+from cbsr_qa_plugins.metrics.image_noise import ImageNoise
+from cbsr_qa_plugins.metrics.noise_figure import NoiseFigure
+from cbsr_qa_plugins.metrics.reciprocity import ReciprocityError
+from cbsr_qa_plugins.metrics.settling_time import SettlingTimes
+from cbsr_qa_plugins.metrics.shape_deviation import ShapeDeviation
+from cbsr_qa_plugins.registry import BUILT_IN
+
+METRICS = [(name, target) for kind, name, target in BUILT_IN if kind is Kind.METRIC]
+
+
+@pytest.mark.parametrize(("name", "target"), METRICS)
+def test_every_registered_metric_exists_and_refuses_options_it_does_not_have(name, target):
+    module, _, attribute = target.partition(":")
+    factory = getattr(import_module(f"cbsr_qa_plugins.{module}"), attribute)
+    metric = factory()
+    assert isinstance(metric, (LoadMetric, RunMetric))
+    with pytest.raises(ConfigError, match=f"'{name}' has no option 'threshold'"):
+        factory(threshold=3)
+
+
+# --- of a load -----------------------------------------------------------------------------------------------
+
+
+def test_spatial_metrics_of_a_shifted_disc():
+    load = sample_load("L1", (30.0, 0.0), blob_mm=(32.0, 0.0, 6.5), trial=2)
+    run = sample_run((load,))
+    (other, main) = CentreOfMassError().measure_load(load, run)
+    assert (main.name, main.unit, main.phase, main.location, main.trial) == (
+        "centre_of_mass_error",
+        "mm",
+        "nine locations",
+        "L1",
+        2,
+    )
+    assert main.value == pytest.approx(2.0)
+    assert (main.qualifier, other.qualifier) == ("", "mask 25 %")
+    overlap, ratio = AreaOverlap().measure_load(load, run)[2:]
+    assert (overlap.name, overlap.unit, ratio.name, ratio.unit) == ("area_overlap", "%", "area_ratio", "1")
+    assert overlap.value == pytest.approx(80.49, abs=0.02)
+    assert ratio.value == pytest.approx(1.0, abs=1e-3)
+    assert overlap.how.startswith("good; A_b/A_FA 1.00; exact clipping")
+    deviation = ShapeDeviation().measure_load(load, run)[1]
+    assert (deviation.name, deviation.unit) == ("shape_deviation", "mm²")
+    assert deviation.value == pytest.approx(1.99, abs=0.005)
+
+
+def test_settings_of_the_recipe_decide_how_shape_and_overlap_are_taken():
+    load = sample_load(blob_mm=(2.0, 0.0, 6.5))
+    run = replace(sample_run((load,)), settings=replace(SETTINGS, clipping="centroid", perimeter="nodes"))
+    assert "centroid clipping" in AreaOverlap().measure_load(load, run)[2].how
+    assert "nodes" in ShapeDeviation().measure_load(load, run)[1].how
+
+
+def test_a_blob_of_the_wrong_size_is_no_ok():
+    load = sample_load(blob_mm=(0.0, 0.0, 13.0))
+    overlap = AreaOverlap().measure_load(load, sample_run((load,)))[2]
+    assert overlap.value == pytest.approx(62.5, abs=0.1)
+    assert overlap.how.startswith("likely poor: size")
+
+
+@pytest.mark.parametrize("metric", [CentreOfMassError(), AreaOverlap(), ShapeDeviation()])
+def test_without_a_blob_there_is_no_value_but_a_reason(metric):
+    load = sample_load(blob_mm=None)
+    measured = metric.measure_load(load, sample_run((load,)))
+    assert measured
+    assert all(m.value is None and m.how.startswith("not detected") for m in measured)
+
+
+def test_force_and_its_absence():
+    load = sample_load(force_N=2.5)
+    (force,) = AppliedForce().measure_load(load, sample_run((load,)))
+    assert (force.name, force.value, force.unit, force.uncertainty) == ("force", 2.5, "N", 0.01)
+    (absent,) = AppliedForce().measure_load(sample_load(force_N=None), sample_run())
+    assert absent.value is None
+    assert absent.how == "no force was recorded"
+
+
+def test_settling_times_with_censored_and_rejected_ones():
+    loads = tuple(
+        replace(sample_load(f"L{i}"), relaxations=(seen, sample_relaxation(5.0 + i, signal="stress")))
+        for i, seen in enumerate(
+            [
+                sample_relaxation(20.0),
+                sample_relaxation(30.0),
+                sample_relaxation(60.0, censored=True),
+                sample_relaxation(None),
+            ]
+        )
+    )
+    run = sample_run(loads)
+    each = [SettlingTimes().measure_load(load, run)[0] for load in loads]
+    assert [m.value for m in each] == [20.0, 30.0, None, None]
+    assert [m.qualifier for m in each] == ["conductance, loading"] * 4
+    assert "not settled within 60 s" in each[2].how
+    mean, stress = SettlingTimes().measure_run(run)
+    assert (mean.name, mean.unit, mean.qualifier) == ("mean_settling_time", "s", "conductance, loading")
+    assert mean.value == pytest.approx((20 + 30 + 60) / 3)
+    assert "lower bound" in mean.how
+    assert "1 fits rejected" in mean.how
+    assert stress.value == pytest.approx(6.5)
+    assert "lower bound" not in stress.how
+
+
+def test_a_mean_of_rejected_fits_only_has_no_value():
+    run = sample_run((replace(sample_load(), relaxations=(sample_relaxation(None),)),))
+    (mean,) = SettlingTimes().measure_run(run)
+    assert mean.value is None
+    assert "rejected" in mean.how
+
+
+# --- of a run ------------------------------------------------------------------------------------------------
+
+
+def test_image_noise_is_the_scatter_of_the_unloaded_images():
+    run = sample_run(noise=1e-3, frames=400)
+    floor, total, single = ImageNoise().measure_run(run)
+    assert (floor.name, floor.value, floor.unit) == ("noise_floor", 0.005, "1")
+    R, areas = run.reconstruction.matrix, run.reconstruction.problem.mesh.areas_mm2
+    weights = areas / areas.sum()
+    reading_noise = 1e-3 / run.scale
+    assert total.value == pytest.approx(reading_noise * np.linalg.norm(weights @ R), rel=0.12)
+    assert single.value == pytest.approx(reading_noise * np.sqrt(weights @ (R**2).sum(axis=1)), rel=0.12)
+    assert single.qualifier == "per element"
+    assert total.uncertainty == pytest.approx(total.value / np.sqrt(2 * 399))
+
+
+def test_image_noise_of_one_frame_is_refused():
+    _, total, single = ImageNoise().measure_run(sample_run(frames=1))
+    assert total.value is single.value is None
+    assert "two are needed" in total.how
+
+
+def test_channel_snr_and_drift_come_apart():
+    quiet = sample_run(noise=1e-3, frames=200)
+    time_min = quiet.unloaded.time_s / 60
+    drifting = quiet.unloaded.voltages + quiet.reference * 0.004 * (time_min - time_min.mean())[:, None, None]
+    run = sample_run(unloaded=drifting)
+    median, worst, drift = ChannelNoise().measure_run(run)
+    expected = 20 * np.log10(run.reference[run.usable] / 1e-3)
+    assert median.value == pytest.approx(np.median(expected), abs=0.6)
+    assert worst.value == pytest.approx(expected.min(), abs=1.0)
+    assert worst.how.startswith("drive pair")
+    assert (drift.name, drift.unit) == ("drift", "%/min")
+    assert drift.value == pytest.approx(0.4, abs=5 * drift.uncertainty)
+    assert drift.uncertainty < 0.001
+
+
+def test_channel_snr_finds_the_worst_channel():
+    run = sample_run(noise=1e-3, frames=50)
+    drive, measure = np.argwhere(run.usable)[3]
+    spoilt = run.unloaded.voltages.copy()
+    spoilt[:, drive, measure] += np.random.default_rng(8).standard_normal(50)
+    _, worst, _ = ChannelNoise().measure_run(sample_run(unloaded=spoilt))
+    assert worst.how == f"drive pair {drive}, measure pair {measure}"
+
+
+def test_frames_without_noise_have_no_ratio():
+    run = sample_run(noise=0.0)
+    assert all(m.value is None for m in ChannelNoise().measure_run(run) if m.name == "channel_snr")
+    (figure,) = NoiseFigure().measure_run(run)
+    assert figure.value is None
+    assert "no noise" in figure.how
+
+
+def test_reciprocity():
+    (perfect,) = ReciprocityError().measure_run(sample_run())
+    assert perfect.value == pytest.approx(0.0, abs=1e-15)
+    run = sample_run()
+    skewed = run.reference * np.where(np.triu(np.ones_like(run.reference)) > 0, 1.01, 1.0)
+    (found,) = ReciprocityError().measure_run(replace(run, reference=skewed))
+    assert (found.name, found.unit) == ("reciprocity_error", "1")
+    assert found.value == pytest.approx(0.01, rel=0.05)
+
+
+def test_reciprocity_of_a_pattern_without_reciprocal_pairs_is_refused():
+    run = sample_run()
+    pattern = DrivePattern(6, ((0, 1), (1, 2)), ((3, 4), (4, 5)))
+    record = replace(run.record, sensor_type=replace(run.record.sensor_type, pattern=pattern))
+    (found,) = ReciprocityError().measure_run(replace(run, record=record))
+    assert found.value is None
+    assert "differ" in found.how
+
+
+def test_contact_resistance_of_each_pair_and_together():
+    run = sample_run(current_A=2e-3)
+    *pairs, together, ratio = ContactResistance().measure_run(run)
+    assert [pair.qualifier for pair in pairs] == [
+        "pair 0-1",
+        "pair 1-2",
+        "pair 2-3",
+        "pair 3-4",
+        "pair 4-5",
+        "pair 5-0",
+    ]
+    expected = np.diag(run.reference) / 2e-3
+    assert [pair.value for pair in pairs] == pytest.approx(expected)
+    assert (together.name, together.unit) == ("interelectrode_resistance", "Ω")
+    assert together.value == pytest.approx(np.median(expected))
+    assert together.uncertainty == pytest.approx(np.std(expected, ddof=1))
+    assert ratio.value == pytest.approx(expected.max() / np.median(expected))
+    assert pairs[int(expected.argmax())].qualifier in ratio.how
+
+
+def test_a_pair_at_the_sources_limit_has_no_resistance():
+    run = sample_run()
+    flags = run.unloaded.flags.copy()
+    flags[4, 2, 2] = ReadingFlag.COMPLIANCE
+    *pairs, together, ratio = ContactResistance().measure_run(
+        replace(run, unloaded=replace(run.unloaded, flags=flags))
+    )
+    assert pairs[2].value is None
+    assert "compliance" in pairs[2].how
+    assert "1 without value" in together.how
+    assert ratio.value is None
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [({"unit": VoltageUnit.COUNT}, "not in volts"), ({"current_A": None}, "current is not known")],
+)
+def test_contact_resistance_needs_volts_and_current(options, said):
+    measured = ContactResistance().measure_run(sample_run(**options))
+    assert all(m.value is None and said in m.how for m in measured)
+
+
+def _figure_by_hand(run, signal: np.ndarray) -> float:
+    AR = run.reconstruction.problem.mesh.areas_mm2[:, None] * run.reconstruction.matrix
+    noise = np.sqrt((AR**2).sum() / len(AR))
+    return float(np.abs(signal).mean() / np.abs(AR @ signal).mean() * noise)
+
+
+def test_the_noise_figure_of_equal_noise_is_adlers():
+    run = sample_run(noise=1e-3, frames=600)
+    (figure,) = NoiseFigure().measure_run(run)
+    target = np.ones(4)  # the whole of so small a mesh is not under the head
+    distance = np.hypot(*run.reconstruction.problem.mesh.centroids_mm.T)
+    target = (distance <= max(6.5, distance.min())).astype(float)
+    assert figure.value == pytest.approx(_figure_by_hand(run, run.reconstruction.problem.jacobian @ target), rel=0.05)
+    assert "central target" in figure.how
+
+
+def test_the_noise_figure_takes_the_measured_press_at_the_centre():
+    plain = sample_run(noise=1e-3, frames=600)
+    change = 0.02 * np.random.default_rng(12).standard_normal(plain.reference.shape)
+    held = np.repeat((plain.reference + change)[None], 30, axis=0)
+    pressed = FrameBlock(100 + 2.0 * np.arange(30), held, np.zeros(held.shape, np.uint8), VoltageUnit.VOLT, 1e-3)
+    loads = (sample_load("L0", phase="noise figure"), sample_load("L1", (30.0, 0.0), phase="nine locations"))
+    run = sample_run(loads, noise=1e-3, frames=600, pressed=pressed)
+    (figure,) = NoiseFigure().measure_run(run)
+    assert figure.value == pytest.approx(_figure_by_hand(run, change[run.usable]), rel=0.05)
+    assert figure.phase == "noise figure"
+    assert "1 presses at the centre" in figure.how
+
+
+def test_the_stated_error_of_the_noise_figure_is_that_seen():
+    found = [NoiseFigure().measure_run(sample_run(noise=1e-3, frames=30, seed=3))[0]]
+    rng = np.random.default_rng(99)
+    base = sample_run()
+    for _ in range(60):
+        unloaded = base.reference + 1e-3 * rng.standard_normal((30, *base.reference.shape))
+        found.append(NoiseFigure().measure_run(sample_run(unloaded=unloaded))[0])
+    values = [m.value for m in found]
+    assert np.std(values, ddof=1) == pytest.approx(np.mean([m.uncertainty for m in found]), rel=0.3)
