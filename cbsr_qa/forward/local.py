@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.forward.model import ForwardModel
@@ -25,7 +26,9 @@ _KEPT = 64  # sets of elements whose dense parts are kept
 class _Patch:
     """What a set of elements needs, whatever its change: p nodes, k elements."""
 
-    scatter: Indices  # (9 k,) where each local stiffness entry goes in the flattened (p, p) matrix
+    scatter: Indices  # (9 k,) which stored entry of the sparse (p, p) ΔK each local stiffness entry adds to
+    columns: Indices  # of the stored entries
+    rows: Indices  # (p + 1,) where each row's entries begin
     stiffness: Array  # (k, 9)
     fields: Array  # (p, electrodes) F
     interior: Array  # (p, p) W
@@ -68,11 +71,11 @@ class LocalUpdate:
             return self._unchanged.copy()
         patch = self._patch(elements)
         nodes = len(patch.fields)
-        stiffness = np.bincount(patch.scatter, (change[:, None] * patch.stiffness).ravel(), minlength=nodes**2)
-        stiffness = stiffness.reshape(nodes, nodes)
-        capacitance = stiffness @ patch.interior
+        entries = np.bincount(patch.scatter, (change[:, None] * patch.stiffness).ravel())
+        stiffness = sparse.csr_array((entries, patch.columns, patch.rows), shape=(nodes, nodes))
+        capacitance = np.asarray(stiffness @ patch.interior)
         capacitance.flat[:: nodes + 1] += 1
-        correction = patch.fields.T @ np.linalg.solve(capacitance, stiffness @ patch.fields)
+        correction = patch.fields.T @ np.linalg.solve(capacitance, np.asarray(stiffness @ patch.fields))
         return self._unchanged - self.model.readings(correction)
 
     def _checked(self, elements: Indices, change: Array) -> tuple[Indices, Array]:
@@ -106,10 +109,13 @@ class LocalUpdate:
     def _new_patch(self, elements: Indices) -> _Patch:
         nodes, local = np.unique(self.model.mesh.elements[elements], return_inverse=True)
         local = local.reshape(-1, 3)
-        scatter = (local[:, :, None] * len(nodes) + local[:, None, :]).ravel()
+        place = (local[:, :, None] * len(nodes) + local[:, None, :]).ravel()
+        stored, scatter = np.unique(place, return_inverse=True)
+        row, columns = np.divmod(stored, len(nodes))
+        rows = np.searchsorted(row, np.arange(len(nodes) + 1))
         stiffness = self.model.stiffness[elements].reshape(-1, 9)
         interior = self._solved(nodes)[:, nodes]
-        return _Patch(scatter, stiffness, self.model.electrode_fields[nodes], interior)
+        return _Patch(scatter, columns, rows, stiffness, self.model.electrode_fields[nodes], interior)
 
     def _solved(self, nodes: Indices) -> Array:
         """Rows of K⁻¹ at some nodes, (p, n); each is solved for once."""

@@ -38,7 +38,7 @@ def noise_figure_of(
 def hyperparameter_for(
     target: float, spectrum: DualSpectrum, signal: Array, areas: Array, noise_variance: Array | None = None
 ) -> float:
-    """Find λ whose noise figure is the target.
+    """Find λ, to ten digits, whose noise figure is the target.
 
     Raises
     ------
@@ -58,4 +58,4 @@ def hyperparameter_for(
     # The noise figure falls with λ but for wiggles at the ends; the largest λ that reaches the target is smoothest.
     last = np.flatnonzero((reached[:-1] >= target) & (target >= reached[1:]))[-1]
     root = brentq(lambda at: np.log(figure(float(np.exp(at))) / target), grid[last], grid[last + 1], xtol=1e-12)
-    return float(np.exp(root))
+    return float(f"{np.exp(root):.10g}")  # digits beyond these depend on how many threads the linear algebra has
