@@ -19,7 +19,8 @@ class GaussNewtonNoser:
     ----------
     noise_figure : target (Adler et al. 2009 form) on the nominal model; 1.0 unless a hyperparameter is given.
     hyperparameter : λ itself, in the units of the unit model; excludes ``noise_figure``.
-    exponent : p, 0 (Tikhonov) to 1.
+    exponent : p, 0 (Tikhonov, moves images towards the rim) to 1 (moves them inwards). 0.5 is EIDORS's; on the
+        100 mm disc at noise figure 1 about 0.25 balances the two and places loads best.
     """
 
     def __init__(
