@@ -95,7 +95,7 @@ def run_sensor(request: RunRequest, *, tell: Callable[[str], None] = lambda stag
         session.walk().refuse()
         for folder in (reports_folder(), calibrations_folder()):
             writable_folder(folder)
-        with open_store(database_url(request.database)) as store:
+        with open_store(database_url(request.database), durable=session.on_real_clock) as store:
             return session.run(store)
 
 
@@ -132,6 +132,11 @@ class _Session:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._bench.close()
+
+    @property
+    def on_real_clock(self) -> bool:
+        """Whether the frames cost real time: those of a virtual clock can be made again after a power cut."""
+        return self._configuration.station.clock == "real"
 
     def walk(self) -> DryRun:
         """Count what the recipe asks for, and what the station would not allow."""

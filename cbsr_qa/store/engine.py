@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,8 +47,14 @@ def sqlite_file(url: URL) -> Path | None:
     return Path(url.database.removeprefix("file:").partition("?")[0])
 
 
-def open_engine(url: URL) -> Engine:
+def open_engine(url: URL, *, durable: bool = True) -> Engine:
     """Make the engine; nothing is opened yet.
+
+    Parameters
+    ----------
+    durable : whether a power cut may lose no committed frame of a SQLite file. Without it a commit does not wait
+        for the disk: a killed process still loses nothing and the file stays whole, but a power cut may undo the
+        last commits.
 
     Raises
     ------
@@ -61,7 +68,7 @@ def open_engine(url: URL) -> Engine:
             f"{shown(url)} needs {error.name}, which is not installed", remedy="pip install 'cbsr-qa[postgres]'"
         ) from error
     if url.get_backend_name() == "sqlite":
-        event.listen(engine, "connect", _set_up_sqlite)
+        event.listen(engine, "connect", partial(_set_up_sqlite, synchronous="FULL" if durable else "NORMAL"))
         event.listen(engine, "begin", _begin_sqlite)
     return engine
 
@@ -94,15 +101,14 @@ def use_write_ahead_log(engine: Engine) -> None:
             connection.close()
 
 
-def _set_up_sqlite(connection: Any, record: object) -> None:
+def _set_up_sqlite(connection: Any, record: object, *, synchronous: str) -> None:
     # Python's sqlite3 begins transactions by its own rules, and never before DDL; we begin them ourselves, so
     # that a migration is one transaction as it is on PostgreSQL.
     connection.isolation_level = None
     cursor = connection.cursor()
     cursor.execute(f"PRAGMA busy_timeout = {BUSY_TIMEOUT_MS}")
     cursor.execute("PRAGMA foreign_keys = ON")
-    # A power cut loses no committed frame: with WAL alone (synchronous NORMAL) it may.
-    cursor.execute("PRAGMA synchronous = FULL")
+    cursor.execute(f"PRAGMA synchronous = {synchronous}")
     cursor.close()
 
 

@@ -27,13 +27,16 @@ from cbsr_qa.store.journal import Journal
 from cbsr_qa.store.runs import RunSummary
 
 
-def open_store(url: str, *, create: bool = True, wall: Callable[[], datetime] | None = None) -> "Repository":
+def open_store(
+    url: str, *, create: bool = True, durable: bool = True, wall: Callable[[], datetime] | None = None
+) -> "Repository":
     """Open a database that is up to date.
 
     Parameters
     ----------
     url : SQLAlchemy URL, see :func:`cbsr_qa.config.paths.database_url`.
     create : make the tables where there are none yet.
+    durable : wait for the disk at every commit, see :func:`cbsr_qa.store.engine.open_engine`.
     wall : tells the time for identifiers and analyses; by default the computer's clock.
 
     Raises
@@ -41,7 +44,7 @@ def open_store(url: str, *, create: bool = True, wall: Callable[[], datetime] | 
     StoreError
         If it is missing (and not to be created), damaged, of another version or another program, or unreachable.
     """
-    engine = open_engine(parsed_url(url))
+    engine = open_engine(parsed_url(url), durable=durable)
     version = schema.found_version(engine)
     if version.age is schema.Age.EMPTY and create:
         schema.upgrade(engine)
