@@ -31,12 +31,12 @@ def circle_overlap_mm2(corners_mm: Points, centre_mm: tuple[float, float], radiu
     if not 0 < radius_mm < float("inf"):
         raise NumericsError(f"the radius of a circle is {radius_mm} mm; it must be a positive number")
     start = corners_mm - np.asarray(centre_mm)
-    area: NDArray[np.float64] = _under_edges(start, np.roll(start, -1, axis=1), radius_mm).sum(axis=1)
+    area: NDArray[np.float64] = area_under_edges(start, np.roll(start, -1, axis=1), radius_mm).sum(axis=1)
     # Far triangles cancel to rounding of their distance squared, not to zero.
     return np.maximum(np.where(_boxes_touch(start, radius_mm), area, 0.0), 0.0)
 
 
-def _under_edges(start: Points, end: Points, radius: float) -> NDArray[np.float64]:
+def area_under_edges(start: Points, end: Points, radius: float) -> NDArray[np.float64]:
     """Signed area between the origin and directed edges inside a circle about the origin, (…, 2) → (…)."""
     along = end - start
     length_squared = _dot(along, along)

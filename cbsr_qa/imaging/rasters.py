@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.imaging.clipping import area_under_edges
+from cbsr_qa.domain.geometry import area_under_edges
 from cbsr_qa.imaging.masks import percentage_mask
 from cbsr_qa.imaging.shape import squared_deviation_integral
 
