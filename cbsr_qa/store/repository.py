@@ -55,7 +55,11 @@ def open_store(
 
 def database_exists(url: str) -> bool:
     """Whether there is anything at a URL yet; looks without making it. StoreError if it cannot be reached."""
-    return schema.found_version(open_engine(parsed_url(url))).age is not schema.Age.EMPTY
+    engine = open_engine(parsed_url(url))
+    try:
+        return schema.found_version(engine).age is not schema.Age.EMPTY
+    finally:
+        engine.dispose()
 
 
 class Repository:

@@ -1,6 +1,6 @@
-"""Tables of what happened: sensors, runs, phases, frames, samples, presses. Rows are added, never changed.
+"""Tables of what happened: sensors, runs, phases, frames, samples, presses.
 
-The two exceptions say nothing a verdict rests on: a phase gets its end time, once.
+Rows are added and never changed, but for one cell: a phase gets its end time, once.
 """
 
 from datetime import datetime
@@ -167,7 +167,7 @@ class SampleBlockRow(Base):
     unit: Mapped[str] = mapped_column(String(16))
     samples: Mapped[int]
     time_s: Mapped[bytes]  #: float64 (samples,)
-    sample_values: Mapped[bytes] = mapped_column()  #: float64 (samples,)
+    sample_values: Mapped[bytes]  #: float64 (samples,)
     sha256: Mapped[str] = mapped_column(String(64))
 
 
