@@ -1,0 +1,51 @@
+"""Timing of two ways to do the same thing, turn by turn, so that the machine's moods hit both."""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Compared:
+    """Fastest times of both ways [s]."""
+
+    what: str
+    ours: str
+    theirs: str
+    ours_s: float
+    theirs_s: float
+
+    @property
+    def ratio(self) -> float:
+        """How many times slower the other way is."""
+        return self.theirs_s / self.ours_s
+
+    def row(self) -> str:
+        """One row of the table."""
+        return (
+            f"| {self.what} | {self.ours}: {_shown(self.ours_s)} | {self.theirs}: {_shown(self.theirs_s)}"
+            f" | {self.ratio:.1f} × |"
+        )
+
+
+def compare(
+    what: str,
+    ours: tuple[str, Callable[[], object]],
+    theirs: tuple[str, Callable[[], object]],
+    repeats: int,
+) -> Compared:
+    """Time both ways in turn and keep the fastest of each."""
+    best = [float("inf"), float("inf")]
+    for _ in range(repeats):
+        for side, run in enumerate((ours[1], theirs[1])):
+            before = time.perf_counter()
+            run()
+            best[side] = min(best[side], time.perf_counter() - before)
+    return Compared(what, ours[0], theirs[0], best[0], best[1])
+
+
+def _shown(seconds: float) -> str:
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if seconds >= size:
+            return f"{seconds / size:.2f} {unit}"
+    return f"{seconds / 1e-6:.1f} µs"
