@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table
+from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table, Word
 from cbsr_qa.domain.calibration import OverlapBand
 from cbsr_qa.domain.measurement import Limit
 from cbsr_qa.domain.plan import AnalysisSettings, PhaseSpec, PluginChoice, Recipe
@@ -122,7 +122,7 @@ class AnalysisTable(Table):
 class LimitTable(Table):
     """``[[limits]]``: inclusive bounds of one measurement in its own unit, with an optional guard band inside."""
 
-    measurement: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
+    measurement: Word
     unit: Annotated[str, Field(min_length=1, max_length=16)]
     lower: float | None = None
     upper: float | None = None

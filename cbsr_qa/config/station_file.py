@@ -8,13 +8,12 @@ from typing import Annotated, Any, Literal
 from pydantic import BeforeValidator, Field
 
 from cbsr_qa.config.documents import reference_path
-from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table
+from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table, Word
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.plan import InstrumentSpec, Motion, SafetyLimits, Station
 
 Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
-Role = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$", max_length=64)]
 
 #: Roles that every run needs filled.
 NEEDED_ROLES = ("frame_source", "force_applicator")
@@ -71,7 +70,7 @@ class InstrumentTable(OpenTable):
     """``[instruments.<role>]``: its driver, what it provides, and the driver's own options."""
 
     driver: Name
-    provides: Annotated[list[Role], Field(min_length=1)]
+    provides: Annotated[list[Word], Field(min_length=1)]
     calibration_due: Annotated[str | None, BeforeValidator(_iso_date)] = None
 
 
@@ -82,7 +81,7 @@ class StationFile(FileModel[Station]):
     indenter: IndenterTable
     motion: MotionTable
     safety: SafetyTable
-    instruments: Annotated[dict[Role, InstrumentTable], Field(min_length=1)]
+    instruments: Annotated[dict[Word, InstrumentTable], Field(min_length=1)]
 
     def problems(self) -> Iterator[Problem]:
         """Every role filled once; the head clears the sheet when it travels."""

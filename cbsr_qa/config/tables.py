@@ -1,12 +1,14 @@
 """What the models of all configuration files share: strict tables, problems, and how they are worded."""
 
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from datetime import date, time
 from difflib import get_close_matches
 from types import UnionType
-from typing import Any, Generic, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, Generic, TypeVar, Union, get_args, get_origin
 
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from cbsr_qa.config.documents import Document, not_finite
@@ -15,6 +17,26 @@ from cbsr_qa.config.lines import KeyPath, line_of
 from cbsr_qa.domain.errors import ConfigError, RefusedError
 
 T = TypeVar("T")
+
+#: What pydantic calls things → what TOML calls them.
+_IN_TOML = {
+    "a valid dictionary": "a table",
+    "a valid list": "an array",
+    "a valid string": "text in quotes",
+    "a valid number": "a number",
+    "a valid integer": "a whole number",
+    "a valid boolean": "true or false",
+}
+
+
+def _word(text: str) -> str:
+    if re.fullmatch(r"[a-z][a-z0-9_]{0,63}", text):
+        return text
+    raise ValueError("it must be lower-case letters, digits and _, starting with a letter, at most 64 of them")
+
+
+#: A name that code uses: of a role, of a measurement.
+Word = Annotated[str, AfterValidator(_word)]
 
 
 class Table(BaseModel):
@@ -122,7 +144,7 @@ def dotted(path: KeyPath) -> str:
 
 
 def _worded(model: type[BaseModel], data: Mapping[str, Any], detail: ErrorDetails) -> Problem:
-    path: KeyPath = tuple(detail["loc"])
+    path: KeyPath = tuple(part for part in detail["loc"] if part != "[key]")  # a key itself is wrong
     found = detail["input"]
     context = detail.get("ctx", {})
     table = table_at(model, path[:-1])
@@ -146,9 +168,7 @@ def _rule(message: str) -> str:
         if message.startswith(start):
             verb = "be " if start == "Input should be " else ""
             rest = message.removeprefix(start).replace("after validation, not", "but has")
-            return f"it must {verb}{rest}".replace("a valid dictionary", "a table").replace(
-                "a valid list", "an array"
-            )
+            return f"it must {verb}{_IN_TOML.get(rest.partition(' or instance of ')[0], rest)}"
     return message
 
 
@@ -171,7 +191,7 @@ def _shown(value: object) -> str:
         return echo(value)
     if isinstance(value, Mapping):
         return "a table"
-    text = repr(value)
+    text = str(value) if isinstance(value, date | time) else repr(value)
     return text if len(text) <= 60 else f"{text[:60]}…"
 
 

@@ -156,3 +156,12 @@ def test_references_between_tables_hold(engine):
     schema.upgrade(engine)
     with closing(engine.raw_connection()) as raw, pytest.raises(Exception, match=r"(?i)foreign key"):
         raw.cursor().execute("INSERT INTO warnings (analysis, number, text) VALUES ('none', 0, 'x')")
+
+
+def test_sqlite_is_set_up_to_lose_nothing_that_was_committed(tmp_path):
+    engine = open_engine(parsed_url(f"sqlite:///{tmp_path / 'runs.db'}"))
+    schema.upgrade(engine)
+    with reading(engine) as connection:
+        found = {p: connection.exec_driver_sql(f"PRAGMA {p}").scalar() for p in ("journal_mode", "synchronous")}
+    engine.dispose()
+    assert found == {"journal_mode": "wal", "synchronous": 2}  # 2 is FULL
