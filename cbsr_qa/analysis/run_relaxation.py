@@ -11,6 +11,7 @@ from cbsr_qa.domain.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.loads import Indenter, LoadRecord
 from cbsr_qa.domain.observation import LoadObservation, RelaxationObservation, Trace
 from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.relaxation import RelaxationFit
 
 #: Stress samples are averaged into this many points a window: the load cell's 8 Hz over a minute are ten times
 #: what a fit of tens of seconds needs, and cost ten times its time.
@@ -68,7 +69,8 @@ def _press_and_release(
 
 
 def _loading(signal: str, trace: Trace, settings: AnalysisSettings) -> RelaxationObservation:
-    fit = fit_relaxation(trace.time_s, trace.values, r_squared_gate=settings.r_squared_gate)
+    steady = abs(_end_level(trace))
+    fit = _fit(trace, 0, steady, settings)
     settled = settling_time(
         fit,
         window_s=_window_s(trace),
@@ -82,13 +84,14 @@ def _unloading(
     signal: str, trace: Trace, pressed: RelaxationObservation, settings: AnalysisSettings
 ) -> RelaxationObservation:
     start = relaxation_start(trace.values)
-    fit = fit_relaxation(trace.time_s[start:], trace.values[start:], r_squared_gate=settings.r_squared_gate)
+    loaded = _steady_change(pressed)
+    fit = _fit(trace, start, abs(loaded), settings)
     settled = settling_time(
         fit,
         window_s=_window_s(trace),
         tolerance=settings.settling_tolerance,
         band=settings.settling_band,
-        loaded_change=_steady_change(pressed),
+        loaded_change=loaded,
         start_s=float(trace.time_s[start]) if start else 0.0,
     )
     return RelaxationObservation(signal, False, trace, fit, settled)
@@ -98,7 +101,21 @@ def _steady_change(pressed: RelaxationObservation) -> float:
     """Steady change under load: of the fit where it was kept, else the end of the hold as it was seen."""
     if pressed.settling.value_s is not None:
         return pressed.fit.offset
-    return float(np.median(pressed.trace.values[-4:]))
+    return _end_level(pressed.trace)
+
+
+def _fit(trace: Trace, start: int, steady: float, settings: AnalysisSettings) -> RelaxationFit:
+    """Fit a trace from a sample on; one that never leaves the settling band of the steady change is flat."""
+    return fit_relaxation(
+        trace.time_s[start:],
+        trace.values[start:],
+        r_squared_gate=settings.r_squared_gate,
+        flat_within=settings.settling_tolerance * steady,
+    )
+
+
+def _end_level(trace: Trace) -> float:
+    return float(np.median(trace.values[-4:])) if len(trace.values) else 0.0
 
 
 def _stress(

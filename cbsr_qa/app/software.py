@@ -7,7 +7,7 @@ import cbsr_qa
 from cbsr_qa.plugins import Plugins
 
 #: What numbers rest on, besides this package and its plugins.
-_NUMERICS: Final = ("numpy", "scipy", "scikit-image", "scikit-fem", "h5py")
+_NUMERICS: Final = ("numpy", "scipy", "scikit-image", "h5py")
 
 
 def software_versions(plugins: Plugins) -> tuple[tuple[str, str], ...]:

@@ -45,7 +45,7 @@ def test_runtime_dependencies_are_the_imported_ones():
     """A dependency nobody imports, or an import nobody declares, is found here."""
     import ast
 
-    names = {"pyserial": "serial", "pyvisa-py": "pyvisa_py", "scikit-fem": "skfem", "scikit-image": "skimage"}
+    names = {"pyserial": "serial", "pyvisa-py": "pyvisa_py", "scikit-image": "skimage"}
     reserved = {"pyserial", "pyvisa", "pyvisa-py"}  # for the drivers of the real bench
     declared = {d.split(">")[0].split("[")[0] for d in _PROJECT["project"]["dependencies"]}
     modules = {names.get(d, d): d for d in declared - reserved}
