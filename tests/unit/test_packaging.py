@@ -61,4 +61,5 @@ def test_runtime_dependencies_are_the_imported_ones():
 
     foreign = imported - set(sys.stdlib_module_names) - {"cbsr_qa", "cbsr_qa_plugins"}
     assert set(modules) <= imported, "declared but never imported"
-    assert foreign <= set(modules) | {"click", "psycopg"}, "imported but not declared"
+    parts = {"markupsafe", "pydantic_core"}  # of jinja2 and pydantic, which require exactly the one that fits
+    assert foreign <= set(modules) | parts, "imported but not declared"
