@@ -1,0 +1,108 @@
+"""Simulated runs kept in memory: what the run analysis is held against the truth with."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+from cbsr_qa.clock import VirtualClock
+from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type
+from cbsr_qa.domain.frames import join_frames, join_samples
+from cbsr_qa.domain.loads import Indenter, Load
+from cbsr_qa.domain.plan import InstrumentSpec, Motion, SafetyLimits
+from cbsr_qa.domain.run import PhaseRecord, RunIdentity, RunRecord
+from cbsr_qa.domain.run_events import FramesTaken, LoadFinished, PhaseFinished, PhaseStarted, SamplesTaken, Unloaded
+from cbsr_qa.domain.sensor import Parameter, SensorIdentity
+from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.interfaces import StationContext
+from cbsr_qa.plugins import discover
+from cbsr_qa.runner.bench import open_bench
+from cbsr_qa.runner.execute import execute
+from cbsr_qa.runner.plan import Plan, PlannedPhase
+
+HEAD = Indenter(13.0)
+_MOTION = Motion(40 / 60, 10.0, 25.0)
+_SAFETY = SafetyLimits(40.0, 0.35, 41.0, 36_000.0, 2.0)
+
+
+class Presses:
+    """A sequence of presses after unloaded frames."""
+
+    def __init__(self, loads, hold_s, rest_s):
+        self._loads, self._hold_s, self._rest_s = loads, hold_s, rest_s
+
+    def steps(self, context):
+        """Find every surface, rest, take unloaded frames, then press in turn."""
+        for load in self._loads:
+            yield FindSurface(load.x_mm, load.y_mm)
+        yield Hold(240.0, acquire=False)
+        yield MarkUnloaded()
+        yield AcquireFrames(20)
+        for load in self._loads:
+            yield Press(load)
+            yield Hold(self._hold_s, acquire=True)
+            yield Release()
+            yield Hold(self._rest_s, acquire=True)
+
+
+class MemoryJournal:
+    """Keeps the documents of a run and puts them together as a record."""
+
+    def __init__(self):
+        self._events = []
+
+    def __call__(self, event):
+        """Keep one document."""
+        self._events.append(event)
+
+    def of(self, kind, phase):
+        """Documents of one kind and phase."""
+        return [e for e in self._events if isinstance(e, kind) and e.phase == phase]
+
+    def phases(self):
+        """Every phase as it would be stored."""
+        ends = {e.index: e.time_s for e in self._events if isinstance(e, PhaseFinished)}
+        started = [e for e in self._events if isinstance(e, PhaseStarted)]
+        return tuple(self._phase(event, ends[event.index]) for event in started)
+
+    def _phase(self, event, ended_s):
+        samples = [e.samples for e in self.of(SamplesTaken, event.index)]
+        return PhaseRecord(
+            event.index,
+            event.name,
+            event.sequence,
+            event.time_s,
+            ended_s,
+            join_frames([e.frames for e in self.of(FramesTaken, event.index)]),
+            (join_samples(samples),),
+            tuple(e.record for e in self.of(LoadFinished, event.index)),
+            min(e.time_s for e in self.of(Unloaded, event.index)),
+        )
+
+
+def simulated_run(places_mm, *, strain=0.2, hold_s=60.0, rest_s=60.0, scene="base", gauge=1.0, seed=1, noise=None):
+    """Run presses on the simulated bench; ``gauge`` scales the material's response, ``noise`` replaces its own."""
+    material = load_material("cbsr-8wt").value
+    against = material.against_strain
+    slope = replace(against.slope, value=gauge * against.slope.value)
+    material = replace(material, against_strain=replace(against, slope=slope))
+    if noise is not None:
+        material = replace(material, relative_noise=Parameter(noise, None, "test"))
+    sensor = load_sensor_type("disc-100mm").value
+    plugins, clock = discover(), VirtualClock(datetime(2026, 1, 1, tzinfo=UTC))
+    context = StationContext(
+        "bench", clock, sensor, material, HEAD, seed, {}, load_scene(scene).value,
+        lambda name: plugins.factory(Kind.EFFECT, name), motion=_MOTION,
+    )  # fmt: skip
+    spec = InstrumentSpec("bench", "simulated-bench", ("frame_source", "force_applicator", "force"), {}, None)
+    factory = plugins.factory(Kind.INSTRUMENT, "simulated-bench")
+    bench = open_bench([spec], lambda _: factory(context))
+    loads = tuple(Load(f"L{i}", x, y, strain, 0) for i, (x, y) in enumerate(places_mm))
+    phase = PlannedPhase("grid", "presses", Presses(loads, hold_s, rest_s))
+    plan = Plan((phase,), sensor, material, HEAD, _MOTION, _SAFETY, seed)
+    identity = RunIdentity(
+        "run", SensorIdentity("S", "", sensor.name), "test", "test", "", clock.wall(), "", (), bench.identities()
+    )
+    journal = MemoryJournal()
+    ended = execute(plan, identity, bench, clock, [journal])
+    assert not ended.detail, ended.detail
+    return RunRecord(identity, sensor, material, HEAD, journal.phases(), ended.end, "", clock.now(), ended.spent)
