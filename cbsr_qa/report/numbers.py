@@ -51,8 +51,10 @@ def fixed(value: float, decimals: int) -> str:
 def plain(value: float, unit: str) -> str:
     """Write a value whose uncertainty nobody stated: three digits, but no more decimals than its unit deserves."""
     most = _DECIMALS.get(unit)
-    if most is None or round(value, most) == 0 or abs(value) >= 1e5:
+    if most is None or abs(value) >= 1e5 or value == 0:
         return number(value)
+    if round(value, most) == 0:
+        return number(value, 1)
     return fixed(value, min(most, max(2 - floor(log10(abs(value))), 0)))
 
 
@@ -65,7 +67,7 @@ def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -
     if uncertainty is None or uncertainty <= 0:
         return number(value, digits)
     first = floor(log10(uncertainty))
-    keep = 1 if uncertainty / 10.0**first < 3 else 0
+    keep = 1 if round(uncertainty / 10.0**first, 6) < 3 else 0  # 0.3 is stored as a little less
     decimals = keep - first
     largest = max(abs(value), uncertainty)
     if decimals <= 5 and largest < 1e5:

@@ -104,7 +104,15 @@ def _refused(measurements: Sequence[Measurement]) -> Table:
         groups.setdefault((m.name, m.phase, alike(m.how)), []).append(m)
     rows = []
     for (name, phase, _), members in groups.items():
-        where = dict.fromkeys(", ".join(p for p in (m.location, m.qualifier) if p) for m in members)
         why = members[0].how if len({m.how for m in members}) == 1 else f"for example: {members[0].how}"
-        rows.append([name.replace("_", " "), phase or "whole run", "; ".join(w for w in where if w) or "–", why])
+        rows.append([name.replace("_", " "), phase or "whole run", _where(members), why])
     return text_table("What could not be measured, and why.", ("Measurement", "Phase", "Where", "Why"), rows)
+
+
+def _where(members: Sequence[Measurement]) -> str:
+    """Name locations and qualifiers, each once: ``R0, R2 (image, loading; image, unloading)``."""
+    places = ", ".join(dict.fromkeys(m.location for m in members if m.location))
+    kinds = "; ".join(dict.fromkeys(m.qualifier for m in members if m.qualifier))
+    if places and kinds:
+        return f"{places} ({kinds})"
+    return places or kinds or "–"

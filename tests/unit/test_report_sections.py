@@ -1,0 +1,280 @@
+"""Sections of a run: what they show is what was measured, and they are silent where there is nothing to show."""
+
+import importlib
+import re
+from dataclasses import replace
+from statistics import fmean
+
+import numpy as np
+import pytest
+from report_samples import ended_early, sample_recording, sample_run
+
+from cbsr_qa.domain.measurement import Limit, Measurement
+from cbsr_qa.domain.outcome import Outcome
+from cbsr_qa.domain.relaxation import FitStatus
+from cbsr_qa.domain.report import Figure, Paragraph, Table
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.report.select import Measured, alike, loads_of
+from cbsr_qa.report.svg import checked_svg
+from cbsr_qa_plugins.registry import BUILT_IN
+from cbsr_qa_plugins.sections.baseline_conductance import BaselineConductanceMap
+from cbsr_qa_plugins.sections.limits import Limits
+from cbsr_qa_plugins.sections.load_images import LoadImages
+from cbsr_qa_plugins.sections.mask_comparison import MaskComparison
+from cbsr_qa_plugins.sections.nine_locations import NineLocations
+from cbsr_qa_plugins.sections.noise_and_contacts import NoiseAndContacts, signal_to_noise_dB
+from cbsr_qa_plugins.sections.random_loads import RandomLoads
+from cbsr_qa_plugins.sections.relaxation import RelaxationFits
+from cbsr_qa_plugins.sections.time_and_accuracy import TimeAndAccuracy
+from cbsr_qa_plugins.sections.traceability import Traceability
+
+OF_A_RUN = {
+    name: target for kind, name, target in BUILT_IN if kind is Kind.SECTION and not name.startswith("recording")
+}
+
+
+@pytest.fixture(scope="module")
+def result():
+    return sample_run(size_mm=6.0)
+
+
+def made(name):
+    module, _, factory = OF_A_RUN[name].partition(":")
+    return getattr(importlib.import_module(f"cbsr_qa_plugins.{module}"), factory)()
+
+
+def tables(section):
+    return [block for block in section.blocks if isinstance(block, Table)]
+
+
+def texts(table):
+    return [[cell.text for cell in row] for row in table.rows]
+
+
+def without_blobs(result):
+    """The same run, in which no image rises above its noise floor."""
+    observation = result.observation
+    loads = tuple(
+        replace(load, masks=tuple(replace(view, blobs=(), sensed=None) for view in load.masks))
+        for load in observation.loads
+    )
+    lost = tuple(
+        m if m.unit not in ("mm", "%", "mm²") else replace(m, value=None, how="not detected")
+        for m in result.measurements
+    )
+    return replace(result, observation=replace(observation, loads=loads, timelines=()), measurements=lost)
+
+
+@pytest.mark.parametrize("name", OF_A_RUN)
+def test_every_section_has_content_that_can_be_shown(name, result):
+    section = made(name).render(result)
+    assert section.blocks
+    for block in section.blocks:
+        if isinstance(block, Figure):
+            checked_svg(block.svg)
+            assert block.caption
+            assert block.alternative
+        if isinstance(block, Table):
+            assert block.rows
+            assert all(len(row) == len(block.columns) for row in block.rows)
+            assert max(block.numeric, default=0) < len(block.columns)
+
+
+@pytest.mark.parametrize("name", OF_A_RUN)
+def test_a_recording_is_none_of_their_business(name):
+    assert made(name).render(sample_recording(1)) is None
+
+
+@pytest.mark.parametrize("name", OF_A_RUN)
+def test_a_run_that_was_not_analysed_gets_only_what_it_has(name, result):
+    section = made(name).render(ended_early(result))
+    assert (section is None) == (name != "traceability")
+
+
+@pytest.mark.parametrize("name", OF_A_RUN)
+def test_a_run_in_which_nothing_was_seen_is_reported_too(name, result):
+    section = made(name).render(without_blobs(result))
+    words = " ".join(cell.text for table in tables(section) for row in table.rows for cell in row)
+    assert "nan" not in words.lower()
+
+
+def test_the_location_table_holds_the_measured_values(result):
+    run = result.observation
+    (table,) = tables(NineLocations().render(result))
+    errors = Measured(result.measurements).values("centre_of_mass_error", loads_of(run, "location-grid"), run.loads)
+    assert [row[0] for row in texts(table)] == [f"L{k}" for k in range(9)]
+    assert [float(row[3]) for row in texts(table)] == pytest.approx(errors, abs=0.006)
+    assert all(row[3].outcome is Outcome.PASS for row in table.rows)
+
+
+def test_trials_are_averaged_and_the_worst_outcome_shown(result):
+    limit = Limit("centre_of_mass_error", "mm", None, 2.0)
+    loads = [load for load in result.observation.loads if load.phase == "noise"]
+    values = [0.5, 1.0, 3.0]
+    measured = tuple(
+        Measurement("centre_of_mass_error", v, "mm", phase="noise", location="L0", trial=k).judged(limit)
+        for k, v in enumerate(values)
+    )
+    phases = (replace(result.record.phases[0], sequence="location-grid"),)
+    record = replace(result.record, phases=phases)
+    observation = replace(result.observation, record=record, loads=tuple(loads))
+    (table,) = tables(NineLocations().render(replace(result, observation=observation, measurements=measured)))
+    (row,) = table.rows
+    assert row[2].text == "3"
+    assert float(row[3].text.partition(" ±")[0]) == pytest.approx(fmean(values), abs=0.05)
+    assert row[3].outcome is Outcome.FAIL
+
+
+def test_a_load_of_the_same_name_and_trial_is_told_apart_by_its_order(result):
+    load = result.observation.loads[3]
+    weak, strong = replace(load, steady_frames=1), replace(load, steady_frames=2)
+    place = load.record.load
+    about = {"phase": load.phase, "location": place.label, "trial": place.trial}
+    measured = Measured([Measurement("e", v, "mm", **about) for v in (1.0, 2.0)])
+    assert measured.of_load("e", weak, (weak, strong)).value == 1.0
+    assert measured.of_load("e", strong, (weak, strong)).value == 2.0
+    assert measured.of_load("e", weak, (weak,)) is None  # two values for one press: which is unknown
+
+
+def test_masks_are_compared_over_the_grid_alone(result):
+    (table,) = tables(MaskComparison().render(result))
+    assert [row[0] for row in texts(table)] == ["25 %", "50 %", "75 %", "85 % (decides)"]
+    assert {row[4] for row in texts(table)} == {"9 of 9"}
+    nothing = tables(MaskComparison().render(without_blobs(result)))[0]
+    assert {row[4] for row in texts(nothing)} == {"0 of 9"}
+
+
+def test_random_loads_are_given_in_polar_coordinates(result):
+    (table,) = tables(RandomLoads().render(result))
+    for row, load in zip(texts(table), loads_of(result.observation, "random-loads"), strict=True):
+        radius, angle = (float(part) for part in row[1].rstrip("°").split(", "))
+        x, y = load.record.load.x_mm, load.record.load.y_mm
+        assert (radius * np.cos(np.deg2rad(angle)), radius * np.sin(np.deg2rad(angle))) == pytest.approx(
+            (x, y), abs=0.5
+        )
+
+
+def test_not_settled_is_a_bound_and_never_a_number(result):
+    loads = list(result.observation.loads)
+    first = loads[0].relaxations[0]
+    late = replace(first, settling=replace(first.settling, value_s=60.0, censored=True))
+    loads[0] = replace(loads[0], relaxations=(late, *loads[0].relaxations[1:]))
+    section = RelaxationFits().render(replace(result, observation=replace(result.observation, loads=tuple(loads))))
+    row = next(row for row in texts(tables(section)[1]) if row[5] == "1")
+    assert row[3].startswith("≥ ")
+
+
+def test_rejected_fits_are_counted_with_one_example(result):
+    loads = []
+    for k, load in enumerate(result.observation.loads):
+        worst = load.relaxations[0]
+        fit = replace(
+            worst.fit, status=FitStatus.REJECTED, r_squared=0.4 + k / 100, why=f"R² {0.4 + k / 100:.3f} is below 0.85"
+        )
+        bad = replace(worst, fit=fit, settling=replace(worst.settling, value_s=None))
+        loads.append(replace(load, relaxations=(bad, *load.relaxations[1:])))
+    observation = replace(result.observation, loads=tuple(loads))
+    section = RelaxationFits().render(replace(result, observation=observation))
+    (told,) = [block.text for block in section.blocks if isinstance(block, Paragraph)]
+    assert told == "23 fits were rejected, for example: R² 0.400 is below 0.85."
+
+
+def test_reasons_that_differ_in_numbers_only_are_alike():
+    assert alike("R² 0.612 is below 0.85") == alike("R² 0.4 is below 0.9")
+    assert alike("too few points: 3") != alike("R² 0.4 is below 0.9")
+
+
+def test_the_baseline_section_says_what_was_assumed_and_reduced(result):
+    section = BaselineConductanceMap().render(result)
+    words = [block.text for block in section.blocks if isinstance(block, Paragraph)]
+    assert any("α and β against stress" in text and "not measured" in text for text in words)
+    assert any("only one strain" in text for text in words)
+    assert BaselineConductanceMap().render(replace(result, calibration=None)) is None
+
+
+def test_a_baseline_without_any_value_is_said_without_a_figure(result):
+    empty = tuple(replace(place, value=None, stderr=None, why="no blob") for place in result.calibration.baseline)
+    section = BaselineConductanceMap().render(
+        replace(result, calibration=replace(result.calibration, baseline=empty))
+    )
+    assert not [block for block in section.blocks if isinstance(block, Figure)]
+    assert {row[4] for row in texts(tables(section)[0])} == {"no blob"}
+
+
+def test_signal_to_noise_is_level_over_deviation(result):
+    run = result.observation
+    voltages = run.unloaded.voltages
+    ratio = signal_to_noise_dB(run)
+    assert ratio[3, 7] == pytest.approx(20 * np.log10(abs(voltages[:, 3, 7].mean()) / voltages[:, 3, 7].std(ddof=1)))
+    assert signal_to_noise_dB(replace(run, unloaded=run.unloaded.select(slice(0, 2)))) is None
+
+
+def test_a_reading_that_never_changes_has_no_finite_ratio(result):
+    run = result.observation
+    frozen = run.unloaded.voltages.copy()
+    frozen[:, 0, 5] = 1.0
+    ratio = signal_to_noise_dB(replace(run, unloaded=replace(run.unloaded, voltages=frozen)))
+    assert np.isinf(ratio[0, 5])
+
+
+def test_the_worst_contact_is_named(result):
+    bad = [replace(m, value=95e3) if m.qualifier == "pair 7-8" else m for m in result.measurements]
+    section = NoiseAndContacts().render(replace(result, measurements=tuple(bad)))
+    captions = " ".join(block.caption for block in section.blocks if isinstance(block, Figure))
+    assert re.search(r"pair 7.8 with 95.0.kΩ", captions)
+
+
+def test_time_adds_up(result):
+    section = TimeAndAccuracy().render(result)
+    (table,) = tables(section)
+    assert [row[2] for row in texts(table)] == ["3", "9", "10", "1"]
+    assert "55 min" in section.blocks[0].text
+
+
+def test_every_limit_is_listed_the_worst_first(result):
+    failing = Measurement("strangers_metric", 9.0, "mm").judged(Limit("strangers_metric", "mm", None, 3.0))
+    lost = Measurement("other", None, "1", how="why not").judged(Limit("other", "1", 0.0, None))
+    section = Limits().render(replace(result, measurements=(*result.measurements, failing, lost)))
+    rows = texts(tables(section)[0])
+    assert len(rows) == sum(m.limit is not None for m in result.measurements) + 2
+    assert rows[0][0] == "strangers metric"
+    assert rows[0][4].startswith("−6.00")
+    assert "why not" in rows[1][0]
+    assert rows[1][2] == "not measured"
+
+
+def test_a_strangers_measurement_is_shown_without_being_known(result):
+    mine = Measurement("stickiness", 3.25, "mN", 0.4, qualifier="edge", phase="nine", location="L3", trial=0)
+    section = Limits().render(replace(result, measurements=(*result.measurements, mine)))
+    assert any(
+        "stickiness (edge) [mN]" in row[0] and "3.2 ± 0.4" in " ".join(row) for row in texts(tables(section)[1])
+    )
+
+
+def test_what_could_not_be_measured_is_listed_once_with_its_reason(result):
+    lost = tuple(
+        Measurement("settling_time", None, "s", phase="nine", location=f"L{k}", trial=0, how=f"R² 0.{k} is too low")
+        for k in range(1, 5)
+    )
+    section = Limits().render(replace(result, measurements=(*result.measurements, *lost)))
+    (row,) = texts(tables(section)[2])
+    assert row == ["settling time", "nine", "L1, L2, L3, L4", "for example: R² 0.1 is too low"]
+
+
+def test_only_so_many_images_are_printed_and_the_rest_is_said(result):
+    many = tuple(
+        replace(load) for load in (*result.observation.loads, *result.observation.loads, *result.observation.loads)
+    )
+    section = LoadImages().render(replace(result, observation=replace(result.observation, loads=many)))
+    assert section.blocks[0].text.endswith("21 presses are not printed here; every frame is in the store.")
+
+
+def test_instruments_are_traceable(result):
+    bench = replace(result.record.identity.instruments[0], simulated=False, calibration_due="2027-01-31")
+    identity = replace(result.record.identity, instruments=(bench, replace(bench, calibration_due=None)))
+    section = Traceability().render(replace(result, record=replace(result.record, identity=identity)))
+    rows = texts(tables(section)[0])
+    assert rows[0][-2:] == ["no", "2027-01-31"]
+    assert rows[1][-2:] == ["no", "not stated"]
+    words = " ".join(cell for table in tables(section) for row in texts(table) for cell in row)
+    assert result.record.identity.configuration_digest in words
