@@ -48,7 +48,7 @@ class SeenLoad:
     image : un-subtracted.
     sensed : blob of the main mask; None where nothing was seen.
     error_mm, overlap_percent : None where not measured.
-    outcome : of the centre-of-mass error.
+    outcome, overlap_outcome : of the centre-of-mass error, and of the overlap.
     group : heading it stands under, e.g. the phase.
     """
 
@@ -63,6 +63,7 @@ class SeenLoad:
     error_mm: float | None
     overlap_percent: float | None
     outcome: Outcome
+    overlap_outcome: Outcome
     group: str
 
 
@@ -130,7 +131,7 @@ def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, captio
         error_axes = figure.add_axes((0.62, 0.115, 0.165, 0.8))
         overlap_axes = figure.add_axes((0.825, 0.115, 0.165, 0.8))
         _draw_dots(error_axes, order, [(load.label, load.error_mm, load.outcome) for load in loads])
-        _draw_dots(overlap_axes, order, [(load.label, load.overlap_percent, load.outcome) for load in loads])
+        _draw_dots(overlap_axes, order, [(load.label, load.overlap_percent, load.overlap_outcome) for load in loads])
         error_axes.set_title("error E_CoM [mm]", fontweight="normal")
         overlap_axes.set_title("overlap A_OL [%]", fontweight="normal")
         error_axes.set_xlim(left=0)

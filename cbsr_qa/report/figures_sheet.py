@@ -118,6 +118,9 @@ def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, radius: float, la
             shift = -0.09 * radius if left else 0.09 * radius
             label = axes.text(marker.x + shift, marker.y + 0.09 * radius, marker.label, zorder=9)
             label.set(ha="right" if left else "left", va="bottom", fontsize=7, fontweight="bold")
+            label.set_bbox(
+                {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.0}
+            )  # readable on dark images
     axes.set_title(panel.title, loc="center", pad=2)
     if panel.note:
         axes.text(0.5, -0.01, panel.note, transform=axes.transAxes, ha="center", va="top", fontsize=7, color=QUIET)

@@ -50,5 +50,6 @@ def _seen(load: LoadObservation, run: RunObservation, measured: Measured, title:
         error_mm=error.value if error else None,
         overlap_percent=overlap.value if overlap else None,
         outcome=error.outcome if error else Outcome.NOT_JUDGED,
+        overlap_outcome=overlap.outcome if overlap else Outcome.NOT_JUDGED,
         group=load.phase,
     )
