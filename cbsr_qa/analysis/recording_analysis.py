@@ -74,7 +74,7 @@ def analyse_recording(
 def frame_rate_hz(recording: Recording) -> float | None:
     """Frames a second: from the typical step on the board's clock, from the whole length on the computer's.
 
-    None for still images and where the file says nothing about time. Steps half as long again as the median (a
+    None for still images and where the file says nothing about time. Steps a tenth longer than the median (a
     watchdog dump inside a frame, lost frames) are left out; a computer's steps are those of its serial buffer, so
     there only the whole counts.
     """
@@ -84,7 +84,7 @@ def frame_rate_hz(recording: Recording) -> float | None:
     if recording.clock == "computer":
         return float((len(times) - 1) / (times[-1] - times[0]))
     steps = np.diff(times)
-    typical = steps[(steps < 1.5 * np.median(steps)) & (steps > 0)]
+    typical = steps[(steps < 1.1 * np.median(steps)) & (steps > 0)]
     return float(1 / typical.mean()) if typical.size else None
 
 

@@ -23,10 +23,11 @@ _ROUGH_AFTER_FRAMES = 24  #: and so many after the step give its first, rough pa
 _SAME_PLACE = 0.4  #: of the radius: two steps nearer than this are at the same place
 _NEW_PRESS_LOSS = 0.4  #: a step at the same place is a new press if the trace had lost this share before it
 _BEGUN, _REACHED = 0.2, 0.8  #: shares of the plateau at which a press has begun, and is down
+_FAINT = 2.0  #: a pattern whose signal is under so many times its noise, in energy, is too faint to follow its rise
 _RELEASED = 0.15  #: least share of the trace that a release takes back
 _SUDDEN = 0.5  #: a release that takes back this share of its drop within three frames is that step
 _DECLINED = 0.25  #: otherwise it is where this share of the drop is passed
-_EXPLAINED = 0.35  #: least share of a change that the loads must explain …
+_EXPLAINED = 0.5  #: least share of a change that the loads must explain …
 _EXPLAINED_SIGMA = 3.0  #: … unless noise may be the reason it is less
 
 
@@ -128,12 +129,13 @@ def _trace(white: Array, before: slice, held: slice) -> Array:
     return trace
 
 
-def _smooth(trace: Array) -> Array:
-    """Running median of three."""
-    if len(trace) < 3:
+def _smooth(trace: Array, window: int = 2) -> Array:
+    """Running median of the odd number of frames above a window: weak presses are seen with wide windows only."""
+    half = window // 2
+    if len(trace) < 2 * half + 1:
         return trace
-    padded = np.concatenate([trace[:1], trace, trace[-1:]])
-    smoothed: Array = np.median([padded[:-2], padded[1:-1], padded[2:]], axis=0)
+    padded = np.pad(trace, half, mode="edge")
+    smoothed: Array = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1), axis=1)
     return smoothed
 
 
@@ -142,15 +144,17 @@ def _close(group: list[Change], limit: int, white: Array, match: Matcher, sign: 
     limit = max(limit, group[-1].frame + 1)
     first = group[0]
     before, held = _rough(first, limit, len(white))
+    window = min(change.window for change in group)
+    clear = _signal(white, before, held) > _FAINT * _noise(white, before, held)
     for _ in range(2):
-        trace = _smooth(_trace(white, before, held))
+        trace = _smooth(_trace(white, before, held), window)
         end = _end_of(trace, first.frame, limit)
-        start, down = _rise(trace, first, int(end))
+        start, down = _rise(trace, first, int(end)) if clear else _at_the_step(first, int(end))
         before = slice(max(int(start) - _BEFORE_FRAMES, 0), max(int(start), 1))
-        held = slice(down, max(int(np.ceil(end)), down + 1))
+        held = slice(down, max(int(end) + (end == limit - 1), down + 1))
     change = white[held].mean(axis=0) - white[before].mean(axis=0)
     places, explained = find_places(change, match, sign=sign)
-    if why := _unlike_a_load(change, explained, before, held):
+    if why := _unlike_a_load(white, explained, before, held):
         found.rejected.append((first.frame, why))
         return
     peak = first.frame + int(np.argmax(trace[first.frame : max(int(np.ceil(end)), first.frame + 1)]))
@@ -170,6 +174,22 @@ def _rise(trace: Array, first: Change, end: int) -> tuple[float, int]:
     low, high = float(trace[k - 1]), float(trace[k])
     share = (_BEGUN * plateau - low) / (high - low) if high > low else 0.0
     return k - 1 + min(max(share, 0.0), 1.0), max(down, k)
+
+
+def _at_the_step(first: Change, end: int) -> tuple[float, int]:
+    """The same where the rise is too faint to follow: where the step is largest is when it happened."""
+    return first.frame - 0.5, min(first.frame + first.window // 2, max(end, first.frame))
+
+
+def _noise(white: Array, before: slice, held: slice) -> float:
+    """Energy that noise alone gives the difference of two means."""
+    return float(white.shape[1] * (1 / (before.stop - before.start) + 1 / (held.stop - held.start)))
+
+
+def _signal(white: Array, before: slice, held: slice) -> float:
+    """Energy of the difference of two means above what noise gives it."""
+    change = white[held].mean(axis=0) - white[before].mean(axis=0)
+    return max(float(change @ change) - _noise(white, before, held), 1e-12)
 
 
 def _end_of(trace: Array, begin: int, limit: int) -> float:
@@ -206,14 +226,12 @@ def _crossing(part: Array, begin: int, level: float, *, last: bool = False) -> f
     return k + (min(max((high - level) / (high - low), 0.0), 1.0) if high > low else 0.0)
 
 
-def _unlike_a_load(change: Array, explained: float, before: slice, held: slice) -> str:
+def _unlike_a_load(white: Array, explained: float, before: slice, held: slice) -> str:
     """Say why a change is not a load's, if even the best places explain too little of it; empty if it may be one."""
-    per_reading = 1 / (before.stop - before.start) + 1 / (held.stop - held.start)
-    noise = len(change) * per_reading
-    energy = float(change @ change)
-    signal = max(energy - noise, 1e-12)
-    doubt = _EXPLAINED_SIGMA * per_reading * np.sqrt(2 * len(change) + 4 * signal / per_reading)
-    share = explained * energy / signal
-    if explained * energy + _EXPLAINED * doubt >= _EXPLAINED * signal:
+    noise, signal = _noise(white, before, held), _signal(white, before, held)
+    per_reading = noise / white.shape[1]
+    doubt = _EXPLAINED_SIGMA * per_reading * np.sqrt(2 * white.shape[1] + 4 * signal / per_reading)
+    share = explained * (signal + noise) / signal
+    if share * signal + _EXPLAINED * doubt >= _EXPLAINED * signal:
         return ""
     return f"it does not look like a load: the best places explain {share:.0%} of it"

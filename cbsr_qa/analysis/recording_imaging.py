@@ -4,7 +4,7 @@ Nobody says what a stranger's recording was measured on, so it is imaged on a no
 is named; lengths are then in units of its radius. Readings become changes of the unit model in one of two ways:
 
 - volts, and magnitudes of tanks: each channel against its own reference value, (V/V_ref − 1) · model. This takes out
-  channel gains, and the sign that magnitudes lack.
+  channel gains, the sign that magnitudes lack, and that far readings of a deep tank are smaller than a disc's.
 - counts with an offset nobody states: (V − V_ref)/s, with s the slope of the reference frame over the model's
   (negative where the board turns the polarity). What the board adds to all readings alike is projected out later.
 """
@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.frames import VoltageUnit
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.domain.reconstruction import ImagingProblem
 from cbsr_qa.domain.sensor import Response, SensorType
@@ -29,12 +28,14 @@ Mask = NDArray[np.bool_]
 _NOMINAL_RADIUS_MM = 50.0
 _ARC = 0.1  # length of a nominal electrode, of the radius
 _IMAGE_SIZE = 0.06  # of the radius: 3 mm on a 100 mm disc
-#: A load is looked for as a bump of this width (one standard deviation, of the radius): about a 13 mm head on 100 mm.
-_BUMP = 0.08
+#: A load is looked for as a bump of this width (one standard deviation, of the radius): the head and the blur.
+_BUMP = 0.11
 #: Places further out than this are the electrodes' own neighbourhood, where contact changes look like loads.
 _OUTERMOST = 0.9
 #: The reference frame must follow the model this well (correlation) before counts are imaged.
 _LEAST_CORRELATION = 0.5
+#: One scale for all channels is good enough if the reference follows the model this closely (cosine).
+_CLOSE_COSINE = 0.9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,20 +127,21 @@ class UnitModel:
         return changed
 
 
-def unit_model(reference: Array, problem: ImagingProblem, unit: VoltageUnit) -> UnitModel:
+def unit_model(reference: Array, problem: ImagingProblem, *, offset: bool) -> UnitModel:
     """Fit a recording to the unit model.
 
     Parameters
     ----------
     reference : (m,) used readings of the unloaded sheet.
+    offset : whether an unstated offset is part of them.
 
     Raises
     ------
     NumericsError
-        If counts do not follow the model at all, or a channel of volts is zero.
+        If readings with an offset do not follow the model at all, or one without is zero.
     """
     model = problem.reference
-    if unit is VoltageUnit.VOLT:
+    if not offset:
         if (reference == 0).any():
             raise NumericsError("a reference reading is zero", remedy="leave its channel out")
         return UnitModel(reference, model / reference, model)
@@ -154,6 +156,22 @@ def unit_model(reference: Array, problem: ImagingProblem, unit: VoltageUnit) -> 
             remedy="check the electrode order, and whether readings are clipped",
         )
     return UnitModel(reference, np.full_like(reference, 1 / slope), np.ones_like(reference))
+
+
+def plain_model(reference: Array, problem: ImagingProblem) -> UnitModel | None:
+    """Fit a recording without an offset to the unit model with one scale for all channels.
+
+    Returns
+    -------
+    UnitModel, or None where the reference, given the model's signs, does not follow the model closely.
+    """
+    model = problem.reference
+    signed = np.abs(reference) * np.sign(model)
+    cosine = float(signed @ model / (np.linalg.norm(signed) * np.linalg.norm(model)))
+    if cosine < _CLOSE_COSINE:
+        return None
+    scale = float(signed @ model / (model @ model))
+    return UnitModel(reference, np.sign(model) * np.sign(reference) / scale, signed)
 
 
 def usable_volts(reference: Array, used: Mask, noise: Array | None) -> Mask:

@@ -74,9 +74,9 @@ def correct_memory(voltages: Array, share: float, order: NDArray[np.int64]) -> A
     return out.reshape(voltages.shape)
 
 
-def offset_of(frame: Array, used: Mask, unit: VoltageUnit) -> float:
-    """Offset of a frame: the median of its used readings for counts (far readings are small), 0 for volts."""
-    return float(np.median(frame[used])) if unit is VoltageUnit.COUNT else 0.0
+def offset_of(frame: Array, used: Mask, *, counts: bool) -> float:
+    """Offset of a frame: the median of its used readings for counts (far readings are small), else 0."""
+    return float(np.median(frame[used])) if counts else 0.0
 
 
 def reciprocity_error(frame: Array, used: Mask, offset: float) -> float | None:
@@ -111,7 +111,7 @@ def estimate_memory(block: FrameBlock, used: Mask) -> MemoryEstimate | None:
     before = previous.reshape(frame.shape)
     own, last = (frame - frame.T)[both], (before - before.T)[both]
     power = float(last @ last)
-    offset = offset_of(frame, used, block.unit)
+    offset = offset_of(frame, used, counts=block.unit is VoltageUnit.COUNT)
     error = reciprocity_error(frame, used, offset)
     if power == 0.0 or error is None:
         return None
@@ -120,5 +120,5 @@ def estimate_memory(block: FrameBlock, used: Mask) -> MemoryEstimate | None:
     residual = own - share * last
     stderr = float(np.sqrt(residual @ residual / max(both.sum() / 2 - 1, 1) / power))
     corrected = correct_memory(frame[None], share, order)[0] if share < 1 else frame
-    mended = reciprocity_error(corrected, used, offset_of(corrected, used, block.unit))
+    mended = reciprocity_error(corrected, used, offset_of(corrected, used, counts=block.unit is VoltageUnit.COUNT))
     return MemoryEstimate(share, stderr, error, error if mended is None else mended)

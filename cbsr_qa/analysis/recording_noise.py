@@ -1,5 +1,6 @@
 """Noise of a recording: robust, and steps are reported rather than averaged over."""
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -66,12 +67,18 @@ def _level_steps(time_s: Array, readings: Array, sigma: Array) -> list[NoiseStep
     jumps = np.abs(np.diff(readings, axis=0)) / sigma
     candidates = np.flatnonzero((jumps > _JUMP).mean(axis=1) >= 0.5) + 1
     found: list[NoiseStep] = []
+    last = -_STAY_FRAMES
     for at in candidates:
         before = np.median(readings[max(at - _STAY_FRAMES, 0) : at], axis=0)
         after = np.median(readings[at : at + _STAY_FRAMES], axis=0)
         if np.mean(np.abs(after - before) > _JUMP * sigma) >= 0.5:
             middle = float(time_s[at - 1] + time_s[at]) / 2
-            found.append(NoiseStep(middle, "level", float(np.median(before)), float(np.median(after))))
+            step = NoiseStep(middle, "level", float(np.median(before)), float(np.median(after)))
+            if found and at - last < _STAY_FRAMES:
+                # One step in the middle of a frame: its readings jump in two frames that follow each other.
+                step = replace(step, before=found.pop().before)
+            found.append(step)
+            last = int(at)
     return found
 
 

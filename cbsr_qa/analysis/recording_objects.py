@@ -13,6 +13,7 @@ Mask = NDArray[np.bool_]
 
 _DETECTED = 6.0  #: product of pattern and change over the noise from which an object counts
 _EXPLAINED = 0.25  #: and the share of the change it must explain
+_EXPLAINED_MOVING = 0.15  #: the same where an object is followed: frames support each other
 _BRIDGED_FRAMES = 2  #: frames in which an object was not seen that do not end it
 
 
@@ -95,7 +96,7 @@ def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str
         places, explained = find_places(change, match, most=1)
         if places:
             best = max(best, abs(places[0].score))
-            if abs(places[0].score) >= _DETECTED and explained >= _EXPLAINED:
+            if abs(places[0].score) >= _DETECTED and explained >= _EXPLAINED_MOVING:
                 seen.append((k, places[0]))
     if not seen:
         return (

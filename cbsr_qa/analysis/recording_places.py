@@ -6,7 +6,7 @@ outward by the prior. Several loads are found one after the other (orthogonal ma
 turn, each against what the others leave over.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,6 +21,8 @@ _SWEEPS = 4
 #: Places this close to the best one (in radii) are fitted for the vertex of the likelihood.
 _NEIGHBOURHOOD = 0.13
 _SEPARATE = 0.25
+_ROBUST_ROUNDS = 8
+_HUBER = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,6 +109,45 @@ def find_places(
         chosen, explained = moved, explained + gain
     found = [_refined(change, match, chosen, k) for k in range(len(chosen))]
     return tuple(sorted(found, key=lambda place: -abs(place.score))), explained / total
+
+
+def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) -> tuple[Place, ...]:
+    """Turn places towards where a robust fit sees them, keeping their distance from the centre.
+
+    Iteratively reweighted least squares with Huber's weights: the readings of a corroded or misplaced electrode do not
+    decide the direction.
+
+    Parameters
+    ----------
+    places : found in the changes each channel makes against its own reference value, where far readings count as
+        they should for the distance, but so do their faults.
+    change : (m,) in one scale for all channels, unwhitened. match : prepared for it with equal noise.
+    """
+    sigma = np.ones_like(change)
+    chosen = [place.index for place in places]
+    signs = {place.index: place.score for place in places}
+    sign = int(np.sign(places[0].score)) if len({s > 0 for s in signs.values()}) == 1 else 0
+    fitted = match
+    for _ in range(_ROBUST_ROUNDS):
+        white = fitted.whiten(change[None])[0]
+        chosen = _settled(white, fitted, chosen, sign)
+        left = np.abs(_left(white, fitted, chosen) * sigma)
+        spread = max(1.4826 * float(np.median(left)), 1e-300)
+        sigma = np.sqrt(np.maximum(left / (_HUBER * spread), 1.0))
+        fitted = matcher(match.patterns, match.places, sigma, match.nuisance)
+    white = fitted.whiten(change[None])[0]
+    seen = [_refined(white, fitted, chosen, k) for k in range(len(chosen))]
+    return tuple(_turned(place, seen) for place in places)
+
+
+def _turned(place: Place, seen: list[Place]) -> Place:
+    nearest = min(seen, key=lambda other: float(np.hypot(other.x - place.x, other.y - place.y)))
+    distance = float(np.hypot(nearest.x, nearest.y))
+    radius = float(np.hypot(place.x, place.y))
+    # Near the centre there is no direction to correct, and a fit that went elsewhere is not about this place.
+    if radius < _SEPARATE or np.hypot(nearest.x - place.x, nearest.y - place.y) > _SEPARATE:
+        return place
+    return replace(place, x=nearest.x / distance * radius, y=nearest.y / distance * radius)
 
 
 def _best(change: Array, match: Matcher, sign: int, besides: tuple[int, ...]) -> int:

@@ -35,7 +35,9 @@ class ReadyReadings:
     faults : of the raw frames.
     used : (drives, measures) bool, sound readings that touch no driven electrode.
     memory : estimate; None where none was made.
+    corrected : whether it was taken out of ``block``.
     error : reciprocity error of ``block``; None for one-row scans.
+    offset : whether an unstated offset is part of the readings, see :func:`has_offset`.
     """
 
     block: FrameBlock
@@ -45,6 +47,7 @@ class ReadyReadings:
     memory: MemoryEstimate | None
     corrected: bool
     error: float | None
+    offset: bool
 
     def noise_use(self) -> Mask:
         """Readings to judge noise by: the used ones; all that are not bad where none is used."""
@@ -59,7 +62,18 @@ def _usable(recording: Recording) -> Mask:
     return adjacent_pattern(shape[0]).usable()
 
 
+def has_offset(recording: Recording) -> bool:
+    """Whether readings carry an offset nobody states: counts do, volts and magnitudes do not."""
+    return recording.frames.unit is VoltageUnit.COUNT and not recording.magnitudes_only
+
+
 def make_ready(recording: Recording, wanted: bool | None) -> ReadyReadings:
+    """Find the faults of a recording, and take the reading memory out.
+
+    Parameters
+    ----------
+    wanted : whether to correct reading memory; None to do it where the estimate is worth it.
+    """
     block = recording.frames
     faults = find_faults(block, recording.scan)
     used = _usable(recording) & ~faults.bad
@@ -76,7 +90,8 @@ def make_ready(recording: Recording, wanted: bool | None) -> ReadyReadings:
         voltages = correct_memory(voltages, memory.share, order)
         reference = None if reference is None else correct_memory(reference, memory.share, order)
     mean = voltages.mean(axis=0)
-    error = reciprocity_error(mean, used, offset_of(mean, used, block.unit)) if imaged and used.any() else None
+    offset = has_offset(recording)
+    error = reciprocity_error(mean, used, offset_of(mean, used, counts=offset)) if imaged and used.any() else None
     return ReadyReadings(
         replace(block, voltages=voltages),
         None if reference is None else reference.mean(axis=0),
@@ -85,10 +100,12 @@ def make_ready(recording: Recording, wanted: bool | None) -> ReadyReadings:
         memory,
         bool(apply),
         error,
+        offset,
     )
 
 
 def channel_report(ready: ReadyReadings) -> ChannelReport:
+    """Put what is known about the channels into the result's words."""
     memory = ready.memory
     return ChannelReport(
         saturated=_pairs(ready.faults.saturated),
@@ -117,7 +134,7 @@ def _snr_db(ready: ReadyReadings) -> float | None:
     readings = block.voltages[:, use]
     level = np.median(readings, axis=0)
     if block.voltages.shape[1] > 1:
-        level = level - offset_of(np.median(block.voltages, axis=0), use, block.unit)
+        level = level - offset_of(np.median(block.voltages, axis=0), use, counts=ready.offset)
     sigma = channel_noise(readings, counts=block.unit is VoltageUnit.COUNT)
     ratio = float(np.median(np.abs(level) / sigma))
     return 20 * float(np.log10(ratio)) if ratio > 0 else None

@@ -8,12 +8,19 @@ from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording_changes import find_changes, largest_score, threshold_for
 from cbsr_qa.analysis.recording_events import Press, find_presses
-from cbsr_qa.analysis.recording_imaging import Sheet, UnitModel, sheet_for, unit_model, usable_volts
+from cbsr_qa.analysis.recording_imaging import (
+    Sheet,
+    UnitModel,
+    plain_model,
+    sheet_for,
+    unit_model,
+    usable_volts,
+)
 from cbsr_qa.analysis.recording_noise import channel_noise
 from cbsr_qa.analysis.recording_objects import Object, find_moving, find_still, reciprocal_noise
-from cbsr_qa.analysis.recording_places import Place, matcher
+from cbsr_qa.analysis.recording_places import Place, matcher, robust_directions
 from cbsr_qa.analysis.recording_ready import ReadyReadings
-from cbsr_qa.domain.frames import SampleBlock, VoltageUnit
+from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.image import Image
 from cbsr_qa.domain.load_events import LoadEvent
 from cbsr_qa.domain.reconstruction import LinearReconstruction
@@ -50,17 +57,27 @@ class RecordedScene:
         *,
         named: bool,
     ) -> Self:
+        """Put a recording on its sheet.
+
+        Parameters
+        ----------
+        named : whether a user named the sensor type, so that lengths may be given in millimetres.
+
+        Raises
+        ------
+        NumericsError
+            If too few readings are left, or they do not follow the model.
+        """
         block, used = ready.block, ready.used
-        volts = block.unit is VoltageUnit.VOLT
         frame = np.median(block.voltages, axis=0) if ready.reference is None else ready.reference
-        if volts:
+        if not ready.offset:
             noise = None
             if ready.reference is None:
                 flat = block.voltages.reshape(len(block), -1)
                 noise = channel_noise(flat, counts=False).reshape(frame.shape)
             used = usable_volts(frame, used, noise)
         sheet = sheet_for(sensor_type, used)
-        model = unit_model(frame[used], sheet.problem, block.unit)
+        model = unit_model(frame[used], sheet.problem, offset=ready.offset)
         linear = reconstruction.prepare(sheet.problem)
         return cls(recording, ready, sheet, linear, model, block.voltages[:, used], named)
 
@@ -73,7 +90,18 @@ class RecordedScene:
         match = matcher(self.sheet.patterns, self.sheet.places, np.full(changes.shape[1], sigma), self.model.nuisance)
         white = match.whiten(changes)
         found, why = find_still(white[0], match) if len(white) == 1 else find_moving(white, match)
+        if found and len(white) == 1:
+            found = self._turned(found)
         return tuple(self._object_event(one, changes) for one in found), why
+
+    def _turned(self, found: tuple[Object, ...]) -> tuple[Object, ...]:
+        """Take the directions of still objects from a robust fit in one scale, where the tank follows the model."""
+        plain = None if self.ready.offset else plain_model(self.model.reference, self.sheet.problem)
+        if plain is None:
+            return found
+        match = matcher(self.sheet.patterns, self.sheet.places, np.ones(len(plain.gain)), plain.nuisance)
+        places = robust_directions(tuple(one.place for one in found), plain.changes(self.readings)[0], match)
+        return tuple(replace(one, place=place, track=((0, place),)) for one, place in zip(found, places, strict=True))
 
     def presses(self, rate_hz: float | None) -> tuple[tuple[LoadEvent, ...], str]:
         """Search for presses, each against the frames before it."""

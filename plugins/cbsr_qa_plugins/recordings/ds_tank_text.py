@@ -53,7 +53,7 @@ class DsTankText:
         if options.reference is not None:
             reference, more = _read_frame(options.reference[0])
             problems += [
-                RowProblem(p.line, f"reference {options.reference[0].name}: {p.what}", p.rejected) for p in more
+                RowProblem(p.line, f"reference {options.reference[0].name}: {p.what}", False) for p in more
             ]
             notes.append(f"changes are against {options.reference[0].name}")
         return Recording(

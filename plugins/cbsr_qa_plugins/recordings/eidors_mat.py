@@ -143,8 +143,12 @@ def _conventional_reference(name: str) -> str | None:
 
 
 def _block(matrix: Matrix, rate_hz: float | None) -> FrameBlock:
+    """Frames of a matrix. Driven positions were not measured; where they hold something else than 0 it is no reading."""
     frames = matrix.T.reshape(-1, _ELECTRODES, _ELECTRODES)
     times = np.arange(len(frames), dtype=np.float64) / (rate_hz or 1.0)
-    missing = ~adjacent_pattern(_ELECTRODES).usable() & (frames == 0).all(axis=0)
-    flags = np.broadcast_to(np.where(missing, ReadingFlag.MISSING.value, 0).astype(np.uint8), frames.shape).copy()
-    return FrameBlock(times, frames, flags, VoltageUnit.VOLT, None)
+    usable = adjacent_pattern(_ELECTRODES).usable()
+    flags = np.broadcast_to(np.where(usable, 0, ReadingFlag.MISSING.value).astype(np.uint8), frames.shape).copy()
+    whole = bool((matrix == np.round(matrix)).all())
+    return FrameBlock(
+        times, np.where(usable, frames, 0.0), flags, VoltageUnit.COUNT if whole else VoltageUnit.VOLT, None
+    )
