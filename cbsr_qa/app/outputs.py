@@ -7,7 +7,7 @@ from typing import Any
 from cbsr_qa.app.stages import Stages
 from cbsr_qa.calibrate.file import write_calibration
 from cbsr_qa.config.paths import calibrations_folder, reports_folder
-from cbsr_qa.domain.errors import PluginError
+from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.domain.plan import Recipe
@@ -162,8 +162,9 @@ def report_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[Repo
     for name in names or plugins.in_order(Kind.SECTION):
         try:
             sections.append(plugins.factory(Kind.SECTION, name)())
-        except PluginError as error:
-            missing.append(f"The report section {name} is left out: {error.reason}")
+        except Exception as error:  # noqa: BLE001 - a stranger's constructor may raise anything
+            said = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
+            missing.append(f"The report section {name} is left out: {said}")
     return sections, missing
 
 

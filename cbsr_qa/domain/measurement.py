@@ -144,13 +144,19 @@ def _reason(measurement: Measurement, outcome: Outcome, judged: int) -> str:
         return f"{measurement.label} could not be measured: {measurement.how}"
     limit = measurement.limit
     assert limit is not None
-    bounds = [f"at least {limit.lower:g}"] if limit.lower is not None else []
-    bounds += [f"at most {limit.upper:g}"] if limit.upper is not None else []
-    said = f"{measurement.label} is {measurement.value:.4g} {_shown(measurement.unit)}".rstrip()
+    bounds = [f"at least {_number(limit.lower)}"] if limit.lower is not None else []
+    bounds += [f"at most {_number(limit.upper)}"] if limit.upper is not None else []
+    said = f"{measurement.label} is {_number(measurement.value)} {_shown(measurement.unit)}".rstrip()
     allowed = f"allowed: {' and '.join(bounds)} {_shown(limit.unit)}".rstrip()
     if outcome is Outcome.PASS:
-        return f"all {judged} limits are met; the closest: {said} ({allowed})"
+        met = "the only limit is met" if judged == 1 else f"all {judged} limits are met; the closest"
+        return f"{met}: {said} ({allowed})"
     return f"{said} ({allowed})"
+
+
+def _number(value: float) -> str:
+    """Four digits as people write them; powers of ten only where zeros would have to be counted."""
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
 
 
 def _shown(unit: str) -> str:
