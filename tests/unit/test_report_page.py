@@ -148,7 +148,7 @@ def test_the_same_result_gives_the_same_bytes(result):
 @pytest.mark.parametrize(
     ("value", "headline", "reason"),
     [
-        (1.0, "PASS", "all 1 limits are met"),
+        (1.0, "PASS", "the only limit is met"),
         (4.8, "MARGINAL PASS", "error is 4.8 mm"),
         (7.0, "FAIL", "error is 7 mm"),
         (None, "NOT MEASURED", "could not be measured: no blob"),
