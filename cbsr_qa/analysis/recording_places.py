@@ -114,8 +114,8 @@ def find_places(
 def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) -> tuple[Place, ...]:
     """Turn places towards where a robust fit sees them, keeping their distance from the centre.
 
-    Iteratively reweighted least squares with Huber's weights: the readings of a corroded or misplaced electrode do not
-    decide the direction.
+    Iteratively reweighted least squares with Huber's weights: the readings of a corroded or misplaced electrode do
+    not decide the direction.
 
     Parameters
     ----------

@@ -52,9 +52,7 @@ class DsTankText:
         notes = ["the in-phase voltages Vr are used, as recorded, not divided by the current"]
         if options.reference is not None:
             reference, more = _read_frame(options.reference[0])
-            problems += [
-                RowProblem(p.line, f"reference {options.reference[0].name}: {p.what}", False) for p in more
-            ]
+            problems += [RowProblem(p.line, f"reference {options.reference[0].name}: {p.what}", False) for p in more]
             notes.append(f"changes are against {options.reference[0].name}")
         return Recording(
             path=path,

@@ -16,7 +16,7 @@ from cbsr_qa.domain.recording import ReadOptions, Recording, ScanKind
 _ELECTRODES: Final = 16
 _VALUES: Final = _ELECTRODES**2
 #: Frame rates the data's authors state; the files themselves hold no times.
-_DOCUMENTED_RATE_HZ: Final = {"zc_": 7.0}
+_DOCUMENTED_RATE_HZ: Final = {"zc_demo": 7.0, "zc_resp": 7.0, "zc_breathhold": 7.0}
 _LAYOUT: Final = ElectrodeLayout(_ELECTRODES, ElectrodeKind.ARC, 1.0, 0.1, 0.0, counterclockwise=True)
 
 Matrix = NDArray[np.float64]
@@ -143,7 +143,7 @@ def _conventional_reference(name: str) -> str | None:
 
 
 def _block(matrix: Matrix, rate_hz: float | None) -> FrameBlock:
-    """Frames of a matrix. Driven positions were not measured; where they hold something else than 0 it is no reading."""
+    """Frames of a matrix. Driven positions were not measured: what they hold, 0 or not, is no reading."""
     frames = matrix.T.reshape(-1, _ELECTRODES, _ELECTRODES)
     times = np.arange(len(frames), dtype=np.float64) / (rate_hz or 1.0)
     usable = adjacent_pattern(_ELECTRODES).usable()

@@ -1,0 +1,235 @@
+"""Recorded data through the same analysis and to the same report as a run."""
+
+import hashlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from cbsr_qa.analysis.recording_analysis import AnalysisChoices, analyse_recording
+from cbsr_qa.app.analyse_document import recording_document, result_document
+from cbsr_qa.app.outputs import report_sections
+from cbsr_qa.app.setup import made
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.config.paths import reports_folder
+from cbsr_qa.domain.errors import CbsrError, PluginError, RecordingError
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.recording import ReadOptions, Recording
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.interfaces import RecordingFormat
+from cbsr_qa.plugins import Plugins, discover
+from cbsr_qa.report.render import render_recording, report_name, write_report
+
+_HEAD_BYTES = 4096
+_RECONSTRUCTION = "gauss-newton-noser"
+
+_Read = TypeVar("_Read")
+
+#: Told of each step, in words.
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class AnalyseRequest:
+    """What to analyse, and how.
+
+    Parameters
+    ----------
+    format : name of a recording plugin; None to let the plugins recognise the file.
+    sensor_type : file or shipped name; None for what the recording states, else the nominal disc.
+    dataset : one of several data sets in a file.
+    reference : a file, and a data set in it, that holds the unloaded domain.
+    correct_memory : None to decide by the estimate.
+    report : whether to write one.
+    """
+
+    format: str | None = None
+    sensor_type: str | None = None
+    dataset: str | None = None
+    reference: tuple[Path, str | None] | None = None
+    correct_memory: bool | None = None
+    report: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Analysed:
+    """What came of one file.
+
+    Parameters
+    ----------
+    path : the file.
+    result : None where it was refused before it could be analysed.
+    refused : why, where it was refused.
+    report : file; None where none was written.
+    document : for ``--json``.
+    """
+
+    path: Path
+    result: RecordingResult | None
+    refused: CbsrError | None
+    report: Path | None
+    document: dict[str, Any]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def exit_code(self) -> int:
+        """0 analysed, whether or not anything was found; 2 refused."""
+        return 0 if self.refused is None else self.refused.exit_code
+
+
+def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda said: None) -> Analysed:
+    """Analyse one file. A refusal is a result, not an exception; nothing is written then."""
+    plugins = discover()
+    recording: Recording | None = None
+    datasets: tuple[str, ...] = ()
+    name = request.format or ""
+    try:
+        tell(f"reading {path.name}")
+        format_, name = recognised(path, request.format, plugins)
+        datasets = _guarded(path, name, lambda: format_.datasets(path))
+        recording = _read(path, format_, name, request, plugins)
+        tell(f"analysing {len(recording.frames)} frames")
+        return _analysed(path, recording, request, plugins, datasets)
+    except CbsrError as error:
+        document: dict[str, Any] = {"file": str(path)}
+        if recording is not None:
+            document["recording"] = recording_document(recording, None)
+        elif name:
+            document["recording"] = {"format": name, "frames": 0}
+        if datasets:
+            document["datasets"] = list(datasets)
+        document["refused"] = {"reason": error.reason, "remedy": error.remedy}
+        return Analysed(path, None, error, None, document)
+
+
+def recognised(path: Path, asked: str | None, plugins: Plugins) -> tuple[RecordingFormat, str]:
+    """Find the plugin that reads a file.
+
+    Parameters
+    ----------
+    asked : a format by name; None to let each plugin look at the file's name and beginning.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such file, it is empty or cannot be read, or no format knows it.
+    PluginError
+        If the named format is unknown.
+    """
+    head = _head(path)
+    if asked is not None:
+        return made(plugins, Kind.RECORDING, PluginChoice(asked), "--format"), asked
+    failed: list[str] = []
+    for name in plugins.in_order(Kind.RECORDING):
+        try:
+            format_: RecordingFormat = plugins.factory(Kind.RECORDING, name)()
+            if format_.recognises(path, head):
+                return format_, name
+        except PluginError as error:
+            failed.append(error.reason)
+        except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+            failed.append(f"{name}: {type(error).__name__}: {error}")
+    known = ", ".join(plugins.names(Kind.RECORDING))
+    raise RecordingError(
+        f"{path.name} is in no format that is known here",
+        remedy="; ".join([f"formats: {known}; name one with --format", *failed]),
+    )
+
+
+def _head(path: Path) -> bytes:
+    if not path.exists():
+        raise RecordingError(f"there is no file {path}", remedy="check its name and folder")
+    if not path.is_file():
+        raise RecordingError(f"{path} is not a file", remedy="name the files in it")
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
+    if not head.strip():
+        raise RecordingError(f"{path.name} is empty", remedy="record again, or analyse another file")
+    return head
+
+
+def _read(path: Path, format_: RecordingFormat, name: str, request: AnalyseRequest, plugins: Plugins) -> Recording:
+    if request.reference is not None:
+        _head(request.reference[0])
+    options = ReadOptions(request.dataset, request.reference)
+    recording = _guarded(path, name, lambda: format_.read(path, options))
+    if request.reference is None or recording.reference is not None:
+        return recording
+    # The format itself makes nothing of a reference: read it as a recording of its own.
+    other, dataset = request.reference
+    reader, reader_name = recognised(other, None, plugins)
+    empty = _guarded(other, reader_name, lambda: reader.read(other, ReadOptions(dataset)))
+    if empty.frames.voltages.shape[1:] != recording.frames.voltages.shape[1:] or empty.scan is not recording.scan:
+        raise RecordingError(f"{other.name} has other frames than {path.name}: it cannot be its reference")
+    return replace(
+        recording, reference=empty.frames, notes=(*recording.notes, f"changes are against the mean of {other.name}")
+    )
+
+
+def _guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
+    """Run a plugin's code; whatever it raises becomes one clear refusal."""
+    try:
+        return work()
+    except CbsrError:
+        raise
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
+    except Exception as error:
+        raise RecordingError(
+            f"{path.name} cannot be read as {name}: {type(error).__name__}: {error}",
+            remedy="the file is damaged, or of another format: name it with --format",
+        ) from error
+
+
+def _analysed(
+    path: Path, recording: Recording, request: AnalyseRequest, plugins: Plugins, datasets: tuple[str, ...]
+) -> Analysed:
+    sensor_type, unknown = _sensor_type(recording, request)
+    reconstruction = made(plugins, Kind.RECONSTRUCTION, PluginChoice(_RECONSTRUCTION), "the analysis of recordings")
+    result = analyse_recording(recording, reconstruction, AnalysisChoices(request.correct_memory, sensor_type))
+    document = {"file": str(path), **result_document(result)}
+    if datasets:
+        document["datasets"] = list(datasets)
+    if result.channels.not_connected:
+        error = RecordingError(
+            f"{path.name} holds no signal: all {len(recording.frames)} frames read"
+            f" {recording.frames.voltages.flat[0]:g} {recording.frames.unit.value} everywhere, nothing is connected",
+            remedy="connect the sensor and record again",
+        )
+        document["refused"] = {"reason": error.reason, "remedy": error.remedy}
+        return Analysed(path, result, error, None, document)
+    report, missing = _report(path, result, request, plugins)
+    document["report"] = None if report is None else str(report)
+    warnings = (*result.warnings, *unknown, *missing)
+    document["warnings"] = list(warnings)
+    return Analysed(path, result, None, report, document, warnings)
+
+
+def _sensor_type(recording: Recording, request: AnalyseRequest) -> tuple[SensorType | None, list[str]]:
+    if request.sensor_type is not None:
+        return load_sensor_type(request.sensor_type).value, []
+    if recording.sensor_type is None:
+        return None, []
+    try:
+        return load_sensor_type(recording.sensor_type).value, []
+    except CbsrError as error:
+        said = f"the recording states sensor type {recording.sensor_type!r}, which is not known here: {error.reason}"
+        return None, [f"{said}; it is imaged on a nominal disc"]
+
+
+def _report(
+    path: Path, result: RecordingResult, request: AnalyseRequest, plugins: Plugins
+) -> tuple[Path | None, list[str]]:
+    if not request.report:
+        return None, []
+    sections, missing = report_sections((), plugins)
+    # Files of one name in different folders must not overwrite each other's report.
+    content = hashlib.sha256(path.read_bytes()).hexdigest()[:8]
+    file = reports_folder() / report_name(path.stem, result.recording.dataset, content)
+    write_report(file, render_recording(result, sections, warnings=missing))
+    return file, missing

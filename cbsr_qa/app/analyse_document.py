@@ -1,0 +1,97 @@
+"""What ``analyse --json`` prints."""
+
+from typing import Any
+
+import numpy as np
+
+from cbsr_qa.domain.load_events import ChannelReport, LoadEvent, NoiseReport, RecordingResult
+from cbsr_qa.domain.recording import Recording
+
+
+def recording_document(recording: Recording, frame_rate_hz: float | None) -> dict[str, Any]:
+    """Return what was read."""
+    return {
+        "format": recording.format,
+        "dataset": recording.dataset or None,
+        "frames": len(recording.frames),
+        "scan": recording.scan.value,
+        "rows_rejected": recording.rows_rejected,
+        "problems": [{"line": p.line, "what": p.what, "rejected": p.rejected} for p in recording.problems],
+        "frame_rate_hz": frame_rate_hz,
+        "clock": recording.clock,
+        "force_recorded": any(block.channel == "force" for block in recording.samples),
+        "unit": recording.frames.unit.value,
+        "current_A": recording.frames.current_A,
+        "sensor_type": recording.sensor_type,
+        "loads_documented": len(recording.loads),
+        "notes": list(recording.notes),
+    }
+
+
+def result_document(result: RecordingResult) -> dict[str, Any]:
+    """Return a recording with everything that was found in it."""
+    return {
+        "recording": recording_document(result.recording, result.frame_rate_hz),
+        "channels": _channels(result.channels),
+        "events": [_event(event) for event in result.events],
+        "events_why": result.events_why,
+        "noise": _noise(result.noise, result.recording),
+        "warnings": list(result.warnings),
+        "compute_s": {stage: round(seconds, 4) for stage, seconds in result.compute_s},
+    }
+
+
+def _channels(channels: ChannelReport) -> dict[str, Any]:
+    return {
+        "saturated": [list(pair) for pair in channels.saturated],
+        "stuck": [list(pair) for pair in channels.stuck],
+        "not_connected": channels.not_connected,
+        "used": channels.used,
+        "snr_db": channels.snr_db,
+        "reciprocity_error": channels.reciprocity_error,
+        "reading_memory": channels.reading_memory,
+        "reciprocity_error_corrected": channels.reciprocity_error_corrected,
+        "memory_corrected": channels.memory_corrected,
+    }
+
+
+def _event(event: LoadEvent) -> dict[str, Any]:
+    document: dict[str, Any] = {
+        "start_s": event.start_s,
+        "peak_s": event.peak_s,
+        "end_s": event.end_s,
+        "x_over_R": event.x_over_R,
+        "y_over_R": event.y_over_R,
+        "r_over_R": event.r_over_R,
+        "electrode": event.electrode,
+        "sign": event.sign,
+        "snr": event.snr,
+        "force_N": event.force_N,
+    }
+    if event.x_mm is not None:
+        document |= {"x_mm": event.x_mm, "y_mm": event.y_mm}
+    if event.track:
+        document["track"] = [{"time_s": t, "x_over_R": x, "y_over_R": y} for t, x, y in event.track]
+    return document
+
+
+def _noise(noise: NoiseReport, recording: Recording) -> dict[str, Any]:
+    times = recording.frames.time_s
+    return {
+        "rms": noise.rms,
+        "unit": noise.unit,
+        "drift_per_min": noise.drift_per_min,
+        "steps": [
+            {
+                "time_s": step.time_s,
+                "first_frame_after": int(np.searchsorted(times, step.time_s, side="right")),
+                "what": step.what,
+                "before": step.before,
+                "after": step.after,
+            }
+            for step in noise.steps
+        ],
+        "quiet_s": None if noise.quiet_s is None else list(noise.quiet_s),
+        "frames": noise.frames,
+        "outliers": noise.outliers,
+    }

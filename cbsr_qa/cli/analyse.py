@@ -1,0 +1,95 @@
+"""``cbsr-qa analyse``: recorded data through the same analysis."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cbsr_qa.cli.output import emit_json, note, say
+
+if TYPE_CHECKING:
+    from cbsr_qa.app.analyse import Analysed
+    from cbsr_qa.domain.load_events import LoadEvent
+
+
+def analyse(
+    files: Annotated[list[Path], typer.Argument(help="Recordings.", metavar="FILE...")],
+    format_: Annotated[
+        str | None, typer.Option("--format", help="Format of the files; by default each file is recognised.")
+    ] = None,
+    sensor_type: Annotated[
+        str | None, typer.Option(help="What was measured; without it lengths are in units of the radius.")
+    ] = None,
+    dataset: Annotated[str | None, typer.Option(help="One of several data sets in a file.")] = None,
+    reference: Annotated[
+        str | None, typer.Option(help="Recording of the unloaded or empty domain, FILE[:NAME].")
+    ] = None,
+    memory_correction: Annotated[
+        bool | None,
+        typer.Option(
+            "--memory-correction/--no-memory-correction",
+            help="Take the share of the previous reading out of each; by default where it is clearly there.",
+        ),
+    ] = None,
+    no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+) -> int:
+    """Find channels, noise and presses in recordings, without being told where or when."""
+    from cbsr_qa.app.analyse import AnalyseRequest, analyse_file
+
+    request = AnalyseRequest(
+        format=format_,
+        sensor_type=sensor_type,
+        dataset=dataset,
+        reference=None if reference is None else _reference(reference, files[0]),
+        correct_memory=memory_correction,
+        report=not no_report,
+    )
+    outcomes = [analyse_file(path, request, tell=lambda said: note(f"{said} …")) for path in files]
+    if as_json:
+        documents = [outcome.document for outcome in outcomes]
+        emit_json(documents[0] if len(documents) == 1 else {"files": documents})
+    for outcome in outcomes:
+        if outcome.refused is not None:
+            note(f"cbsr-qa: {outcome.path.name}: {outcome.refused}")
+        elif not as_json:
+            _show(outcome)
+    return max(outcome.exit_code for outcome in outcomes)
+
+
+def _reference(text: str, first: Path) -> tuple[Path, str | None]:
+    """Split FILE[:NAME]; a colon in the file's own name stays there, ``:NAME`` is in the same file."""
+    if Path(text).exists() or ":" not in text:
+        return Path(text), None
+    file, _, name = text.rpartition(":")
+    return (Path(file) if file else first), name
+
+
+def _show(outcome: "Analysed") -> None:
+    result = outcome.result
+    if result is None:
+        return
+    recording, channels = result.recording, result.channels
+    for warning in outcome.warnings:
+        note(f"note: {warning}")
+    rate = "still" if result.frame_rate_hz is None else f"{result.frame_rate_hz:.2f} frames/s"
+    name = f"{outcome.path.name}:{recording.dataset}" if recording.dataset else outcome.path.name
+    say(f"{name}: {len(recording.frames)} frames, {rate}, {recording.rows_rejected} rows rejected")
+    say(f"  channels  {len(channels.saturated)} saturated, {len(channels.stuck)} stuck, {channels.used} imaged")
+    if result.noise.rms is not None:
+        steps = f", {len(result.noise.steps)} steps" if result.noise.steps else ""
+        say(f"  noise     {result.noise.rms:.3g} {result.noise.unit} rms{steps}")
+    for event in result.events:
+        say(f"  event     {_said(event, still=result.frame_rate_hz is None)}")
+    if not result.events:
+        say(f"  no event  {result.events_why}")
+    if outcome.report is not None:
+        say(f"  report    {outcome.report}")
+
+
+def _said(event: "LoadEvent", *, still: bool) -> str:
+    when = "" if still else f"{event.start_s:.1f} to {event.end_s:.1f} s, "
+    what = "conducts more" if event.sign > 0 else "conducts less"
+    place = f"electrode {event.electrode:.2f}, r/R {event.r_over_R:.2f}"
+    mm = "" if event.x_mm is None else f" ({event.x_mm:.1f}, {event.y_mm:.1f} mm)"
+    return f"{when}{place}{mm}, {what}, SNR {event.snr:.1f}"

@@ -1,0 +1,100 @@
+"""Presses found in a recording: when, where, which way, how clearly."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cbsr_qa.domain.load_events import LoadEvent, RecordingResult
+from cbsr_qa.domain.observation import Trace
+from cbsr_qa.domain.recording import ScanKind
+from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
+from cbsr_qa.report.figures_sheet import ImagePanel, Marker, image_figure, sheet_radius
+from cbsr_qa.report.figures_time import Span, timeline_figure
+from cbsr_qa.report.numbers import fixed, plural
+from cbsr_qa.report.tables import text_table
+
+_MOST_IMAGES = 12
+
+
+class RecordingEvents:
+    """Section of the events of a recording, with the image of each."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None for runs."""
+        if not isinstance(result, RecordingResult):
+            return None
+        blocks: list[Block] = []
+        if result.events:
+            blocks += [_table(result.events, still=result.frame_rate_hz is None), _images(result.events)]
+        else:
+            blocks.append(Paragraph(f"No event: {result.events_why}.", "note"))
+        if timeline := _timeline(result):
+            blocks.append(timeline)
+        return Section("Events", tuple(blocks))
+
+
+def _name(rank: int) -> str:
+    return f"E{rank + 1}"
+
+
+def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
+    named = any(event.x_mm is not None for event in events)
+    columns = ["Event", "Start [s]", "Peak [s]", "End [s]", "Electrode", "r/R", "The place", "SNR"]
+    columns += ["x [mm]", "y [mm]"] if named else []
+    forced = any(event.force_N is not None for event in events)
+    columns += ["Force [N]"] if forced else []
+    rows = []
+    for rank, event in enumerate(events):
+        times = ["–"] * 3 if still else [fixed(t, 1) for t in (event.start_s, event.peak_s, event.end_s)]
+        row = [_name(rank), *times, fixed(event.electrode, 2), fixed(event.r_over_R, 2)]
+        row += ["conducts more" if event.sign > 0 else "conducts less", fixed(event.snr, 1)]
+        if named:
+            row += ["–" if at is None else fixed(at, 1) for at in (event.x_mm, event.y_mm)]
+        if forced:
+            row.append("–" if event.force_N is None else fixed(event.force_N, 2))
+        rows.append(row)
+    numeric = tuple(k for k, column in enumerate(columns) if column not in ("Event", "The place"))
+    caption = (
+        "Events, found without being told where or when. Electrode: direction as a fractional electrode number."
+        " SNR: change over the noise of such changes in this recording."
+    )
+    return text_table(caption, columns, rows, numeric)
+
+
+def _images(events: Sequence[LoadEvent]) -> Figure:
+    shown = events[:_MOST_IMAGES]
+    panels = []
+    for rank, event in enumerate(shown):
+        radius = sheet_radius(event.image.mesh)
+        place = Marker(event.x_over_R * radius, event.y_over_R * radius)
+        note = f"electrode {event.electrode:.1f}, r/R {event.r_over_R:.2f}"
+        panels.append(ImagePanel(_name(rank), event.image, (place,), note))
+    left = "" if len(shown) == len(events) else f" The first {len(shown)} of {len(events)}."
+    return image_figure(
+        panels,
+        radius=sheet_radius(shown[0].image.mesh),
+        shared_scale=False,
+        caption="Change each event made against the frames just before it (or against the reference). Marked: the"
+        f" place of the best fit of a small load, which the blur of the image does not move.{left}",
+        alternative="; ".join(f"{panel.title}: {panel.note}" for panel in panels),
+    )
+
+
+def _timeline(result: RecordingResult) -> Figure | None:
+    recording = result.recording
+    block = recording.frames
+    if result.frame_rate_hz is None or len(block) < 2 or result.channels.not_connected:
+        return None
+    first = np.median(block.voltages[: max(2, min(8, len(block) // 4))], axis=0)
+    changed = np.sqrt(np.mean((block.voltages - first) ** 2, axis=(1, 2)))
+    traces = [Trace("change", block.unit.value, block.time_s, changed)]
+    traces += [Trace("force", s.unit, s.time_s, s.values) for s in recording.samples if s.channel == "force"]
+    spans = [Span(e.start_s, e.end_s, _name(rank), e.peak_s) for rank, e in enumerate(result.events)]
+    what = "one row a frame" if recording.scan is ScanKind.DRIVEN_PAIRS else "all readings"
+    told = plural(len(spans), "event") if spans else "no event"
+    return timeline_figure(
+        traces,
+        spans,
+        caption=f"Rms change of {what} since the first frames, and force where it was recorded. Shaded: {told}.",
+        alternative=f"Traces over {block.time_s[-1] - block.time_s[0]:.0f} s with {told}.",
+    )
