@@ -159,7 +159,8 @@ def _noise(recording: Recording, ready: ReadyReadings, events: tuple[LoadEvent, 
 def _warnings(recording: Recording, ready: ReadyReadings, besides: str) -> tuple[str, ...]:
     said = list(recording.notes)
     if recording.problems and recording.rows_rejected:
-        said.append(f"{recording.rows_rejected} rows were rejected, see the list of problems")
+        rows = "row was" if recording.rows_rejected == 1 else "rows were"
+        said.append(f"{recording.rows_rejected} {rows} rejected, see the list of problems")
     if ready.memory is not None and ready.memory.worth_correcting and not ready.corrected:
         said.append(
             f"readings keep {ready.memory.share:.0%} of the one before them and were not corrected, as asked for"

@@ -6,7 +6,7 @@ recording (the median absolute deviation), so slow drift, relaxation and coloure
 themselves (a constant-false-alarm-rate detector). Steps already found are kept out of that estimate.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +20,7 @@ WINDOWS = (2, 4, 8)
 THRESHOLD = 5.5
 #: Few moments make a poor noise estimate: the threshold rises by this many times the share window / moments.
 _SMALL_SAMPLE = 8.0
-_MOST_CHANGES = 60
+_MOST_CHANGES = 400
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,11 +53,11 @@ def find_changes(scores: Array) -> tuple[Change, ...]:
     found: list[Change] = []
     for window in WINDOWS:
         while len(found) < _MOST_CHANGES:
-            change = _strongest(scores, window, found)
-            if change is None:
+            more = _strongest(scores, window, found)
+            if not more:
                 break
-            found.append(change)
-    return tuple(sorted(found, key=lambda change: change.frame))
+            found += more
+    return tuple(sorted(_rescored(scores, found), key=lambda change: change.frame))
 
 
 def largest_score(scores: Array) -> float:
@@ -71,30 +71,74 @@ def threshold_for(moments: int, window: int) -> float:
     return THRESHOLD * (1 + _SMALL_SAMPLE * window / max(moments, 1) / 8) if moments else np.inf
 
 
-def _strongest(scores: Array, window: int, found: list[Change]) -> Change | None:
+def _strongest(scores: Array, window: int, found: list[Change]) -> list[Change]:
+    """Steps above the threshold, strongest first, none within the windows of a stronger one."""
     at, z = _steps(scores, window, found)
     if not z.size:
-        return None
+        return []
     size = np.abs(z).max(axis=1)
-    best = int(np.argmax(size))
-    if size[best] < threshold_for(len(at), window):
-        return None
-    place = int(np.argmax(np.abs(z[best])))
-    return Change(int(at[best]), window, place, int(np.sign(z[best, place])), float(size[best]))
+    threshold = threshold_for(len(at), window)
+    taken: list[Change] = []
+    for best in np.argsort(-size, kind="stable"):
+        if size[best] < threshold:
+            break
+        if all(abs(int(at[best]) - other.frame) > _reach(window, other) for other in taken):
+            place = int(np.argmax(np.abs(z[best])))
+            taken.append(Change(int(at[best]), window, place, int(np.sign(z[best, place])), float(size[best])))
+    return taken
+
+
+def _reach(window: int, change: Change) -> int:
+    """Frames around a step that windows of this width must keep off so as not to see it."""
+    return window + max(change.window, 2) - 1
 
 
 def _steps(scores: Array, window: int, found: list[Change]) -> tuple[NDArray[np.int64], Array]:
     """Moments whose windows hold no step found before, and each place's step over its noise there."""
-    n = len(scores)
-    at = np.arange(window, n - window + 1)
+    at = _quiet(len(scores), window, found)
+    if len(at) < _enough(window):
+        return at, np.empty((0, scores.shape[1]))
+    step = _differences(scores, at, window)
+    middle, noise = _spread(step)
+    return at, (step - middle) / noise
+
+
+def _quiet(frames: int, window: int, found: list[Change]) -> NDArray[np.int64]:
+    """Moments whose windows hold none of the steps."""
+    at = np.arange(window, frames - window + 1, dtype=np.int64)
     for change in found:
-        reach = window + max(change.window, 2) - 1
-        at = at[np.abs(at - change.frame) > reach]
-    if len(at) < max(2 * window, 5):
-        return at.astype(np.int64), np.empty((0, scores.shape[1]))
+        at = at[np.abs(at - change.frame) > _reach(window, change)]
+    return at
+
+
+def _enough(window: int) -> int:
+    return max(2 * window, 5)
+
+
+def _differences(scores: Array, at: NDArray[np.int64], window: int) -> Array:
+    """Mean after minus mean before each moment, in units of its white noise: (moments, p)."""
     total = np.vstack([np.zeros(scores.shape[1]), np.cumsum(scores, axis=0)])
-    step = (total[at + window] - 2 * total[at] + total[at - window]) / np.sqrt(2 * window)
-    middle = np.median(step, axis=0)
+    step: Array = (total[at + window] - 2 * total[at] + total[at - window]) / np.sqrt(2 * window)
+    return step
+
+
+def _spread(step: Array) -> tuple[Array, Array]:
+    middle: Array = np.median(step, axis=0)
     noise = 1.4826 * np.median(np.abs(step - middle), axis=0)
-    noise = np.maximum(noise, max(1.0, float(np.median(noise))))
-    return at.astype(np.int64), (step - middle) / noise
+    return middle, np.maximum(noise, max(1.0, float(np.median(noise))))
+
+
+def _rescored(scores: Array, found: list[Change]) -> list[Change]:
+    """Score all steps anew against the noise that is left when every one of them is kept out of it."""
+    out: list[Change] = []
+    for window in WINDOWS:
+        own = [change for change in found if change.window == window]
+        at = _quiet(len(scores), window, found)
+        if not own or len(at) < _enough(window):
+            out += own
+            continue
+        middle, noise = _spread(_differences(scores, at, window))
+        steps = (_differences(scores, np.array([change.frame for change in own]), window) - middle) / noise
+        for change, step in zip(own, steps, strict=True):
+            out.append(replace(change, score=max(abs(float(step[change.place])), change.score)))
+    return out

@@ -96,7 +96,7 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
         document: dict[str, Any] = {"file": str(path)}
         if recording is not None:
             document["recording"] = recording_document(recording, None)
-        elif name:
+        elif name and not datasets:
             document["recording"] = {"format": name, "frames": 0}
         if datasets:
             document["datasets"] = list(datasets)

@@ -1,9 +1,11 @@
 """Our own export of a run, HDF5 (format ``cbsr-recording``)."""
 
+from dataclasses import replace
 from pathlib import Path
 
 from cbsr_qa.analysis.recording_file import SIGNATURE, read_recording
 from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.loads import LoadRecord
 from cbsr_qa.domain.recording import ReadOptions, Recording
 
 
@@ -22,4 +24,32 @@ class CbsrRecording:
         """Read a file; RecordingError where it is damaged, edited, or of a later version."""
         if options.dataset:
             raise RecordingError(f"{path.name} is one data set; it has none named {options.dataset!r}")
-        return read_recording(path)
+        return _from_first_frame(read_recording(path))
+
+
+def _from_first_frame(recording: Recording) -> Recording:
+    """Count times from the first frame instead of the start of the run."""
+    frames = recording.frames
+    if not len(frames):
+        raise RecordingError(f"{recording.path.name} holds no frames", remedy="export another phase of the run")
+    zero_s = float(frames.time_s[0])
+    own = None if frames.reading_time_s is None else frames.reading_time_s - zero_s
+    return replace(
+        recording,
+        frames=replace(frames, time_s=frames.time_s - zero_s, reading_time_s=own),
+        samples=tuple(replace(block, time_s=block.time_s - zero_s) for block in recording.samples),
+        loads=tuple(_moved(load, zero_s) for load in recording.loads),
+        clock="none" if recording.clock == "none" else "station",
+        notes=(*recording.notes, f"times count from the first frame, which the run's clock puts at {zero_s:.2f} s"),
+    )
+
+
+def _moved(load: LoadRecord, zero_s: float) -> LoadRecord:
+    return replace(
+        load,
+        press_start_s=load.press_start_s - zero_s,
+        hold_start_s=load.hold_start_s - zero_s,
+        release_start_s=load.release_start_s - zero_s,
+        release_end_s=load.release_end_s - zero_s,
+        rest_end_s=load.rest_end_s - zero_s,
+    )
