@@ -112,7 +112,7 @@ def test_refused_input_is_one_clear_message_and_nothing_is_written(tmp_path, arg
 
 
 def test_a_malformed_recipe_names_file_and_line(tmp_path):
-    (tmp_path / "bad.toml").write_text('[recipe]\nname = "x"\nphases = [')
+    (tmp_path / "bad.toml").write_text('[recipe]\nname = "x"\nphases = = 3\n')
     done = cbsr_qa(tmp_path, "run", "--station", "simulated", "--recipe", "bad.toml", "--serial", "A", check=False)
     assert done.returncode == 2
     assert "bad.toml" in done.stderr

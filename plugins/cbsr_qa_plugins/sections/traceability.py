@@ -27,7 +27,7 @@ class Traceability:
 def _instruments(record: RunRecord) -> Table:
     rows = []
     for i in record.identity.instruments:
-        due = "not applicable" if i.simulated else i.calibration_due or "not stated"
+        due = i.calibration_due or ("not applicable" if i.simulated else "not stated")
         rows.append(
             [i.role, i.model, i.serial or "–", i.firmware or "–", i.driver, "yes" if i.simulated else "no", due]
         )
