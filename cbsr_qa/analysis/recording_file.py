@@ -62,7 +62,8 @@ def write_recording(path: Path, recording: Recording) -> None:
         Path(temporary).chmod(0o644)
         Path(temporary).replace(path)
     except OSError as error:
-        Path(temporary).unlink(missing_ok=True)
+        if temporary:
+            Path(temporary).unlink(missing_ok=True)
         raise RecordingError(
             f"the recording cannot be written to {path}: {error.strerror or error}",
             remedy="choose a folder that can be written to",

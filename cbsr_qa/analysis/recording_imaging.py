@@ -100,10 +100,20 @@ def sheet_for(sensor_type: SensorType, used: Mask) -> Sheet:
 def _bumps(sensor_type: SensorType) -> tuple[NDArray[np.int64], Array]:
     mesh = imaging_problem(sensor_type, image_size_mm=_IMAGE_SIZE * sensor_type.radius_mm).mesh
     places = mesh.centroids_mm / sensor_type.radius_mm
-    inner = np.flatnonzero(np.hypot(*places.T) <= _OUTERMOST).astype(np.int64)
+    inner = _thinned(places, np.flatnonzero(np.hypot(*places.T) <= _OUTERMOST).astype(np.int64))
     distance = ((places[:, None] - places[None, inner]) ** 2).sum(axis=2)
     bumps = np.exp(-distance / (2 * _BUMP**2)) * mesh.areas_mm2[:, None]
     return inner, bumps / bumps.sum(axis=0)
+
+
+def _thinned(places: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Keep places no closer to each other than half a bump: more of them tell nothing more."""
+    kept: list[int] = []
+    for candidate in candidates[np.argsort(np.hypot(*places[candidates].T), kind="stable")]:
+        apart = np.hypot(*(places[kept] - places[candidate]).T)
+        if not kept or apart.min() >= _BUMP / 2:
+            kept.append(int(candidate))
+    return np.array(kept, dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -39,7 +39,8 @@ def channel_noise(readings: Array, *, counts: bool) -> Array:
     -------
     (channels,) float64, in the readings' unit; never zero.
     """
-    steps = np.abs(np.diff(readings, axis=0))
+    steps = np.diff(readings, axis=0)
+    steps = np.abs(steps - np.median(steps, axis=0))
     sigma = MAD_TO_SIGMA * np.median(steps, axis=0) / np.sqrt(2)
     # A median of few distinct values (quiet counts) is coarse; the mean without the largest tenth is not.
     kept = np.sort(steps, axis=0)[: max(1, int(0.9 * len(steps)))]

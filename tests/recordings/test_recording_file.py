@@ -1,0 +1,124 @@
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+
+from cbsr_qa.analysis.recording_file import SCHEMA_VERSION, read_recording, write_recording
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.domain.loads import Load, LoadRecord
+from cbsr_qa.domain.recording import ReadOptions, Recording, ScanKind
+from cbsr_qa_plugins.recordings.cbsr_recording import CbsrRecording
+
+
+def sample(*, reading_times=True, reference=True):
+    rng = np.random.default_rng(1)
+    times = 10 + 2.5 * np.arange(6)
+    own = times[:, None, None] + np.linspace(-1, 1, 256).reshape(16, 16) if reading_times else None
+    flags = rng.integers(0, 8, (6, 16, 16)).astype(np.uint8)
+    block = FrameBlock(times, rng.normal(size=(6, 16, 16)), flags, VoltageUnit.VOLT, 0.001, own)
+    load = LoadRecord(0, Load("L0", 1.0, -2.0, 0.2, 1), 12.0, 13.2, 20.0, 21.0, 24.0)
+    return Recording(
+        path=Path("x.h5"),
+        format="cbsr-recording",
+        dataset="",
+        scan=ScanKind.FULL,
+        frames=block,
+        reference=block.select(slice(0, 2)) if reference else None,
+        still=False,
+        magnitudes_only=False,
+        clock="computer",
+        samples=(SampleBlock("force", "N", times, rng.normal(size=6)),),
+        loads=(load,),
+        layout=ElectrodeLayout(16, ElectrodeKind.PIN, 48.0, 0.65, 90.0, counterclockwise=False),
+        sensor_type="disc-100mm",
+        notes=("run <x>", "µ"),
+    )
+
+
+def same_block(one, other):
+    assert (one.unit, one.current_A) == (other.unit, other.current_A)
+    for name in ("time_s", "voltages", "flags"):
+        np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    if other.reading_time_s is None:
+        assert one.reading_time_s is None
+    else:
+        np.testing.assert_array_equal(one.reading_time_s, other.reading_time_s)
+
+
+@pytest.mark.parametrize("reading_times", [True, False])
+@pytest.mark.parametrize("reference", [True, False])
+def test_what_is_written_is_read_back_to_the_bit(tmp_path, reading_times, reference):
+    before, path = sample(reading_times=reading_times, reference=reference), tmp_path / "a.h5"
+    write_recording(path, before)
+    after = read_recording(path)
+    same_block(after.frames, before.frames)
+    if reference:
+        same_block(after.reference, before.reference)
+    for name in ("loads", "layout", "sensor_type", "notes", "scan", "clock", "still"):
+        assert getattr(after, name) == getattr(before, name)
+    np.testing.assert_array_equal(after.samples[0].values, before.samples[0].values)
+    assert list(tmp_path.iterdir()) == [path]  # no temporary file is left
+
+
+def test_every_dataset_states_its_unit(tmp_path):
+    write_recording(tmp_path / "a.h5", sample())
+    units = {}
+    with h5py.File(tmp_path / "a.h5") as file:
+        file.visititems(
+            lambda n, item: units.update({n: item.attrs["unit"]}) if isinstance(item, h5py.Dataset) else None
+        )
+    assert units["frames/voltages"] == "V"
+    assert units["samples/00/values"] == "N"
+    assert all(units.values())
+
+
+def test_the_format_counts_from_the_first_frame(tmp_path):
+    path = tmp_path / "a.h5"
+    write_recording(path, sample())
+    assert CbsrRecording().recognises(path, path.read_bytes()[:4096])
+    recording = CbsrRecording().read(path, ReadOptions())
+    assert recording.frames.time_s[0] == 0
+    assert recording.loads[0].press_start_s == 2.0
+    assert recording.samples[0].time_s[0] == 0
+
+
+def changed(path, change):
+    with h5py.File(path, "r+") as file:
+        change(file)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda file: file["frames/voltages"].__setitem__((0, 0, 0), 9.0), "digest"),
+        (lambda file: file["frames"].attrs.__setitem__("current_A", 2.0), "digest"),
+        (lambda file: file.attrs.__setitem__("schema_version", SCHEMA_VERSION + 1), "schema version 2"),
+        (lambda file: file.attrs.__setitem__("format", "other"), "not a recording of this program"),
+        (lambda file: file.attrs.__delitem__("sha256"), "damaged"),
+    ],
+)
+def test_an_edited_foreign_or_later_file_is_refused_by_name(tmp_path, change, said):
+    path = tmp_path / "a.h5"
+    write_recording(path, sample())
+    changed(path, change)
+    with pytest.raises(RecordingError, match=said):
+        read_recording(path)
+
+
+@pytest.mark.parametrize("share", [0.01, 0.3, 0.9, 0.999])
+def test_a_cut_file_is_refused(tmp_path, share):
+    path = tmp_path / "a.h5"
+    write_recording(path, sample())
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(RecordingError, match=r"a\.h5"):
+        read_recording(path)
+
+
+def test_a_folder_that_cannot_be_written_to_is_refused(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match="cannot be written"):
+        write_recording(tmp_path / "file" / "a.h5", sample())
