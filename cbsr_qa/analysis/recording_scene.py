@@ -105,8 +105,9 @@ class RecordedScene:
 
     def presses(self, rate_hz: float | None) -> tuple[tuple[LoadEvent, ...], str]:
         """Search for presses, each against the frames before it."""
-        times, changes = self._slowed(self.model.changes(self.readings), rate_hz)
-        sigma = channel_noise(changes, counts=False)
+        times, readings = self._slowed(rate_hz)
+        changes = self.model.changes(readings)
+        sigma = channel_noise(readings, counts=self.ready.offset) * np.abs(self.model.gain)
         sigma = np.maximum(sigma, 0.5 * float(np.median(sigma)))
         match = matcher(self.sheet.patterns, self.sheet.places, sigma, self.model.nuisance)
         white = match.whiten(changes)
@@ -124,16 +125,15 @@ class RecordedScene:
         said = [f"a change at {times[frame]:.1f} s is no event: {why}" for frame, why in found.rejected]
         return tuple(sorted(events, key=lambda event: event.start_s)), "; ".join(said)
 
-    def _slowed(self, changes: Array, rate_hz: float | None) -> tuple[Array, Array]:
-        """Average fast recordings down to the rate of detection."""
-        times = self.ready.block.time_s
+    def _slowed(self, rate_hz: float | None) -> tuple[Array, Array]:
+        """Average fast recordings down to the rate of detection: times and readings."""
+        times, readings = self.ready.block.time_s, self.readings
         group = max(1, round((rate_hz or 0.0) / _DETECTION_RATE_HZ))
         whole = len(times) // group * group
         if group == 1 or whole // group < FEWEST_FRAMES:
-            return times, changes
-        return times[:whole].reshape(-1, group).mean(axis=1), changes[:whole].reshape(
-            -1, group, changes.shape[1]
-        ).mean(axis=1)
+            return times, readings
+        means = readings[:whole].reshape(-1, group, readings.shape[1]).mean(axis=1)
+        return times[:whole].reshape(-1, group).mean(axis=1), means
 
     def _press_event(self, press: Press, place: Place, times: Array, changes: Array) -> LoadEvent:
         index = np.arange(len(times))

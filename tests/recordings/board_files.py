@@ -8,7 +8,7 @@ import numpy as np
 PAIRS = 16
 TITLES = "time_pc [s],Mass [g],time_mcu[ms],data [mV]:"
 DUMP = (
-    "\x1b[0;31mE (5317) task_wdt: Task watchdog got triggered. The following tasks did not reset the watchdog:\x1b[0m",
+    "\x1b[0;31mE (5317) task_wdt: Task watchdog got triggered. These tasks did not reset the watchdog:\x1b[0m",
     "\x1b[0;31mE (5317) task_wdt:  - IDLE (CPU 0)\x1b[0m",
     "",
     "Backtrace:0x400D9DDB:0x3FFB0B800x40082749:0x3FFB0BA0 0x4000BFED:0x3FFB5810 ",

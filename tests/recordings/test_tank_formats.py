@@ -17,7 +17,7 @@ def vectors(count, seed=1):
     return frames, frames.reshape(count, 256).T.astype(np.int16)
 
 
-@pytest.fixture()
+@pytest.fixture
 def mat(tmp_path):
     path = tmp_path / "tank.mat"
     content = {"zc_demo3": vectors(9)[1], "zc_h_demo3": vectors(1, 2)[1], "zc_other": vectors(3, 3)[1]}
