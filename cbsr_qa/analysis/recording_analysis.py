@@ -157,18 +157,13 @@ def _noise(recording: Recording, ready: ReadyReadings, events: tuple[LoadEvent, 
 
 
 def _warnings(recording: Recording, ready: ReadyReadings, besides: str) -> tuple[str, ...]:
-    said = list(recording.notes)
+    said: list[str] = []
     if recording.problems and recording.rows_rejected:
         rows = "row was" if recording.rows_rejected == 1 else "rows were"
         said.append(f"{recording.rows_rejected} {rows} rejected, see the list of problems")
     if ready.memory is not None and ready.memory.worth_correcting and not ready.corrected:
         said.append(
             f"readings keep {ready.memory.share:.0%} of the one before them and were not corrected, as asked for"
-        )
-    if ready.corrected and ready.memory is not None:
-        said.append(
-            f"each reading keeps {ready.memory.share:.1%} of the one before it; this was taken out before imaging"
-            f" (reciprocity error {ready.memory.error:.2f} before, {ready.memory.error_corrected:.2f} after)"
         )
     if besides:
         said.append(besides)

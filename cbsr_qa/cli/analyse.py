@@ -70,8 +70,8 @@ def _show(outcome: "Analysed") -> None:
     if result is None:
         return
     recording, channels = result.recording, result.channels
-    for warning in outcome.warnings:
-        note(f"note: {warning}")
+    for remark in (*recording.notes, *outcome.warnings):
+        note(f"note: {remark}")
     rate = "still" if result.frame_rate_hz is None else f"{result.frame_rate_hz:.2f} frames/s"
     name = f"{outcome.path.name}:{recording.dataset}" if recording.dataset else outcome.path.name
     say(f"{name}: {len(recording.frames)} frames, {rate}, {recording.rows_rejected} rows rejected")

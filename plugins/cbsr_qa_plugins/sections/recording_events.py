@@ -4,6 +4,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from cbsr_qa.analysis.recording_imaging import nominal_disc
+from cbsr_qa.domain.electrodes import ElectrodeLayout
 from cbsr_qa.domain.load_events import LoadEvent, RecordingResult
 from cbsr_qa.domain.observation import Trace
 from cbsr_qa.domain.recording import ScanKind
@@ -25,7 +27,9 @@ class RecordingEvents:
             return None
         blocks: list[Block] = []
         if result.events:
-            blocks += [_table(result.events, still=result.frame_rate_hz is None), _images(result.events)]
+            still = result.frame_rate_hz is None
+            electrodes = nominal_disc(result.recording.layout, result.recording.frames.voltages.shape[1]).electrodes
+            blocks += [_table(result.events, still=still), _images(result.events, electrodes)]
         else:
             blocks.append(Paragraph(f"No event: {result.events_why}.", "note"))
         if timeline := _timeline(result):
@@ -61,7 +65,7 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
     return text_table(caption, columns, rows, numeric)
 
 
-def _images(events: Sequence[LoadEvent]) -> Figure:
+def _images(events: Sequence[LoadEvent], electrodes: ElectrodeLayout) -> Figure:
     shown = events[:_MOST_IMAGES]
     panels = []
     for rank, event in enumerate(shown):
@@ -73,6 +77,7 @@ def _images(events: Sequence[LoadEvent]) -> Figure:
     return image_figure(
         panels,
         radius=sheet_radius(shown[0].image.mesh),
+        electrodes=electrodes,
         shared_scale=False,
         caption="Change each event made against the frames just before it (or against the reference). Marked: the"
         f" place of the best fit of a small load, which the blur of the image does not move.{left}",
