@@ -148,7 +148,11 @@ class SequenceContext:
 
 
 class Sequence(Protocol):
-    """Makes steps. It never touches an instrument: the runner does, and a dry run only counts."""
+    """Makes steps. It never touches an instrument: the runner does, and a dry run only counts.
+
+    A sequence may have an attribute ``role`` (:class:`~cbsr_qa.domain.steps.Role`) that says what it is for;
+    metrics and report sections look for roles. Without it the role is OTHER.
+    """
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time it is asked."""

@@ -51,6 +51,7 @@ class LoadRecord:
     ----------
     index : 0-based within its phase.
     press_start_s … rest_end_s : the head starts down, is down, starts up, is up, the rest is over.
+    clear_s : the head has left the sheet, on its way up; None where nobody noted it (recordings of others).
     """
 
     index: int
@@ -60,6 +61,12 @@ class LoadRecord:
     release_start_s: float
     release_end_s: float
     rest_end_s: float
+    clear_s: float | None = None
+
+    @property
+    def unloaded_s(self) -> float:
+        """When the unloading ramp ended: the head left the sheet, or is known to be up [s]."""
+        return self.release_end_s if self.clear_s is None else self.clear_s
 
 
 #: The nine locations of the paper's Fig 2, in the rig's order [mm].

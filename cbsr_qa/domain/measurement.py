@@ -1,10 +1,18 @@
 """Measurements, the limits they are held against, and the verdict that follows."""
 
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from typing import Self
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.outcome import Outcome, worst
+
+
+class Bound(StrEnum):
+    """What a value says about the quantity it stands for."""
+
+    EXACT = "exact"
+    LOWER = "lower"  #: the quantity is at least this: a settling time later than the window
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,14 +43,27 @@ class Limit:
         if self.lower is not None and self.upper is not None and self.lower > self.upper:
             raise RefusedError(f"limit of {self.measurement}: lower {self.lower} is above upper {self.upper}")
 
-    def judge(self, value: float | None) -> Outcome:
-        """Judge a value; a value nobody could determine is NOT_MEASURED."""
+    def judge(self, value: float | None, bound: Bound = Bound.EXACT) -> Outcome:
+        """Judge a value; a value nobody could determine is NOT_MEASURED.
+
+        A lower bound can fail an upper limit, but never meet it: the quantity itself may lie anywhere above.
+        """
         if value is None:
             return Outcome.NOT_MEASURED
+        if bound is Bound.LOWER:
+            return self._judge_lower_bound(value)
         margin = self.margin(value)
         if margin < 0:
             return Outcome.FAIL
         return Outcome.MARGINAL if margin < self.marginal else Outcome.PASS
+
+    def _judge_lower_bound(self, value: float) -> Outcome:
+        if self.upper is not None:
+            return Outcome.FAIL if value > self.upper else Outcome.NOT_MEASURED
+        assert self.lower is not None
+        if value < self.lower:
+            return Outcome.NOT_MEASURED
+        return Outcome.MARGINAL if value - self.lower < self.marginal else Outcome.PASS
 
     def margin(self, value: float) -> float:
         """Distance from the nearer bound, negative outside, in the limit's unit."""
@@ -66,6 +87,10 @@ class Measurement:
     trial : 0-based; None where it is not about one.
     qualifier : what else tells it from its siblings, e.g. ``"mask 85 %"``.
     how : method, or the reason of a refusal with its remedy.
+    bound : whether the value is the quantity or only a lower bound of it.
+    load : index of the load within its phase, as in :class:`~cbsr_qa.domain.loads.LoadRecord`; None where it is
+        not about one. With ``phase`` it tells apart loads of one label and trial at several strains.
+    strain : of that load, as a fraction.
     limit, outcome : set by :meth:`judged`.
     """
 
@@ -78,6 +103,9 @@ class Measurement:
     trial: int | None = None
     qualifier: str = ""
     how: str = ""
+    bound: Bound = Bound.EXACT
+    load: int | None = None
+    strain: float | None = None
     limit: Limit | None = None
     outcome: Outcome = Outcome.NOT_JUDGED
 
@@ -99,7 +127,7 @@ class Measurement:
                 f"limit of {self.name} is in {limit.unit}, the measurement in {self.unit}",
                 remedy="give the limit in the measurement's unit",
             )
-        return replace(self, limit=limit, outcome=limit.judge(self.value))
+        return replace(self, limit=limit, outcome=limit.judge(self.value, self.bound))
 
     @property
     def label(self) -> str:
@@ -146,7 +174,8 @@ def _reason(measurement: Measurement, outcome: Outcome, judged: int) -> str:
     assert limit is not None
     bounds = [f"at least {_number(limit.lower)}"] if limit.lower is not None else []
     bounds += [f"at most {_number(limit.upper)}"] if limit.upper is not None else []
-    said = f"{measurement.label} is {_number(measurement.value)} {_shown(measurement.unit)}".rstrip()
+    least = "at least " if measurement.bound is Bound.LOWER else ""
+    said = f"{measurement.label} is {least}{_number(measurement.value)} {_shown(measurement.unit)}".rstrip()
     allowed = f"allowed: {' and '.join(bounds)} {_shown(limit.unit)}".rstrip()
     if outcome is Outcome.PASS:
         met = "the only limit is met" if judged == 1 else f"all {judged} limits are met; the closest"

@@ -80,10 +80,11 @@ class LoadObservation:
     noise_floor : relative, subtracted for masks only.
     masks : one view per percentage mask, in the recipe's order.
     steady_frames : how many frames the steady image averages.
-    settled : whether they lie at or beyond 1.5 × the settling time.
+    settled : whether they lie at or beyond 1.5 × the settling time; None where no settling time is known.
     force_N, force_stderr_N : mean over the same window; None where no force was recorded.
     relaxations : fits of this load's traces.
-    residue : largest response-signed value of the image just before the press: what earlier loads left behind.
+    residue : largest absolute value of the image just before the press: what earlier loads left behind, of
+        either sign (an unloading spike goes the other way).
     alternate : the same load against the other reference (``settings.reference``), given where the residue
         exceeds the noise floor; None elsewhere.
     """
@@ -96,7 +97,7 @@ class LoadObservation:
     noise_floor: float
     masks: tuple[MaskView, ...]
     steady_frames: int
-    settled: bool
+    settled: bool | None
     force_N: float | None
     force_stderr_N: float | None
     relaxations: tuple[RelaxationObservation, ...] = ()

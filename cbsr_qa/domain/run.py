@@ -8,6 +8,7 @@ from cbsr_qa.domain.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.loads import Indenter, LoadRecord
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
+from cbsr_qa.domain.steps import Role
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +73,7 @@ class PhaseRecord:
     samples : one joined block per channel.
     loads : the presses held to their end.
     unloaded_from_s : from when the sheet counted as rested (see ``MarkUnloaded``); None where it never did.
+    role : what the sequence is for, as it says itself (see ``Role``); OTHER where it says nothing.
     """
 
     index: int
@@ -83,6 +85,7 @@ class PhaseRecord:
     samples: tuple[SampleBlock, ...] = ()
     loads: tuple[LoadRecord, ...] = ()
     unloaded_from_s: float | None = None
+    role: Role = Role.OTHER
 
     def channel(self, name: str) -> SampleBlock | None:
         """Return the samples of a channel, or None where it was not recorded."""

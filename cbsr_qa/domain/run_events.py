@@ -6,7 +6,7 @@ from cbsr_qa.domain.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.loads import LoadRecord
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run import RunIdentity
-from cbsr_qa.domain.steps import Step
+from cbsr_qa.domain.steps import Role, Step
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,12 +18,13 @@ class RunStarted:
 
 @dataclass(frozen=True, slots=True)
 class PhaseStarted:
-    """A sequence begins."""
+    """A sequence begins. ``role`` is what it says it is for."""
 
     index: int
     name: str
     sequence: str
     time_s: float
+    role: Role = Role.OTHER
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,8 +1,19 @@
 """Steps a sequence asks for. The runner executes them; a dry run only counts them."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 
 from cbsr_qa.domain.loads import Load
+
+
+class Role(StrEnum):
+    """What a sequence is for: metrics and report sections look for roles, never for a plugin's name."""
+
+    NOISE = "noise"  #: unloaded frames and centre loads for the noise figure
+    GRID = "grid"  #: fixed places at common strains
+    RANDOM = "random"  #: places and strains drawn at random
+    RELAXATION = "relaxation"  #: long holds for relaxation fits
+    OTHER = "other"
 
 
 @dataclass(frozen=True, slots=True)

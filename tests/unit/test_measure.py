@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from cbsr_qa.analysis.measure import judge, measure_run
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.measurement import Limit, Measurement, decide
+from cbsr_qa.domain.measurement import Bound, Limit, Measurement, decide
 from cbsr_qa.domain.outcome import Outcome
 
 numbers = st.floats(-1e6, 1e6)
@@ -64,6 +64,22 @@ def test_of_two_limits_the_stricter_outcome_counts_in_either_order():
         (judged,) = judge([Measurement("error", 3.0, "mm")], limits)
         assert judged.outcome is Outcome.FAIL
         assert judged.limit is tight
+
+
+@pytest.mark.parametrize(
+    ("value", "lower", "upper", "outcome"),
+    [
+        (60.0, None, 60.0, Outcome.NOT_MEASURED),  # at least 60: perhaps 600
+        (61.0, None, 60.0, Outcome.FAIL),
+        (61.0, 60.0, None, Outcome.PASS),
+        (59.0, 60.0, None, Outcome.NOT_MEASURED),
+        (59.0, 50.0, 60.0, Outcome.NOT_MEASURED),
+    ],
+)
+def test_a_lower_bound_never_meets_an_upper_limit(value, lower, upper, outcome):
+    measurement = Measurement("settling", value, "s", bound=Bound.LOWER)
+    judged = measurement.judged(Limit("settling", "s", lower, upper))
+    assert judged.outcome is outcome
 
 
 @given(numbers, numbers, numbers, st.floats(0, 1e3))
