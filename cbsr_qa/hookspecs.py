@@ -48,9 +48,10 @@ def cbsr_register(register: Register) -> None:
 
 @hookspec
 def cbsr_run_started(identity: RunIdentity) -> None:
-    """A run is about to touch its first instrument. All implementations are called; None is expected.
+    """A run begins: its instruments are open and have said who they are, nothing has moved yet.
 
-    An exception is reported as a warning of the run and stops nothing.
+    All implementations are called; None is expected. An exception is reported as a warning of the run; it stops
+    nothing and no other implementation. The same holds for the hooks below.
     """
 
 

@@ -85,6 +85,21 @@ class Plugins:
             ) from error
         return factory
 
+    def tell(self, hook: str, warn: Callable[[str], None], **arguments: object) -> None:
+        """Call every implementation of a hook, each in its own ``try``: one that fails silences no other.
+
+        Parameters
+        ----------
+        hook : name of the hook.
+        warn : told about implementations that fail.
+        arguments : of the hook.
+        """
+        for implementation in getattr(self.manager.hook, hook).get_hookimpls():
+            try:
+                implementation.function(**{name: arguments[name] for name in implementation.argnames})
+            except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+                warn(f"plugin {implementation.plugin_name} failed in {hook}: {_said(error)}")
+
     def add(self, plugin: object, distribution: str, version: str, entry_point: str) -> None:
         """Take in one plugin; whatever it does wrong is kept as a failure."""
         pending: dict[tuple[Kind, str], Registration] = {}

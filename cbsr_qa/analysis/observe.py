@@ -5,9 +5,10 @@ from dataclasses import replace
 
 from cbsr_qa.analysis.imager import Imager
 from cbsr_qa.analysis.run_loads import LoadSetting, LoadWindow, load_window, mean_change_under_head, observe_load
-from cbsr_qa.analysis.run_reference import split_unloaded, unloaded_frames, usable_readings
+from cbsr_qa.analysis.run_reference import UsableData, split_unloaded, unloaded_frames, usable_data
 from cbsr_qa.analysis.run_response import decide_response
 from cbsr_qa.analysis.run_timeline import metric_timelines
+from cbsr_qa.domain.frames import FrameBlock
 from cbsr_qa.domain.loads import LoadRecord
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.plan import AnalysisSettings
@@ -45,39 +46,42 @@ def observe_run(
     NumericsError
         If the run has no unloaded frames, too few usable readings, or a load without a frame.
     """
-    usable, warnings = usable_readings(record)
-    unloaded = unloaded_frames(record)
+    data = usable_data(record)
+    unloaded = unloaded_frames(data.record)
     for_noise, for_reference = split_unloaded(unloaded, settings.noise_floor_frames)
-    reference = for_reference.voltages.mean(axis=0)
-    problem = imaging_problem(record.sensor_type, used=usable)
-    prepared = reconstruction.prepare(problem)
-    imager = Imager(prepared, reference, scale_of(reference, problem))
+    imager = _imager(data, for_reference, reconstruction)
     noise_images = imager.images(for_noise)
     floor = noise_floor(noise_images)
-
+    phases = data.record.phases
+    cut = [(phase, load, load_window(phase, load, settings)) for phase in phases for load in phase.loads]
     undecided = LoadSetting(imager, settings, record.indenter, floor, Response.AUTO)
-    cut = [(phase, load, load_window(phase, load, settings)) for phase in record.phases for load in phase.loads]
     signals = [mean_change_under_head(undecided, load, window) for _, load, window in cut]
     response, how, doubts = decide_response(record.sensor_type.response, signals, floor)
     setting = replace(undecided, response=response)
     loads = _observe_all(setting, cut, progress)
     return RunObservation(
         record=record,
-        reconstruction=prepared,
+        reconstruction=imager.reconstruction,
         scale=imager.scale,
         unloaded=unloaded,
-        reference=reference,
+        reference=imager.reference,
         noise_floor=floor,
         noise_images=noise_images,
         response=response,
         response_how=how,
         main_mask=settings.main_mask,
         loads=loads,
-        usable=usable,
+        usable=data.readings,
         settings=settings,
-        warnings=(*warnings, *doubts, *_remarks(loads, settings.settling_multiple)),
-        timelines=metric_timelines(setting, record),
+        warnings=(*data.warnings, *doubts, *_remarks(loads, settings.settling_multiple)),
+        timelines=metric_timelines(setting, data.record),
     )
+
+
+def _imager(data: UsableData, for_reference: FrameBlock, reconstruction: Reconstruction) -> Imager:
+    reference = for_reference.voltages.mean(axis=0)
+    problem = imaging_problem(data.record.sensor_type, used=data.readings)
+    return Imager(reconstruction.prepare(problem), reference, scale_of(reference, problem))
 
 
 def _observe_all(setting: LoadSetting, cut: list[_Cut], progress: Progress) -> tuple[LoadObservation, ...]:
@@ -97,10 +101,16 @@ def _remarks(loads: tuple[LoadObservation, ...], multiple: float) -> tuple[str, 
             f"before {len(residual)} of {len(loads)} presses the image still showed earlier loads above the noise"
             f" floor, most before {worst.record.load.label} of {worst.phase}: both references are reported there"
         )
-    early = sum(not load.settled for load in loads)
+    early = sum(load.settled is False for load in loads)
     if early:
         words.append(
             f"in {early} of {len(loads)} holds the last frames were taken before {multiple:g} settling times had"
             " passed: their images are of a sheet still relaxing"
+        )
+    unknown = sum(load.settled is None for load in loads)
+    if unknown:
+        words.append(
+            f"for {unknown} of {len(loads)} holds no settling time is known (no blob, or no fit): whether their last"
+            " frames are settled is not known either"
         )
     return tuple(words)

@@ -82,7 +82,7 @@ def observe_load(setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, w
     """Work out one press; against the other reference too where earlier loads left more than the noise floor."""
     imager = setting.imager
     before = imager.images(window.before).mean(axis=0) if len(window.before) else np.zeros(len(imager.mesh.elements))
-    residue = float(max((setting.sign * before).max(), 0.0))
+    residue = float(np.abs(before).max())
     absolute = imager.images(window.steady).mean(axis=0)
     values = {"run": absolute, "load": absolute - before}
     chosen = setting.settings.reference
@@ -116,7 +116,7 @@ def _observe(
         noise_floor=setting.noise_floor,
         masks=mask_views(mesh, setting.sign * values, setting.noise_floor, setting.settings, record.load),
         steady_frames=len(window.steady),
-        settled=False,
+        settled=None,
         force_N=force,
         force_stderr_N=stderr,
         residue=residue,
@@ -142,11 +142,11 @@ def _settled(
     relaxations: tuple[RelaxationObservation, ...],
     window: LoadWindow,
     settings: AnalysisSettings,
-) -> bool:
-    """Whether the steady frames lie beyond the stated multiple of the load's own settling time."""
+) -> bool | None:
+    """Whether the steady frames lie beyond the stated multiple of the load's own settling time; None if unknown."""
     for seen in relaxations:
         if seen.signal == "conductance" and seen.loading and seen.settling.value_s is not None:
             needed_s = settings.settling_multiple * seen.settling.value_s
             held_s = float(window.steady.time_s[0]) - load.record.hold_start_s
             return not seen.settling.censored and held_s >= needed_s
-    return False
+    return None

@@ -1,5 +1,7 @@
 """The unloaded sheet of a run: its frames, its reference, its usable readings."""
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,6 +9,10 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, join_frames
 from cbsr_qa.domain.run import PhaseRecord, RunRecord
 
+#: A frame with more than this share of its imaged readings flagged is lost as a whole.
+_LOST_SHARE = 0.25
+#: Channels are left out until at most this share of the frames is still touched by a flag.
+_TOUCHED_SHARE = 0.01
 _UNUSABLE = ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING
 
 
@@ -45,27 +51,70 @@ def split_unloaded(frames: FrameBlock, noise_floor_frames: int) -> tuple[FrameBl
     return frames.select(slice(0, noise_floor_frames)), frames.select(slice(noise_floor_frames, None))
 
 
-def usable_readings(record: RunRecord) -> tuple[NDArray[np.bool_], tuple[str, ...]]:
-    """Readings fit for imaging: no driven electrode in them, never flagged, and not stuck.
+@dataclass(frozen=True, slots=True, eq=False)
+class UsableData:
+    """What of a run can be imaged.
 
-    A reading that never changes while others do is stuck; where nothing changes at all (a noiseless simulated
-    sheet nobody presses) no reading is.
+    Parameters
+    ----------
+    record : the run without the frames that were lost.
+    readings : (drives, measures) bool, fit for imaging in every frame that is left.
+    warnings : a sentence for every kind of reading or frame left out beyond the pattern's own.
+    """
 
-    Returns
-    -------
-    (drives, measures) bool, and a sentence for every kind of reading left out beyond the pattern's own.
+    record: RunRecord
+    readings: NDArray[np.bool_]
+    warnings: tuple[str, ...]
+
+
+def usable_data(record: RunRecord) -> UsableData:
+    """Leave out readings that cannot be imaged, or the few frames in which they could not.
+
+    A frame most of which is flagged is lost: one bad frame must not cost a run, nor its readings in all others. Of
+    what is flagged then, channels go first, the worst before others, until at most 1 % of the frames are still
+    touched; those frames go. So a channel that saturates throughout a press is left out, and a watchdog dump in
+    one frame costs that frame. A reading that never changes while others do is stuck; where nothing changes at all
+    (a noiseless simulated sheet nobody presses) no reading is.
     """
     frames = join_frames([phase.frames for phase in record.phases if phase.frames is not None])
     pattern = record.sensor_type.pattern.usable()
-    flagged = ((frames.flags & _UNUSABLE) != 0).any(axis=0) & pattern
-    constant = np.ptp(frames.voltages, axis=0) == 0
-    stuck = constant & pattern & ~flagged if not constant[pattern].all() else np.zeros_like(pattern)
+    flagged = ((frames.flags & _UNUSABLE) != 0) & pattern
+    lost = flagged.sum(axis=(1, 2)) > _LOST_SHARE * pattern.sum()
+    left_out = _flagged_channels(flagged[~lost])
+    lost |= (flagged & ~left_out).any(axis=(1, 2))
+    kept = frames.voltages[~lost]
+    constant = np.ptp(kept, axis=0) == 0 if len(kept) else np.zeros_like(pattern)
+    stuck = constant & pattern & ~left_out if not constant[pattern].all() else np.zeros_like(pattern)
     words = [
-        f"{int(left_out.sum())} readings are left out of every image because they are {why}: {_named(left_out)}"
-        for left_out, why in ((flagged, "saturated or missing in some frame"), (stuck, "stuck at one value"))
-        if left_out.any()
+        f"{int(channels.sum())} readings are left out of every image because they are {why}: {_named(channels)}"
+        for channels, why in ((left_out, "saturated or missing in many frames"), (stuck, "stuck at one value"))
+        if channels.any()
     ]
-    return pattern & ~flagged & ~stuck, tuple(words)
+    if lost.any():
+        words.append(f"{int(lost.sum())} of {len(frames)} frames are left out: readings in them are missing")
+    return UsableData(_without(record, frames.time_s[lost]), pattern & ~left_out & ~stuck, tuple(words))
+
+
+def _flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Choose channels to leave out, (drives, measures) bool, so that few of the frames (n, …) stay touched."""
+    left_out = np.zeros(flagged.shape[1:], dtype=np.bool_)
+    allowed = max(1.0, _TOUCHED_SHARE * len(flagged))
+    while (flagged & ~left_out).any(axis=(1, 2)).sum() > allowed:
+        counts = np.where(left_out, 0, flagged.sum(axis=0))
+        left_out |= counts == counts.max()
+    return left_out
+
+
+def _without(record: RunRecord, lost_s: NDArray[np.float64]) -> RunRecord:
+    if not len(lost_s):
+        return record
+    phases = tuple(
+        phase
+        if phase.frames is None
+        else replace(phase, frames=phase.frames.select(~np.isin(phase.frames.time_s, lost_s)))
+        for phase in record.phases
+    )
+    return replace(record, phases=phases)
 
 
 def _unloaded_of(phase: PhaseRecord) -> FrameBlock | None:

@@ -61,7 +61,7 @@ def _press_and_release(
     signal: str, trace: Trace, record: LoadRecord, settings: AnalysisSettings
 ) -> list[RelaxationObservation]:
     held = _cut(trace, record.hold_start_s, record.release_start_s)
-    released = _cut(trace, record.release_end_s, record.rest_end_s)
+    released = _cut(trace, record.unloaded_s, record.rest_end_s)
     pressed = _loading(signal, held, settings)
     if len(released.time_s) == 0:
         return [pressed]

@@ -9,24 +9,17 @@ from cbsr_qa.domain.image import Blob
 from cbsr_qa.domain.loads import LoadRecord
 from cbsr_qa.domain.observation import MetricTimeline
 from cbsr_qa.domain.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.steps import Role
 from cbsr_qa.imaging.shape import area_overlap_percent, centre_of_mass_error_mm, shape_deviation_mm2
-
-#: A phase is drawn over time if it presses at least this many different places.
-_FEWEST_PLACES = 5
 
 
 def metric_timelines(setting: LoadSetting, record: RunRecord) -> tuple[MetricTimeline, ...]:
-    """Metrics over time of the phases that press many places at the same strains."""
-    return tuple(_timeline(setting, phase) for phase in record.phases if _is_grid(phase))
-
-
-def _is_grid(phase: PhaseRecord) -> bool:
-    """Random loads differ in place and strain alike: a row of them over time compares nothing."""
-    if phase.frames is None:
-        return False
-    places = {(record.load.x_mm, record.load.y_mm) for record in phase.loads}
-    strains = {record.load.strain for record in phase.loads}
-    return len(places) >= _FEWEST_PLACES and len(strains) < len(places)
+    """Metrics over time of the phases that press a grid of places."""
+    return tuple(
+        _timeline(setting, phase)
+        for phase in record.phases
+        if phase.role is Role.GRID and phase.frames is not None and phase.loads
+    )
 
 
 def _timeline(setting: LoadSetting, phase: PhaseRecord) -> MetricTimeline:

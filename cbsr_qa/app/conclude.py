@@ -61,9 +61,10 @@ def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages
     try:
         with stages.stage("imaging"):
             observation = observe_run(record, reconstruction, recipe.analysis)
-    except NumericsError as error:
-        why = f"the frames cannot be imaged: {error.reason}"
-        return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), (error.remedy,) if error.remedy else ())
+    except Exception as error:  # noqa: BLE001 - a stranger's reconstruction may raise anything, and the run is stored
+        why = f"the frames cannot be imaged: {_said(error)}"
+        remedy = error.remedy if isinstance(error, CbsrError) else ""
+        return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), (remedy,) if remedy else ())
     with stages.stage("metrics"):
         measured, failed = measure_run(observation, metrics)
         judged = judge(measured, recipe.limits)
@@ -118,7 +119,21 @@ def check_plugins(recipe: Recipe, plugins: Plugins) -> None:
 
 
 def _overlap_threshold(recipe: Recipe) -> float:
-    """Lowest area overlap the recipe accepts, or where its second band begins if it sets no limit."""
-    lowest = [limit.lower for limit in recipe.limits if limit.measurement == "area_overlap"]
-    given = [lower for lower in lowest if lower is not None]
-    return max(given) if given else sorted(band.lower for band in recipe.analysis.overlap_bands)[1]
+    """Lowest area overlap the recipe accepts where it calibrates, with the mask that decides.
+
+    A recipe without such a limit accepts what its bands do not call their worst; with one band, anything.
+    """
+    given = [
+        limit.lower
+        for limit in recipe.limits
+        if limit.measurement == "area_overlap"
+        and limit.lower is not None
+        and not limit.qualifier
+        and limit.phase in ("", *recipe.calibrate_phases)
+    ]
+    bands = sorted(band.lower for band in recipe.analysis.overlap_bands)
+    return max(given) if given else bands[min(1, len(bands) - 1)]
+
+
+def _said(error: Exception) -> str:
+    return error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"

@@ -139,7 +139,7 @@ def write_outputs(result: RunResult, recipe: Recipe, plugins: Plugins, stages: S
         calibration = calibrations_folder() / f"{stem}.h5"
         with stages.stage("writing the calibration file"):
             write_calibration(calibration, result.calibration)
-        failed += _tell_plugins(result, plugins)
+        plugins.tell("cbsr_calibration_issued", failed.append, calibration=result.calibration)
     report = reports_folder() / report_name(identity.sensor.serial, identity.run)
     sections, missing = report_sections(recipe.sections, plugins)
     with stages.stage("rendering the report"):
@@ -166,11 +166,3 @@ def report_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[Repo
             said = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
             missing.append(f"The report section {name} is left out: {said}")
     return sections, missing
-
-
-def _tell_plugins(result: RunResult, plugins: Plugins) -> list[str]:
-    try:
-        plugins.manager.hook.cbsr_calibration_issued(calibration=result.calibration)
-    except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
-        return [f"a plugin failed when it was told of the calibration: {type(error).__name__}: {error}"]
-    return []

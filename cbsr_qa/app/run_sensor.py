@@ -169,17 +169,17 @@ class _Session:
 
     def _hooks(self, identity: RunIdentity) -> Callable[[RunEvent], None]:
         """Tell plugins what happens; one that fails becomes a warning of the run."""
-        hook = self._plugins.manager.hook
+        tell, warn = self._plugins.tell, self._warnings.append
         names: dict[int, str] = {}
 
         def plugin_hooks(event: RunEvent) -> None:
             match event:
                 case RunStarted():
-                    hook.cbsr_run_started(identity=identity)
+                    tell("cbsr_run_started", warn, identity=identity)
                 case PhaseStarted():
                     names[event.index] = event.name
                 case PhaseFinished():
-                    hook.cbsr_phase_finished(identity=identity, phase=names[event.index])
+                    tell("cbsr_phase_finished", warn, identity=identity, phase=names[event.index])
 
         return plugin_hooks
 

@@ -2,6 +2,8 @@
 
 import os
 import sys
+import traceback
+from pathlib import Path
 from typing import Annotated, Any, cast
 
 import typer
@@ -42,6 +44,8 @@ def _options(
     """Test, judge and calibrate soft pressure sensors read by electrical impedance tomography."""
 
 
+_REPORT_IT = "what was stored is kept; please report this with the output of CBSR_QA_TRACEBACK=1 and the command"
+
 #: What typer raises for a misused command line. It brings its own copy of click, or uses the installed one.
 _UsageError = cast(type[Exception], typer.BadParameter.__mro__[1])
 
@@ -77,7 +81,21 @@ def guarded(arguments: list[str]) -> int:
         # Whoever read our output has gone (head, a pager): not an error of ours.
         sys.stderr.close()
         return 0
+    except Exception as error:  # noqa: BLE001 - exit code 1 means that a sensor failed, and nothing else
+        return _unexpected(error, arguments)
     return result if isinstance(result, int) else 0
+
+
+def _unexpected(error: Exception, arguments: list[str]) -> int:
+    """Say that the program is at fault, with where; exit code 3: nothing was decided."""
+    where = traceback.extract_tb(error.__traceback__)[-1]
+    reason = f"internal error: {type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
+    if "--json" in arguments:
+        emit_json({"broken": {"reason": reason, "remedy": _REPORT_IT}})
+    note(f"cbsr-qa: {reason}\n{_REPORT_IT}")
+    if os.environ.get("CBSR_QA_TRACEBACK"):
+        traceback.print_exception(error)
+    return 3
 
 
 def _misused(error: Any, arguments: list[str]) -> int:

@@ -1,6 +1,7 @@
 """What a reconstruction is given and what a linear one becomes."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ class ImagingProblem:
     reference : (m,) float64, the used readings of the unloaded sheet, same scaling.
     used : (drives, measures) bool with m True entries; readings are taken in C order.
     noise_variance : (m,) float64 relative variances of the used readings, or None for equal noise on all.
+    nominal : the sensor type's problem with every reading its pattern images and equal noise: what belongs to the
+        type, such as λ, is chosen on it. None where this is it.
     """
 
     sensor_type: SensorType
@@ -31,6 +34,7 @@ class ImagingProblem:
     reference: NDArray[np.float64]
     used: NDArray[np.bool_]
     noise_variance: NDArray[np.float64] | None = None
+    nominal: Self | None = None
 
     def __post_init__(self) -> None:
         count = int(self.used.sum())

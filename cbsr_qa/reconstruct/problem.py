@@ -63,7 +63,23 @@ def imaging_problem(
             remedy="mend the channels that were masked",
         )
     variance = None if noise_variance is None else _variance_of(np.asarray(noise_variance, dtype=np.float64), used)
-    return ImagingProblem(sensor_type, nominal.mesh, nominal.jacobian[used], nominal.reference[used], used, variance)
+    whole = sensor_type.pattern.usable()
+    full = _rows(sensor_type, nominal, whole, None, None)
+    if variance is None and np.array_equal(used, whole):
+        return full
+    return _rows(sensor_type, nominal, used, variance, full)
+
+
+def _rows(
+    sensor_type: SensorType,
+    nominal: "_Nominal",
+    used: NDArray[np.bool_],
+    variance: Array | None,
+    full: ImagingProblem | None,
+) -> ImagingProblem:
+    return ImagingProblem(
+        sensor_type, nominal.mesh, nominal.jacobian[used], nominal.reference[used], used, variance, full
+    )
 
 
 def nominal_model(sensor_type: SensorType) -> LocalUpdate:

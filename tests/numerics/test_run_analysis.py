@@ -101,7 +101,7 @@ def test_settling_is_the_materials_within_its_uncertainty(run, observation):
 def test_flagged_and_stuck_readings_are_left_out_and_named(run):
     frames = run.phases[0].frames
     flags, voltages = frames.flags.copy(), frames.voltages.copy()
-    flags[5, 0, 7] = ReadingFlag.SATURATED
+    flags[::3, 0, 7] = ReadingFlag.SATURATED
     voltages[:, 3, 9] = 0.25
     damaged = _with_phase(run, frames=replace(frames, flags=flags, voltages=voltages))
     observation = _observed(damaged)
@@ -114,6 +114,40 @@ def test_flagged_and_stuck_readings_are_left_out_and_named(run):
     for load in observation.loads:
         blob = load.mask(0.85).sensed
         assert centre_of_mass_error_mm(blob, load.record.load.x_mm, load.record.load.y_mm) < 2.0
+
+
+def test_a_lost_frame_costs_that_frame_and_nothing_else(run, observation):
+    frames = run.phases[0].frames
+    flags, voltages = frames.flags.copy(), frames.voltages.copy()
+    held = int(np.flatnonzero(frames.time_s > run.phases[0].loads[1].hold_start_s)[3])
+    flags[held], voltages[held] = ReadingFlag.MISSING, 0.0  # a whole frame
+    flags[held + 30, 4], voltages[held + 30, 4] = ReadingFlag.MISSING, 0.0  # one row of another
+    seen = _observed(_with_phase(run, frames=replace(frames, flags=flags, voltages=voltages)))
+    assert seen.usable.sum() == 208
+    assert "2 of" in " ".join(seen.warnings)
+    for load, before in zip(seen.loads, observation.loads, strict=True):
+        np.testing.assert_allclose(load.image.values, before.image.values, atol=1e-12)
+
+
+def test_a_reading_that_saturates_during_one_press_is_left_out_and_the_press_kept(run):
+    frames = run.phases[0].frames
+    press = run.phases[0].loads[2]
+    flags = frames.flags.copy()
+    flags[(frames.time_s >= press.press_start_s) & (frames.time_s < press.rest_end_s), 6, 1] = ReadingFlag.COMPLIANCE
+    seen = _observed(_with_phase(run, frames=replace(frames, flags=flags)))
+    assert not seen.usable[6, 1]
+    assert seen.usable.sum() == 207
+    assert seen.loads[2].steady_frames == _SETTINGS.steady_frames
+
+
+def test_lambda_belongs_to_the_sensor_type_not_to_the_sensor(run, observation):
+    frames = run.phases[0].frames
+    flags = frames.flags.copy()
+    flags[:, 5, 9] = flags[:, 9, 5] = ReadingFlag.SATURATED
+    seen = _observed(_with_phase(run, frames=replace(frames, flags=flags)))
+    assert seen.usable.sum() == 206
+    assert seen.reconstruction.choice.value == observation.reconstruction.choice.value
+    assert seen.reconstruction.choice.noise_figure != observation.reconstruction.choice.noise_figure
 
 
 def test_driven_pairs_do_not_reach_the_image(run, observation):
@@ -135,6 +169,9 @@ def test_a_sheet_that_does_not_respond_has_no_blob_and_no_response():
     (load,) = observation.loads
     assert "not decided" in observation.response_how
     assert load.image.values.max() < 2 * observation.noise_floor
+    # The steady image averages four frames, so its noise stays below the floor of single ones.
+    assert all(view.sensed is None for view in load.masks)
+    assert load.settled is None
 
 
 def test_a_run_without_unloaded_frames_is_refused(run):

@@ -86,6 +86,29 @@ def test_a_module_that_breaks_on_use_says_whose_it_is():
         plugins.factory(Kind.METRIC, "gone")
 
 
+class _Listening:
+    def __init__(self, heard, fails):
+        self._heard, self._fails = heard, fails
+
+    @hookimpl
+    def cbsr_phase_finished(self, phase):
+        if self._fails:
+            raise RuntimeError("deaf")
+        self._heard.append(phase)
+
+
+def test_a_hook_that_fails_silences_no_other():
+    heard, warnings = [], []
+    plugins = Plugins()
+    for number, fails in enumerate([False, True, False]):
+        plugins.add(_Listening(heard, fails), f"d{number}", "1", "x")
+    plugins.tell("cbsr_phase_finished", warnings.append, identity=None, phase="grid")
+    assert heard == ["grid", "grid"]
+    assert len(warnings) == 1
+    assert "d1" in warnings[0]
+    assert "deaf" in warnings[0]
+
+
 def test_order_of_discovery_changes_nothing():
     one = SimpleNamespace(cbsr_register=_Stranger((Kind.METRIC, "b", "m:b")).cbsr_register)
     two = SimpleNamespace(cbsr_register=_Stranger((Kind.METRIC, "a", "m:a")).cbsr_register)

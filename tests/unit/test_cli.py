@@ -1,0 +1,64 @@
+"""Errors at the command line: one message, the right exit code, one document."""
+
+import json
+
+import pytest
+
+from cbsr_qa.cli import main
+from cbsr_qa.domain.errors import AbortedError, ConfigError, InstrumentError
+
+
+def _raising(error):
+    def app(arguments, **options):
+        raise error
+
+    return app
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (ConfigError("no such key", remedy="use another"), 2),
+        (InstrumentError("load_cell", "COM3", "does not answer"), 3),
+        (AbortedError("the operator"), 3),
+        (KeyboardInterrupt(), 3),
+        (ZeroDivisionError("division by zero"), 3),
+    ],
+)
+def test_an_error_never_looks_like_a_failed_sensor(monkeypatch, capsys, error, code):
+    monkeypatch.setattr(main, "app", _raising(error))
+    assert main.guarded(["run"]) == code
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.startswith("cbsr-qa: ")
+    assert "Traceback" not in said.err
+
+
+def test_with_json_a_refusal_and_an_internal_error_are_documents(monkeypatch, capsys):
+    monkeypatch.setattr(main, "app", _raising(ConfigError("no such key", remedy="use another")))
+    main.guarded(["run", "--json"])
+    assert json.loads(capsys.readouterr().out) == {"refused": {"reason": "no such key", "remedy": "use another"}}
+    monkeypatch.setattr(main, "app", _raising(ZeroDivisionError("division by zero")))
+    main.guarded(["run", "--json"])
+    assert "ZeroDivisionError: division by zero" in json.loads(capsys.readouterr().out)["broken"]["reason"]
+
+
+def test_a_traceback_can_be_asked_for(monkeypatch, capsys):
+    monkeypatch.setattr(main, "app", _raising(ZeroDivisionError("division by zero")))
+    monkeypatch.setenv("CBSR_QA_TRACEBACK", "1")
+    main.guarded(["run"])
+    assert "Traceback" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("arguments", [[], ["run"], ["run", "--nonsense"], ["nonsense"], ["calibration"]])
+def test_a_misused_command_line_ends_with_2_and_says_so_on_stderr(capsys, arguments):
+    assert main.guarded(arguments) == 2
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.strip()
+
+
+@pytest.mark.parametrize("command", ["run", "analyse", "report", "export", "calibration", "plugins", "db"])
+def test_every_command_has_help(capsys, command):
+    assert main.guarded([command, "--help"]) == 0
+    assert "Usage" in capsys.readouterr().out
