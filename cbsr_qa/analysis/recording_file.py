@@ -152,6 +152,9 @@ def _write_loads(group: h5py.Group, loads: tuple[LoadRecord, ...]) -> None:
     for name, unit in _LOAD_COLUMNS:
         column = [getattr(load.load if hasattr(load.load, name) else load, name) for load in loads]
         _put(group, name, np.array(column, dtype=np.float64), unit)
+    if any(load.clear_s is not None for load in loads):
+        cleared = [np.nan if load.clear_s is None else load.clear_s for load in loads]
+        _put(group, "clear_s", np.array(cleared, dtype=np.float64), "s")
 
 
 def _put(group: h5py.Group, name: str, values: NDArray[Any], unit: str) -> None:
@@ -209,11 +212,14 @@ def _read_samples(group: h5py.Group) -> SampleBlock:
 def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
     labels: list[str] = json.loads(group.attrs["labels"])
     columns = {name: group[name][()].astype(np.float64) for name, _ in _LOAD_COLUMNS}
+    # Absent where nobody noted it, as in files of earlier versions; NaN for single presses without it.
+    cleared = group["clear_s"][()].tolist() if "clear_s" in group else [np.nan] * len(labels)
     return tuple(
         LoadRecord(
             int(group["index"][k]),
             Load(label, *_place(columns, k), int(group["trial"][k])),
             *(float(columns[name][k]) for name, _ in _LOAD_COLUMNS[3:]),
+            None if np.isnan(cleared[k]) else cleared[k],
         )
         for k, label in enumerate(labels)
     )

@@ -8,7 +8,7 @@ from typing import Any
 from sqlalchemy import Connection, Engine, Row, insert, select
 from sqlalchemy.orm import Session
 
-from cbsr_qa.domain.measurement import Limit, Measurement, Verdict
+from cbsr_qa.domain.measurement import Bound, Limit, Measurement, Verdict
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.store.calibrations import insert_calibration
@@ -103,6 +103,9 @@ def _values(measurement: Measurement) -> dict[str, Any]:
         "trial": measurement.trial,
         "qualifier": measurement.qualifier,
         "how": measurement.how,
+        "bound": str(measurement.bound),
+        "load_index": measurement.load,
+        "strain": measurement.strain,
         "outcome": str(measurement.outcome),
         "limited": limit is not None,
         "lower_limit": limit.lower if limit else None,
@@ -144,6 +147,9 @@ def _measurement(row: MeasurementRow) -> Measurement:
         trial=row.trial,
         qualifier=row.qualifier,
         how=row.how,
+        bound=Bound(row.bound),
+        load=row.load_index,
+        strain=row.strain,
         limit=_limit(row),
         outcome=Outcome(row.outcome),
     )

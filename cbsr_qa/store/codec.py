@@ -55,7 +55,7 @@ def _pairs(data: list[list[int]]) -> tuple[tuple[int, int], ...]:
 
 
 def _quasi_static(data: Mapping[str, Any]) -> QuasiStatic:
-    return QuasiStatic(Parameter(**data["slope"]), Parameter(**data["intercept"]))
+    return QuasiStatic(Parameter(**data["slope"]), Parameter(**data["intercept"]), data["covariance"])
 
 
 def _relaxation(data: Mapping[str, Any]) -> Relaxation:

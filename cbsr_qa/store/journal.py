@@ -113,8 +113,9 @@ class Journal:
     def _(self, event: PhaseStarted, connection: Connection) -> None:
         known = select(PhaseRow.phase).where(PhaseRow.run == self._run, PhaseRow.phase == event.index)
         if connection.scalar(known) is None:  # a resumed phase keeps its first beginning
-            values = {"name": event.name, "sequence": event.sequence, "started_s": event.time_s}
-            connection.execute(insert(PhaseRow), {"run": self._run, "phase": event.index, **values, "ended_s": None})
+            values = {"name": event.name, "sequence": event.sequence, "role": str(event.role)}
+            times = {"started_s": event.time_s, "ended_s": None}
+            connection.execute(insert(PhaseRow), {"run": self._run, "phase": event.index, **values, **times})
 
     @_store.register
     def _(self, event: StepStarted, connection: Connection) -> None:

@@ -56,6 +56,9 @@ class MeasurementRow(Base):
     trial: Mapped[int | None]
     qualifier: Mapped[str]
     how: Mapped[str]
+    bound: Mapped[str] = mapped_column(String(16))  #: "exact"; "lower" where the quantity is at least the value
+    load_index: Mapped[int | None]  #: within the phase, as in loads: tells apart one label at several strains
+    strain: Mapped[float | None]  #: of that load
     outcome: Mapped[str] = mapped_column(String(16))
     limited: Mapped[bool]  #: whether there was a limit; the next columns are empty where not
     lower_limit: Mapped[float | None]

@@ -107,6 +107,7 @@ class PhaseRow(Base):
     phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
     name: Mapped[str]
     sequence: Mapped[str]
+    role: Mapped[str] = mapped_column(String(16))  #: a Role: what the sequence says it is for
     started_s: Mapped[float]
     ended_s: Mapped[float | None]
 
@@ -190,6 +191,7 @@ class LoadRow(Base):
     release_start_s: Mapped[float]
     release_end_s: Mapped[float]
     rest_end_s: Mapped[float]
+    clear_s: Mapped[float | None]  #: the head left the sheet on its way up; None where nobody noted it
 
 
 class UnloadedMarkRow(Base):

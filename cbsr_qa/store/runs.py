@@ -14,6 +14,7 @@ from cbsr_qa.domain.frames import FrameBlock, SampleBlock, join_frames, join_sam
 from cbsr_qa.domain.loads import Load, LoadRecord
 from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.domain.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.steps import Role
 from cbsr_qa.store.blocks import frame_block, sample_block
 from cbsr_qa.store.codec import decoded_indenter, decoded_material, decoded_sensor_type
 from cbsr_qa.store.engine import reading
@@ -177,6 +178,7 @@ def _phase(connection: Connection, session: Session, row: PhaseRow) -> PhaseReco
         loads=_loads(session, row),
         # A resumed phase rested again: the latest mark is followed by its presses.
         unloaded_from_s=connection.scalar(marks.order_by(UnloadedMarkRow.mark.desc()).limit(1)),
+        role=Role(row.role),
     )
 
 
@@ -204,6 +206,7 @@ def _loads(session: Session, phase: PhaseRow) -> tuple[LoadRecord, ...]:
             row.release_start_s,
             row.release_end_s,
             row.rest_end_s,
+            row.clear_s,
         )
         for row in session.scalars(query.order_by(LoadRow.load_index))
     )

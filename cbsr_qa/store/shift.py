@@ -34,5 +34,5 @@ def _samples(block: SampleBlock, offset_s: float) -> SampleBlock:
 
 
 def _load(record: LoadRecord, offset_s: float) -> LoadRecord:
-    times = {f.name: getattr(record, f.name) + offset_s for f in fields(record) if f.name.endswith("_s")}
-    return replace(record, **times)
+    times = {f.name: getattr(record, f.name) for f in fields(record) if f.name.endswith("_s")}
+    return replace(record, **{name: time_s + offset_s for name, time_s in times.items() if time_s is not None})

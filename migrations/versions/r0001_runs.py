@@ -114,6 +114,7 @@ def _create_phases() -> None:
         sa.Column("phase", sa.Integer(), autoincrement=False, nullable=False),
         sa.Column("name", sa.Text(), nullable=False),
         sa.Column("sequence", sa.Text(), nullable=False),
+        sa.Column("role", sa.String(length=16), nullable=False),
         sa.Column("started_s", sa.Double(), nullable=False),
         sa.Column("ended_s", sa.Double(), nullable=True),
         sa.ForeignKeyConstraint(["run"], ["runs.run"], name=op.f("fk_phases_run_runs")),
@@ -199,6 +200,7 @@ def _create_loads() -> None:
         sa.Column("release_start_s", sa.Double(), nullable=False),
         sa.Column("release_end_s", sa.Double(), nullable=False),
         sa.Column("rest_end_s", sa.Double(), nullable=False),
+        sa.Column("clear_s", sa.Double(), nullable=True),
         sa.ForeignKeyConstraint(
             ["run", "phase"], ["phases.run", "phases.phase"], name=op.f("fk_loads_run_phase_phases")
         ),

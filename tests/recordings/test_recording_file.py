@@ -1,3 +1,4 @@
+from dataclasses import replace
 from pathlib import Path
 
 import h5py
@@ -61,6 +62,20 @@ def test_what_is_written_is_read_back_to_the_bit(tmp_path, reading_times, refere
         assert getattr(after, name) == getattr(before, name)
     np.testing.assert_array_equal(after.samples[0].values, before.samples[0].values)
     assert list(tmp_path.iterdir()) == [path]  # no temporary file is left
+
+
+def test_when_the_head_left_the_sheet_is_kept_press_by_press(tmp_path):
+    (load,) = sample().loads
+    presses = replace(load, clear_s=20.4), replace(load, index=1)
+    write_recording(tmp_path / "a.h5", replace(sample(), loads=presses))
+    assert read_recording(tmp_path / "a.h5").loads == presses
+
+
+def test_a_file_that_never_noted_it_reads_as_nobody_knows(tmp_path):
+    write_recording(tmp_path / "a.h5", sample())
+    with h5py.File(tmp_path / "a.h5") as file:
+        assert "clear_s" not in file["loads"]  # as files of earlier versions
+    assert [load.clear_s for load in read_recording(tmp_path / "a.h5").loads] == [None]
 
 
 def test_every_dataset_states_its_unit(tmp_path):

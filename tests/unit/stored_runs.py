@@ -32,7 +32,7 @@ from cbsr_qa.domain.run_events import (
     Unloaded,
 )
 from cbsr_qa.domain.sensor import Response, SensorIdentity
-from cbsr_qa.domain.steps import Hold, Home, Press
+from cbsr_qa.domain.steps import Hold, Home, Press, Role
 
 CONFIGURATION = '{"layout":1,"note":"Δρ"}'
 SENSOR_TYPE = load_sensor_type("disc-100mm").value
@@ -81,14 +81,14 @@ def load(label="L0", trial=0):
 
 
 def record(index, start_s):
-    return LoadRecord(index, load(trial=index), *(start_s + dt for dt in (0.0, 1.0, 61.0, 62.0, 122.0)))
+    return LoadRecord(index, load(trial=index), *(start_s + dt for dt in (0.0, 1.0, 61.0, 62.0, 122.0, 61.25)))
 
 
 def short_run(run, serial="S-1"):
     """Every kind of document: two phases, one press held to its end in the first, none in the second."""
     return [
         RunStarted(identity(run, serial)),
-        PhaseStarted(0, "nine locations", "location-grid", 0.5),
+        PhaseStarted(0, "nine locations", "location-grid", 0.5, Role.GRID),
         StepStarted(0, 0, Home(), 0.5, 300.0),
         StepRetried(0, 0, 1, "the applicator did not answer"),
         Unloaded(0, 3.0),

@@ -41,7 +41,7 @@ from cbsr_qa.domain.run_events import (
     StepStarted,
     Unloaded,
 )
-from cbsr_qa.domain.steps import Press
+from cbsr_qa.domain.steps import Press, Role
 from cbsr_qa.store.repository import open_store
 
 
@@ -87,6 +87,8 @@ def test_a_run_comes_back_as_it_was_told(repository):
         155.0,
     )
     assert first.loads == (record(0, 30.0),)
+    assert first.loads[0].clear_s == 91.25
+    assert (first.role, second.role) == (Role.GRID, Role.OTHER)
     assert (first.unloaded_from_s, second.unloaded_from_s) == (3.0, None)
     told = [event.frames for event in events if isinstance(event, FramesTaken)]
     same_frames(first.frames.select(slice(0, 8)), told[0])

@@ -7,7 +7,7 @@ import pytest
 from stored_runs import calibration, journalled, reconstruction, short_run
 
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.domain.measurement import Limit, Measurement, Verdict
+from cbsr_qa.domain.measurement import Bound, Limit, Measurement, Verdict
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.reconstruction import ParameterChoice
 from cbsr_qa.domain.report import RunResult
@@ -68,6 +68,22 @@ def test_judging_again_adds_an_analysis_and_the_latest_holds(repository, run):
     assert repository.analyses(run)[1:] == before
     (summary,) = repository.find_runs("S-1")
     assert summary.outcome is Outcome.FAIL
+
+
+def test_loads_of_one_label_and_trial_at_six_strains_stay_apart(repository, run):
+    measured = tuple(
+        Measurement("settling_time", 20.0 + k, "s", phase="campaign", location="L0", trial=0, bound=bound).judged(
+            Limit("settling_time", "s", None, 23.0)
+        )
+        for k, bound in enumerate([Bound.EXACT, Bound.LOWER] * 3)
+    )
+    measured = tuple(replace(m, load=9 * k, strain=0.05 * (k + 1)) for k, m in enumerate(measured))
+    repository.save_result(result(repository, run, measurements=measured))
+    (back,) = repository.analyses(run)
+    assert back.measurements == measured
+    assert {(m.phase, m.load): m.strain for m in back.measurements} == {
+        ("campaign", 9 * k): 0.05 * (k + 1) for k in range(6)
+    }
 
 
 def test_numpy_numbers_are_stored_as_plain_ones(repository, run):
