@@ -99,10 +99,9 @@ def _unexpected(error: Exception, arguments: list[str]) -> int:
 
 
 def _misused(error: Any, arguments: list[str]) -> int:
-    """Say what is wrong with the command line; a command without any argument gets its help."""
-    if not arguments or not error.format_message():
-        note(error.ctx.get_help() if error.ctx else "")
-        return 2
+    """Say what is wrong with the command line."""
+    if not error.format_message():
+        return 2  # a command without any argument: typer has printed its help
     if "--json" in arguments:
         emit_json({"refused": {"reason": error.format_message(), "remedy": "see cbsr-qa COMMAND --help"}})
     error.show()
