@@ -140,6 +140,11 @@ class LimitTable(Table):
         if self.phase and self.phase not in phases:
             yield Problem((*where, "phase"), f"is {self.phase!r}; allowed: {', '.join(phases)}")
 
+    def bounds_size_of(self, overlap: "LimitTable", phase: str) -> bool:
+        """Whether this limit bounds, from both sides, the size of the blob whose overlap another limit judges."""
+        fits = self.phase in ("", phase) and self.qualifier == overlap.qualifier
+        return self.measurement == "area_ratio" and fits and None not in (self.lower, self.upper)
+
     def to_domain(self) -> Limit:
         """Return the limit."""
         return Limit(self.measurement, self.unit, self.lower, self.upper, self.marginal, self.phase, self.qualifier)
@@ -177,6 +182,22 @@ class RecipeFile(FileModel[Recipe]):
         yield from self.analysis.problems()
         for index, limit in enumerate(self.limits):
             yield from limit.problems(index, names)
+        yield from self._size_problems(names)
+
+    def _size_problems(self, phases: list[str]) -> Iterator[Problem]:
+        """A blob over the whole sheet and one speck both overlap by half: size must be limited with the overlap."""
+        for index, limit in enumerate(self.limits):
+            if limit.measurement != "area_overlap":
+                continue
+            for phase in [limit.phase] if limit.phase else phases:
+                if any(other.bounds_size_of(limit, phase) for other in self.limits):
+                    continue
+                yield Problem(
+                    ("limits", index),
+                    f"(area_overlap) judges phase {phase!r}, where no limit bounds area_ratio from both sides: a blob"
+                    " over the whole sheet, or one speck, overlaps by about 51 % and could pass; limit area_ratio"
+                    " there too (1/3 to 3 is usual), or remove this limit",
+                )
 
     def to_domain(self) -> Recipe:
         """Return the recipe."""

@@ -36,8 +36,8 @@ def titled(load: LoadObservation, *, trials: bool, strains: bool) -> str:
 
 def _seen(load: LoadObservation, run: RunObservation, measured: Measured, title: str) -> SeenLoad:
     wanted, view = load.record.load, load.mask(run.main_mask)
-    error = measured.of_load("centre_of_mass_error", load, run.loads)
-    overlap = measured.of_load("area_overlap", load, run.loads)
+    error = measured.of_load("centre_of_mass_error", load)
+    overlap = measured.of_load("area_overlap", load)
     return SeenLoad(
         label=wanted.label,
         title=title,

@@ -2,13 +2,13 @@
 
 import re
 from collections.abc import Iterable, Sequence
-from itertools import groupby
 from statistics import fmean, stdev
 
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.report import RunResult
+from cbsr_qa.domain.steps import Role
 from cbsr_qa.report.numbers import plain, with_uncertainty
 
 #: The spatial metrics: measurement name, heading, unit.
@@ -24,9 +24,9 @@ def observed(result: RunResult | RecordingResult) -> RunObservation | None:
     return result.observation if isinstance(result, RunResult) else None
 
 
-def loads_of(run: RunObservation, sequence: str) -> tuple[LoadObservation, ...]:
-    """Return the loads of the phases a sequence plugin made, in time order."""
-    phases = {phase.name for phase in run.record.phases if phase.sequence == sequence}
+def loads_of(run: RunObservation, role: Role) -> tuple[LoadObservation, ...]:
+    """Return the loads of the phases whose sequence is for this, in time order."""
+    phases = {phase.name for phase in run.record.phases if phase.role is role}
     return tuple(load for load in run.loads if load.phase in phases)
 
 
@@ -38,43 +38,19 @@ def by_label(loads: Iterable[LoadObservation]) -> dict[str, list[LoadObservation
     return groups
 
 
-def by_phase(loads: Iterable[LoadObservation]) -> list[tuple[str, list[LoadObservation]]]:
-    """Split loads in time order where the phase changes."""
-    return [(phase, list(members)) for phase, members in groupby(loads, key=lambda load: load.phase)]
-
-
 class Measured:
-    """Measurements by name, phase, location, trial and qualifier.
-
-    A load is told by its place in its phase: the same label and trial at several strains are told apart by order.
-    """
+    """Measurements of single loads, by name, phase, index of the load within its phase, and qualifier."""
 
     def __init__(self, measurements: Sequence[Measurement]) -> None:
-        self._found: dict[tuple[str, str, str, int | None, str], list[Measurement]] = {}
-        for m in measurements:
-            self._found.setdefault((m.name, m.phase, m.location, m.trial, m.qualifier), []).append(m)
+        self._found = {(m.name, m.phase, m.load, m.qualifier): m for m in measurements if m.load is not None}
 
-    def of_load(
-        self, name: str, load: LoadObservation, siblings: Sequence[LoadObservation], qualifier: str = ""
-    ) -> Measurement | None:
-        """Return one measurement of one load; None where no metric took it.
+    def of_load(self, name: str, load: LoadObservation, qualifier: str = "") -> Measurement | None:
+        """Return one measurement of one load; None where no metric took it."""
+        return self._found.get((name, load.phase, load.record.index, qualifier))
 
-        Parameters
-        ----------
-        siblings : the loads of the run in time order, the load among them.
-        """
-        wanted = load.record.load
-        found = self._found.get((name, load.phase, wanted.label, wanted.trial, qualifier), [])
-        same = [s for s in siblings if _key(s) == _key(load)]
-        if len(found) == len(same):
-            return found[next(rank for rank, sibling in enumerate(same) if sibling is load)]
-        return found[0] if len(found) == 1 else None
-
-    def values(
-        self, name: str, loads: Sequence[LoadObservation], siblings: Sequence[LoadObservation], qualifier: str = ""
-    ) -> list[float]:
+    def values(self, name: str, loads: Sequence[LoadObservation], qualifier: str = "") -> list[float]:
         """Return the values of one measurement over some loads; those without one are left out."""
-        found = (self.of_load(name, load, siblings, qualifier) for load in loads)
+        found = (self.of_load(name, load, qualifier) for load in loads)
         return [m.value for m in found if m is not None and m.value is not None]
 
 
@@ -101,7 +77,3 @@ def spread_text(values: Sequence[float], unit: str = "") -> str:
 def alike(reason: str) -> str:
     """Return a reason without its numbers: reasons that differ in nothing else are told once."""
     return re.sub(r"[\d.,]*\d", "#", reason)
-
-
-def _key(load: LoadObservation) -> tuple[str, str, int]:
-    return load.phase, load.record.load.label, load.record.load.trial

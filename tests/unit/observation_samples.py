@@ -30,6 +30,7 @@ from cbsr_qa.domain.sensor import (
     Response,
     SensorIdentity,
 )
+from cbsr_qa.domain.steps import Role
 
 INDENTER = Indenter(13.0)
 SETTINGS = AnalysisSettings(
@@ -86,6 +87,7 @@ def sample_load(
     force_N: float | None = 3.0,
     trial: int = 0,
     phase: str = "nine locations",
+    index: int = 0,
     response: Response = Response.INCREASE,
 ) -> LoadObservation:
     """A press whose image is a uniform disc (x, y, radius), or without any blob."""
@@ -97,7 +99,7 @@ def sample_load(
     masks = tuple(MaskView(fraction, blobs, blobs[0] if blobs else None) for fraction in SETTINGS.masks)
     return LoadObservation(
         phase=phase,
-        record=LoadRecord(0, Load(label, *place_mm, 0.2, trial), 100.0, 101.0, 161.0, 162.0, 222.0),
+        record=LoadRecord(index, Load(label, *place_mm, 0.2, trial), 100.0, 101.0, 161.0, 162.0, 222.0),
         indenter=INDENTER,
         image=image,
         response=response,
@@ -145,7 +147,7 @@ def sample_run(
     block = FrameBlock(2.5 * np.arange(len(voltages)), voltages, np.zeros(voltages.shape, np.uint8), unit, current_A)
     names = dict.fromkeys(load.phase for load in loads)
     phases = tuple(
-        PhaseRecord(i, name, "noise-figure" if "noise" in name else "location-grid", 0.0, 500.0, pressed)
+        PhaseRecord(i, name, "any", 0.0, 500.0, pressed, role=Role.NOISE if "noise" in name else Role.GRID)
         for i, name in enumerate(names)
     )
     identity = RunIdentity(

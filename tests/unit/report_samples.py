@@ -39,6 +39,7 @@ from cbsr_qa.domain.sensor import (
     SensorIdentity,
     SensorType,
 )
+from cbsr_qa.domain.steps import Role
 from cbsr_qa.forward.meshing import image_mesh
 from cbsr_qa.imaging.blobs import find_blobs, nearest_blob
 from cbsr_qa.imaging.masks import percentage_mask
@@ -158,13 +159,13 @@ def planned_loads(seed=3):
     radius, angle = 40 * random.random(10), 2 * np.pi * random.random(10)
     strains = 0.05 + 0.25 * random.random(10)
     return {
-        ("noise", "noise-figure"): [Load("L0", 0.0, 0.0, 0.2, trial) for trial in range(3)],
-        ("nine", "location-grid"): [Load(f"L{k}", x, y, 0.2, 0) for k, (x, y) in enumerate(NINE_LOCATIONS_MM)],
-        ("random", "random-loads"): [
+        ("noise", Role.NOISE): [Load("L0", 0.0, 0.0, 0.2, trial) for trial in range(3)],
+        ("nine", Role.GRID): [Load(f"L{k}", x, y, 0.2, 0) for k, (x, y) in enumerate(NINE_LOCATIONS_MM)],
+        ("random", Role.RANDOM): [
             Load(f"R{k}", float(r * np.cos(a)), float(r * np.sin(a)), float(s), 0)
             for k, (r, a, s) in enumerate(zip(radius, angle, strains, strict=True))
         ],
-        ("relaxation", "relaxation"): [Load("L0", 0.0, 0.0, 0.2, 0)],
+        ("relaxation", Role.RELAXATION): [Load("L0", 0.0, 0.0, 0.2, 0)],
     }
 
 
@@ -205,7 +206,7 @@ def sample_measurements(loads):
     for load in loads:
         wanted = load.record.load
         place = (wanted.x_mm, wanted.y_mm)
-        about = {"phase": load.phase, "location": wanted.label, "trial": wanted.trial}
+        about = {"phase": load.phase, "location": wanted.label, "trial": wanted.trial, "load": load.record.index}
         for view in load.masks:
             main = abs(view.fraction - 0.85) < 1e-9
             about["qualifier"] = "" if main else f"mask {100 * view.fraction:g} %"
@@ -306,9 +307,9 @@ def sample_run(size_mm=3.0, **identity):
     """A whole run of 23 loads with every section's data in it."""
     sampler = Sampler(size_mm=size_mm)
     phases, loads, timelines, start_s = [], [], [], 0.0
-    for (name, sequence), planned in planned_loads().items():
+    for (name, role), planned in planned_loads().items():
         began = start_s
-        start_s += 240 if sequence == "noise-figure" else 20
+        start_s += 240 if role is Role.NOISE else 20
         own = []
         for index, load in enumerate(planned):
             own.append(sampler.load(name, index, load, start_s))
@@ -316,8 +317,8 @@ def sample_run(size_mm=3.0, **identity):
         frames = sample_frames(began, start_s, sampler.random)
         force = sample_force(own, began, start_s)
         records = tuple(load.record for load in own)
-        phases.append(PhaseRecord(len(phases), name, sequence, began, start_s, frames, (force,), records))
-        if sequence == "location-grid":
+        phases.append(PhaseRecord(len(phases), name, "any", began, start_s, frames, (force,), records, role=role))
+        if role is Role.GRID:
             timelines.append(sample_timeline(sampler, name, frames, own, force))
         loads += own
     record = sample_record(phases, **identity)

@@ -41,7 +41,7 @@ def test_every_registered_metric_exists_and_refuses_options_it_does_not_have(nam
 
 
 def test_spatial_metrics_of_a_shifted_disc():
-    load = sample_load("L1", (30.0, 0.0), blob_mm=(32.0, 0.0, 6.5), trial=2)
+    load = sample_load("L1", (30.0, 0.0), blob_mm=(32.0, 0.0, 6.5), trial=2, index=7)
     run = sample_run((load,))
     (other, main) = CentreOfMassError().measure_load(load, run)
     assert (main.name, main.unit, main.phase, main.location, main.trial) == (
@@ -51,6 +51,7 @@ def test_spatial_metrics_of_a_shifted_disc():
         "L1",
         2,
     )
+    assert (main.load, main.strain) == (7, 0.2)
     assert main.value == pytest.approx(2.0)
     assert (main.qualifier, other.qualifier) == ("", "mask 25 %")
     overlap, ratio = AreaOverlap().measure_load(load, run)[2:]

@@ -13,6 +13,7 @@ from cbsr_qa.domain.measurement import Limit, Measurement
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.relaxation import FitStatus
 from cbsr_qa.domain.report import Figure, Paragraph, Table
+from cbsr_qa.domain.steps import Role
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.report.select import Measured, alike, loads_of
 from cbsr_qa.report.svg import checked_svg
@@ -101,7 +102,7 @@ def test_a_run_in_which_nothing_was_seen_is_reported_too(name, result):
 def test_the_location_table_holds_the_measured_values(result):
     run = result.observation
     (table,) = tables(NineLocations().render(result))
-    errors = Measured(result.measurements).values("centre_of_mass_error", loads_of(run, "location-grid"), run.loads)
+    errors = Measured(result.measurements).values("centre_of_mass_error", loads_of(run, Role.GRID))
     assert [row[0] for row in texts(table)] == [f"L{k}" for k in range(9)]
     assert [float(row[3]) for row in texts(table)] == pytest.approx(errors, abs=0.006)
     assert all(row[3].outcome is Outcome.PASS for row in table.rows)
@@ -112,10 +113,10 @@ def test_trials_are_averaged_and_the_worst_outcome_shown(result):
     loads = [load for load in result.observation.loads if load.phase == "noise"]
     values = [0.5, 1.0, 3.0]
     measured = tuple(
-        Measurement("centre_of_mass_error", v, "mm", phase="noise", location="L0", trial=k).judged(limit)
+        Measurement("centre_of_mass_error", v, "mm", phase="noise", location="L0", trial=k, load=k).judged(limit)
         for k, v in enumerate(values)
     )
-    phases = (replace(result.record.phases[0], sequence="location-grid"),)
+    phases = (replace(result.record.phases[0], role=Role.GRID),)
     record = replace(result.record, phases=phases)
     observation = replace(result.observation, record=record, loads=tuple(loads))
     (table,) = tables(NineLocations().render(replace(result, observation=observation, measurements=measured)))
@@ -125,15 +126,24 @@ def test_trials_are_averaged_and_the_worst_outcome_shown(result):
     assert row[3].outcome is Outcome.FAIL
 
 
-def test_a_load_of_the_same_name_and_trial_is_told_apart_by_its_order(result):
+def test_loads_of_one_name_and_trial_are_told_apart_by_their_index_in_whatever_order(result):
     load = result.observation.loads[3]
-    weak, strong = replace(load, steady_frames=1), replace(load, steady_frames=2)
-    place = load.record.load
-    about = {"phase": load.phase, "location": place.label, "trial": place.trial}
-    measured = Measured([Measurement("e", v, "mm", **about) for v in (1.0, 2.0)])
-    assert measured.of_load("e", weak, (weak, strong)).value == 1.0
-    assert measured.of_load("e", strong, (weak, strong)).value == 2.0
-    assert measured.of_load("e", weak, (weak,)) is None  # two values for one press: which is unknown
+    weak, strong = (replace(load, record=replace(load.record, index=k)) for k in (4, 5))
+    about = {"phase": load.phase, "location": load.record.load.label, "trial": load.record.load.trial}
+    measured = Measured([Measurement("e", v, "mm", load=k, **about) for k, v in ((5, 2.0), (4, 1.0))])
+    assert measured.of_load("e", weak).value == 1.0
+    assert measured.of_load("e", strong).value == 2.0
+    assert measured.of_load("e", replace(load, record=replace(load.record, index=6))) is None
+    assert measured.of_load("e", replace(weak, phase="another")) is None
+
+
+def test_sections_ask_what_a_phase_is_for_and_not_who_made_it(result):
+    phases = tuple(replace(phase, sequence="strangers-grid") for phase in result.record.phases)
+    observation = replace(result.observation, record=replace(result.record, phases=phases))
+    assert NineLocations().render(replace(result, observation=observation))
+    nameless = tuple(replace(phase, sequence="location-grid", role=Role.OTHER) for phase in phases)
+    observation = replace(result.observation, record=replace(result.record, phases=nameless))
+    assert NineLocations().render(replace(result, observation=observation)) is None
 
 
 def test_masks_are_compared_over_the_grid_alone(result):
@@ -146,7 +156,7 @@ def test_masks_are_compared_over_the_grid_alone(result):
 
 def test_random_loads_are_given_in_polar_coordinates(result):
     (table,) = tables(RandomLoads().render(result))
-    for row, load in zip(texts(table), loads_of(result.observation, "random-loads"), strict=True):
+    for row, load in zip(texts(table), loads_of(result.observation, Role.RANDOM), strict=True):
         radius, angle = (float(part) for part in row[1].rstrip("°").split(", "))
         x, y = load.record.load.x_mm, load.record.load.y_mm
         assert (radius * np.cos(np.deg2rad(angle)), radius * np.sin(np.deg2rad(angle))) == pytest.approx(

@@ -5,7 +5,7 @@ from difflib import get_close_matches
 from typing import Any, Final
 
 from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.measurement import Bound, Measurement
 from cbsr_qa.domain.observation import LoadObservation, MaskView, RunObservation
 
 #: Why a spatial metric has no value.
@@ -46,8 +46,9 @@ def at_load(
     uncertainty: float | None = None,
     qualifier: str = "",
     how: str = "",
+    bound: Bound = Bound.EXACT,
 ) -> Measurement:
-    """Make a measurement of one load."""
+    """Make a measurement of one load, which names the load by its index within its phase."""
     place = load.record.load
     return Measurement(
         name,
@@ -59,4 +60,7 @@ def at_load(
         trial=place.trial,
         qualifier=qualifier,
         how=how,
+        bound=bound,
+        load=load.record.index,
+        strain=place.strain,
     )

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.steps import Role
 from cbsr_qa.reconstruct.scaling import changes
 from cbsr_qa_plugins.metrics._shared import refuse_unknown
 
@@ -18,8 +19,8 @@ class NoiseFigure:
     """``noise_figure`` [1] of the run, Adler et al. 2009 form: NF = SNR_v / SNR_x.
 
     The matrix is the run's; noise is the covariance of its rested, unloaded frames, slow drift taken out; the
-    signal is the change measured under the presses at the sheet's centre (of the noise-figure phase where there is
-    one), or else the model's response to a small central target. ``how`` names which. It has no options.
+    signal is the change measured under the presses at the sheet's centre (of the phases made for noise, where
+    there are any), or else the model's response to a small central target. ``how`` names which. It has no options.
     """
 
     def __init__(self, **options: Any) -> None:
@@ -63,8 +64,8 @@ def _noise(run: RunObservation) -> NDArray[np.float64] | None:
 def _signals(run: RunObservation) -> tuple[list[NDArray[np.float64]], str, str]:
     """Signals y (m,), the phase they are from, and in words what they are."""
     centre = [load for load in run.loads if np.hypot(load.record.load.x_mm, load.record.load.y_mm) < 0.5]
-    phases = {phase.name: phase.sequence for phase in run.record.phases}
-    chosen = [load for load in centre if phases.get(load.phase) == "noise-figure"] or centre
+    noise_phases = {phase.name for phase in run.record.phases if phase.role is Role.NOISE}
+    chosen = [load for load in centre if load.phase in noise_phases] or centre
     measured = [signal for load in chosen if (signal := _measured_change(load, run)) is not None]
     if measured:
         where = {load.phase for load in chosen}

@@ -3,6 +3,7 @@
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.observation import MetricTimeline, RunObservation
 from cbsr_qa.domain.report import Block, Figure, RunResult, Section, Table
+from cbsr_qa.domain.steps import Role
 from cbsr_qa.report.figures_metrics import Held, mask_timeline_figure
 from cbsr_qa.report.select import SPATIAL, Measured, loads_of, mask_qualifier, observed, spread_text
 from cbsr_qa.report.tables import text_table, unit_column
@@ -16,7 +17,7 @@ class MaskComparison:
         run = observed(result)
         if run is None or not isinstance(result, RunResult) or len(run.settings.masks) < 2:
             return None
-        if not loads_of(run, "location-grid"):
+        if not loads_of(run, Role.GRID):
             return None
         blocks: list[Block] = [_table(result, run)]
         blocks += [_figure(timeline, run) for timeline in run.timelines]
@@ -30,11 +31,11 @@ def held_loads(run: RunObservation, phase: str) -> list[Held]:
 
 
 def _table(result: RunResult, run: RunObservation) -> Table:
-    loads, measured = loads_of(run, "location-grid"), Measured(result.measurements)
+    loads, measured = loads_of(run, Role.GRID), Measured(result.measurements)
     rows = []
     for fraction in run.settings.masks:
         qualifier = mask_qualifier(run, fraction)
-        values = [measured.values(name, loads, run.loads, qualifier) for name, _, _ in SPATIAL]
+        values = [measured.values(name, loads, qualifier) for name, _, _ in SPATIAL]
         spreads = [spread_text(found, unit) for found, (_, _, unit) in zip(values, SPATIAL, strict=True)]
         decides = "" if qualifier else " (decides)"
         rows.append([f"{100 * fraction:g} %{decides}", *spreads, f"{len(values[0])} of {len(loads)}"])

@@ -4,9 +4,10 @@ from collections.abc import Sequence
 from statistics import fmean
 
 from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.observation import LoadObservation
 from cbsr_qa.domain.outcome import worst
 from cbsr_qa.domain.report import Cell, Paragraph, RunResult, Section, Table
+from cbsr_qa.domain.steps import Role
 from cbsr_qa.report.figures_loads import arrow_scale, location_map_figure
 from cbsr_qa.report.loads import seen_loads
 from cbsr_qa.report.numbers import number, plural, with_uncertainty
@@ -15,12 +16,12 @@ from cbsr_qa.report.tables import value_cell
 
 
 class NineLocations:
-    """Section of the loads that the ``location-grid`` sequence pressed."""
+    """Section of the loads of the phases that press a grid of places."""
 
     def render(self, result: RunResult | RecordingResult) -> Section | None:
         """Return the section; None where no grid was pressed."""
         run = observed(result)
-        loads = loads_of(run, "location-grid") if run else ()
+        loads = loads_of(run, Role.GRID) if run else ()
         if run is None or not loads or not isinstance(result, RunResult):
             return None
         measured = Measured(result.measurements)
@@ -34,17 +35,17 @@ class NineLocations:
             f" indenter. Blue: outline of the sensed blob. Arrows: error from the indenter's centre to the blob's"
             f" centre of mass, {longer}. Right: every press; a diamond is outside its limit, a cross was not"
             " detected.",
-            alternative=_in_words(loads, run, measured),
+            alternative=_in_words(loads, measured),
         )
         words = Paragraph(
             f"{plural(len(loads), 'press', 'presses')} at {plural(len(by_label(loads)), 'location')};"
-            f" {_in_words(loads, run, measured)}"
+            f" {_in_words(loads, measured)}"
         )
-        return Section("Locations", (words, figure, _table(loads, result, run, measured)))
+        return Section("Locations", (words, figure, _table(loads, result, measured)))
 
 
-def _in_words(loads: Sequence[LoadObservation], run: RunObservation, measured: Measured) -> str:
-    errors = measured.values("centre_of_mass_error", loads, run.loads)
+def _in_words(loads: Sequence[LoadObservation], measured: Measured) -> str:
+    errors = measured.values("centre_of_mass_error", loads)
     if not errors:
         return "none of the presses was seen in the image."
     largest = max(errors)
@@ -53,7 +54,7 @@ def _in_words(loads: Sequence[LoadObservation], run: RunObservation, measured: M
     return f"mean error {number(fmean(errors), 2)} mm, largest {number(largest, 2)} mm.{unseen}"
 
 
-def _table(loads: Sequence[LoadObservation], result: RunResult, run: RunObservation, measured: Measured) -> Table:
+def _table(loads: Sequence[LoadObservation], result: RunResult, measured: Measured) -> Table:
     baseline = {b.location: b for b in result.calibration.baseline} if result.calibration else {}
     columns = ["Location", "x, y [mm]", "Trials", "E_CoM [mm]", "A_OL [%]", "Band", "SD [mm²]", "Force [N]"]
     columns += ["ρ̄₀"] if baseline else []
@@ -61,8 +62,8 @@ def _table(loads: Sequence[LoadObservation], result: RunResult, run: RunObservat
     for label, members in by_label(loads).items():
         place = members[0].record.load
         row = [Cell(label), Cell(f"{place.x_mm:g}, {place.y_mm:g}".replace("-", "−")), Cell(str(len(members)))]
-        error, overlap, deviation = (_cell(name, members, run, measured) for name, _, _ in SPATIAL)
-        row += [error, overlap, Cell(_bands(members, run, measured)), deviation, Cell(_force(members))]
+        error, overlap, deviation = (_cell(name, members, measured) for name, _, _ in SPATIAL)
+        row += [error, overlap, Cell(_bands(members, measured)), deviation, Cell(_force(members))]
         if baseline:
             known = baseline.get(label)
             value = None if known is None else known.value
@@ -77,17 +78,17 @@ def _table(loads: Sequence[LoadObservation], result: RunResult, run: RunObservat
     return Table(caption, tuple(columns), tuple(rows), numeric)
 
 
-def _cell(name: str, members: Sequence[LoadObservation], run: RunObservation, measured: Measured) -> Cell:
+def _cell(name: str, members: Sequence[LoadObservation], measured: Measured) -> Cell:
     if len(members) == 1:
-        return value_cell(measured.of_load(name, members[0], run.loads))
-    found = [measured.of_load(name, load, run.loads) for load in members]
+        return value_cell(measured.of_load(name, members[0]))
+    found = [measured.of_load(name, load) for load in members]
     outcomes = [m.outcome for m in found if m is not None and m.limit is not None]
-    return Cell(spread_text(measured.values(name, members, run.loads)), worst(outcomes) if outcomes else None)
+    return Cell(spread_text(measured.values(name, members)), worst(outcomes) if outcomes else None)
 
 
-def _bands(members: Sequence[LoadObservation], run: RunObservation, measured: Measured) -> str:
+def _bands(members: Sequence[LoadObservation], measured: Measured) -> str:
     """Return the bands the overlap metric names at the head of its ``how``, with counts where they differ."""
-    found = [measured.of_load("area_overlap", load, run.loads) for load in members]
+    found = [measured.of_load("area_overlap", load) for load in members]
     names = [m.how.partition(";")[0] for m in found if m is not None and m.value is not None]
     counts = {name: names.count(name) for name in dict.fromkeys(names)}
     if len(counts) == 1:

@@ -4,6 +4,7 @@ from math import atan2, degrees, hypot
 
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.report import Cell, RunResult, Section
+from cbsr_qa.domain.steps import Role
 from cbsr_qa.report.figures_loads import random_loads_figure
 from cbsr_qa.report.loads import seen_loads
 from cbsr_qa.report.numbers import with_uncertainty
@@ -12,12 +13,12 @@ from cbsr_qa.report.tables import text_table, value_cell
 
 
 class RandomLoads:
-    """Section of the loads that the ``random-loads`` sequence pressed (paper: Fig 11, Table 5)."""
+    """Section of the loads that were drawn at random (paper: Fig 11, Table 5)."""
 
     def render(self, result: RunResult | RecordingResult) -> Section | None:
         """Return the section; None where none were pressed."""
         run = observed(result)
-        loads = loads_of(run, "random-loads") if run else ()
+        loads = loads_of(run, Role.RANDOM) if run else ()
         if run is None or not loads or not isinstance(result, RunResult):
             return None
         measured = Measured(result.measurements)
@@ -35,8 +36,8 @@ class RandomLoads:
             wanted = load.record.load
             polar = f"{hypot(wanted.x_mm, wanted.y_mm):.1f}, {degrees(atan2(wanted.y_mm, wanted.x_mm)) % 360:.0f}°"
             force = "–" if load.force_N is None else with_uncertainty(load.force_N, load.force_stderr_N)
-            error = value_cell(measured.of_load("centre_of_mass_error", load, run.loads))
-            overlap = value_cell(measured.of_load("area_overlap", load, run.loads))
+            error = value_cell(measured.of_load("centre_of_mass_error", load))
+            overlap = value_cell(measured.of_load("area_overlap", load))
             rows.append([wanted.label, polar, f"{100 * wanted.strain:.1f}", force, error, overlap])
         columns = ("Load", "r [mm], θ", "Strain [%]", "Force [N]", "E_CoM [mm]", "A_OL [%]")
         table = text_table(f"Random loads: error {mean} mm over all.", columns, rows, (1, 2, 3, 4, 5))

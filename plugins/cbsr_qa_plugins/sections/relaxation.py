@@ -7,6 +7,7 @@ from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.observation import RelaxationObservation
 from cbsr_qa.domain.relaxation import FitStatus
 from cbsr_qa.domain.report import Block, Paragraph, RunResult, Section, Table
+from cbsr_qa.domain.steps import Role
 from cbsr_qa.report.figures_relaxation import SettledLoad, relaxation_figure, settling_figure
 from cbsr_qa.report.loads import settled_loads
 from cbsr_qa.report.numbers import plain, plural, with_uncertainty
@@ -24,7 +25,7 @@ class RelaxationFits:
         if run is None or not loads:
             return None
         signals = list(dict.fromkeys(r.signal for load in loads for r in load.relaxations))
-        apart = settled_loads(loads_of(run, "relaxation"))
+        apart = settled_loads(loads_of(run, Role.RELAXATION))
         shown = next((load for load in loads if apart and load.label == apart[0].label), None)
         shown = next((load for load in loads if apart and load.group == apart[0].group), shown) or _best(loads)
         blocks: list[Block] = [

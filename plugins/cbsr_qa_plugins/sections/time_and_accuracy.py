@@ -63,7 +63,7 @@ def _phase_row(phase: PhaseRecord, run: RunObservation, measured: Measured) -> l
     cycle = sum(load.record.rest_end_s - load.record.press_start_s for load in loads) / len(loads)
     counts = sorted({load.steady_frames for load in loads})
     averaged = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
-    spatial = [spread_text(measured.values(name, loads, run.loads), unit) for name, _, unit in SPATIAL[:2]]
+    spatial = [spread_text(measured.values(name, loads), unit) for name, _, unit in SPATIAL[:2]]
     return [phase.name, duration(seconds), str(len(loads)), duration(cycle), averaged, *spatial]
 
 
