@@ -1,37 +1,24 @@
 """A stored run to observations: reference, noise floor, response, every press. Pure, given a reconstruction."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 from cbsr_qa.analysis.imager import Imager
-from cbsr_qa.analysis.run_loads import LoadSetting, LoadWindow, load_window, mean_change_under_head, observe_load
+from cbsr_qa.analysis.run_loads import LoadSetting, load_window, mean_change_under_head, observe_load
 from cbsr_qa.analysis.run_reference import UsableData, split_unloaded, unloaded_frames, usable_data
 from cbsr_qa.analysis.run_response import decide_response
 from cbsr_qa.analysis.run_timeline import metric_timelines
 from cbsr_qa.domain.frames import FrameBlock
-from cbsr_qa.domain.loads import LoadRecord
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.domain.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.domain.sensor import Response
 from cbsr_qa.imaging.noise_floor import noise_floor
 from cbsr_qa.interfaces import Reconstruction
 from cbsr_qa.reconstruct.problem import imaging_problem
 from cbsr_qa.reconstruct.scaling import scale_of
 
-#: Told with the number of loads done and to do.
-Progress = Callable[[int, int], None]
 
-_Cut = tuple[PhaseRecord, LoadRecord, LoadWindow]
-
-
-def observe_run(
-    record: RunRecord,
-    reconstruction: Reconstruction,
-    settings: AnalysisSettings,
-    *,
-    progress: Progress = lambda done, total: None,
-) -> RunObservation:
+def observe_run(record: RunRecord, reconstruction: Reconstruction, settings: AnalysisSettings) -> RunObservation:
     """Work out everything about a run that metrics need.
 
     Parameters
@@ -39,7 +26,6 @@ def observe_run(
     record : the run as stored; nothing else is looked at.
     reconstruction : a plugin's object.
     settings : of the recipe.
-    progress : called after each load.
 
     Raises
     ------
@@ -58,7 +44,7 @@ def observe_run(
     signals = [mean_change_under_head(undecided, load, window) for _, load, window in cut]
     response, how, doubts = decide_response(record.sensor_type.response, signals, floor)
     setting = replace(undecided, response=response)
-    loads = _observe_all(setting, cut, progress)
+    loads = tuple(observe_load(setting, phase, load, window) for phase, load, window in cut)
     return RunObservation(
         record=record,
         reconstruction=imager.reconstruction,
@@ -82,14 +68,6 @@ def _imager(data: UsableData, for_reference: FrameBlock, reconstruction: Reconst
     reference = for_reference.voltages.mean(axis=0)
     problem = imaging_problem(data.record.sensor_type, used=data.readings)
     return Imager(reconstruction.prepare(problem), reference, scale_of(reference, problem))
-
-
-def _observe_all(setting: LoadSetting, cut: list[_Cut], progress: Progress) -> tuple[LoadObservation, ...]:
-    seen = []
-    for number, (phase, load, window) in enumerate(cut, start=1):
-        seen.append(observe_load(setting, phase, load, window))
-        progress(number, len(cut))
-    return tuple(seen)
 
 
 def _remarks(loads: tuple[LoadObservation, ...], multiple: float) -> tuple[str, ...]:
