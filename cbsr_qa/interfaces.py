@@ -94,7 +94,17 @@ class ForceApplicator(Instrument, Protocol):
         ...
 
     def find_surface(self, x_mm: float, y_mm: float) -> float:
-        """Find the zero-strain height at a place; returns the depth travelled from the hover height [mm]."""
+        """Find the zero-strain height at a place, and come back to the hover height.
+
+        The head touches the sheet, and the call returns only when it is up again: the runner checks that force
+        data are fresh before it, and force and freshness right after it. During the search that is the driver's
+        duty: it goes no deeper without a force sample taken since its last step, and lifts and raises
+        InstrumentError where samples fail to come or no contact force is met down to the depth it knows as safe.
+
+        Returns
+        -------
+        Depth of the surface below the hover height [mm].
+        """
         ...
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
@@ -106,7 +116,11 @@ class ForceApplicator(Instrument, Protocol):
         ...
 
     def release(self) -> None:
-        """Go up to the hover height; returns when clear of the sheet."""
+        """Go up to the hover height; returns when there.
+
+        The way out of the sheet is gone at the speed of the last press: the runner takes from it when the head left
+        the sheet (:func:`cbsr_qa.domain.kinematics.lift_off_s`).
+        """
         ...
 
 

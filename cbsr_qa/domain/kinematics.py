@@ -36,6 +36,11 @@ def stroke_s(motion: Motion, depth_mm: float) -> float:
     return (motion.hover_mm - slow_mm) / motion.travel_speed_mm_s + (slow_mm + depth_mm) / motion.press_speed_mm_s
 
 
+def lift_off_s(motion: Motion, depth_mm: float) -> float:
+    """Time the head needs to leave the sheet from a depth, going up at the press speed [s]."""
+    return depth_mm / motion.press_speed_mm_s
+
+
 def surface_search_s(motion: Motion) -> float:
     """Time to feel for the surface from the hover height and to come back to it [s]."""
     steps = SEARCH_FROM_MM / SEARCH_STEP_MM + SEARCH_CONTACT_STEPS

@@ -135,6 +135,8 @@ def dry_run(
     RefusedError
         If the plan has no phase, or a sequence makes no step or no end of them. Broken limits are listed in
         the result instead; :meth:`DryRun.refuse` raises for them.
+    PluginError
+        If a sequence's role is none.
     """
     walk = _Walk(plan, frame_period_s, answered)
     phases = tuple(walk.phase(scheduled) for scheduled in schedule(plan, done))

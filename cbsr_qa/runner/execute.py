@@ -111,7 +111,8 @@ class _Walk:
         told = phase.scheduled
         # A phase that an earlier session finished has its documents already; only the bench is set up again.
         if not told.finished:
-            self._documents.emit(PhaseStarted(told.index, told.name, told.sequence, self._clock.now()))
+            began = PhaseStarted(told.index, told.name, told.sequence, self._clock.now(), told.role)
+            self._documents.emit(began)
         for step, planned_s in zip(told.steps, phase.durations_s, strict=True):
             self._at = phase, step
             now_s = self._clock.now()

@@ -24,7 +24,8 @@ class Interrupts:
     The first signal raises where the run is, or after the document being delivered; a second one breaks
     through a delivery that hangs. From :meth:`mask` on every signal is ignored: the bench is being made safe,
     and an impatient second Ctrl-C must not leave the head down. Handlers the application installed are called;
-    where there is none the signal raises :class:`Stopped`. Outside the main thread nothing is installed,
+    where there is none the signal raises :class:`Stopped`. A signal the process inherited as ignored (SIGHUP under
+    nohup, SIGINT in a shell's background) stays ignored: whoever started it wanted that. Outside the main thread nothing is installed,
     because Python delivers no signals there.
     """
 

@@ -12,25 +12,37 @@ class LoadLog:
     Parameters
     ----------
     times_s : press start, hold start, release start, release end, as far as they have happened.
+    lift_off_s : how long the head needs to leave the sheet once it starts up; None where nobody knows.
     """
 
     index: int = -1
     load: Load | None = None
     times_s: list[float] = field(default_factory=list)
+    lift_off_s: float | None = None
 
-    def begin(self, index: int, load: Load, now_s: float) -> None:
+    def begin(self, index: int, load: Load, now_s: float, lift_off_s: float) -> None:
         """The head starts down."""
-        self.index, self.load, self.times_s = index, load, [now_s]
+        self.index, self.load, self.times_s, self.lift_off_s = index, load, [now_s], lift_off_s
 
     def mark(self, now_s: float) -> None:
         """The head is down; then it starts up; then it is up."""
         self.times_s.append(now_s)
+
+    def lose_track(self) -> None:
+        """The way up was not one movement: when the head left the sheet is not known."""
+        self.lift_off_s = None
 
     def finish(self, now_s: float) -> LoadRecord | None:
         """The rest is over: return the record of a press that came to its end, or None where there is none."""
         if self.load is None or len(self.times_s) != 4:
             return None
         press_s, hold_s, release_s, up_s = self.times_s
-        record = LoadRecord(self.index, self.load, press_s, hold_s, release_s, up_s, now_s)
+        record = LoadRecord(self.index, self.load, press_s, hold_s, release_s, up_s, now_s, self._clear_s())
         self.load = None
         return record
+
+    def _clear_s(self) -> float | None:
+        if self.lift_off_s is None:
+            return None
+        _, _, release_s, up_s = self.times_s
+        return min(release_s + self.lift_off_s, up_s)  # a head that is up has left the sheet

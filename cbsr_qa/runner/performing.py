@@ -5,6 +5,7 @@ from functools import partial
 from typing import Final, TypeVar
 
 from cbsr_qa.clock import Clock
+from cbsr_qa.domain import kinematics
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.frames import FrameBlock
 from cbsr_qa.domain.loads import Load
@@ -106,8 +107,7 @@ class Performer:
                     self._move(applicator.home)
             case FindSurface(x_mm=x_mm, y_mm=y_mm):
                 self._travel(x_mm, y_mm)
-                with self.spent.on(Kind.SURFACE, self._clock):
-                    self._move(partial(applicator.find_surface, x_mm, y_mm))
+                self._feel(partial(applicator.find_surface, x_mm, y_mm))
             case Prompt(text=text):
                 assert self._ask is not None  # the dry run refuses prompts that nobody can answer
                 with self.spent.on(Kind.PROMPT, self._clock):
@@ -116,19 +116,22 @@ class Performer:
     def _press(self, load: Load) -> None:
         self._interlock.check_load(load)
         self._travel(load.x_mm, load.y_mm)
-        self._watch()
+        motion = self._plan.motion
         depth_mm = load.strain * self._plan.sensor_type.thickness_mm
         assert self._at.load is not None
-        self._loads.begin(self._at.load, load, self._clock.now())
-        # A press that failed is not tried again: nobody knows how deep the head is.
-        with self.spent.on(Kind.PRESS, self._clock), self._interlock.passing(State.PRESSING, State.PRESSED):
-            self._bench.force_applicator.press(depth_mm, self._plan.motion.press_speed_mm_s)
+        with self._interlock.passing(State.PRESSING, State.PRESSED):
+            self._watch()  # the head does not go down on a load cell that has fallen silent
+            self._loads.begin(self._at.load, load, self._clock.now(), kinematics.lift_off_s(motion, depth_mm))
+            # A press that failed is not tried again: nobody knows how deep the head is.
+            with self.spent.on(Kind.PRESS, self._clock):
+                self._bench.force_applicator.press(depth_mm, motion.press_speed_mm_s)
         self._loads.mark(self._clock.now())
 
     def _release(self) -> None:
         self._loads.mark(self._clock.now())
         with self.spent.on(Kind.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
-            self._attempt(self._bench.force_applicator.release)  # going up is safe however often
+            # Going up is safe however often.
+            self._attempt(self._bench.force_applicator.release, before_another=self._loads.lose_track)
         self._loads.mark(self._clock.now())
 
     def _travel(self, x_mm: float, y_mm: float) -> None:
@@ -140,6 +143,17 @@ class Performer:
         """Move with the head up; before another attempt the head is lifted, wherever the first one left it."""
         with self._interlock.passing(State.MOVING, State.ARMED):
             self._attempt(motion, before_another=self._bench.force_applicator.release)
+
+    def _feel(self, search: Callable[[], object]) -> None:
+        """Let the applicator feel for the surface; it touches the sheet, so the force must be known.
+
+        The search is one call: while it lasts the driver watches over force and its freshness, and the runner
+        checks before and right after it.
+        """
+        with self.spent.on(Kind.SURFACE, self._clock), self._interlock.passing(State.FEELING, State.ARMED):
+            self._watch()
+            self._attempt(search, before_another=self._bench.force_applicator.release)
+            self._watch()
 
     def _hold(self, hold: Hold) -> None:
         end_s = self._clock.now() + hold.hold_s

@@ -20,7 +20,8 @@ class State(StrEnum):
 
     IDLE = "idle"  #: nothing was touched yet
     ARMED = "armed"  #: the head is up and still; steps may begin
-    MOVING = "moving"  #: the head travels, homes or feels for the surface
+    MOVING = "moving"  #: the head travels or homes
+    FEELING = "feeling"  #: the head feels for the surface, and touches it
     PRESSING = "pressing"  #: the head goes down
     PRESSED = "pressed"  #: the head is down and still
     RELEASING = "releasing"  #: the head goes up
@@ -32,8 +33,9 @@ class State(StrEnum):
 #: Which state may follow which. STOPPING may follow every one but the two it ends in.
 TRANSITIONS: Final[dict[State, frozenset[State]]] = {
     State.IDLE: frozenset({State.ARMED, State.STOPPING}),
-    State.ARMED: frozenset({State.MOVING, State.PRESSING, State.STOPPING}),
+    State.ARMED: frozenset({State.MOVING, State.FEELING, State.PRESSING, State.STOPPING}),
     State.MOVING: frozenset({State.ARMED, State.STOPPING}),
+    State.FEELING: frozenset({State.ARMED, State.STOPPING}),
     State.PRESSING: frozenset({State.PRESSED, State.STOPPING}),
     State.PRESSED: frozenset({State.RELEASING, State.STOPPING}),
     State.RELEASING: frozenset({State.ARMED, State.STOPPING}),
@@ -43,7 +45,7 @@ TRANSITIONS: Final[dict[State, frozenset[State]]] = {
 }
 
 #: States in which the head touches, or may touch, the sheet.
-TOUCHING: Final = frozenset({State.PRESSING, State.PRESSED, State.RELEASING})
+TOUCHING: Final = frozenset({State.FEELING, State.PRESSING, State.PRESSED, State.RELEASING})
 
 
 class Interlock:
@@ -108,7 +110,7 @@ class Interlock:
         self._force_time_s = max(self._force_time_s, float(block.time_s[-1]))
 
     def check_time(self, now_s: float) -> None:
-        """Check the run's duration, and while pressed the age of the last force sample."""
+        """Check the run's duration, and while the head touches the age of the last force sample."""
         safety = self._plan.safety
         if now_s - self._started_s > safety.duration_s:
             raise SafetyError(
@@ -118,7 +120,8 @@ class Interlock:
         if self.touching and age_s > safety.stale_s:
             raise SafetyError(
                 "stale force",
-                f"the last force sample is {age_s:.3g} s old; the station allows {safety.stale_s:g} s while pressed",
+                f"the last force sample is {age_s:.3g} s old; the station allows {safety.stale_s:g} s while the head"
+                " touches the sheet",
                 remedy="check the load cell and its cable",
             )
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from itertools import chain, islice
 from typing import Final
 
-from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Release, Step
+from cbsr_qa.domain.errors import PluginError, RefusedError
+from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Release, Role, Step
 from cbsr_qa.runner.plan import Plan, PlannedPhase
 
 #: A sequence that makes more steps than this is taken to be endless.
@@ -42,6 +42,7 @@ class ScheduledPhase:
 
     Parameters
     ----------
+    role : what the sequence says it is for.
     loads : how many loads it presses, finished ones included.
     finished : every load of it was finished in an earlier session; only what sets the bench up is left.
     """
@@ -49,6 +50,7 @@ class ScheduledPhase:
     index: int
     name: str
     sequence: str
+    role: Role
     steps: tuple[ScheduledStep, ...]
     loads: int
     finished: bool
@@ -69,6 +71,8 @@ def schedule(plan: Plan, done: frozenset[LoadKey] = frozenset()) -> tuple[Schedu
     ------
     RefusedError
         If there is no phase, or a sequence makes no step or no end of them.
+    PluginError
+        If a sequence's role is none.
     """
     if not plan.phases:
         raise RefusedError("the recipe has no phase", remedy="give it at least one [[phases]] table")
@@ -86,7 +90,17 @@ def _scheduled(plan: Plan, index: int, phase: PlannedPhase, done: frozenset[Load
     loads = sum(isinstance(step, Press) for step in steps)
     finished = loads > 0 and all((index, load) in done for load in range(loads))
     left = tuple(s for s in numbered if _is_left(s, done, finished))
-    return ScheduledPhase(index, phase.name, phase.sequence_name, left, loads, finished)
+    return ScheduledPhase(index, phase.name, phase.sequence_name, _role(phase), left, loads, finished)
+
+
+def _role(phase: PlannedPhase) -> Role:
+    role = getattr(phase.sequence, "role", Role.OTHER)
+    if not isinstance(role, Role):
+        raise PluginError(
+            f"sequence {phase.sequence_name!r} of phase {phase.name!r} has role {role!r}, which is no Role",
+            remedy=f"a role is one of {', '.join(f'Role.{known.name}' for known in Role)} (cbsr_qa.domain.steps)",
+        )
+    return role
 
 
 def _numbered(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:

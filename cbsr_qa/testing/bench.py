@@ -16,7 +16,7 @@ from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.plan import InstrumentSpec
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.domain.sensor import SensorIdentity, SensorType
-from cbsr_qa.domain.steps import Step
+from cbsr_qa.domain.steps import Role, Step
 from cbsr_qa.interfaces import SequenceContext
 from cbsr_qa.runner.bench import FORCE_APPLICATOR, FORCE_CHANNEL, FRAME_SOURCE, Bench, Mounted
 from cbsr_qa.runner.plan import Plan, PlannedPhase
@@ -209,6 +209,7 @@ class FixedSequence:
     """A sequence of given steps."""
 
     given: tuple[Step, ...]
+    role: Role = Role.OTHER
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield them, whatever the context."""

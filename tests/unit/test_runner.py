@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cbsr_qa.clock import RealClock, VirtualClock
-from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError
+from cbsr_qa.domain.errors import ConfigError, InstrumentError, PluginError, RefusedError
 from cbsr_qa.domain.loads import Load
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.plan import InstrumentSpec
@@ -22,10 +22,11 @@ from cbsr_qa.domain.run_events import (
     StepStarted,
     Unloaded,
 )
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Prompt, Release
+from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Prompt, Release, Role
 from cbsr_qa.runner.bench import Bench, Mounted, open_bench
 from cbsr_qa.runner.execute import execute
-from cbsr_qa.testing.bench import Script, example_identity, example_plan, raising, scripted_bench
+from cbsr_qa.runner.plan import PlannedPhase
+from cbsr_qa.testing.bench import FixedSequence, Script, example_identity, example_plan, raising, scripted_bench
 
 TOOK_S = {
     "force_applicator.home": 6.0,
@@ -101,6 +102,52 @@ def test_times_of_a_load():
     assert first.release_end_s - first.release_start_s == TOOK_S["force_applicator.release"]
     assert first.rest_end_s - first.release_end_s == 60
     assert second.rest_end_s == script.clock.now()
+
+
+def records(script, *steps):
+    return [d.record for d in kinds(run(steps, script=script)[1], LoadFinished)]
+
+
+def test_the_head_leaves_the_sheet_a_stroke_at_press_speed_after_it_starts_up():
+    shallow, deep = records(None, *cycle(0, strain=0.1), *cycle(1, strain=0.3))
+    for record, depth_mm in ((shallow, 0.4), (deep, 1.2)):
+        assert record.clear_s == pytest.approx(record.release_start_s + depth_mm / (40 / 60))
+        assert record.unloaded_s == record.clear_s < record.release_end_s
+
+
+def test_a_head_that_is_up_has_left_the_sheet():
+    (record,) = records(Script(VirtualClock(), TOOK_S | {"force_applicator.release": 0.5}), *cycle(0))
+    assert record.clear_s == record.release_end_s == record.release_start_s + 0.5
+
+
+def test_nobody_knows_when_a_release_that_was_tried_again_left_the_sheet():
+    script = Script(VirtualClock(), TOOK_S)
+    script.on("force_applicator.release", raising(lost("force_applicator")))
+    first, second = records(script, *cycle(0), *cycle(1))
+    assert (first.clear_s, first.unloaded_s) == (None, first.release_end_s)
+    assert second.clear_s is not None
+
+
+def test_phases_say_what_they_are_for():
+    class Silent:
+        def steps(self, context):
+            yield from cycle(0)
+
+    planned = (
+        PlannedPhase("a", "fixed", FixedSequence(cycle(0), Role.GRID)),
+        PlannedPhase("b", "silent", Silent()),
+    )
+    _, documents, _ = run(*planned)
+    assert [d.role for d in kinds(documents, PhaseStarted)] == [Role.GRID, Role.OTHER]
+
+
+@pytest.mark.parametrize("role", ["grid", None, 3])
+def test_a_role_that_is_none_is_refused_before_anything_moves(role):
+    script = Script(VirtualClock(), TOOK_S)
+    with pytest.raises(PluginError, match=r"sequence 'fixed' of phase 'a' has role .*, which is no Role") as refused:
+        run(PlannedPhase("a", "fixed", FixedSequence(cycle(0), role)), script=script)
+    assert "Role.GRID" in refused.value.remedy
+    assert script.calls == []
 
 
 def test_frames_fill_holds_and_rests_one_at_a_time():

@@ -187,6 +187,46 @@ def test_a_run_that_overstays_is_stopped():
     assert "rule 'duration'" in ended.detail
 
 
+SEARCH = (Hold(60, acquire=False), FindSurface(0, 0), Hold(60, acquire=False))
+
+
+def test_the_surface_is_not_searched_for_without_a_live_load_cell():
+    ended, _, script, bench = run(SEARCH, script=Script(VirtualClock(), force_N=lambda t, down: None))
+    assert_safe(script, bench)
+    assert "rule 'stale force'" in ended.detail
+    assert "bench feeling" in ended.detail
+    assert script.count("force_applicator.find_surface") == 0
+
+
+def test_a_load_cell_that_falls_silent_during_the_search_stops_the_run():
+    script = Script(
+        VirtualClock(), {"force_applicator.find_surface": 9.0}, force_N=lambda t, down: 0.0 if t < 61 else None
+    )
+    ended, _, script, bench = run(SEARCH, script=script)
+    assert_safe(script, bench)
+    assert "rule 'stale force'" in ended.detail
+    assert script.count("force_applicator.find_surface") == 1
+    assert ended.time_s == pytest.approx(69.0)  # right after the search, not at the next look
+
+
+def test_too_much_force_during_the_search_stops_the_run():
+    script = Script(
+        VirtualClock(), {"force_applicator.find_surface": 9.0}, force_N=lambda t, down: 21.0 if 64 < t < 65 else 0.0
+    )
+    ended, _, script, bench = run(SEARCH, script=script)
+    assert_safe(script, bench)
+    assert "rule 'force': 21 N measured" in ended.detail
+    assert "bench feeling" in ended.detail
+
+
+def test_the_head_does_not_go_down_on_a_load_cell_that_has_fallen_silent():
+    script = Script(VirtualClock(), force_N=lambda t, down: 0.0 if t < 30 else None)
+    ended, _, script, bench = run((Hold(60, acquire=False), Press(LOAD), Release()), script=script)
+    assert_safe(script, bench)
+    assert "rule 'stale force'" in ended.detail
+    assert script.count("force_applicator.press") == 0
+
+
 # --- the state machine -----------------------------------------------------------------------------------
 
 
@@ -243,10 +283,32 @@ def test_only_the_force_channel_is_held_against_the_ceiling():
 # --- signals ---------------------------------------------------------------------------------------------
 
 
+@pytest.fixture
+def as_at_a_terminal():
+    """Signals as an interactive shell hands them down: under nohup or ``&`` some are inherited as ignored."""
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in usual.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 def send(number):
     return lambda: os.kill(os.getpid(), number)
 
 
+@pytest.mark.usefixtures("as_at_a_terminal")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+def test_a_signal_inherited_as_ignored_stays_ignored(number):
+    signal.signal(number, signal.SIG_IGN)
+    script = Script(VirtualClock())
+    script.on("force_applicator.press", send(number))
+    ended, *_ = run(script=script)
+    assert ended.end is EndReason.FINISHED
+    assert signal.getsignal(number) is signal.SIG_IGN
+
+
+@pytest.mark.usefixtures("as_at_a_terminal")
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
 def test_a_signal_without_a_handler_aborts_by_its_name(number):
     script = Script(VirtualClock())
@@ -259,6 +321,7 @@ def test_a_signal_without_a_handler_aborts_by_its_name(number):
     assert signal.getsignal(number) is before
 
 
+@pytest.mark.usefixtures("as_at_a_terminal")
 def test_the_application_may_say_who_aborted(monkeypatch):
     def handler(number, frame):
         raise AbortedError("the page's stop button")
@@ -273,6 +336,7 @@ def test_the_application_may_say_who_aborted(monkeypatch):
         signal.signal(signal.SIGTERM, before)
 
 
+@pytest.mark.usefixtures("as_at_a_terminal")
 def test_an_impatient_second_ctrl_c_does_not_keep_the_head_down():
     script = Script(VirtualClock())
     script.on("force_applicator.press", send(signal.SIGINT))
@@ -284,6 +348,7 @@ def test_an_impatient_second_ctrl_c_does_not_keep_the_head_down():
     assert documents[-1] is ended
 
 
+@pytest.mark.usefixtures("as_at_a_terminal")
 def test_a_signal_waits_until_the_journal_has_stored():
     stored = []
 
@@ -301,6 +366,7 @@ def test_a_signal_waits_until_the_journal_has_stored():
     assert_safe(script, bench)
 
 
+@pytest.mark.usefixtures("as_at_a_terminal")
 def test_a_second_signal_breaks_through_a_delivery_that_hangs():
     reached = []
 

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release
+from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role
 from cbsr_qa.testing.bench import example_plan
 from cbsr_qa_plugins.sequences.location_grid import LocationGridSequence
 from cbsr_qa_plugins.sequences.noise_figure import NoiseFigureSequence
@@ -41,6 +41,10 @@ sequences = st.one_of(
     st.builds(RandomLoadsSequence, count=st.integers(1, 12), rest_s=st.floats(0, 90), stream=st.sampled_from("ab")),
     st.builds(RelaxationSequence, x_mm=st.floats(-30, 30), trials=st.integers(1, 3)),
 )
+
+
+def test_every_sequence_says_what_it_is_for():
+    assert [sequence().role for sequence in ALL] == [Role.NOISE, Role.GRID, Role.RANDOM, Role.RELAXATION]
 
 
 @given(sequence=sequences, seed=st.integers(0, 2**40))

@@ -1,19 +1,28 @@
 """The simulated bench: time, head, surface, load cell, and numbers that repeat."""
 
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import pytest
 from simulated_setting import MOTION, base_scene, context, installed, scene
 
 from cbsr_qa.clock import VirtualClock
+from cbsr_qa.config.loader import load_station
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.kinematics import stroke_s, surface_search_s, travel_s
+from cbsr_qa.domain.loads import NINE_LOCATIONS_MM, Load
+from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.run_events import LoadFinished
 from cbsr_qa.domain.scene import Moment, SceneSetting
+from cbsr_qa.domain.steps import FindSurface, Hold, Press, Release
 from cbsr_qa.interfaces import ForceApplicator, FrameSource, Sampler
+from cbsr_qa.runner.bench import Bench, Mounted
+from cbsr_qa.runner.execute import execute
 from cbsr_qa.simulate.head import SheetSeat
+from cbsr_qa.testing.bench import example_identity, example_plan
 from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench, open_bench
 
 SPEED = 40 / 60
@@ -207,6 +216,26 @@ def test_without_a_sheet_that_resists_the_surface_is_not_found():
         bench.find_surface(5.0, 0.0)
     assert "elastic-stress" in lost.value.remedy
     assert bench.world.presses[0].strain_at(clock.now()) == pytest.approx(0.0, abs=1e-15)
+
+
+@pytest.mark.parametrize("strain", [0.05, 0.2, 0.3])
+def test_loads_record_when_the_head_left_the_sheet(strain: float):
+    clock, bench = _bench()
+    loads = [Load(f"L{i}", *place, strain, 0) for i, place in enumerate(NINE_LOCATIONS_MM[:3])]
+    surfaces = [FindSurface(load.x_mm, load.y_mm) for load in loads]
+    cycles = [(Press(load), Hold(10.0, acquire=False), Release(), Hold(10.0, acquire=False)) for load in loads]
+    told: list[object] = []
+    plan = example_plan([*surfaces, *chain.from_iterable(cycles)])
+    mounted = Mounted(load_station("simulated").value.instruments[0], bench)
+    ended = execute(plan, example_identity(), Bench([mounted]), clock, [told.append])
+    assert ended.end is EndReason.FINISHED, ended.detail
+    records = [event.record for event in told if isinstance(event, LoadFinished)]
+    presses = bench.world.presses[-len(loads) :]  # after those of the surface search
+    for record, press in zip(records, presses, strict=True):
+        up = press.steps[-1]
+        assert press.strain_at(record.release_start_s) == pytest.approx(strain, abs=0.004)
+        assert up.change < 0
+        assert record.clear_s == pytest.approx(up.start_s + up.ramp_s, abs=0.05)
 
 
 # --- load cell ---

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM, Load
-from cbsr_qa.domain.steps import Step
+from cbsr_qa.domain.steps import Role, Step
 from cbsr_qa.interfaces import SequenceContext
 from cbsr_qa_plugins.sequences._cycle import find_surfaces, press_cycle, unloaded
 from cbsr_qa_plugins.sequences._options import UNLOADED_FRAMES, Options
@@ -30,6 +30,8 @@ class NoiseFigureSequence:
     ConfigError
         If an option is unknown or out of range.
     """
+
+    role = Role.NOISE
 
     def __init__(self, **options: Any) -> None:
         given = Options("noise-figure", options, _KNOWN)

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from cbsr_qa.domain.loads import Load
-from cbsr_qa.domain.steps import Step
+from cbsr_qa.domain.steps import Role, Step
 from cbsr_qa.interfaces import SequenceContext
 from cbsr_qa_plugins.sequences._cycle import find_surfaces, press_cycle, unloaded
 from cbsr_qa_plugins.sequences._options import STRAIN_CEILING_PERCENT, UNLOADED_FRAMES, Options
@@ -53,6 +53,8 @@ class RandomLoadsSequence:
     ConfigError
         If an option is unknown or out of range.
     """
+
+    role = Role.RANDOM
 
     def __init__(self, **options: Any) -> None:
         given = Options(_NAME, options, _KNOWN)
