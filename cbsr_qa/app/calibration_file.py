@@ -21,6 +21,7 @@ def show_calibration(path: Path) -> dict[str, Any]:
     return {
         "file": str(path),
         "digest": verified.digest,
+        "record_digest": verified.record_digest,
         "schema_version": verified.schema_version,
         "identity": _identity(calibration),
         "simulated": list(calibration.simulated),
@@ -32,6 +33,7 @@ def show_calibration(path: Path) -> dict[str, Any]:
         "settling": [_settling(summary) for summary in calibration.settling],
         "area_overlap": {
             "threshold_percent": calibration.overlap_threshold,
+            "size_ratio": None if calibration.size_ratio is None else list(calibration.size_ratio),
             "bands": [
                 {"name": band.name, "lower_percent": band.lower, "upper_percent": band.upper}
                 for band in calibration.overlap_bands
@@ -54,6 +56,7 @@ def verify_file(path: Path) -> dict[str, Any]:
         "file": str(path),
         "sound": True,
         "digest": verified.digest,
+        "record_digest": verified.record_digest,
         "schema_version": verified.schema_version,
         "datasets": verified.datasets,
     }
@@ -97,7 +100,11 @@ def _quasi_static(fit: QuasiStatic, slope_units: str) -> dict[str, Any]:
     def parameter(value: Parameter, units: str) -> dict[str, Any]:
         return {"value": value.value, "stderr": value.stderr, "units": units, "source": value.source}
 
-    return {"slope": parameter(fit.slope, slope_units), "intercept": parameter(fit.intercept, "1")}
+    return {
+        "slope": parameter(fit.slope, slope_units),
+        "intercept": parameter(fit.intercept, "1"),
+        "covariance": fit.covariance,
+    }
 
 
 def _settling(summary: SettlingSummary) -> dict[str, Any]:
@@ -118,6 +125,8 @@ def _image(c: Calibration) -> dict[str, Any]:
         "method": c.reconstruction.method,
         "regularisation": c.reconstruction.choice.value,
         "regularisation_how": c.reconstruction.choice.how,
+        "noise_figure_nominal": c.reconstruction.choice.noise_figure,
+        "noise_figure_measured": c.noise_figure,
         "elements": len(problem.mesh.elements),
         "readings": int(problem.used.sum()),
         "response": c.response.value,

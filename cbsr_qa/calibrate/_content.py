@@ -28,20 +28,20 @@ class Entry:
 
 
 class Writing:
-    """Collects entries under their paths."""
+    """Collects entries under their paths. Negative zero becomes zero: not every database tells them apart."""
 
     def __init__(self) -> None:
         self.entries: dict[str, Entry] = {}
 
     def number(self, path: str, value: float | None, units: str = PURE) -> None:
         """Keep a number; None is kept as NaN, which no number in a calibration ever is."""
-        self.entries[path] = Entry(units, np.asarray(np.nan if value is None else value, dtype=np.float64))
+        self.entries[path] = Entry(units, np.asarray(np.nan if value is None else value + 0.0, dtype=np.float64))
 
     def numbers(self, path: str, values: Sequence[float | None] | NDArray[np.float64], units: str = PURE) -> None:
         """Keep numbers; None in a sequence is kept as NaN."""
         if not isinstance(values, np.ndarray):
             values = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-        self.entries[path] = Entry(units, np.ascontiguousarray(values, dtype=np.float64))
+        self.entries[path] = Entry(units, np.ascontiguousarray(values, dtype=np.float64) + 0.0)
 
     def optional(self, path: str, values: Sequence[float] | NDArray[np.float64] | None, units: str = PURE) -> None:
         """Keep numbers that may be absent: an empty array then."""
@@ -136,6 +136,16 @@ class Reading:
         if not isinstance(value, tuple):
             raise CalibrationError(f"{path} is not a list of texts")
         return value
+
+    def groups(self, path: str) -> tuple[str, ...]:
+        """Return the names of the groups directly inside one, sorted."""
+        inside = (name.removeprefix(f"{path}/") for name in self._entries if name.startswith(f"{path}/"))
+        return tuple(sorted({name.split("/")[0] for name in inside if "/" in name}))
+
+    def units(self, path: str) -> str:
+        """Return the units of an entry."""
+        self._value(path)
+        return self._entries[path].units
 
     def _value(self, path: str) -> Value:
         if path not in self._entries:

@@ -68,6 +68,8 @@ def _calibration(read: Reading) -> Calibration:
         validity=_validity(read),
         simulated=read.texts("identity/simulated"),
         relaxations=_relaxations(read),
+        size_ratio=read.pair("area_overlap/size_ratio"),
+        noise_figure=read.maybe("image/measured_noise_figure"),
     )
 
 
@@ -162,39 +164,55 @@ def _settling(read: Reading) -> tuple[SettlingSummary, ...]:
 
 
 def _relaxations(read: Reading) -> tuple[LoadRelaxation, ...]:
-    loads = zip(
-        read.texts("relaxation/location"),
-        read.integers("relaxation/trial").tolist(),
-        read.texts("relaxation/signal"),
-        read.flags("relaxation/loading").tolist(),
-        _fits(read),
-        _settling_times(read),
+    numbered = [pair for signal in read.groups("relaxation") for pair in _relaxations_of(read, signal)]
+    numbered.sort(key=lambda pair: pair[0])
+    if [number for number, _ in numbered] != list(range(len(numbered))):
+        raise CalibrationError("the numbers of the relaxations are not 0, 1, 2, … over all signals")
+    return tuple(relaxation for _, relaxation in numbered)
+
+
+def _relaxations_of(read: Reading, signal: str) -> list[tuple[int, LoadRelaxation]]:
+    at = f"relaxation/{signal}"
+    unit = read.units(f"{at}/offset")
+    columns = zip(
+        read.integers(f"{at}/number").tolist(),
+        read.texts(f"{at}/phase"),
+        [None if load < 0 else load for load in read.integers(f"{at}/load").tolist()],
+        read.texts(f"{at}/location"),
+        read.integers(f"{at}/trial").tolist(),
+        read.maybes(f"{at}/strain"),
+        read.flags(f"{at}/loading").tolist(),
+        _fits(read, at),
+        _settling_times(read, at),
         strict=True,
     )
-    return tuple(LoadRelaxation(*row) for row in loads)
+    return [
+        (number, LoadRelaxation(location, trial, signal, loading, fit, settling, phase, load, strain, unit))
+        for number, phase, load, location, trial, strain, loading, fit, settling in columns
+    ]
 
 
-def _fits(read: Reading) -> list[RelaxationFit]:
+def _fits(read: Reading, at: str) -> list[RelaxationFit]:
     columns = zip(
-        [FitStatus(status) for status in read.texts("relaxation/status")],
-        read.numbers("relaxation/offset").tolist(),
-        _unpadded(read.numbers("relaxation/amplitudes")),
-        _unpadded(read.numbers("relaxation/time_constants")),
-        read.numbers("relaxation/offset_stderr").tolist(),
-        _unpadded(read.numbers("relaxation/time_constants_stderr")),
-        read.numbers("relaxation/r_squared").tolist(),
-        read.texts("relaxation/why"),
+        [FitStatus(status) for status in read.texts(f"{at}/status")],
+        read.numbers(f"{at}/offset").tolist(),
+        _unpadded(read.numbers(f"{at}/amplitudes")),
+        _unpadded(read.numbers(f"{at}/time_constants")),
+        read.numbers(f"{at}/offset_stderr").tolist(),
+        _unpadded(read.numbers(f"{at}/time_constants_stderr")),
+        read.numbers(f"{at}/r_squared").tolist(),
+        read.texts(f"{at}/why"),
         strict=True,
     )
     return [RelaxationFit(*row) for row in columns]
 
 
-def _settling_times(read: Reading) -> list[SettlingTime]:
+def _settling_times(read: Reading, at: str) -> list[SettlingTime]:
     columns = zip(
-        read.maybes("relaxation/settling_time"),
-        read.flags("relaxation/settling_censored").tolist(),
-        read.numbers("relaxation/settling_band").tolist(),
-        read.texts("relaxation/settling_why"),
+        read.maybes(f"{at}/settling_time"),
+        read.flags(f"{at}/settling_censored").tolist(),
+        read.numbers(f"{at}/settling_band").tolist(),
+        read.texts(f"{at}/settling_why"),
         strict=True,
     )
     return [SettlingTime(*row) for row in columns]

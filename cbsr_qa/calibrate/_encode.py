@@ -4,10 +4,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from cbsr_qa.calibrate._content import INDEX, Entry, Writing
+from cbsr_qa.calibrate._content import Entry, Writing
 from cbsr_qa.domain.calibration import Calibration, LoadRelaxation
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.reconstruction import LinearReconstruction
+from cbsr_qa.domain.relaxation import RelaxationFit
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, SensorType
 
 
@@ -92,6 +93,7 @@ def _image(out: Writing, c: Calibration) -> None:
     out.text("image/response", c.response)
     out.number("image/noise_floor", c.noise_floor)
     out.number("image/mask", c.mask)
+    out.number("image/measured_noise_figure", c.noise_figure)
 
 
 def _baseline(out: Writing, c: Calibration) -> None:
@@ -113,7 +115,7 @@ def _quasi_static(out: Writing, name: str, fit: QuasiStatic, slope_units: str) -
 
     parameter("slope", fit.slope, slope_units)
     parameter("intercept", fit.intercept, "1")
-    out.number(f"quasi_static/{name}/covariance", fit.covariance, slope_units)
+    out.number(f"quasi_static/{name}/covariance", fit.covariance, slope_units)  # β has the unit 1
 
 
 def _settling(out: Writing, c: Calibration) -> None:
@@ -127,24 +129,48 @@ def _settling(out: Writing, c: Calibration) -> None:
 
 
 def _relaxations(out: Writing, seen: Sequence[LoadRelaxation]) -> None:
-    fits = [r.fit for r in seen]
-    unit = "1; kPa for stress"
-    out.texts("relaxation/location", [r.location for r in seen])
-    out.integers("relaxation/trial", [r.trial for r in seen], INDEX)
-    out.texts("relaxation/signal", [r.signal for r in seen])
-    out.flags("relaxation/loading", [r.loading for r in seen])
-    out.texts("relaxation/status", [fit.status for fit in fits])
-    out.numbers("relaxation/offset", [fit.offset for fit in fits], unit)
-    out.numbers("relaxation/offset_stderr", [fit.offset_stderr for fit in fits], unit)
-    out.numbers("relaxation/amplitudes", _padded([fit.amplitudes for fit in fits]), unit)
-    out.numbers("relaxation/time_constants", _padded([fit.time_constants_s for fit in fits]), "s")
-    out.numbers("relaxation/time_constants_stderr", _padded([fit.time_constant_stderr_s for fit in fits]), "s")
-    out.numbers("relaxation/r_squared", [fit.r_squared for fit in fits])
-    out.texts("relaxation/why", [fit.why for fit in fits])
-    out.numbers("relaxation/settling_time", [r.settling.value_s for r in seen], "s")
-    out.flags("relaxation/settling_censored", [r.settling.censored for r in seen])
-    out.numbers("relaxation/settling_band", [r.settling.band for r in seen], unit)
-    out.texts("relaxation/settling_why", [r.settling.why for r in seen])
+    """One group per signal, so that every dataset has one unit; ``number`` is the place among all of them."""
+    groups: dict[str, list[tuple[int, LoadRelaxation]]] = {}
+    for number, relaxation in enumerate(seen):
+        groups.setdefault(relaxation.signal, []).append((number, relaxation))
+    for signal, members in groups.items():
+        units = {relaxation.unit for _, relaxation in members}
+        if not signal.isidentifier():
+            raise CalibrationError(f"a relaxing signal is named {signal!r}; letters, digits and _ are allowed")
+        if len(units) != 1:
+            raise CalibrationError(f"relaxations of {signal} have several units: {', '.join(sorted(units))}")
+        at = f"relaxation/{signal}"
+        out.integers(f"{at}/number", [number for number, _ in members])
+        _loads(out, at, [relaxation for _, relaxation in members])
+        _fits(out, at, [relaxation.fit for _, relaxation in members], units.pop())
+        _settling_times(out, at, [relaxation for _, relaxation in members])
+
+
+def _loads(out: Writing, at: str, seen: Sequence[LoadRelaxation]) -> None:
+    out.texts(f"{at}/phase", [r.phase for r in seen])
+    out.integers(f"{at}/load", [-1 if r.load is None else r.load for r in seen])
+    out.texts(f"{at}/location", [r.location for r in seen])
+    out.integers(f"{at}/trial", [r.trial for r in seen])
+    out.numbers(f"{at}/strain", [r.strain for r in seen])
+    out.flags(f"{at}/loading", [r.loading for r in seen])
+
+
+def _fits(out: Writing, at: str, fits: Sequence[RelaxationFit], unit: str) -> None:
+    out.texts(f"{at}/status", [fit.status for fit in fits])
+    out.numbers(f"{at}/offset", [fit.offset for fit in fits], unit)
+    out.numbers(f"{at}/offset_stderr", [fit.offset_stderr for fit in fits], unit)
+    out.numbers(f"{at}/amplitudes", _padded([fit.amplitudes for fit in fits]), unit)
+    out.numbers(f"{at}/time_constants", _padded([fit.time_constants_s for fit in fits]), "s")
+    out.numbers(f"{at}/time_constants_stderr", _padded([fit.time_constant_stderr_s for fit in fits]), "s")
+    out.numbers(f"{at}/r_squared", [fit.r_squared for fit in fits])
+    out.texts(f"{at}/why", [fit.why for fit in fits])
+
+
+def _settling_times(out: Writing, at: str, seen: Sequence[LoadRelaxation]) -> None:
+    out.numbers(f"{at}/settling_time", [r.settling.value_s for r in seen], "s")
+    out.flags(f"{at}/settling_censored", [r.settling.censored for r in seen])
+    out.numbers(f"{at}/settling_band", [r.settling.band for r in seen], seen[0].unit)
+    out.texts(f"{at}/settling_why", [r.settling.why for r in seen])
 
 
 def _padded(rows: Sequence[tuple[float, ...]]) -> np.ndarray:
@@ -162,6 +188,7 @@ def _use(out: Writing, c: Calibration) -> None:
     out.numbers("area_overlap/lower", [band.lower for band in c.overlap_bands], "%")
     out.numbers("area_overlap/upper", [band.upper for band in c.overlap_bands], "%")
     out.number("area_overlap/threshold", c.overlap_threshold, "%")
+    out.optional("area_overlap/size_ratio", c.size_ratio)
     out.optional("validity/force", c.validity.force_N, "N")
     out.numbers("validity/strain", c.validity.strain)
     out.optional("validity/temperature", c.validity.temperature_C, "degC")

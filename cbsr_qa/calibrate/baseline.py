@@ -14,6 +14,12 @@ from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
 
 #: The predicted relative change must be this many of its own standard errors from zero.
 _CLEAR: Final = 3.0
+#: What is said of a value by whether its load was settled; None where no settling time is known.
+_REMARKS: Final = {
+    True: "",
+    False: "taken before 1.5 settling times",
+    None: "taken at the end of the hold: no settling time is known",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +48,7 @@ def sensed_change(values: NDArray[np.float64], blob: Blob, response: Response) -
     (…) float64, relative.
     """
     areas = blob.image.mesh.areas_mm2[blob.elements]
-    sign = -1.0 if response is Response.DECREASE else 1.0
-    mean: NDArray[np.float64] = np.asarray(sign * (values[..., blob.elements] @ areas) / areas.sum())
+    mean: NDArray[np.float64] = np.asarray(_sign(response) * (values[..., blob.elements] @ areas) / areas.sum())
     return mean
 
 
@@ -63,8 +68,9 @@ def load_baseline(
 
     Returns
     -------
-    LoadBaseline, without value where nothing was sensed, no force was recorded, the change has the wrong sign, or
-    the predicted relative change is not clear of zero (under 3 of its own standard errors).
+    LoadBaseline, without value where nothing was sensed, no force was recorded, the predicted relative change is not
+    clear of zero (|α σ + β| under 3 of its own standard errors) or has the other sign than the response that was
+    decided, or the sensed change has.
     """
     view = load.mask(main_mask)
     if view is None or view.sensed is None:
@@ -72,13 +78,9 @@ def load_baseline(
     stress_kPa = load.stress_kPa
     if stress_kPa is None:
         return LoadBaseline(None, None, "no force was recorded")
-    predicted, predicted_error = predicted_change(against_stress, stress_kPa)
-    if predicted <= 0 or predicted < _CLEAR * predicted_error:
-        return LoadBaseline(
-            None,
-            None,
-            f"α σ + β = {predicted:.3g} ± {predicted_error:.2g} at {stress_kPa:.3g} kPa is not clear of zero",
-        )
+    predicted, why_not = _signed_prediction(against_stress, stress_kPa, load.response)
+    if why_not:
+        return LoadBaseline(None, None, why_not)
     change = float(sensed_change(load.image.values, view.sensed, load.response))
     if change <= 0:
         return LoadBaseline(None, None, f"the sensed change {change:.3g} has not the sign of the response")
@@ -86,8 +88,7 @@ def load_baseline(
     noise = sensed_change(noise_images, view.sensed, load.response)
     of_change = float(np.sqrt(np.mean(noise**2) / max(load.steady_frames, 1))) / change
     of_stress = _stress_error(load, against_stress.slope, predicted)
-    why = "" if load.settled else "taken before 1.5 settling times"
-    return LoadBaseline(value, value * float(np.hypot(of_change, of_stress)), why)
+    return LoadBaseline(value, value * float(np.hypot(of_change, of_stress)), _REMARKS[load.settled])
 
 
 def predicted_change(against_stress: QuasiStatic, stress_kPa: float) -> tuple[float, float]:
@@ -133,6 +134,26 @@ def baseline_conductance(
         found = load_baseline(load, against_stress, noise_images, main_mask)
         places.setdefault((place.label, place.x_mm, place.y_mm), []).append(found)
     return tuple(location_baseline(*place, found) for place, found in places.items())
+
+
+def _signed_prediction(against_stress: QuasiStatic, stress_kPa: float, response: Response) -> tuple[float, str]:
+    """Predicted change in the direction of the response, and why it cannot be used; empty where it can."""
+    predicted, error = predicted_change(against_stress, stress_kPa)
+    said = f"α σ + β = {predicted:.3g} ± {error:.2g} at {stress_kPa:.3g} kPa"
+    if predicted == 0 or abs(predicted) < _CLEAR * error:
+        return 0.0, f"{said} is not clear of zero"
+    signed = _sign(response) * predicted
+    if signed < 0:
+        expected, decided = ("less", "more") if predicted < 0 else ("more", "less")
+        return (
+            0.0,
+            f"{said} makes pressed places conduct {expected}; the response of this run is that they do {decided}",
+        )
+    return signed, ""
+
+
+def _sign(response: Response) -> float:
+    return -1.0 if response is Response.DECREASE else 1.0
 
 
 def _stress_error(load: LoadObservation, slope: Parameter, predicted: float) -> float:

@@ -1,50 +1,47 @@
 """The calibration file: HDF5, readable from MATLAB, LabVIEW, C and Python, and never executing anything.
 
 Every value is a dataset with an attribute ``units``. Texts are UTF-8 strings, yes and no are one byte (0 or 1),
-a number that does not exist is NaN, an optional array that does not exist is empty. Attributes of the root say
-``format``, ``schema_version`` and ``digest``.
+a number that does not exist is NaN, an index that does not exist is −1, an optional array that does not exist is
+empty. Attributes of the root say ``format``, ``schema_version`` and ``digest``, which is of the content, not of the
+file's bytes (see :mod:`cbsr_qa.calibrate.digests`): copying or repacking a file with another HDF5 library keeps it.
+Large arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
 
-The digest is a SHA-256 over the content, not over the file's bytes: copying a file with another HDF5 library keeps
-it. It can be recomputed with h5py and hashlib alone. Feed the hash, for every dataset in the order of its path
-(without leading ``/``, sorted by Unicode code point), with the UTF-8 bytes of the line
-``path TAB units TAB kind TAB shape NEWLINE``, where ``kind`` is ``f8``, ``i8``, ``u1`` or ``text`` and ``shape``
-the lengths joined by ``x`` (empty for one value), and then with the data in C order: little-endian numbers, or for
-each text its length in bytes in decimal, a NEWLINE and its UTF-8 bytes. The hash begins with the line
-``cbsr-qa calibration TAB schema_version NEWLINE``. A digest tells damage and careless editing; it is not a signature.
+The Jacobian is kept beside the matrix: it is the physical prior for places and reading sets no load has calibrated,
+and without it a file could not be prepared for a sensor that lost a channel.
 """
 
-import hashlib
 import os
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
 import h5py
 import numpy as np
 
-from cbsr_qa.calibrate._content import Entry, Value
+from cbsr_qa.calibrate._content import Entry
 from cbsr_qa.calibrate._decode import decode
 from cbsr_qa.calibrate._encode import encode
+from cbsr_qa.calibrate.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest
 from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
 
-FORMAT: Final = "cbsr-qa calibration"
-SCHEMA_VERSION: Final = 1
-
 #: More than any calibration holds; a file that claims more is refused before memory is taken for it.
 _LARGEST_BYTES: Final = 2**30
+#: Arrays from this size on are compressed; below it a chunk costs more than it saves.
+_COMPRESSED_BYTES: Final = 2**13
 
 
 @dataclass(frozen=True, slots=True)
 class VerifiedFile:
-    """What was found out about a sound calibration file."""
+    """What was found out about a sound calibration file; digests as in :mod:`cbsr_qa.calibrate.digests`."""
 
     path: Path
     schema_version: int
     digest: str
+    record_digest: str
     datasets: int
 
 
@@ -58,12 +55,13 @@ def write_calibration(path: Path, calibration: Calibration) -> str:
     Raises
     ------
     CalibrationError
-        If the folder cannot be written, or the calibration contradicts itself.
+        If the folder cannot be written, the calibration contradicts itself, or it is not what was issued: it has a
+        ``record_digest`` that its content does not have.
     """
-    entries = encode(calibration)
+    entries = _as_issued(calibration)
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
     try:
-        digest = content_digest(entries, SCHEMA_VERSION)
+        digest = content_digest(entries)
         path.parent.mkdir(parents=True, exist_ok=True)
         with h5py.File(partial, "x") as file:
             _write(file, entries, digest)
@@ -92,7 +90,8 @@ def read_calibration(path: Path) -> Calibration:
         If it is not there, truncated, edited since it was issued, of a later version, or not a calibration.
     """
     with _naming(path):
-        return decode(_read(path)[0])
+        entries, digest = _read(path)
+        return replace(decode(entries), digest=digest, record_digest=record_digest(entries))
 
 
 def verify_calibration(path: Path) -> VerifiedFile:
@@ -106,26 +105,18 @@ def verify_calibration(path: Path) -> VerifiedFile:
     with _naming(path):
         entries, digest = _read(path)
         decode(entries)
-        return VerifiedFile(path, SCHEMA_VERSION, digest, len(entries))
+        return VerifiedFile(path, SCHEMA_VERSION, digest, record_digest(entries), len(entries))
 
 
-def content_digest(entries: Mapping[str, Entry], schema_version: int) -> str:
-    """Return the SHA-256 of entries as described in the module's text, in hexadecimal digits."""
-    digest = hashlib.sha256(f"{FORMAT}\t{schema_version}\n".encode())
-    for path in sorted(entries):
-        kind, shape, data = _canonical(entries[path].value)
-        digest.update(f"{path}\t{entries[path].units}\t{kind}\t{'x'.join(map(str, shape))}\n".encode())
-        digest.update(data)
-    return digest.hexdigest()
-
-
-def _canonical(value: Value) -> tuple[str, tuple[int, ...], bytes]:
-    if isinstance(value, np.ndarray):
-        kind = {"f": "<f8", "i": "<i8", "b": "|u1"}[value.dtype.kind]
-        return kind[1:], value.shape, value.astype(kind).tobytes()
-    texts = [text.encode() for text in ((value,) if isinstance(value, str) else value)]
-    shape = () if isinstance(value, str) else (len(texts),)
-    return "text", shape, b"".join(b"%d\n%s" % (len(text), text) for text in texts)
+def _as_issued(calibration: Calibration) -> Mapping[str, Entry]:
+    entries = encode(calibration)
+    if calibration.record_digest and record_digest(entries) != calibration.record_digest:
+        raise CalibrationError(
+            f"calibration {calibration.calibration} of sensor {calibration.sensor.serial} is not what was issued:"
+            " its content was changed since",
+            remedy="issue a new one; a sensor's values are changed by calibrating it again",
+        )
+    return entries
 
 
 def _write(file: h5py.File, entries: Mapping[str, Entry], digest: str) -> None:
@@ -135,7 +126,8 @@ def _write(file: h5py.File, entries: Mapping[str, Entry], digest: str) -> None:
     for path, entry in entries.items():
         if isinstance(entry.value, np.ndarray):
             data = entry.value.astype(np.uint8) if entry.value.dtype == np.bool_ else entry.value
-            dataset = file.create_dataset(path, data=data)
+            packing = {"compression": "gzip", "shuffle": True} if data.nbytes >= _COMPRESSED_BYTES else {}
+            dataset = file.create_dataset(path, data=data, **packing)
         else:
             texts = entry.value if isinstance(entry.value, str) else np.array(entry.value, dtype=object)
             dataset = file.create_dataset(path, data=texts, dtype=h5py.string_dtype())

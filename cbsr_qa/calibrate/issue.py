@@ -1,10 +1,13 @@
 """Issuing a calibration from a run that passed."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
 
 import numpy as np
 
 from cbsr_qa.calibrate.baseline import baseline_conductance, load_baseline
+from cbsr_qa.calibrate.digests import stamped
 from cbsr_qa.calibrate.settling import restricted_mean
 from cbsr_qa.domain.calibration import (
     BaselineConductance,
@@ -30,6 +33,7 @@ def issue_calibration(
     overlap_threshold: float,
     measured_stress: QuasiStatic | None = None,
     measured_strain: QuasiStatic | None = None,
+    noise_figure: float | None = None,
 ) -> Calibration:
     """Issue a calibration.
 
@@ -42,49 +46,104 @@ def issue_calibration(
     overlap_threshold : lowest area overlap the recipe accepts [%].
     measured_stress, measured_strain : α, β where this sensor was characterised; else the material's are used and
         named in ``assumed``.
+    noise_figure : measured on this sensor; None where the recipe did not ask for it.
+
+    Returns
+    -------
+    Calibration with its digests; ``issued_at`` is in UTC.
 
     Raises
     ------
     CalibrationError
-        If the run did not pass or was not finished, no load of those phases gave a baseline conductance, or the
-        drive current is not known. Single loads that say nothing only reduce the validity, each with its reason.
+        If the run did not pass or was not finished, no load of those phases gave a baseline conductance, the drive
+        current is not known, or ``issued_at`` is no time with a zone. Single loads that say nothing only reduce the
+        validity, each with its reason.
     """
     _check_passed(observation, verdict)
-    loads = [load for load in observation.loads if load.phase in phases]
     material = observation.record.material
-    against_stress = measured_stress or material.against_stress
-    noise, mask = observation.noise_images, observation.main_mask
-    baseline = baseline_conductance(loads, against_stress, noise, mask)
-    used = [load for load in loads if load_baseline(load, against_stress, noise, mask).value is not None]
-    if not used:
-        reasons = "; ".join(dict.fromkeys(place.why for place in baseline)) or f"no load in {', '.join(phases)}"
-        raise CalibrationError(f"no load gives a baseline conductance: {reasons}")
+    identity = _Issue(calibration, _utc(issued_at), overlap_threshold, noise_figure)
+    fits = _Fits(
+        measured_stress or material.against_stress,
+        measured_strain or material.against_strain,
+        _assumed(measured_stress, measured_strain),
+    )
+    return stamped(_calibration(observation, _loads_of(observation, phases), fits, identity))
+
+
+@dataclass(frozen=True, slots=True)
+class _Issue:
+    """What the caller says about a calibration."""
+
+    calibration: str
+    issued_at: str
+    overlap_threshold: float
+    noise_figure: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Fits:
+    """α and β that are used, and which of them nobody measured on this sensor."""
+
+    against_stress: QuasiStatic
+    against_strain: QuasiStatic
+    assumed: tuple[str, ...]
+
+
+def _calibration(
+    observation: RunObservation, loads: Sequence[LoadObservation], fits: _Fits, issue: _Issue
+) -> Calibration:
+    record, settings = observation.record, observation.settings
+    baseline, used = _baseline(observation, loads, fits.against_stress)
     relaxations = tuple(_relaxations(observation.loads))
     return Calibration(
-        calibration=calibration,
-        run=observation.record.identity.run,
-        issued_at=issued_at,
-        sensor=observation.record.identity.sensor,
-        sensor_type=observation.record.sensor_type,
-        indenter=observation.record.indenter,
+        calibration=issue.calibration,
+        run=record.identity.run,
+        issued_at=issue.issued_at,
+        sensor=record.identity.sensor,
+        sensor_type=record.sensor_type,
+        indenter=record.indenter,
         reference=observation.reference,
         current_A=_current_A(observation),
         scale=observation.scale,
         reconstruction=observation.reconstruction,
         response=observation.response,
         noise_floor=observation.noise_floor,
-        mask=mask,
+        mask=observation.main_mask,
         baseline=baseline,
-        against_stress=against_stress,
-        against_strain=measured_strain or material.against_strain,
-        assumed=_assumed(measured_stress, measured_strain),
+        against_stress=fits.against_stress,
+        against_strain=fits.against_strain,
+        assumed=fits.assumed,
         settling=summarise_settling(relaxations),
-        overlap_bands=observation.settings.overlap_bands,
-        overlap_threshold=overlap_threshold,
+        overlap_bands=settings.overlap_bands,
+        overlap_threshold=issue.overlap_threshold,
         validity=_validity(observation, used, baseline),
-        simulated=observation.record.identity.simulated,
+        simulated=record.identity.simulated,
         relaxations=relaxations,
+        size_ratio=settings.size_ratio,
+        noise_figure=issue.noise_figure,
     )
+
+
+def _loads_of(observation: RunObservation, phases: Sequence[str]) -> list[LoadObservation]:
+    loads = [load for load in observation.loads if load.phase in phases]
+    if not loads:
+        raise CalibrationError(f"no load gives a baseline conductance: no load in {', '.join(phases)}")
+    return loads
+
+
+def _baseline(
+    observation: RunObservation, loads: Sequence[LoadObservation], against_stress: QuasiStatic
+) -> tuple[tuple[BaselineConductance, ...], list[LoadObservation]]:
+    """ρ̄₀ of every location, and the loads that said something about it."""
+    noise, mask = observation.noise_images, observation.main_mask
+    baseline = baseline_conductance(loads, against_stress, noise, mask)
+    used = [load for load in loads if load_baseline(load, against_stress, noise, mask).value is not None]
+    if not used:
+        reasons = (
+            "; ".join(dict.fromkeys(place.why for place in baseline)) or "no load in the phases it is taken from"
+        )
+        raise CalibrationError(f"no load gives a baseline conductance: {reasons}")
+    return baseline, used
 
 
 def summarise_settling(relaxations: Sequence[LoadRelaxation]) -> tuple[SettlingSummary, ...]:
@@ -116,6 +175,17 @@ def _check_passed(observation: RunObservation, verdict: Verdict) -> None:
         raise CalibrationError(f"the verdict is {verdict.outcome}, so no calibration is issued: {verdict.reason}")
 
 
+def _utc(issued_at: str) -> str:
+    """One spelling of a time, so that a calibration put together again from a database has the same digest."""
+    try:
+        moment = datetime.fromisoformat(issued_at)
+    except ValueError as error:
+        raise CalibrationError(f"issued at {issued_at!r}, which is no ISO time") from error
+    if moment.tzinfo is None:
+        raise CalibrationError(f"issued at {issued_at!r}, which states no zone")
+    return moment.astimezone(UTC).isoformat()
+
+
 def _current_A(observation: RunObservation) -> float:
     current_A = observation.unloaded.current_A
     if current_A is None:
@@ -127,7 +197,18 @@ def _relaxations(loads: Sequence[LoadObservation]) -> Iterator[LoadRelaxation]:
     for load in loads:
         place = load.record.load
         for seen in load.relaxations:
-            yield LoadRelaxation(place.label, place.trial, seen.signal, seen.loading, seen.fit, seen.settling)
+            yield LoadRelaxation(
+                location=place.label,
+                trial=place.trial,
+                signal=seen.signal,
+                loading=seen.loading,
+                fit=seen.fit,
+                settling=seen.settling,
+                phase=load.phase,
+                load=load.record.index,
+                strain=place.strain,
+                unit=seen.trace.unit,
+            )
 
 
 def _assumed(stress: QuasiStatic | None, strain: QuasiStatic | None) -> tuple[str, ...]:

@@ -62,6 +62,9 @@ class LoadRelaxation:
     ----------
     location, trial : of the load.
     signal, loading : as in :class:`SettlingSummary`.
+    phase, load, strain : of the load; with phase and index (as in :class:`~cbsr_qa.domain.loads.LoadRecord`), loads
+        of one label and trial at several strains stay apart. None where they are not known.
+    unit : of the trace, and so of level, amplitudes and band.
     """
 
     location: str
@@ -70,6 +73,10 @@ class LoadRelaxation:
     loading: bool
     fit: RelaxationFit
     settling: SettlingTime
+    phase: str = ""
+    load: int | None = None
+    strain: float | None = None
+    unit: str = "1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,9 +127,14 @@ class Calibration:
     assumed : names of what was taken from the material file and not measured on this sensor.
     settling : summaries.
     overlap_bands, overlap_threshold : thresholds on area overlap [%].
+    size_ratio : lowest and highest blob area over head area for which a band counts; None where nobody said.
     validity : range of use.
     simulated : what was simulated in the issuing run; empty for a real one.
     relaxations : every fit the summaries were taken from.
+    noise_figure : measured on this sensor with its own matrix; None where it was not. That of the matrix on the
+        nominal model is in ``reconstruction.choice``.
+    digest : SHA-256 of everything above, as :mod:`cbsr_qa.calibrate.digests` describes it; empty before it is issued.
+    record_digest : the same without what is prepared again from the rest: mesh, Jacobian, model frame and matrix.
     """
 
     calibration: str
@@ -148,3 +160,7 @@ class Calibration:
     validity: Validity
     simulated: tuple[str, ...] = ()
     relaxations: tuple[LoadRelaxation, ...] = ()
+    size_ratio: tuple[float, float] | None = None
+    noise_figure: float | None = None
+    digest: str = ""
+    record_digest: str = ""

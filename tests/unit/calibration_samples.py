@@ -54,6 +54,7 @@ def sample_reconstruction(sensor_type: SensorType, seed: int = 5) -> LinearRecon
 def sample_calibration() -> Calibration:
     sensor_type = sample_sensor_type()
     two = RelaxationFit(FitStatus.TWO, 0.12, (-0.02, -0.05), (2.5, 23.1), 1e-3, (0.2, 1.5), 0.998, "")
+    one = RelaxationFit(FitStatus.ONE, 0.2, (-0.1,), (31.0,), 2e-3, (2.5,), 0.97, "no second time constant")
     none = RelaxationFit(FitStatus.REJECTED, 0.1, (), (), 0.01, (), 0.0, "3 points are too few; 5 are needed")
     return Calibration(
         calibration="0193-c",
@@ -71,7 +72,7 @@ def sample_calibration() -> Calibration:
         mask=0.85,
         baseline=(
             BaselineConductance("L0", 0.0, 0.0, 0.31, 0.004, 3),
-            BaselineConductance("L1", 30.0, -0.0, None, None, 0, "no blob was sensed"),
+            BaselineConductance("L1", 30.0, 0.0, None, None, 0, "no blob was sensed"),
         ),
         against_stress=QuasiStatic(
             Parameter(4.53e-3, 2e-4, "paper"), Parameter(-1e-3, None, "chosen by us"), covariance=-1.5e-8
@@ -87,9 +88,12 @@ def sample_calibration() -> Calibration:
         validity=Validity((0.9, 3.5), (0.05, 0.2), None, 30.0, ("L1 is left out",)),
         simulated=("bench",),
         relaxations=(
-            LoadRelaxation("L0", 0, "conductance", True, two, SettlingTime(24.0, False, 0.018, "")),
-            LoadRelaxation("L0", 1, "stress", False, none, SettlingTime(None, False, 0.0, "rejected")),
+            LoadRelaxation("L0", 0, "conductance", True, two, SettlingTime(24.0, False, 0.018, ""), "grid", 3, 0.2),
+            LoadRelaxation("L0", 1, "stress", False, none, SettlingTime(None, False, 0.0, "rejected"), unit="kPa"),
+            LoadRelaxation("L0", 0, "conductance", True, one, SettlingTime(60.0, True, 0.02, ""), "grid", 12, 0.3),
         ),
+        size_ratio=(1 / 3, 3.0),
+        noise_figure=1.17,
     )
 
 
@@ -105,5 +109,7 @@ def sparse_calibration() -> Calibration:
         settling=(),
         simulated=(),
         relaxations=(),
+        size_ratio=None,
+        noise_figure=None,
         validity=Validity(None, (0.2, 0.2), (21.5, 22.0), 0.0),
     )

@@ -20,6 +20,16 @@ STRESS = sample_material().against_stress
 QUIET = np.zeros((8, 180))
 
 
+def _mirrored(fit: QuasiStatic) -> QuasiStatic:
+    """The fit of a material that conducts less by as much as this one conducts more."""
+    slope, intercept = (replace(part, value=-part.value) for part in (fit.slope, fit.intercept))
+    return QuasiStatic(slope, intercept, fit.covariance)
+
+
+def _material(intercept: float, slope_error: float, covariance: float | None = None) -> QuasiStatic:
+    return QuasiStatic(Parameter(4.5e-3, slope_error, "test"), Parameter(intercept, 0.01, "test"), covariance)
+
+
 def test_a_load_gives_change_over_predicted_change():
     load = sample_load(change=0.03, force_N=3.0)
     found = load_baseline(load, STRESS, QUIET, 0.85)
@@ -35,8 +45,32 @@ def test_the_noise_floor_is_not_subtracted_from_the_change():
 
 
 def test_a_material_that_conducts_less_under_load_gives_the_same():
-    rising, falling = (sample_load(response=r) for r in (Response.INCREASE, Response.DECREASE))
-    assert load_baseline(falling, STRESS, QUIET, 0.85) == load_baseline(rising, STRESS, QUIET, 0.85)
+    noise = 1e-3 * np.random.default_rng(2).standard_normal((8, 180))
+    rising = load_baseline(sample_load(), STRESS, noise, 0.85)
+    falling = load_baseline(sample_load(response=Response.DECREASE), _mirrored(STRESS), -noise, 0.85)
+    assert falling == rising
+    assert rising.value > 0
+    assert rising.stderr > 0
+
+
+@pytest.mark.parametrize(
+    ("response", "fit", "said"),
+    [
+        (Response.DECREASE, STRESS, "conduct more; the response of this run is that they do less"),
+        (Response.INCREASE, _mirrored(STRESS), "conduct less; the response of this run is that they do more"),
+    ],
+)
+def test_a_fit_that_contradicts_the_response_is_named_as_such(response, fit, said):
+    found = load_baseline(sample_load(response=response), fit, QUIET, 0.85)
+    assert found.value is found.stderr is None
+    assert said in found.why
+
+
+def test_a_falling_fit_is_held_against_its_error_like_a_rising_one():
+    weak = _mirrored(_material(0.0, 0.0))
+    at = {force_N: sample_load(force_N=force_N, response=Response.DECREASE) for force_N in (0.7, 1.0)}
+    assert "not clear of zero" in load_baseline(at[0.7], weak, QUIET, 0.85).why  # 5.3 kPa: α σ = −0.024 ± 0.010
+    assert load_baseline(at[1.0], weak, QUIET, 0.85).value is not None
 
 
 def test_the_change_is_averaged_by_area():
@@ -71,10 +105,6 @@ def test_loads_that_say_nothing_are_left_out_with_the_reason(load, said):
     assert said in found.why
 
 
-def _material(intercept: float, slope_error: float, covariance: float | None = None) -> QuasiStatic:
-    return QuasiStatic(Parameter(4.5e-3, slope_error, "test"), Parameter(intercept, 0.01, "test"), covariance)
-
-
 def test_a_predicted_change_within_three_standard_errors_of_zero_is_left_out():
     load = sample_load(force_N=0.7)  # 5.3 kPa: α σ = 0.024 ± 0.010
     assert "not clear of zero" in load_baseline(load, _material(0.0, 0.0), QUIET, 0.85).why
@@ -90,10 +120,14 @@ def test_slope_and_intercept_that_err_together_err_less():
     assert together[1] < alone[1]
 
 
-def test_an_unsettled_load_is_used_and_marked():
-    found = load_baseline(replace(sample_load(), settled=False), STRESS, QUIET, 0.85)
+@pytest.mark.parametrize(
+    ("settled", "said"), [(True, ""), (False, "before 1.5 settling times"), (None, "no settling time is known")]
+)
+def test_a_load_that_was_not_or_may_not_have_been_settled_is_used_and_marked(settled, said):
+    found = load_baseline(replace(sample_load(), settled=settled), STRESS, QUIET, 0.85)
     assert found.value is not None
-    assert "settling times" in found.why
+    assert said in found.why
+    assert bool(found.why) is bool(said)
 
 
 def test_a_location_is_the_mean_with_the_larger_of_both_errors():

@@ -13,9 +13,11 @@ import pytest
 from calibration_samples import sample_calibration, sample_sensor_type, sparse_calibration
 from typer.testing import CliRunner
 
+from cbsr_qa.calibrate.digests import stamped
 from cbsr_qa.calibrate.file import read_calibration, verify_calibration, write_calibration
 from cbsr_qa.cli.calibration import app
 from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.mesh import Mesh
 
 
 def _same(one: Any, other: Any, path: str) -> None:
@@ -47,7 +49,7 @@ def issued(tmp_path: Path) -> Path:
 def test_every_field_comes_back_exactly(tmp_path, make):
     path = tmp_path / "sensor.h5"
     write_calibration(path, make())
-    _same(read_calibration(path), make(), "calibration")
+    _same(read_calibration(path), stamped(make()), "calibration")
 
 
 def test_every_dataset_states_its_units(issued):
@@ -62,7 +64,10 @@ def test_every_dataset_states_its_units(issued):
     assert units["mesh/nodes"] == "mm"
     assert units["quasi_static/against_stress/slope"] == "1/kPa"
     assert units["validity/force"] == "N"
-    assert all(units.values())
+    assert units["relaxation/conductance/amplitudes"] == "1"
+    assert units["relaxation/stress/amplitudes"] == units["relaxation/stress/settling_band"] == "kPa"
+    known = {"1", "1/kPa", "A", "A.Ohm", "A.Ohm/V", "N", "V", "V/(A.Ohm)", "deg", "degC", "kPa", "mm", "s", "%"}
+    assert set(units.values()) <= known | {"flag", "index", "text"}
 
 
 def _plain_digest(path: Path) -> str:
@@ -106,6 +111,82 @@ def test_the_same_calibration_gives_the_same_bytes(issued, tmp_path):
     again = tmp_path / "again.h5"
     write_calibration(again, sample_calibration())
     assert again.read_bytes() == issued.read_bytes()
+
+
+def test_negative_zero_is_written_as_zero(tmp_path):
+    """SQLite has only one zero; what is put together again from its rows must have the same digest."""
+    sample = sample_calibration()
+    first, second = sample.baseline
+    negative = replace(sample, current_A=-0.0, baseline=(first, replace(second, y_mm=-0.0)))
+    positive = replace(sample, current_A=0.0)
+    assert stamped(negative).digest == stamped(positive).digest
+    write_calibration(tmp_path / "x.h5", negative)
+    assert not np.signbit(read_calibration(tmp_path / "x.h5").current_A)
+
+
+def _with_large_arrays():
+    """Like a real one in size: a Jacobian and a matrix of a hundred thousand numbers each."""
+    sample = sample_calibration()
+    problem = sample.reconstruction.problem
+    count = 4000
+    corners = np.arange(count)[:, None] + np.arange(3)
+    angle = np.linspace(0.0, 40.0, count + 2)
+    nodes = np.column_stack([angle * np.cos(angle), angle * np.sin(angle)])
+    smooth = np.sin(np.arange(len(problem.reference))[:, None] + angle[:count] / 9)
+    grown = replace(problem, mesh=Mesh(nodes, corners), jacobian=smooth)
+    return replace(sample, reconstruction=replace(sample.reconstruction, problem=grown, matrix=smooth.T.copy()))
+
+
+def test_large_arrays_are_compressed_and_come_back_to_the_bit(tmp_path):
+    path, large = tmp_path / "large.h5", _with_large_arrays()
+    assert write_calibration(path, large) == stamped(large).digest == _plain_digest(path)
+    with h5py.File(path) as file:
+        stored = {name: file[f"reconstruction/{name}"] for name in ("matrix", "jacobian")}
+        assert {dataset.compression for dataset in stored.values()} == {"gzip"}
+        assert all(dataset.id.get_storage_size() < dataset.nbytes for dataset in stored.values())
+        assert file["identity/serial"].compression is None
+    _same(read_calibration(path), stamped(large), "calibration")
+
+
+def test_a_matrix_worked_out_on_another_computer_changes_the_digest_but_not_that_of_the_record():
+    sample = sample_calibration()
+    rounded = replace(sample.reconstruction, matrix=np.nextafter(sample.reconstruction.matrix, np.inf))
+    here, there = stamped(sample), stamped(replace(sample, reconstruction=rounded))
+    assert here.record_digest == there.record_digest
+    assert here.digest != there.digest
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"scale": 1.0},
+        {"relaxations": ()},
+        {"noise_figure": None},
+        {"against_stress": replace(sample_calibration().against_stress, covariance=None)},
+        {"size_ratio": (0.5, 2.0)},
+    ],
+)
+def test_a_calibration_changed_after_it_was_issued_is_not_written(tmp_path, change):
+    issued = stamped(sample_calibration())
+    with pytest.raises(CalibrationError, match="not what was issued"):
+        write_calibration(tmp_path / "x.h5", replace(issued, **change))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_signal_with_two_units_is_refused(tmp_path):
+    sample = sample_calibration()
+    mixed = (*sample.relaxations[:2], replace(sample.relaxations[2], unit="V"))
+    with pytest.raises(CalibrationError, match="conductance have several units: 1, V"):
+        write_calibration(tmp_path / "x.h5", replace(sample, relaxations=mixed))
+
+
+@pytest.mark.parametrize("signal", ["", "a/b", "../up"])
+def test_a_signal_that_cannot_name_a_group_is_refused(tmp_path, signal):
+    sample = sample_calibration()
+    with pytest.raises(CalibrationError, match="letters, digits"):
+        write_calibration(
+            tmp_path / "x.h5", replace(sample, relaxations=(replace(sample.relaxations[0], signal=signal),))
+        )
 
 
 def test_a_number_read_with_plain_h5py_is_the_number(issued):
@@ -230,6 +311,8 @@ def test_content_that_contradicts_itself_is_refused_even_with_a_fitting_digest(i
         ("validity/force", [1.0, 2.0, 3.0], "instead of two"),
         ("mesh/electrode_edge_counts", [1, 1], "the counts say 2"),
         ("reconstruction/matrix", [[1.0]], "does not fit"),
+        ("relaxation/stress/number", [0], "not 0, 1, 2"),
+        ("area_overlap/size_ratio", [1.0], "instead of two"),
     ],
 )
 def test_content_of_the_wrong_kind_is_named_even_with_a_fitting_digest(issued, path, value, said):
@@ -332,6 +415,10 @@ def test_show_as_json_is_one_document(issued):
     assert document["identity"]["serial"] == "S-001 ü"
     assert document["baseline_conductance"][1]["value"] is None
     assert document["digest"] == verify_calibration(issued).digest
+    assert document["record_digest"] == stamped(sample_calibration()).record_digest
+    assert document["against_stress"]["covariance"] == -1.5e-8
+    assert (document["image"]["noise_figure_nominal"], document["image"]["noise_figure_measured"]) == (1.02, 1.17)
+    assert document["area_overlap"]["size_ratio"] == [1 / 3, 3.0]
 
 
 def test_verify_says_sound(issued):

@@ -52,6 +52,26 @@ def test_a_passed_run_issues_what_it_measured():
     assert issued.overlap_bands == run.settings.overlap_bands
     assert (issued.current_A, issued.scale, issued.noise_floor, issued.mask) == (1e-3, 10.0, 0.005, 0.85)
     assert np.array_equal(issued.reference, run.reference)
+    assert issued.size_ratio == run.settings.size_ratio
+    assert (issued.noise_figure, _issue(run, noise_figure=1.2).noise_figure) == (None, 1.2)
+
+
+def test_a_relaxation_says_of_which_load_it_is_and_in_what_unit():
+    first, *_ = _loads()
+    strained = replace(first, record=replace(first.record, index=9, load=replace(first.record.load, strain=0.3)))
+    issued = _issue(sample_run((first, strained)))
+    assert [(r.phase, r.load, r.strain) for r in issued.relaxations] == [
+        ("nine locations", index, strain) for index, strain in ((0, 0.2), (0, 0.2), (9, 0.3), (9, 0.3))
+    ]
+    assert {r.unit for r in issued.relaxations} == {"1"}
+
+
+def test_the_time_of_issue_is_in_utc_and_has_a_zone():
+    run = sample_run(_loads())
+    assert _issue(run, issued_at="2026-01-01T23:00:00+13:00").issued_at == "2026-01-01T10:00:00+00:00"
+    for wrong, said in (("2026-01-01T10:00:00", "states no zone"), ("yesterday", "no ISO time")):
+        with pytest.raises(CalibrationError, match=said):
+            _issue(run, issued_at=wrong)
 
 
 def test_the_range_is_that_of_the_loads_of_the_named_phases():
@@ -132,8 +152,9 @@ def test_without_a_current_there_is_no_calibration():
 
 def test_what_was_issued_can_be_written_and_read(tmp_path):
     issued = _issue(sample_run(_loads()))
-    write_calibration(tmp_path / "x.h5", issued)
+    assert write_calibration(tmp_path / "x.h5", issued) == issued.digest
     again = read_calibration(tmp_path / "x.h5")
     assert again.baseline == issued.baseline
     assert again.relaxations == issued.relaxations
     assert again.validity == issued.validity
+    assert (again.digest, again.record_digest) == (issued.digest, issued.record_digest)

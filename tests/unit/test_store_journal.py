@@ -171,6 +171,7 @@ def test_a_resumed_run_goes_on_in_time_and_its_first_session_stays(repository):
         FramesTaken(0, frames(5.0, seed=8)),
         SamplesTaken(0, force(5.0)),
         LoadFinished(0, record(1, 10.0)),
+        LoadFinished(0, replace(record(2, 10.0), clear_s=None)),
         PhaseFinished(0, 140.0),
         RunEnded(EndReason.FINISHED, "", 141.0, SPENT),
     ]
@@ -183,7 +184,8 @@ def test_a_resumed_run_goes_on_in_time_and_its_first_session_stays(repository):
     same_frames(phase.frames.select(slice(0, count)), before.phases[0].frames)
     assert (phase.started_s, phase.unloaded_from_s, phase.ended_s) == (0.5, 163.0, 302.0)
     assert phase.frames.time_s[-1] == 167.0
-    assert [one.press_start_s for one in phase.loads] == [30.0, 172.0]
+    assert [one.press_start_s for one in phase.loads] == [30.0, 172.0, 172.0]
+    assert [one.clear_s for one in phase.loads] == [91.25, 233.25, None]
     assert np.all(np.diff(phase.samples[0].time_s) > 0)
     assert after.end is EndReason.FINISHED
     assert after.station_s == 303.0

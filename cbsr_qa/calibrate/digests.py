@@ -1,0 +1,76 @@
+"""Digests of a calibration's content: over values, units and shapes, not over a file's bytes.
+
+``digest`` covers everything. It can be recomputed from the file with h5py and hashlib alone: feed a SHA-256 with the
+line ``cbsr-qa calibration TAB schema_version NEWLINE`` and then, for every dataset in the order of its path (without
+leading ``/``, sorted by Unicode code point), with the UTF-8 bytes of the line
+``path TAB units TAB kind TAB shape NEWLINE``, where ``kind`` is ``f8``, ``i8``, ``u1`` or ``text`` and ``shape`` the
+lengths joined by ``x`` (empty for one value), and with the data in C order: little-endian numbers, or for each text
+its length in bytes in decimal, a NEWLINE and its UTF-8 bytes.
+
+``record_digest`` is the same sum over the datasets that no program can work out again: all but those named by
+:data:`PREPARED`. Mesh, model and matrix follow from sensor type, method, λ and used readings, which are covered, but
+only to rounding, which is another one on another computer. So a calibration that is put together again from a
+database has its ``record_digest`` to the bit anywhere, and its ``digest`` where the arithmetic is the same.
+
+A digest tells damage and careless editing; it is not a signature.
+"""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.calibrate._content import Entry, Value
+from cbsr_qa.calibrate._encode import encode
+from cbsr_qa.domain.calibration import Calibration
+
+FORMAT: Final = "cbsr-qa calibration"
+SCHEMA_VERSION: Final = 1
+
+#: Paths, or beginnings of paths, of what is prepared again from the rest.
+PREPARED: Final = (
+    "mesh/",
+    "reconstruction/jacobian",
+    "reconstruction/matrix",
+    "reconstruction/noise_variance",
+    "reconstruction/reference",
+)
+
+
+def stamped(calibration: Calibration) -> Calibration:
+    """Return a calibration with its digests filled in.
+
+    Raises
+    ------
+    CalibrationError
+        If it contradicts itself.
+    """
+    entries = encode(calibration)
+    return replace(calibration, digest=content_digest(entries), record_digest=record_digest(entries))
+
+
+def content_digest(entries: Mapping[str, Entry], schema_version: int = SCHEMA_VERSION) -> str:
+    """Return the SHA-256 of entries as described in the module's text, in hexadecimal digits."""
+    digest = hashlib.sha256(f"{FORMAT}\t{schema_version}\n".encode())
+    for path in sorted(entries):
+        kind, shape, data = _canonical(entries[path].value)
+        digest.update(f"{path}\t{entries[path].units}\t{kind}\t{'x'.join(map(str, shape))}\n".encode())
+        digest.update(data)
+    return digest.hexdigest()
+
+
+def record_digest(entries: Mapping[str, Entry], schema_version: int = SCHEMA_VERSION) -> str:
+    """Return the same over what is not prepared again from the rest."""
+    kept = {path: entry for path, entry in entries.items() if not path.startswith(PREPARED)}
+    return content_digest(kept, schema_version)
+
+
+def _canonical(value: Value) -> tuple[str, tuple[int, ...], bytes]:
+    if isinstance(value, np.ndarray):
+        kind = {"f": "<f8", "i": "<i8", "b": "|u1"}[value.dtype.kind]
+        return kind[1:], value.shape, value.astype(kind).tobytes()
+    texts = [text.encode() for text in ((value,) if isinstance(value, str) else value)]
+    shape = () if isinstance(value, str) else (len(texts),)
+    return "text", shape, b"".join(b"%d\n%s" % (len(text), text) for text in texts)
