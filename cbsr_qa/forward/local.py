@@ -1,37 +1,34 @@
 """Exact voltages after local changes of conductance, without factorising again.
 
-A change on elements E with nodes P alters the system by P ΔK Pᵀ, where ΔK is small and dense. With F the fields
-of the electrodes on P and W = Pᵀ K⁻¹ P, the transfer impedance changes by −Fᵀ (I + ΔK W)⁻¹ ΔK F (Woodbury; Hager
-1989). It is an identity, not an approximation. W does not depend on the change, so each further change on the same
-elements is one dense solve of the size of P.
+Changed elements form patches. A node whose elements all belong to one patch, and which lies on no electrode, is seen
+by nobody outside: it is condensed away. With E the discrete harmonic extension from a patch's rim to its inside (E of
+the new conductance, E₀ of the old), the patch seen from its rim changes by
+
+    ΔΛ = Eᵀ ΔK E₀
+
+which is the difference of the two Schur complements without their cancellation (Eᵀ K = [Λ 0], K₀ E₀ = [Λ₀ 0]ᵀ). With
+F the fields of the electrodes on all rims and W = K₀⁻¹ between rim nodes the transfer impedance changes by
+−Fᵀ (I + ΔΛ W)⁻¹ ΔΛ F (Woodbury; Hager 1989). These are identities, not approximations. F, W and E₀ do not depend on
+the change, so each further change on the same elements costs dense solves of the size of each patch's inside, and
+one of the size of all rims.
 """
 
 from collections import OrderedDict
-from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.forward.inverse import InverseEntries
 from cbsr_qa.forward.model import ForwardModel
+from cbsr_qa.forward.patches import Patches
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_KEPT = 64  # sets of elements whose dense parts are kept
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Patch:
-    """What a set of elements needs, whatever its change: p nodes, k elements."""
-
-    scatter: Indices  # (9 k,) which stored entry of the sparse (p, p) ΔK each local stiffness entry adds to
-    columns: Indices  # of the stored entries
-    rows: Indices  # (p + 1,) where each row's entries begin
-    stiffness: Array  # (k, 9)
-    fields: Array  # (p, electrodes) F
-    interior: Array  # (p, p) W
+#: Memory for what is kept of sets of elements; nine heads on a mesh of 2.5 mm take 2 MB.
+KEPT_BYTES: Final = 64 << 20
 
 
 class LocalUpdate:
@@ -39,15 +36,21 @@ class LocalUpdate:
 
     Parameters
     ----------
-    model : the unchanged sheet; its factorisation is used for every new node, once.
+    model : the unchanged sheet; its factorisation is used for every new rim node, once.
+    kept_bytes : memory for what is kept of sets of elements; those unused for longest go first.
     """
 
-    def __init__(self, model: ForwardModel) -> None:
+    def __init__(self, model: ForwardModel, *, kept_bytes: int = KEPT_BYTES) -> None:
         self.model = model
         self._unchanged = model.voltages()
-        self._column_of = np.full(len(model.mesh.nodes_mm), -1, dtype=np.int64)
-        self._columns: Array = np.empty((0, len(model.mesh.nodes_mm)))
-        self._patches: OrderedDict[bytes, _Patch] = OrderedDict()
+        self._inverse = InverseEntries(model)
+        self._kept: OrderedDict[bytes, Patches] = OrderedDict()
+        self._kept_bytes = kept_bytes
+
+    @property
+    def nbytes(self) -> int:
+        """Memory of what is kept between calls."""
+        return self._inverse.nbytes + sum(patches.nbytes for patches in self._kept.values())
 
     def voltages(self, elements: Indices, conductance_change: Array) -> Array:
         """Readings after the conductance of some elements has changed.
@@ -69,14 +72,8 @@ class LocalUpdate:
         elements, change = self._checked(elements, conductance_change)
         if not elements.size:
             return self._unchanged.copy()
-        patch = self._patch(elements)
-        nodes = len(patch.fields)
-        entries = np.bincount(patch.scatter, (change[:, None] * patch.stiffness).ravel())
-        stiffness = sparse.csr_array((entries, patch.columns, patch.rows), shape=(nodes, nodes))
-        capacitance = np.asarray(stiffness @ patch.interior)
-        capacitance.flat[:: nodes + 1] += 1
-        correction = patch.fields.T @ np.linalg.solve(capacitance, np.asarray(stiffness @ patch.fields))
-        return self._unchanged - self.model.readings(correction)
+        patches = self._patches(elements)
+        return self._unchanged - self.model.readings(patches.correction(change))
 
     def _checked(self, elements: Indices, change: Array) -> tuple[Indices, Array]:
         elements, change = np.asarray(elements, dtype=np.int64), np.asarray(change, dtype=np.float64)
@@ -96,34 +93,12 @@ class LocalUpdate:
             )
         return unique.astype(np.int64), total
 
-    def _patch(self, elements: Indices) -> _Patch:
+    def _patches(self, elements: Indices) -> Patches:
         key = elements.tobytes()
-        patch = self._patches.get(key)
-        if patch is None:
-            patch = self._patches[key] = self._new_patch(elements)
-            if len(self._patches) > _KEPT:
-                self._patches.popitem(last=False)
-        self._patches.move_to_end(key)
-        return patch
-
-    def _new_patch(self, elements: Indices) -> _Patch:
-        nodes, local = np.unique(self.model.mesh.elements[elements], return_inverse=True)
-        local = local.reshape(-1, 3)
-        place = (local[:, :, None] * len(nodes) + local[:, None, :]).ravel()
-        stored, scatter = np.unique(place, return_inverse=True)
-        row, columns = np.divmod(stored, len(nodes))
-        rows = np.searchsorted(row, np.arange(len(nodes) + 1))
-        stiffness = self.model.stiffness[elements].reshape(-1, 9)
-        interior = self._solved(nodes)[:, nodes]
-        return _Patch(scatter, columns, rows, stiffness, self.model.electrode_fields[nodes], interior)
-
-    def _solved(self, nodes: Indices) -> Array:
-        """Rows of K⁻¹ at some nodes, (p, n); each is solved for once."""
-        missing = nodes[self._column_of[nodes] < 0]
-        if missing.size:
-            load = np.zeros((len(self._column_of), missing.size))
-            load[missing, np.arange(missing.size)] = 1
-            rows = self.model.solve(load).T
-            self._column_of[missing] = len(self._columns) + np.arange(missing.size)
-            self._columns = np.vstack([self._columns, rows])
-        return self._columns[self._column_of[nodes]]
+        patches = self._kept.get(key)
+        if patches is None:
+            patches = self._kept[key] = Patches(self.model, elements, self._inverse)
+            while len(self._kept) > 1 and sum(kept.nbytes for kept in self._kept.values()) > self._kept_bytes:
+                self._kept.popitem(last=False)
+        self._kept.move_to_end(key)
+        return patches

@@ -25,8 +25,8 @@ class Interrupts:
     through a delivery that hangs. From :meth:`mask` on every signal is ignored: the bench is being made safe,
     and an impatient second Ctrl-C must not leave the head down. Handlers the application installed are called;
     where there is none the signal raises :class:`Stopped`. A signal the process inherited as ignored (SIGHUP under
-    nohup, SIGINT in a shell's background) stays ignored: whoever started it wanted that. Outside the main thread nothing is installed,
-    because Python delivers no signals there.
+    nohup, SIGINT in a script's background) stays ignored: whoever started it wanted that. Outside the main thread
+    nothing is installed, because Python delivers no signals there.
     """
 
     def __init__(self) -> None:

@@ -6,6 +6,7 @@ from hypothesis import strategies as st
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
 from cbsr_qa.forward.coverage import disc_coverage
+from cbsr_qa.forward.inverse import InverseEntries
 from cbsr_qa.forward.local import LocalUpdate
 from cbsr_qa.forward.model import ForwardModel
 
@@ -89,6 +90,59 @@ def test_further_frames_solve_nothing_anew(model, monkeypatch):
         for elements in (one, other, np.concatenate([one, other])):
             update.voltages(elements, scale * model.conductance[elements])
     assert solves == []
+
+
+def test_overlapping_presses_equal_full_refactorisation(model, update):
+    presses = [disc_coverage(model.mesh, x, y, 9.0)[0] for x, y in ((0, 0), (9, 2), (-4, 11), (-30, -20))]
+    elements = np.concatenate(presses)
+    change = np.concatenate([model.conductance[p] * (0.3 - 0.1 * k) for k, p in enumerate(presses)])
+    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+def test_a_change_of_the_whole_sheet_equals_full_refactorisation(model):
+    elements = np.arange(len(model.mesh.elements))
+    change = model.conductance * np.random.default_rng(3).uniform(-0.5, 2.0, len(elements))
+    assert worst(LocalUpdate(model).voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+def heads(model, count: int) -> list[np.ndarray]:
+    places = np.random.default_rng(7).uniform(-28, 28, (count, 2))
+    return [disc_coverage(model.mesh, x, y, 6.5)[0] for x, y in places]
+
+
+def test_memory_is_bounded_and_what_was_forgotten_comes_back_exactly(model):
+    bounded, unbounded = LocalUpdate(model, kept_bytes=300_000), LocalUpdate(model)
+    entries = bounded._inverse = InverseEntries(model, most=64)
+    for elements in heads(model, 40) * 2:
+        change = 0.2 * model.conductance[elements]
+        np.testing.assert_allclose(
+            bounded.voltages(elements, change), unbounded.voltages(elements, change), rtol=1e-11, atol=0
+        )
+        assert entries.nbytes <= 64 * 64 * 8
+        assert bounded.nbytes <= 300_000 + entries.nbytes
+    assert unbounded.nbytes > 2 * bounded.nbytes
+
+
+def test_a_set_larger_than_the_bounds_is_served_all_the_same(model):
+    update = LocalUpdate(model, kept_bytes=1)
+    update._inverse = InverseEntries(model, most=8)
+    elements = np.unique(np.concatenate(heads(model, 5)))
+    change = 0.2 * model.conductance[elements]
+    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+def test_entries_of_the_inverse_are_those_of_whole_columns(model):
+    inverse = InverseEntries(model)
+    for seed in range(4):
+        nodes = np.random.default_rng(seed).choice(len(model.mesh.nodes_mm), 150, replace=False)
+        columns = model.solve(np.eye(len(model.mesh.nodes_mm))[:, nodes])
+        np.testing.assert_allclose(inverse.between(nodes), columns[nodes], rtol=0, atol=1e-12 * abs(columns).max())
+
+
+def test_nodes_one_by_one_are_copied_a_few_times_in_all(model):
+    inverse = InverseEntries(model)
+    sizes = {(inverse.between(np.array([node])).size, inverse.nbytes)[1] for node in range(200)}
+    assert len(sizes) <= 9  # 1, 2, 4 … 256 squared
 
 
 def test_first_order_term_is_the_jacobian(model, update):

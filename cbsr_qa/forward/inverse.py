@@ -1,0 +1,84 @@
+"""Entries of K⁻¹ between the nodes anybody has asked about, each node solved for once."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.forward.model import ForwardModel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: More nodes than this are not kept: 2048² entries are 34 MB, and hold some seventy heads on a mesh of 2.5 mm.
+MOST_NODES: Final = 2048
+_AT_ONCE: Final = 128  # nodes solved for together: bounds the memory of the full columns
+
+
+class InverseEntries:
+    """The part of K⁻¹ that belongs to a growing set of nodes.
+
+    K is symmetric, so the entries of known nodes against a new one are in the new one's column already, and columns
+    need not be kept whole. When the set would outgrow its bound, it begins anew with the nodes asked for.
+
+    Parameters
+    ----------
+    model : its factorisation solves for the columns.
+    most : nodes kept, unless more are asked for at once.
+    """
+
+    def __init__(self, model: ForwardModel, *, most: int = MOST_NODES) -> None:
+        self._model = model
+        self._most = most
+        self._place = np.full(len(model.mesh.nodes_mm), -1, dtype=np.int64)
+        self._known: Indices = np.empty(0, dtype=np.int64)
+        self._entries: Array = np.empty((0, 0))
+
+    @property
+    def nbytes(self) -> int:
+        """Memory the entries take."""
+        return self._entries.nbytes
+
+    def between(self, nodes: Indices) -> Array:
+        """Return the entries between nodes: (p, p) [V/A].
+
+        Parameters
+        ----------
+        nodes : (p,) int64, each once.
+        """
+        missing = nodes[self._place[nodes] < 0]
+        if missing.size:
+            if len(self._known) + missing.size > self._most:
+                self._forget()
+                missing = nodes
+            self._add(missing)
+        place = self._place[nodes]
+        return self._entries[np.ix_(place, place)]
+
+    def _forget(self) -> None:
+        self._place[self._known] = -1
+        self._known = self._known[:0]
+        self._entries = np.empty((0, 0))
+
+    def _add(self, nodes: Indices) -> None:
+        before, after = len(self._known), len(self._known) + len(nodes)
+        self._known = np.concatenate([self._known, nodes])
+        self._place[nodes] = np.arange(before, after)
+        self._make_room(before, after)
+        for first in range(0, len(nodes), _AT_ONCE):
+            part = nodes[first : first + _AT_ONCE]
+            load = np.zeros((len(self._place), len(part)))
+            load[part, np.arange(len(part))] = 1
+            columns = self._model.solve(load)[self._known]
+            here = slice(before + first, before + first + len(part))
+            self._entries[:after, here] = columns
+            self._entries[here, :after] = columns.T
+
+    def _make_room(self, used: int, needed: int) -> None:
+        """Grow by doubling, so that adding nodes one after the other costs no more than a few copies in all."""
+        if needed <= len(self._entries):
+            return
+        size = max(needed, min(2 * len(self._entries), self._most))
+        grown = np.zeros((size, size))
+        grown[:used, :used] = self._entries[:used, :used]
+        self._entries = grown
