@@ -218,7 +218,7 @@ def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
         LoadRecord(
             int(group["index"][k]),
             Load(label, *_place(columns, k), int(group["trial"][k])),
-            *(float(columns[name][k]) for name, _ in _LOAD_COLUMNS[3:]),
+            **{name: float(columns[name][k]) for name, _ in _LOAD_COLUMNS[3:]},
             clear_s=None if np.isnan(cleared[k]) else cleared[k],
         )
         for k, label in enumerate(labels)

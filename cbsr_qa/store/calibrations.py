@@ -1,7 +1,11 @@
-"""Issued calibrations as rows: everything but the imaging matrix, which sensor type and readings determine."""
+"""Issued calibrations as rows: everything but the imaging matrix, which sensor type and readings determine.
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+The calibration file is an export of these rows: a calibration loaded from them has the ``record_digest`` it was
+issued with, and with a matrix prepared on the same computer the ``digest`` too (:mod:`cbsr_qa.calibrate.digests`).
+"""
+
+import math
+from dataclasses import dataclass, replace
 from datetime import datetime
 from typing import Any
 
@@ -10,29 +14,19 @@ from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, insert, select, update
 from sqlalchemy.orm import Session
 
-from cbsr_qa.domain.calibration import (
-    BaselineConductance,
-    Calibration,
-    OverlapBand,
-    SettlingSummary,
-    Validity,
-)
+from cbsr_qa.domain.calibration import Calibration, Validity
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.domain.reconstruction import LinearReconstruction
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response, SensorIdentity
+from cbsr_qa.domain.reconstruction import LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.sensor import QuasiStatic, Response, SensorIdentity
+from cbsr_qa.store import calibration_rows as lists
 from cbsr_qa.store.arrays import digest, packed, packed_flags, unpacked, unpacked_flags
 from cbsr_qa.store.codec import decoded_indenter, decoded_sensor_type, encoded
 from cbsr_qa.store.engine import reading
-from cbsr_qa.store.result_tables import BaselineRow, CalibrationRow, FitParameterRow, OverlapBandRow, SettlingRow
+from cbsr_qa.store.result_tables import CalibrationRow
 from cbsr_qa.store.run_tables import RunRow
 
-#: Fit parameters: their name in the database, their unit, and what a calibration's ``assumed`` calls them.
-_PARAMETERS = (
-    ("against_stress.slope", "1/kPa", "α against stress"),
-    ("against_stress.intercept", "1", "β against stress"),
-    ("against_strain.slope", "1", "α against strain"),
-    ("against_strain.intercept", "1", "β against strain"),
-)
+#: λ found again for the same sensor type agrees to the tolerance of its search, not to the last digit.
+_SAME_PARAMETER = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,9 +42,19 @@ class CalibrationSummary:
 
 
 def insert_calibration(connection: Connection, calibration: Calibration, analysis: str) -> None:
-    """Insert a calibration with its rows and mark the sensor's earlier ones as superseded by it."""
+    """Insert a calibration with its rows and mark the sensor's earlier ones as superseded by it.
+
+    Raises
+    ------
+    StoreError
+        If it has no digests: it was made by hand and never issued.
+    """
+    if not (calibration.digest and calibration.record_digest):
+        raise StoreError(
+            f"calibration {calibration.calibration} has no digest: it was never issued, and is not stored"
+        )
     connection.execute(insert(CalibrationRow), _values(calibration, analysis))
-    for table, rows in _rows(calibration):
+    for table, rows in lists.list_rows(calibration):
         if rows:
             connection.execute(insert(table), [{"calibration": calibration.calibration, **row} for row in rows])
     earlier = update(CalibrationRow).where(
@@ -91,12 +95,27 @@ def load_calibration(engine: Engine, calibration: str, reconstruction: LinearRec
     """
     with reading(engine) as connection, Session(bind=connection) as session:
         row = _known(session, calibration)
-        if (row.method, row.regularisation) != (reconstruction.method, reconstruction.choice.value):
-            raise StoreError(
-                f"calibration {calibration} was made with {row.method} at λ = {row.regularisation:g}, not with"
-                f" {reconstruction.method} at λ = {reconstruction.choice.value:g}"
-            )
-        return _calibration(session, row, reconstruction)
+        _check_matrix(row, reconstruction)
+        choice = ParameterChoice(row.regularisation, row.regularisation_how, row.noise_figure)
+        return _calibration(session, row, replace(reconstruction, choice=choice))
+
+
+def _check_matrix(row: CalibrationRow, reconstruction: LinearReconstruction) -> None:
+    """Raise StoreError where a matrix was prepared by another method, with another λ or for other readings."""
+    prepared = reconstruction.choice.value
+    alike = math.isclose(row.regularisation, prepared, rel_tol=_SAME_PARAMETER)
+    if row.method != reconstruction.method or not alike:
+        raise StoreError(
+            f"calibration {row.calibration} was made with {row.method} at λ = {row.regularisation:g}, not with"
+            f" {reconstruction.method} at λ = {prepared:g}"
+        )
+    problem = reconstruction.problem
+    used = unpacked_flags(row.used, (row.drives, row.measures)).astype(np.bool_)
+    if problem.sensor_type != decoded_sensor_type(row.setting) or not np.array_equal(used, problem.used):
+        raise StoreError(
+            f"calibration {row.calibration} images {int(used.sum())} readings of a {problem.sensor_type.name};"
+            " the matrix at hand was prepared for another sensor type or other readings"
+        )
 
 
 def _known(session: Session, calibration: str) -> CalibrationRow:
@@ -112,7 +131,7 @@ def _known(session: Session, calibration: str) -> CalibrationRow:
 
 
 def _values(calibration: Calibration, analysis: str) -> dict[str, Any]:
-    reconstruction, validity = calibration.reconstruction, calibration.validity
+    reconstruction, size_ratio = calibration.reconstruction, calibration.size_ratio or (None, None)
     drives, measures = calibration.reference.shape
     reference, used = packed(calibration.reference), packed_flags(reconstruction.problem.used.astype("uint8"))
     return {
@@ -127,6 +146,7 @@ def _values(calibration: Calibration, analysis: str) -> dict[str, Any]:
         "scale": calibration.scale,
         "noise_floor": calibration.noise_floor,
         "mask": calibration.mask,
+        "measured_noise_figure": calibration.noise_figure,
         "method": reconstruction.method,
         "regularisation": reconstruction.choice.value,
         "regularisation_how": reconstruction.choice.how,
@@ -137,10 +157,16 @@ def _values(calibration: Calibration, analysis: str) -> dict[str, Any]:
         "used": used,
         "reference_sha256": digest(f"{drives}x{measures}|V", (reference, used)),
         "overlap_threshold": calibration.overlap_threshold,
-        **_validity_values(validity),
+        "size_ratio_low": size_ratio[0],
+        "size_ratio_high": size_ratio[1],
+        "stress_covariance": calibration.against_stress.covariance,
+        "strain_covariance": calibration.against_strain.covariance,
+        **_validity_values(calibration.validity),
         "assumed": list(calibration.assumed),
         "simulated": list(calibration.simulated),
         "setting": encoded(calibration.sensor_type, calibration.indenter),
+        "content_sha256": calibration.digest,
+        "record_sha256": calibration.record_digest,
     }
 
 
@@ -158,65 +184,9 @@ def _validity_values(validity: Validity) -> dict[str, Any]:
     }
 
 
-def _rows(calibration: Calibration) -> Iterator[tuple[Any, list[dict[str, Any]]]]:
-    yield (
-        BaselineRow,
-        [
-            {
-                "number": number,
-                "location": b.location,
-                "x_mm": b.x_mm,
-                "y_mm": b.y_mm,
-                "value": b.value,
-                "stderr": b.stderr,
-                "loads": b.loads,
-                "why": b.why,
-            }
-            for number, b in enumerate(calibration.baseline)
-        ],
-    )
-    yield (
-        SettlingRow,
-        [
-            {
-                "number": number,
-                "signal": s.signal,
-                "loading": bool(s.loading),
-                "mean_s": s.mean_s,
-                "deviation_s": s.deviation_s,
-                "accepted": s.accepted,
-                "censored": s.censored,
-                "rejected": s.rejected,
-            }
-            for number, s in enumerate(calibration.settling)
-        ],
-    )
-    yield (
-        OverlapBandRow,
-        [
-            {"number": number, "name": b.name, "lower_percent": b.lower, "upper_percent": b.upper}
-            for number, b in enumerate(calibration.overlap_bands)
-        ],
-    )
-    yield FitParameterRow, [_parameter_values(calibration, *parameter) for parameter in _PARAMETERS]
-
-
-def _parameter_values(calibration: Calibration, name: str, unit: str, called: str) -> dict[str, Any]:
-    fit, which = name.split(".")
-    parameter: Parameter = getattr(getattr(calibration, fit), which)
-    return {
-        "name": name,
-        "value": parameter.value,
-        "stderr": parameter.stderr,
-        "unit": unit,
-        "source": parameter.source,
-        "assumed": called in calibration.assumed,
-    }
-
-
 def _calibration(session: Session, row: CalibrationRow, reconstruction: LinearReconstruction) -> Calibration:
     run = session.get_one(RunRow, row.run)
-    fits = _fits(session, row.calibration)
+    fits = _fits(session, row)
     return Calibration(
         calibration=row.calibration,
         run=row.run,
@@ -231,21 +201,30 @@ def _calibration(session: Session, row: CalibrationRow, reconstruction: LinearRe
         response=Response(row.response),
         noise_floor=row.noise_floor,
         mask=row.mask,
-        baseline=tuple(_baselines(session, row.calibration)),
-        against_stress=fits["against_stress"],
-        against_strain=fits["against_strain"],
+        baseline=tuple(lists.baselines(session, row.calibration)),
+        against_stress=fits[0],
+        against_strain=fits[1],
         assumed=tuple(row.assumed),
-        settling=tuple(_settling(session, row.calibration)),
-        overlap_bands=tuple(_bands(session, row.calibration)),
+        settling=tuple(lists.settling(session, row.calibration)),
+        overlap_bands=tuple(lists.bands(session, row.calibration)),
         overlap_threshold=row.overlap_threshold,
-        validity=Validity(
-            force_N=_pair(row.force_low_n, row.force_high_n),
-            strain=(row.strain_low, row.strain_high),
-            temperature_C=_pair(row.temperature_low_c, row.temperature_high_c),
-            radius_mm=row.radius_mm,
-            reduced=tuple(row.reduced),
-        ),
+        validity=_validity(row),
         simulated=tuple(row.simulated),
+        relaxations=tuple(lists.relaxations(session, row.calibration)),
+        size_ratio=_pair(row.size_ratio_low, row.size_ratio_high),
+        noise_figure=row.measured_noise_figure,
+        digest=row.content_sha256,
+        record_digest=row.record_sha256,
+    )
+
+
+def _validity(row: CalibrationRow) -> Validity:
+    return Validity(
+        force_N=_pair(row.force_low_n, row.force_high_n),
+        strain=(row.strain_low, row.strain_high),
+        temperature_C=_pair(row.temperature_low_c, row.temperature_high_c),
+        radius_mm=row.radius_mm,
+        reduced=tuple(row.reduced),
     )
 
 
@@ -253,28 +232,11 @@ def _pair(low: float | None, high: float | None) -> tuple[float, float] | None:
     return None if low is None or high is None else (low, high)
 
 
-def _fits(session: Session, calibration: str) -> dict[str, QuasiStatic]:
-    rows = session.scalars(select(FitParameterRow).where(FitParameterRow.calibration == calibration))
-    found = {row.name: Parameter(row.value, row.stderr, row.source) for row in rows}
-    return {
-        fit: QuasiStatic(found[f"{fit}.slope"], found[f"{fit}.intercept"])
-        for fit in ("against_stress", "against_strain")
-    }
-
-
-def _baselines(session: Session, calibration: str) -> Iterator[BaselineConductance]:
-    query = select(BaselineRow).where(BaselineRow.calibration == calibration).order_by(BaselineRow.number)
-    for r in session.scalars(query):
-        yield BaselineConductance(r.location, r.x_mm, r.y_mm, r.value, r.stderr, r.loads, r.why)
-
-
-def _settling(session: Session, calibration: str) -> Iterator[SettlingSummary]:
-    query = select(SettlingRow).where(SettlingRow.calibration == calibration).order_by(SettlingRow.number)
-    for r in session.scalars(query):
-        yield SettlingSummary(r.signal, r.loading, r.mean_s, r.deviation_s, r.accepted, r.censored, r.rejected)
-
-
-def _bands(session: Session, calibration: str) -> Iterator[OverlapBand]:
-    query = select(OverlapBandRow).where(OverlapBandRow.calibration == calibration).order_by(OverlapBandRow.number)
-    for r in session.scalars(query):
-        yield OverlapBand(r.name, r.lower_percent, r.upper_percent)
+def _fits(session: Session, row: CalibrationRow) -> tuple[QuasiStatic, QuasiStatic]:
+    """α, β against stress and against strain."""
+    found = lists.parameters(session, row.calibration)
+    stress, strain = (
+        QuasiStatic(found[f"{fit}.slope"], found[f"{fit}.intercept"], covariance)
+        for fit, covariance in (("against_stress", row.stress_covariance), ("against_strain", row.strain_covariance))
+    )
+    return stress, strain

@@ -69,7 +69,10 @@ class MeasurementRow(Base):
 
 
 class CalibrationRow(Base):
-    """What a passed run issued for its sensor. The HDF5 file is an export of it with the imaging matrix added."""
+    """What a passed run issued for its sensor.
+
+    The HDF5 file is an export of it and its lists, with the imaging matrix added.
+    """
 
     __tablename__ = "calibrations"
     __table_args__ = (Index(None, "serial", "calibration"), Index(None, "run"))
@@ -85,16 +88,21 @@ class CalibrationRow(Base):
     scale: Mapped[float]
     noise_floor: Mapped[float]
     mask: Mapped[float]
+    measured_noise_figure: Mapped[float | None]  #: of this sensor with its own matrix
     method: Mapped[str]  #: of the imaging matrix
     regularisation: Mapped[float]
     regularisation_how: Mapped[str]
-    noise_figure: Mapped[float]
+    noise_figure: Mapped[float]  #: of the matrix on the nominal model
     drives: Mapped[int]
     measures: Mapped[int]
     reference: Mapped[bytes]  #: float64 little-endian (drives, measures) [V]
     used: Mapped[bytes]  #: uint8 (drives, measures), readings that are imaged
     reference_sha256: Mapped[str] = mapped_column(String(64))
     overlap_threshold: Mapped[float]
+    size_ratio_low: Mapped[float | None]
+    size_ratio_high: Mapped[float | None]
+    stress_covariance: Mapped[float | None]  #: of α and β against stress [1/kPa]
+    strain_covariance: Mapped[float | None]  #: of α and β against strain
     force_low_n: Mapped[float | None]
     force_high_n: Mapped[float | None]
     strain_low: Mapped[float]
@@ -106,6 +114,8 @@ class CalibrationRow(Base):
     assumed: Mapped[list[Any]]  #: names of what was not measured on this sensor
     simulated: Mapped[list[Any]]
     setting: Mapped[dict[str, Any]]  #: sensor type and indenter, see codec.py
+    content_sha256: Mapped[str] = mapped_column(String(64))  #: of the issued file's content, as the file states it
+    record_sha256: Mapped[str] = mapped_column(String(64))  #: the same without what is prepared again: the matrix
 
 
 class BaselineRow(Base):
@@ -138,6 +148,38 @@ class SettlingRow(Base):
     accepted: Mapped[int]
     censored: Mapped[int]
     rejected: Mapped[int]
+
+
+class RelaxationRow(Base):
+    """A fitted relaxation of one signal after one press or release, and the settling time that follows from it."""
+
+    __tablename__ = "calibration_relaxations"
+
+    calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    phase: Mapped[str]
+    load_index: Mapped[int | None]  #: within the phase, as in loads
+    location: Mapped[str]
+    trial: Mapped[int]
+    strain: Mapped[float | None]
+    signal: Mapped[str]
+    unit: Mapped[str]  #: of level, amplitudes and band
+    loading: Mapped[bool]
+    status: Mapped[str] = mapped_column(String(32))  #: a FitStatus
+    level: Mapped[float]  #: a₀
+    level_stderr: Mapped[float]
+    amplitude_1: Mapped[float | None]  #: of the shorter time constant
+    amplitude_2: Mapped[float | None]
+    time_constant_1_s: Mapped[float | None]
+    time_constant_2_s: Mapped[float | None]
+    time_constant_1_stderr_s: Mapped[float | None]
+    time_constant_2_stderr_s: Mapped[float | None]
+    r_squared: Mapped[float]
+    why: Mapped[str]  #: of a fallback or a rejection
+    settling_s: Mapped[float | None]
+    settling_censored: Mapped[bool]  #: at least ``settling_s``
+    settling_band: Mapped[float]
+    settling_why: Mapped[str]
 
 
 class FitParameterRow(Base):

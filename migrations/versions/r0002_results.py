@@ -16,6 +16,7 @@ TABLES = (
     "calibrations",
     "calibration_baselines",
     "calibration_settling",
+    "calibration_relaxations",
     "calibration_parameters",
     "calibration_overlap_bands",
 )
@@ -28,6 +29,7 @@ def upgrade() -> None:
     _create_calibrations()
     _create_calibration_baselines()
     _create_calibration_settling()
+    _create_calibration_relaxations()
     _create_calibration_parameters()
     _create_calibration_overlap_bands()
 
@@ -109,6 +111,7 @@ def _create_calibrations() -> None:
         sa.Column("scale", sa.Double(), nullable=False),
         sa.Column("noise_floor", sa.Double(), nullable=False),
         sa.Column("mask", sa.Double(), nullable=False),
+        sa.Column("measured_noise_figure", sa.Double(), nullable=True),
         sa.Column("method", sa.Text(), nullable=False),
         sa.Column("regularisation", sa.Double(), nullable=False),
         sa.Column("regularisation_how", sa.Text(), nullable=False),
@@ -119,6 +122,10 @@ def _create_calibrations() -> None:
         sa.Column("used", sa.LargeBinary(), nullable=False),
         sa.Column("reference_sha256", sa.String(length=64), nullable=False),
         sa.Column("overlap_threshold", sa.Double(), nullable=False),
+        sa.Column("size_ratio_low", sa.Double(), nullable=True),
+        sa.Column("size_ratio_high", sa.Double(), nullable=True),
+        sa.Column("stress_covariance", sa.Double(), nullable=True),
+        sa.Column("strain_covariance", sa.Double(), nullable=True),
         sa.Column("force_low_n", sa.Double(), nullable=True),
         sa.Column("force_high_n", sa.Double(), nullable=True),
         sa.Column("strain_low", sa.Double(), nullable=False),
@@ -130,6 +137,8 @@ def _create_calibrations() -> None:
         sa.Column("assumed", sa.JSON(), nullable=False),
         sa.Column("simulated", sa.JSON(), nullable=False),
         sa.Column("setting", sa.JSON(), nullable=False),
+        sa.Column("content_sha256", sa.String(length=64), nullable=False),
+        sa.Column("record_sha256", sa.String(length=64), nullable=False),
         sa.ForeignKeyConstraint(["analysis"], ["analyses.analysis"], name=op.f("fk_calibrations_analysis_analyses")),
         sa.ForeignKeyConstraint(["run"], ["runs.run"], name=op.f("fk_calibrations_run_runs")),
         sa.ForeignKeyConstraint(["serial"], ["sensors.serial"], name=op.f("fk_calibrations_serial_sensors")),
@@ -183,6 +192,43 @@ def _create_calibration_settling() -> None:
             name=op.f("fk_calibration_settling_calibration_calibrations"),
         ),
         sa.PrimaryKeyConstraint("calibration", "number", name=op.f("pk_calibration_settling")),
+    )
+
+
+def _create_calibration_relaxations() -> None:
+    op.create_table(
+        "calibration_relaxations",
+        sa.Column("calibration", sa.String(length=36), nullable=False),
+        sa.Column("number", sa.Integer(), autoincrement=False, nullable=False),
+        sa.Column("phase", sa.Text(), nullable=False),
+        sa.Column("load_index", sa.Integer(), nullable=True),
+        sa.Column("location", sa.Text(), nullable=False),
+        sa.Column("trial", sa.Integer(), nullable=False),
+        sa.Column("strain", sa.Double(), nullable=True),
+        sa.Column("signal", sa.Text(), nullable=False),
+        sa.Column("unit", sa.Text(), nullable=False),
+        sa.Column("loading", sa.Boolean(), nullable=False),
+        sa.Column("status", sa.String(length=32), nullable=False),
+        sa.Column("level", sa.Double(), nullable=False),
+        sa.Column("level_stderr", sa.Double(), nullable=False),
+        sa.Column("amplitude_1", sa.Double(), nullable=True),
+        sa.Column("amplitude_2", sa.Double(), nullable=True),
+        sa.Column("time_constant_1_s", sa.Double(), nullable=True),
+        sa.Column("time_constant_2_s", sa.Double(), nullable=True),
+        sa.Column("time_constant_1_stderr_s", sa.Double(), nullable=True),
+        sa.Column("time_constant_2_stderr_s", sa.Double(), nullable=True),
+        sa.Column("r_squared", sa.Double(), nullable=False),
+        sa.Column("why", sa.Text(), nullable=False),
+        sa.Column("settling_s", sa.Double(), nullable=True),
+        sa.Column("settling_censored", sa.Boolean(), nullable=False),
+        sa.Column("settling_band", sa.Double(), nullable=False),
+        sa.Column("settling_why", sa.Text(), nullable=False),
+        sa.ForeignKeyConstraint(
+            ["calibration"],
+            ["calibrations.calibration"],
+            name=op.f("fk_calibration_relaxations_calibration_calibrations"),
+        ),
+        sa.PrimaryKeyConstraint("calibration", "number", name=op.f("pk_calibration_relaxations")),
     )
 
 

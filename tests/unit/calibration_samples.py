@@ -1,6 +1,7 @@
 """A small calibration that uses every field, for tests of what is done with one."""
 
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -113,3 +114,21 @@ def sparse_calibration() -> Calibration:
         noise_figure=None,
         validity=Validity(None, (0.2, 0.2), (21.5, 22.0), 0.0),
     )
+
+
+def assert_same(one: Any, other: Any, path: str) -> None:
+    """Assert that two nested dataclasses hold the same, bit for bit, naming the field that does not."""
+    assert type(one) is type(other), path
+    if is_dataclass(one):
+        for field in fields(one):
+            assert_same(getattr(one, field.name), getattr(other, field.name), f"{path}.{field.name}")
+    elif isinstance(one, np.ndarray):
+        assert (one.dtype, one.shape, one.tobytes()) == (other.dtype, other.shape, other.tobytes()), path
+    elif isinstance(one, tuple):
+        assert len(one) == len(other), path
+        for index, (left, right) in enumerate(zip(one, other, strict=True)):
+            assert_same(left, right, f"{path}[{index}]")
+    elif isinstance(one, float):
+        assert one.hex() == other.hex(), path
+    else:
+        assert one == other, path

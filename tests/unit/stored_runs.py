@@ -1,14 +1,17 @@
 """A small run as a stream of documents, for tests of the store."""
 
 import hashlib
+from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
 
+from cbsr_qa.calibrate.digests import stamped
 from cbsr_qa.config.loader import load_material, load_sensor_type
 from cbsr_qa.domain.calibration import (
     BaselineConductance,
     Calibration,
+    LoadRelaxation,
     OverlapBand,
     SettlingSummary,
     Validity,
@@ -18,6 +21,7 @@ from cbsr_qa.domain.loads import Indenter, Load, LoadRecord
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, SettlingTime
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.domain.run_events import (
     FramesTaken,
@@ -115,6 +119,42 @@ def journalled(repository, events):
     return journal
 
 
+#: One press of the same place and trial at each of two strains, a rejected fit, and one exponential.
+RELAXATIONS = (
+    LoadRelaxation(
+        "L0",
+        0,
+        "conductance",
+        True,
+        RelaxationFit(FitStatus.TWO, 0.12, (-0.02, -0.05), (2.5, 23.1), 1e-3, (0.2, 1.5), 0.998, ""),
+        SettlingTime(24.0, False, 0.018, ""),
+        "campaign",
+        0,
+        0.05,
+    ),
+    LoadRelaxation(
+        "L0",
+        0,
+        "conductance",
+        True,
+        RelaxationFit(FitStatus.ONE, 0.2, (-0.1,), (31.0,), 2e-3, (2.5,), 0.97, "no second time constant"),
+        SettlingTime(60.0, True, 0.02, "not settled within 60 s"),
+        "campaign",
+        9,
+        0.1,
+    ),
+    LoadRelaxation(
+        "L1",
+        1,
+        "stress",
+        False,
+        RelaxationFit(FitStatus.REJECTED, 0.1, (), (), 0.01, (), 0.0, "3 points are too few"),
+        SettlingTime(None, False, 0.0, "rejected"),
+        unit="kPa",
+    ),
+)
+
+
 def reconstruction():
     """An imaging matrix on two triangles; its numbers mean nothing."""
     nodes = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
@@ -147,7 +187,7 @@ def calibration(name, run, serial="S-1", **changes):
             BaselineConductance("L0", 0.0, 0.0, 1.01, 0.02, 3),
             BaselineConductance("L1", 30.0, 0.0, None, None, 0, "no blob"),
         ),
-        "against_stress": MATERIAL.against_stress,
+        "against_stress": replace(MATERIAL.against_stress, covariance=-1.5e-8),
         "against_strain": MATERIAL.against_strain,
         "assumed": ("α against stress", "β against stress"),
         "settling": (
@@ -158,5 +198,8 @@ def calibration(name, run, serial="S-1", **changes):
         "overlap_threshold": 50.0,
         "validity": Validity((0.9, 5.3), (0.05, 0.3), None, 30.0, ("one strain only",)),
         "simulated": ("the sheet",),
+        "relaxations": RELAXATIONS,
+        "size_ratio": (1 / 3, 3.0),
+        "noise_figure": 1.17,
     }
-    return Calibration(**(values | changes))
+    return stamped(Calibration(**(values | changes)))

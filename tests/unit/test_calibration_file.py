@@ -3,14 +3,14 @@
 import hashlib
 import json
 import os
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import h5py
 import numpy as np
 import pytest
-from calibration_samples import sample_calibration, sample_sensor_type, sparse_calibration
+from calibration_samples import assert_same, sample_calibration, sample_sensor_type, sparse_calibration
 from typer.testing import CliRunner
 
 from cbsr_qa.calibrate.digests import stamped
@@ -18,24 +18,6 @@ from cbsr_qa.calibrate.file import read_calibration, verify_calibration, write_c
 from cbsr_qa.cli.calibration import app
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.mesh import Mesh
-
-
-def _same(one: Any, other: Any, path: str) -> None:
-    """Assert that two nested dataclasses hold the same, bit for bit, naming the field that does not."""
-    assert type(one) is type(other), path
-    if is_dataclass(one):
-        for field in fields(one):
-            _same(getattr(one, field.name), getattr(other, field.name), f"{path}.{field.name}")
-    elif isinstance(one, np.ndarray):
-        assert (one.dtype, one.shape, one.tobytes()) == (other.dtype, other.shape, other.tobytes()), path
-    elif isinstance(one, tuple):
-        assert len(one) == len(other), path
-        for index, (left, right) in enumerate(zip(one, other, strict=True)):
-            _same(left, right, f"{path}[{index}]")
-    elif isinstance(one, float):
-        assert one.hex() == other.hex(), path
-    else:
-        assert one == other, path
 
 
 @pytest.fixture
@@ -49,7 +31,7 @@ def issued(tmp_path: Path) -> Path:
 def test_every_field_comes_back_exactly(tmp_path, make):
     path = tmp_path / "sensor.h5"
     write_calibration(path, make())
-    _same(read_calibration(path), stamped(make()), "calibration")
+    assert_same(read_calibration(path), stamped(make()), "calibration")
 
 
 def test_every_dataset_states_its_units(issued):
@@ -145,7 +127,7 @@ def test_large_arrays_are_compressed_and_come_back_to_the_bit(tmp_path):
         assert {dataset.compression for dataset in stored.values()} == {"gzip"}
         assert all(dataset.id.get_storage_size() < dataset.nbytes for dataset in stored.values())
         assert file["identity/serial"].compression is None
-    _same(read_calibration(path), stamped(large), "calibration")
+    assert_same(read_calibration(path), stamped(large), "calibration")
 
 
 def test_a_matrix_worked_out_on_another_computer_changes_the_digest_but_not_that_of_the_record():

@@ -1,14 +1,15 @@
 """The same store on PostgreSQL: what was told comes back, unchanged in any bit."""
 
-from dataclasses import fields
 from uuid import uuid4
 
 import numpy as np
 import pytest
 import sqlalchemy as sa
+from calibration_samples import assert_same
 from stored_runs import calibration, identity, journalled, record, short_run
 
 from cbsr_qa.app.database import database_status
+from cbsr_qa.calibrate.digests import stamped
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.measurement import Measurement, Verdict
 from cbsr_qa.domain.outcome import Outcome
@@ -71,9 +72,8 @@ def test_results_and_calibrations_come_back(repository):
     assert analysis.measurements == measured
     assert analysis.verdict.reason == "close\ufffdto the limit"  # PostgreSQL holds no NUL
     back = repository.load_calibration(issued.calibration, issued.reconstruction)
-    assert back.reference.tobytes() == issued.reference.tobytes()
-    alike = [f.name for f in fields(issued) if f.name != "reference"]
-    assert [getattr(back, name) for name in alike] == [getattr(issued, name) for name in alike]
+    assert_same(back, issued, "calibration")
+    assert stamped(back).digest == issued.digest
     later = calibration(repository.new_id(), run, "S-9")
     repository.save_result(RunResult(repository.load_run(run), None, measured, verdict, later, ""))
     held = {c.calibration: c.superseded_by for c in repository.calibrations("S-9")}

@@ -1,12 +1,16 @@
 """Analyses and calibrations: added, never changed, and what a query finds is what was concluded."""
 
-from dataclasses import fields, replace
+import sqlite3
+from dataclasses import replace
 
 import numpy as np
 import pytest
-from stored_runs import calibration, journalled, reconstruction, short_run
+from calibration_samples import assert_same
+from stored_runs import MATERIAL, calibration, journalled, reconstruction, short_run
 
-from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.calibrate.file import verify_calibration, write_calibration
+from cbsr_qa.domain.calibration import BaselineConductance, Validity
+from cbsr_qa.domain.errors import CalibrationError, StoreError
 from cbsr_qa.domain.measurement import Bound, Limit, Measurement, Verdict
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.reconstruction import ParameterChoice
@@ -100,17 +104,71 @@ def test_a_calibration_comes_back_as_it_was_issued(repository, run):
     assert repository.analyses(run)[0].calibration == issued.calibration
     np.testing.assert_array_equal(repository.used_readings(issued.calibration), issued.reconstruction.problem.used)
     back = repository.load_calibration(issued.calibration, issued.reconstruction)
-    for field in fields(issued):
-        stored, told = getattr(back, field.name), getattr(issued, field.name)
-        if field.name == "reference":
-            np.testing.assert_array_equal(stored, told)
-        else:
-            assert stored == told, field.name
+    assert_same(back, issued, "calibration")
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {},
+        {"relaxations": (), "size_ratio": None, "noise_figure": None, "settling": (), "overlap_bands": ()},
+        {"against_stress": MATERIAL.against_stress, "validity": Validity(None, (0.2, 0.2), (20.5, 21.0), 0.0)},
+        {"baseline": (BaselineConductance("L0", -0.0, 1 / 3, 0.1 + 0.2, 5e-324, 1),), "scale": -7.1},
+    ],
+)
+def test_the_file_is_an_export_of_the_rows(repository, run, tmp_path, changes):
+    issued = calibration(repository.new_id(), run, **changes)
+    repository.save_result(result(repository, run, calibration=issued))
+    at_issue = write_calibration(tmp_path / "issued.h5", issued)
+    back = repository.load_calibration(issued.calibration, reconstruction())
+    again = write_calibration(tmp_path / "exported.h5", back)
+    assert at_issue == again == verify_calibration(tmp_path / "issued.h5").digest
+    assert (tmp_path / "exported.h5").read_bytes() == (tmp_path / "issued.h5").read_bytes()
+    with sqlite3.connect(tmp_path / "runs.db") as other:
+        stored = other.execute("select content_sha256, record_sha256 from calibrations").fetchone()
+    assert stored == (at_issue, verify_calibration(tmp_path / "exported.h5").record_digest)
+
+
+def test_a_matrix_prepared_again_elsewhere_keeps_the_record_and_is_exported(repository, run, tmp_path):
+    issued = calibration(repository.new_id(), run)
+    repository.save_result(result(repository, run, calibration=issued))
+    here = reconstruction()
+    there = replace(
+        here, matrix=np.nextafter(here.matrix, 2.0), choice=replace(here.choice, value=0.02 * (1 + 1e-9), how="again")
+    )
+    back = repository.load_calibration(issued.calibration, there)
+    assert back.reconstruction.choice == issued.reconstruction.choice
+    assert write_calibration(tmp_path / "exported.h5", back) != issued.digest
+    assert verify_calibration(tmp_path / "exported.h5").record_digest == issued.record_digest
+
+
+@pytest.mark.parametrize(
+    "edit",
+    [
+        "update calibration_baselines set value = 2.0 where number = 0",
+        "update calibration_relaxations set amplitude_2 = -0.06 where number = 0",
+        "delete from calibration_relaxations where number = 2",
+        "update calibrations set stress_covariance = 0",
+    ],
+)
+def test_edited_rows_are_not_exported(repository, run, tmp_path, edit):
+    issued = calibration(repository.new_id(), run)
+    repository.save_result(result(repository, run, calibration=issued))
+    with sqlite3.connect(tmp_path / "runs.db") as other:
+        assert other.execute(edit).rowcount == 1
+    back = repository.load_calibration(issued.calibration, issued.reconstruction)
+    with pytest.raises(CalibrationError, match="not what was issued"):
+        write_calibration(tmp_path / "exported.h5", back)
+
+
+def test_a_calibration_that_was_never_issued_is_not_stored(repository, run):
+    made = replace(calibration(repository.new_id(), run), digest="", record_digest="")
+    with pytest.raises(StoreError, match="never issued"):
+        repository.save_result(result(repository, run, calibration=made))
+    assert repository.analyses(run) == ()
 
 
 def test_what_was_assumed_is_flagged_parameter_by_parameter(repository, run, tmp_path):
-    import sqlite3
-
     issued = calibration(repository.new_id(), run)
     repository.save_result(result(repository, run, calibration=issued))
     with sqlite3.connect(tmp_path / "runs.db") as other:
@@ -150,6 +208,17 @@ def test_a_matrix_of_another_making_is_refused(repository, run):
     other = replace(reconstruction(), choice=ParameterChoice(0.5, "by hand", 2.0))
     with pytest.raises(StoreError, match=r"λ = 0\.02, not with .* λ = 0\.5"):
         repository.load_calibration(issued.calibration, other)
+
+
+def test_a_matrix_for_other_readings_is_refused(repository, run):
+    issued = calibration(repository.new_id(), run)
+    repository.save_result(result(repository, run, calibration=issued))
+    whole = reconstruction()
+    problem, fewer = whole.problem, whole.problem.used.copy()
+    fewer[0, 2] = False
+    less = replace(problem, used=fewer, jacobian=problem.jacobian[1:], reference=problem.reference[1:])
+    with pytest.raises(StoreError, match="208 readings of a disc-100mm"):
+        repository.load_calibration(issued.calibration, replace(whole, problem=less, matrix=whole.matrix[:, 1:]))
 
 
 def test_a_result_of_a_run_that_is_not_stored_is_refused(repository, run):
