@@ -131,9 +131,7 @@ def _known(session: Session, calibration: str) -> CalibrationRow:
 
 
 def _values(calibration: Calibration, analysis: str) -> dict[str, Any]:
-    reconstruction, size_ratio = calibration.reconstruction, calibration.size_ratio or (None, None)
-    drives, measures = calibration.reference.shape
-    reference, used = packed(calibration.reference), packed_flags(reconstruction.problem.used.astype("uint8"))
+    size_ratio = calibration.size_ratio or (None, None)
     return {
         "calibration": calibration.calibration,
         "run": calibration.run,
@@ -147,15 +145,7 @@ def _values(calibration: Calibration, analysis: str) -> dict[str, Any]:
         "noise_floor": calibration.noise_floor,
         "mask": calibration.mask,
         "measured_noise_figure": calibration.noise_figure,
-        "method": reconstruction.method,
-        "regularisation": reconstruction.choice.value,
-        "regularisation_how": reconstruction.choice.how,
-        "noise_figure": reconstruction.choice.noise_figure,
-        "drives": drives,
-        "measures": measures,
-        "reference": reference,
-        "used": used,
-        "reference_sha256": digest(f"{drives}x{measures}|V", (reference, used)),
+        **_imaging_values(calibration.reconstruction, calibration.reference),
         "overlap_threshold": calibration.overlap_threshold,
         "size_ratio_low": size_ratio[0],
         "size_ratio_high": size_ratio[1],
@@ -167,6 +157,22 @@ def _values(calibration: Calibration, analysis: str) -> dict[str, Any]:
         "setting": encoded(calibration.sensor_type, calibration.indenter),
         "content_sha256": calibration.digest,
         "record_sha256": calibration.record_digest,
+    }
+
+
+def _imaging_values(reconstruction: LinearReconstruction, reference: NDArray[np.float64]) -> dict[str, Any]:
+    drives, measures = reference.shape
+    frame, used = packed(reference), packed_flags(reconstruction.problem.used.astype("uint8"))
+    return {
+        "method": reconstruction.method,
+        "regularisation": reconstruction.choice.value,
+        "regularisation_how": reconstruction.choice.how,
+        "noise_figure": reconstruction.choice.noise_figure,
+        "drives": drives,
+        "measures": measures,
+        "reference": frame,
+        "used": used,
+        "reference_sha256": digest(f"{drives}x{measures}|V", (frame, used)),
     }
 
 
