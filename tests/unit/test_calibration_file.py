@@ -1,21 +1,17 @@
 """The calibration file: exact round trip, digest, atomic writing, and refusal of everything unsound."""
 
 import hashlib
-import json
 import os
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import h5py
 import numpy as np
 import pytest
 from calibration_samples import assert_same, sample_calibration, sample_sensor_type, sparse_calibration
-from typer.testing import CliRunner
 
 from cbsr_qa.calibrate.digests import stamped
 from cbsr_qa.calibrate.file import read_calibration, verify_calibration, write_calibration
-from cbsr_qa.cli.calibration import app
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.mesh import Mesh
 
@@ -370,59 +366,3 @@ def test_a_text_that_hdf5_cannot_hold_is_refused(tmp_path):
     with pytest.raises(CalibrationError, match="cannot be written"):
         write_calibration(tmp_path / "x.h5", replace(sample_calibration(), run="a\0b"))
     assert list(tmp_path.iterdir()) == []
-
-
-# --- commands ------------------------------------------------------------------------------------------------
-
-
-def _run(*arguments: str) -> Any:
-    return CliRunner().invoke(app, list(arguments))
-
-
-def test_show_prints_what_a_reader_needs(issued):
-    shown = _run("show", str(issued)).output
-    assert "sensor S-001 ü (batch batch 41)" in shown
-    assert "SIMULATED, not measured: bench" in shown
-    assert "force: 0.9 to 3.5 N" in shown
-    assert "assumed, not measured on this sensor: α against stress, β against stress" in shown
-    assert "at least 29.5 s" in shown
-    (line,) = [line for line in shown.splitlines() if line.strip().startswith("L0")]
-    assert line.split() == ["L0", "0.0", "0.0", "0.31", "0.004", "3"]
-    (line,) = [line for line in shown.splitlines() if line.strip().startswith("L1 ")]
-    assert line.endswith("no blob was sensed")
-
-
-def test_show_as_json_is_one_document(issued):
-    document = json.loads(_run("show", str(issued), "--json").stdout)
-    assert document["identity"]["serial"] == "S-001 ü"
-    assert document["baseline_conductance"][1]["value"] is None
-    assert document["digest"] == verify_calibration(issued).digest
-    assert document["record_digest"] == stamped(sample_calibration()).record_digest
-    assert document["against_stress"]["covariance"] == -1.5e-8
-    assert (document["image"]["noise_figure_nominal"], document["image"]["noise_figure_measured"]) == (1.02, 1.17)
-    assert document["area_overlap"]["size_ratio"] == [1 / 3, 3.0]
-
-
-def test_verify_says_sound(issued):
-    assert "is sound" in _run("verify", str(issued)).output
-    document = json.loads(_run("verify", str(issued), "--json").stdout)
-    assert document["sound"] is True
-    assert document["schema_version"] == 1
-
-
-def test_commands_refuse_with_exit_code_two(issued):
-    issued.write_bytes(issued.read_bytes()[:-100])
-    for command in ("show", "verify"):
-        error = _run(command, str(issued)).exception
-        assert isinstance(error, CalibrationError)
-        assert error.exit_code == 2
-        assert issued.name in error.reason
-
-
-def test_control_characters_in_a_file_do_not_reach_the_terminal(tmp_path):
-    path = tmp_path / "hostile.h5"
-    sample = sample_calibration()
-    write_calibration(path, replace(sample, sensor=replace(sample.sensor, serial="\x1b[2JS\r1")))
-    shown = _run("show", str(path)).output
-    assert "\x1b" not in shown
-    assert "\r" not in shown
