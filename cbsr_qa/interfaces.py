@@ -41,6 +41,8 @@ class StationContext:
     scene : what a simulated instrument's world contains; None on a real bench.
     effect_factory : finds an effect's factory by name, for simulated instruments; None on a real bench.
     motion : speeds and hover height of the station; :mod:`cbsr_qa.domain.kinematics` says how long moves take.
+    resumed_at_s : last time an earlier session of the same run has stored; 0 for a new run. The clock of a session
+        begins at zero: a simulated instrument addresses its random numbers with this time too, and repeats none.
     """
 
     role: str
@@ -53,6 +55,7 @@ class StationContext:
     scene: Scene | None = None
     effect_factory: Callable[[str], Callable[..., Any]] | None = None
     motion: Motion | None = None
+    resumed_at_s: float = 0.0
 
 
 class Instrument(Protocol):
@@ -215,7 +218,7 @@ class Effect(Protocol):
 
     @property
     def perturbs(self) -> str:
-        """What it changes: ``response``, ``stress``, ``voltages`` or ``force`` (a stage of the moment)."""
+        """A stage of the moment: ``geometry``, ``response``, ``stress``, ``voltages`` or ``force``."""
         ...
 
     def apply(self, moment: Moment) -> None:

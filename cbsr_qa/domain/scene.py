@@ -68,12 +68,14 @@ class Moment:
     ----------
     setting : the constants of the scene.
     time_s : on the station's clock.
-    index : of the frame, or of the force sample; random numbers are addressed with it.
+    index : of the frame, or of the force sample, 0 for the geometry; random numbers are addressed with it.
     presses : all so far, also those released whose residue may linger.
     response : relative conductance change under the head, per press.
     stress_kPa : under the head, per press.
     voltages : (drives, measures) [V]; None until the sheet was solved.
     force_N : what the load cell reads.
+    place_mm : where the head is, from the sheet's centre.
+    surface_mm : how far the sheet's surface there lies below nominal.
     """
 
     setting: SceneSetting
@@ -84,3 +86,5 @@ class Moment:
     stress_kPa: list[float]
     voltages: NDArray[np.float64] | None = None
     force_N: float = 0.0
+    place_mm: tuple[float, float] = (0.0, 0.0)
+    surface_mm: float = 0.0

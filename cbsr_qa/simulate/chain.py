@@ -14,7 +14,7 @@ from cbsr_qa.interfaces import Effect
 EffectFactory = Callable[[str], Callable[..., Any]]
 
 #: In the order a moment goes through them; what an effect may perturb.
-STAGES: Final = ("response", "stress", "voltages", "force")
+STAGES: Final = ("geometry", "response", "stress", "voltages", "force")
 
 
 class Chain:

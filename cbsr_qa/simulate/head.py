@@ -17,30 +17,12 @@ from cbsr_qa.domain.kinematics import (
 )
 from cbsr_qa.domain.plan import Motion
 from cbsr_qa.domain.scene import SimulatedPress, StrainStep
-from cbsr_qa.simulate.streams import RandomStream
 
 _CONTACT_FORCE_N: Final = 0.2  # the rig's
 _SEARCH_DEPTH_MM: Final = 1.0  # below the nominal surface; deeper than any seat is wrong
 
-
-class SheetSeat:
-    """How the sheet lies: level and tilt off nominal, drawn once per seed.
-
-    Parameters
-    ----------
-    seed : of the run.
-    error_mm : standard deviation of the level, and of what the tilt adds at the sheet's edge.
-    radius_mm : of the sheet.
-    """
-
-    def __init__(self, seed: int, error_mm: float, radius_mm: float) -> None:
-        self._level, *self._tilt = error_mm * RandomStream(seed, "sheet-seat").normal(0, (3,))
-        self._radius_mm = radius_mm
-
-    def depth_mm(self, x_mm: float, y_mm: float) -> float:
-        """Depth of the surface below nominal at a place [mm]."""
-        across = (self._tilt[0] * x_mm + self._tilt[1] * y_mm) / self._radius_mm
-        return float(self._level + across)
+#: ``surface_mm(x_mm, y_mm, time_s)``: how far the sheet's true surface lies below nominal.
+Surface = Callable[[float, float, float], float]
 
 
 class SimulatedHead:
@@ -53,7 +35,7 @@ class SimulatedHead:
     ----------
     clock : the station's.
     presses : appended to, and read by the world.
-    seat : where the true surface is.
+    surface_mm : where the true surface is.
     motion : the station's speeds and hover height.
     thickness_mm : of the sheet.
     role : in the station file, for messages.
@@ -63,7 +45,7 @@ class SimulatedHead:
         self,
         clock: Clock,
         presses: list[SimulatedPress],
-        seat: SheetSeat,
+        surface_mm: Surface,
         motion: Motion,
         *,
         thickness_mm: float,
@@ -73,7 +55,7 @@ class SimulatedHead:
         self._clock = clock
         self._presses = presses
         self._thickness_mm = thickness_mm
-        self._seat = seat
+        self._true_surface_mm = surface_mm
         self._motion = motion
         self._place = (0.0, 0.0)
         self._depth_mm = -motion.hover_mm
@@ -167,6 +149,7 @@ class SimulatedHead:
         )
 
     def _surface_mm(self) -> float:
+        """Where the head takes the surface to be: found here, or else found nearest, or else nominal."""
         if not self._found:
             return 0.0
         return self._found[min(self._found, key=lambda place: math.dist(place, self._place))]
@@ -177,7 +160,8 @@ class SimulatedHead:
 
     def _start(self, depth_mm: float, speed_mm_s: float) -> float:
         """Begin a movement now; write the part of it below the true surface; return when it will be over."""
-        start, surface = self._clock.now(), self._seat.depth_mm(*self._place)
+        start = self._clock.now()
+        surface = self._true_surface_mm(*self._place, start)
         duration_s = abs(depth_mm - self._depth_mm) / speed_mm_s
         before, after = max(self._depth_mm - surface, 0.0), max(depth_mm - surface, 0.0)
         if before != after:

@@ -122,6 +122,13 @@ class SimulatedWorld:
         self.chain.apply("force", moment)
         return moment.force_N
 
+    def surface_mm(self, x_mm: float, y_mm: float, time_s: float) -> float:
+        """How far the sheet's surface lies below nominal at a place [mm]; 0 where no effect says otherwise."""
+        moment = self._moment(time_s, 0, [])
+        moment.place_mm = (x_mm, y_mm)
+        self.chain.apply("geometry", moment)
+        return moment.surface_mm
+
     def truth(self, time_s: float) -> tuple[PressTruth, ...]:
         """Return what is true of every press at a time, before the sheet is measured."""
         moment = self._moment(time_s, 0, self.presses)

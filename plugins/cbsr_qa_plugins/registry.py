@@ -24,6 +24,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.METRIC, "contact-resistance", "metrics.contact_resistance:ContactResistance"),
     (Kind.METRIC, "settling-time", "metrics.settling_time:SettlingTimes"),
     (Kind.METRIC, "applied-force", "metrics.applied_force:AppliedForce"),
+    (Kind.EFFECT, "sheet-seat", "effects.sheet_seat:SheetSeat"),
     (Kind.EFFECT, "piezoresistivity", "effects.piezoresistivity:Piezoresistivity"),
     (Kind.EFFECT, "conductance-relaxation", "effects.conductance_relaxation:ConductanceRelaxation"),
     (Kind.EFFECT, "elastic-stress", "effects.elastic_stress:ElasticStress"),

@@ -62,6 +62,7 @@ def context(
     seed: int = 1,
     options: dict[str, Any] | None = None,
     effect_factory: Callable[[str], Callable[..., Any]] | None = installed,
+    resumed_at_s: float = 0.0,
 ) -> StationContext:
     return StationContext(
         "bench",
@@ -74,6 +75,7 @@ def context(
         scene=of,
         effect_factory=effect_factory,
         motion=MOTION,
+        resumed_at_s=resumed_at_s,
     )
 
 

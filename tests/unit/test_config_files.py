@@ -215,7 +215,7 @@ def test_materials_that_cannot_be(spoilt, old, new, said):
 def test_an_effect_is_on_once_or_not_at_all(spoilt):
     effect = '[[effects]]\nname = "piezoresistivity"\n\n'
     said = spoilt(DocumentKind.SCENE, "base", ("[[effects]]\n", f"{effect}[[effects]]\n"))
-    assert "effects[2].name is 'piezoresistivity', which is already on" in said
+    assert "effects[3].name is 'piezoresistivity', which is already on" in said
 
 
 def test_roles_are_filled_once(spoilt):

@@ -14,24 +14,29 @@ from cbsr_qa.domain.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.kinematics import stroke_s, surface_search_s, travel_s
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM, Load
 from cbsr_qa.domain.outcome import EndReason
-from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.plan import PluginChoice, Scene
 from cbsr_qa.domain.run_events import LoadFinished
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.domain.steps import FindSurface, Hold, Press, Release
 from cbsr_qa.interfaces import ForceApplicator, FrameSource, Sampler
 from cbsr_qa.runner.bench import Bench, Mounted
 from cbsr_qa.runner.execute import execute
-from cbsr_qa.simulate.head import SheetSeat
 from cbsr_qa.testing.bench import example_identity, example_plan
 from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench, open_bench
 
 SPEED = 40 / 60
-FLAT = {"surface_error_mm": 0.0}
 
 
 def _bench(of=None, **more) -> tuple[VirtualClock, SimulatedBench]:
     clock = more.pop("clock", None) or VirtualClock()
     return clock, open_bench(context(of or base_scene(), clock=clock, **more))
+
+
+def lying(error_mm: float | None) -> Scene:
+    """The base scene with the sheet off nominal by this much; None for a sheet that lies flat."""
+    others = tuple(effect for effect in base_scene().effects if effect.name != "sheet-seat")
+    seat = () if error_mm is None else (PluginChoice("sheet-seat", {"error_mm": error_mm}),)
+    return replace(base_scene(), effects=(*seat, *others))
 
 
 def _session(bench: SimulatedBench) -> tuple[FrameBlock, SampleBlock]:
@@ -93,6 +98,19 @@ def test_a_bench_opened_late_goes_on_with_the_same_numbers():
     assert early_clock.now() == late_clock.now()
 
 
+def test_a_resumed_session_repeats_none_of_the_numbers_before_it():
+    numbers: list[float] = []
+    for resumed_at_s in (0.0, 11.25, 13.7, 13.825):
+        _, bench = _bench(lying(None), resumed_at_s=resumed_at_s)
+        numbers += [*bench.acquire(6).voltages.ravel(), *bench.samples_since(-1.0).values]
+    assert len(set(numbers)) == len(numbers)
+
+
+def test_the_same_resumption_gives_the_same_numbers():
+    one, other = (_bench(resumed_at_s=11.25)[1].acquire(2).voltages for _ in range(2))
+    np.testing.assert_array_equal(one, other)
+
+
 def test_no_two_frames_share_their_noise_whenever_they_begin():
     clock, bench = _bench()
     frames = []
@@ -118,7 +136,7 @@ def test_frames_take_their_period_and_are_stamped_in_the_middle():
 
 def test_frames_meet_the_press_that_is_on():
     silent = scene("piezoresistivity")
-    _, bench = _bench(silent, options=FLAT)
+    _, bench = _bench(silent)
     unloaded = bench.acquire(1).voltages[0]
     bench.press(0.8, SPEED)
     loaded = bench.acquire(1).voltages[0]
@@ -138,7 +156,7 @@ def test_the_current_leaves_headroom_below_the_source_limit():
 
 
 def test_press_and_release_take_the_time_the_dry_run_counts():
-    clock, bench = _bench(options=FLAT)
+    clock, bench = _bench(lying(None))
     bench.move_to(30.0, 0.0)
     assert clock.now() == pytest.approx(travel_s(MOTION, 30.0))
     start = clock.now()
@@ -150,7 +168,7 @@ def test_press_and_release_take_the_time_the_dry_run_counts():
 
 
 def test_a_press_is_a_ramp_of_the_asked_strain_rate():
-    clock, bench = _bench(options=FLAT)
+    clock, bench = _bench(lying(None))
     bench.press(0.8, SPEED)
     (press,) = bench.world.presses
     (ramp,) = press.steps
@@ -162,7 +180,7 @@ def test_a_press_is_a_ramp_of_the_asked_strain_rate():
 
 
 def test_travelling_lifts_the_head_first():
-    clock, bench = _bench(options=FLAT)
+    clock, bench = _bench(lying(None))
     bench.press(0.8, SPEED)
     bench.move_to(20.0, 0.0)
     bench.press(0.4, SPEED)
@@ -172,7 +190,7 @@ def test_travelling_lifts_the_head_first():
 
 
 def test_the_safe_state_lifts_at_once_and_may_be_called_again():
-    clock, bench = _bench(options=FLAT)
+    clock, bench = _bench(lying(None))
     bench.press(0.8, SPEED)
     before = clock.now()
     bench.safe_state()
@@ -186,17 +204,25 @@ def test_the_safe_state_lifts_at_once_and_may_be_called_again():
 
 @pytest.mark.parametrize("seed", range(6))
 def test_the_surface_is_found_to_a_hundredth_of_a_millimetre(seed: int):
-    clock, bench = _bench(seed=seed, options={"surface_error_mm": 0.08})
+    clock, bench = _bench(lying(0.08), seed=seed)
     start = clock.now()
     found = bench.find_surface(20.0, -10.0)
     took_s = clock.now() - start - travel_s(MOTION, np.hypot(20.0, 10.0))
-    true = MOTION.hover_mm + SheetSeat(seed, 0.08, 50.0).depth_mm(20.0, -10.0)
+    true = MOTION.hover_mm + bench.world.surface_mm(20.0, -10.0, 0.0)
     assert found == pytest.approx(true, abs=0.015)
     assert took_s == pytest.approx(surface_search_s(MOTION), rel=0.25)
 
 
+def test_in_a_scene_that_says_nothing_of_it_the_sheet_lies_exactly_flat():
+    for of in (scene(), scene("elastic-stress")):
+        clock, bench = _bench(of)
+        assert {bench.world.surface_mm(x, y, 3.0) for x in (-30.0, 0.0, 20.0) for y in (0.0, 15.0)} == {0.0}
+        bench.press(0.8, SPEED)
+        assert bench.world.presses[0].strain_at(clock.now()) == pytest.approx(0.2, abs=1e-15)
+
+
 def test_a_press_starts_from_the_surface_that_was_found():
-    clock, bench = _bench(options={"surface_error_mm": 0.1}, seed=3)
+    clock, bench = _bench(lying(0.1), seed=3)
     bench.find_surface(0.0, 0.0)
     bench.press(0.8, SPEED)
     assert bench.world.presses[-1].strain_at(clock.now()) == pytest.approx(0.2, abs=0.004)
@@ -254,7 +280,7 @@ def test_samples_come_eight_a_second_each_once():
 
 
 def test_a_held_press_ends_at_the_relaxed_force():
-    clock, bench = _bench(scene("elastic-stress", "stress-relaxation"), options=FLAT)
+    clock, bench = _bench(scene("elastic-stress", "stress-relaxation"))
     bench.press(0.8, SPEED)
     pressed_s = clock.now()
     clock.sleep(300.0)

@@ -13,7 +13,7 @@ from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.plan import Motion
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.interfaces import StationContext
-from cbsr_qa.simulate.head import SheetSeat, SimulatedHead
+from cbsr_qa.simulate.head import SimulatedHead
 from cbsr_qa.simulate.sheet import CONTACT_LENGTH_MM
 from cbsr_qa.simulate.world import SimulatedWorld
 
@@ -25,7 +25,6 @@ _OPTIONS: Final[Mapping[str, float]] = {
     "hover_mm": 1.0,
     "travel_speed_mm_s": 0.01,
     "contact_length_mm": 1e-6,
-    "surface_error_mm": 0.0,
 }
 #: Where the station states none: the rig's press speed of 40 mm/min, and the shipped station's other numbers.
 _RIG_MOTION: Final = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hover_mm=25.0)
@@ -36,8 +35,7 @@ def open_bench(context: StationContext) -> "SimulatedBench":
     """Open a simulated bench (frame source, force applicator and the sampler ``force``).
 
     Options of its table: ``hover_mm`` and ``travel_speed_mm_s`` (default: the station's motion),
-    ``contact_length_mm`` (contact impedance over sheet resistance, default 0.2), ``surface_error_mm`` (standard
-    deviation of how the sheet lies, default 0.05: chosen by us, one step of the surface search).
+    ``contact_length_mm`` (contact impedance over sheet resistance, default 0.2).
 
     Raises
     ------
@@ -71,17 +69,16 @@ class SimulatedBench:
             effect_factory=context.effect_factory,
             contact_length_mm=options.get("contact_length_mm", CONTACT_LENGTH_MM),
         )
-        radius_mm = context.sensor_type.radius_mm
-        seat = SheetSeat(context.seed, options.get("surface_error_mm", 0.05), radius_mm)
-        motion = _motion(context, options)
         self._head = SimulatedHead(
             context.clock,
             self.world.presses,
-            seat,
-            motion,
+            self.world.surface_mm,
+            _motion(context, options),
             thickness_mm=context.sensor_type.thickness_mm,
             role=context.role,
         )
+        # A resumed session has addresses of its own: a block of 2³² for each millisecond it may have begun at.
+        self._first_index = math.ceil(1e3 * context.resumed_at_s) << 32
         self._open = True
 
     # --- instrument ---
@@ -120,7 +117,8 @@ class SimulatedBench:
             middle_s = clock.now() + period_s / 2
             # Addressed by time in half periods: frames never share an index, and a bench opened late goes on with
             # the numbers of one that ran all the while.
-            frames.append(self.world.voltages_V(middle_s, round(middle_s / (period_s / 2))))
+            index = round(middle_s / (period_s / 2))
+            frames.append(self.world.voltages_V(middle_s, self._first_index + index))
             times.append(middle_s)
             clock.sleep(period_s)
         voltages = np.stack(frames)
@@ -135,7 +133,7 @@ class SimulatedBench:
         first = max(math.floor(time_s * _FORCE_RATE_HZ) + 1, 0)
         last = math.floor(self._context.clock.now() * _FORCE_RATE_HZ)
         numbers = range(first, last + 1)
-        forces = [self.world.force_N(number / _FORCE_RATE_HZ, number) for number in numbers]
+        forces = [self.world.force_N(number / _FORCE_RATE_HZ, self._first_index + number) for number in numbers]
         times = np.arange(first, first + len(forces)) / _FORCE_RATE_HZ
         return SampleBlock(self.channel, self.unit, times, np.array(forces, dtype=np.float64))
 
