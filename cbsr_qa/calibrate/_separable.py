@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 from scipy.optimize import least_squares
+from scipy.stats import f as f_distribution
 
 #: Time constants tried on the log grid before the best are refined.
 _GRID: Final = 24
@@ -82,6 +83,27 @@ def fit_exponentials(
             best, cost = np.asarray(found.x), float(found.cost)
     assert best is not None
     return _assembled(time_s, values, np.sort(best), rounding)
+
+
+def chance_of_gain(before: NDArray[np.float64], after: NDArray[np.float64], parameters: int, added: int) -> float:
+    """Probability that chance gains as much as some more parameters: an F test over the independent points only.
+
+    Parameters
+    ----------
+    before, after : (n,) residuals without and with them.
+    parameters : how many there are with them, offsets included.
+    added : how many of these they are.
+    """
+    tiny = float(np.finfo(np.float64).tiny)
+    left = after - after.mean()
+    lag = float(left[1:] @ left[:-1] / max(float(left @ left), tiny))
+    memory = min(max(lag, 0.0), 0.99)
+    # One degree is left at least: a fit that takes all but a ten-thousandth of the rest away is believed even if
+    # what it leaves is smooth, as it is where there is no noise but that of the search.
+    spare = max(len(left) * (1 - memory) / (1 + memory) - parameters, 1.0)
+    square = float(after @ after)
+    gain = (float(before @ before) - square) / added
+    return float(f_distribution.sf(gain * spare / max(square, tiny), added, spare))
 
 
 def _basis(time_s: NDArray[np.float64], log_tau: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -4,9 +4,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import f as f_distribution
 
-from cbsr_qa.calibrate._separable import Exponentials, fit_exponentials
+from cbsr_qa.calibrate._separable import Exponentials, chance_of_gain, fit_exponentials
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit
 
@@ -18,6 +17,7 @@ _SIGNIFICANCE: Final = 0.01
 _SEPARATION: Final = 2.0
 #: An amplitude must be this many of its standard errors from zero.
 _CLEAR: Final = 3.0
+_DRIFTING: Final = "still drifting: the trace is too short for its time constant"
 #: A time constant is determined if its logarithm's standard error is below this.
 _LOG_ERROR: Final = 0.5
 
@@ -46,15 +46,16 @@ def fit_relaxation(
 
     Returns
     -------
-    RelaxationFit whose status is TWO, ONE, FLAT or REJECTED; the numbers of a rejected one are its best attempt.
-    Time constants lie within half the median frame interval and ten times the window.
+    RelaxationFit whose status is TWO, ONE, FLAT, DRIFTING or REJECTED; the numbers of a rejected one are its best
+    attempt. A drifting one is slower than its window, but nobody can say how slow: it has no curve, and its offset
+    is the level at its end. Time constants lie within half the median frame interval and ten times the window.
 
     Raises
     ------
     NumericsError
         If shapes differ, a number is not finite, or time stamps repeat or step back.
     """
-    time_s, values = _checked(time_s, values)
+    time_s, values = checked_trace(time_s, values)
     if len(values) == 0:
         return _without_curve(FitStatus.REJECTED, values, 0.0, "the trace is empty")
     rounding = 4 * float(np.finfo(np.float64).eps * np.abs(values).max())
@@ -82,9 +83,10 @@ def relaxation_curve(fit: RelaxationFit, time_s: NDArray[np.float64]) -> NDArray
     return curve
 
 
-def _checked(
+def checked_trace(
     time_s: NDArray[np.float64], values: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return a trace as float64; NumericsError says which sample makes it unusable."""
     time_s, values = np.asarray(time_s, dtype=np.float64), np.asarray(values, dtype=np.float64)
     if time_s.ndim != 1 or time_s.shape != values.shape:
         raise NumericsError(f"a trace of {values.shape} values cannot have {time_s.shape} times")
@@ -112,7 +114,7 @@ def _why_not_two(one: Exponentials, two: Exponentials, bounds_s: tuple[float, fl
     """Why the second exponential cannot be kept; empty if it can."""
     first, second = two.time_constants_s
     at_bound = second > 0.99 * bounds_s[1] or first < 1.01 * bounds_s[0]
-    chance = _chance_of_gain(one, two)
+    chance = chance_of_gain(one.residual, two.residual, 5, 2)
     checks = (
         (
             one.sum_of_squares <= len(one.residual) * rounding**2,
@@ -133,18 +135,6 @@ def _why_not_two(one: Exponentials, two: Exponentials, bounds_s: tuple[float, fl
     return next((why for failed, why in checks if failed), "")
 
 
-def _chance_of_gain(one: Exponentials, two: Exponentials) -> float:
-    """Probability that chance gains as much as the second exponential: F test over the independent points only."""
-    left = two.residual - two.residual.mean()
-    lag = float(left[1:] @ left[:-1] / max(float(left @ left), np.finfo(float).tiny))
-    memory = min(max(lag, 0.0), 0.99)
-    # One degree is left at least: a fit that takes all but a ten-thousandth of the rest away is believed even if
-    # what it leaves is smooth, as it is where there is no noise but that of the search.
-    spare = max(len(left) * (1 - memory) / (1 + memory) - 5, 1.0)
-    gain = (one.sum_of_squares - two.sum_of_squares) / 2
-    return float(f_distribution.sf(gain * spare / max(two.sum_of_squares, np.finfo(float).tiny), 2, spare))
-
-
 def _kept(
     found: Exponentials,
     values: NDArray[np.float64],
@@ -159,8 +149,10 @@ def _kept(
     stderr = np.where(np.isfinite(found.stderr), found.stderr, np.finfo(np.float64).max)
     if r_squared < r_squared_gate:
         status, why = FitStatus.REJECTED, f"R² {r_squared:.3f} is below {r_squared_gate:g}"
-    elif count == 1 and found.time_constants_s[0] > 0.99 * bounds_s[1]:
-        status, why = FitStatus.REJECTED, "still drifting: the trace is too short for its time constant"
+    elif count == 1 and _drifts(found, bounds_s):
+        return _without_curve(
+            FitStatus.DRIFTING, values[-max(len(values) // 4, 1) :], 0.0, _DRIFTING, r_squared=r_squared
+        )
     elif count == 1 and found.stderr[2] > 1.0:
         status, why = FitStatus.REJECTED, "the data do not determine a time constant"
     return RelaxationFit(
@@ -177,7 +169,15 @@ def _kept(
     )
 
 
-def _without_curve(status: FitStatus, values: NDArray[np.float64], rounding: float, why: str) -> RelaxationFit:
+def _drifts(one: Exponentials, bounds_s: tuple[float, float]) -> bool:
+    """Whether the trace shows that it relaxes more slowly than it is long, but not how slowly."""
+    tau_s, window_s = float(one.time_constants_s[0]), bounds_s[1] / 10
+    return tau_s > 0.99 * bounds_s[1] or (tau_s > window_s and float(one.stderr[2]) > 1.0)
+
+
+def _without_curve(
+    status: FitStatus, values: NDArray[np.float64], rounding: float, why: str, *, r_squared: float = 0.0
+) -> RelaxationFit:
     offset = float(values.mean()) if len(values) else 0.0
     spread = float(values.std(ddof=1) / np.sqrt(len(values))) if len(values) > 1 else 0.0
-    return RelaxationFit(status, offset, (), (), max(spread, rounding), (), 0.0, why)
+    return RelaxationFit(status, offset, (), (), max(spread, rounding), (), r_squared, why)

@@ -32,13 +32,16 @@ def settling_time(
     band : ``"steady"``: of the steady change from before the load, the paper's reading; ``"step"``: of G(0) − a₀.
     baseline : level before the load, in the trace's unit; 0 where the trace is a change already.
     loaded_change : the steady change under load. Given for an unloading: that ends near zero change, where a band
-        relative to its own end would vanish, so the band is taken of this.
+        relative to its own end would vanish, so the band is taken of this. The fitted curve must then also have
+        come back into the band about ``baseline`` by the window's end: a short trace of a slow return looks like
+        one that ends elsewhere.
     start_s : where the fit begins (behind an unloading spike): the trace counts as unsettled before.
 
     Returns
     -------
     SettlingTime: 0 where the trace is inside the band from t = 0 (or ``start_s``) on; the window's length and
-    ``censored`` where it is not inside at the window's end; no value where the fit was rejected or there is no band.
+    ``censored`` where it is not inside at the window's end, or still drifting; no value where the fit was rejected
+    or there is no band.
 
     Raises
     ------
@@ -50,12 +53,15 @@ def settling_time(
         return SettlingTime(None, False, 0.0, f"the relaxation fit was rejected: {fit.why}")
     steady = fit.offset - baseline if loaded_change is None else loaded_change
     half_width = tolerance * abs(_deviation(fit, start_s) if band == "step" else steady)
+    late = _why_late(
+        fit, half_width, window_s, None if loaded_change is None else (baseline, loaded_change, tolerance)
+    )
+    if late:
+        return SettlingTime(window_s, True, half_width, late)
     if fit.status is FitStatus.FLAT:
         return SettlingTime(start_s, False, half_width, "inside the band from the start")
     if half_width == 0:
         return SettlingTime(None, False, 0.0, "there is no steady change that a band could be a share of")
-    if abs(_deviation(fit, window_s)) > half_width:
-        return SettlingTime(window_s, True, half_width, f"not settled within {window_s:.4g} s")
     last = _last_outside(fit, half_width, start_s, window_s)
     return SettlingTime(last, False, half_width, "" if last > start_s else "inside the band from the start")
 
@@ -99,6 +105,24 @@ def _check(window_s: float, tolerance: float, band: str) -> None:
         raise NumericsError(f"a window of {window_s} s and a tolerance of {tolerance} must be positive")
     if band not in _BANDS:
         raise NumericsError(f"settling band {band!r} is unknown", remedy=f"use {' or '.join(map(repr, _BANDS))}")
+
+
+def _why_late(
+    fit: RelaxationFit, half_width: float, window_s: float, unloading: tuple[float, float, float] | None
+) -> str:
+    """Why a trace has not settled by its window's end; empty if it has.
+
+    ``unloading`` is the level before the load, the change under it, and the tolerance.
+    """
+    if fit.status is FitStatus.DRIFTING:
+        return fit.why
+    late = f"not settled within {window_s:.4g} s"
+    if unloading is not None:
+        baseline, change, tolerance = unloading
+        left = abs(fit.offset + _deviation(fit, window_s) - baseline)
+        if left > tolerance * abs(change) > 0:
+            return f"{late}: {left / abs(change):.0%} of the change under load is left"
+    return late if abs(_deviation(fit, window_s)) > half_width > 0 else ""
 
 
 def _deviation(fit: RelaxationFit, time_s: float) -> float:

@@ -10,6 +10,7 @@ class FitStatus(StrEnum):
     TWO = "two exponentials"
     ONE = "one exponential"  #: the second could not be told apart
     FLAT = "no relaxation"  #: inside the settling band from the start
+    DRIFTING = "still drifting"  #: slower than the trace is long: settles later than its window
     REJECTED = "rejected"  #: R² below the gate, or too few points
 
 

@@ -9,6 +9,7 @@ from observation_samples import SETTINGS, sample_load, sample_relaxation, sample
 
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
+from cbsr_qa.domain.measurement import Bound
 from cbsr_qa.domain.patterns import DrivePattern
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import LoadMetric, RunMetric
@@ -109,23 +110,64 @@ def test_settling_times_with_censored_and_rejected_ones():
     )
     run = sample_run(loads)
     each = [SettlingTimes().measure_load(load, run)[0] for load in loads]
-    assert [m.value for m in each] == [20.0, 30.0, None, None]
+    assert [(m.value, m.bound) for m in each] == [
+        (20.0, Bound.EXACT),
+        (30.0, Bound.EXACT),
+        (60.0, Bound.LOWER),
+        (None, Bound.EXACT),
+    ]
     assert [m.qualifier for m in each] == ["conductance, loading"] * 4
     assert "not settled within 60 s" in each[2].how
-    mean, stress = SettlingTimes().measure_run(run)
+    mean, stress = SettlingTimes().measure_run(run)[:2]
     assert (mean.name, mean.unit, mean.qualifier) == ("mean_settling_time", "s", "conductance, loading")
     assert mean.value == pytest.approx((20 + 30 + 60) / 3)
-    assert "lower bound" in mean.how
-    assert "1 fits rejected" in mean.how
+    assert mean.bound is Bound.LOWER
+    assert mean.how.startswith("2 of 4 settled, 1 later than its window, 1 rejected; standard deviation")
     assert stress.value == pytest.approx(6.5)
-    assert "lower bound" not in stress.how
+    assert stress.bound is Bound.EXACT
+    assert stress.how.startswith("4 of 4 settled; standard deviation")
+    assert "biased to short times" in stress.how
 
 
-def test_a_mean_of_rejected_fits_only_has_no_value():
-    run = sample_run((replace(sample_load(), relaxations=(sample_relaxation(None),)),))
-    (mean,) = SettlingTimes().measure_run(run)
-    assert mean.value is None
-    assert "rejected" in mean.how
+@pytest.mark.parametrize(("times", "known"), [([20.0, None], True), ([20.0, None, None], False), ([None], False)])
+def test_a_mean_needs_a_time_from_half_of_the_loads(times, known):
+    loads = tuple(replace(sample_load(), relaxations=(sample_relaxation(time_s),)) for time_s in times)
+    mean = SettlingTimes().measure_run(sample_run(loads))[0]
+    assert (mean.value is not None) == known
+    assert f"of {len(times)} settled, {times.count(None)} rejected" in mean.how
+    assert ("fewer than half" in mean.how) == (not known)
+
+
+def test_the_common_settling_time_is_of_all_traces_together():
+    time_s = 1.25 + 2.5 * np.arange(24)
+    random = np.random.default_rng(17)
+
+    def relaxation(level, loading):
+        seen = sample_relaxation(20.0, loading=loading)
+        clean = (1 - 0.75 * np.exp(-time_s / 20)) if loading else 0.8 * np.exp(-time_s / 25)
+        values = level * (clean + 0.01 * random.standard_normal(24))
+        return replace(seen, trace=replace(seen.trace, time_s=time_s, values=values))
+
+    loads = tuple(
+        replace(sample_load(index=k), relaxations=(relaxation(0.5 + k, True), relaxation(0.5 + k, False)))
+        for k in range(4)
+    )
+    loading, unloading = SettlingTimes().measure_run(sample_run(loads))[2:]
+    assert (loading.name, loading.qualifier) == ("common_settling_time", "conductance, loading")
+    assert loading.value == pytest.approx(20 * np.log(0.75 / 0.15), abs=3 * loading.uncertainty)
+    # The hold ends at 1 − 0.75 e^(−57.5 / 20) or so of the steady change, and the band is of that.
+    end = 1 - 0.75 * np.exp(-54 / 20)
+    assert unloading.value == pytest.approx(25 * np.log(0.8 / (0.15 * end)), abs=3 * unloading.uncertainty)
+    assert loading.uncertainty < 1.0
+    assert "4 traces fitted together" in loading.how
+
+
+def test_without_traces_there_is_no_common_settling_time():
+    seen = sample_relaxation(20.0)
+    short = replace(seen, trace=replace(seen.trace, time_s=np.arange(3.0), values=np.ones(3)))
+    common = SettlingTimes().measure_run(sample_run((replace(sample_load(), relaxations=(short,)),)))[1]
+    assert common.value is None
+    assert "at least 5 points" in common.how
 
 
 # --- of a run ------------------------------------------------------------------------------------------------

@@ -1,0 +1,174 @@
+"""Variable projection over many traces that share one shape: only that shape is searched for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+#: (times (n,), values (n,)) of one trace.
+TimedValues = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointExponentials:
+    """A least-squares fit of cᵢ + sᵢ g(t) to traces i, g a sum of one or two decaying exponentials with g(0) = 1.
+
+    Parameters
+    ----------
+    time_constants_s : (k,) rising [s].
+    shares : (k,) of each exponential in g; they add to 1.
+    offsets, scales : (traces,) cᵢ and sᵢ, in the unit of the values.
+    residual : (all points,) values − fit.
+    mean_covariance : (1 + 2 k, 1 + 2 k) of the mean trace's offset, its amplitudes, and log τ.
+    """
+
+    time_constants_s: NDArray[np.float64]
+    shares: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    scales: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    mean_covariance: NDArray[np.float64]
+
+    @property
+    def amplitudes(self) -> NDArray[np.float64]:
+        """Amplitudes of the mean trace at t = 0, (k,)."""
+        amplitudes: NDArray[np.float64] = self.shares * self.scales.mean()
+        return amplitudes
+
+    @property
+    def log_stderr(self) -> NDArray[np.float64]:
+        """Standard errors of log τ, (k,)."""
+        errors: NDArray[np.float64] = np.sqrt(np.diag(self.mean_covariance))[1 + len(self.shares) :]
+        return errors
+
+
+def fit_joint(
+    traces: Sequence[TimedValues], starts: Sequence[Sequence[float]], bounds_s: tuple[float, float]
+) -> JointExponentials:
+    """Fit from several starts and keep the best.
+
+    Parameters
+    ----------
+    traces : at least one, each with more than two points.
+    starts : log τ of one exponential, or (log τ₁, log τ₂, share of the first) of two.
+    bounds_s : lowest and highest time constant.
+    """
+    problem = _Joint(traces)
+    lowest, highest = np.log(bounds_s)
+    lower, upper = ([lowest], [highest]) if len(starts[0]) == 1 else ([lowest] * 2 + [-2.0], [highest] * 2 + [3.0])
+    found = [
+        least_squares(problem.residual, np.clip(start, lower, upper), jac=problem.jacobian, bounds=(lower, upper))
+        for start in starts
+    ]
+    return problem.assembled(np.asarray(min(found, key=lambda one: float(one.cost)).x))
+
+
+class _Joint:
+    """Residual and Jacobian over the shape's parameters; scale and offset of every trace follow from them.
+
+    Golub & Pereyra 1973 with Kaufman's Jacobian, trace by trace: the design is block diagonal.
+    """
+
+    def __init__(self, traces: Sequence[TimedValues]) -> None:
+        self._times = [time_s for time_s, _ in traces]
+        self._means = np.array([values.mean() for _, values in traces])
+        self._centred = [values - values.mean() for _, values in traces]
+        self._size = float(np.sqrt(sum(float(v @ v) for v in self._centred))) or 1.0
+
+    def residual(self, shape: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Residuals of all points over the size of all traces."""
+        left = [values - scale * basis for values, basis, scale in self._projected(shape)]
+        joined: NDArray[np.float64] = np.concatenate(left) / self._size
+        return joined
+
+    def jacobian(self, shape: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Derivatives of the residuals, (all points, parameters)."""
+        rows = []
+        for time_s, (_, basis, scale) in zip(self._times, self._projected(shape), strict=True):
+            slope = scale * _centred(_slopes(time_s, shape))
+            rows.append(np.outer(basis, basis @ slope) / _square(basis) - slope)
+        return np.vstack(rows) / self._size
+
+    def assembled(self, shape: NDArray[np.float64]) -> JointExponentials:
+        """Put the result together, time constants rising."""
+        if len(shape) == 3 and shape[0] > shape[1]:
+            shape = np.array([shape[1], shape[0], 1 - shape[2]])
+        scales = np.array([scale for _, _, scale in self._projected(shape)])
+        levels = np.array([_shape(time_s, shape).mean() for time_s in self._times])
+        residual = self.residual(shape) * self._size
+        spare = max(len(residual) - 2 * len(scales) - len(shape), 1)
+        variance = float(residual @ residual) / spare
+        shares = np.array([1.0]) if len(shape) == 1 else np.array([shape[2], 1 - shape[2]])
+        return JointExponentials(
+            np.exp(shape[: len(shares)]),
+            shares,
+            self._means - scales * levels,
+            scales,
+            residual,
+            variance * self._covariance(shape, scales),
+        )
+
+    def _projected(self, shape: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], NDArray[np.float64], float]]:
+        """Centred values, centred basis and scale of every trace."""
+        bases = [_centred(_shape(time_s, shape)) for time_s in self._times]
+        pairs = zip(self._centred, bases, strict=True)
+        return [(values, basis, float(basis @ values) / _square(basis)) for values, basis in pairs]
+
+    def _covariance(self, shape: NDArray[np.float64], scales: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Per unit variance of the noise, of the mean trace's offset, amplitudes and log τ."""
+        count = len(scales)
+        jacobian = self.jacobian(shape) * self._size
+        of_shape: NDArray[np.float64] = np.asarray(np.linalg.pinv(jacobian.T @ jacobian), dtype=np.float64)
+        given, turn = np.zeros((2, 2)), np.zeros((2, len(shape)))
+        for time_s, scale in zip(self._times, scales, strict=True):
+            inverse = np.linalg.pinv(np.column_stack([np.ones_like(time_s), _shape(time_s, shape)]))
+            given += inverse @ inverse.T / count**2
+            turn -= inverse @ (scale * _slopes(time_s, shape)) / count
+        linear = np.vstack([np.column_stack([np.eye(2), turn]), np.eye(len(shape) + 2)[2:]])
+        back = _to_amplitudes(shape, float(scales.mean())) @ linear
+        covariance: NDArray[np.float64] = back @ _block(given, of_shape) @ back.T
+        return covariance
+
+
+def _shape(time_s: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float64]:
+    curve: NDArray[np.float64] = np.exp(-time_s / np.exp(shape[0]))
+    if len(shape) == 3:
+        curve = shape[2] * curve + (1 - shape[2]) * np.exp(-time_s / np.exp(shape[1]))
+    return curve
+
+
+def _slopes(time_s: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Derivatives of the shape with respect to log τ and, of two exponentials, the share of the first."""
+    tau = np.exp(shape[:2]) if len(shape) == 3 else np.exp(shape)
+    each = np.exp(-time_s[:, None] / tau)
+    slopes: NDArray[np.float64] = each * time_s[:, None] / tau
+    if len(shape) == 3:
+        slopes = np.column_stack([slopes * [shape[2], 1 - shape[2]], each[:, 0] - each[:, 1]])
+    return slopes
+
+
+def _to_amplitudes(shape: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
+    """From (offset, scale, log τ…[, share]) to (offset, amplitudes…, log τ…)."""
+    if len(shape) == 1:
+        return np.eye(3)
+    share = float(shape[2])
+    rows = [[1, 0, 0, 0, 0], [0, share, 0, 0, scale], [0, 1 - share, 0, 0, -scale], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0]]
+    return np.array(rows, dtype=np.float64)
+
+
+def _block(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    size = len(first) + len(second)
+    whole = np.zeros((size, size))
+    whole[: len(first), : len(first)], whole[len(first) :, len(first) :] = first, second
+    return whole
+
+
+def _centred(columns: NDArray[np.float64]) -> NDArray[np.float64]:
+    centred: NDArray[np.float64] = columns - columns.mean(axis=0)
+    return centred
+
+
+def _square(basis: NDArray[np.float64]) -> float:
+    return max(float(basis @ basis), float(np.finfo(np.float64).tiny))
