@@ -2,12 +2,13 @@
 
 import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 from cbsr_qa.analysis.recording_analysis import AnalysisChoices, analyse_recording
-from cbsr_qa.app.analyse_document import recording_document, result_document
+from cbsr_qa.app.analyse_document import recording_document, result_document, unread_document
+from cbsr_qa.app.analyse_reference import with_reference
 from cbsr_qa.app.outputs import report_sections
 from cbsr_qa.app.setup import made
 from cbsr_qa.config.loader import load_sensor_type
@@ -40,7 +41,7 @@ class AnalyseRequest:
     format : name of a recording plugin; None to let the plugins recognise the file.
     sensor_type : file or shipped name; None for what the recording states, else the nominal disc.
     dataset : one of several data sets in a file.
-    reference : a file, and a data set in it, that holds the unloaded domain.
+    reference : a file, and a data set in it, that holds the unloaded domain; it is recognised by itself.
     correct_memory : None to decide by the estimate.
     report : whether to write one.
     """
@@ -84,24 +85,31 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
     plugins = discover()
     recording: Recording | None = None
     datasets: tuple[str, ...] = ()
-    name = request.format or ""
+    name: str | None = None
     try:
         tell(f"reading {path.name}")
         format_, name = recognised(path, request.format, plugins)
         datasets = _guarded(path, name, lambda: format_.datasets(path))
-        recording = _read(path, format_, name, request, plugins)
+        recording = _read(path, format_, name, ReadOptions(request.dataset, request.reference))
+        if request.reference is not None:
+            recording = with_reference(recording, _empty(*request.reference, path, format_, name, plugins))
         tell(f"analysing {len(recording.frames)} frames")
         return _analysed(path, recording, request, plugins, datasets)
     except CbsrError as error:
-        document: dict[str, Any] = {"file": str(path)}
         if recording is not None:
-            document["recording"] = recording_document(recording, None)
-        elif name and not datasets:
-            document["recording"] = {"format": name, "frames": 0}
-        if datasets:
-            document["datasets"] = list(datasets)
-        document["refused"] = {"reason": error.reason, "remedy": error.remedy}
-        return Analysed(path, None, error, None, document)
+            read = recording_document(recording, None)
+        else:
+            read = unread_document(name, error.problems if isinstance(error, RecordingError) else ())
+        return Analysed(path, None, error, None, _refused(path, read, datasets, error))
+
+
+def _refused(path: Path, read: dict[str, Any], datasets: tuple[str, ...], error: CbsrError) -> dict[str, Any]:
+    """Say why, beside what is known; what a reader of many documents looks for is there, and empty."""
+    document: dict[str, Any] = {"file": str(path), "recording": read, "channels": {}, "events": [], "warnings": []}
+    if datasets:
+        document["datasets"] = list(datasets)
+    document["refused"] = {"reason": error.reason, "remedy": error.remedy}
+    return document
 
 
 def recognised(path: Path, asked: str | None, plugins: Plugins) -> tuple[RecordingFormat, str]:
@@ -153,22 +161,20 @@ def _head(path: Path) -> bytes:
     return head
 
 
-def _read(path: Path, format_: RecordingFormat, name: str, request: AnalyseRequest, plugins: Plugins) -> Recording:
-    if request.reference is not None:
-        _head(request.reference[0])
-    options = ReadOptions(request.dataset, request.reference)
-    recording = _guarded(path, name, lambda: format_.read(path, options))
-    if request.reference is None or recording.reference is not None:
-        return recording
-    # The format itself makes nothing of a reference: read it as a recording of its own.
-    other, dataset = request.reference
-    reader, reader_name = recognised(other, None, plugins)
-    empty = _guarded(other, reader_name, lambda: reader.read(other, ReadOptions(dataset)))
-    if empty.frames.voltages.shape[1:] != recording.frames.voltages.shape[1:] or empty.scan is not recording.scan:
-        raise RecordingError(f"{other.name} has other frames than {path.name}: it cannot be its reference")
-    return replace(
-        recording, reference=empty.frames, notes=(*recording.notes, f"changes are against the mean of {other.name}")
-    )
+def _read(path: Path, format_: RecordingFormat, name: str, options: ReadOptions) -> Recording:
+    return _guarded(path, name, lambda: format_.read(path, options))
+
+
+def _empty(
+    other: Path, dataset: str | None, path: Path, format_: RecordingFormat, name: str, plugins: Plugins
+) -> Recording:
+    """Read the reference by its own format; its problems are its own, not the file's."""
+    if other != path:
+        format_, name = recognised(other, None, plugins)
+    try:
+        return _read(other, format_, name, ReadOptions(dataset))
+    except RecordingError as error:
+        raise RecordingError(f"the reference cannot be used: {error.reason}", remedy=error.remedy) from error
 
 
 def _guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
@@ -192,7 +198,7 @@ def _analysed(
     sensor_type, unknown = _sensor_type(recording, request)
     reconstruction = made(plugins, Kind.RECONSTRUCTION, PluginChoice(_RECONSTRUCTION), "the analysis of recordings")
     result = analyse_recording(recording, reconstruction, AnalysisChoices(request.correct_memory, sensor_type))
-    document = {"file": str(path), **result_document(result)}
+    document: dict[str, Any] = {"file": str(path), **result_document(result)}
     if datasets:
         document["datasets"] = list(datasets)
     if result.channels.not_connected:
@@ -228,8 +234,17 @@ def _report(
     if not request.report:
         return None, []
     sections, missing = report_sections((), plugins)
-    # Files of one name in different folders must not overwrite each other's report.
-    content = hashlib.sha256(path.read_bytes()).hexdigest()[:8]
-    file = reports_folder() / report_name(path.stem, result.recording.dataset, content)
+    file = reports_folder() / report_name(path.stem, result.recording.dataset, _told_apart(path, request))
     write_report(file, render_recording(result, sections, warnings=missing))
     return file, missing
+
+
+def _told_apart(path: Path, request: AnalyseRequest) -> str:
+    """Eight digits of the content and of what was asked: no other file's or analysis's report is overwritten."""
+    sha = hashlib.sha256()
+    for each in (path, *(() if request.reference is None else request.reference[:1])):
+        with each.open("rb") as file:
+            sha.update(hashlib.file_digest(file, "sha256").digest())
+    dataset = None if request.reference is None else request.reference[1]
+    sha.update(repr((request.format, request.sensor_type, dataset, request.correct_memory)).encode())
+    return sha.hexdigest()[:8]

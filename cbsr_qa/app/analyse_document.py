@@ -1,11 +1,12 @@
 """What ``analyse --json`` prints."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from cbsr_qa.domain.load_events import ChannelReport, LoadEvent, NoiseReport, RecordingResult
-from cbsr_qa.domain.recording import Recording
+from cbsr_qa.domain.recording import Recording, RowProblem
 
 
 def recording_document(recording: Recording, frame_rate_hz: float | None) -> dict[str, Any]:
@@ -15,8 +16,9 @@ def recording_document(recording: Recording, frame_rate_hz: float | None) -> dic
         "dataset": recording.dataset or None,
         "frames": len(recording.frames),
         "scan": recording.scan.value,
+        "frames_dropped": recording.frames_dropped,
         "rows_rejected": recording.rows_rejected,
-        "problems": [{"line": p.line, "what": p.what, "rejected": p.rejected} for p in recording.problems],
+        "problems": _problems(recording.problems),
         "frame_rate_hz": frame_rate_hz,
         "clock": recording.clock,
         "force_recorded": any(block.channel == "force" for block in recording.samples),
@@ -26,6 +28,37 @@ def recording_document(recording: Recording, frame_rate_hz: float | None) -> dic
         "loads_documented": len(recording.loads),
         "notes": list(recording.notes),
     }
+
+
+def unread_document(format_: str | None, problems: Sequence[RowProblem]) -> dict[str, Any]:
+    """Return what is known of a file in which nothing can be analysed; what nobody knows is null.
+
+    Parameters
+    ----------
+    format_ : name; None where no format knows the file.
+    problems : found before the file was given up.
+    """
+    return {
+        "format": format_,
+        "dataset": None,
+        "frames": 0,
+        "scan": None,
+        "frames_dropped": 0,
+        "rows_rejected": sum(problem.rejected for problem in problems),
+        "problems": _problems(problems),
+        "frame_rate_hz": None,
+        "clock": None,
+        "force_recorded": None,
+        "unit": None,
+        "current_A": None,
+        "sensor_type": None,
+        "loads_documented": 0,
+        "notes": [],
+    }
+
+
+def _problems(problems: Sequence[RowProblem]) -> list[dict[str, Any]]:
+    return [{"line": p.line, "what": p.what, "rejected": p.rejected} for p in problems]
 
 
 def result_document(result: RecordingResult) -> dict[str, Any]:

@@ -94,28 +94,11 @@ def calibrated(
             issued_at=issued_at,
             phases=recipe.calibrate_phases,
             overlap_threshold=_overlap_threshold(recipe),
+            noise_figure=_measured(conclusion, "noise_figure"),
         )
     except (CalibrationError, NumericsError) as error:
         return None, error.reason
     return issued, ""
-
-
-def check_plugins(recipe: Recipe, plugins: Plugins) -> None:
-    """Make sure, before anything moves, that everything the analysis will need is there and takes its options.
-
-    Raises
-    ------
-    PluginError, ConfigError
-        Naming what is missing, and where the recipe asks for it.
-    """
-    try:
-        made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
-        for choice in recipe.metrics:
-            made(plugins, Kind.METRIC, choice, "[metrics]")
-        for name in recipe.sections:
-            plugins.factory(Kind.SECTION, name)
-    except CbsrError as error:
-        raise type(error)(f"recipe {recipe.name!r}: {error.reason}", remedy=error.remedy) from error
 
 
 def _overlap_threshold(recipe: Recipe) -> float:
@@ -133,6 +116,10 @@ def _overlap_threshold(recipe: Recipe) -> float:
     ]
     bands = sorted(band.lower for band in recipe.analysis.overlap_bands)
     return max(given) if given else bands[min(1, len(bands) - 1)]
+
+
+def _measured(conclusion: Conclusion, name: str) -> float | None:
+    return next((m.value for m in conclusion.measurements if m.name == name and m.value is not None), None)
 
 
 def _said(error: Exception) -> str:

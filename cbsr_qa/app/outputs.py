@@ -7,15 +7,19 @@ from typing import Any
 from cbsr_qa.app.stages import Stages
 from cbsr_qa.calibrate.file import write_calibration
 from cbsr_qa.config.paths import calibrations_folder, reports_folder
+from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.report import RunResult
+from cbsr_qa.domain.run import RunIdentity
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import ReportSection
 from cbsr_qa.plugins import Plugins
 from cbsr_qa.report.render import render_run, report_name, write_report
+
+_AGAIN = "cbsr-qa report writes it again once there is room"
 
 _HEADLINES = {
     Outcome.PASS: "PASS",
@@ -33,12 +37,12 @@ class RunOutcome:
     Parameters
     ----------
     result : everything concluded.
-    report, calibration : files; the calibration is None where none was issued.
+    report, calibration : files; None where none was issued, or it could not be written (a warning says so).
     warnings : those of the result and of writing the files.
     """
 
     result: RunResult
-    report: Path
+    report: Path | None
     calibration: Path | None
     warnings: tuple[str, ...]
     compute_s: float
@@ -77,9 +81,10 @@ class RunOutcome:
 
     @property
     def exit_code(self) -> int:
-        """0 passed, 1 failed, 3 aborted, broken or not measured."""
+        """0 passed, 1 failed, 3 aborted, broken, not measured, or a file could not be written."""
         finished = self.result.record.end is EndReason.FINISHED
-        return self.result.verdict.outcome.exit_code if finished else 3
+        unwritten = self.report is None or (self.result.calibration is not None and self.calibration is None)
+        return self.result.verdict.outcome.exit_code if finished and not unwritten else 3
 
     def document(self) -> dict[str, Any]:
         """Return the outcome as one JSON document."""
@@ -91,7 +96,7 @@ class RunOutcome:
             "end_detail": record.end_detail,
             "outcome": str(self.result.verdict.outcome),
             "reason": self.reason,
-            "report": str(self.report),
+            "report": None if self.report is None else str(self.report),
             "calibration": None if self.calibration is None else str(self.calibration),
             "calibration_why": self.calibration_why,
             "measurements": [measurement_row(m) for m in self.result.measurements],
@@ -118,6 +123,9 @@ def measurement_row(measurement: Measurement) -> dict[str, Any]:
         "phase": measurement.phase,
         "location": measurement.location,
         "trial": measurement.trial,
+        "load": measurement.load,
+        "strain": measurement.strain,
+        "bound": str(measurement.bound),
         "qualifier": measurement.qualifier,
         "how": measurement.how,
     }
@@ -126,26 +134,48 @@ def measurement_row(measurement: Measurement) -> dict[str, Any]:
 def write_outputs(result: RunResult, recipe: Recipe, plugins: Plugins, stages: Stages, seed: int) -> RunOutcome:
     """Write calibration file and report, and tell plugins of the calibration.
 
-    Raises
-    ------
-    RefusedError
-        If a folder cannot be written to; the run and what was concluded from it are stored already.
+    What cannot be written becomes a warning: the run and what was concluded from it are stored already, and
+    ``cbsr-qa report`` writes both files again.
     """
     identity = result.record.identity
-    stem = f"{identity.sensor.serial}-{identity.run}"
     calibration: Path | None = None
     failed: list[str] = []
     if result.calibration is not None:
-        calibration = calibrations_folder() / f"{stem}.h5"
+        calibration = calibration_path(identity)
         with stages.stage("writing the calibration file"):
-            write_calibration(calibration, result.calibration)
+            calibration = _exported(result.calibration, calibration, failed)
         plugins.tell("cbsr_calibration_issued", failed.append, calibration=result.calibration)
     report = reports_folder() / report_name(identity.sensor.serial, identity.run)
     sections, missing = report_sections(recipe.sections, plugins)
+    html = ""
     with stages.stage("rendering the report"):
-        write_report(report, render_run(result, sections, warnings=(*missing, *failed)))
+        html = render_run(result, sections, warnings=(*missing, *failed))
+    written = _written(report, html, failed)
     warnings = (*result.warnings, *missing, *failed)
-    return RunOutcome(result, report, calibration, warnings, stages.total_s(), seed)
+    return RunOutcome(result, written, calibration, warnings, stages.total_s(), seed)
+
+
+def calibration_path(identity: RunIdentity) -> Path:
+    """Where the calibration file of a run lies."""
+    return calibrations_folder() / f"{identity.sensor.serial}-{identity.run}.h5"
+
+
+def _exported(calibration: Calibration, path: Path, failed: list[str]) -> Path | None:
+    try:
+        write_calibration(path, calibration)
+    except CbsrError as error:
+        failed.append(f"the calibration is stored, but its file could not be written: {error.reason}; {_AGAIN}")
+        return None
+    return path
+
+
+def _written(path: Path, html: str, failed: list[str]) -> Path | None:
+    try:
+        write_report(path, html)
+    except CbsrError as error:
+        failed.append(f"the report could not be written: {error.reason}; {_AGAIN}")
+        return None
+    return path
 
 
 def report_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[ReportSection], list[str]]:

@@ -6,9 +6,10 @@ from pathlib import Path
 
 from cbsr_qa.analysis.observe import observe_run
 from cbsr_qa.app.conclude import conclude
-from cbsr_qa.app.outputs import report_sections
+from cbsr_qa.app.outputs import calibration_path, report_sections
 from cbsr_qa.app.setup import made
 from cbsr_qa.app.stages import Stages
+from cbsr_qa.calibrate.file import write_calibration
 from cbsr_qa.config.merge import restore
 from cbsr_qa.config.paths import database_url, reports_folder
 from cbsr_qa.domain.calibration import Calibration
@@ -65,12 +66,17 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
 def render_again(run: str, rebuild: Rebuild, plugins: Plugins, folder: Path) -> Rendered:
     """Render one run's report to ``<serial>-<run>.html``, the name the run itself gave it.
 
+    A calibration file that is not there is written again.
+
     Raises
     ------
     RefusedError
         If the folder cannot be written to; nothing was written then.
     """
     result, names = rebuild(run)
+    if result.calibration is not None and not calibration_path(result.record.identity).exists():
+        # It is an export of what is stored: a run that met a full disk gets its file here.
+        write_calibration(calibration_path(result.record.identity), result.calibration)
     identity = result.record.identity
     sections, missing = report_sections(names, plugins)
     path = folder / report_name(identity.sensor.serial, identity.run)

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
-from cbsr_qa.app.conclude import calibrated, check_plugins, conclude
+from cbsr_qa.app.conclude import calibrated, conclude
 from cbsr_qa.app.outputs import RunOutcome, write_outputs
+from cbsr_qa.app.preflight import check_recipe, check_unloaded, overdue
 from cbsr_qa.app.setup import configure, open_station, plan_of, station_clock
 from cbsr_qa.app.software import software_versions
 from cbsr_qa.app.stages import Stages
@@ -15,6 +16,7 @@ from cbsr_qa.clock import RealClock
 from cbsr_qa.config.merge import Configuration
 from cbsr_qa.config.paths import calibrations_folder, database_url, reports_folder, writable_folder
 from cbsr_qa.config.serials import validate_batch, validate_operator, validate_serial
+from cbsr_qa.domain.errors import BrokenRunError, StoreError
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import RunIdentity
 from cbsr_qa.domain.run_events import PhaseFinished, PhaseStarted, RunEvent, RunStarted
@@ -119,7 +121,9 @@ class _Session:
         self._stages = stages
         self._warnings: list[str] = []
         # Once without a seed: what is wrong with the files is said before a database is looked at.
-        check_plugins(request.configuration(0).recipe, plugins)
+        first_look = request.configuration(0)
+        check_recipe(first_look.recipe, first_look.sensor_type, plugins)
+        check_unloaded(plan_of(first_look, plugins), first_look.recipe)
         self._configuration = request.configuration(_seed(request))
         self._plan = plan_of(self._configuration, plugins)
         self._clock = station_clock(self._configuration)
@@ -143,11 +147,21 @@ class _Session:
         return dry_run(self._plan, self._bench.frame_source.frame_period_s)
 
     def run(self, store: Repository) -> RunOutcome:
-        """Drive the bench, then work out from the store what it came to."""
+        """Drive the bench, then work out from the store what it came to.
+
+        Raises
+        ------
+        BrokenRunError
+            If that could not be stored or read back (a full disk): what was stored of the run stays.
+        """
         identity = self._identity(store.new_id())
+        self._warnings += overdue(identity.instruments, identity.started_at.date())
         with self._stages.stage("running the station"):
             self._drive(identity, store)
-        return self._conclude(identity.run, store)
+        try:
+            return self._conclude(identity.run, store)
+        except StoreError as error:
+            raise BrokenRunError(identity.run, error.reason, remedy=error.remedy) from error
 
     def _drive(self, identity: RunIdentity, store: Repository) -> None:
         configuration = self._configuration

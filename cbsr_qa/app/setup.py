@@ -1,6 +1,8 @@
 """From configuration files to a plan, a clock and a bench."""
 
+import inspect
 from collections.abc import Mapping
+from difflib import get_close_matches
 from typing import Any
 
 from cbsr_qa.clock import Clock, RealClock, VirtualClock
@@ -10,7 +12,7 @@ from cbsr_qa.domain.errors import ConfigError, PluginError
 from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import Instrument, StationContext
-from cbsr_qa.plugins import Plugins
+from cbsr_qa.plugins import Factory, Plugins
 from cbsr_qa.runner.bench import Bench, open_bench
 from cbsr_qa.runner.plan import Plan, PlannedPhase
 
@@ -84,10 +86,22 @@ def made(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str) -> Any:
     except ConfigError as error:
         raise ConfigError(f"{where}: {error.reason}", remedy=error.remedy) from error
     except TypeError as error:
-        given = ", ".join(choice.options) or "none"
-        raise ConfigError(
-            f"{where}: {kind} {choice.name!r} does not take these options (given: {given}): {error}"
-        ) from error
+        raise _untaken(factory, kind, choice, where) or error from error
+
+
+def _untaken(factory: Factory, kind: Kind, choice: PluginChoice, where: str) -> ConfigError | None:
+    """Say which options a factory does not take, or lacks; None if its TypeError came from elsewhere."""
+    taken = inspect.signature(factory).parameters
+    wrong = [name for name in choice.options if name not in taken]
+    lacking = [name for name, p in taken.items() if p.default is p.empty and name not in choice.options]
+    if any(p.kind is p.VAR_KEYWORD for p in taken.values()) or not (wrong or lacking):
+        return None
+    near = [close for name in wrong for close in get_close_matches(name, taken, n=1)]
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    said = f"takes no option {wrong[0]!r}" if wrong else f"needs option {lacking[0]!r}"
+    return ConfigError(
+        f"{where}: {kind} {choice.name!r} {said}", remedy=f"{hint}options: {', '.join(taken) or 'none'}"
+    )
 
 
 def station_clock(configuration: Configuration) -> Clock:

@@ -10,7 +10,7 @@ import typer
 
 import cbsr_qa
 from cbsr_qa.cli import analyse, calibration, db, export, plugins, report, run
-from cbsr_qa.cli.output import emit_json, note, refusal
+from cbsr_qa.cli.output import emit_json, note
 from cbsr_qa.domain.errors import CbsrError
 
 app = typer.Typer(
@@ -69,7 +69,7 @@ def guarded(arguments: list[str]) -> int:
         result = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
     except CbsrError as error:
         if "--json" in arguments:
-            emit_json(refusal(error))
+            emit_json(error.document())
         note(f"cbsr-qa: {error}")
         return error.exit_code
     except _UsageError as error:

@@ -7,8 +7,6 @@ from typing import Any
 
 import typer
 
-from cbsr_qa.domain.errors import CbsrError
-
 #: Common option: ``--json`` prints one document on stdout and nothing else.
 JsonOption = typer.Option(False, "--json", help="Print one JSON document on stdout and nothing else.")
 
@@ -32,8 +30,3 @@ def say(text: str = "") -> None:
 def note(text: str) -> None:
     """Print a message on stderr."""
     sys.stderr.write(text + "\n")
-
-
-def refusal(error: CbsrError) -> dict[str, Any]:
-    """Return the part of a document that says why something was refused."""
-    return {"refused": {"reason": error.reason, "remedy": error.remedy}}

@@ -57,7 +57,7 @@ def _show(outcome: "RunOutcome") -> None:
     say(f"{outcome.headline}: {outcome.reason}")
     say(f"run          {outcome.run}")
     say(f"report       {outcome.report or 'none'}")
-    say(f"calibration  {outcome.calibration or 'none: ' + outcome.calibration_why}")
+    say(f"calibration  {outcome.calibration or 'none: ' + (outcome.calibration_why or 'not written')}")
     say(f"time         {outcome.station_s / 60:.1f} min of station time, {outcome.compute_s:.1f} s of computing")
     if outcome.simulated:
         say(f"simulated    {'; '.join(outcome.simulated)}")

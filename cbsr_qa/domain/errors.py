@@ -1,6 +1,10 @@
 """Errors a user may meet. Each carries what went wrong, what to do about it, and the exit code it ends with."""
 
-from typing import ClassVar
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, ClassVar
+
+if TYPE_CHECKING:
+    from cbsr_qa.domain.recording import RowProblem
 
 
 class CbsrError(Exception):
@@ -19,6 +23,10 @@ class CbsrError(Exception):
         self.reason = reason
         self.remedy = remedy
 
+    def document(self) -> dict[str, Any]:
+        """Return what ``--json`` prints for it."""
+        return {"refused": {"reason": self.reason, "remedy": self.remedy}}
+
 
 class RefusedError(CbsrError):
     """Input that cannot be used: the program did nothing with it and wrote nothing (exit code 2)."""
@@ -33,7 +41,16 @@ class PluginError(RefusedError):
 
 
 class RecordingError(RefusedError):
-    """A recording holds nothing that can be analysed, or not what its format promises."""
+    """A recording holds nothing that can be analysed, or not what its format promises.
+
+    Parameters
+    ----------
+    problems : rows that were rejected or noted before the file was given up.
+    """
+
+    def __init__(self, reason: str, *, remedy: str = "", problems: Sequence["RowProblem"] = ()) -> None:
+        super().__init__(reason, remedy=remedy)
+        self.problems = tuple(problems)
 
 
 class StoreError(RefusedError):
@@ -75,6 +92,22 @@ class SafetyError(CbsrError):
     def __init__(self, rule: str, reason: str, *, remedy: str = "") -> None:
         super().__init__(reason, remedy=remedy)
         self.rule = rule
+
+
+class BrokenRunError(CbsrError):
+    """A run had begun and could not be brought to its conclusion: what was stored of it stays (exit code 3)."""
+
+    exit_code = 3
+
+    def __init__(self, run: str, reason: str, *, remedy: str = "") -> None:
+        super().__init__(f"run {run}: {reason}", remedy=remedy)
+        self.run = run
+
+    def document(self) -> dict[str, Any]:
+        """Return what ``--json`` prints for it: a run's document as far as there is one."""
+        ending = {"run": self.run, "end": "broken", "outcome": "not measured", "reason": self.reason}
+        nothing: dict[str, Any] = {"report": None, "calibration": None, "measurements": []}
+        return {**ending, "remedy": self.remedy, **nothing}
 
 
 class AbortedError(CbsrError):

@@ -1,0 +1,102 @@
+"""What can be known to be wrong before anything moves: a typo must not cost an hour of the station."""
+
+from collections.abc import Iterable
+from datetime import date
+from difflib import get_close_matches
+
+from cbsr_qa.app.setup import made
+from cbsr_qa.domain.errors import CbsrError, ConfigError
+from cbsr_qa.domain.measurement import Limit
+from cbsr_qa.domain.plan import Recipe
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.domain.steps import AcquireFrames, MarkUnloaded, Press
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.plugins import Plugins
+from cbsr_qa.reconstruct.problem import imaging_problem
+from cbsr_qa.runner.plan import Plan
+
+
+def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> None:
+    """Make sure that everything the analysis will need is there, takes its options, and can image the sensor.
+
+    Raises
+    ------
+    PluginError, ConfigError, NumericsError
+        Naming the recipe, what is wrong in it, and what is allowed.
+    """
+    try:
+        reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+        metrics = [made(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics]
+        for name in recipe.sections:
+            plugins.factory(Kind.SECTION, name)
+        _check_limits(recipe.limits, metrics)
+        reconstruction.prepare(imaging_problem(sensor_type))
+    except CbsrError as error:
+        raise type(error)(f"recipe {recipe.name!r}: {error.reason}", remedy=error.remedy) from error
+
+
+def check_unloaded(plan: Plan, recipe: Recipe) -> None:
+    """Make sure that the plan takes enough unloaded frames for noise floor and reference.
+
+    Raises
+    ------
+    ConfigError
+        If the first phase that marks the sheet as unloaded asks for fewer.
+    """
+    needed = recipe.analysis.noise_floor_frames + 1
+    for phase in plan.phases:
+        taken = _unloaded_frames(phase.sequence.steps(plan.context))
+        if taken is None:
+            continue
+        if taken < needed:
+            raise ConfigError(
+                f"recipe {recipe.name!r}: phase {phase.name!r} takes {taken} unloaded frames, but"
+                f" analysis.noise_floor_frames and the reference need {needed}",
+                remedy="take more unloaded frames in that phase, or lower analysis.noise_floor_frames",
+            )
+        return
+
+
+def overdue(instruments: Iterable[InstrumentIdentity], today: date) -> tuple[str, ...]:
+    """Say which instruments are past their calibration date."""
+    return tuple(
+        f"the calibration of {one.role} ({one.model}) was due on {one.calibration_due}"
+        for one in instruments
+        if one.calibration_due is not None and date.fromisoformat(one.calibration_due) < today
+    )
+
+
+def _check_limits(limits: Iterable[Limit], metrics: Iterable[object]) -> None:
+    declared = [getattr(metric, "measures", None) for metric in metrics]
+    if any(units is None for units in declared):
+        return  # a metric that does not say what it measures may measure anything
+    measured = {name: unit for units in declared if units for name, unit in units.items()}
+    for limit in limits:
+        if limit.measurement not in measured:
+            near = get_close_matches(limit.measurement, measured, n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise ConfigError(
+                f"no metric of this recipe measures {limit.measurement!r}, which a limit names",
+                remedy=f"{hint}measured: {', '.join(sorted(measured))}",
+            )
+        if limit.unit != measured[limit.measurement]:
+            raise ConfigError(
+                f"the limit of {limit.measurement} is in {limit.unit!r}; it is measured in"
+                f" {measured[limit.measurement]!r}",
+                remedy="give the limit in the measurement's unit",
+            )
+
+
+def _unloaded_frames(steps: Iterable[object]) -> int | None:
+    """Count frames between the first mark and the first press behind it; None where nothing is marked."""
+    taken: int | None = None
+    for step in steps:
+        match step:
+            case MarkUnloaded():
+                taken = taken or 0
+            case AcquireFrames(count=count) if taken is not None:
+                taken += count
+            case Press() if taken is not None:
+                return taken
+    return taken
