@@ -58,20 +58,7 @@ def channel_map_figure(
         left, bottom = (WIDTH_IN - size_in) / 2 / WIDTH_IN, 0.45 / height_in
         axes = figure.add_axes((left, bottom, size_in / WIDTH_IN, tall_in / height_in))
         norm = Normalize(*(limits or _middle(values[shown])))
-        _empty_cells(axes, shown)
-        edges_x, edges_y = np.arange(measures + 1) - 0.5, np.arange(drives + 1) - 0.5
-        picture = np.ma.MaskedArray(values, mask=~shown)
-        axes.pcolormesh(edges_x, edges_y, picture, norm=norm, cmap=AMOUNT_MAP, edgecolors="white", linewidth=0.4)
-        axes.set_xlim(-0.5, measures - 0.5)
-        axes.set_ylim(drives - 0.5, -0.5)
-        axes.set_aspect("auto" if drives == 1 else "equal")
-        axes.set_xticks(range(0, measures, max(1, measures // 16)))
-        axes.set_yticks(range(0, drives, max(1, drives // 16)))
-        axes.tick_params(length=0)
-        axes.set_xlabel("measure pair")
-        axes.set_ylabel("drive pair")
-        for side in ("left", "bottom"):
-            axes.spines[side].set_visible(False)
+        _draw_map(axes, values, shown, norm)
         _draw_marks(axes, marks)
         title = f"{label} [{unit_shown(unit)}]" if unit_shown(unit) else label
         if shown.any():
@@ -130,6 +117,24 @@ def _middle(values: NDArray[np.float64]) -> tuple[float, float]:
         return 0.0, 1.0
     lowest, highest = (float(v) for v in np.percentile(values, (2, 98)))
     return (lowest, highest) if highest > lowest else (lowest - 0.5, highest + 0.5)
+
+
+def _draw_map(axes: Axes, values: NDArray[np.float64], shown: NDArray[np.bool_], norm: Normalize) -> None:
+    drives, measures = values.shape
+    _empty_cells(axes, shown)
+    edges_x, edges_y = np.arange(measures + 1) - 0.5, np.arange(drives + 1) - 0.5
+    picture = np.ma.MaskedArray(values, mask=~shown)
+    axes.pcolormesh(edges_x, edges_y, picture, norm=norm, cmap=AMOUNT_MAP, edgecolors="white", linewidth=0.4)
+    axes.set_xlim(-0.5, measures - 0.5)
+    axes.set_ylim(drives - 0.5, -0.5)
+    axes.set_aspect("auto" if drives == 1 else "equal")
+    axes.set_xticks(range(0, measures, max(1, measures // 16)))
+    axes.set_yticks(range(0, drives, max(1, drives // 16)))
+    axes.tick_params(length=0)
+    axes.set_xlabel("measure pair")
+    axes.set_ylabel("drive pair")
+    for side in ("left", "bottom"):
+        axes.spines[side].set_visible(False)
 
 
 def _empty_cells(axes: Axes, shown: NDArray[np.bool_]) -> None:

@@ -147,20 +147,25 @@ def _draw_fit(axes: Axes, relaxation: RelaxationObservation | None) -> None:
     time_s, values = thinned(relaxation.trace.time_s, relaxation.trace.values, 240)
     axes.plot(time_s, values, linestyle="none", marker="o", markersize=2, color=BLUE, markeredgewidth=0, zorder=3)
     fit, settling = relaxation.fit, relaxation.settling
-    if fit.status is FitStatus.REJECTED:
-        axes.text(0.98, 0.95, f"fit rejected: R² {fit.r_squared:.2f}", transform=axes.transAxes, ha="right", va="top")
+    if fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING):
+        told = f"fit rejected: R² {fit.r_squared:.2f}" if fit.status is FitStatus.REJECTED else fit.status.value
+        axes.text(0.98, 0.95, told, transform=axes.transAxes, ha="right", va="top")
         return
     fine = np.linspace(0.0, float(relaxation.trace.time_s[-1]), 160)
     axes.plot(fine, relaxation_value(fit, fine), color=INK, linewidth=1.1, zorder=4)
     axes.axhspan(fit.offset - settling.band, fit.offset + settling.band, color="#0072b2", alpha=0.09, linewidth=0)
-    if settling.value_s is None:
-        return
-    sign = "> " if settling.censored else ""
-    axes.axvline(settling.value_s, color=VERMILION, linewidth=0.9, linestyle=(0, (4, 2)), zorder=2)
-    label = f"settled {sign}{settling.value_s:.1f} s"
-    right = settling.value_s > 0.6 * float(relaxation.trace.time_s[-1])
+    if settling.value_s is not None:
+        _draw_time(axes, settling.value_s, float(relaxation.trace.time_s[-1]), late=settling.censored)
+
+
+def _draw_time(axes: Axes, settled_s: float, end_s: float, *, late: bool) -> None:
+    """Mark a settling time, with its words on the side where there is room."""
+    sign = "≥ " if late else ""
+    axes.axvline(settled_s, color=VERMILION, linewidth=0.9, linestyle=(0, (4, 2)), zorder=2)
+    label = f"settled {sign}{settled_s:.1f} s"
+    right = settled_s > 0.6 * end_s
     shift = (-3, -2) if right else (3, -2)
-    place = (settling.value_s, 1.0)
+    place = (settled_s, 1.0)
     across = ("data", "axes fraction")
     text = axes.annotate(label, place, shift, xycoords=across, textcoords="offset points", va="top", fontsize=7)
     text.set(color=VERMILION, ha="right" if right else "left")
@@ -178,7 +183,7 @@ def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loadin
         if points:
             x, y = zip(*points, strict=True)
             axes.scatter(x, y, s=17, marker=symbol, facecolors=face, edgecolors=colour, linewidths=0.9, zorder=3)
-    if not times:
+    if not times or 2 * len(times) < sum(r is not None for _, r in found):
         return
     mean_s, _ = restricted_mean([value for _, value, _ in times], [censored for _, _, censored in times])
     axes.axhline(mean_s, color=colour, linewidth=0.8, linestyle="solid" if loading else (0, (4, 2)))

@@ -72,32 +72,43 @@ def image_figure(
 
     def build() -> Canvas:
         across = min(columns, len(panels))
-        rows = ceil(len(panels) / across)
-        side_in = min((WIDTH_IN - 0.6) / across, 2.9)
-        height_in = rows * (side_in + 0.42) + (0.6 if shared_scale else 0.1)
-        figure = canvas(height_in)
-        largest = max(float(np.abs(panel.image.values).max()) for panel in panels)
-        pixels = 420 if across < 3 else 300
+        figure, places = _laid_out(len(panels), across, below_in=0.6 if shared_scale else 0.1)
+        sizes = [float(np.abs(panel.image.values).max()) for panel in panels]
         rasters: dict[int, Raster] = {}
-        left_in = (WIDTH_IN - across * side_in) / 2
-        for index, panel in enumerate(panels):
-            row, column = divmod(index, across)
-            bottom_in = height_in - (row + 1) * (side_in + 0.42) + 0.2
-            box = (left_in + column * side_in, bottom_in, side_in, side_in)
-            axes = figure.add_axes((box[0] / WIDTH_IN, box[1] / height_in, box[2] / WIDTH_IN, box[3] / height_in))
-            raster = rasters.setdefault(id(panel.image.mesh), Raster(panel.image.mesh, radius, pixels))
-            own = float(np.abs(panel.image.values).max())
-            _draw_panel(axes, panel, raster, radius, largest if shared_scale else own)
+        for panel, size, axes in zip(panels, sizes, places, strict=True):
+            mesh = panel.image.mesh
+            if id(mesh) not in rasters:
+                rasters[id(mesh)] = Raster(mesh, radius, 420 if across < 3 else 300)
+            _draw_panel(axes, panel, rasters[id(mesh)], radius, max(sizes) if shared_scale else size)
             if electrodes is not None:
                 draw_electrodes(axes, electrodes, radius)
         if shared_scale:
-            whole = figure.add_axes((0, 0, 1, 1))
-            whole.set_axis_off()
-            scale_label = "conductance change Δγ/γ₀ [%]"
-            add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=scale_label, place="bottom")
+            _draw_scale(figure, max(sizes))
         return figure
 
     return drawn(build, caption=caption, alternative=alternative)
+
+
+def _laid_out(count: int, across: int, *, below_in: float) -> tuple[Canvas, list[Axes]]:
+    """Square axes in rows, with room for a title above and a note below each, and below them all."""
+    side_in = min((WIDTH_IN - 0.6) / across, 2.9)
+    height_in = ceil(count / across) * (side_in + 0.42) + below_in
+    figure = canvas(height_in)
+    left_in = (WIDTH_IN - across * side_in) / 2
+    places = []
+    for index in range(count):
+        row, column = divmod(index, across)
+        bottom_in = height_in - (row + 1) * (side_in + 0.42) + 0.2
+        corner = ((left_in + column * side_in) / WIDTH_IN, bottom_in / height_in)
+        places.append(figure.add_axes((*corner, side_in / WIDTH_IN, side_in / height_in)))
+    return figure, places
+
+
+def _draw_scale(figure: Canvas, largest: float) -> None:
+    whole = figure.add_axes((0, 0, 1, 1))
+    whole.set_axis_off()
+    label = "conductance change Δγ/γ₀ [%]"
+    add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=label, place="bottom")
 
 
 def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, radius: float, largest: float) -> None:

@@ -1,8 +1,8 @@
 """Cells and rows that several sections write alike."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-from cbsr_qa.domain.measurement import Limit, Measurement
+from cbsr_qa.domain.measurement import Bound, Limit, Measurement
 from cbsr_qa.domain.report import Cell, Table
 from cbsr_qa.report.numbers import plain, quantity, scaled_unit, unit_shown, with_uncertainty
 
@@ -22,11 +22,20 @@ def value_cell(measurement: Measurement | None, *, unit: bool = False) -> Cell:
     outcome = measurement.outcome if measurement.limit is not None else None
     if measurement.value is None:
         return Cell("not measured", outcome)
+    return Cell(f"{bound_sign([measurement])}{_value_text(measurement, measurement.value, unit)}", outcome)
+
+
+def bound_sign(measurements: Iterable[Measurement]) -> str:
+    """Return ``"≥ "`` where any of some values is only a lower bound: their mean is one too."""
+    return "≥ " if any(m.bound is Bound.LOWER and m.value is not None for m in measurements) else ""
+
+
+def _value_text(measurement: Measurement, value: float, unit: bool) -> str:
     if unit:
-        return Cell(quantity(measurement.value, measurement.unit, measurement.uncertainty), outcome)
+        return quantity(value, measurement.unit, measurement.uncertainty)
     if measurement.uncertainty:
-        return Cell(with_uncertainty(measurement.value, measurement.uncertainty), outcome)
-    return Cell(plain(measurement.value, measurement.unit), outcome)
+        return with_uncertainty(value, measurement.uncertainty)
+    return plain(value, measurement.unit)
 
 
 def limit_text(limit: Limit) -> str:
@@ -40,10 +49,15 @@ def limit_text(limit: Limit) -> str:
 
 
 def margin_text(measurement: Measurement) -> str:
-    """Write the distance from the nearer bound, negative outside; empty where there is none."""
+    """Write the distance from the nearer bound, negative outside; empty where there is none.
+
+    Of a lower bound that fails it is written too: it is at best that far outside.
+    """
     if measurement.limit is None or measurement.value is None:
         return ""
     margin = measurement.limit.margin(measurement.value)
+    if measurement.bound is Bound.LOWER and margin >= 0:
+        return ""
     return f"{'+' if margin > 0 else ''}{quantity(margin, measurement.unit)}"
 
 

@@ -30,7 +30,9 @@ def _measured(monkeypatch, unloading_s):
     observation = observe_run(run, factory(**recipe.reconstruction.options), recipe.analysis)
     metric = SettlingTimes()
     each = [m for load in observation.loads for m in metric.measure_load(load, observation)]
-    limits = [limit for limit in recipe.limits if limit.measurement.endswith("_settling_time")]
+    shipped = [limit for limit in recipe.limits if limit.measurement == "common_settling_time"]
+    assert {limit.qualifier for limit in shipped} == {"conductance, loading", "conductance, unloading"}
+    limits = [replace(limit, measurement=f"{name}_settling_time") for limit in shipped for name in ("common", "mean")]
     return each, judge(metric.measure_run(observation), limits)
 
 
@@ -54,5 +56,6 @@ def test_the_materials_own_return_settles(monkeypatch, name):
     _, measured = _measured(monkeypatch, 25.4)
     found = _one(measured, name, "conductance, unloading")
     assert found.bound is Bound.EXACT
+    assert found.outcome is Outcome.PASS
     # 25.4 s · ln(0.62 / 0.15) = 36 s, counted from when the head was on its way up already.
     assert 28.0 < found.value < 40.0

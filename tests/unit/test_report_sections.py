@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from report_samples import ended_early, sample_recording, sample_run
 
-from cbsr_qa.domain.measurement import Limit, Measurement
+from cbsr_qa.domain.measurement import Bound, Limit, Measurement
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.relaxation import FitStatus
 from cbsr_qa.domain.report import Figure, Paragraph, Table
@@ -174,19 +174,41 @@ def test_not_settled_is_a_bound_and_never_a_number(result):
     assert row[3].startswith("≥ ")
 
 
-def test_rejected_fits_are_counted_with_one_example(result):
+def test_a_lower_bound_is_marked_wherever_it_is_written(result):
+    about = {"phase": "nine", "location": "L0"}
+    late = [Measurement("settling_time", 60.0, "s", trial=k, bound=Bound.LOWER, **about) for k in range(2)]
+    common = Measurement(
+        "common_settling_time", 60.0, "s", bound=Bound.LOWER, qualifier="stress, loading", how="slow"
+    )
+    (undecided, failed) = (common.judged(Limit(common.name, "s", None, upper)) for upper in (70.0, 50.0))
+    for judged, margin in ((undecided, ""), (failed, "−10.0 s")):
+        section = Limits().render(replace(result, measurements=(judged, *late, replace(late[0], bound=Bound.EXACT))))
+        (row,) = texts(tables(section)[0])
+        assert row[2] == "≥ 60.0\N{NO-BREAK SPACE}s"
+        assert row[4].replace("\N{NO-BREAK SPACE}", " ") == margin
+        assert ("slow" in row[0]) == (judged is undecided)
+        assert texts(tables(section)[1])[0][1].startswith("≥ 60")
+    relaxation = RelaxationFits().render(replace(result, measurements=(undecided,)))
+    assert ["stress, loading", "≥ 60.0", "–", "slow"] in texts(tables(relaxation)[1])
+
+
+def test_rejected_fits_are_counted_by_reason(result):
     loads = []
     for k, load in enumerate(result.observation.loads):
         worst = load.relaxations[0]
-        fit = replace(
-            worst.fit, status=FitStatus.REJECTED, r_squared=0.4 + k / 100, why=f"R² {0.4 + k / 100:.3f} is below 0.85"
-        )
+        why = f"R² {0.4 + k / 100:.3f} is below 0.85" if k != 7 else "the data do not determine a time constant"
+        fit = replace(worst.fit, status=FitStatus.REJECTED, r_squared=0.4 + k / 100, why=why)
         bad = replace(worst, fit=fit, settling=replace(worst.settling, value_s=None))
         loads.append(replace(load, relaxations=(bad, *load.relaxations[1:])))
     observation = replace(result.observation, loads=tuple(loads))
     section = RelaxationFits().render(replace(result, observation=observation))
     (told,) = [block.text for block in section.blocks if isinstance(block, Paragraph)]
-    assert told == "23 fits were rejected, for example: R² 0.400 is below 0.85."
+    assert told == (
+        "23 fits were rejected: 22 with R² below 0.85 (0.40 to 0.62), 1 because the data do not determine a time"
+        " constant."
+    )
+    by_strain = [row for row in texts(tables(section)[1]) if row[:2] == ["conductance", "press"]]
+    assert {row[3] for row in by_strain} == {"–"}
 
 
 def test_reasons_that_differ_in_numbers_only_are_alike():

@@ -9,7 +9,7 @@ from cbsr_qa.domain.outcome import SEVERITY, Outcome
 from cbsr_qa.domain.report import Block, Cell, Paragraph, RunResult, Section, Table
 from cbsr_qa.report.numbers import plural
 from cbsr_qa.report.select import alike, spread_text
-from cbsr_qa.report.tables import limit_text, margin_text, text_table, unit_column, value_cell
+from cbsr_qa.report.tables import bound_sign, limit_text, margin_text, text_table, unit_column, value_cell
 
 #: A measurement with more qualifiers than this gets one row for all of them.
 _MOST_QUALIFIERS: Final = 8
@@ -53,7 +53,7 @@ def _judged(judged: Sequence[Measurement]) -> Table:
         signs = {Outcome.PASS: "✓ ", Outcome.FAIL: "✗ ", Outcome.MARGINAL: "≈ ", Outcome.NOT_MEASURED: "? "}
         outcome = Cell(f"{signs.get(m.outcome, '')}{m.outcome.value}", m.outcome)
         value = Cell(value_cell(m, unit=True).text)
-        why = m.how if m.value is None else ""
+        why = m.how if m.outcome is Outcome.NOT_MEASURED else ""
         name = f"{m.label}: {why}" if why else m.label
         rows.append([name, m.phase or "whole run", value, limit_text(m.limit), margin_text(m), outcome])
     columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome")
@@ -95,7 +95,7 @@ def _summary(members: Sequence[Measurement]) -> str:
         return ""
     if len(values) == 1:
         return value_cell(members[0]).text
-    return f"{spread_text(values, members[0].unit)} ({len(values)})"
+    return f"{bound_sign(members)}{spread_text(values, members[0].unit)} ({len(values)})"
 
 
 def _refused(measurements: Sequence[Measurement]) -> Table:

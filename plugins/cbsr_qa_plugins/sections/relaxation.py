@@ -4,15 +4,16 @@ from collections.abc import Sequence
 
 from cbsr_qa.calibrate.settling import restricted_mean
 from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import RelaxationObservation
-from cbsr_qa.domain.relaxation import FitStatus
-from cbsr_qa.domain.report import Block, Paragraph, RunResult, Section, Table
+from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit
+from cbsr_qa.domain.report import Block, Cell, Figure, Paragraph, RunResult, Section, Table
 from cbsr_qa.domain.steps import Role
 from cbsr_qa.report.figures_relaxation import SettledLoad, relaxation_figure, settling_figure
 from cbsr_qa.report.loads import settled_loads
-from cbsr_qa.report.numbers import plain, plural, with_uncertainty
+from cbsr_qa.report.numbers import number, plain, plural, with_uncertainty
 from cbsr_qa.report.select import alike, loads_of, observed
-from cbsr_qa.report.tables import text_table
+from cbsr_qa.report.tables import text_table, value_cell
 
 
 class RelaxationFits:
@@ -22,39 +23,76 @@ class RelaxationFits:
         """Return the section; None where no relaxation was fitted."""
         run = observed(result)
         loads = settled_loads(run.loads) if run else ()
-        if run is None or not loads:
+        if run is None or not loads or not isinstance(result, RunResult):
             return None
         signals = list(dict.fromkeys(r.signal for load in loads for r in load.relaxations))
-        apart = settled_loads(loads_of(run, Role.RELAXATION))
-        shown = next((load for load in loads if apart and load.label == apart[0].label), None)
-        shown = next((load for load in loads if apart and load.group == apart[0].group), shown) or _best(loads)
-        blocks: list[Block] = [
-            relaxation_figure(
-                loads,
-                shown,
-                signals,
-                caption=f"Relaxation of {shown.label} ({shown.group}): readings (dots), fit of one or two"
-                " exponentials (line), settling band (shaded) and settling time (dashed). Grey: all other presses.",
-                alternative=f"Traces and fits of {', '.join(signals)} after the press and after the release.",
-            ),
-            _fits(shown),
-            settling_figure(
-                loads,
-                signals,
-                caption="Settling time of every press (filled) and release (open), in the order they were made."
-                " Lines: means. A triangle is a lower bound: it was still outside the band"
-                " at the end of its window.",
-                alternative="Settling times of all loads, for loading and unloading.",
-            ),
-            _by_strain(loads, signals),
-        ]
-        rejected = [r for load in loads for r in load.relaxations if r.fit.status is FitStatus.REJECTED]
+        shown = _shown(loads, settled_loads(loads_of(run, Role.RELAXATION)))
+        blocks: list[Block] = [_traces(loads, shown, signals), _fits(shown)]
+        blocks += _together(result.measurements)
+        blocks += [_times(loads, signals), _by_strain(loads, signals)]
+        rejected = [r.fit for load in loads for r in load.relaxations if r.fit.status is FitStatus.REJECTED]
         if rejected:
-            examples = {alike(r.fit.why): r.fit.why for r in reversed(rejected) if r.fit.why}
-            count = plural(len(rejected), "fit was", "fits were")
-            told = f"{count} rejected, for example: {'; '.join(examples.values())}."
-            blocks.append(Paragraph(told, "note"))
+            blocks.append(Paragraph(_rejections(rejected, run.settings.r_squared_gate), "note"))
         return Section("Relaxation and settling", tuple(blocks))
+
+
+def _shown(loads: Sequence[SettledLoad], apart: Sequence[SettledLoad]) -> SettledLoad:
+    """Return the load worth pointing out: one that was held for this, else the one whose fits explain most."""
+    wanted = apart[0] if apart else None
+    found = [load for load in loads if wanted and (load.label, load.group) == (wanted.label, wanted.group)]
+    return found[0] if found else _best(loads)
+
+
+def _traces(loads: Sequence[SettledLoad], shown: SettledLoad, signals: Sequence[str]) -> Figure:
+    return relaxation_figure(
+        loads,
+        shown,
+        signals,
+        caption=f"Relaxation of {shown.label} ({shown.group}): readings (dots), fit of one or two"
+        " exponentials (line), settling band (shaded) and settling time (dashed). Grey: all other presses.",
+        alternative=f"Traces and fits of {', '.join(signals)} after the press and after the release.",
+    )
+
+
+def _times(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Figure:
+    return settling_figure(
+        loads,
+        signals,
+        caption="Settling time of every press (filled) and release (open), in the order they were made. Lines:"
+        " means, where at least half of the loads gave a time. A triangle is a lower bound: it was still outside the"
+        " band at the end of its window.",
+        alternative="Settling times of all loads, for loading and unloading.",
+    )
+
+
+def _together(measurements: Sequence[Measurement]) -> list[Block]:
+    """One row a signal and direction: all loads fitted together, beside the mean of single loads."""
+    common = [m for m in measurements if m.name == "common_settling_time"]
+    means = {m.qualifier: m for m in measurements if m.name == "mean_settling_time"}
+    if not common:
+        return []
+    rows: list[list[str | Cell]] = [
+        [m.qualifier, value_cell(m), value_cell(means.get(m.qualifier)), m.how] for m in common
+    ]
+    caption = (
+        "Settling of all loads together. Common: one fit to all traces, which share their time constants and differ"
+        " in size. Mean: of single loads, short where a trace does not carry both time constants. ≥: a lower bound."
+    )
+    return [text_table(caption, ("Signal, after", "Common [s]", "Mean [s]", "Common fit"), rows, (1, 2))]
+
+
+def _rejections(fits: Sequence[RelaxationFit], gate: float) -> str:
+    """Count rejected fits by reason, those of a low R² with their range."""
+    low = [fit.r_squared for fit in fits if fit.why.startswith("R²")]
+    others: dict[str, list[str]] = {}
+    for fit in fits:
+        if not fit.why.startswith("R²"):
+            others.setdefault(alike(fit.why), []).append(fit.why)
+    lowest, highest = (f"{number(bound, 2)}" for bound in (min(low, default=0.0), max(low, default=0.0)))
+    values = lowest if lowest == highest else f"{lowest} to {highest}"
+    words = [f"{len(low)} with R² below {gate:g} ({values})"] if low else []
+    words += [f"{len(why)} because {why[0]}" for why in others.values()]
+    return f"{plural(len(fits), 'fit was', 'fits were')} rejected: {', '.join(words)}."
 
 
 def _best(loads: Sequence[SettledLoad]) -> SettledLoad:
@@ -90,7 +128,7 @@ def _settled(relaxation: RelaxationObservation) -> str:
     settling = relaxation.settling
     if settling.value_s is None:
         return "–"
-    return f"{'> ' if settling.censored else ''}{settling.value_s:.1f}"
+    return f"{'≥ ' if settling.censored else ''}{settling.value_s:.1f}"
 
 
 def _by_strain(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table:
@@ -104,7 +142,8 @@ def _by_strain(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table:
     columns = ("Signal", "After", "Strain [%]", "Settling [s]", "Settled", "Later than window", "Rejected")
     caption = (
         "Settling by strain: mean ± standard deviation. Presses not settled within their window count with their"
-        " window (Kaplan–Meier), so that the mean is then a lower bound, marked ≥."
+        " window (Kaplan–Meier), so that the mean is then a lower bound, marked ≥. Where more than half were rejected"
+        " there is none."
     )
     return text_table(caption, columns, [row for row in rows if row], (2, 3, 4, 5, 6))
 
@@ -127,7 +166,11 @@ def _strain_row(signal: str, loading: bool, strain: str, found: Sequence[Relaxat
     timed = [(r.settling.value_s, r.settling.censored) for r in found if r.settling.value_s is not None]
     censored = sum(late for _, late in timed)
     rejected = len(found) - len(timed)
-    mean = "–" if not timed else _mean_text([time for time, _ in timed], [late for _, late in timed])
+    mean = (
+        "–"
+        if not timed or 2 * len(timed) < len(found)
+        else _mean_text([time for time, _ in timed], [late for _, late in timed])
+    )
     after = "press" if loading else "release"
     counts = (len(timed) - censored, censored, rejected)
     return [signal, after, strain, mean, *map(str, counts)]
@@ -135,6 +178,6 @@ def _strain_row(signal: str, loading: bool, strain: str, found: Sequence[Relaxat
 
 def _mean_text(times_s: list[float], censored: list[bool]) -> str:
     if len(times_s) == 1:
-        return f"{'> ' if censored[0] else ''}{plain(times_s[0], 's')}"
+        return f"{'≥ ' if censored[0] else ''}{plain(times_s[0], 's')}"
     mean_s, deviation_s = restricted_mean(times_s, censored)
     return f"{'≥ ' if any(censored) else ''}{with_uncertainty(mean_s, deviation_s)}"
