@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
-from cbsr_qa.domain.errors import CbsrError, RecordingError
+from cbsr_qa.domain.errors import CbsrError, RecordingError, RefusedError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.loads import Load, LoadRecord
 from cbsr_qa.domain.recording import Recording, ScanKind
@@ -82,8 +82,10 @@ def read_recording(path: Path) -> Recording:
         with h5py.File(path, "r") as file:
             _check(path, file)
             return _read(path, file)
-    except CbsrError:
+    except RecordingError:
         raise
+    except CbsrError as error:
+        raise RecordingError(f"{path.name}: {error.reason}", remedy="export the run again") from error
     except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
         raise RecordingError(
             f"{path.name} is damaged: {error}", remedy="export the run again, or copy the file again"
@@ -189,8 +191,15 @@ def _read_frames(group: h5py.Group) -> FrameBlock:
     voltages = group["voltages"]
     current = group.attrs.get("current_A")
     own = group["reading_time_s"][()].astype(np.float64) if "reading_time_s" in group else None
+    times_s = group["time_s"][()].astype(np.float64)
+    if not np.isfinite(times_s).all() or (np.diff(times_s) < 0).any():
+        raise RefusedError("the times of its frames are not finite numbers that never fall")
+    if current is not None and not np.isfinite(current):
+        raise RefusedError(f"its drive current is {current} A")
+    if own is not None and not np.isfinite(own).all():
+        raise RefusedError("the time of a reading is not a finite number")
     return FrameBlock(
-        group["time_s"][()].astype(np.float64),
+        times_s,
         voltages[()].astype(np.float64),
         group["flags"][()].astype(np.uint8),
         VoltageUnit(voltages.attrs["unit"]),
@@ -201,12 +210,9 @@ def _read_frames(group: h5py.Group) -> FrameBlock:
 
 def _read_samples(group: h5py.Group) -> SampleBlock:
     values = group["values"]
-    return SampleBlock(
-        str(group.attrs["channel"]),
-        str(values.attrs["unit"]),
-        group["time_s"][()].astype(np.float64),
-        values[()].astype(np.float64),
-    )
+    times_s, held = group["time_s"][()].astype(np.float64), values[()].astype(np.float64)
+    known = np.isfinite(times_s) & np.isfinite(held)  # a sample that was lost is no sample
+    return SampleBlock(str(group.attrs["channel"]), str(values.attrs["unit"]), times_s[known], held[known])
 
 
 def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:

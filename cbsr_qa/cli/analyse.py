@@ -59,6 +59,8 @@ def analyse(
 
 def _reference(text: str, first: Path) -> tuple[Path, str | None]:
     """Split FILE[:NAME]; a colon in the file's own name stays there, ``:NAME`` is in the same file."""
+    if not text.strip(" :"):
+        raise typer.BadParameter("it names no file; give FILE or FILE:NAME", param_hint="--reference")
     if Path(text).exists() or ":" not in text:
         return Path(text), None
     file, _, name = text.rpartition(":")

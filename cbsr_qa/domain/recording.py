@@ -51,6 +51,7 @@ class Recording:
     layout : electrode numbering the format documents; None where it is unknown.
     sensor_type : name of the sensor type where the recording states it.
     notes : facts worth telling a reader, in words.
+    frames_dropped : frames that are in the file but not whole; the ones cut by its beginning and end do not count.
     """
 
     path: Path
@@ -68,6 +69,7 @@ class Recording:
     layout: ElectrodeLayout | None = None
     sensor_type: str | None = None
     notes: tuple[str, ...] = field(default=())
+    frames_dropped: int = 0
 
     @property
     def rows_rejected(self) -> int:
@@ -82,7 +84,8 @@ class ReadOptions:
     Parameters
     ----------
     dataset : one of several data sets in a file; None to take the only one.
-    reference : a file (and data set within it) holding the unloaded domain.
+    reference : a file (and data set within it) holding the unloaded domain. The analysis reads it, by that file's
+        own format; a format only leaves out a reference it would find by itself.
     """
 
     dataset: str | None = None

@@ -1,11 +1,13 @@
 """``cbsr-qa analyse`` from the command line, on files made here."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
-from board_files import BoardFile
+import scipy.io
+from board_files import BoardFile, counts
 
 from cbsr_qa.analysis.recording_file import write_recording
 from cbsr_qa.analysis.recording_imaging import nominal_disc
@@ -42,16 +44,16 @@ def run(capsys, *arguments):
     return code, said.out, said.err
 
 
-def exported(tmp_path, frames, *, sensor_type=None, name="run.h5"):
+def exported(tmp_path, frames, *, sensor_type=None, name="run.h5", unit=VoltageUnit.VOLT, current_A=0.001, **said):
     times = 100 + 2.5 * np.arange(len(frames))
-    block = FrameBlock(times, frames, np.zeros(frames.shape, np.uint8), VoltageUnit.VOLT, 0.001)
+    block = FrameBlock(times, frames, np.zeros(frames.shape, np.uint8), unit, current_A)
     force = SampleBlock("force", "N", times, np.where((times > 175) & (times < 250), 4.0, 0.0))
     path = tmp_path / name
     recording = Recording(
         path, "cbsr-recording", "", ScanKind.FULL, block, None, False, False, "computer", (force,),
         sensor_type=sensor_type,
     )  # fmt: skip
-    write_recording(path, recording)
+    write_recording(path, replace(recording, **said))
     return path
 
 
@@ -174,3 +176,125 @@ def test_the_hostile_text_of_a_file_name_stays_text_in_the_report(tmp_path, caps
     html = Path(found["report"]).read_text(encoding="utf-8")
     assert "<script>" not in html
     assert "&lt;script&gt;" in html
+
+
+def board(tmp_path, frames, name="board.csv"):
+    return BoardFile().header().frames(np.round(frames).astype(int)).save(tmp_path, name)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"unit": VoltageUnit.COUNT}, "in count, not in V"),
+        ({"magnitudes_only": True}, "absolute values"),
+        ({"current_A": 0.0013}, "drive current"),
+        ({"sensor_type": "disc-150mm"}, "sensor type disc-150mm"),
+        ({"scale": 2.0}, "2 times as large"),
+        ({"scale": 0.5}, "0.5 times as large"),
+        ({"turned": 1}, "another pattern"),
+        ({"scan": ScanKind.DRIVEN_PAIRS}, "one row of driven pairs"),
+    ],
+)
+def test_a_reference_of_another_instrument_or_scale_is_refused(tmp_path, capsys, change, said):
+    frames = pressed_frames(0.4, 0.3, contrast=0.0, seed=2)
+    frames = np.roll(frames, change.get("turned", 0), axis=2) * change.get("scale", 1.0)
+    if "scan" in change:
+        frames = frames[:, :1]
+    options = {key: value for key, value in change.items() if key not in ("scale", "turned")}
+    empty = exported(tmp_path, frames, name="empty.h5", **{"sensor_type": "disc-100mm", **options})
+    held = exported(
+        tmp_path, pressed_frames(-0.3, 0.5, contrast=0.2, start=10, end=70), name="held.h5", sensor_type="disc-100mm"
+    )
+    code, out, _ = run(capsys, held, "--json", "--no-report", "--reference", empty)
+    found = json.loads(out)
+    assert code == 2
+    assert said in found["refused"]["reason"]
+    assert "empty.h5" in found["refused"]["reason"]
+    assert "held.h5" in found["refused"]["reason"]
+    assert found["refused"]["remedy"]
+    assert found["events"] == []
+    assert found["recording"]["frames"] == 80
+
+
+def test_counts_about_another_offset_are_no_reference(tmp_path, capsys):
+    frames = 1e4 * pressed_frames(0.4, 0.3, contrast=0.0, n=6)
+    held, empty = board(tmp_path, frames + 100), board(tmp_path, frames + 8000, "empty.csv")
+    code, out, _ = run(capsys, held, "--json", "--no-report", "--reference", empty)
+    assert code == 2
+    assert "lie about" in json.loads(out)["refused"]["reason"]
+
+
+def test_a_reference_is_recognised_by_itself(tmp_path, capsys):
+    """Whatever the file's own format is, and whether it was named."""
+    tank = tmp_path / "tank.mat"
+    frames = np.abs(pressed_frames(0.4, 0.3, contrast=0.0, n=2))
+    scipy.io.savemat(tank, {"vv": frames[1:].reshape(1, 256).T, "vvRef": frames[:1].reshape(1, 256).T})
+    csv = board(tmp_path, 1e4 * frames)
+    for arguments in ((tank, "--dataset", "vv"), (tank, "--dataset", "vv", "--format", "eidors-mat")):
+        code, out, _ = run(capsys, *arguments, "--reference", csv, "--json", "--no-report")
+        reason = json.loads(out)["refused"]["reason"]
+        assert code == 2
+        assert "board.csv cannot be the reference of tank.mat" in reason
+        assert "damaged" not in reason
+    code, out, _ = run(capsys, tank, "--dataset", "vv", "--reference", f"{tank}:vvRef", "--json", "--no-report")
+    assert code == 0
+    assert any("changes are against tank.mat:vvRef" in note for note in json.loads(out)["recording"]["notes"])
+
+
+def test_an_unreadable_reference_is_named_as_the_reference(tmp_path, capsys):
+    held = exported(tmp_path, pressed_frames(0.4, 0.3, contrast=0.1))
+    for other, said in (
+        (BoardFile().header().save(tmp_path), "only headers"),
+        (tmp_path / "no.csv", "there is no file"),
+    ):
+        code, out, _ = run(capsys, held, "--json", "--no-report", "--reference", other)
+        assert code == 2
+        assert said in json.loads(out)["refused"]["reason"]
+        assert str(other.name) in json.loads(out)["refused"]["reason"]
+
+
+@pytest.mark.parametrize("text", ["", " ", ":"])
+def test_an_empty_reference_is_a_misused_option(tmp_path, capsys, text):
+    code, out, _ = run(capsys, exported(tmp_path, pressed_frames(0, 0, contrast=0.0)), "--json", "--reference", text)
+    assert code == 2
+    assert "--reference" in json.loads(out)["refused"]["reason"]
+
+
+@pytest.mark.parametrize(
+    ("content", "format_", "rejected"),
+    [
+        (b"hello, world\n1,2,3\n", None, 0),
+        ("\n".join(BoardFile().header().lines).encode() + b"\n", "ert-board-csv", 0),
+        ("\n".join(BoardFile().header().mark().rows(counts(1)[0, :5]).lines)[:-3].encode(), "ert-board-csv", 1),
+        (b"time_pc [s],voltage [V],i_src [A],f [N],x [mm],y [mm],z [mm]\n0.1,nan,nan,0,0,0,0\n", "smu-rig-csv", 1),
+        (b"#MEAS\n#Vector, Vr Vi I\n#Start\n1 2\n", "ds-tank-text", 1),
+    ],
+)
+def test_every_refused_document_has_the_same_parts(tmp_path, capsys, content, format_, rejected):
+    path = tmp_path / "odd.dat"
+    path.write_bytes(content)
+    found = json.loads(run(capsys, path, "--json")[1])
+    read = found["recording"]
+    assert (read["format"], read["frames"], read["rows_rejected"]) == (format_, 0, rejected)
+    assert sum(problem["rejected"] for problem in read["problems"]) == rejected
+    assert (read["frame_rate_hz"], read["force_recorded"]) == (None, None)
+    assert (found["channels"], found["events"]) == ({}, [])
+    analysed = json.loads(run(capsys, exported(tmp_path, pressed_frames(0, 0, contrast=0.0)), "--json")[1])
+    assert set(read) == set(analysed["recording"])
+
+
+def test_a_current_that_is_none_is_valid_json(tmp_path, capsys):
+    file = BoardFile(mass=False).header().frames(counts(4))
+    file.lines[1] = "Isrc:,nan"
+    code, out, _ = run(capsys, file.save(tmp_path), "--json", "--no-report")
+    assert code in (0, 2)
+    assert json.loads(out)["recording"]["current_A"] is None
+
+
+def test_reports_of_different_questions_do_not_overwrite_each_other(tmp_path, capsys):
+    path = exported(tmp_path, pressed_frames(0, 0, contrast=0.0, n=12))
+    empty = exported(tmp_path, pressed_frames(0, 0, contrast=0.0, n=12, seed=3), name="empty.h5")
+    asked = ((), ("--sensor-type", "disc-100mm"), ("--reference", empty), ("--no-memory-correction",), ())
+    names = [json.loads(run(capsys, path, "--json", *more)[1])["report"] for more in asked]
+    assert len(set(names)) == 4
+    assert names[0] == names[-1]

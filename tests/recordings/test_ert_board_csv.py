@@ -1,3 +1,5 @@
+import re
+
 import numpy as np
 import pytest
 from board_files import DUMP, PAIRS, BoardFile, counts
@@ -8,6 +10,7 @@ from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.frames import VoltageUnit
 from cbsr_qa.domain.recording import ReadOptions, ScanKind
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
+from cbsr_qa_plugins.recordings.text_lines import LONGEST_LINE, MOST_BAD_IN_A_ROW, text_lines
 
 BLOCK = counts(5)
 
@@ -104,6 +107,14 @@ def damaged(damage):
         (lambda row: ",".join([*row.split(",")[:7], "8278219", *row.split(",")[8:]]), "16-bit"),
         (lambda row: ",".join([*row.split(",")[:2], "17", *row.split(",")[3:]]), "clock says 17 ms"),
         (lambda row: ",".join([*row.split(",")[:9], "nan", *row.split(",")[10:]]), "nan"),
+        (lambda row: ",".join([*row.split(",")[:2], "nan", *row.split(",")[3:]]), "'nan' among the numbers"),
+        (lambda row: ",".join([*row.split(",")[:2], "9" * 300, *row.split(",")[3:]]), "999"),
+        (lambda row: ",".join([*row.split(",")[:2], str(2**32), *row.split(",")[3:]]), "counts in 32 bits"),
+        (lambda row: ",".join(["1e300", *row.split(",")[1:]]), "does not start with a time"),
+        (lambda row: row[:-1], "no comma"),
+        (lambda row: row[:-2], "no comma"),
+        (lambda row: row[:40] + "\x00" + row[40:], "among the numbers"),
+        (lambda row: row + "1" * LONGEST_LINE, "more than"),
     ],
 )
 def test_a_bad_row_is_rejected_by_line_and_costs_its_frame(tmp_path, damage, said):
@@ -264,9 +275,138 @@ def test_whatever_happens_to_some_lines_the_other_frames_are_untouched(tmp_path,
     except RecordingError:
         return
     known = {frame.tobytes() for frame in BLOCK.astype(float)}
-    kept = [frame.tobytes() in known for frame in recording.frames.voltages]
-    # A cut may leave a shorter last number: then a frame differs in the last reading of a row and nowhere else.
-    for frame, same in zip(recording.frames.voltages, kept, strict=True):
-        if not same:
-            nearest = min(BLOCK, key=lambda other: (frame != other).sum())
-            assert set(np.nonzero(frame != nearest)[1]) <= {PAIRS - 1}
+    assert all(frame.tobytes() in known for frame in recording.frames.voltages)
+
+
+def as_a_spreadsheet_saves_it(file):
+    return [line.rstrip(",") for line in file.lines]
+
+
+def test_a_file_that_ends_inside_a_number_loses_that_frame_alone(tmp_path):
+    file = BoardFile().header().frames(BLOCK)
+    path = file.save(tmp_path)
+    for text in ("\n".join(file.lines)[:-1], "\n".join(as_a_spreadsheet_saves_it(file))[:-1]):
+        path.write_text(text)
+        recording = read(path)
+        np.testing.assert_array_equal(recording.frames.voltages, BLOCK[:4])
+        assert [(p.line, p.rejected) for p in recording.problems] == [(len(file.lines), True)]
+        assert recording.frames_dropped == 1
+
+
+def test_rows_without_a_comma_at_their_end_are_whole_where_no_row_has_one(tmp_path):
+    file = BoardFile().header().frames(BLOCK)
+    file.lines = as_a_spreadsheet_saves_it(file)
+    recording = read(file.save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages, BLOCK)
+    assert recording.rows_rejected == 0
+
+
+@pytest.mark.parametrize("mark", ["AA", "A123,4", "A-12,99,"])
+def test_a_spoilt_mark_is_a_rejected_line_and_no_log(tmp_path, mark):
+    file = BoardFile().header().frames(BLOCK[:2]).payload(mark).rows(BLOCK[2]).frames(BLOCK[3:])
+    recording = read(file.save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 3, 4]])
+    (problem,) = recording.problems
+    assert problem.rejected
+    assert problem.line == 3 + 2 * (PAIRS + 1)
+    assert "frame mark" in problem.what
+
+
+def test_headers_inside_a_frame_cost_it_and_it_is_said_and_counted(tmp_path):
+    file = BoardFile().header().frames(BLOCK[:2]).mark().rows(BLOCK[2][:7])
+    file.header().rows(BLOCK[2][7:]).frames(BLOCK[3:])
+    recording = read(file.save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 1, 3, 4]])
+    (problem,) = recording.problems
+    assert problem.line == 3 + 2 * (PAIRS + 1)
+    assert "7 whole rows" in problem.what
+    assert "headers" in problem.what
+    assert (recording.frames_dropped, recording.rows_rejected) == (1, 0)
+
+
+@pytest.mark.parametrize("count", [15, 17])
+def test_a_frame_of_another_number_of_rows_is_counted_as_dropped(tmp_path, count):
+    odd = [*BLOCK[2], BLOCK[2][0]][:count]
+    recording = read(BoardFile().header().frames(BLOCK[:2]).mark().rows(odd).frames(BLOCK[3:]).save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 1, 3, 4]])
+    assert (recording.frames_dropped, recording.rows_rejected) == (1, 0)
+
+
+@pytest.mark.parametrize(
+    ("stated", "current_A"),
+    [("105", 105e-6), ("nan", None), ("inf", None), ("-5", None), ("0", None), ("1e300", None), ("100plus", None)],
+)
+def test_what_is_no_current_is_not_stated_and_said(tmp_path, stated, current_A):
+    file = whole(mass=False)
+    file.lines[1] = f"Isrc:,{stated}"
+    recording = read(file.save(tmp_path))
+    assert recording.frames.current_A == (None if current_A is None else pytest.approx(current_A))
+    assert any(repr(stated) in note for note in recording.notes) == (current_A is None)
+
+
+def test_appended_recordings_of_different_currents_state_none(tmp_path):
+    file = BoardFile(mass=False).header().frames(BLOCK[:2]).header().frames(BLOCK[2:])
+    file.lines[1] = "Isrc:,24"
+    recording = read(file.save(tmp_path))
+    assert recording.frames.current_A is None
+    assert any("24" in note and "105" in note for note in recording.notes)
+
+
+def test_a_board_clock_that_stands_still_gives_way_to_the_computers(tmp_path):
+    file = BoardFile().header().frames(BLOCK)
+    file.lines = [re.sub(r",17\d{4},", ",5000,", line) for line in file.lines]
+    recording = read(file.save(tmp_path))
+    assert recording.clock == "computer"
+    np.testing.assert_allclose(np.diff(recording.frames.time_s), 0.24, atol=1e-9)
+    (problem,) = recording.problems
+    assert "stands still" in problem.what
+    assert not problem.rejected
+    assert any("stands still" in note for note in recording.notes)
+
+
+def test_a_refused_file_keeps_its_problems(tmp_path):
+    file = BoardFile().header().rows(BLOCK[0][:3]).mark().rows(BLOCK[0][:4])
+    file.lines[-1] = file.lines[-1][:-9]
+    with pytest.raises(RecordingError) as said:
+        read(file.save(tmp_path))
+    assert [(p.line, p.rejected) for p in said.value.problems] == [(len(file.lines), True)]
+    assert said.value.remedy
+
+
+def test_garbage_behind_good_frames_is_given_up_on(tmp_path):
+    """Memory and time are bounded by the lines looked at, not by the file."""
+    file = BoardFile().header().frames(BLOCK)
+    good = len(file.lines)
+    file.lines += ["ÿ\x01garbage"] * (MOST_BAD_IN_A_ROW + 500) + file.lines[2:]
+    recording = read(file.save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages[:4], BLOCK[:4])
+    assert len(recording.frames) <= 5
+    (last,) = [p for p in recording.problems if "rest of the file was not read" in p.what]
+    assert last.line == good + MOST_BAD_IN_A_ROW
+    assert recording.rows_rejected == MOST_BAD_IN_A_ROW
+
+
+def test_a_line_without_an_end_is_read_in_bounded_pieces(tmp_path):
+    path = tmp_path / "long.txt"
+    path.write_bytes(b"a\r\n" + b"x" * (3 * LONGEST_LINE + 5) + b"\nb\rc")
+    lines = list(text_lines(path))
+    assert [(line.number, len(line.text), line.ended, line.too_long) for line in lines] == [
+        (1, 1, True, False),
+        (2, LONGEST_LINE, True, True),
+        (3, 1, True, False),
+        (4, 1, False, False),
+    ]
+    path.write_bytes(b"y" * LONGEST_LINE + b"\nz")
+    assert [line.text[:1] for line in text_lines(path)] == ["y", "z"]
+
+
+def test_old_line_ends_are_recognised(tmp_path):
+    path = whole().save(tmp_path)
+    path.write_bytes(path.read_bytes().replace(b"\n", b"\r"))
+    np.testing.assert_array_equal(read(path).frames.voltages, BLOCK)
+
+
+def test_a_data_set_of_a_file_that_is_one_is_refused_with_a_remedy(tmp_path):
+    with pytest.raises(RecordingError, match="none named 'x'") as said:
+        ErtBoardCsv().read(whole().save(tmp_path), ReadOptions("x"))
+    assert said.value.remedy

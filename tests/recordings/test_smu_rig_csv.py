@@ -8,6 +8,7 @@ from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.frames import ReadingFlag, VoltageUnit
 from cbsr_qa.domain.recording import ReadOptions
 from cbsr_qa_plugins.recordings.smu_rig_csv import SmuRigCsv
+from cbsr_qa_plugins.recordings.text_lines import MOST_BAD_IN_A_ROW
 
 TITLES = "time_pc [s],voltage [V],i_src [A],f [N],x [mm],y [mm],z [mm]"
 HEADER = ["UTC:,2023-05-02 11:00:00.000000", TITLES]
@@ -111,3 +112,85 @@ def test_headers_only_and_half_a_frame_are_refused(tmp_path):
         read(tmp_path, HEADER)
     with pytest.raises(RecordingError, match="no complete frame"):
         read(tmp_path, HEADER + lines_of(frames(1))[:200])
+
+
+def test_what_lost_lines_cost_is_no_shift_of_the_rest(tmp_path):
+    """More lines lost than lie between two current readings: counting alone would be 16 readings off."""
+    voltages = frames(5)
+    lines = lines_of(voltages)
+    del lines[300:320]
+    recording = read(tmp_path, HEADER + lines)
+    np.testing.assert_array_equal(recording.frames.voltages, voltages[[0, 2, 3, 4]])
+    assert recording.frames_dropped == 1
+    assert sum("frame of lines" in p.what for p in recording.problems) == 1
+
+
+@pytest.mark.parametrize("at", [304, 305])  # a reading of the current, and another one
+def test_a_line_written_twice_is_left_out_and_costs_nothing(tmp_path, at):
+    voltages = frames(4)
+    lines = lines_of(voltages)
+    lines.insert(at, lines[at])
+    recording = read(tmp_path, HEADER + lines)
+    np.testing.assert_array_equal(recording.frames.voltages, voltages)
+    (problem,) = recording.problems
+    assert problem.rejected
+    assert "twice" in problem.what
+    assert problem.line == at + 4
+
+
+def test_a_foreign_line_too_many_costs_one_frame(tmp_path):
+    voltages = frames(5)
+    lines = lines_of(voltages)
+    lines.insert(300, "3.0,0.01,nan,2.5,1.0,2.0,-3.0")
+    recording = read(tmp_path, HEADER + lines)
+    np.testing.assert_array_equal(recording.frames.voltages, voltages[[0, 2, 3, 4]])
+    assert any("1 too many" in p.what for p in recording.problems)
+
+
+def test_headers_inside_a_frame_cost_it_and_it_is_said_and_counted(tmp_path):
+    voltages = frames(4)
+    lines = lines_of(voltages)
+    recording = read(tmp_path, HEADER + lines[:300] + HEADER + lines[300:])
+    np.testing.assert_array_equal(recording.frames.voltages, voltages[[0, 2, 3]])
+    assert recording.frames_dropped == 1
+    assert any("headers stand in it" in p.what for p in recording.problems)
+
+
+def test_a_dead_driven_pair_does_not_move_the_scan(tmp_path):
+    voltages = frames(4)
+    voltages[:, 0, 0] = 0.0
+    np.testing.assert_array_equal(read(tmp_path, HEADER + lines_of(voltages)).frames.voltages, voltages)
+
+
+@pytest.mark.parametrize("bad", ["0.3,0.1,inf,0,0,0,0", "0.3,1e300,nan,0,0,0,0", "1e300,0.1,nan,0,0,0,0"])
+def test_impossible_numbers_are_bad_lines(tmp_path, bad):
+    voltages = frames(3)
+    lines = lines_of(voltages)
+    lines[300] = bad
+    recording = read(tmp_path, HEADER + lines)
+    np.testing.assert_array_equal(recording.frames.voltages, voltages[[0, 2]])
+    assert "possible" in recording.problems[0].what
+    assert recording.frames.current_A == pytest.approx(0.0009)
+
+
+def test_missing_columns_are_named(tmp_path):
+    lines = [",".join(line.split(",")[:3]) for line in (TITLES, *lines_of(frames(2)))]
+    with pytest.raises(RecordingError, match=r"missing: f \[N\], x \[mm\], y \[mm\], z \[mm\]"):
+        read(tmp_path, [HEADER[0], *lines])
+
+
+def test_a_refused_file_says_how_many_lines_are_bad_and_keeps_them(tmp_path):
+    lines = lines_of(frames(1))
+    lines[5] = "0.1,abc,nan,0,0,0,0"
+    with pytest.raises(RecordingError, match=r"256 lines, 1 of them bad \(the first in line 8: 'abc'") as said:
+        read(tmp_path, HEADER + lines)
+    assert [p.line for p in said.value.problems if p.rejected] == [8]
+
+
+def test_garbage_behind_good_frames_is_given_up_on(tmp_path):
+    voltages = frames(2)
+    garbage = ["garbage"] * (MOST_BAD_IN_A_ROW + 500)
+    recording = read(tmp_path, HEADER + lines_of(voltages) + garbage)
+    np.testing.assert_array_equal(recording.frames.voltages, voltages)
+    assert recording.rows_rejected == MOST_BAD_IN_A_ROW
+    assert any("rest of the file was not read" in p.what for p in recording.problems)

@@ -1,3 +1,4 @@
+import h5py
 import numpy as np
 import pytest
 import scipy.io
@@ -6,6 +7,7 @@ from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.frames import ReadingFlag
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.domain.recording import ReadOptions
+from cbsr_qa_plugins.recordings.cbsr_recording import CbsrRecording
 from cbsr_qa_plugins.recordings.ds_tank_text import DsTankText
 from cbsr_qa_plugins.recordings.eidors_mat import EidorsMat
 
@@ -50,9 +52,10 @@ def test_columns_are_frames_and_the_reference_follows_from_the_name(mat):
     np.testing.assert_allclose(np.diff(recording.frames.time_s), 1 / 7)  # documented by the data's authors
 
 
-def test_a_named_reference_wins_over_the_convention(mat):
+def test_a_named_reference_leaves_the_convention_out(mat):
     recording = EidorsMat().read(mat, ReadOptions("zc_demo3", (mat, "zc_other")))
-    np.testing.assert_array_equal(recording.reference.voltages, vectors(3, 3)[0])
+    assert recording.reference is None  # the analysis reads the named one, by its own format
+    assert not any("by its name" in note for note in recording.notes)
     assert EidorsMat().read(mat, ReadOptions("zc_other")).reference is None
 
 
@@ -91,12 +94,10 @@ def ds_file(folder, name, values, *, rows_twice=True):
 @pytest.mark.parametrize("rows_twice", [True, False])
 def test_208_rows_fill_the_usable_readings_in_rising_order(tmp_path, rows_twice):
     values = [float(v) for v in np.random.default_rng(4).uniform(0.001, 0.03, 208)]
-    water = ds_file(tmp_path, "water.txt", [0.5 * v for v in values])
     path = ds_file(tmp_path, "metal.txt", values, rows_twice=rows_twice)
-    recording = DsTankText().read(path, ReadOptions(None, (water, None)))
+    recording = DsTankText().read(path, ReadOptions())
     np.testing.assert_array_equal(recording.frames.voltages[0][USABLE], values)
     assert recording.frames.voltages[0][1, 3] == values[13]  # drive 1 skips measure pairs 0, 1 and 2
-    np.testing.assert_allclose(recording.reference.voltages * 2, recording.frames.voltages)
     assert recording.still
     assert recording.magnitudes_only
     assert recording.rows_rejected == (1 if rows_twice else 0)
@@ -119,3 +120,36 @@ def test_a_row_that_is_no_three_numbers_is_named_by_its_line(tmp_path):
     path.write_text("\n".join(lines))
     with pytest.raises(RecordingError, match="line 10"):
         DsTankText().read(path, ReadOptions())
+
+
+@pytest.mark.parametrize("twice", [True, False])
+@pytest.mark.parametrize("damage", ["lost", "bad"])
+@pytest.mark.parametrize("row", [0, 100, 207])
+def test_one_row_less_refuses_the_file_whatever_fills_the_hole(tmp_path, row, damage, twice):
+    """Readings have no place but their order: a doubled last row must not stand in for one that is missing."""
+    path = ds_file(tmp_path, "hole.txt", [0.01 * k + 0.01 for k in range(208)], rows_twice=twice)
+    lines = path.read_text().split("\n")
+    rows = [5 + row, 213] if twice and row == 207 else [5 + row]
+    for at in reversed(rows):
+        lines[at : at + 1] = [] if damage == "lost" else ["nan nan nan"]
+    path.write_text("\n".join(lines))
+    with pytest.raises(RecordingError, match="207 rows" if damage == "lost" else f"line {6 + row}") as said:
+        DsTankText().read(path, ReadOptions())
+    assert said.value.remedy
+    if damage == "bad":
+        assert said.value.problems[0].line == 6 + row
+
+
+@pytest.mark.parametrize(("ending", "userblock"), [(".mat", 512), (".data", 512), (".mat", 0)])
+def test_matlab_7_3_is_refused_with_how_to_save_it(tmp_path, ending, userblock):
+    path = tmp_path / f"new{ending}"
+    with h5py.File(path, "w", userblock_size=userblock) as file:
+        file["vv"] = np.zeros((256, 1))
+    if userblock:
+        with path.open("r+b") as file:
+            file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(512))
+    assert EidorsMat().recognises(path, path.read_bytes()[:4096])
+    assert not CbsrRecording().recognises(path, path.read_bytes()[:4096])
+    with pytest.raises(RecordingError, match=r"version 7\.3") as said:
+        EidorsMat().read(path, ReadOptions())
+    assert "-v7" in said.value.remedy

@@ -7,14 +7,15 @@ from cbsr_qa.analysis.recording_file import SIGNATURE, read_recording
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.loads import LoadRecord
 from cbsr_qa.domain.recording import ReadOptions, Recording
+from cbsr_qa_plugins.recordings.text_lines import refuse_dataset
 
 
 class CbsrRecording:
     """Reads what ``cbsr-qa export`` writes."""
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Tell by HDF5's own signature and our file ending; another HDF5 file is refused by name when read."""
-        return head.startswith(SIGNATURE)
+        """Tell by HDF5's own signature; an HDF5 file of another kind is refused by name when read."""
+        return head.startswith(SIGNATURE) and path.suffix != ".mat"
 
     def datasets(self, path: Path) -> tuple[str, ...]:
         """Such a file is one data set."""
@@ -22,8 +23,7 @@ class CbsrRecording:
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         """Read a file; RecordingError where it is damaged, edited, or of a later version."""
-        if options.dataset:
-            raise RecordingError(f"{path.name} is one data set; it has none named {options.dataset!r}")
+        refuse_dataset(path, options)
         return _from_first_frame(read_recording(path))
 
 

@@ -1,5 +1,6 @@
 """Text files of the DS tank phantom (EIDORS contributed data ``ds_tank_phantom``; format ``ds-tank-text``)."""
 
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -11,11 +12,16 @@ from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.domain.recording import ReadOptions, Recording, RowProblem, ScanKind
+from cbsr_qa_plugins.recordings.text_lines import refuse_dataset, text_lines
 
 _ELECTRODES: Final = 16
 _LENGTH: Final = 208  # 16 drives × 13 measure pairs that touch no driven electrode
 _START: Final = "#Start"
 _COLUMNS: Final = 3  # Vr, Vi, I
+_MOST_LINES: Final = 1000  # these files have some 220
+_LARGEST: Final = 1e6  # no voltage or current of a tank
+
+Rows = list[tuple[int, list[str]]]
 
 
 class DsTankText:
@@ -34,7 +40,7 @@ class DsTankText:
         return ()
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        """Read a file, and the reference file the options name.
+        """Read a file.
 
         Returns
         -------
@@ -43,65 +49,65 @@ class DsTankText:
         Raises
         ------
         RecordingError
-            If the file has no ``#Start`` line, or not 208 rows of three numbers (a repeated last row is let pass).
+            If the file has no ``#Start`` line, or not 208 rows of three numbers. A copy of the last row is left out.
+            Any other row too few, too many or unreadable refuses the file: readings have no place but their order.
         """
-        if options.dataset:
-            raise RecordingError(f"{path.name} is one data set; it has none named {options.dataset!r}")
+        refuse_dataset(path, options)
         frame, problems = _read_frame(path)
-        reference = None
-        notes = ["the in-phase voltages Vr are used, as recorded, not divided by the current"]
-        if options.reference is not None:
-            reference, more = _read_frame(options.reference[0])
-            problems += [RowProblem(p.line, f"reference {options.reference[0].name}: {p.what}", False) for p in more]
-            notes.append(f"changes are against {options.reference[0].name}")
         return Recording(
             path=path,
             format="ds-tank-text",
             dataset="",
             scan=ScanKind.FULL,
             frames=frame,
-            reference=reference,
+            reference=None,
             still=True,
             magnitudes_only=True,
             clock="none",
             problems=tuple(problems),
             layout=ElectrodeLayout(_ELECTRODES, ElectrodeKind.ARC, 1.0, 0.1, 90.0, counterclockwise=False),
-            notes=tuple(notes),
+            notes=("the in-phase voltages Vr are used, as recorded, not divided by the current",),
         )
 
 
 def _read_frame(path: Path) -> tuple[FrameBlock, list[RowProblem]]:
-    lines = path.read_text(encoding="latin-1").split("\n")
-    start = next((k for k, line in enumerate(lines) if line.strip() == _START), None)
-    if start is None:
-        raise RecordingError(f"{path.name} has no {_START} line", remedy="this is not a whole DS tank file")
-    rows = [(k + 1, line.split()) for k, line in enumerate(lines) if k > start and line.strip()]
-    values, problems = _values(path, rows)
-    if len(values) == _LENGTH + 1 and rows[-1][1] == rows[-2][1]:
-        problems.append(RowProblem(rows[-1][0], "the last row is written twice; the copy is left out", True))
-        values = values[:-1]
-    if len(values) != _LENGTH:
-        bad = f" ({len(problems)} could not be read, the first in line {problems[0].line})" if problems else ""
+    rows, problems = _rows(path)
+    bad = [(line, fields) for line, fields in rows if _voltage(fields) is None]
+    if bad:
+        problems = [RowProblem(k, f"{' '.join(f)[:40]!r} is not three numbers Vr Vi I", True) for k, f in bad]
         raise RecordingError(
-            f"{path.name} has {len(values)} rows of readings{bad}; a frame has {_LENGTH}",
-            remedy="the file is cut or joined; get it again from its source",
+            f"{path.name}: line {problems[0].line}: {problems[0].what}; {len(bad)} of its {len(rows)} rows are bad",
+            remedy="readings have no place but their order, so no row can be left out: get the file again",
+            problems=problems,
         )
-    return _frame(np.array(values)), problems
+    if len(rows) != _LENGTH:
+        raise RecordingError(
+            f"{path.name} has {len(rows)} rows of readings; a frame has {_LENGTH}",
+            remedy="the file is cut or joined; get it again from its source",
+            problems=problems,
+        )
+    return _frame(np.array([_voltage(fields) for _, fields in rows], dtype=np.float64)), problems
 
 
-def _values(path: Path, rows: list[tuple[int, list[str]]]) -> tuple[list[float], list[RowProblem]]:
-    values: list[float] = []
-    problems: list[RowProblem] = []
-    for line, fields in rows:
-        try:
-            numbers = [float(field) for field in fields]
-        except ValueError:
-            numbers = []
-        if len(numbers) != _COLUMNS or not np.isfinite(numbers).all():
-            problems.append(RowProblem(line, f"{' '.join(fields)[:40]!r} is not three numbers Vr Vi I", True))
-        else:
-            values.append(numbers[0])
-    return values, problems
+def _rows(path: Path) -> tuple[Rows, list[RowProblem]]:
+    """Return the rows by line, without the copy of the last one that these files end in."""
+    lines = islice(text_lines(path), _MOST_LINES)
+    if not any(line.text.strip() == _START for line in lines):
+        raise RecordingError(f"{path.name} has no {_START} line", remedy="this is not a whole DS tank file")
+    rows = [(line.number, line.text.split()) for line in lines if line.text.strip()]
+    if len(rows) > 1 and rows[-1][1] == rows[-2][1]:
+        copy, _ = rows.pop()
+        return rows, [RowProblem(copy, "the last row is written twice; the copy is left out", True)]
+    return rows, []
+
+
+def _voltage(fields: list[str]) -> float | None:
+    """Vr of a row; None if it is not three numbers."""
+    try:
+        numbers = [float(field) for field in fields]
+    except ValueError:
+        return None
+    return numbers[0] if len(numbers) == _COLUMNS and all(abs(n) <= _LARGEST for n in numbers) else None
 
 
 def _frame(values: NDArray[np.float64]) -> FrameBlock:

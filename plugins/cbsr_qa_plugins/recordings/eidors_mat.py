@@ -15,6 +15,8 @@ from cbsr_qa.domain.recording import ReadOptions, Recording, ScanKind
 
 _ELECTRODES: Final = 16
 _VALUES: Final = _ELECTRODES**2
+_HEADER_BYTES: Final = 512  # in front of the HDF5 part of a file of version 7.3
+_HDF5: Final = b"\x89HDF\r\n\x1a\n"
 #: Frame rates the data's authors state; the files themselves hold no times.
 _DOCUMENTED_RATE_HZ: Final = {"zc_demo": 7.0, "zc_resp": 7.0, "zc_breathhold": 7.0}
 _LAYOUT: Final = ElectrodeLayout(_ELECTRODES, ElectrodeKind.ARC, 1.0, 0.1, 0.0, counterclockwise=True)
@@ -31,15 +33,17 @@ class EidorsMat:
     """
 
     def recognises(self, path: Path, head: bytes) -> bool:
-        """Tell by the header every MATLAB file starts with."""
-        return head.startswith(b"MATLAB 5.0 MAT-file") or (path.suffix == ".mat" and head.startswith(b"MATLAB"))
+        """Tell by the header every MATLAB file starts with; HDF5 of that ending is refused with how to save it."""
+        return head.startswith((b"MATLAB 5.0 MAT-file", b"MATLAB 7.3 MAT-file")) or (
+            path.suffix == ".mat" and head.startswith((b"MATLAB", _HDF5))
+        )
 
     def datasets(self, path: Path) -> tuple[str, ...]:
         """Name the matrices of 256 rows, in the file's order."""
         return tuple(_matrices(path))
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
-        """Read one data set and its reference.
+        """Read one data set, and the reference its name points to unless the options name one.
 
         Returns
         -------
@@ -53,7 +57,7 @@ class EidorsMat:
         matrices = _matrices(path)
         name = _chosen(path, matrices, options.dataset)
         matrix = matrices[name]
-        reference, reference_note = _reference(path, matrices, name, options)
+        reference, reference_note = _reference(matrices, name) if options.reference is None else (None, "")
         still = matrix.shape[1] == 1
         rate_hz = None if still else next((r for p, r in _DOCUMENTED_RATE_HZ.items() if name.startswith(p)), None)
         notes = [reference_note, "readings are absolute values: signs are put back from the pattern's geometry"]
@@ -77,13 +81,18 @@ class EidorsMat:
 
 
 def _matrices(path: Path) -> dict[str, Matrix]:
+    with path.open("rb") as file:
+        head = file.read(_HEADER_BYTES + len(_HDF5))
+    if head.startswith((_HDF5, b"MATLAB 7.3")) or head.endswith(_HDF5):
+        raise RecordingError(
+            f"{path.name} is a MATLAB file of version 7.3 (HDF5)", remedy="save it in MATLAB or Octave with -v7"
+        )
     try:
         content: dict[str, Any] = scipy.io.loadmat(path)
-    except NotImplementedError as error:
-        raise RecordingError(f"{path.name} is a MATLAB 7.3 file", remedy="save it with -v7") from error
     except Exception as error:  # a damaged file makes scipy raise nearly anything
         raise RecordingError(
-            f"{path.name} cannot be read as a MATLAB file: {error}", remedy="it is cut or damaged; get it again"
+            f"{path.name} cannot be read as a MATLAB file: {error}",
+            remedy="it is cut, damaged or of another format; get it again",
         ) from error
     found = {name: value for name, value in content.items() if _is_frames(value)}
     if not found:
@@ -118,20 +127,11 @@ def _frames_said(matrix: Matrix) -> str:
     return "1 frame" if matrix.shape[1] == 1 else f"{matrix.shape[1]} frames"
 
 
-def _reference(
-    path: Path, matrices: dict[str, Matrix], name: str, options: ReadOptions
-) -> tuple[FrameBlock | None, str]:
-    if options.reference is not None:
-        other, asked = options.reference
-        candidates = matrices if other == path else _matrices(other)
-        chosen = _chosen(other, candidates, asked)
-        return _block(candidates[chosen], None), f"changes are against {chosen} of {other.name}"
+def _reference(matrices: dict[str, Matrix], name: str) -> tuple[FrameBlock | None, str]:
     conventional = _conventional_reference(name)
-    if conventional is not None and conventional in matrices:
-        return _block(
-            matrices[conventional], None
-        ), f"changes are against {conventional} of the same file, by its name"
-    return None, ""
+    if conventional is None or conventional not in matrices:
+        return None, ""
+    return _block(matrices[conventional], None), f"changes are against {conventional} of the same file, by its name"
 
 
 def _conventional_reference(name: str) -> str | None:

@@ -53,8 +53,13 @@ def board_clock(lines: list[Line], width: int) -> Clock:
     computer = {
         line.number: (line.computer_s or 0.0) + offsets[line.number] for line in lines if line.computer_s is not None
     }
-    if width == PAIRS:
+    stands = width > PAIRS and _stands_still(rows)
+    if width == PAIRS or stands:
         clock = Clock("computer", _rising(rows, computer), sessions=offsets)
+        if stands:
+            what = f"the board's clock stands still (at {rows[0].numbers[0]} ms here): the computer's clock is used"
+            clock.problems.append(RowProblem(rows[0].number, what, False))
+            clock.notes.append("the board's clock stands still: times are from the computer's clock")
         if len({clock.row_s[row.number] for row in rows}) < len(rows) / 4:
             _spread_repeated(clock, rows)
         return clock
@@ -128,6 +133,11 @@ def _follow_board(clock: Clock, rows: list[Line], computer: dict[int, float]) ->
                 clock.problems.append(RowProblem(row.number, f"the board's clock jumps by {step_ms} ms here", False))
         now_s += step_s
         clock.row_s[row.number] = now_s
+
+
+def _stands_still(rows: list[Line]) -> bool:
+    """Whether the board's clock cannot tell frames apart: less than one step a frame."""
+    return len(rows) > 1 and len({row.numbers[0] for row in rows}) < max(2.0, len(rows) / PAIRS)
 
 
 def _rising(rows: list[Line], computer: dict[int, float]) -> dict[int, float]:

@@ -2,8 +2,11 @@
 
 import re
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import replace
+from itertools import chain, islice
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -13,9 +16,14 @@ from cbsr_qa.domain.recording import ReadOptions, Recording, RowProblem, ScanKin
 from cbsr_qa_plugins.recordings.ert_board_clock import board_clock, force_samples, frame_times
 from cbsr_qa_plugins.recordings.ert_board_frames import Assembly, assemble
 from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Line, LineKind, complaint, parse_line
+from cbsr_qa_plugins.recordings.text_lines import MOST_BAD_IN_A_ROW, refuse_dataset, text_lines
 
 _TITLE = re.compile(rb"(?im)^\s*time(_pc)? \[s\],.*data")
 _WITH_MASS = re.compile(r"(?i)mass")
+#: Lines among which the titles are.
+_TOP: Final = 10
+#: The file states the drive current in µA; this board drives far less than an ampere.
+_MOST_UA: Final = 1e6
 
 
 class ErtBoardCsv:
@@ -29,8 +37,8 @@ class ErtBoardCsv:
         """Tell by the titles, or by the ``UTC:`` line of a file that is cut right after it."""
         if b"voltage [V]" in head:
             return False
-        text = head.removeprefix(b"\xef\xbb\xbf").lstrip()
-        return bool(_TITLE.search(head)) or (text.startswith(b"UTC:") and b"[s]" not in head)
+        text = head.removeprefix(b"\xef\xbb\xbf").lstrip().replace(b"\r", b"\n")
+        return bool(_TITLE.search(text)) or (text.startswith(b"UTC:") and b"[s]" not in head)
 
     def datasets(self, path: Path) -> tuple[str, ...]:
         """Such a file is one data set."""
@@ -46,31 +54,53 @@ class ErtBoardCsv:
         Raises
         ------
         RecordingError
-            If the file is empty, holds only headers, or no frame is complete.
+            If the file is empty, holds only headers, or no frame is complete; with the problems of its rows.
         """
-        if options.dataset:
-            raise RecordingError(f"{path.name} is one data set; it has none named {options.dataset!r}")
-        lines = _lines(path)
+        refuse_dataset(path, options)
+        lines, given_up = _lines(path)
         _refuse_without_rows(path, lines)
         width = _row_width(lines)
         lines, problems = _judged(lines, width)
+        problems += given_up
         scan = _scan_kind(lines)
         assembly = assemble(lines, scan)
         if not assembly.frames:
             raise RecordingError(
                 f"{path.name} holds no complete frame: {_inventory(lines, problems)}; {_needed(scan)}",
                 remedy="record for longer, or analyse another file",
+                problems=sorted(_with_frames(problems, assembly), key=lambda p: p.line),
             )
         return _recording(path, lines, width, scan, assembly, problems)
 
 
-def _lines(path: Path) -> list[Line]:
-    text = path.read_bytes().decode("utf-8-sig", errors="replace").replace("\x00", "")
-    raw = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
-    title = next((line for line in raw[:10] if line.lower().lstrip().startswith("time")), "")
+def _lines(path: Path) -> tuple[list[Line], list[RowProblem]]:
+    """Take the lines apart; give up, and say so, where thousands in a row hold no reading."""
+    kept: list[Line] = []
+    bad = 0
+    for line in _parsed(path):
+        kept.append(line)
+        good = line.kind is LineKind.MARK or (line.kind is LineKind.ROW and len(line.numbers) in (PAIRS, PAIRS + 1))
+        bad = 0 if good else bad + 1
+        if bad == MOST_BAD_IN_A_ROW:
+            what = f"{bad} lines in a row hold no row of readings; the rest of the file was not read"
+            return kept, [RowProblem(line.number, what, False)]
+    return kept, []
+
+
+def _parsed(path: Path) -> Iterator[Line]:
+    raw = text_lines(path)
+    top = list(islice(raw, _TOP))
+    title = next((line.text for line in top if line.text.lower().lstrip().startswith("time")), "")
     with_mass = bool(_WITH_MASS.search(title)) if title else True
-    parsed = (parse_line(number, line, with_mass=with_mass) for number, line in enumerate(raw, 1))
-    return [line for line in parsed if line.kind is not LineKind.BLANK]
+    for text in chain(top, raw):
+        line = parse_line(text.number, text.text, with_mass=with_mass)
+        if text.too_long:
+            said = f"a line of more than {len(text.text)} characters"
+            line = Line(text.number, LineKind.GARBLED, line.computer_s, said=said)
+        elif line.kind is LineKind.ROW and not text.ended and not line.closed:
+            line = replace(line, kind=LineKind.GARBLED, said="cut row: the file ends in the middle of it")
+        if line.kind is not LineKind.BLANK:
+            yield line
 
 
 def _refuse_without_rows(path: Path, lines: list[Line]) -> None:
@@ -95,8 +125,13 @@ def _row_width(lines: list[Line]) -> int:
 def _judged(lines: list[Line], width: int) -> tuple[list[Line], list[RowProblem]]:
     """Turn bad rows into garbled ones and say what is wrong with each."""
     judged: list[Line] = []
+    # The board prints a comma behind each number; a spreadsheet that saved the file again took the last one away.
+    closed = [line.closed for line in lines if line.kind is LineKind.ROW and len(line.numbers) == width]
+    commas = sum(closed) > len(closed) / 2
     for line in lines:
         what = complaint(line.numbers, width) if line.kind is LineKind.ROW else ""
+        if line.kind is LineKind.ROW and commas and not line.closed:
+            what = what or "cut row: no comma behind the last number, which may be cut too"
         judged.append(replace(line, kind=LineKind.GARBLED, said=what) if what else line)
     if width > PAIRS:
         judged = _clock_outliers(judged)
@@ -149,15 +184,16 @@ def _recording(
 ) -> Recording:
     clock = board_clock(lines, width)
     counts, unwrapped = _unsigned(assembly.counts(), scan)
+    current_A, current_note = _current(lines)
     block = FrameBlock(
         frame_times(assembly, clock),
         counts,
         np.zeros(counts.shape, dtype=np.uint8),
         VoltageUnit.COUNT,
-        _current(lines, scan),
+        current_A,
     )
     samples, force_notes = force_samples(lines, clock, clock.at(assembly.frames[0]))
-    notes = [*clock.notes, *force_notes, *assembly.notes]
+    notes = [*clock.notes, *force_notes, *current_note]
     if unwrapped:
         notes.append("counts are unsigned but were printed as signed 16-bit numbers; they are read as unsigned")
     return Recording(
@@ -173,6 +209,7 @@ def _recording(
         samples=samples,
         problems=tuple(sorted((*_with_frames(problems, assembly), *clock.problems), key=lambda p: p.line)),
         notes=tuple(notes),
+        frames_dropped=len(assembly.dropped),
     )
 
 
@@ -193,10 +230,19 @@ def _unsigned(counts: np.ndarray, scan: ScanKind) -> tuple[np.ndarray, bool]:
     return counts, False
 
 
-def _current(lines: list[Line], scan: ScanKind) -> float | None:
+def _current(lines: list[Line]) -> tuple[float | None, list[str]]:
     """Drive current [A] from ``Isrc:`` in µA; it was typed in by hand and may be text such as ``100plus``."""
-    stated = next((line.said for line in lines if line.kind is LineKind.HEADER and line.said.startswith("Isrc")), "")
+    stated = [line.said for line in lines if line.kind is LineKind.HEADER and line.said.lower().startswith("isrc")]
+    texts = {said.partition(",")[2].partition(",")[0].strip() for said in stated}
+    if not any(texts):
+        return None, []
+    if len(texts) > 1:
+        return None, [f"the file states different drive currents ({', '.join(sorted(texts))} µA): none is used"]
+    (text,) = texts
     try:
-        return float(stated.split(",")[1]) * 1e-6
-    except (IndexError, ValueError):
-        return None
+        current_uA = float(text)
+    except ValueError:
+        current_uA = float("nan")
+    if not 0 < current_uA <= _MOST_UA:
+        return None, [f"Isrc is {text[:20]!r}, which is no current in µA: the current is not stated"]
+    return current_uA * 1e-6, []

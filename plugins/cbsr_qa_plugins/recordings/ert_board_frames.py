@@ -1,6 +1,7 @@
 """Whole frames out of the ERT board's lines."""
 
 from dataclasses import dataclass, field
+from itertools import zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -43,13 +44,11 @@ class Assembly:
     dropped : frames that broke between two marks. The one cut by the start or the end of the file is not among
         them: every recording has those.
     dumps : stretches of log lines, one entry each.
-    notes : in words.
     """
 
     frames: list[Rows] = field(default_factory=list)
     dropped: list[DroppedFrame] = field(default_factory=list)
     dumps: list[RowProblem] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
 
     def counts(self) -> NDArray[np.float64]:
         """Return the readings, (frames, rows, 16) float64 [counts]."""
@@ -68,8 +67,9 @@ def assemble(lines: list[Line], scan: ScanKind) -> Assembly:
     if scan is ScanKind.DRIVEN_PAIRS:
         assembly.frames = [(line,) for line in lines if line.kind is LineKind.ROW]
         return assembly
-    for stretch in _sessions(lines):
-        _assemble_stretch(stretch, assembly)
+    sessions = _sessions(lines)
+    for session, following in zip_longest(sessions, sessions[1:]):
+        _assemble_session(session, assembly, again=None if following is None else following[0].number)
     return assembly
 
 
@@ -85,19 +85,20 @@ def _sessions(lines: list[Line]) -> list[list[Line]]:
     return [stretch for stretch in stretches if stretch]
 
 
-def _assemble_stretch(lines: list[Line], assembly: Assembly) -> None:
+def _assemble_session(lines: list[Line], assembly: Assembly, *, again: int | None) -> None:
+    """Put the frames of a session together; ``again`` is the first line of the one behind it."""
     marks = [k for k, line in enumerate(lines) if line.kind is LineKind.MARK]
-    ends: list[int | None] = [*marks[1:], None]
-    for begin, end in zip(marks, ends[-len(marks) :] if marks else [], strict=True):
+    for begin, end in zip_longest(marks, marks[1:]):
         inside = lines[begin + 1 : end]
         rows = tuple(line for line in inside if line.kind is LineKind.ROW)
         bad = tuple(line.number for line in inside if line.kind in (LineKind.GARBLED, LineKind.TORN))
         if len(rows) == PAIRS and not bad:
             assembly.frames.append(rows)
-        elif bad or (end is not None and inside):
-            last = inside[-1].number
+        elif bad or (inside and (end is not None or again is not None)):
             why = f"{len(rows)} whole rows where a frame has {PAIRS}"
-            assembly.dropped.append(DroppedFrame(inside[0].number - 1, last, bad, why))
+            if end is None and again is not None:
+                why += f", then headers, and the recording goes on in line {again}"
+            assembly.dropped.append(DroppedFrame(lines[begin].number, inside[-1].number, bad, why))
 
 
 def _dumps(lines: list[Line]) -> list[RowProblem]:

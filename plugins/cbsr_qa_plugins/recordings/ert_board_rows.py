@@ -20,8 +20,14 @@ PAIRS: Final = 16
 LOWEST_COUNT, HIGHEST_COUNT = -(2**15), 2**16 - 1
 
 _BYTES_LITERAL = re.compile(r"""^b(['"])(.*)\1$""", re.DOTALL)
-_INTEGER = re.compile(r"^[+-]?\d+(\.0*)?$")
-#: A line with at least this many numbers in front is a row of readings with something printed into it, not a log.
+_INTEGER = re.compile(r"^[+-]?\d{1,18}(\.0*)?$")
+#: A frame mark with something behind it: written twice, or joined with the end of a row.
+_SPOILT_MARK = re.compile(r"^A[A\d,.+-]+$", re.IGNORECASE)
+#: The board counts milliseconds in 32 bits.
+_LAST_BOARD_MS: Final = 2**32 - 1
+#: Latest time of a computer that is believed [s]; Unix time will reach it in the year 5138.
+_LAST_COMPUTER_S: Final = 1e11
+#: A line with at least this many numbers is a row of readings with something wrong in it, not a log.
 _NUMBERS_OF_A_ROW: Final = 3
 
 
@@ -48,6 +54,7 @@ class Line:
     mass_g : the load cell [g]; None where the line has none.
     numbers : the payload's numbers; empty unless the line is a row.
     said : the payload in words: a header's key, a log line's text, or what is wrong with a garbled row.
+    closed : whether a comma follows the last number, as the board prints it; without one the number may be cut.
     """
 
     number: int
@@ -56,9 +63,10 @@ class Line:
     mass_g: float | None = None
     numbers: tuple[int, ...] = ()
     said: str = ""
+    closed: bool = False
 
 
-def split_fields(text: str) -> tuple[list[str], bool]:
+def split_fields(text: str) -> tuple[list[str], bool, bool]:
     """Split one line into fields: quotes and bytes literals opened, empty fields at its end dropped.
 
     Parameters
@@ -67,20 +75,28 @@ def split_fields(text: str) -> tuple[list[str], bool]:
 
     Returns
     -------
-    The fields, and whether all after the first came out of one bytes literal (the whole serial line, no mass).
+    The fields, whether all after the first came out of one bytes literal (the whole serial line, no mass), and
+    whether a comma follows the last field (within its literal, if it came out of one).
     """
     fields = next(csv.reader([text]), []) if '"' in text else text.split(",")
     fields = [field.strip() for field in fields]
-    while fields and not fields[-1]:
-        fields.pop()
+    closed = _without_empty_end(fields)
     whole_line = len(fields) == 2 and bool(_BYTES_LITERAL.match(fields[1]))
     opened: list[str] = []
     for field in fields:
         literal = _BYTES_LITERAL.match(field)
         opened += literal.group(2).replace("\\r", "").replace("\\n", "").split(",") if literal else [field]
-    while opened and not opened[-1]:
-        opened.pop()
-    return opened, whole_line
+    if fields and _BYTES_LITERAL.match(fields[-1]):
+        closed = _without_empty_end(opened)
+    return opened, whole_line, closed
+
+
+def _without_empty_end(fields: list[str]) -> bool:
+    """Drop the empty fields at the end; return whether there were any."""
+    count = len(fields)
+    while fields and not fields[-1]:
+        fields.pop()
+    return len(fields) < count
 
 
 def parse_line(number: int, text: str, *, with_mass: bool) -> Line:
@@ -91,32 +107,34 @@ def parse_line(number: int, text: str, *, with_mass: bool) -> Line:
     number : 1-based line of the file.
     with_mass : whether the titles promise a load cell column.
     """
-    fields, whole_line = split_fields(text)
+    fields, whole_line, closed = split_fields(text)
     if not fields:
         return Line(number, LineKind.BLANK)
     key = fields[0].lower()
     if key in ("utc:", "isrc:") or key.startswith("time"):
         return Line(number, LineKind.HEADER, said=",".join(fields))
     computer_s = _float(fields[0])
-    if computer_s is None:
+    if computer_s is None or abs(computer_s) > _LAST_COMPUTER_S:
         return Line(number, LineKind.GARBLED, said=f"it does not start with a time but with {fields[0][:20]!r}")
     with_mass = with_mass and not whole_line
     mass_g = _float(fields[1]) if with_mass and len(fields) > 1 else None
     payload = fields[2:] if with_mass else fields[1:]
     kind, numbers, said = _payload(payload)
-    return Line(number, kind, computer_s, mass_g, numbers, said)
+    return Line(number, kind, computer_s, mass_g, numbers, said, closed)
 
 
 def _payload(fields: list[str]) -> tuple[LineKind, tuple[int, ...], str]:
     if fields == ["A"]:
         return LineKind.MARK, (), "A"
     if fields and all(_INTEGER.match(field) for field in fields):
-        return LineKind.ROW, tuple(int(float(field)) for field in fields), ""
-    leading = next((k for k, field in enumerate(fields) if not _INTEGER.match(field)), len(fields))
-    if leading < _NUMBERS_OF_A_ROW:
-        return LineKind.LOG, (), ",".join(fields)
+        return LineKind.ROW, tuple(int(field.partition(".")[0]) for field in fields), ""
+    if _SPOILT_MARK.match(text := ",".join(fields)):
+        return LineKind.GARBLED, (), f"a frame mark with something behind it: {text[:40]!r}"
+    if sum(bool(_INTEGER.match(field)) for field in fields) < _NUMBERS_OF_A_ROW:
+        return LineKind.LOG, (), text
+    leading = next(k for k, field in enumerate(fields) if not _INTEGER.match(field))
     odd = fields[leading] or "an empty field"
-    if "\x1b" in odd or "task_wdt" in odd:
+    if leading >= _NUMBERS_OF_A_ROW and ("\x1b" in odd or "task_wdt" in odd):
         return (
             LineKind.TORN,
             (),
@@ -146,8 +164,8 @@ def complaint(numbers: tuple[int, ...], width: int) -> str:
     for value in numbers[width - PAIRS :]:
         if not LOWEST_COUNT <= value <= HIGHEST_COUNT:
             return f"absurd: {value} is not a count of a 16-bit converter"
-    if width > PAIRS and numbers[0] < 0:
-        return f"absurd: the board's clock says {numbers[0]} ms"
+    if width > PAIRS and not 0 <= numbers[0] <= _LAST_BOARD_MS:
+        return f"absurd: the board's clock says {numbers[0]} ms; it counts in 32 bits"
     return ""
 
 

@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, SampleBlock, VoltageUnit
 from cbsr_qa.domain.recording import ReadOptions, Recording, RowProblem, ScanKind
-from cbsr_qa_plugins.recordings.smu_rig_rows import Reading, read_sessions
+from cbsr_qa_plugins.recordings.smu_rig_rows import FRAME, Reading, read_stretches
+from cbsr_qa_plugins.recordings.smu_rig_scan import frames_of
+from cbsr_qa_plugins.recordings.text_lines import refuse_dataset
 
 _PAIRS: Final = 16
-_FRAME: Final = _PAIRS**2
 _DECLARED_ORDER: Final = "the current pair is the inner loop"
 #: Largest pause between two sessions of one file that is believed [s]; longer ones only push later frames away.
 _SESSION_GAP_S: Final = 1.0
@@ -25,8 +26,8 @@ class SmuRigCsv:
     """Reads one line a reading, 256 a frame, scanned with the current pair as the inner loop.
 
     Frames are put into canonical order (row = drive pair, column = measure pair). The rig's start-up query was itself
-    a step of the multiplexer, so a file may be shifted by one reading: the shift is decided from where the large
-    driven-pair readings are, and said in the notes.
+    a step of the multiplexer, so a file may be shifted by one reading: where the scan stands is decided from where
+    the large driven-pair readings are, again behind every gap, and said.
     """
 
     def recognises(self, path: Path, head: bytes) -> bool:
@@ -43,20 +44,19 @@ class SmuRigCsv:
         Raises
         ------
         RecordingError
-            If the file is empty or holds only headers, or no frame of 256 good readings is complete.
+            If the file is empty, holds only headers or lacks a column, or no frame of 256 good readings is complete.
         """
-        if options.dataset:
-            raise RecordingError(f"{path.name} is one data set; it has none named {options.dataset!r}")
-        sessions, problems = read_sessions(path)
-        shift = _shift(sessions)
-        frames, dropped = _frames(sessions, shift)
-        problems += dropped
+        refuse_dataset(path, options)
+        stretches, problems = read_stretches(path)
+        scans = frames_of(stretches)
+        frames = scans.frames
+        problems = sorted((*problems, *scans.dropped, *scans.moved), key=lambda p: p.line)
         if not frames:
-            count = sum(len(session) for session in sessions)
+            count = sum(len(stretch.readings) for stretch in stretches)
             raise RecordingError(
-                f"{path.name} holds no complete frame: {count} lines, {len(problems)} of them bad;"
-                f" a frame is {_FRAME} readings",
+                f"{path.name} holds no complete frame: {_inventory(problems, count)}; a frame is {FRAME} readings",
                 remedy="record for longer, or analyse another file",
+                problems=problems,
             )
         times = _reading_times(frames)
         zero_s = float(times[0].mean())
@@ -72,42 +72,24 @@ class SmuRigCsv:
             magnitudes_only=False,
             clock="computer",
             samples=samples,
-            problems=tuple(sorted(problems, key=lambda p: p.line)),
-            notes=(_order_note(shift), *notes),
+            problems=tuple(problems),
+            notes=(_order_note(scans.late), *notes),
+            frames_dropped=len(scans.dropped),
         )
 
 
-def _order_note(shift: int) -> str:
+def _inventory(problems: list[RowProblem], readings: int) -> str:
+    bad = [problem for problem in problems if problem.rejected]
+    first = f" (the first in line {bad[0].line}: {bad[0].what})" if bad else ""
+    return f"{readings} lines, {len(bad)} of them bad{first}"
+
+
+def _order_note(late: int) -> str:
     said = f"declared order: {_DECLARED_ORDER}; frames are stored with row = drive pair, column = measure pair"
-    return said + (f"; the recording starts {shift} reading late and was shifted back" if shift else "")
-
-
-def _shift(sessions: list[list[Reading]]) -> int:
-    """0 or 1: where in the scan the first line is, decided by the readings across the driven pairs, the largest."""
-    stream = np.array([abs(r.voltage) for r in max(sessions, key=len) if not r.bad])
-    usable = stream[: len(stream) // _FRAME * _FRAME].reshape(-1, _FRAME)
-    if not len(usable):
-        return 0
-    level = np.median(usable, axis=0)
-    driven = np.arange(_PAIRS) * (_PAIRS + 1)  # scan positions where drive and measure pair are the same
-    here, next_one = level[driven].sum(), level[(driven - 1) % _FRAME].sum()
-    return int(next_one > 2 * here)
-
-
-def _frames(sessions: list[list[Reading]], shift: int) -> tuple[Frames, list[RowProblem]]:
-    frames: Frames = []
-    problems: list[RowProblem] = []
-    for session in sessions:
-        aligned = session[(_FRAME - shift) % _FRAME :]
-        for start in range(0, len(aligned) - _FRAME + 1, _FRAME):
-            frame = aligned[start : start + _FRAME]
-            bad = [reading.line for reading in frame if reading.bad]
-            if bad:
-                span = f"frame of lines {frame[0].line} to {frame[-1].line} dropped"
-                problems.append(RowProblem(bad[0], f"{span}: {len(bad)} readings in it are bad or missing", False))
-            else:
-                frames.append(frame)
-    return frames, problems
+    if not late:
+        return said
+    count = "1 reading" if late == 1 else f"{late} readings"
+    return f"{said}; the recording starts {count} late and was shifted back"
 
 
 def _canonical(values: NDArray[np.float64]) -> NDArray[np.float64]:

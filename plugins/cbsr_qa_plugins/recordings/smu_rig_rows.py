@@ -9,12 +9,18 @@ from typing import Final
 
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.recording import RowProblem
+from cbsr_qa_plugins.recordings.text_lines import MOST_BAD_IN_A_ROW, text_lines
 
-COLUMNS: Final = 7  # time, voltage, i_src, force, x, y, z
+TITLES: Final = ("time_pc [s]", "voltage [V]", "i_src [A]", "f [N]", "x [mm]", "y [mm]", "z [mm]")
+COLUMNS: Final = len(TITLES)
 #: ``i_src`` is read once per this many readings and ``nan`` otherwise: a mark that shows where lines were lost.
 CURRENT_EVERY: Final = 16
+#: Readings a frame.
+FRAME: Final = 256
 
 _SATURATED = re.compile(r"^(?P<value>\S+)\s+MAX VOLTAGE ERROR$")
+#: Unix time will reach it in the year 5138; no source of this rig reaches a kilovolt or an ampere.
+_LAST_TIME_S, _MOST_V, _MOST_A = 1e11, 1e3, 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +35,7 @@ class Reading:
     current_A : None where it was not read.
     others : force [N], x, y, z [mm].
     bad : what is wrong; empty if nothing is.
+    copy : whether the line above reads the same.
     """
 
     line: int
@@ -38,35 +45,76 @@ class Reading:
     current_A: float | None
     others: tuple[float, ...]
     bad: str = ""
+    copy: bool = False
 
 
-def read_sessions(path: Path) -> tuple[list[list[Reading]], list[RowProblem]]:
-    """Read all lines; a file may have been appended to, then its headers repeat and each part is a session."""
+@dataclass(frozen=True, slots=True)
+class Stretch:
+    """Readings that follow each other without a gap.
+
+    Parameters
+    ----------
+    readings : at least one.
+    counted_at : position in the scan (0 to 255) of the first one, by counting from the one before; None where
+        nothing stands before: headers were repeated, or it is the first of the file.
+    """
+
+    readings: list[Reading]
+    counted_at: int | None
+
+
+def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem]]:
+    """Read all lines; a file may have been appended to, then its headers repeat, and lines may be lost or doubled.
+
+    Raises
+    ------
+    RecordingError
+        If the file is empty, holds only headers, or its titles lack a column.
+    """
     sessions: list[list[Reading]] = [[]]
     problems: list[RowProblem] = []
-    lines = path.read_bytes().decode("utf-8-sig", errors="replace").splitlines()
-    for number, text in enumerate(lines, 1):
+    before, bad, number = "", 0, 0
+    for line in text_lines(path):
+        number, text = line.number, line.text
         fields = [field.strip() for field in text.split(",")]
         if not any(fields):
             continue
         if fields[0].startswith(("UTC:", "time_pc")):
+            _check_titles(path, fields)
             if sessions[-1]:
                 sessions.append([])
             continue
-        reading = _reading(number, fields)
+        reading = _reading(number, fields, copy=text == before)
+        before, bad = text, bad + 1 if reading.bad else 0
         if reading.bad:
             problems.append(RowProblem(number, reading.bad, True))
         sessions[-1].append(reading)
-    filled = [_with_lost_lines(session, problems) for session in sessions if session]
-    if not filled:
+        if bad == MOST_BAD_IN_A_ROW:
+            what = f"{bad} lines in a row are no readings; the rest of the file was not read"
+            problems.append(RowProblem(number, what, False))
+            break
+    stretches = [stretch for session in sessions if session for stretch in _stretches(session, problems)]
+    if not stretches:
         raise RecordingError(
-            f"{path.name} holds only headers, not one reading" if lines else f"{path.name} is empty",
+            f"{path.name} holds only headers, not one reading" if number else f"{path.name} is empty",
             remedy="record again, or analyse another file",
         )
-    return filled, problems
+    return stretches, problems
 
 
-def _reading(number: int, fields: list[str]) -> Reading:
+def _check_titles(path: Path, fields: list[str]) -> None:
+    titles = [field for field in fields if field]
+    if not titles[0].startswith("time_pc") or len(titles) >= COLUMNS:
+        return
+    there = {title.split()[0] for title in titles}
+    missing = [title for title in TITLES if title.split()[0] not in there]
+    raise RecordingError(
+        f"{path.name} has {len(titles)} columns where this format has {COLUMNS}; missing: {', '.join(missing)}",
+        remedy="record force and position too; a column that was not measured may hold nan",
+    )
+
+
+def _reading(number: int, fields: list[str], *, copy: bool) -> Reading:
     if len(fields) != COLUMNS:
         return _bad(number, f"{len(fields)} fields where a reading has {COLUMNS}")
     saturated = _SATURATED.match(fields[1])
@@ -76,11 +124,12 @@ def _reading(number: int, fields: list[str]) -> Reading:
     except ValueError:
         wrong = next(text for text in texts if not _is_number(text))
         return _bad(number, f"{wrong[:40]!r} is not a number")
-    if not (abs(time_s) < float("inf") and abs(voltage) < float("inf")):
-        return _bad(number, f"time {time_s} or voltage {voltage} is not a finite number")
-    return Reading(
-        number, time_s, voltage, saturated is not None, None if math.isnan(current) else current, tuple(others)
-    )
+    if not (abs(time_s) <= _LAST_TIME_S and abs(voltage) <= _MOST_V):
+        return _bad(number, f"time {time_s} s or voltage {voltage} V is not a possible number")
+    if abs(current) > _MOST_A:
+        return _bad(number, f"current {current} A is not a possible number")
+    current_A = None if math.isnan(current) else current
+    return Reading(number, time_s, voltage, saturated is not None, current_A, tuple(others), copy=copy)
 
 
 def _bad(number: int, why: str) -> Reading:
@@ -95,18 +144,33 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _with_lost_lines(session: list[Reading], problems: list[RowProblem]) -> list[Reading]:
-    """Put placeholders where lines were lost: there two current readings are not a multiple of 16 lines apart."""
+def _stretches(session: list[Reading], problems: list[RowProblem]) -> list[Stretch]:
+    """Cut a session where two current readings are not a multiple of 16 lines apart; copies of lines go first."""
+    session = _without_copies(session, problems)
     at = [k for k, reading in enumerate(session) if reading.current_A is not None]
-    inserted: dict[int, int] = {}
+    gaps = [(before, after) for before, after in pairwise(at) if (after - before) % CURRENT_EVERY]
+    if len(gaps) > len(at) / 2:  # the current is not read in this rhythm here
+        gaps = []
+    out: list[Stretch] = []
+    start, counted_at = 0, None
+    for before, after in gaps:
+        count = after - before
+        what = f"{count - 1} lines between two readings of the current, not a multiple of {CURRENT_EVERY} less one"
+        what += f": {-count % CURRENT_EVERY} lines are missing before this one, or {count % CURRENT_EVERY} too many"
+        problems.append(RowProblem(session[after].line, what, False))
+        out.append(Stretch(session[start : before + 1], counted_at))
+        whole = -(-count // CURRENT_EVERY) * CURRENT_EVERY
+        start, counted_at = after, ((counted_at or 0) + before - start + whole) % FRAME
+    return [*out, Stretch(session[start:], counted_at)]
+
+
+def _without_copies(session: list[Reading], problems: list[RowProblem]) -> list[Reading]:
+    at = [k for k, reading in enumerate(session) if reading.current_A is not None]
+    dropped: set[int] = set()
     for before, after in pairwise(at):
-        if lost := -(after - before) % CURRENT_EVERY:
-            inserted[after] = lost
-            problems.append(RowProblem(session[after].line, f"{lost} lines are missing before this one", False))
-    if not inserted or len(inserted) > len(at) / 2:
-        return session
-    out: list[Reading] = []
-    for k, reading in enumerate(session):
-        out += [_bad(reading.line, "a line is missing")] * inserted.get(k, 0)
-        out.append(reading)
-    return out
+        copies = {k for k in range(before + 1, after + 1) if session[k].copy}
+        if (after - before) % CURRENT_EVERY and (after - before - len(copies)) % CURRENT_EVERY == 0:
+            dropped |= copies
+    said = "the line is written twice; the copy is left out"
+    problems += [RowProblem(session[k].line, said, True) for k in sorted(dropped)]
+    return [reading for k, reading in enumerate(session) if k not in dropped]
