@@ -53,7 +53,7 @@ def test_rejected_rows_come_first_with_line_and_reason(result):
     (table,) = [block for block in SECTIONS[2].render(result).blocks if isinstance(block, Table)]
     assert [cell.text for cell in table.rows[0]][:2] == ["41", "rejected"]
     assert "watchdog" in table.rows[-1][2].text
-    assert "1 row" in table.caption
+    assert "1 row rejected, 1 frame dropped" in table.caption
 
 
 def test_the_report_holds_all_three_sections(result):

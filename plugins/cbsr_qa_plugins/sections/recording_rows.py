@@ -20,7 +20,8 @@ class RecordingRows:
         shown = sorted(recording.problems, key=lambda p: (not p.rejected, p.line))[:_MOST_ROWS]
         if shown:
             left = len(recording.problems) - len(shown)
-            caption = f"{plural(recording.rows_rejected, 'row')} rejected; the others cost no reading."
+            cost = f", {plural(recording.frames_dropped, 'frame')} dropped" if recording.frames_dropped else ""
+            caption = f"{plural(recording.rows_rejected, 'row')} rejected{cost}; the rest is noted."
             caption += f" {left} more are not shown." if left else ""
             rows = [[str(p.line), "rejected" if p.rejected else "noted", p.what] for p in shown]
             blocks.append(text_table(caption, ("Line", "What became of it", "Why"), rows, (0,)))
