@@ -51,6 +51,7 @@ class Page:
     identity : (name, value) pairs, in reading order.
     simulated : in words, what was simulated; empty for a real bench.
     warnings : in plain words.
+    remarks : worth knowing, nothing to worry about: rows of a recording that were left out and said why.
     """
 
     kind: str
@@ -59,6 +60,7 @@ class Page:
     identity: tuple[tuple[str, str], ...]
     simulated: tuple[str, ...]
     warnings: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
 
 
 def run_page(result: RunResult) -> Page:
@@ -99,7 +101,7 @@ def recording_page(result: RecordingResult) -> Page:
     )
     headline = f"{plural(found, 'event')} found" if found else "no event"
     banner = Banner("plain", "●" if found else "○", headline, _found(result))
-    return Page("Recording report", recording.path.name, banner, facts, (), result.warnings)
+    return Page("Recording report", recording.path.name, banner, facts, (), (), result.warnings)
 
 
 def _verdict(result: RunResult) -> Banner:

@@ -246,6 +246,15 @@ def test_a_recording_says_what_was_found_in_it():
     assert "failed" not in words
 
 
+def test_what_is_only_worth_knowing_about_a_recording_is_no_warning():
+    recording = replace(sample_recording(1), warnings=("1 row was rejected, see the list of <problems>",))
+    words = Structure(render_recording(recording, [])).words()
+    assert "1 remark 1 row was rejected, see the list of <problems>" in words
+    assert "warning" not in words
+    missing = Structure(render_recording(recording, [], warnings=["a plugin is missing"])).words()
+    assert "1 warning a plugin is missing 1 remark" in missing
+
+
 def test_a_report_is_written_whole(tmp_path):
     path = tmp_path / "new" / "report.html"
     write_report(path, "first")
