@@ -189,7 +189,11 @@ class Reconstruction(Protocol):
 
 @runtime_checkable
 class LoadMetric(Protocol):
-    """A metric of one press."""
+    """A metric of one press.
+
+    A metric of either kind may have an attribute ``measures``, a mapping from the names of its measurements to
+    their units. Limits are then checked against it before anything moves; without it, only after the run.
+    """
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; a quantity that cannot be determined is a Measurement without value, never an exception."""

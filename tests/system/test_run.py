@@ -146,14 +146,83 @@ def test_a_limit_that_is_not_met_fails_the_run_with_exit_code_1(tmp_path):
     assert run["calibration_why"]
 
 
-def test_a_limit_in_the_wrong_unit_never_passes_and_the_run_is_kept(tmp_path):
-    recipe = short_recipe(tmp_path, **{'unit = "mm"': 'unit = "µm"'})
-    done = cbsr_qa(
-        tmp_path, "run", "--station", "simulated", "--recipe", recipe, "--serial", "A", "--json", check=False
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({'measurement = "centre_of_mass_error"': 'measurement = "centre_of_mass_eror"'}, "did you mean 'centre_of"),
+        ({'unit = "mm"': 'unit = "µm"'}, "is in 'µm'; it is measured in 'mm'"),
+        ({"exponent = 0.25": "exponent = 1e9"}, "not in 0"),
+        ({"exponent = 0.25": "exponant = 0.25"}, "did you mean 'exponent'"),
+        ({"noise_figure = 1.0": "noise_figure = 1e6"}, "allows"),
+        ({"noise_floor_frames = 8": "noise_floor_frames = 50"}, "takes 30 unloaded frames"),
+    ],
+)
+def test_what_the_analysis_would_refuse_is_refused_before_anything_moves(tmp_path, change, said):
+    recipe = short_recipe(tmp_path, **change)
+    for more in ([], ["--dry-run"]):
+        files = ["--station", "simulated", "--recipe", recipe, "--serial", "A", "--json", *more]
+        done = cbsr_qa(tmp_path, "run", *files, check=False)
+        assert done.returncode == 2
+        refused = document(done)["refused"]
+        assert said in refused["reason"] + refused["remedy"]
+    assert not (tmp_path / "var").exists()
+
+
+def test_every_built_in_metric_measures_what_it_declares(finished):
+    from cbsr_qa.hookspecs import Kind
+    from cbsr_qa.plugins import discover
+
+    plugins = discover()
+    declared = {}
+    for name in plugins.names(Kind.METRIC):
+        declared |= plugins.factory(Kind.METRIC, name)().measures
+    measured = {m["name"]: m["unit"] for m in finished[1]["measurements"]}
+    assert measured == declared
+
+
+def test_an_overdue_calibration_is_a_warning(tmp_path):
+    from cbsr_qa.config.documents import DocumentKind, open_document
+
+    station = open_document(DocumentKind.STATION, "simulated").text + "calibration_due = 2020-01-01\n"
+    (tmp_path / "old.toml").write_text(station)
+    files = ["--station", "old.toml", "--recipe", short_recipe(tmp_path), "--serial", "A", "--seed", "11"]
+    run = document(cbsr_qa(tmp_path, "run", *files, "--json"))
+    assert any("was due on 2020-01-01" in warning for warning in run["warnings"])
+
+
+def test_a_calibration_file_that_could_not_be_written_costs_no_verdict_and_is_written_again(tmp_path):
+    blocked = tmp_path / "var" / "calibrations"
+    # A folder that goes away in the middle of a run: a full disk, as far as can be had without one.
+    script = f"""
+import shutil, sys
+from pathlib import Path
+import cbsr_qa.app.run_sensor as run_sensor
+
+real = run_sensor.conclude
+def conclude(*arguments):
+    shutil.rmtree({str(blocked)!r})
+    Path({str(blocked)!r}).write_text("in the way")
+    return real(*arguments)
+run_sensor.conclude = conclude
+from cbsr_qa.cli.main import guarded
+sys.exit(guarded(sys.argv[1:]))
+"""
+    import subprocess
+    import sys
+
+    files = ["--station", "simulated", "--recipe", short_recipe(tmp_path), "--serial", "A", "--seed", "11", "--json"]
+    done = subprocess.run(
+        [sys.executable, "-c", script, "run", *files], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     run = document(done)
-    assert (done.returncode, run["end"], run["outcome"]) == (3, "finished", "not measured")
-    assert "the limit is in µm, the measurement in mm" in run["reason"]
+    assert (done.returncode, run["end"], run["outcome"], run["calibration"]) == (3, "finished", "pass", None)
+    assert any("could not be written" in warning for warning in run["warnings"])
+    assert (tmp_path / run["report"]).is_file()
+
+    blocked.unlink()
+    cbsr_qa(tmp_path, "report", "A")
+    (written,) = blocked.glob("*.h5")
+    cbsr_qa(tmp_path, "calibration", "verify", str(written))
 
 
 def test_a_dry_run_writes_nothing(tmp_path):

@@ -1,6 +1,6 @@
 """The force that was applied while the steady image was taken."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
@@ -9,6 +9,8 @@ from cbsr_qa_plugins.metrics._shared import at_load, refuse_unknown
 
 class AppliedForce:
     """``force`` [N] of each load: the load cell's mean over the steady frames. It has no options."""
+
+    measures: ClassVar[dict[str, str]] = {"force": "N"}
 
     def __init__(self, **options: Any) -> None:
         refuse_unknown("applied-force", options)

@@ -1,6 +1,6 @@
 """A_OL: mutual overlap of sensed region and indenter (paper Eq 5), with the band it falls into."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 from cbsr_qa.domain.image import Blob
 from cbsr_qa.domain.measurement import Measurement
@@ -17,6 +17,8 @@ class AreaOverlap:
     Both ``how`` begin with the band, e.g. ``"good; A_b/A_FA 1.02; exact clipping"``. Clipping, bands and the
     sizes for which they count are the recipe's analysis settings; there are no options.
     """
+
+    measures: ClassVar[dict[str, str]] = {"area_overlap": "%", "area_ratio": "1"}
 
     def __init__(self, **options: Any) -> None:
         refuse_unknown("area-overlap", options)

@@ -1,6 +1,6 @@
 """E_CoM: how far the sensed region's centre of mass is from the indenter's centre (paper Eq 4)."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
@@ -13,6 +13,8 @@ class CentreOfMassError:
 
     It has no options.
     """
+
+    measures: ClassVar[dict[str, str]] = {"centre_of_mass_error": "mm"}
 
     def __init__(self, **options: Any) -> None:
         refuse_unknown("centre-of-mass-error", options)

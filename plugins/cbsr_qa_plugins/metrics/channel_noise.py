@@ -1,6 +1,6 @@
 """Signal-to-noise ratio of the single readings, and the drift of all of them together."""
 
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ class ChannelNoise:
     A reading's ratio is its mean's size over its rms deviation from a straight line in time, so that drift counts
     once, as drift. Drift is the slope of the frames' common scale against the reference. It has no options.
     """
+
+    measures: ClassVar[dict[str, str]] = {"channel_snr": "dB", "drift": "%/min"}
 
     def __init__(self, **options: Any) -> None:
         refuse_unknown("channel-noise", options)

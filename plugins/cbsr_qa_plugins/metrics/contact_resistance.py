@@ -1,6 +1,6 @@
 """Resistance between the electrodes of each driven pair, contacts included."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,6 +17,12 @@ class ContactResistance:
     ``contact_resistance_ratio`` [1], largest over median, whose ``how`` names the worst pair. The readings are the
     reference frame's that are driven and measured by one pair. It has no options.
     """
+
+    measures: ClassVar[dict[str, str]] = {
+        "contact_resistance": "Ω",
+        "interelectrode_resistance": "Ω",
+        "contact_resistance_ratio": "1",
+    }
 
     def __init__(self, **options: Any) -> None:
         refuse_unknown("contact-resistance", options)

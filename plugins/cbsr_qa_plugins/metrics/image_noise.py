@@ -1,6 +1,6 @@
 """Noise of the unloaded images: the floor that masks subtract, and σ_n over time."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -16,6 +16,8 @@ class ImageNoise:
     σ_n is the standard deviation over time of the unloaded images: without qualifier of their area-weighted mean,
     with ``"per element"`` the rms of the single elements'. It has no options.
     """
+
+    measures: ClassVar[dict[str, str]] = {"noise_floor": "1", "conductance_noise": "1"}
 
     def __init__(self, **options: Any) -> None:
         refuse_unknown("image-noise", options)

@@ -1,6 +1,6 @@
 """Reciprocity: exchanging drive and measure pair must not change a reading."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -15,6 +15,8 @@ class ReciprocityError:
     Multiplexers that keep a share of the previous reading break reciprocity too: a large value is a reason to look,
     not yet an electrode fault. It has no options.
     """
+
+    measures: ClassVar[dict[str, str]] = {"reciprocity_error": "1"}
 
     def __init__(self, **options: Any) -> None:
         refuse_unknown("reciprocity", options)

@@ -1,6 +1,6 @@
 """Settling times of every fitted relaxation, their means over the run, and the one all loads have in common."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,12 @@ class SettlingTimes:
     for 29 s in simulation). The common one is of a single fit to all traces, which share their time constants, and
     has no such bias where they carry both. It has no options.
     """
+
+    measures: ClassVar[dict[str, str]] = {
+        "settling_time": "s",
+        "mean_settling_time": "s",
+        "common_settling_time": "s",
+    }
 
     def __init__(self, **options: Any) -> None:
         refuse_unknown("settling-time", options)

@@ -1,6 +1,6 @@
 """SD: mean squared distance of the sensed region's outline from the indenter's (paper Eq 6)."""
 
-from typing import Any
+from typing import Any, ClassVar
 
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
@@ -15,6 +15,8 @@ class ShapeDeviation:
     The mean runs over the outline's length or its nodes, as the recipe's analysis settings say; there are no
     options.
     """
+
+    measures: ClassVar[dict[str, str]] = {"shape_deviation": "mm²"}
 
     def __init__(self, **options: Any) -> None:
         refuse_unknown("shape-deviation", options)
