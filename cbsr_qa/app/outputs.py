@@ -157,7 +157,8 @@ def write_outputs(result: RunResult, recipe: Recipe, plugins: Plugins, stages: S
 
 def calibration_path(identity: RunIdentity) -> Path:
     """Where the calibration file of a run lies."""
-    return calibrations_folder() / f"{identity.sensor.serial}-{identity.run}.h5"
+    name = report_name(identity.sensor.serial, identity.run)  # safe whatever a serial of an old database holds
+    return calibrations_folder() / Path(name).with_suffix(".h5")
 
 
 def _exported(calibration: Calibration, path: Path, failed: list[str]) -> Path | None:

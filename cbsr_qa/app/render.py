@@ -42,7 +42,7 @@ Rebuild = Callable[[str], tuple[RunResult, tuple[str, ...]]]
 
 
 def render_stored(run_or_serial: str, *, database: str | None = None, folder: Path | None = None) -> Rendered:
-    """Render the report of a stored run again.
+    """Render the report of a stored run again, and write its calibration file if that is gone.
 
     Parameters
     ----------
@@ -60,13 +60,20 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
     plugins = discover()
     with open_store(database_url(database), create=False) as store:
         run = store.resolve(run_or_serial)
-        return render_again(run, lambda one: rebuilt(one, store, plugins), plugins, folder or reports_folder())
+        result, names = rebuilt(run, store, plugins)
+    _calibration_again(result)
+    return render_again(run, lambda _: (result, names), plugins, folder or reports_folder())
+
+
+def _calibration_again(result: RunResult) -> None:
+    """Write the calibration file of a run where it is not there: it is an export of what is stored."""
+    path = calibration_path(result.record.identity)
+    if result.calibration is not None and not path.exists():
+        write_calibration(path, result.calibration)
 
 
 def render_again(run: str, rebuild: Rebuild, plugins: Plugins, folder: Path) -> Rendered:
     """Render one run's report to ``<serial>-<run>.html``, the name the run itself gave it.
-
-    A calibration file that is not there is written again.
 
     Raises
     ------
@@ -74,9 +81,6 @@ def render_again(run: str, rebuild: Rebuild, plugins: Plugins, folder: Path) -> 
         If the folder cannot be written to; nothing was written then.
     """
     result, names = rebuild(run)
-    if result.calibration is not None and not calibration_path(result.record.identity).exists():
-        # It is an export of what is stored: a run that met a full disk gets its file here.
-        write_calibration(calibration_path(result.record.identity), result.calibration)
     identity = result.record.identity
     sections, missing = report_sections(names, plugins)
     path = folder / report_name(identity.sensor.serial, identity.run)
