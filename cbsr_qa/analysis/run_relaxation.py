@@ -99,7 +99,7 @@ def _unloading(
 
 def _steady_change(pressed: RelaxationObservation) -> float:
     """Steady change under load: of the fit where it was kept, else the end of the hold as it was seen."""
-    if pressed.settling.value_s is not None:
+    if pressed.settling.value_s is not None and not pressed.settling.censored:
         return pressed.fit.offset
     return _end_level(pressed.trace)
 
