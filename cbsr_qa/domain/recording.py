@@ -47,7 +47,8 @@ class Recording:
     samples : force and other channels; empty where none was recorded.
     loads : presses the recording itself documents (our own exports); empty where nobody said.
     problems : rows left out or noteworthy, by line.
-    clock : which clock the times are from, ``"board"``, ``"computer"`` or ``"none"``.
+    clock : which clock the times are from: ``"board"``, ``"computer"``, ``"station"`` (our own runs),
+        ``"documented"`` (a rate the data's authors state; the file holds no times) or ``"none"``.
     layout : electrode numbering the format documents; None where it is unknown.
     sensor_type : name of the sensor type where the recording states it.
     notes : facts worth telling a reader, in words.

@@ -324,6 +324,21 @@ def test_headers_inside_a_frame_cost_it_and_it_is_said_and_counted(tmp_path):
     assert (recording.frames_dropped, recording.rows_rejected) == (1, 0)
 
 
+def test_headers_right_behind_a_mark_cost_the_frame_and_it_is_said(tmp_path):
+    file = BoardFile().header().frames(BLOCK[:2]).mark().header().rows(BLOCK[2]).frames(BLOCK[3:])
+    recording = read(file.save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 1, 3, 4]])
+    assert recording.frames_dropped == 1
+    assert "headers" in recording.problems[0].what
+
+
+def test_a_recording_appended_behind_a_mark_drops_nothing(tmp_path):
+    file = BoardFile().header().frames(BLOCK[:2]).mark().header().rows(BLOCK[2][9:]).frames(BLOCK[3:])
+    recording = read(file.save(tmp_path))
+    np.testing.assert_array_equal(recording.frames.voltages, BLOCK[[0, 1, 3, 4]])
+    assert (recording.frames_dropped, recording.problems) == (0, ())
+
+
 @pytest.mark.parametrize("count", [15, 17])
 def test_a_frame_of_another_number_of_rows_is_counted_as_dropped(tmp_path, count):
     odd = [*BLOCK[2], BLOCK[2][0]][:count]

@@ -153,3 +153,12 @@ def test_matlab_7_3_is_refused_with_how_to_save_it(tmp_path, ending, userblock):
     with pytest.raises(RecordingError, match=r"version 7\.3") as said:
         EidorsMat().read(path, ReadOptions())
     assert "-v7" in said.value.remedy
+
+
+def test_a_matrix_with_values_that_are_none_is_refused_for_that(tmp_path):
+    path = tmp_path / "nan.mat"
+    matrix = vectors(2)[1].astype(float)
+    matrix[17, 1] = np.nan
+    scipy.io.savemat(path, {"vv": matrix})
+    with pytest.raises(RecordingError, match="vv holds values that are not finite"):
+        EidorsMat().read(path, ReadOptions())

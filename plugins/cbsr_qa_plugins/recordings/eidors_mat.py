@@ -94,7 +94,13 @@ def _matrices(path: Path) -> dict[str, Matrix]:
             f"{path.name} cannot be read as a MATLAB file: {error}",
             remedy="it is cut, damaged or of another format; get it again",
         ) from error
-    found = {name: value for name, value in content.items() if _is_frames(value)}
+    found = {name: value for name, value in content.items() if _is_matrix(value) and np.isfinite(value).all()}
+    spoilt = [name for name, value in content.items() if _is_matrix(value) and name not in found]
+    if spoilt and not found:
+        raise RecordingError(
+            f"{path.name}: {', '.join(spoilt)} holds values that are not finite numbers",
+            remedy="a frame needs all of its values; get the file again",
+        )
     if not found:
         raise RecordingError(
             f"{path.name} holds no matrix of {_VALUES} rows",
@@ -103,10 +109,10 @@ def _matrices(path: Path) -> dict[str, Matrix]:
     return {name: np.asarray(value, dtype=np.float64) for name, value in found.items()}
 
 
-def _is_frames(value: object) -> bool:
+def _is_matrix(value: object) -> bool:
     if not isinstance(value, np.ndarray) or value.ndim != 2 or value.dtype.kind not in "iuf":
         return False
-    return value.shape[0] == _VALUES and value.shape[1] > 0 and bool(np.isfinite(value).all())
+    return bool(value.shape[0] == _VALUES and value.shape[1] > 0)
 
 
 def _chosen(path: Path, matrices: dict[str, Matrix], asked: str | None) -> str:

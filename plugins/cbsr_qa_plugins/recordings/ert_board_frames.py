@@ -1,7 +1,7 @@
 """Whole frames out of the ERT board's lines."""
 
 from dataclasses import dataclass, field
-from itertools import zip_longest
+from itertools import takewhile, zip_longest
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,8 +68,9 @@ def assemble(lines: list[Line], scan: ScanKind) -> Assembly:
         assembly.frames = [(line,) for line in lines if line.kind is LineKind.ROW]
         return assembly
     sessions = _sessions(lines)
-    for session, following in zip_longest(sessions, sessions[1:]):
-        _assemble_session(session, assembly, again=None if following is None else following[0].number)
+    nothing: list[Line] = []
+    for session, following in zip_longest(sessions, sessions[1:], fillvalue=nothing):
+        _assemble_session(session, following, assembly)
     return assembly
 
 
@@ -85,8 +86,8 @@ def _sessions(lines: list[Line]) -> list[list[Line]]:
     return [stretch for stretch in stretches if stretch]
 
 
-def _assemble_session(lines: list[Line], assembly: Assembly, *, again: int | None) -> None:
-    """Put the frames of a session together; ``again`` is the first line of the one behind it."""
+def _assemble_session(lines: list[Line], following: list[Line], assembly: Assembly) -> None:
+    """Put the frames of a session together; headers and then ``following`` may stand behind it."""
     marks = [k for k, line in enumerate(lines) if line.kind is LineKind.MARK]
     for begin, end in zip_longest(marks, marks[1:]):
         inside = lines[begin + 1 : end]
@@ -94,11 +95,17 @@ def _assemble_session(lines: list[Line], assembly: Assembly, *, again: int | Non
         bad = tuple(line.number for line in inside if line.kind in (LineKind.GARBLED, LineKind.TORN))
         if len(rows) == PAIRS and not bad:
             assembly.frames.append(rows)
-        elif bad or (inside and (end is not None or again is not None)):
+        elif bad or (inside and (end is not None or following)) or (end is None and _begins_with_a_frame(following)):
             why = f"{len(rows)} whole rows where a frame has {PAIRS}"
-            if end is None and again is not None:
-                why += f", then headers, and the recording goes on in line {again}"
-            assembly.dropped.append(DroppedFrame(lines[begin].number, inside[-1].number, bad, why))
+            if end is None and following:
+                why += f", then headers, and the recording goes on in line {following[0].number}"
+            assembly.dropped.append(DroppedFrame(lines[begin].number, lines[begin:end][-1].number, bad, why))
+
+
+def _begins_with_a_frame(lines: list[Line]) -> bool:
+    """Whether a whole frame's rows stand before the first mark: then headers were put between it and its mark."""
+    before = list(takewhile(lambda line: line.kind is not LineKind.MARK, lines))
+    return sum(line.kind is LineKind.ROW for line in before) == PAIRS
 
 
 def _dumps(lines: list[Line]) -> list[RowProblem]:
