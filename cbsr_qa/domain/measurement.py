@@ -131,10 +131,10 @@ class Measurement:
 
     @property
     def label(self) -> str:
-        """Name with location and trial, as a reader would say it."""
-        parts = [self.location, "" if self.trial is None else f"trial {self.trial + 1}", self.qualifier]
+        """Name with location, repetition and qualifier, as a reader would say it."""
+        parts = [self.location, f"trial {self.trial + 1}" if self.trial else "", self.qualifier]
         detail = ", ".join(part for part in parts if part)
-        name = self.name.replace("_", " ")
+        name = self.name.replace("_", " ").replace("snr", "SNR")
         return f"{name} ({detail})" if detail else name
 
 
@@ -155,11 +155,12 @@ def decide(measurements: tuple[Measurement, ...]) -> Verdict:
     judged = [m for m in measurements if m.limit is not None]
     if not judged:
         return Verdict(Outcome.NOT_JUDGED, "the recipe sets no limit")
-    deciding = min((m for m in judged if m.outcome is outcome), key=_relative_margin)
+    deciding = min((m for m in judged if m.outcome is outcome), key=relative_margin)
     return Verdict(outcome, _reason(deciding, outcome, len(judged)))
 
 
-def _relative_margin(measurement: Measurement) -> float:
+def relative_margin(measurement: Measurement) -> float:
+    """Distance from the nearer bound over the limit's size: what is closest to failing comes first."""
     limit = measurement.limit
     if limit is None or measurement.value is None:
         return -float("inf")

@@ -141,7 +141,7 @@ def _draw_quiet(axes: Axes, relaxations: Sequence[RelaxationObservation | None])
 
 def _draw_fit(axes: Axes, relaxation: RelaxationObservation | None) -> None:
     if relaxation is None or not len(relaxation.trace.values):
-        axes.text(0.5, 0.5, "no trace", transform=axes.transAxes, ha="center", color=QUIET)
+        axes.text(0.5, 0.5, "not recorded", transform=axes.transAxes, ha="center", color=QUIET)
         axes.set_axis_off()
         return
     time_s, values = thinned(relaxation.trace.time_s, relaxation.trace.values, 240)

@@ -24,6 +24,10 @@ _ENDS: Final = {
 }
 
 
+#: What a recording's times are from, where "the computer's" would not do.
+_CLOCKS = {"none": "no time recorded", "documented": "as the format documents it"}
+
+
 @dataclass(frozen=True, slots=True)
 class Banner:
     """The first thing a reader sees.
@@ -95,7 +99,7 @@ def recording_page(result: RecordingResult) -> Page:
         ("Sensor type", recording.sensor_type or "not stated: lengths are in units of the radius"),
         ("Frames", str(len(recording.frames))),
         ("Frame rate", "none: still images" if rate is None else f"{rate:.3g} frames/s"),
-        ("Clock", "no time recorded" if recording.clock == "none" else f"the {recording.clock}'s"),
+        ("Clock", _CLOCKS.get(recording.clock, f"the {recording.clock}'s")),
         ("Rows rejected", str(recording.rows_rejected)),
         ("Force", "recorded" if any(s.channel == "force" for s in recording.samples) else "not recorded"),
     )

@@ -43,7 +43,7 @@ def limit_text(limit: Limit) -> str:
     bounds = [b for b in (limit.lower, limit.upper) if b is not None]
     scale, shown = scaled_unit(max(bounds, key=abs), limit.unit)
     gap = "\N{NO-BREAK SPACE}" if shown else ""
-    written = [f"{bound / scale:g}".replace("-", "\N{MINUS SIGN}") for bound in bounds]  # as whoever set it did
+    written = [f"{bound / scale:.4g}".replace("-", "\N{MINUS SIGN}") for bound in bounds]  # as whoever set it did
     sign = "" if len(bounds) > 1 else "≥ " if limit.lower is not None else "≤ "
     return f"{sign}{' to '.join(written)}{gap}{shown}"
 

@@ -87,5 +87,5 @@ def _together(pairs: list[Measurement], why: str) -> tuple[Measurement, Measurem
         reason = f"{lost} of {len(pairs)} pairs have no value" if lost else "the median pair reads zero volts"
         return together, Measurement("contact_resistance_ratio", None, "1", how=reason)
     return together, Measurement(
-        "contact_resistance_ratio", largest / middle, "1", how=f"worst: {worst}, {largest:.4g} Ω"
+        "contact_resistance_ratio", largest / middle, "1", how=f"largest: {worst}, {largest / 1e3:.4g} kΩ"
     )

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.measurement import Measurement, relative_margin
 from cbsr_qa.domain.outcome import SEVERITY, Outcome
 from cbsr_qa.domain.report import Block, Cell, Paragraph, RunResult, Section, Table
 from cbsr_qa.report.numbers import plural
@@ -41,12 +41,11 @@ def _in_words(judged: Sequence[Measurement]) -> str:
         return "The recipe sets no limit on anything that was measured."
     counts = [(outcome, sum(m.outcome is outcome for m in judged)) for outcome in reversed(SEVERITY)]
     words = ", ".join(f"{count} {outcome.value}" for outcome, count in counts if count)
-    return f"{plural(len(judged), 'limit')} judged: {words}. The worst are listed first."
+    return f"{plural(len(judged), 'limit')} judged: {words}. The closest to failing comes first."
 
 
 def _judged(judged: Sequence[Measurement]) -> Table:
-    # Stable: measurements of equal outcome stay in the order of the recipe.
-    order = sorted(judged, key=lambda m: SEVERITY.index(m.outcome))
+    order = sorted(judged, key=lambda m: (SEVERITY.index(m.outcome), relative_margin(m)))
     rows: list[list[str | Cell]] = []
     for m in order:
         assert m.limit is not None

@@ -20,6 +20,10 @@ from cbsr_qa.report.tables import limit_text, text_table, value_cell
 _WORDS: Final = ("noise", "conductance_noise", "channel", "reciprocity", "drift", "contact", "interelectrode")
 
 
+#: Pairs closer together than this share of their median are alike: none is worth naming.
+_ALIKE = 0.01
+
+
 class NoiseAndContacts:
     """Section of noise figure, noise floor, signal-to-noise ratio per channel and resistance per electrode pair."""
 
@@ -92,10 +96,13 @@ def _contacts(pairs: Sequence[Measurement]) -> Figure:
     limit = next((m.limit for m in pairs if m.limit is not None), None)
     low, high = (None, None) if limit is None else (limit.lower, limit.upper)
     worst = int(np.abs(np.log(np.maximum(values, 1e-12) / max(median, 1e-12))).argmax())
-    told = (
-        f"median {quantity(median, pairs[0].unit)}, furthest from it pair {known[worst][0]}"
-        f" with {quantity(known[worst][1], pairs[0].unit)}"
+    away = abs(values[worst] / median - 1) if median else np.inf
+    furthest = (
+        f"all pairs within {100 * _ALIKE:g} % of it"
+        if away < _ALIKE
+        else f"furthest from it pair {known[worst][0]} with {quantity(known[worst][1], pairs[0].unit)}"
     )
+    told = f"median {quantity(median, pairs[0].unit)}, {furthest}"
     told += f"; without a value: {', '.join(lost)}" if lost else ""
     return pair_bar_figure(
         values / scale,

@@ -110,9 +110,10 @@ def _fits(load: SettledLoad) -> Table:
 def _fit_row(relaxation: RelaxationObservation) -> list[str]:
     fit = relaxation.fit
     after = "press" if relaxation.loading else "release"
-    pairs = list(zip(fit.time_constants_s, fit.time_constant_stderr_s, strict=False))
+    rejected = fit.status is FitStatus.REJECTED
+    pairs = [] if rejected else list(zip(fit.time_constants_s, fit.time_constant_stderr_s, strict=False))
     taus = [with_uncertainty(tau, stderr) for tau, stderr in pairs] + ["–", "–"]
-    offset = "–" if fit.status is FitStatus.REJECTED else with_uncertainty(fit.offset, fit.offset_stderr)
+    offset = "–" if rejected else with_uncertainty(fit.offset, fit.offset_stderr)
     return [
         relaxation.signal,
         after,

@@ -31,7 +31,7 @@ class TimeAndAccuracy:
         computing = sum(seconds for _, seconds in result.compute_s)
         told = (
             f"The sensor occupied the station for {duration(result.record.station_s)};"
-            f" computing took {duration(computing)}."
+            f" computing took {duration(computing)} until this report was rendered."
         )
         blocks: list[Block] = [Paragraph(told)]
         caption = "Where the time went, largest part first. Station time is what a test costs."
