@@ -28,8 +28,10 @@ class Limits:
         if judged:
             blocks.append(_judged(judged))
         determined = [m for m in others if m.value is not None]
-        if determined:
-            blocks.append(_others(determined))
+        # Apart: as columns beside each other they do not fit a page.
+        for part in ([m for m in determined if m.phase], [m for m in determined if not m.phase]):
+            if part:
+                blocks.append(_others(part))
         refused = [m for m in others if m.value is None]
         if refused:
             blocks.append(_refused(refused))
@@ -63,8 +65,9 @@ def _others(measurements: Sequence[Measurement]) -> Table:
     phases = list(dict.fromkeys(m.phase for m in measurements))
     rows = [_row(name, members, phases) for name, members in _grouped(measurements).items()]
     columns = ("Measurement", *(phase or "whole run" for phase in phases))
+    where = "in a phase" if any(phases) else "of the whole run"
     caption = (
-        "Everything else that was measured; no limit was set for it. Several values of one phase are given as mean ±"
+        f"Everything else that was measured {where}; no limit was set for it. Several values are given as mean ±"
         " standard deviation with their number, a single one with its own uncertainty."
     )
     return text_table(caption, columns, rows, tuple(range(1, len(columns))))
@@ -77,7 +80,7 @@ def _grouped(measurements: Sequence[Measurement]) -> dict[str, list[Measurement]
         qualifiers.setdefault(m.name, set()).add(m.qualifier)
     groups: dict[str, list[Measurement]] = {}
     for m in measurements:
-        words = m.name.replace("_", " ")
+        words = m.name.replace("_", " ").replace("snr", "SNR")
         each = 1 < len(qualifiers[m.name]) <= _MOST_QUALIFIERS or qualifiers[m.name] == {m.qualifier}
         title = f"{words} ({m.qualifier})" if m.qualifier and each else words
         groups.setdefault(unit_column(title, m.unit), []).append(m)
