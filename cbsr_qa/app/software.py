@@ -1,5 +1,6 @@
 """Which software made a number."""
 
+import platform
 from importlib.metadata import PackageNotFoundError, version
 from typing import Final
 
@@ -7,18 +8,19 @@ import cbsr_qa
 from cbsr_qa.plugins import Plugins
 
 #: What numbers rest on, besides this package and its plugins.
-_NUMERICS: Final = ("numpy", "scipy", "scikit-image", "h5py")
+_NUMERICS: Final = ("numpy", "scipy", "scikit-image", "h5py", "sqlalchemy")
 
 
 def software_versions(plugins: Plugins) -> tuple[tuple[str, str], ...]:
-    """Versions of this package, of every distribution that registered a plugin, and of the numerical libraries.
+    """Versions of this package, of every distribution that registered a plugin, of Python and the libraries used.
 
     Returns
     -------
     (distribution, version) pairs: ours first, then plugins and libraries by name.
     """
     theirs = {(r.distribution, r.version) for r in plugins.registrations() if r.distribution != "cbsr-qa"}
-    return (("cbsr-qa", cbsr_qa.__version__), *sorted(theirs), *_installed())
+    python = ("python", platform.python_version())
+    return (("cbsr-qa", cbsr_qa.__version__), *sorted(theirs), python, *_installed())
 
 
 def _installed() -> tuple[tuple[str, str], ...]:

@@ -141,7 +141,7 @@ def _read(kind: DocumentKind, path: Path) -> str:
     try:
         if (size := path.stat().st_size) > LARGEST_FILE_BYTES:
             raise ConfigError(f"{path} has {size} bytes; a {kind.noun} file has at most {LARGEST_FILE_BYTES}")
-        return path.read_bytes().decode("utf-8")
+        return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigError(
             f"{path} is not a text file: byte {error.start} is not UTF-8",

@@ -132,7 +132,10 @@ def _refusal(document: Document, problems: list[Problem]) -> ConfigError:
         line = line_of(document.text, problem.path)
         where = f"line {line}: " if line else ""
         lines.append(f"  {where}{dotted(problem.path)} {problem.what}")
-    return ConfigError("\n".join(lines))
+    what = "it" if len(problems) == 1 else "them"
+    return ConfigError(
+        "\n".join(lines), remedy=f"mend {what} and try again; docs/reference/configuration.md lists every key"
+    )
 
 
 def dotted(path: KeyPath) -> str:
