@@ -1,25 +1,23 @@
 """A recording with everything that can be found in it: channels, reading memory, noise, presses."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import TypeVar
 
 import numpy as np
 
 from cbsr_qa.analysis.recording_imaging import nominal_disc
+from cbsr_qa.analysis.recording_memory import RECIPROCITY_LIMIT
 from cbsr_qa.analysis.recording_noise import channel_noise, find_steps, noise_report
 from cbsr_qa.analysis.recording_ready import ReadyReadings, channel_report, make_ready
-from cbsr_qa.analysis.recording_scene import FEWEST_FRAMES, RecordedScene
+from cbsr_qa.analysis.recording_scene import FEWEST_FRAMES, RecordedScene, Searched
 from cbsr_qa.domain.errors import NumericsError, RecordingError
 from cbsr_qa.domain.frames import VoltageUnit
 from cbsr_qa.domain.load_events import LoadEvent, NoiseReport, NoiseStep, RecordingResult
 from cbsr_qa.domain.recording import Recording, ScanKind
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.interfaces import Reconstruction
-
-#: Above this, more than a quarter of the readings' power is not reciprocal: no passive sheet was measured.
-_RECIPROCITY_LIMIT = 1.0
 
 _Result = TypeVar("_Result")
 
@@ -57,16 +55,17 @@ def analyse_recording(
     spent: dict[str, float] = {}
     ready = _timed(spent, "channels", lambda: make_ready(recording, choices.correct_memory))
     rate_hz = frame_rate_hz(recording)
-    events, why = _timed(spent, "events", lambda: _events(recording, ready, reconstruction, choices, rate_hz))
+    searched = _timed(spent, "events", lambda: _events(recording, ready, reconstruction, choices, rate_hz))
+    events, why = searched.events, searched.why
     noise = _timed(spent, "noise", lambda: _noise(recording, ready, events))
     return RecordingResult(
         recording=recording,
         frame_rate_hz=rate_hz,
-        channels=channel_report(ready),
+        channels=replace(channel_report(ready), suspect_electrodes=searched.suspect_electrodes),
         noise=noise,
         events=events,
         events_why="" if events else why,
-        warnings=_warnings(recording, ready, why if events else ""),
+        warnings=_warnings(recording, ready, searched),
         compute_s=tuple(spent.items()),
     )
 
@@ -101,9 +100,9 @@ def _events(
     reconstruction: Reconstruction,
     choices: AnalysisChoices,
     rate_hz: float | None,
-) -> tuple[tuple[LoadEvent, ...], str]:
+) -> Searched:
     if why := _no_image(recording, ready):
-        return (), why
+        return Searched((), why)
     sensor_type = choices.sensor_type or nominal_disc(recording.layout, ready.block.voltages.shape[1])
     if sensor_type.pattern.shape != ready.block.voltages.shape[1:]:
         raise RecordingError(
@@ -114,7 +113,7 @@ def _events(
     try:
         scene = RecordedScene.of(recording, ready, sensor_type, reconstruction, named=choices.sensor_type is not None)
     except NumericsError as error:
-        return (), f"no image can be made: {error.reason}"
+        return Searched((), f"no image can be made: {error.reason}")
     if recording.reference is not None:
         return scene.objects()
     return scene.presses(rate_hz)
@@ -124,12 +123,14 @@ def _no_image(recording: Recording, ready: ReadyReadings) -> str:
     """Why a recording cannot be imaged at all; empty if it can."""
     if ready.faults.not_connected:
         return "no signal: every reading is the same, nothing is connected"
+    if ready.faults.frozen and recording.reference is None and not recording.still:
+        return f"all {len(ready.block)} frames are identical: the board (or the file) repeats one frame"
     if recording.scan is ScanKind.DRIVEN_PAIRS:
         return "one-row scans measure each pair only while it is driven: there is no image to find a load in"
-    if ready.error is not None and ready.error > _RECIPROCITY_LIMIT and not recording.still:
+    if ready.error is not None and ready.error > RECIPROCITY_LIMIT and not recording.still:
         return (
             f"no usable image: the readings are not reciprocal (error {ready.error:.2f}; a passive sheet gives 0,"
-            f" unrelated numbers 1.41, and above {_RECIPROCITY_LIMIT:g} nothing is imaged)"
+            f" unrelated numbers 1.41, and above {RECIPROCITY_LIMIT:g} nothing is imaged)"
         )
     if recording.reference is None and len(ready.block) == 1:
         raise RecordingError(
@@ -156,7 +157,7 @@ def _noise(recording: Recording, ready: ReadyReadings, events: tuple[LoadEvent, 
     return noise_report(block, use, steps, busy, timed=not recording.still and recording.clock != "none")
 
 
-def _warnings(recording: Recording, ready: ReadyReadings, besides: str) -> tuple[str, ...]:
+def _warnings(recording: Recording, ready: ReadyReadings, searched: Searched) -> tuple[str, ...]:
     said: list[str] = []
     if recording.problems and recording.rows_rejected:
         rows = "row was" if recording.rows_rejected == 1 else "rows were"
@@ -165,6 +166,7 @@ def _warnings(recording: Recording, ready: ReadyReadings, besides: str) -> tuple
         said.append(
             f"readings keep {ready.memory.share:.0%} of the one before them and were not corrected, as asked for"
         )
-    if besides:
-        said.append(besides)
+    said += [*ready.remarks(), *searched.remarks]
+    if searched.events and searched.why:
+        said.append(searched.why)
     return tuple(said)

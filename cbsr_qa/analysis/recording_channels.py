@@ -16,6 +16,11 @@ _AT_RAIL = 0.5
 _FLAGGED = 0.01
 #: A channel is stuck if this share of its readings are one and the same value while the others vary.
 _CONSTANT = 0.98
+#: Stuck from some frame on: a run of repeats this improbable, given how often channels repeat themselves by chance.
+_FALSE_RUNS = 1e-4
+_LEAST_REPEATS = 0.05
+#: More repeats than this, and nothing can be said.
+_SELDOM = 0.25
 _FEWEST_FRAMES = 8
 #: Largest share of the previous reading that a clipped reading may show, and how well the channels must agree on it.
 _LARGEST_MEMORY = 0.25
@@ -34,15 +39,19 @@ class ChannelFaults:
     Parameters
     ----------
     saturated : at the end of the converter's range, or with the source at its limit.
-    stuck : never changes.
+    stuck : never changes, or no more from some frame on, or for a stretch no noise explains.
     missing : not recorded.
     not_connected : whether no reading differs from any other.
+    frozen : whether every frame is the same although there are several: the board repeats itself.
+    stuck_from : (drives, measures) int64, first frame of the stretch in which a channel is stuck; −1 for the others.
     """
 
     saturated: Mask
     stuck: Mask
     missing: Mask
     not_connected: bool
+    frozen: bool
+    stuck_from: NDArray[np.int64]
 
     @property
     def bad(self) -> Mask:
@@ -64,11 +73,13 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
     not_connected = present.size == 0 or float(np.ptp(present)) <= silent
     flagged = block.flags & (ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE).value != 0
     saturated = flagged.mean(axis=0) > _FLAGGED
-    if not not_connected:
+    frozen = len(block) >= _FEWEST_FRAMES and bool((block.voltages == block.voltages[0]).all())
+    if not not_connected and not frozen:
         saturated |= _at_rails(block, missing)
         if scan is ScanKind.DRIVEN_PAIRS:
             saturated |= _at_ceiling(block.voltages)
-    return ChannelFaults(saturated & ~missing, _stuck(block) & ~missing, missing, not_connected)
+    stuck_from = np.where(missing, -1, _stuck_from(block))
+    return ChannelFaults(saturated & ~missing, stuck_from >= 0, missing, not_connected, frozen, stuck_from)
 
 
 def _at_rails(block: FrameBlock, missing: Mask) -> Mask:
@@ -94,6 +105,9 @@ def _remembering_rail(level: Array, rail: float) -> Mask:
         return clipped
     previous = np.roll(level.ravel(), 1).reshape(level.shape)
     k = np.arange(rows)
+    # A single far reading at a rail says nothing of the large ones: one of those must have got there.
+    if not any((level[k, (k + distance) % rows] == rail).any() for distance in (-1, 0, 1)):
+        return clipped
     for distance in (-1, 0, 1):
         at = k, (k + distance) % rows
         share = (level[at] - rail) / np.where(previous[at] == rail, np.inf, previous[at] - rail)
@@ -122,16 +136,42 @@ def _at_ceiling(voltages: Array) -> Mask:
     return at
 
 
-def _stuck(block: FrameBlock) -> Mask:
-    """Channels that never change while most others do."""
+def _stuck_from(block: FrameBlock) -> NDArray[np.int64]:
+    """First frame in which each channel is stuck while most others move; −1 for channels that are not."""
     n = len(block)
-    constant = np.zeros(block.voltages.shape[1:], dtype=bool)
+    begin = np.full(block.voltages.shape[1:], -1, dtype=np.int64)
     if n < _FEWEST_FRAMES:
-        return constant
-    middle = np.median(block.voltages, axis=0)
-    same = (block.voltages == middle).mean(axis=0)
+        return begin
+    same = (block.voltages == np.median(block.voltages, axis=0)).mean(axis=0)
+    repeats = block.voltages[1:] == block.voltages[:-1]
     # Counts with less than a count of noise stand still without being stuck: only judge where most channels move.
-    if float(np.median(same)) > 0.25:
-        return constant
-    constant |= same >= _CONSTANT
-    return constant
+    if float(np.median(same)) > _SELDOM or float(np.median(repeats.mean(axis=0))) > _SELDOM:
+        return begin
+    longest, at = _longest_run(repeats)
+    begin = np.where(longest >= _unlikely_run(repeats, longest), at, begin)
+    begin[same >= _CONSTANT] = 0
+    return begin
+
+
+def _unlikely_run(repeats: Mask, longest: NDArray[np.int64]) -> Array:
+    """Repeats in a row that noise gives a channel in one of ten thousand recordings only.
+
+    A channel's noise is told from how often it repeats itself besides its longest run; quiet ones often do.
+    """
+    besides = (repeats.sum(axis=0) - longest) / np.maximum(len(repeats) - longest, 1)
+    chance = np.maximum(besides, max(float(np.median(repeats.mean(axis=0))), _LEAST_REPEATS))
+    needed = np.log(_FALSE_RUNS / repeats.size) / np.log(np.minimum(chance, _SELDOM))
+    least: Array = np.where(chance > _SELDOM, np.inf, np.maximum(needed, _FEWEST_FRAMES))
+    return least
+
+
+def _longest_run(repeats: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Length and first frame of the longest run of repeats of each channel."""
+    run = np.zeros(repeats.shape[1:], dtype=np.int64)
+    longest, end = np.zeros_like(run), np.zeros_like(run)
+    for k, repeated in enumerate(repeats):
+        run = np.where(repeated, run + 1, 0)
+        longer = run > longest
+        longest = np.where(longer, run, longest)
+        end = np.where(longer, k + 1, end)
+    return longest, end - longest

@@ -20,6 +20,9 @@ _SIGNIFICANT = 5.0
 #: … and taking it out makes reciprocity better by at least this share.
 _WORTHWHILE = 0.2
 _LARGEST = 0.5
+#: Above this, more than a quarter of the readings' power is not reciprocal: no passive sheet was measured. A
+#: correction that hardly gets below it has not explained the readings.
+RECIPROCITY_LIMIT = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,9 +43,8 @@ class MemoryEstimate:
     @property
     def worth_correcting(self) -> bool:
         """Whether the estimate is significant, plausible, and its correction makes reciprocity clearly better."""
-        return (
-            _SIGNIFICANT * self.stderr < self.share < _LARGEST
-            and self.error_corrected < (1 - _WORTHWHILE) * self.error
+        return _SIGNIFICANT * self.stderr < self.share < _LARGEST and self.error_corrected < (1 - _WORTHWHILE) * min(
+            self.error, RECIPROCITY_LIMIT
         )
 
 

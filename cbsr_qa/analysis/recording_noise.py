@@ -14,6 +14,10 @@ Mask = NDArray[np.bool_]
 
 #: Standard deviation of a Gaussian over its median absolute deviation.
 MAD_TO_SIGMA = 1.4826
+#: Share of the largest steps that noise is not judged by, and the mean of |N(0, 1)| without it: 2 (φ(0) − φ(q)) / 0.8
+#: with q = 1.2816 the normal distribution's 90 % point.
+_TRIMMED = 0.2
+_TRIMMED_MEAN = 0.5586
 #: Uniform rounding to whole counts has this standard deviation.
 _ROUNDING = 1 / np.sqrt(12)
 #: A level step: at least half of the channels jump by this many times their noise within one frame, and stay.
@@ -40,11 +44,10 @@ def channel_noise(readings: Array, *, counts: bool) -> Array:
     (channels,) float64, in the readings' unit; never zero.
     """
     steps = np.diff(readings, axis=0)
-    steps = np.abs(steps - np.median(steps, axis=0))
-    sigma = MAD_TO_SIGMA * np.median(steps, axis=0) / np.sqrt(2)
-    # A median of few distinct values (quiet counts) is coarse; the mean without the largest tenth is not.
-    kept = np.sort(steps, axis=0)[: max(1, int(0.9 * len(steps)))]
-    sigma = np.maximum(sigma, 0.5 * np.sqrt(np.pi) * kept.mean(axis=0))
+    steps = np.sort(np.abs(steps - np.median(steps, axis=0)), axis=0)
+    # Not the median: of counts it takes few distinct values, and the noise with it.
+    kept = steps[: max(1, round((1 - _TRIMMED) * len(steps)))]
+    sigma = kept.mean(axis=0) / _TRIMMED_MEAN / np.sqrt(2)
     level = float(np.median(np.abs(readings))) if readings.size else 0.0
     least = _ROUNDING if counts else 1e-7 * level
     floored: Array = np.maximum(sigma, least or 1e-300)
@@ -140,7 +143,8 @@ def noise_report(
     part, times = readings[quiet], block.time_s[quiet]
     sigma = channel_noise(part, counts=block.unit is VoltageUnit.COUNT)
     drift = _drift_per_min(times, part) if timed else None
-    apart = np.abs(part - np.median(part, axis=0)) > _OUTLIER * np.maximum(sigma, 1 if unit == "count" else 0)
+    rounding = 1 if unit == "count" else 0
+    apart = np.abs(part - np.median(part, axis=0)) > _OUTLIER * np.maximum(sigma, rounding) + rounding / 2
     return NoiseReport(
         rms=float(np.median(sigma)),
         unit=unit,

@@ -15,7 +15,7 @@ Array = NDArray[np.float64]
 
 #: A further load must explain this share of the whole change, and of what the first one explains.
 _FURTHER_SHARE = 0.15
-_FURTHER_OF_FIRST = 0.35
+_FURTHER_OF_FIRST = 0.25
 _MOST_LOADS = 4
 _SWEEPS = 4
 #: Places this close to the best one (in radii) are fitted for the vertex of the likelihood.
@@ -109,6 +109,11 @@ def find_places(
         chosen, explained = moved, explained + gain
     found = [_refined(change, match, chosen, k) for k in range(len(chosen))]
     return tuple(sorted(found, key=lambda place: -abs(place.score))), explained / total
+
+
+def fitted(change: Array, match: Matcher, places: tuple[Place, ...]) -> Array:
+    """Return what loads at these places make of a change, by least squares: (m,)."""
+    return change - _left(change, match, [place.index for place in places])
 
 
 def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) -> tuple[Place, ...]:

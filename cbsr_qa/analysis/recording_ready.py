@@ -15,6 +15,7 @@ from cbsr_qa.analysis.recording_memory import (
     scan_order,
 )
 from cbsr_qa.analysis.recording_noise import channel_noise
+from cbsr_qa.analysis.recording_spikes import despiked
 from cbsr_qa.domain.frames import FrameBlock, VoltageUnit
 from cbsr_qa.domain.load_events import ChannelReport
 from cbsr_qa.domain.patterns import adjacent_pattern
@@ -23,6 +24,8 @@ from cbsr_qa.domain.recording import Recording, ScanKind
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
+_MOST_LISTED = 6  #: channels named in a remark
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReadyReadings:
@@ -30,7 +33,7 @@ class ReadyReadings:
 
     Parameters
     ----------
-    block : frames, reading memory taken out where ``corrected``.
+    block : frames, reading memory taken out where ``corrected``, spikes replaced.
     reference : (drives, measures) mean of the reference frames, treated alike; None where there are none.
     faults : of the raw frames.
     used : (drives, measures) bool, sound readings that touch no driven electrode.
@@ -38,6 +41,7 @@ class ReadyReadings:
     corrected : whether it was taken out of ``block``.
     error : reciprocity error of ``block``; None for one-row scans.
     offset : whether an unstated offset is part of the readings, see :func:`has_offset`.
+    spikes, spiky_frames : how many readings of how many frames were replaced, see :mod:`recording_spikes`.
     """
 
     block: FrameBlock
@@ -48,6 +52,27 @@ class ReadyReadings:
     corrected: bool
     error: float | None
     offset: bool
+    spikes: int = 0
+    spiky_frames: int = 0
+
+    def remarks(self) -> list[str]:
+        """What was done to readings, and which channels went wrong on the way, in words."""
+        said = []
+        if self.spikes:
+            said.append(
+                f"glitches: {self.spikes} of the readings (in {self.spiky_frames} of the frames) jumped for a frame"
+                " or so, but not with drive and measurement exchanged; replaced by their neighbours in time"
+            )
+        partly = (self.faults.stuck_from > 0) & ~self.faults.saturated
+        if partly.any():
+            first = float(self.block.time_s[int(self.faults.stuck_from[partly].min())])
+            listed = ", ".join(f"[{i}, {j}]" for i, j in np.argwhere(partly)[:_MOST_LISTED])
+            more = int(partly.sum()) - _MOST_LISTED
+            said.append(
+                f"stuck from {first:.1f} s on: channels {listed}{f' and {more} more' if more > 0 else ''};"
+                " they were left out"
+            )
+        return said
 
     def noise_use(self) -> Mask:
         """Readings to judge noise by: the used ones; all that are not bad where none is used."""
@@ -80,8 +105,12 @@ def make_ready(recording: Recording, wanted: bool | None) -> ReadyReadings:
     imaged = recording.scan is ScanKind.FULL
     memory = None
     scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
+    mending = scanned and recording.reference is None
+    offset = has_offset(recording)
     if scanned:
-        memory = estimate_memory(block, used)
+        # One absurd reading must not decide how the whole frame is corrected.
+        calm = despiked(block.voltages, used, counts=offset)[0] if mending else block.voltages
+        memory = estimate_memory(replace(block, voltages=calm), used)
     apply = memory is not None and (memory.worth_correcting if wanted is None else wanted) and memory.share < 1
     reference = None if recording.reference is None else recording.reference.voltages
     voltages = block.voltages
@@ -89,8 +118,10 @@ def make_ready(recording: Recording, wanted: bool | None) -> ReadyReadings:
         order = scan_order(block)
         voltages = correct_memory(voltages, memory.share, order)
         reference = None if reference is None else correct_memory(reference, memory.share, order)
+    spikes = np.zeros(voltages.shape, dtype=bool)
+    if mending:
+        voltages, spikes = despiked(voltages, used, counts=offset)
     mean = voltages.mean(axis=0)
-    offset = has_offset(recording)
     error = reciprocity_error(mean, used, offset_of(mean, used, counts=offset)) if imaged and used.any() else None
     return ReadyReadings(
         replace(block, voltages=voltages),
@@ -101,6 +132,8 @@ def make_ready(recording: Recording, wanted: bool | None) -> ReadyReadings:
         bool(apply),
         error,
         offset,
+        int(spikes.sum()),
+        int(spikes.any(axis=(1, 2)).sum()),
     )
 
 

@@ -6,8 +6,9 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.recording_changes import find_changes, largest_score, threshold_for
-from cbsr_qa.analysis.recording_events import Press, find_presses
+from cbsr_qa.analysis.recording_changes import largest_score, threshold_for
+from cbsr_qa.analysis.recording_contacts import Suspect, suspects_of
+from cbsr_qa.analysis.recording_events import Found, NoLoads, Press, held_from_the_beginning, search
 from cbsr_qa.analysis.recording_imaging import (
     Sheet,
     UnitModel,
@@ -18,7 +19,7 @@ from cbsr_qa.analysis.recording_imaging import (
 )
 from cbsr_qa.analysis.recording_noise import channel_noise
 from cbsr_qa.analysis.recording_objects import Object, find_moving, find_still, reciprocal_noise
-from cbsr_qa.analysis.recording_places import Place, matcher, robust_directions
+from cbsr_qa.analysis.recording_places import Matcher, Place, matcher, robust_directions
 from cbsr_qa.analysis.recording_ready import ReadyReadings
 from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.image import Image
@@ -33,6 +34,27 @@ Array = NDArray[np.float64]
 #: Faster recordings are averaged to about this rate before presses are looked for; nobody presses faster.
 _DETECTION_RATE_HZ = 8.0
 FEWEST_FRAMES = 8  #: fewer cannot tell a press from noise
+_MOST_LISTED = 5  #: changes named in a reason
+_MOST_CONTACTS = 4  #: searches are repeated without a suspect's readings at most so often
+_SAME_CHANGE_S = 1.0  #: changes this close in time are one
+_LEAST_LEFT = 0.5  #: and only as long as this share of the readings is left
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """What a search for loads came to.
+
+    Parameters
+    ----------
+    why : why there is no event, where there is none; else what was not taken for one.
+    remarks : what a reader must know about the recording, in words.
+    suspect_electrodes : whose readings were left out.
+    """
+
+    events: tuple[LoadEvent, ...]
+    why: str
+    remarks: tuple[str, ...] = ()
+    suspect_electrodes: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,6 +64,7 @@ class RecordedScene:
     recording: Recording
     ready: ReadyReadings
     sheet: Sheet
+    reconstruction: Reconstruction
     linear: LinearReconstruction
     model: UnitModel
     readings: Array  # (n, m)
@@ -79,20 +102,30 @@ class RecordedScene:
         sheet = sheet_for(sensor_type, used)
         model = unit_model(frame[used], sheet.problem, offset=ready.offset)
         linear = reconstruction.prepare(sheet.problem)
-        return cls(recording, ready, sheet, linear, model, block.voltages[:, used], named)
+        return cls(recording, ready, sheet, reconstruction, linear, model, block.voltages[:, used], named)
 
-    def objects(self) -> tuple[tuple[LoadEvent, ...], str]:
+    def without(self, readings: NDArray[np.bool_]) -> Self:
+        """Leave readings out: (m,) bool."""
+        keep = ~readings
+        used = self.sheet.problem.used.copy()
+        used[used] = keep
+        sheet = sheet_for(self.sheet.problem.sensor_type, used)
+        model = UnitModel(self.model.reference[keep], self.model.gain[keep], self.model.nuisance[keep])
+        linear = self.reconstruction.prepare(sheet.problem)
+        return replace(self, sheet=sheet, linear=linear, model=model, readings=self.readings[:, keep])
+
+    def objects(self) -> Searched:
         """Search against the reference."""
         changes = self.model.changes(self.readings)
         sigma = reciprocal_noise(changes, self.sheet.problem.used)
         if sigma == 0:
-            return (), "the frames equal the reference: nothing has changed"
+            return Searched((), "the frames equal the reference: nothing has changed")
         match = matcher(self.sheet.patterns, self.sheet.places, np.full(changes.shape[1], sigma), self.model.nuisance)
         white = match.whiten(changes)
         found, why = find_still(white[0], match) if len(white) == 1 else find_moving(white, match)
         if found and len(white) == 1:
             found = self._turned(found)
-        return tuple(self._object_event(one, changes) for one in found), why
+        return Searched(tuple(self._object_event(one, changes) for one in found), why)
 
     def _turned(self, found: tuple[Object, ...]) -> tuple[Object, ...]:
         """Take the directions of still objects from a robust fit in one scale, where the tank follows the model."""
@@ -103,27 +136,65 @@ class RecordedScene:
         places = robust_directions(tuple(one.place for one in found), plain.changes(self.readings)[0], match)
         return tuple(replace(one, place=place, track=((0, place),)) for one, place in zip(found, places, strict=True))
 
-    def presses(self, rate_hz: float | None) -> tuple[tuple[LoadEvent, ...], str]:
-        """Search for presses, each against the frames before it."""
+    def presses(self, rate_hz: float | None) -> Searched:
+        """Search for presses, each against the frames before it.
+
+        Where readings that share one contact changed together they are left out, and all the others searched again.
+        """
+        scene, said, times, electrodes = self, list[str](), list[float](), set[int]()
+        for _ in range(_MOST_CONTACTS):
+            searched, suspects = scene._search(rate_hz)
+            bad = np.zeros(scene.readings.shape[1], dtype=bool)
+            for time_s, suspect in suspects:
+                bad |= suspect.readings
+                # What is left of the same change, where readings remember the one before, is no further contact.
+                if any(abs(time_s - known) < _SAME_CHANGE_S for known in times):
+                    continue
+                times.append(time_s)
+                electrodes |= set(suspect.electrodes)
+                said.append(
+                    f"{suspect.name}: its readings changed together at {time_s:.1f} s: a contact or a cable,"
+                    " not a load; they were left out"
+                )
+            left = scene.readings.shape[1] - int(bad.sum())
+            if not bad.any() or left < _LEAST_LEFT * self.readings.shape[1]:
+                break
+            scene = scene.without(bad)
+        why = searched.why or (
+            "" if searched.events else "no change is a load's: " + "; ".join([*said, *searched.remarks])
+        )
+        return replace(
+            searched, why=why, remarks=(*said, *searched.remarks), suspect_electrodes=tuple(sorted(electrodes))
+        )
+
+    def _search(self, rate_hz: float | None) -> tuple[Searched, list[tuple[float, Suspect]]]:
+        """Search once: what was found, and which contacts changed when."""
         times, readings = self._slowed(rate_hz)
         changes = self.model.changes(readings)
         sigma = channel_noise(readings, counts=self.ready.offset) * np.abs(self.model.gain)
         sigma = np.maximum(sigma, 0.5 * float(np.median(sigma)))
         match = matcher(self.sheet.patterns, self.sheet.places, sigma, self.model.nuisance)
         white = match.whiten(changes)
-        scores = white @ match.patterns
-        steps = find_changes(scores)
-        if not steps:
-            return (), (
-                f"nothing stands out of the noise: the largest step is {largest_score(scores):.1f} times its noise,"
-                f" {threshold_for(len(times), 2):.1f} is needed"
-            )
-        found = find_presses(white, match, steps)
-        events = [
-            self._press_event(press, place, times, changes) for press in found.presses for place in press.places
-        ]
-        said = [f"a change at {times[frame]:.1f} s is no event: {why}" for frame, why in found.rejected]
-        return tuple(sorted(events, key=lambda event: event.start_s)), "; ".join(said)
+        found, seen = search(white, match, self._no_loads(match))
+        presses, unclear = held_from_the_beginning(found.presses, len(white))
+        events = [self._press_event(press, place, times, changes) for press in presses for place in press.places]
+        events = sorted(events, key=lambda event: event.start_s)
+        remarks = (*_gains(found, times), *_signs(events, unclear, times))
+        suspects = [(float(times[frame]), suspect) for frame, suspect in found.suspects]
+        why = _rejected(found, times) if seen else _quiet(white @ match.patterns)
+        if not (why or events or remarks):
+            at = ", ".join(f"{times[change.frame]:.1f} s" for change in seen[:_MOST_LISTED])
+            why = f"what changes (at {at}) leads back to the state the recording begins in: no load is put on"
+        return Searched(tuple(events), why, remarks), suspects
+
+    def _no_loads(self, match: Matcher) -> NoLoads:
+        problem = self.sheet.problem
+        frame = self.model.reference * self.model.gain
+        white = match.whiten(frame[None])[0]
+        # Where a common gain is the nuisance itself nothing of it is left but rounding.
+        if float(np.linalg.norm(white)) < 1e-6 * float(np.linalg.norm(frame / match.sigma)):
+            white = np.zeros_like(white)
+        return NoLoads(white, suspects_of(problem.sensor_type.pattern, problem.used))
 
     def _slowed(self, rate_hz: float | None) -> tuple[Array, Array]:
         """Average fast recordings down to the rate of detection: times and readings."""
@@ -181,3 +252,44 @@ def _peak_force(samples: tuple[SampleBlock, ...], start_s: float, end_s: float) 
         return None
     during = force.values[(force.time_s >= start_s) & (force.time_s <= end_s)]
     return float(during.max()) if during.size else None
+
+
+def _quiet(scores: Array) -> str:
+    return (
+        f"nothing stands out of the noise: the largest step is {largest_score(scores):.1f} times its noise,"
+        f" {threshold_for(len(scores), 2):.1f} is needed"
+    )
+
+
+def _rejected(found: Found, times: Array) -> str:
+    said = [f"a change at {times[frame]:.1f} s is no event: {why}" for frame, why in sorted(found.rejected)]
+    more = f"; and {len(said) - _MOST_LISTED} more like these" if len(said) > _MOST_LISTED else ""
+    return "; ".join(said[:_MOST_LISTED]) + more
+
+
+def _gains(found: Found, times: Array) -> list[str]:
+    """Say where all readings changed in proportion."""
+    return [
+        f"all readings changed in proportion, by {share:+.1%}, at {times[frame]:.1f} s: a gain or the drive current,"
+        " not a load"
+        for frame, share in found.gains
+    ]
+
+
+def _signs(events: list[LoadEvent], unclear: list[Press], times: Array) -> list[str]:
+    """Say what the signs of the loads leave open."""
+    said = []
+    if len({event.sign for event in events}) > 1:
+        listed = ", ".join(f"{event.start_s:.1f} s {'more' if event.sign > 0 else 'less'}" for event in events)
+        said.append(
+            f"the loads disagree about the sign (conducts {listed}): one sheet answers alike to all loads, so one"
+            " of them may be a release, or not a load"
+        )
+    for press in unclear:
+        at = float(np.interp(press.start, np.arange(len(times)), times))
+        less = press.places[0].score > 0
+        said.append(
+            f"the change at {at:.1f} s is never taken back: it may as well be the release of a load held from the"
+            f" beginning, which then conducts {'less' if less else 'more'}"
+        )
+    return said

@@ -53,7 +53,7 @@ class ChannelReport:
 
     Parameters
     ----------
-    saturated, stuck : (drive, measure) index pairs at the converter's end, or that never change.
+    saturated, stuck : (drive, measure) index pairs at the converter's end, or that never change (any more).
     not_connected : whether nothing was connected at all.
     used : number of readings that were imaged.
     snr_db : median over used channels of level over noise; None where there is no noise estimate.
@@ -61,6 +61,7 @@ class ChannelReport:
     reading_memory : share m of the previous reading estimated from reciprocity; None where not estimated.
     reciprocity_error_corrected : the same after the memory was taken out.
     memory_corrected : whether the correction was applied before imaging.
+    suspect_electrodes : whose readings changed together and were left out: a contact, not a load.
     """
 
     saturated: tuple[tuple[int, int], ...]
@@ -72,6 +73,7 @@ class ChannelReport:
     reading_memory: float | None
     reciprocity_error_corrected: float | None
     memory_corrected: bool
+    suspect_electrodes: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
