@@ -58,6 +58,7 @@ class Press:
     before, held : frames of the reference and of the hold; for a load held from the beginning the former is later.
     places : its loads (several where more than one thing was pressed at once).
     score : of its strongest step.
+    slow : whether only its release was a step.
     """
 
     start: float
@@ -67,6 +68,7 @@ class Press:
     held: slice
     places: tuple[Place, ...]
     score: float
+    slow: bool = False
 
 
 @dataclass(slots=True)
@@ -148,7 +150,12 @@ def search(white: Array, match: Matcher, no_loads: NoLoads | None = None) -> tup
 
 
 def _trembles(pulse: Change, press: Press, match: Matcher) -> bool:
-    """Whether a pulse is a tremble of a press that is held, or its release."""
+    """Whether a pulse is a tremble of a press that is held, or its release.
+
+    A press known by its release alone may be no more than the end of the pulse itself.
+    """
+    if press.slow:
+        return False
     x, y = match.places[pulse.place]
     apart = min(np.hypot(place.x - x, place.y - y) for place in press.places)
     return bool(apart <= SAME_PLACE and press.start + _CLOSE < pulse.frame < press.end + _CLOSE)
@@ -184,7 +191,7 @@ class _Search:
             first = min(int(np.ceil(start)), int(end))
             peak = first + int(np.argmax(along[first : max(int(np.ceil(end)), first + 1)]))
             score = max(one.score for one in group.changes)
-            self.found.presses.append(Press(start, peak, end, before, held, places, score))
+            self.found.presses.append(Press(start, peak, end, before, held, places, score, group.slow))
 
     def close_short(self, pulse: Change) -> None:
         """Work out a press of a few frames."""

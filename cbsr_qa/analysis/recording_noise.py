@@ -29,6 +29,7 @@ _NOISE_FRAMES = 12
 _NOISE_T = 8.0
 _OUTLIER = 6.0
 _FEWEST = 4
+_AS_LONG = 0.9  #: stretches of this share of the longest are about as long
 
 
 def channel_noise(readings: Array, *, counts: bool) -> Array:
@@ -137,7 +138,7 @@ def noise_report(
     """
     readings = block.voltages[:, use]
     unit = block.unit.value
-    quiet = _longest_quiet(block.time_s, steps, busy_s)
+    quiet = _longest_quiet(block.time_s, readings, steps, busy_s)
     if quiet is None or quiet.stop - quiet.start < _FEWEST or not readings.size:
         return NoiseReport(None, unit, None, steps, None, 0)
     part, times = readings[quiet], block.time_s[quiet]
@@ -167,16 +168,22 @@ def _drift_per_min(times: Array, readings: Array) -> float | None:
 
 
 def _longest_quiet(
-    time_s: Array, steps: tuple[NoiseStep, ...], busy_s: tuple[tuple[float, float], ...]
+    time_s: Array, readings: Array, steps: tuple[NoiseStep, ...], busy_s: tuple[tuple[float, float], ...]
 ) -> slice | None:
     group = np.searchsorted(np.array([step.time_s for step in steps]), time_s, side="right")
     quiet = np.ones(len(time_s), dtype=bool)
     for start, end in busy_s:
         quiet &= (time_s < start) | (time_s > end)
         group = group + (time_s > end)
-    best: slice | None = None
-    for label in np.unique(group[quiet]):
-        members = np.flatnonzero(quiet & (group == label))
-        if best is None or len(members) > best.stop - best.start:
-            best = slice(int(members[0]), int(members[-1]) + 1)
-    return best
+    stretches = [np.flatnonzero(quiet & (group == label)) for label in np.unique(group[quiet])]
+    if not stretches:
+        return None
+    longest = max(len(members) for members in stretches)
+    # Where several are about as long, the quietest says what the instrument can do.
+    alike = [members for members in stretches if len(members) >= _AS_LONG * longest]
+    best = min(alike, key=lambda members: _spread_of(readings[members]) if len(alike) > 1 else 0.0)
+    return slice(int(best[0]), int(best[-1]) + 1)
+
+
+def _spread_of(readings: Array) -> float:
+    return float(np.median(channel_noise(readings, counts=False))) if len(readings) > 1 else np.inf

@@ -15,7 +15,10 @@ Array = NDArray[np.float64]
 
 #: A further load must explain this share of the whole change, and of what the first one explains.
 _FURTHER_SHARE = 0.15
-_FURTHER_OF_FIRST = 0.25
+_FURTHER_OF_FIRST = 0.35
+#: One far from the others explains nothing that they leave over because the model is not exact: less is enough there.
+_FAR = 0.8
+_FAR_SHARE = 0.1
 _MOST_LOADS = 4
 _SWEEPS = 4
 #: Places this close to the best one (in radii) are fitted for the vertex of the likelihood.
@@ -104,7 +107,10 @@ def find_places(
         further = _best(_left(change, match, chosen), match, sign, tuple(chosen))
         moved = _settled(change, match, [*chosen, further], sign)
         gain = _explained(change, match, moved) - explained
-        if gain < _FURTHER_SHARE * total or gain < _FURTHER_OF_FIRST * explained or _touching(match, moved):
+        needed = max(_FURTHER_SHARE * total, _FURTHER_OF_FIRST * explained)
+        if _nearest(match, moved) > _FAR:
+            needed = _FAR_SHARE * total
+        if gain < needed or _nearest(match, moved) < _SEPARATE:
             break
         chosen, explained = moved, explained + gain
     found = [_refined(change, match, chosen, k) for k in range(len(chosen))]
@@ -188,10 +194,11 @@ def _settled(change: Array, match: Matcher, chosen: list[int], sign: int) -> lis
     return chosen
 
 
-def _touching(match: Matcher, chosen: list[int]) -> bool:
+def _nearest(match: Matcher, chosen: list[int]) -> float:
+    """Distance of the two places nearest to each other."""
     places = match.places[chosen]
     apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 9 * np.eye(len(chosen))
-    return bool(apart.min() < _SEPARATE)
+    return float(apart.min())
 
 
 def _refined(change: Array, match: Matcher, chosen: list[int], k: int) -> Place:

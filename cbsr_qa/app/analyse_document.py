@@ -85,6 +85,7 @@ def _channels(channels: ChannelReport) -> dict[str, Any]:
         "reading_memory": channels.reading_memory,
         "reciprocity_error_corrected": channels.reciprocity_error_corrected,
         "memory_corrected": channels.memory_corrected,
+        "suspect_electrodes": list(channels.suspect_electrodes),
     }
 
 

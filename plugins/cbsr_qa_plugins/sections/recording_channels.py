@@ -31,6 +31,8 @@ def _facts(result: RecordingResult) -> Table:
         ["Saturated", plural(len(channels.saturated), "channel") if channels.saturated else "none"],
         ["Stuck", plural(len(channels.stuck), "channel") if channels.stuck else "none"],
     ]
+    if channels.suspect_electrodes:
+        rows.append(["Electrodes with a suspect contact", ", ".join(map(str, channels.suspect_electrodes))])
     if channels.snr_db is not None:
         rows.append(["Level over noise, median", f"{fixed(channels.snr_db, 1)} dB"])
     if channels.reciprocity_error is not None:
@@ -67,7 +69,7 @@ def _map(result: RecordingResult) -> Figure:
             ChannelMark(at(channels.saturated), "x", "saturated"),
             ChannelMark(at(channels.stuck), "o", "stuck"),
         ),
-        caption=f"Level of each channel. {plural(saturated, 'channel')} saturated, {stuck} stuck.",
+        caption=f"Level of each channel. {plural(saturated, 'channel')} saturated, {stuck or 'none'} stuck.",
         alternative=f"Map of {level.shape[0]} by {level.shape[1]} channels; {saturated} saturated, {stuck} stuck.",
     )
 
