@@ -218,7 +218,7 @@ def test_a_frozen_board_is_called_that():
 def test_one_far_channel_at_the_rail_says_nothing_of_the_driven_pairs():
     voltages = counts()
     k = np.arange(16)
-    voltages[:, k, k] += 30_000
+    voltages[:, k, k] += 45_000
     voltages[:, 3, 8] = 65_535
     assert np.argwhere(find_faults(block(voltages), ScanKind.FULL).saturated).tolist() == [[3, 8]]
 
