@@ -16,7 +16,7 @@ from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.plan import Motion, Scene
-from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
+from cbsr_qa.domain.reconstruction import ImagingProblem, PreparedReconstruction
 from cbsr_qa.domain.recording import ReadOptions, Recording
 from cbsr_qa.domain.report import RunResult, Section
 from cbsr_qa.domain.run import InstrumentIdentity
@@ -180,9 +180,9 @@ class Sequence(Protocol):
 
 
 class Reconstruction(Protocol):
-    """Turns a linearised problem into an imaging matrix."""
+    """Turns a linearised problem into images; a linear method into one matrix (LinearReconstruction)."""
 
-    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
+    def prepare(self, problem: ImagingProblem) -> PreparedReconstruction:
         """Prepare once per sensor type; NumericsError where the problem cannot be solved."""
         ...
 

@@ -10,6 +10,7 @@ from cbsr_qa.analysis.run_timeline import metric_timelines
 from cbsr_qa.domain.frames import FrameBlock
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.reconstruction import linear
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.domain.sensor import Response
 from cbsr_qa.imaging.noise_floor import noise_floor
@@ -67,7 +68,7 @@ def observe_run(record: RunRecord, reconstruction: Reconstruction, settings: Ana
 def _imager(data: UsableData, for_reference: FrameBlock, reconstruction: Reconstruction) -> Imager:
     reference = for_reference.voltages.mean(axis=0)
     problem = imaging_problem(data.record.sensor_type, used=data.readings)
-    return Imager(reconstruction.prepare(problem), reference, scale_of(reference, problem))
+    return Imager(linear(reconstruction.prepare(problem)), reference, scale_of(reference, problem))
 
 
 def _remarks(loads: tuple[LoadObservation, ...], multiple: float) -> tuple[str, ...]:

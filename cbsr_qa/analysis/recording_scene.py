@@ -24,7 +24,7 @@ from cbsr_qa.analysis.recording_ready import ReadyReadings
 from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.image import Image
 from cbsr_qa.domain.load_events import LoadEvent
-from cbsr_qa.domain.reconstruction import LinearReconstruction
+from cbsr_qa.domain.reconstruction import PreparedReconstruction
 from cbsr_qa.domain.recording import Recording
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.interfaces import Reconstruction
@@ -65,7 +65,7 @@ class RecordedScene:
     ready: ReadyReadings
     sheet: Sheet
     reconstruction: Reconstruction
-    linear: LinearReconstruction
+    prepared: PreparedReconstruction
     model: UnitModel
     readings: Array  # (n, m)
     named: bool
@@ -101,8 +101,8 @@ class RecordedScene:
             used = usable_volts(frame, used, noise)
         sheet = sheet_for(sensor_type, used)
         model = unit_model(frame[used], sheet.problem, offset=ready.offset)
-        linear = reconstruction.prepare(sheet.problem)
-        return cls(recording, ready, sheet, reconstruction, linear, model, block.voltages[:, used], named)
+        prepared = reconstruction.prepare(sheet.problem)
+        return cls(recording, ready, sheet, reconstruction, prepared, model, block.voltages[:, used], named)
 
     def without(self, readings: NDArray[np.bool_]) -> Self:
         """Leave readings out: (m,) bool."""
@@ -111,8 +111,8 @@ class RecordedScene:
         used[used] = keep
         sheet = sheet_for(self.sheet.problem.sensor_type, used)
         model = UnitModel(self.model.reference[keep], self.model.gain[keep], self.model.nuisance[keep])
-        linear = self.reconstruction.prepare(sheet.problem)
-        return replace(self, sheet=sheet, linear=linear, model=model, readings=self.readings[:, keep])
+        prepared = self.reconstruction.prepare(sheet.problem)
+        return replace(self, sheet=sheet, prepared=prepared, model=model, readings=self.readings[:, keep])
 
     def objects(self) -> Searched:
         """Search against the reference."""
@@ -239,7 +239,7 @@ class RecordedScene:
             electrode=self.sheet.layout.electrode_at(place.x, place.y),
             sign=1 if place.score > 0 else -1,
             snr=score,
-            image=Image(self.sheet.problem.mesh, self.linear.images(change[None])[0]),
+            image=Image(self.sheet.problem.mesh, self.prepared.images(change[None])[0]),
             x_mm=place.x * radius if self.named else None,
             y_mm=place.y * radius if self.named else None,
             force_N=_peak_force(self.recording.samples, start_s, end_s),

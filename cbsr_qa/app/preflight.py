@@ -8,6 +8,7 @@ from cbsr_qa.app.setup import made
 from cbsr_qa.domain.errors import CbsrError, ConfigError
 from cbsr_qa.domain.measurement import Limit
 from cbsr_qa.domain.plan import Recipe
+from cbsr_qa.domain.reconstruction import linear
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.domain.steps import AcquireFrames, MarkUnloaded, Press
@@ -31,7 +32,7 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
         for name in recipe.sections:
             plugins.factory(Kind.SECTION, name)
         _check_limits(recipe.limits, metrics)
-        reconstruction.prepare(imaging_problem(sensor_type))
+        linear(reconstruction.prepare(imaging_problem(sensor_type)))
     except CbsrError as error:
         raise type(error)(f"recipe {recipe.name!r}: {error.reason}", remedy=error.remedy) from error
 

@@ -1,12 +1,12 @@
 """What a reconstruction is given and what a linear one becomes."""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.sensor import SensorType
 
@@ -26,6 +26,10 @@ class ImagingProblem:
     noise_variance : (m,) float64 relative variances of the used readings, or None for equal noise on all.
     nominal : the sensor type's problem with every reading its pattern images and equal noise: what belongs to the
         type, such as λ, is chosen on it. None where this is it.
+    sample : (k, m) float64 measured changes, scaled as ``reference``, for a choice of λ that looks at data
+        (generalised cross-validation, L-curve, discrepancy). None where there are none: it then simulates its own.
+    measured : (m,) float64, the used readings of this sensor's own reference frame, scaled as ``reference``, for
+        absolute images. None where only differences are known.
     """
 
     sensor_type: SensorType
@@ -35,6 +39,8 @@ class ImagingProblem:
     used: NDArray[np.bool_]
     noise_variance: NDArray[np.float64] | None = None
     nominal: Self | None = None
+    sample: NDArray[np.float64] | None = None
+    measured: NDArray[np.float64] | None = None
 
     def __post_init__(self) -> None:
         count = int(self.used.sum())
@@ -51,14 +57,42 @@ class ParameterChoice:
 
     Parameters
     ----------
-    value : λ.
-    how : e.g. ``"noise figure 1.00 on the nominal model"``.
+    value : λ, or what the method has in its place.
+    how : the criterion and its result in words, e.g. ``"noise figure 1.00 on the nominal model"``.
     noise_figure : of the resulting matrix, Adler et al. 2009 form, on the nominal model.
+    name : what ``value`` is.
     """
 
     value: float
     how: str
     noise_figure: float
+    name: str = "λ"
+
+
+class PreparedReconstruction(Protocol):
+    """What every prepared method offers; those that are one matrix are a :class:`LinearReconstruction`.
+
+    Runs, whose calibration holds the matrix, take linear methods only; ``analyse`` takes all.
+    """
+
+    @property
+    def method(self) -> str:
+        """Name of the plugin."""
+        ...
+
+    @property
+    def problem(self) -> ImagingProblem:
+        """What it was prepared for."""
+        ...
+
+    @property
+    def choice(self) -> ParameterChoice:
+        """The regularisation parameter and why it has this value."""
+        ...
+
+    def images(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Relative conductance changes (n, e) of scaled changes (n, m): consecutive frames of one recording."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,3 +137,19 @@ class LinearReconstruction:
             raise RefusedError("a reading is not a finite number; mask its channel instead of imaging it")
         images: NDArray[np.float64] = changes @ self.matrix.T
         return images
+
+
+def linear(prepared: PreparedReconstruction) -> LinearReconstruction:
+    """Narrow to a method that is one matrix.
+
+    Raises
+    ------
+    NumericsError
+        If the method is not: a run's calibration holds its matrix.
+    """
+    if not isinstance(prepared, LinearReconstruction):
+        raise NumericsError(
+            f"reconstruction {prepared.method!r} is not one matrix, which a run's calibration must hold",
+            remedy="take a linear method in a recipe; this one can be used by `cbsr-qa analyse`",
+        )
+    return prepared
