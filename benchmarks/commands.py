@@ -5,19 +5,24 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
-from benchmarks.timing import Compared, compare
+from benchmarks.rows import Row, ratio_row
+from benchmarks.timing import compare
+
+TITLE = "Commands"
 
 
-def compared() -> Iterator[Compared]:
+def rows() -> Iterator[Row]:
     """``--version`` and ``plugins list``, against importing what they avoid."""
     program = str(Path(sys.executable).with_name("cbsr-qa"))
     heavy = [sys.executable, "-c", "import scipy.optimize, sqlalchemy, matplotlib.figure"]
     for arguments in (["--version"], ["plugins", "list"]):
-        yield compare(
-            f"`cbsr-qa {' '.join(arguments)}`",
-            ("lazy", lambda arguments=arguments: _quiet([program, *arguments])),
-            ("importing what it avoids", lambda: _quiet(heavy)),
-            repeats=10,
+        yield ratio_row(
+            compare(
+                f"`cbsr-qa {' '.join(arguments)}`",
+                ("lazy", lambda arguments=arguments: _quiet([program, *arguments])),
+                ("importing what it avoids", lambda: _quiet(heavy)),
+                repeats=10,
+            )
         )
 
 

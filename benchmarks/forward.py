@@ -4,14 +4,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.timing import Compared, compare
+from benchmarks.rows import Row, ratio_row
+from benchmarks.timing import compare
 from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.forward.local import LocalUpdate
 from cbsr_qa.forward.meshing import sheet_mesh
 from cbsr_qa.forward.model import ForwardModel
 
+TITLE = "Forward model"
 
-def compared() -> Iterator[Compared]:
+
+def rows() -> Iterator[Row]:
     """One load, and nine at once, on the mesh of the simulated bench."""
     sensor = load_sensor_type("disc-100mm").value
     mesh = sheet_mesh(sensor, size_mm=2.5)
@@ -28,12 +31,16 @@ def compared() -> Iterator[Compared]:
         conductance = np.ones(count)
         conductance[elements] += 0.12
         local.voltages(elements, change)  # the first frame at a place prepares it
-        yield compare(
-            f"one frame, {len(places)} of nine places pressed, {count} elements",
-            ("local update", lambda elements=elements, change=change: local.voltages(elements, change)),
-            (
-                "factorising again",
-                lambda conductance=conductance: ForwardModel(mesh, sensor.pattern, conductance, contacts).voltages(),
-            ),
-            repeats=20,
+        yield ratio_row(
+            compare(
+                f"one frame, {len(places)} of nine places pressed, {count} elements",
+                ("local update", lambda elements=elements, change=change: local.voltages(elements, change)),
+                (
+                    "factorising again",
+                    lambda conductance=conductance: ForwardModel(
+                        mesh, sensor.pattern, conductance, contacts
+                    ).voltages(),
+                ),
+                repeats=20,
+            )
         )

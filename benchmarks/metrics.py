@@ -4,7 +4,8 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.timing import Compared, compare
+from benchmarks.rows import Row, ratio_row
+from benchmarks.timing import compare
 from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.domain.image import Image
 from cbsr_qa.forward.meshing import image_mesh
@@ -16,7 +17,10 @@ _PLACE = (15.0, 15.0)
 _RADIUS_MM = 6.5
 
 
-def compared() -> Iterator[Compared]:
+TITLE = "Figures of merit"
+
+
+def rows() -> Iterator[Row]:
     """Four masks with all three metrics, against one circle mask by a loop over the elements."""
     mesh = image_mesh(load_sensor_type("disc-100mm").value, size_mm=2.2)
     away = np.hypot(*(mesh.centroids_mm - np.array(_PLACE)).T)
@@ -38,9 +42,11 @@ def compared() -> Iterator[Compared]:
                 inside.append(number)
         return inside
 
-    yield compare(
-        f"metrics of one image, {len(mesh.elements)} elements",
-        ("four masks, blobs, three metrics", four_masks),
-        ("one circle mask by a loop", circle_mask),
-        repeats=20,
+    yield ratio_row(
+        compare(
+            f"metrics of one image, {len(mesh.elements)} elements",
+            ("four masks, blobs, three metrics", four_masks),
+            ("one circle mask by a loop", circle_mask),
+            repeats=20,
+        )
     )

@@ -20,13 +20,6 @@ class Compared:
         """How many times slower the other way is."""
         return self.theirs_s / self.ours_s
 
-    def row(self) -> str:
-        """One row of the table."""
-        return (
-            f"| {self.what} | {self.ours}: {_shown(self.ours_s)} | {self.theirs}: {_shown(self.theirs_s)}"
-            f" | {self.ratio:.1f} × |"
-        )
-
 
 def compare(
     what: str,
@@ -44,7 +37,18 @@ def compare(
     return Compared(what, ours[0], theirs[0], best[0], best[1])
 
 
-def _shown(seconds: float) -> str:
+def fastest(run: Callable[[], object], repeats: int) -> float:
+    """Fastest of some repeats [s]."""
+    best = float("inf")
+    for _ in range(repeats):
+        before = time.perf_counter()
+        run()
+        best = min(best, time.perf_counter() - before)
+    return best
+
+
+def shown(seconds: float) -> str:
+    """A time in a unit that fits."""
     for unit, size in (("s", 1.0), ("ms", 1e-3)):
         if seconds >= size:
             return f"{seconds / size:.2f} {unit}"
