@@ -69,7 +69,7 @@ class Peer:
 
 @lru_cache(maxsize=3)
 def peer(size: float = SIZES[-1]) -> Peer:
-    """pyEIT's disc of an edge length in radii; its mesher takes seconds, and is not counted."""
+    """One of pyEIT's discs, of an edge length in radii; its mesher takes seconds, and is not counted."""
     with contextlib.redirect_stdout(io.StringIO()), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import pyeit.mesh
