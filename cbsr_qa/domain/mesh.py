@@ -8,6 +8,29 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
 
+_OFF_CIRCLE = 1e-6  # how far a node may be off its circle, of the radius
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CircleArcs:
+    """Edges of a mesh that stand for arcs of one circle: the sheet's round edge, or a pin's rim.
+
+    Parameters
+    ----------
+    edges : (k, 2) int64, pairs of nodes on the circle, less than half a turn apart.
+    centre_mm, radius_mm : of the circle.
+    """
+
+    edges: NDArray[np.int64]
+    centre_mm: tuple[float, float]
+    radius_mm: float
+
+    def middles_mm(self, nodes_mm: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Middles of the arcs, (k, 2) [mm]."""
+        chord = nodes_mm[self.edges].mean(axis=1) - self.centre_mm
+        middles: NDArray[np.float64] = self.centre_mm + chord * (self.radius_mm / np.hypot(*chord.T))[:, None]
+        return middles
+
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
@@ -18,16 +41,18 @@ class Mesh:
     nodes_mm : (n, 2) float64 [mm], relative to the sheet's centre.
     elements : (e, 3) int64, counterclockwise.
     electrode_edges : one (k, 2) int64 array of node pairs per electrode; empty for a mesh that only carries images.
+    arcs : edges whose true course is an arc; elements of second order follow it, the triangles here are straight.
 
     Raises
     ------
     RefusedError
-        If an element is turned or has no area, or names a node that is not there.
+        If an element is turned or has no area, names a node that is not there, or an arc's node is off its circle.
     """
 
     nodes_mm: NDArray[np.float64]
     elements: NDArray[np.int64]
     electrode_edges: tuple[NDArray[np.int64], ...] = ()
+    arcs: tuple[CircleArcs, ...] = ()
 
     def __post_init__(self) -> None:
         if self.elements.size and not 0 <= self.elements.min() <= self.elements.max() < len(self.nodes_mm):
@@ -35,6 +60,10 @@ class Mesh:
         flat = np.flatnonzero(self.areas_mm2 <= 0)
         if flat.size:
             raise RefusedError(f"mesh element {flat[0]} (of {flat.size}) is turned or has no area")
+        for arcs in self.arcs:
+            away = np.hypot(*(self.nodes_mm[arcs.edges.ravel()] - arcs.centre_mm).T)
+            if not (np.abs(away - arcs.radius_mm) <= _OFF_CIRCLE * arcs.radius_mm).all():
+                raise RefusedError(f"an arc of radius {arcs.radius_mm:g} mm joins nodes that are not on its circle")
 
     @cached_property
     def corners_mm(self) -> NDArray[np.float64]:

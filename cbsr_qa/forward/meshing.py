@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.mesh import CircleArcs, Mesh
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.forward.triangulate import Outline, fill
 
@@ -47,7 +47,7 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
     ring = _pins if layout.kind is ElectrodeKind.PIN else _arcs
     boundary = ring(layout, sensor_type.radius_mm, size_mm)
     nodes, elements = fill(boundary.outline, np.zeros((0, 2)), smoothing=_SMOOTHING)
-    return Mesh(nodes, elements, boundary.electrode_edges)
+    return Mesh(nodes, elements, boundary.electrode_edges, boundary.arcs)
 
 
 def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
@@ -82,6 +82,7 @@ def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
 class _Boundary:
     outline: Outline
     electrode_edges: tuple[NDArray[np.int64], ...]
+    arcs: tuple[CircleArcs, ...]
 
 
 def _pins(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
@@ -102,9 +103,10 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
     rim = pin * _unit(2 * np.pi * np.arange(rim_count) / rim_count)
     rims = [centre + _turn(rim, angle) for centre, angle in zip(centres, layout.angles_rad(), strict=True)]
     hole = np.concatenate([np.full(len(edge), -1), np.repeat(np.arange(layout.count), rim_count)])
-    ring = np.column_stack([np.arange(rim_count), (np.arange(rim_count) + 1) % rim_count])
-    edges = tuple(len(edge) + k * rim_count + ring for k in range(layout.count))
-    return _Boundary(Outline(np.vstack([edge, *rims]), hole.astype(np.int64), sizes, clearance), edges)
+    edges = tuple(len(edge) + k * rim_count + _ring(rim_count) for k in range(layout.count))
+    arcs = [CircleArcs(e, (x, y), pin) for e, (x, y) in zip(edges, centres.tolist(), strict=True)]
+    outline = Outline(np.vstack([edge, *rims]), hole.astype(np.int64), sizes, clearance)
+    return _Boundary(outline, edges, (CircleArcs(_ring(len(edge)), (0.0, 0.0), radius), *arcs))
 
 
 def _arcs(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
@@ -129,7 +131,12 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
         sizes,
         lambda points: radius - np.hypot(points[:, 0], points[:, 1]),
     )
-    return _Boundary(outline, edges)
+    return _Boundary(outline, edges, (CircleArcs(_ring(len(edge)), (0.0, 0.0), radius),))
+
+
+def _ring(count: int) -> NDArray[np.int64]:
+    """Edges of a closed line of so many nodes."""
+    return np.column_stack([np.arange(count), (np.arange(count) + 1) % count])
 
 
 def _graded(size: float, finest: float, radius: float, distance: Callable[[Points], NDArray[np.float64]]) -> Size:
