@@ -83,3 +83,12 @@ def test_the_metric_of_the_plugin_page_measures():
     assert (peak.value, peak.unit) == (4.5, "N")
     (nothing,) = metric.measure_run(SimpleNamespace(record=SimpleNamespace(phases=phases[:1])))
     assert nothing.value is None
+
+
+def test_the_reconstruction_of_the_plugin_page_conforms(capsys):
+    namespace = {}
+    for block in _blocks(_TOP / "docs" / "how-to" / "write-a-plugin.md", "python"):
+        exec(block, namespace)
+    said = capsys.readouterr().out.splitlines()
+    assert len(said) == 9
+    assert said[-1].startswith("refusals: NaN")
