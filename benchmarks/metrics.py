@@ -7,6 +7,7 @@ import numpy as np
 from benchmarks.rows import Row, ratio_row
 from benchmarks.timing import compare
 from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.footprints import RoundFootprint
 from cbsr_qa.domain.image import Image
 from cbsr_qa.forward.meshing import image_mesh
 from cbsr_qa.imaging.blobs import find_blobs, nearest_blob
@@ -15,6 +16,7 @@ from cbsr_qa.imaging.shape import area_overlap_percent, centre_of_mass_error_mm,
 
 _PLACE = (15.0, 15.0)
 _RADIUS_MM = 6.5
+_HEAD = RoundFootprint(*_PLACE, _RADIUS_MM)
 
 
 TITLE = "Figures of merit"
@@ -30,9 +32,9 @@ def rows() -> Iterator[Row]:
         for fraction in (0.25, 0.5, 0.75, 0.85):
             blob = nearest_blob(find_blobs(image, percentage_mask(image.values, fraction)), *_PLACE)
             assert blob is not None
-            centre_of_mass_error_mm(blob, *_PLACE)
-            area_overlap_percent(blob, *_PLACE, _RADIUS_MM)
-            shape_deviation_mm2(blob, *_PLACE, _RADIUS_MM)
+            centre_of_mass_error_mm(blob, _HEAD)
+            area_overlap_percent(blob, _HEAD)
+            shape_deviation_mm2(blob, _HEAD)
 
     def circle_mask() -> list[int]:
         inside = []

@@ -74,8 +74,8 @@ def load_window(phase: PhaseRecord, record: LoadRecord, settings: AnalysisSettin
 def mean_change_under_head(setting: LoadSetting, record: LoadRecord, window: LoadWindow) -> float:
     """Mean relative change under the head in the steady frames, unsigned: what votes on the response."""
     values = setting.imager.images(window.steady).mean(axis=0)
-    place = (record.load.x_mm, record.load.y_mm)
-    return mean_under(setting.imager.mesh, values, place, setting.indenter.radius_mm)
+    pressed = setting.indenter.at(record.load.x_mm, record.load.y_mm)
+    return mean_under(setting.imager.mesh, values, pressed)
 
 
 def observe_load(setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, window: LoadWindow) -> LoadObservation:

@@ -8,8 +8,7 @@ from cbsr_qa.domain.loads import Load
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.observation import MaskView
 from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.imaging.blobs import find_blobs, nearest_blob
-from cbsr_qa.imaging.masks import percentage_mask
+from cbsr_qa.imaging.blobs import masked_blobs, nearest_blob
 from cbsr_qa.imaging.noise_floor import floored
 
 #: Values below this are rounding, not signal, whatever the noise floor: without it a noiseless simulation would
@@ -33,8 +32,7 @@ def mask_views(
     One view per mask, in the recipe's order; views without blobs where nothing stands above the floor.
     """
     image = Image(mesh, floored(signed, max(noise_floor, RESOLUTION)))
-    views = []
-    for fraction in settings.masks:
-        blobs = find_blobs(image, percentage_mask(image.values, fraction))
-        views.append(MaskView(fraction, blobs, nearest_blob(blobs, load.x_mm, load.y_mm)))
-    return tuple(views)
+    return tuple(
+        MaskView(fraction, blobs, nearest_blob(blobs, load.x_mm, load.y_mm))
+        for fraction, blobs in zip(settings.masks, masked_blobs(image, settings.masks), strict=True)
+    )

@@ -5,6 +5,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.footprints import Footprint
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.sensor import Response
 
@@ -43,8 +44,8 @@ def decide_response(
     return voted, f"decided from {len(clear)} loads: {counts}", warnings
 
 
-def mean_under(mesh: Mesh, values: NDArray[np.float64], centre_mm: tuple[float, float], radius_mm: float) -> float:
-    """Area-weighted mean of an image over the elements whose centroid lies under a round head.
+def mean_under(mesh: Mesh, values: NDArray[np.float64], pressed: Footprint) -> float:
+    """Area-weighted mean of an image over the elements whose centroid lies under a head.
 
     Parameters
     ----------
@@ -54,6 +55,6 @@ def mean_under(mesh: Mesh, values: NDArray[np.float64], centre_mm: tuple[float, 
     -------
     float; 0 where the head covers no element's centroid.
     """
-    under = np.hypot(*(mesh.centroids_mm - np.asarray(centre_mm)).T) <= radius_mm
+    under = pressed.contains(mesh.centroids_mm)
     area = mesh.areas_mm2 * under
     return float(values @ area / area.sum()) if under.any() else 0.0

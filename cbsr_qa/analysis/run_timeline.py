@@ -45,10 +45,9 @@ def _metrics(setting: LoadSetting, signed: NDArray[np.float64], record: LoadReco
 def _of_blob(setting: LoadSetting, blob: Blob | None, record: LoadRecord) -> tuple[float, float, float]:
     if blob is None:
         return (np.nan, np.nan, np.nan)
-    place = (record.load.x_mm, record.load.y_mm)
-    radius_mm, chosen = setting.indenter.radius_mm, setting.settings
+    pressed, chosen = setting.indenter.at(record.load.x_mm, record.load.y_mm), setting.settings
     return (
-        centre_of_mass_error_mm(blob, *place),
-        area_overlap_percent(blob, *place, radius_mm, mode=chosen.clipping),
-        shape_deviation_mm2(blob, *place, radius_mm, mode=chosen.perimeter),
+        centre_of_mass_error_mm(blob, pressed),
+        area_overlap_percent(blob, pressed, chosen.clipping),
+        shape_deviation_mm2(blob, pressed, chosen.perimeter),
     )

@@ -52,6 +52,29 @@ def area_under_edges(start: Points, end: Points, radius: float) -> NDArray[np.fl
     return area
 
 
+def squared_deviation_integral(start: Points, end: Points, radius: float) -> NDArray[np.float64]:
+    """Integral of (‖P‖ − r)² along straight edges, in closed form: (k, 2), (k, 2) → (k,).
+
+    With u the coordinate along the edge's line from the foot of the perpendicular and h the line's distance,
+    the integrand is u² + h² + r² − 2 r √(u² + h²). Edges must have a length.
+    """
+    along = end - start
+    length = np.sqrt(_dot(along, along))
+    height = np.abs(_cross(start, along)) / length
+    first, last = _dot(start, along) / length, _dot(end, along) / length
+
+    def primitive(u: NDArray[np.float64]) -> NDArray[np.float64]:
+        # h² asinh(u/h) vanishes with h; the floor keeps the quotient finite.
+        bent = height**2 * np.arcsinh(u / np.maximum(height, 1e-150))
+        value: NDArray[np.float64] = (
+            u**3 / 3 + (height**2 + radius**2) * u - radius * (u * np.sqrt(u**2 + height**2) + bent)
+        )
+        return value
+
+    integral: NDArray[np.float64] = np.maximum(primitive(last) - primitive(first), 0.0)
+    return integral
+
+
 def _boxes_touch(start: Points, radius: float) -> NDArray[np.bool_]:
     near: NDArray[np.bool_] = ((start.min(axis=1) < radius) & (start.max(axis=1) > -radius)).all(axis=1)
     return near

@@ -1,25 +1,66 @@
 """What presses on the sheet, where, how hard, and when it happened."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
+
+from cbsr_qa.domain.footprints import Footprint, PolygonFootprint, RoundFootprint
 
 
 @dataclass(frozen=True, slots=True)
 class Indenter:
-    """Flat round head of the force applicator."""
+    """Flat head of the force applicator, round or of any outline.
+
+    Parameters
+    ----------
+    diameter_mm : of a round head; of the disc of the same area for another, see :meth:`with_outline`.
+    outline_mm : corners (x, y) from the head's axis, counterclockwise; empty for a round head.
+    """
 
     diameter_mm: float
+    outline_mm: tuple[tuple[float, float], ...] = ()
+
+    @classmethod
+    def with_outline(cls, corners_mm: Iterable[tuple[float, float]]) -> Self:
+        """Return a head of any outline.
+
+        Raises
+        ------
+        NumericsError
+            If the corners do not make a simple polygon.
+        """
+        polygon = PolygonFootprint(np.array(list(corners_mm), dtype=np.float64))
+        corners = tuple((x, y) for x, y in polygon.corners_mm.tolist())
+        return cls(2 * float(np.sqrt(polygon.area_mm2 / np.pi)), corners)
 
     @property
     def radius_mm(self) -> float:
-        """Radius r of the head."""
+        """Radius r of the head; of the disc of the same area where it is not round."""
         return self.diameter_mm / 2
 
     @property
     def area_mm2(self) -> float:
         """Area A_FA of the head (132.7 mm² for 13 mm; the paper rounds to 133)."""
         return float(np.pi * self.radius_mm**2)
+
+    @property
+    def reach_mm(self) -> float:
+        """Furthest point of the head from its axis."""
+        return max((float(np.hypot(*corner)) for corner in self.outline_mm), default=self.radius_mm)
+
+    def at(self, x_mm: float, y_mm: float) -> Footprint:
+        """Return the head's outline with its axis at a place of the sheet."""
+        if not self.outline_mm:
+            return RoundFootprint(x_mm, y_mm, self.radius_mm)
+        return PolygonFootprint(np.array(self.outline_mm) + np.array([x_mm, y_mm]))
+
+    def words(self) -> str:
+        """Say what it is, e.g. ``"13 mm diameter"``."""
+        if not self.outline_mm:
+            return f"{self.diameter_mm:g} mm diameter"
+        return f"outline of {len(self.outline_mm)} corners, {2 * self.reach_mm:.3g} mm across"
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,7 +70,7 @@ class Load:
     Parameters
     ----------
     label : ``"L0"`` … ``"L8"`` on the grid, ``"R0"`` … for random loads.
-    x_mm, y_mm : centre of the indenter relative to the sheet's centre.
+    x_mm, y_mm : axis of the indenter relative to the sheet's centre.
     strain : compressive, as a fraction (0.2 is 20 %).
     trial : 0-based repetition of the same load.
     """

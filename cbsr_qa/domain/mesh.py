@@ -104,6 +104,12 @@ class Mesh:
         return np.column_stack([element[same], element[same + 1]]).astype(np.int64)
 
     @cached_property
+    def outline(self) -> NDArray[np.int64]:
+        """Edges of exactly one element, (k, 2) int64 nodes, the mesh to their left: its edge, and holes' rims."""
+        alone = np.bincount(self.element_edges.ravel())[self.element_edges] == 1
+        return np.column_stack([self.elements[alone], self.elements[:, [1, 2, 0]][alone]])
+
+    @cached_property
     def _edge_table(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         pairs = np.stack([self.elements, np.roll(self.elements, -1, axis=1)], axis=-1).reshape(-1, 2)
         count = len(self.nodes_mm)

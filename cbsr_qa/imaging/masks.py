@@ -31,10 +31,20 @@ def percentage_mask(values: NDArray[np.float64], fraction: float) -> NDArray[np.
     NumericsError
         If the fraction is outside (0, 1] or a value is not finite.
     """
+    kept: NDArray[np.bool_] = (values > 0) & (values >= threshold(values, fraction))
+    return kept
+
+
+def threshold(values: NDArray[np.float64], fraction: float) -> float:
+    """Return what a value must reach to survive: the fraction of the maximum, less rounding; 0 if none is positive.
+
+    Raises
+    ------
+    NumericsError
+        If the fraction is outside (0, 1] or a value is not finite.
+    """
     if not 0 < fraction <= 1:
         raise NumericsError(f"a mask of {fraction:g} is outside (0, 1]", remedy="give it as a fraction, e.g. 0.85")
     if not np.isfinite(values).all():
         raise NumericsError("an image that is to be masked holds a value that is not a finite number")
-    peak = values.max(initial=0.0)
-    kept: NDArray[np.bool_] = (values > 0) & (values >= fraction * peak * (1 - _TIE))
-    return kept
+    return fraction * float(values.max(initial=0.0)) * (1 - _TIE)

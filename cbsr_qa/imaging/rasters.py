@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.geometry import area_under_edges
-from cbsr_qa.imaging.masks import percentage_mask
-from cbsr_qa.imaging.shape import squared_deviation_integral
+from cbsr_qa.imaging.masks import percentage_mask, threshold
 
 # scikit-image ships without types for these.
 _feature: Final[Any] = skimage.feature
@@ -50,29 +48,47 @@ class Raster:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Region:
-    """Connected pixels that survived a mask.
+class PixelRegion:
+    """Connected pixels that survived a mask, with the contour around them.
 
     Parameters
     ----------
     pixels : (rows, columns) bool.
-    centre_mm : value-weighted centre of mass, (2,).
-    area_mm2, weight_mm2 : number of pixels and sum of their values, times a pixel's area.
+    centre : value-weighted centre of mass of the pixels, (2,) [mm].
+    area_mm2 : inside the contour.
+    weight : sum of the pixels' values, times a pixel's area [mm²].
+    start_mm, end_mm : (k, 2) straight pieces of the contour, the region to their left.
     """
 
     pixels: NDArray[np.bool_]
-    centre_mm: NDArray[np.float64]
+    centre: NDArray[np.float64]
     area_mm2: float
-    weight_mm2: float
+    weight: float
+    start_mm: NDArray[np.float64]
+    end_mm: NDArray[np.float64]
+
+    def centre_mm(self) -> NDArray[np.float64]:
+        """Centre of mass M, (2,) [mm]."""
+        return self.centre
+
+    def rim_mm(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Starts and ends (k, 2) [mm] of the contour's pieces."""
+        return self.start_mm, self.end_mm
 
 
-def find_regions(raster: Raster, fraction: float) -> tuple[Region, ...]:
-    """Find the connected pixels of a percentage mask, over shared edges; heaviest first, empty for "no blob"."""
-    keep = percentage_mask(raster.values.ravel(), fraction).reshape(raster.values.shape)
-    return _regions(raster, _measure.label(keep, connectivity=1))
+def find_regions(raster: Raster, fraction: float) -> tuple[PixelRegion, ...]:
+    """Find the connected pixels of a percentage mask, over shared edges; heaviest first, empty for "no blob".
+
+    Raises
+    ------
+    NumericsError
+        If the fraction is outside (0, 1).
+    """
+    keep, level = _masked(raster, fraction)
+    return _regions(raster, _measure.label(keep, connectivity=1), level)
 
 
-def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tuple[Region, ...]:
+def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tuple[PixelRegion, ...]:
     """Find regions, and part those that hold several peaks along the valleys between them (watershed).
 
     Parameters
@@ -83,11 +99,11 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
     Raises
     ------
     NumericsError
-        If the separation is not positive.
+        If the separation is not positive, or the fraction outside (0, 1).
     """
     if not separation_mm > 0:
         raise NumericsError(f"a separation of {separation_mm} mm does not tell loads apart; it must be positive")
-    keep = percentage_mask(raster.values.ravel(), fraction).reshape(raster.values.shape)
+    keep, level = _masked(raster, fraction)
     if not keep.any():
         return ()
     smooth = gaussian_filter(raster.values, separation_mm / 4 / raster.pitch_mm)
@@ -96,7 +112,7 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
     peaks = _feature.peak_local_max(smooth, min_distance=apart, labels=joined, exclude_border=False)
     markers = np.zeros(keep.shape, dtype=np.int64)
     markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
-    return _regions(raster, _segmentation.watershed(-smooth, markers, mask=keep))
+    return _regions(raster, _segmentation.watershed(-smooth, markers, mask=keep), level)
 
 
 def outlines(raster: Raster, level: float) -> tuple[NDArray[np.float64], ...]:
@@ -106,46 +122,33 @@ def outlines(raster: Raster, level: float) -> tuple[NDArray[np.float64], ...]:
 
     Returns
     -------
-    tuple of (k, 2) float64 [mm], first and last point equal.
+    tuple of (k, 2) float64 [mm], first and last point equal; what is above the level lies to the left.
     """
-    found = _measure.find_contours(np.pad(raster.values, 1), level)
-    closed = [raster.places_mm(contour - 1) for contour in found]
-    return tuple(sorted(closed, key=lambda outline: -float(_lengths(outline).sum())))
+    found = _measure.find_contours(np.pad(raster.values, 1), level, positive_orientation="high")
+    # Rows rise with y: (row, column) to (x, y) is a reflection, which turns outlines round.
+    closed = [raster.places_mm(contour[::-1] - 1) for contour in found]
+    return tuple(sorted(closed, key=lambda outline: -float(np.hypot(*np.diff(outline, axis=0).T).sum())))
 
 
-def outline_area_mm2(outline: NDArray[np.float64]) -> float:
-    """Area inside a closed outline."""
-    start, end = outline[:-1], outline[1:]
-    return abs(float((start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]).sum())) / 2
+def _masked(raster: Raster, fraction: float) -> tuple[NDArray[np.bool_], float]:
+    if fraction == 1:
+        raise NumericsError("a contour at the maximum itself encloses nothing", remedy="take a mask below 100 %")
+    keep = percentage_mask(raster.values.ravel(), fraction).reshape(raster.values.shape)
+    return keep, threshold(raster.values, fraction)
 
 
-def outline_overlap_percent(outline: NDArray[np.float64], x_mm: float, y_mm: float, radius_mm: float) -> float:
-    """A_OL of the region inside a closed outline, exact to the circle's arc (paper Eq 5)."""
-    around = outline - np.array([x_mm, y_mm])
-    inside = abs(float(area_under_edges(around[:-1], around[1:], radius_mm).sum()))
-    return 50.0 * inside * (1 / (np.pi * radius_mm**2) + 1 / outline_area_mm2(outline))
-
-
-def outline_deviation_mm2(outline: NDArray[np.float64], x_mm: float, y_mm: float, radius_mm: float) -> float:
-    """SD of a closed outline, length-weighted (paper Eq 6)."""
-    around = outline - np.array([x_mm, y_mm])
-    length = _lengths(outline)
-    edges = length > 0
-    integral = squared_deviation_integral(around[:-1][edges], around[1:][edges], length[edges], radius_mm)
-    return float(integral.sum() / length.sum())
-
-
-def _lengths(outline: NDArray[np.float64]) -> NDArray[np.float64]:
-    lengths: NDArray[np.float64] = np.hypot(*np.diff(outline, axis=0).T)
-    return lengths
-
-
-def _regions(raster: Raster, labels: NDArray[np.int64]) -> tuple[Region, ...]:
-    pixel_mm2 = raster.pitch_mm**2
+def _regions(raster: Raster, labels: NDArray[np.int64], level: float) -> tuple[PixelRegion, ...]:
     regions = []
     for found in _measure.regionprops(labels, intensity_image=raster.values):
         pixels = labels == found.label
         centre = raster.places_mm(np.array([found.centroid_weighted]))[0]
-        weight = float(raster.values[pixels].sum()) * pixel_mm2
-        regions.append(Region(pixels, centre, float(found.num_pixels) * pixel_mm2, weight))
-    return tuple(sorted(regions, key=lambda region: -region.weight_mm2))
+        alone = Raster(
+            np.where(pixels | (raster.values < level), raster.values, 0.0), raster.pitch_mm, raster.first_mm
+        )
+        pieces = outlines(alone, level)
+        start, end = (np.concatenate([piece[part] for piece in pieces]) for part in (slice(-1), slice(1, None)))
+        long = (start != end).any(axis=1)
+        area = float((start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]).sum()) / 2
+        weight = float(raster.values[pixels].sum()) * raster.pitch_mm**2
+        regions.append(PixelRegion(pixels, centre, area, weight, start[long], end[long]))
+    return tuple(sorted(regions, key=lambda region: -region.weight))

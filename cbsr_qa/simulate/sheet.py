@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.geometry import circle_overlap_mm2
+from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.forward.coverage import coverage
 from cbsr_qa.forward.local import LocalUpdate
 from cbsr_qa.forward.meshing import sheet_mesh
 from cbsr_qa.forward.model import ForwardModel
@@ -50,20 +51,20 @@ class SimulatedSheet:
         contacts = np.full(count, contact_length_mm)
         self.unit_model = ForwardModel(self.mesh, sensor_type.pattern, np.ones(len(self.mesh.elements)), contacts)
         self._update = LocalUpdate(self.unit_model)
-        self._covers: dict[tuple[Place, float], tuple[NDArray[np.int64], Array]] = {}
+        self._covers: dict[tuple[Place, Indenter], tuple[NDArray[np.int64], Array]] = {}
         #: sheet conductance γ₀ [S]
         self.conductance_S = _neighbour_resistance(self.unit_model) / interelectrode_resistance_ohm
         #: readings of the unloaded sheet, (drives, measures) [V/A]
         self.unloaded: Array = self.unit_model.voltages() / self.conductance_S
 
-    def voltages(self, changes: Mapping[Place, float], radius_mm: float) -> Array:
-        """Readings per ampere while places under a round head have changed.
+    def voltages(self, changes: Mapping[Place, float], indenter: Indenter) -> Array:
+        """Readings per ampere while places under a head have changed.
 
         Parameters
         ----------
         changes : relative conductance change by place; an element partly covered changes by its covered share, and
             changes of places that overlap add.
-        radius_mm : of the head.
+        indenter : the head.
 
         Returns
         -------
@@ -78,12 +79,12 @@ class SimulatedSheet:
         """
         if not changes:
             return self.unloaded.copy()
-        elements, relative = self.relative_change(changes, radius_mm)
+        elements, relative = self.relative_change(changes, indenter)
         return self._update.voltages(elements, relative) / self.conductance_S
 
-    def relative_change(self, changes: Mapping[Place, float], radius_mm: float) -> tuple[NDArray[np.int64], Array]:
+    def relative_change(self, changes: Mapping[Place, float], indenter: Indenter) -> tuple[NDArray[np.int64], Array]:
         """Return which elements change and by how much: (k,) int64 and (k,) relative; repeated elements add up."""
-        covers = [self._cover(place, radius_mm) for place in changes]
+        covers = [self._cover(place, indenter) for place in changes]
         elements = np.concatenate([cover[0] for cover in covers])
         shares = [share * change for (_, share), change in zip(covers, changes.values(), strict=True)]
         return elements, np.concatenate(shares)
@@ -99,20 +100,18 @@ class SimulatedSheet:
         driven = np.array([[pair == other for other in pattern.measure] for pair in pattern.drive])
         return 1 + float(slope[driven].sum() / self.unit_model.voltages()[driven].sum())
 
-    def _cover(self, place: Place, radius_mm: float) -> tuple[NDArray[np.int64], Array]:
+    def _cover(self, place: Place, indenter: Indenter) -> tuple[NDArray[np.int64], Array]:
         """Elements under the head at a place, and the covered share of each."""
-        known = self._covers.get((place, radius_mm))
+        known = self._covers.get((place, indenter))
         if known is not None:
             return known
-        share = circle_overlap_mm2(self.mesh.corners_mm, place, radius_mm) / self.mesh.areas_mm2
-        elements = np.flatnonzero(share > 0)
-        if not elements.size:
+        cover = coverage(self.mesh, indenter.at(*place))
+        if not cover[0].size:
             raise RefusedError(
-                f"a head of radius {radius_mm:g} mm at ({place[0]:g}, {place[1]:g}) mm is outside the sheet",
+                f"a head of radius {indenter.reach_mm:g} mm at ({place[0]:g}, {place[1]:g}) mm is outside the sheet",
                 remedy=f"the sheet's radius is {self.sensor_type.radius_mm:g} mm",
             )
-        cover = (elements, np.minimum(share[elements], 1.0))
-        self._covers[(place, radius_mm)] = cover
+        self._covers[(place, indenter)] = cover
         return cover
 
 

@@ -108,7 +108,7 @@ class SimulatedWorld:
         moment = self._moment(time_s, index, self.presses)
         self.chain.apply("response", moment)
         changes = _by_place(moment)
-        moment.voltages = self.sheet.voltages(changes, self.setting.indenter.radius_mm) * self.setting.current_A
+        moment.voltages = self.sheet.voltages(changes, self.setting.indenter) * self.setting.current_A
         self.chain.apply("voltages", moment)
         return moment.voltages
 

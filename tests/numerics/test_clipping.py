@@ -5,12 +5,13 @@ import pytest
 from disc_meshes import disc_mesh, square_mesh
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.footprints import RoundFootprint
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.imaging.clipping import overlap_area_mm2
 
 
 def _area(mesh: Mesh, centre: tuple[float, float], radius: float) -> float:
-    return float(overlap_area_mm2(mesh, np.arange(len(mesh.elements)), centre, radius).sum())
+    return float(overlap_area_mm2(mesh, np.arange(len(mesh.elements)), RoundFootprint(*centre, radius)).sum())
 
 
 def _triangle(*corners: tuple[float, float]) -> Mesh:

@@ -46,7 +46,7 @@ def observation(run):
 def test_every_press_is_found_where_it_was(observation):
     for load in observation.loads:
         blob = load.mask(0.85).sensed
-        assert centre_of_mass_error_mm(blob, load.record.load.x_mm, load.record.load.y_mm) < 1.5
+        assert centre_of_mass_error_mm(blob, load.indenter.at(load.record.load.x_mm, load.record.load.y_mm)) < 1.5
 
 
 def test_force_is_the_relaxed_modulus_times_strain_and_area(run, observation):
@@ -113,7 +113,7 @@ def test_flagged_and_stuck_readings_are_left_out_and_named(run):
     assert "drive 3 measure 9" in said
     for load in observation.loads:
         blob = load.mask(0.85).sensed
-        assert centre_of_mass_error_mm(blob, load.record.load.x_mm, load.record.load.y_mm) < 2.0
+        assert centre_of_mass_error_mm(blob, load.indenter.at(load.record.load.x_mm, load.record.load.y_mm)) < 2.0
 
 
 def test_a_lost_frame_costs_that_frame_and_nothing_else(run, observation):

@@ -5,6 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from cbsr_qa.domain.footprints import RoundFootprint
 from cbsr_qa.domain.image import Blob, Image
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.imaging.blobs import find_blobs
@@ -43,7 +44,7 @@ def triangles(draw: st.DrawFn) -> Mesh:
 
 
 def _inside(mesh: Mesh, x: float, y: float, r: float) -> float:
-    return float(overlap_area_mm2(mesh, np.arange(len(mesh.elements)), (x, y), r).sum())
+    return float(overlap_area_mm2(mesh, np.arange(len(mesh.elements)), RoundFootprint(x, y, r)).sum())
 
 
 @given(triangles(), coordinate, coordinate, radius)
@@ -79,7 +80,10 @@ def test_turning_and_shifting_everything_changes_nothing(mesh, x, y, r, angle):
     one = Blob(Image(mesh, np.ones(1)), np.array([0]))
     other = Blob(Image(moved, np.ones(1)), np.array([0]))
     for metric in (area_overlap_percent, shape_deviation_mm2):
-        before, after = metric(one, x, y, r), metric(other, float(centre[0]), float(centre[1]), r)
+        before, after = (
+            metric(one, RoundFootprint(x, y, r)),
+            metric(other, RoundFootprint(float(centre[0]), float(centre[1]), r)),
+        )
         assert abs(before - after) <= 1e-7 * (1 + abs(before))
 
 
@@ -94,8 +98,8 @@ def test_blobs_part_the_mask(image, fraction, floor):
     assert bool(blobs) == bool((image > floor).any())
     assert [blob.weight for blob in blobs] == sorted((blob.weight for blob in blobs), reverse=True)
     for blob in blobs:
-        assert 0 <= area_overlap_percent(blob, 0.5, -0.5, 2.0) <= 100 + 1e-9
-        assert shape_deviation_mm2(blob, 0.5, -0.5, 2.0) >= 0
+        assert 0 <= area_overlap_percent(blob, RoundFootprint(0.5, -0.5, 2.0)) <= 100 + 1e-9
+        assert shape_deviation_mm2(blob, RoundFootprint(0.5, -0.5, 2.0)) >= 0
 
 
 @given(values, st.floats(0.05, 1), st.floats(0.05, 1))
@@ -111,5 +115,5 @@ def test_the_unit_of_the_image_does_not_matter(image, factor):
     image = np.maximum(image, 0.0) + 0.1
     one = Blob(Image(GRID, image), np.arange(len(image)))
     other = Blob(Image(GRID, factor * image), np.arange(len(image)))
-    before, after = (centre_of_mass_error_mm(blob, 1.0, 2.0) for blob in (one, other))
+    before, after = (centre_of_mass_error_mm(blob, RoundFootprint(1.0, 2.0, 3.0)) for blob in (one, other))
     assert abs(before - after) < 1e-9

@@ -195,9 +195,9 @@ def sample_timeline(sampler, phase, frames, loads, force):
             views = sampler.views(sampler.bump(*place, load.record.load.strain), *place)
             for mask, view in enumerate(views):
                 if view.sensed is not None:
-                    tables[0][mask, frame] = centre_of_mass_error_mm(view.sensed, *place)
-                    tables[1][mask, frame] = area_overlap_percent(view.sensed, *place, INDENTER.radius_mm)
-                    tables[2][mask, frame] = shape_deviation_mm2(view.sensed, *place, INDENTER.radius_mm)
+                    tables[0][mask, frame] = centre_of_mass_error_mm(view.sensed, INDENTER.at(*place))
+                    tables[1][mask, frame] = area_overlap_percent(view.sensed, INDENTER.at(*place))
+                    tables[2][mask, frame] = shape_deviation_mm2(view.sensed, INDENTER.at(*place))
     return MetricTimeline(phase, frames.time_s, MASKS, tables[0], tables[1], tables[2], force)
 
 
@@ -210,11 +210,16 @@ def sample_measurements(loads):
         for view in load.masks:
             main = abs(view.fraction - 0.85) < 1e-9
             about["qualifier"] = "" if main else f"mask {100 * view.fraction:g} %"
-            blob, head = view.sensed, INDENTER.radius_mm
+            blob = view.sensed
             values = (
-                ("centre_of_mass_error", "mm", blob and centre_of_mass_error_mm(blob, *place), ""),
-                ("area_overlap", "%", blob and area_overlap_percent(blob, *place, head), "good; exact clipping"),
-                ("shape_deviation", "mm²", blob and shape_deviation_mm2(blob, *place, head), ""),
+                ("centre_of_mass_error", "mm", blob and centre_of_mass_error_mm(blob, INDENTER.at(*place)), ""),
+                (
+                    "area_overlap",
+                    "%",
+                    blob and area_overlap_percent(blob, INDENTER.at(*place)),
+                    "good; exact clipping",
+                ),
+                ("shape_deviation", "mm²", blob and shape_deviation_mm2(blob, INDENTER.at(*place)), ""),
             )
             found += [
                 Measurement(n, v, u, how=h if v is not None else "not detected", **about) for n, u, v, h in values

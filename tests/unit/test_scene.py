@@ -195,7 +195,7 @@ def test_what_is_left_out_as_negligible_is_far_below_the_noise():
     sheet = world(scene()).sheet
     used = sensor_type().pattern.usable()
     worst = max(
-        np.abs(sheet.voltages({place: NEGLIGIBLE_CHANGE}, HEAD.radius_mm) - sheet.unloaded)[used].max()
+        np.abs(sheet.voltages({place: NEGLIGIBLE_CHANGE}, HEAD) - sheet.unloaded)[used].max()
         for place in ((0.0, 0.0), (30.0, 0.0), (28.0, 28.0), (42.0, 0.0))
     )
     assert 0 < worst / np.abs(sheet.unloaded[used]).mean() < 1e-3 * material("cbsr-9wt").relative_noise.value
@@ -219,7 +219,7 @@ def test_a_head_outside_the_sheet_is_refused():
 def test_a_change_that_leaves_no_conductance_is_refused():
     sheet = world(scene()).sheet
     with pytest.raises(NumericsError, match="conductance"):
-        sheet.voltages({(0.0, 0.0): -1.5}, HEAD.radius_mm)
+        sheet.voltages({(0.0, 0.0): -1.5}, HEAD)
 
 
 # --- the world ---

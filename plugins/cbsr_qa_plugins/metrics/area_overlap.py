@@ -39,7 +39,7 @@ def _measure(
     if blob is None:
         return None, None, NOT_DETECTED
     place = load.record.load
-    overlap = area_overlap_percent(blob, place.x_mm, place.y_mm, load.indenter.radius_mm, settings.clipping)
+    overlap = area_overlap_percent(blob, load.indenter.at(place.x_mm, place.y_mm), settings.clipping)
     ratio = blob.area_mm2 / load.indenter.area_mm2
     grade = overlap_grade(overlap, ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio)
     return overlap, ratio, f"{grade}; A_b/A_FA {ratio:.2f}; {settings.clipping} clipping"

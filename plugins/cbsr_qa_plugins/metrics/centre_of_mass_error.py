@@ -22,11 +22,12 @@ class CentreOfMassError:
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure the sensed blob under each mask; without a blob there is no value."""
         place = load.record.load
+        pressed = load.indenter.at(place.x_mm, place.y_mm)
         return tuple(
             at_load(
                 load,
                 "centre_of_mass_error",
-                None if view.sensed is None else centre_of_mass_error_mm(view.sensed, place.x_mm, place.y_mm),
+                None if view.sensed is None else centre_of_mass_error_mm(view.sensed, pressed),
                 "mm",
                 qualifier=qualifier,
                 how=NOT_DETECTED if view.sensed is None else "area- and value-weighted centre of mass",

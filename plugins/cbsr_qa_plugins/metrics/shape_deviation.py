@@ -23,12 +23,13 @@ class ShapeDeviation:
 
     def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure the sensed blob under each mask; without a blob there is no value."""
-        place, radius_mm, mode = load.record.load, load.indenter.radius_mm, run.settings.perimeter
+        place, mode = load.record.load, run.settings.perimeter
+        pressed = load.indenter.at(place.x_mm, place.y_mm)
         measured: list[Measurement] = []
         for view, qualifier in masks_of(load, run):
             value, how = None, NOT_DETECTED
             if view.sensed is not None:
-                value = shape_deviation_mm2(view.sensed, place.x_mm, place.y_mm, radius_mm, mode)
+                value = shape_deviation_mm2(view.sensed, pressed, mode)
                 how = f"mean over the outline's {mode}"
             measured.append(at_load(load, "shape_deviation", value, "mm²", qualifier=qualifier, how=how))
         return tuple(measured)
