@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.footprints import Footprint, RoundFootprint, overlap_mm2
 from cbsr_qa.domain.mesh import Mesh
-from cbsr_qa.domain.footprints import RoundFootprint, Footprint, overlap_mm2
 
 
 def coverage(mesh: Mesh, footprint: Footprint) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
