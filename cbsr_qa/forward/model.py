@@ -1,22 +1,24 @@
 """Complete electrode model of a sheet: factorised once, solved for every drive.
 
 ∇·(γ∇u) = 0, u + z_l γ ∂u/∂n = U_l on electrode l, ∫ γ ∂u/∂n = I_l, no flux elsewhere, ΣI = ΣU = 0
-(Somersalo, Cheney & Isaacson 1992), in linear finite elements (Vauhkonen et al. 1999). γ is *sheet* conductance, so
-that contact impedance is per length of an electrode's outline.
+(Somersalo, Cheney & Isaacson 1992), in finite elements of first or second order (Vauhkonen et al. 1999). γ is *sheet*
+conductance, so that contact impedance is per length of an electrode's outline.
 """
 
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.linalg import SuperLU, splu
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.patterns import DrivePattern
-from cbsr_qa.forward.assembly import check_connected, contact_lengths, electrode_system, gradients, local_stiffness
+from cbsr_qa.forward.contacts import edge_contacts, point_contacts
+from cbsr_qa.forward.elements import FiniteElements
+from cbsr_qa.forward.prepared import PreparedSheet
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 
 class ForwardModel:
@@ -24,10 +26,13 @@ class ForwardModel:
 
     Parameters
     ----------
-    mesh : n nodes, e elements, with electrode edges.
+    mesh : e elements, with electrode edges.
     pattern : drive and measure pairs.
-    conductance : (e,) sheet conductance γ [S], positive.
+    conductance : (e,) sheet conductance γ [S], positive; or (e, q, 2, 2), symmetric and positive definite, where it
+        differs by direction and by integration point of an element (1 for the first order, 3 for the second).
     contact_impedance : (electrodes,) z [Ω·mm], positive.
+    order : of the elements, 1 or 2. The second follows the mesh's arcs and is far more accurate for its time.
+    prepared : of another model on the same mesh, in place of ``order``; :meth:`changed` passes it on.
 
     Raises
     ------
@@ -36,16 +41,38 @@ class ForwardModel:
         positive finite number.
     """
 
-    def __init__(self, mesh: Mesh, pattern: DrivePattern, conductance: Array, contact_impedance: Array) -> None:
-        _check(mesh, pattern, conductance, contact_impedance)
+    def __init__(
+        self,
+        mesh: Mesh,
+        pattern: DrivePattern,
+        conductance: Array,
+        contact_impedance: Array,
+        *,
+        order: int = 1,
+        prepared: PreparedSheet | None = None,
+    ) -> None:
+        if prepared is None:
+            elements = FiniteElements(mesh, order)
+            prepared = PreparedSheet(elements, edge_contacts(elements))
         self.mesh = mesh
         self.pattern = pattern
+        self.prepared = prepared
+        self.elements = prepared.elements
+        #: ∫ ∇φ_i·∇φ_j over each element, (e, k, k)
+        self.stiffness = prepared.elements.stiffness
         self.conductance = np.array(conductance, dtype=np.float64)
         self.contact_impedance = np.array(contact_impedance, dtype=np.float64)
-        self.stiffness = local_stiffness(mesh)
-        system = electrode_system(mesh, self.conductance, self.contact_impedance, stiffness=self.stiffness)
-        self._factors: SuperLU = splu(
-            system, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
+        self._check()
+        self._factors = prepared.factorise(self.conductance, self.contact_impedance)
+
+    def changed(self, *, conductance: Array | None = None, contact_impedance: Array | None = None) -> "ForwardModel":
+        """Return the same sheet with other values; what depends on the mesh alone is not computed again."""
+        return ForwardModel(
+            self.mesh,
+            self.pattern,
+            self.conductance if conductance is None else conductance,
+            self.contact_impedance if contact_impedance is None else contact_impedance,
+            prepared=self.prepared,
         )
 
     def solve(self, load: Array) -> Array:
@@ -57,10 +84,9 @@ class ForwardModel:
 
         Returns
         -------
-        (n, k) [V].
+        (n, k) [V], for the n nodes of the finite elements, the mesh's first.
         """
-        potentials: Array = self._factors.solve(np.asfortranarray(load))
-        return potentials
+        return self._factors.solve(load)
 
     @cached_property
     def electrode_fields(self) -> Array:
@@ -70,8 +96,7 @@ class ForwardModel:
         -------
         (n, electrodes) float64 [V/A], up to a constant in each column.
         """
-        density = self._means - self._means.mean(axis=1, keepdims=True)
-        return self.solve(density)
+        return self._fields_at(np.arange(self.elements.count))
 
     @cached_property
     def transfer_impedance(self) -> Array:
@@ -81,18 +106,10 @@ class ForwardModel:
         -------
         (electrodes, electrodes) float64 [Ω], U = Z·I for ΣI = 0, with ΣU = 0.
         """
-        lengths = contact_lengths(self.mesh).sum(axis=0)
-        impedance: Array = self._means.T @ self.electrode_fields + np.diag(self.contact_impedance / lengths)
-        impedance -= impedance.mean(axis=0)
-        impedance -= impedance.mean(axis=1, keepdims=True)
-        return impedance
-
-    @cached_property
-    def _means(self) -> Array:
-        """Weights of the mean over each electrode, (n, electrodes)."""
-        lengths = contact_lengths(self.mesh)
-        means: Array = lengths / lengths.sum(axis=0)
-        return means
+        contacts = self.prepared.contacts
+        own = np.diag(self.contact_impedance / contacts.lengths_mm)
+        touched = np.concatenate(contacts.nodes)
+        return _grounded(contacts.means[touched].T @ self._fields_at(touched) + own)
 
     def voltages(self) -> Array:
         """Readings per unit current: (drives, measures) [V/A]."""
@@ -114,40 +131,114 @@ class ForwardModel:
         -------
         (drives, measures, e) [V/A per S].
         """
-        drive, measure = self._element_fields
-        areas = self.mesh.areas_mm2
-        jacobian: Array = drive[:, None, 0] * measure[None, :, 0]
-        jacobian += drive[:, None, 1] * measure[None, :, 1]
-        jacobian *= -areas
-        return jacobian
+        driven, measured = self._pair_fields
+        jacobian = np.empty((*self.pattern.shape, len(self.mesh.elements)))
+        for rows, field in zip(jacobian, driven, strict=True):
+            np.einsum("ie,mie->me", field, measured, out=rows)
+        return np.negative(jacobian, out=jacobian)
+
+    def jacobian_rows(self, drive: Indices, measure: Indices) -> Array:
+        """Rows of :meth:`jacobian` for chosen readings alone, such as those that are not each other's reciprocals.
+
+        Parameters
+        ----------
+        drive, measure : (m,) numbers of the readings' drive and measure pairs.
+
+        Returns
+        -------
+        (m, e) [V/A per S].
+        """
+        driven, measured = self._pair_fields
+        rows = np.empty((len(drive), len(self.mesh.elements)))
+        for row, one, other in zip(rows, drive, measure, strict=True):
+            np.einsum("ie,ie->e", driven[one], measured[other], out=row)
+        return np.negative(rows, out=rows)
+
+    def contact_jacobian(self) -> Array:
+        """Change of every reading per change of every contact impedance.
+
+        ∂V_kl/∂z_n = ∫ j_k j_l ds over electrode n, with j = I/|E| + (ū − u)/z the current density under it.
+
+        Returns
+        -------
+        (drives, measures, electrodes) [V/A per Ω·mm].
+        """
+        contacts = self.prepared.contacts
+        electrodes = len(contacts.nodes)
+        slopes = np.zeros((*self.pattern.shape, electrodes))
+        for number, (nodes, mass) in enumerate(zip(contacts.nodes, contacts.masses, strict=True)):
+            fields = self.electrode_fields[nodes]
+            impedance = fields.T @ mass @ fields / self.contact_impedance[number] ** 2
+            impedance[number, number] += 1 / contacts.lengths_mm[number]
+            slopes[..., number] = self.readings(impedance)
+        return slopes
 
     @cached_property
-    def _element_fields(self) -> tuple[Array, Array]:
-        """Gradients per element for drive and measure pairs, each (pairs, 2, e)."""
-        nodal = self.electrode_fields[self.mesh.elements]  # (e, 3, electrodes)
-        gradient = gradients(self.mesh).transpose(0, 2, 1) @ nodal  # (e, 2, electrodes)
-        pairs = (self.pattern.drive_currents(), self.pattern.measure_matrix())
-        drive, measure = (np.ascontiguousarray((gradient @ pair).transpose(2, 1, 0)) for pair in pairs)
-        return drive, measure
+    def _pair_fields(self) -> tuple[Array, Array]:
+        """Gradients, times the root of the area each stands for, for drive and measure pairs: (pairs, 2 q, e)."""
+        elements = self.elements
+        root = np.sqrt(elements.weights_mm2)[..., None, None] * elements.gradients  # (e, q, k, 2)
+        count, q, k, _ = root.shape
+        gradient = root.transpose(0, 1, 3, 2).reshape(count, 2 * q, k)
+
+        def of(pairs: Array) -> Array:
+            nodal = (self.electrode_fields @ pairs)[elements.cells]
+            return np.array((gradient @ nodal).transpose(2, 1, 0), dtype=np.float64, order="C")
+
+        drive = of(self.pattern.drive_currents())
+        alike = self.pattern.drive == self.pattern.measure
+        return drive, drive if alike else of(self.pattern.measure_matrix())
+
+    def _fields_at(self, nodes: Indices) -> Array:
+        """:attr:`electrode_fields` at some nodes."""
+        fields = np.empty((len(nodes), len(self.contact_impedance)))
+        fields[:, 1:] = self._ordered_fields[self.prepared.place[nodes]]
+        fields[:, 0] = -fields[:, 1:] @ np.ones(fields.shape[1] - 1)  # all together drive nothing
+        return fields
+
+    @cached_property
+    def _ordered_fields(self) -> Array:
+        """Fields of all electrodes but the first, in the order of elimination: (n, electrodes − 1)."""
+        return self._factors.solve_ordered(self.prepared.ordered_drives)
+
+    def _check(self) -> None:
+        electrodes, count = self.pattern.electrode_count, len(self.mesh.elements)
+        if len(self.prepared.contacts.nodes) != electrodes:
+            raise NumericsError(
+                f"the mesh carries {len(self.prepared.contacts.nodes)} electrodes with edges,"
+                f" the pattern needs {electrodes}"
+            )
+        if self.conductance.ndim == 1:
+            check_positive("conductance", self.conductance, count)
+        else:
+            check_definite(self.conductance, (count, len(self.elements.shapes.points), 2, 2))
+        check_positive("contact impedance", self.contact_impedance, electrodes)
 
 
-def _check(mesh: Mesh, pattern: DrivePattern, conductance: Array, contact_impedance: Array) -> None:
-    bare = [k for k, edges in enumerate(mesh.electrode_edges) if not len(edges)]
-    if bare or len(mesh.electrode_edges) != pattern.electrode_count:
-        raise NumericsError(
-            f"the mesh carries {len(mesh.electrode_edges) - len(bare)} electrodes with edges,"
-            f" the pattern needs {pattern.electrode_count}",
-            remedy=f"give edges to electrode {bare[0]}" if bare else "",
-        )
-    check_connected(mesh)
-    for name, values, count in (
-        ("conductance", conductance, len(mesh.elements)),
-        ("contact impedance", contact_impedance, pattern.electrode_count),
-    ):
-        _check_positive(name, np.asarray(values), count)
+def point_model(
+    mesh: Mesh, nodes: Indices, pattern: DrivePattern, conductance: Array, *, order: int = 1
+) -> ForwardModel:
+    """Model with point electrodes, the limit of narrow ones: currents go in at single nodes.
+
+    Readings that touch a driven electrode grow without bound as the mesh is refined; the others converge. There is no
+    contact impedance: the model's is one everywhere, and nothing depends on it.
+
+    Parameters
+    ----------
+    nodes : (electrodes,) nodes of the mesh, each once.
+
+    Raises
+    ------
+    NumericsError
+        As :class:`ForwardModel`, or if nodes are not in the mesh or repeat.
+    """
+    elements = FiniteElements(mesh, order)
+    prepared = PreparedSheet(elements, point_contacts(elements, nodes))
+    return ForwardModel(mesh, pattern, conductance, np.ones(len(nodes)), prepared=prepared)
 
 
-def _check_positive(name: str, values: Array, count: int) -> None:
+def check_positive(name: str, values: Array, count: int) -> None:
+    """Refuse values that are not one positive finite number each."""
     if values.shape != (count,):
         raise NumericsError(f"{name} has shape {values.shape}; one value for each of {count} is needed")
     wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
@@ -155,3 +246,29 @@ def _check_positive(name: str, values: Array, count: int) -> None:
         raise NumericsError(
             f"{name} {wrong[0]} is {values[wrong[0]]} (one of {wrong.size} such); it must be a positive finite number"
         )
+
+
+def check_definite(conductance: Array, shape: tuple[int, ...]) -> None:
+    """Refuse directional conductances that are not symmetric, finite and positive in every direction."""
+    if conductance.shape != shape:
+        raise NumericsError(f"conductance has shape {conductance.shape}; {shape[:1]} or {shape} is needed")
+    wrong = np.flatnonzero(~definite(conductance).all(axis=1))
+    if wrong.size:
+        raise NumericsError(
+            f"conductance {wrong[0]} is {conductance[wrong[0]].tolist()} (one of {wrong.size} such);"
+            " it must be symmetric, finite and positive in every direction"
+        )
+
+
+def definite(conductance: Array) -> NDArray[np.bool_]:
+    """Whether matrices (…, 2, 2) are symmetric, finite and positive definite: (…)."""
+    (xx, xy), (yx, yy) = np.moveaxis(conductance, (-2, -1), (0, 1))
+    alike = np.abs(xy - yx) <= 1e-12 * np.sqrt(np.abs(xx * yy))
+    found = np.isfinite(xx + yy) & alike & (xx > 0) & (xx * yy > xy**2)
+    return np.asarray(found, dtype=np.bool_)
+
+
+def _grounded(impedance: Array) -> Array:
+    projected: Array = impedance - impedance.mean(axis=0)
+    projected -= projected.mean(axis=1, keepdims=True)
+    return projected

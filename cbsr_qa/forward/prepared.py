@@ -1,0 +1,159 @@
+"""A sheet's system of equations, prepared: for every new conductance it is only scaled, factorised and solved.
+
+The matrix is linear in the elements' conductance and in the reciprocal contact impedance, so that its entries are two
+sparse products; where they go, and the order in which nodes are eliminated, depend on the mesh alone.
+"""
+
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.forward.contacts import Contacts
+from cbsr_qa.forward.elements import FiniteElements
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# Supernodes are not relaxed: with the symmetric ordering SuperLU pads some of them until they cost ten times as much.
+_SYMMETRIC: Final[dict[str, Any]] = {
+    "diag_pivot_thresh": 0.0,
+    "relax": 1,
+    "panel_size": 1,
+    "options": {"SymmetricMode": True, "Equil": False},
+}
+
+
+class PreparedSheet:
+    """Complete electrode model over the nodes (Vauhkonen et al. 1999, eq 12).
+
+    Departs from the usual form in that the electrodes' potentials are eliminated, U_l = z_l I_l/|E_l| + mean of u on
+    E_l: contacts of 1e8 Ω·mm then cost no digits of the readings that do not feel them. The free constant is fixed at
+    one node; currents sum to zero, so that the solution does not feel how.
+
+    Parameters
+    ----------
+    elements : of either order.
+    contacts : where its electrodes touch.
+
+    Raises
+    ------
+    NumericsError
+        If the mesh is in pieces, or has nodes that belong to no element.
+    """
+
+    def __init__(self, elements: FiniteElements, contacts: Contacts) -> None:
+        check_connected(elements.mesh)
+        self.elements = elements
+        self.contacts = contacts
+        rows, columns, owner, values = _entries(elements, contacts)
+        sources = len(elements.cells) + len(contacts.nodes)
+        matrix = sparse.csc_matrix((values, (rows, columns)), shape=(elements.count,) * 2)
+        #: place of each node in the order of elimination, (n,)
+        self.place: Indices = splu(matrix, permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC).perm_c.astype(np.int64)
+        keys = self.place[columns] * elements.count + self.place[rows]
+        entry, slot = np.unique(keys, return_inverse=True)
+        column, self._row = np.divmod(entry, elements.count)
+        self._start = np.searchsorted(column, np.arange(elements.count + 1)).astype(np.int32)
+        self._row = self._row.astype(np.int32)
+        k = elements.cells.shape[1]
+        self._slot = slot[: elements.cells.size * k].reshape(len(elements.cells), k, k)
+        self._scale = sparse.csr_matrix((values, (slot, owner)), shape=(len(entry), sources))
+
+    @cached_property
+    def ordered_drives(self) -> Array:
+        """Unit currents into each electrode but the first and out of all alike, in the order of elimination."""
+        means = self.contacts.means[np.argsort(self.place)]
+        return np.asfortranarray((means - means.mean(axis=1, keepdims=True))[:, 1:])
+
+    def factorise(self, conductance: Array, contact_impedance: Array) -> "Factors":
+        """Scale and factorise the matrix.
+
+        Parameters
+        ----------
+        conductance : (e,) [S], or (e, q, 2, 2) by direction and integration point.
+        contact_impedance : (electrodes,) [Ω·mm].
+        """
+        even, uneven = _split(conductance)
+        values = self._scale @ np.concatenate([even, 1 / contact_impedance])
+        if uneven.size:
+            rest = conductance[uneven] - even[uneven, None, None, None] * np.eye(2)
+            change = self.elements.directional_stiffness(uneven, rest)
+            values += np.bincount(self._slot[uneven].ravel(), change.ravel(), minlength=len(values))
+        matrix = sparse.csc_matrix((values, self._row, self._start), shape=(self.elements.count,) * 2)
+        return Factors(splu(matrix, permc_spec="NATURAL", **_SYMMETRIC), self.place)
+
+
+class Factors:
+    """A factorised matrix.
+
+    Parameters
+    ----------
+    factors : of the matrix in the order of elimination.
+    place : (n,) each node's place in that order.
+    """
+
+    def __init__(self, factors: SuperLU, place: Indices) -> None:
+        self._factors = factors
+        self._place = place
+        self._order = np.argsort(place)
+
+    def solve(self, load: Array) -> Array:
+        """Potentials for currents into nodes: (n, k) [A] to (n, k) [V]."""
+        ordered = np.take(load.T, self._order, axis=1).T  # column by column in memory, as the solver wants it
+        return self.solve_ordered(ordered)[self._place]
+
+    def solve_ordered(self, load: Array) -> Array:
+        """The same, both in the order of elimination."""
+        potentials: Array = self._factors.solve(load)
+        return potentials
+
+
+def check_connected(mesh: Mesh) -> None:
+    """Refuse a mesh in several pieces, or with nodes that belong to no element.
+
+    Raises
+    ------
+    NumericsError
+        Naming how many pieces there are.
+    """
+    count = len(mesh.nodes_mm)
+    first, second = mesh.elements[:, [0, 1, 2]].ravel(), mesh.elements[:, [1, 2, 0]].ravel()
+    graph = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
+    pieces, _ = sparse.csgraph.connected_components(graph, directed=False)
+    if pieces != 1:
+        raise NumericsError(
+            f"the mesh falls into {pieces} pieces that share no edge",
+            remedy="use a mesh of one piece without loose nodes",
+        )
+
+
+def _entries(elements: FiniteElements, contacts: Contacts) -> tuple[Indices, Indices, Indices, Array]:
+    """Rows, columns, sources and values of all entries, where a source is an element or, after them, an electrode."""
+    cells, count = elements.cells, len(elements.cells)
+    k = cells.shape[1]
+    rows, columns = [np.repeat(cells, k, axis=1).ravel()], [np.tile(cells, k).ravel()]
+    owner, values = [np.repeat(np.arange(count), k * k)], [elements.stiffness.ravel()]
+    for number, (nodes, mass) in enumerate(zip(contacts.nodes, contacts.masses, strict=True)):
+        rows.append(np.repeat(nodes, len(nodes)))
+        columns.append(np.tile(nodes, len(nodes)))
+        owner.append(np.full(mass.size, count + number))
+        values.append(mass.ravel())
+    for ground, into in ((cells[:1, 0], rows), (cells[:1, 0], columns), (np.zeros(1, dtype=np.int64), owner)):
+        into.append(ground)
+    values.append(np.ones(1))
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(owner), np.concatenate(values)
+
+
+def _split(conductance: Array) -> tuple[Array, Indices]:
+    """A conductance for each element, and the elements in which that is not all of it."""
+    if conductance.ndim == 1:
+        return conductance, np.zeros(0, dtype=np.int64)
+    even = conductance[:, 0, 0, 0]
+    alike = (conductance == even[:, None, None, None] * np.eye(2)).all(axis=(1, 2, 3))
+    return even, np.flatnonzero(~alike)
