@@ -1,6 +1,6 @@
 """What a reconstruction is given and what a linear one becomes."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol, Self
 
 import numpy as np
@@ -52,6 +52,38 @@ class ImagingProblem:
 
 
 @dataclass(frozen=True, slots=True)
+class ParameterAnswer:
+    """What one criterion says about a regularisation parameter.
+
+    Parameters
+    ----------
+    criterion : its name, e.g. ``"gcv"``.
+    value : what it would choose; None where it has no answer.
+    words : what it rests on, or why it has none.
+    """
+
+    criterion: str
+    value: float | None
+    words: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ParameterCurve:
+    """What there was to choose from.
+
+    Parameters
+    ----------
+    values : (k,) float64 of the parameter, rising.
+    noise_figures : (k,) float64, Adler et al. 2009 form, on the model the choice was made on.
+    answers : of every criterion, the one that decided among them.
+    """
+
+    values: NDArray[np.float64]
+    noise_figures: NDArray[np.float64]
+    answers: tuple[ParameterAnswer, ...]
+
+
+@dataclass(frozen=True, slots=True)
 class ParameterChoice:
     """A regularisation parameter and why it has this value.
 
@@ -61,12 +93,14 @@ class ParameterChoice:
     how : the criterion and its result in words, e.g. ``"noise figure 1.00 on the nominal model"``.
     noise_figure : of the resulting matrix, Adler et al. 2009 form, on the nominal model.
     name : what ``value`` is.
+    curve : what there was to choose from; None where the value was given, or is read from a file.
     """
 
     value: float
     how: str
     noise_figure: float
     name: str = "λ"
+    curve: ParameterCurve | None = field(default=None, compare=False)
 
 
 class PreparedReconstruction(Protocol):

@@ -1,11 +1,42 @@
-"""Prior weights of the image, the R of (JᵀWJ + λ²R)."""
+"""What is expected of an image before it is measured, the R of (JᵀWJ + λ²R), in the form the dual system needs.
+
+That form is P = R⁻¹ as a product with columns. Diagonal priors are a division; the Laplace prior is one sparse
+factorisation; the priors with a length (:mod:`cbsr_qa.reconstruct.smoothness`) are built from P or its root.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.mesh import Mesh
 
 Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """A prior of the image.
+
+    Parameters
+    ----------
+    covariance : (e, k) → (e, k), the product with P = R⁻¹; with a symmetric generalised inverse of R that is exact
+        on columns orthogonal to ``free``, where R is singular.
+    free : (e, f) null space of R, images that cost nothing; None where there is none.
+    """
+
+    covariance: Callable[[Array], Array]
+    free: Array | None = None
+
+    @classmethod
+    def diagonal(cls, weights: Array) -> Self:
+        """Prior that knows nothing of neighbours: R = diag(weights), (e,) positive."""
+        return cls(lambda columns: columns / weights[:, None])
 
 
 def noser(jacobian: Array, exponent: float) -> Array:
@@ -33,3 +64,38 @@ def noser(jacobian: Array, exponent: float) -> Array:
         raise NumericsError(f"{int((squared <= 0).sum())} image elements are felt by no reading that is left")
     weights: Array = squared**exponent
     return weights
+
+
+def laplace_matrix(mesh: Mesh) -> sparse.csc_matrix:
+    """Laplace prior of EIDORS: twice the graph Laplacian of elements that share an edge, (e, e) sparse.
+
+    xᵀRx = 2 Σ (x_i − x_j)² over neighbours; edge lengths and distances do not enter, so on graded meshes it is no
+    discrete Laplacian (Vauhkonen et al. 1998 weigh alike).
+    """
+    first, second = mesh.neighbours.T
+    count = len(mesh.elements)
+    ones = np.full(len(first), 2.0)
+    joined = sparse.coo_matrix((ones, (first, second)), shape=(count, count))
+    joined = joined + joined.T
+    return sparse.csc_matrix(sparse.diags_array(np.asarray(joined.sum(axis=1)).ravel()) - joined)
+
+
+def laplace(mesh: Mesh) -> Prior:
+    """Prior of :func:`laplace_matrix`; a constant image costs nothing.
+
+    P is the inverse with the last element held at zero. It differs from any other generalised inverse by constants,
+    which the dual form determines from the readings.
+    """
+    factors = splu(
+        laplace_matrix(mesh)[:-1, :-1].tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+
+    def covariance(columns: Array) -> Array:
+        held = np.zeros_like(columns, order="F")
+        held[:-1] = factors.solve(np.asfortranarray(columns[:-1]))
+        return held
+
+    return Prior(covariance, np.ones((len(mesh.elements), 1)))
