@@ -2,38 +2,51 @@
 
 import math
 from collections.abc import Iterator
+from functools import cached_property
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import Field, PlainValidator
 
 from cbsr_qa.config.tables import FileModel, Problem, Table
-from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
-from cbsr_qa.domain.patterns import adjacent_pattern
+from cbsr_qa.domain.electrode_fit import placement_problems
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.outlines import Disc, Polygon, SheetOutline, polygon_problems, rounding_problems
+from cbsr_qa.domain.patterns import DrivePattern, Pairs, imaging_problems, is_rule, named_pairs, pair_problems
 from cbsr_qa.domain.sensor import Response, SensorType
 
 Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
+Point = Annotated[list[float], Field(min_length=2, max_length=2)]
+
+_OUTLINE = ("sensor_type", "outline_mm")
+_POSITIONS = ("electrodes", "positions_mm")
+#: What places a ring; a list of positions needs none of it.
+_RING_KEYS = ("count", "ring_radius_mm", "first_angle_deg", "direction")
 
 
 class SensorTypeTable(Table):
-    """``[sensor_type]``."""
+    """``[sensor_type]``: a disc by its radius, or any other sheet by its corners."""
 
     name: Name
-    radius_mm: Positive
+    radius_mm: Positive | None = None
+    outline_mm: Annotated[list[Point], Field(max_length=500)] | None = None
+    corner_radius_mm: Annotated[float, Field(ge=0)] = 0.0
     thickness_mm: Positive
     response: Literal["increase", "decrease", "auto"] = "auto"
 
 
 class ElectrodesTable(Table):
-    """``[electrodes]``: pins have a diameter, arcs a length along the edge."""
+    """``[electrodes]``: a ring or a list of places; pins have a diameter, arcs a length along the edge."""
 
-    count: Annotated[int, Field(ge=3, le=256)]
     kind: Literal["pin", "arc"]
-    ring_radius_mm: Positive
+    count: Annotated[int, Field(ge=3, le=256)] | None = None
+    ring_radius_mm: Positive | None = None
     diameter_mm: Positive | None = None
     length_mm: Positive | None = None
     first_angle_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
     direction: Literal["counterclockwise", "clockwise"] = "counterclockwise"
+    positions_mm: Annotated[list[Point], Field(min_length=3, max_length=256)] | None = None
 
     @property
     def width_key(self) -> str:
@@ -45,12 +58,40 @@ class ElectrodesTable(Table):
         """A pin's diameter or an arc's length."""
         return self.diameter_mm if self.kind == "pin" else self.length_mm
 
+    @property
+    def number(self) -> int | None:
+        """How many electrodes there are; None where the file does not say."""
+        return self.count if self.positions_mm is None else len(self.positions_mm)
+
+
+def _rule_or_pairs(value: object) -> object:
+    if isinstance(value, str):
+        if not is_rule(value):
+            raise ValueError("allowed: 'adjacent', 'opposite', 'skip-1', 'skip-2' and so on, or pairs [[0, 1], …]")
+    elif not isinstance(value, list) or not all(_is_pair(pair) for pair in value):
+        raise ValueError("it must be the name of a rule or an array of pairs of electrodes, [[0, 1], …]")
+    return value
+
+
+def _is_pair(pair: object) -> bool:
+    return isinstance(pair, list) and len(pair) == 2 and all(type(electrode) is int for electrode in pair)
+
+
+RuleOrPairs = Annotated[str | list[list[int]], PlainValidator(_rule_or_pairs)]
+
 
 class PatternTable(Table):
-    """``[pattern]``."""
+    """``[pattern]``: each the name of a rule, or the pairs themselves."""
 
-    drive: Literal["adjacent"] = "adjacent"
-    measure: Literal["adjacent"] = "adjacent"
+    drive: RuleOrPairs = "adjacent"
+    measure: RuleOrPairs = "adjacent"
+
+    def pairs(self, kind: str, electrode_count: int) -> Pairs:
+        """Drive or measure pairs; RefusedError where the rule does not suit the electrodes."""
+        given: str | list[list[int]] = getattr(self, kind)
+        if isinstance(given, str):
+            return named_pairs(given, electrode_count)
+        return tuple((first, second) for first, second in given)
 
 
 class SensorTypeFile(FileModel[SensorType]):
@@ -61,17 +102,40 @@ class SensorTypeFile(FileModel[SensorType]):
     pattern: PatternTable = Field(default_factory=PatternTable)
 
     def problems(self) -> Iterator[Problem]:
-        """The ring lies inside the sheet (pins) or on its edge (arcs), and neighbours do not touch."""
-        electrodes, radius_mm = self.electrodes, self.sensor_type.radius_mm
+        """The outline is one, electrodes fit it and do not touch, and the pattern is of these electrodes."""
+        yield from self._outline_problems()
+        yield from self._key_problems()
         yield from self._width_problems()
-        ring_mm, width_mm = electrodes.ring_radius_mm, electrodes.width_mm or 0.0
-        if electrodes.kind == "pin" and ring_mm + width_mm / 2 >= radius_mm:
-            highest = radius_mm - width_mm / 2
-            what = f"is {ring_mm:g}; pins must lie inside the sheet: below {highest:g} mm here"
-            yield Problem(("electrodes", "ring_radius_mm"), what)
-        if electrodes.kind == "arc" and not math.isclose(ring_mm, radius_mm, rel_tol=1e-9):
-            what = f"is {ring_mm:g}; arcs lie on the sheet's edge: it must be {radius_mm:g}"
-            yield Problem(("electrodes", "ring_radius_mm"), what)
+        yield from self._ring_problems()
+        yield from self._placement_problems()
+        yield from self._pattern_problems()
+
+    def _outline_problems(self) -> Iterator[Problem]:
+        sheet = self.sensor_type
+        if sheet.outline_mm is None:
+            if sheet.radius_mm is None:
+                yield Problem(("sensor_type", "radius_mm"), "is missing; a sheet that is no disc needs outline_mm")
+            if sheet.corner_radius_mm:
+                yield Problem(("sensor_type", "corner_radius_mm"), "does not apply to a disc")
+            return
+        if sheet.radius_mm is not None:
+            yield Problem(("sensor_type", "radius_mm"), "does not apply where outline_mm is given")
+        wrong = list(polygon_problems(sheet.outline_mm))
+        for corner, what in wrong:
+            yield Problem(_OUTLINE if corner is None else (*_OUTLINE, corner), what)
+        for what in () if wrong else rounding_problems(sheet.outline_mm, sheet.corner_radius_mm):
+            yield Problem(("sensor_type", "corner_radius_mm"), what)
+
+    def _key_problems(self) -> Iterator[Problem]:
+        electrodes = self.electrodes
+        if electrodes.positions_mm is not None:
+            for key in _RING_KEYS:
+                if key in electrodes.model_fields_set:
+                    yield Problem(("electrodes", key), "does not apply where positions_mm is given")
+            return
+        for key in ("count", "ring_radius_mm"):
+            if getattr(electrodes, key) is None:
+                yield Problem(("electrodes", key), "is missing; without a ring positions_mm is needed")
 
     def _width_problems(self) -> Iterator[Problem]:
         electrodes, key = self.electrodes, self.electrodes.width_key
@@ -81,27 +145,106 @@ class SensorTypeFile(FileModel[SensorType]):
         if electrodes.width_mm is None:
             yield Problem(("electrodes", key), f"is missing; it is needed where kind is {electrodes.kind!r}")
             return
+        if electrodes.positions_mm is not None or electrodes.count is None or electrodes.ring_radius_mm is None:
+            return
         spacing_mm = 2 * math.pi * electrodes.ring_radius_mm / electrodes.count
         if electrodes.width_mm >= spacing_mm:
             what = f"is {electrodes.width_mm:g}; it must be below the electrodes' spacing of {spacing_mm:.3g} mm"
             yield Problem(("electrodes", key), what)
 
-    def to_domain(self) -> SensorType:
-        """Return the sensor type."""
+    def _ring_problems(self) -> Iterator[Problem]:
+        """Rings on discs: inside the sheet (pins) or on its edge (arcs)."""
+        electrodes, radius_mm, ring_mm = self.electrodes, self.sensor_type.radius_mm, self.electrodes.ring_radius_mm
+        if ring_mm is None or radius_mm is None:
+            return
+        width_mm = electrodes.width_mm or 0.0
+        if electrodes.kind == "pin" and ring_mm + width_mm / 2 >= radius_mm:
+            highest = radius_mm - width_mm / 2
+            what = f"is {ring_mm:g}; pins must lie inside the sheet: below {highest:g} mm here"
+            yield Problem(("electrodes", "ring_radius_mm"), what)
+        if electrodes.kind == "arc" and not math.isclose(ring_mm, radius_mm, rel_tol=1e-9):
+            what = f"is {ring_mm:g}; arcs lie on the sheet's edge: it must be {radius_mm:g}"
+            yield Problem(("electrodes", "ring_radius_mm"), what)
+
+    def _placement_problems(self) -> Iterator[Problem]:
+        outline, layout = self._outline, self._layout
+        if outline is None or layout is None:
+            return  # what is wrong with them has been said
+        placed = isinstance(layout, PlacedElectrodes)
+        for number, what in placement_problems(layout, outline):
+            if placed:
+                yield Problem(_POSITIONS if number is None else (*_POSITIONS, number), f"(electrode {number}) {what}")
+            else:
+                which = "" if number is None else f"does not fit: electrode {number} "
+                yield Problem(("electrodes", "ring_radius_mm"), f"{which}{what}")
+
+    def _pattern_problems(self) -> Iterator[Problem]:
+        count = self.electrodes.number
+        if count is None:
+            return
+        found = [Problem(path, what) for path, what in self._pair_problems(count)]
+        yield from found
+        if not found:
+            pattern = DrivePattern(count, self.pattern.pairs("drive", count), self.pattern.pairs("measure", count))
+            for what in imaging_problems(pattern):
+                yield Problem(("pattern",), what)
+
+    def _pair_problems(self, count: int) -> Iterator[tuple[tuple[str | int, ...], str]]:
+        for kind in ("drive", "measure"):
+            given: str | list[list[int]] = getattr(self.pattern, kind)
+            if isinstance(given, str):
+                try:
+                    named_pairs(given, count)
+                except RefusedError as error:
+                    yield ("pattern", kind), f"is {given!r}; {error.reason}: {error.remedy}"
+                continue
+            for index, what in pair_problems(given, count):
+                yield ("pattern", kind) if index is None else ("pattern", kind, index), what
+
+    @cached_property
+    def _outline(self) -> SheetOutline | None:
+        sheet = self.sensor_type
+        if sheet.outline_mm is None:
+            return None if sheet.radius_mm is None else Disc(sheet.radius_mm)
+        try:
+            return Polygon(tuple((x, y) for x, y in sheet.outline_mm), sheet.corner_radius_mm)
+        except RefusedError:
+            return None
+
+    @cached_property
+    def _layout(self) -> Electrodes | None:
         electrodes = self.electrodes
-        assert electrodes.width_mm is not None
-        return SensorType(
-            name=self.sensor_type.name,
-            radius_mm=self.sensor_type.radius_mm,
-            thickness_mm=self.sensor_type.thickness_mm,
-            electrodes=ElectrodeLayout(
+        kind, width_mm = ElectrodeKind(electrodes.kind), electrodes.width_mm
+        if width_mm is None:
+            return None
+        if electrodes.positions_mm is not None:
+            return PlacedElectrodes(kind, tuple((x, y) for x, y in electrodes.positions_mm), width_mm)
+        if electrodes.count is None or electrodes.ring_radius_mm is None:
+            return None
+        try:
+            return ElectrodeLayout(
                 count=electrodes.count,
-                kind=ElectrodeKind(electrodes.kind),
+                kind=kind,
                 ring_radius_mm=electrodes.ring_radius_mm,
-                width_mm=electrodes.width_mm,
+                width_mm=width_mm,
                 first_angle_deg=electrodes.first_angle_deg,
                 counterclockwise=electrodes.direction == "counterclockwise",
-            ),
-            pattern=adjacent_pattern(electrodes.count),
+            )
+        except RefusedError:
+            return None
+
+    def to_domain(self) -> SensorType:
+        """Return the sensor type."""
+        outline, layout = self._outline, self._layout
+        assert outline is not None
+        assert layout is not None
+        drive, measure = (self.pattern.pairs(kind, layout.count) for kind in ("drive", "measure"))
+        return SensorType(
+            name=self.sensor_type.name,
+            radius_mm=outline.radius_mm,
+            thickness_mm=self.sensor_type.thickness_mm,
+            electrodes=layout,
+            pattern=DrivePattern(layout.count, drive, measure),
             response=Response(self.sensor_type.response),
+            polygon=outline if isinstance(outline, Polygon) else None,
         )

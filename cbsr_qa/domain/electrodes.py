@@ -13,7 +13,7 @@ class ElectrodeKind(StrEnum):
     """How an electrode touches the sheet."""
 
     PIN = "pin"  #: a metal pin through the sheet, contact impedance on its rim
-    ARC = "arc"  #: a strip along the sheet's edge
+    ARC = "arc"  #: a strip along the sheet's edge, straight where the edge is, round a corner where it is on one
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,3 +82,66 @@ class ElectrodeLayout:
         """
         angle = np.arctan2(y, x) - np.deg2rad(self.first_angle_deg)
         return float((angle / self.step_rad) % self.count)
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedElectrodes:
+    """Electrodes one by one, wherever they are.
+
+    Parameters
+    ----------
+    kind : pins through the sheet or strips along its edge.
+    places_mm : centre of each, relative to the sheet's centre; a strip's lies on the edge.
+    width_mm : a pin's diameter, or a strip's length along the edge.
+    """
+
+    kind: ElectrodeKind
+    places_mm: tuple[tuple[float, float], ...]
+    width_mm: float
+
+    def __post_init__(self) -> None:
+        if self.count < 3:
+            raise RefusedError(f"electrodes.positions_mm has {self.count} electrodes; at least 3 are needed")
+        if not 0 < self.width_mm < float("inf"):
+            raise RefusedError(f"the width of electrodes is {self.width_mm} mm; it must be a positive number")
+        if not np.isfinite(self.places_mm).all():
+            raise RefusedError("the position of an electrode is not a finite number")
+
+    @property
+    def count(self) -> int:
+        """Number of electrodes."""
+        return len(self.places_mm)
+
+    def positions_mm(self) -> NDArray[np.float64]:
+        """Centres of the electrodes.
+
+        Returns
+        -------
+        (count, 2) float64 [mm], relative to the sheet's centre.
+        """
+        return np.array(self.places_mm, dtype=np.float64)
+
+    def electrode_at(self, x: float, y: float) -> float:
+        """Direction of a place as a fractional electrode number in [0, count).
+
+        Between electrodes whose directions from the sheet's centre follow each other it is interpolated by angle
+        where their numbers follow each other too; elsewhere it is the number of the nearer one.
+
+        Parameters
+        ----------
+        x, y : any one unit of length, relative to the sheet's centre.
+        """
+        place = self.positions_mm()
+        directions = np.arctan2(place[:, 1], place[:, 0])
+        ahead = (directions - np.arctan2(y, x)) % (2 * np.pi)
+        after, before = int(ahead.argmin()), int(ahead.argmax())
+        gap = ahead[after] + 2 * np.pi - ahead[before]
+        share = 1 - float(ahead[after] / gap) if gap > 0 else 0.0
+        step = (after - before + self.count // 2) % self.count - self.count // 2
+        if abs(step) == 1:
+            return (before + step * share) % self.count
+        return float(after if share > 0.5 else before)
+
+
+#: Either way to say where electrodes are.
+Electrodes = ElectrodeLayout | PlacedElectrodes

@@ -3,7 +3,9 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
-from cbsr_qa.domain.electrodes import ElectrodeLayout
+from cbsr_qa.domain.electrodes import Electrodes
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.outlines import Disc, Polygon, SheetOutline
 from cbsr_qa.domain.patterns import DrivePattern
 
 
@@ -22,18 +24,57 @@ class SensorType:
     Parameters
     ----------
     name : as in the shipped or the user's file.
-    radius_mm, thickness_mm : of the round sheet.
-    electrodes : their layout; the ring must lie inside the sheet (pins) or on its edge (arcs).
-    pattern : drive and measure pairs.
+    radius_mm : of the round sheet, or of the disc of equal area: lengths are scaled by it. What asks where the sheet
+        ends asks ``outline``.
+    thickness_mm : of the sheet.
+    electrodes : their layout; they must lie inside the sheet (pins) or on its edge (arcs, strips).
+    pattern : drive and measure pairs of these electrodes.
     response : sign of the conductance change under load.
+    polygon : the sheet's outline; None where it is a disc.
+
+    Raises
+    ------
+    RefusedError
+        If the pattern is of another number of electrodes, or the radius is not that of the polygon's area.
     """
 
     name: str
     radius_mm: float
     thickness_mm: float
-    electrodes: ElectrodeLayout
+    electrodes: Electrodes
     pattern: DrivePattern
     response: Response
+    polygon: Polygon | None = None
+
+    def __post_init__(self) -> None:
+        if self.pattern.electrode_count != self.electrodes.count:
+            raise RefusedError(
+                f"sensor type {self.name!r} has {self.electrodes.count} electrodes,"
+                f" its pattern {self.pattern.electrode_count}"
+            )
+        if self.polygon is not None and abs(self.radius_mm / self.polygon.radius_mm - 1) > 1e-9:
+            raise RefusedError(
+                f"sensor type {self.name!r}: radius_mm is {self.radius_mm}; the disc of equal area has"
+                f" {self.polygon.radius_mm}",
+                remedy="use polygon_sensor, which works it out",
+            )
+
+    @property
+    def outline(self) -> SheetOutline:
+        """Where the sheet ends: clearance of places, extent, centre, the edge as a curve."""
+        return Disc(self.radius_mm) if self.polygon is None else self.polygon
+
+
+def polygon_sensor(
+    name: str,
+    polygon: Polygon,
+    thickness_mm: float,
+    electrodes: Electrodes,
+    pattern: DrivePattern,
+    response: Response = Response.AUTO,
+) -> SensorType:
+    """Sensor type with a polygon outline."""
+    return SensorType(name, polygon.radius_mm, thickness_mm, electrodes, pattern, response, polygon)
 
 
 @dataclass(frozen=True, slots=True)
