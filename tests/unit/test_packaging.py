@@ -1,11 +1,16 @@
 """The hand-written package list against the disk."""
 
+import re
 import tomllib
 from pathlib import Path
 
 _TOP = Path(__file__).resolve().parents[2]
 _PROJECT = tomllib.loads((_TOP / "pyproject.toml").read_text())
 _SETUPTOOLS = _PROJECT["tool"]["setuptools"]
+
+
+def _name(requirement: str) -> str:
+    return re.split(r"[>\[]", requirement, maxsplit=1)[0]
 
 
 def _packages_on_disk() -> set[str]:
@@ -47,7 +52,7 @@ def test_runtime_dependencies_are_the_imported_ones():
 
     names = {"pyserial": "serial", "pyvisa-py": "pyvisa_py", "scikit-image": "skimage"}
     reserved = {"pyserial", "pyvisa", "pyvisa-py"}  # for the drivers of the real bench
-    declared = {d.split(">")[0].split("[")[0] for d in _PROJECT["project"]["dependencies"]}
+    declared = set(map(_name, _PROJECT["project"]["dependencies"]))
     modules = {names.get(d, d): d for d in declared - reserved}
     imported = set()
     for folder in ("cbsr_qa", "plugins", "migrations"):
@@ -60,6 +65,10 @@ def test_runtime_dependencies_are_the_imported_ones():
     import sys
 
     foreign = imported - set(sys.stdlib_module_names) - {"cbsr_qa", "cbsr_qa_plugins"}
+    extras = {name for lines in _PROJECT["project"]["optional-dependencies"].values() for name in map(_name, lines)}
+    optional = {"pyeit"}  # imported by name, and refused with a remedy where it is absent
+    assert optional <= extras
+    assert not foreign & optional, "an extra is imported as if it were always there"
     assert set(modules) <= imported, "declared but never imported"
     parts = {"markupsafe", "pydantic_core"}  # of jinja2 and pydantic, which require exactly the one that fits
     assert foreign <= set(modules) | parts, "imported but not declared"
