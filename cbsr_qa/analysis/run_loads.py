@@ -106,7 +106,7 @@ def _observe(
     residue: float,
 ) -> LoadObservation:
     force, stderr = _mean_force(phase.channel("force"), window.steady, record)
-    mesh = setting.imager.mesh
+    mesh, pressed = setting.imager.mesh, setting.indenter.at(record.load.x_mm, record.load.y_mm)
     return LoadObservation(
         phase=phase.name,
         record=record,
@@ -114,7 +114,7 @@ def _observe(
         image=Image(mesh, values),
         response=setting.response,
         noise_floor=setting.noise_floor,
-        masks=mask_views(mesh, setting.sign * values, setting.noise_floor, setting.settings, record.load),
+        masks=mask_views(mesh, setting.sign * values, setting.noise_floor, setting.settings, pressed),
         steady_frames=len(window.steady),
         settled=None,
         force_N=force,

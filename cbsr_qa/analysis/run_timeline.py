@@ -4,13 +4,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run_loads import LoadSetting
-from cbsr_qa.analysis.run_masks import mask_views
-from cbsr_qa.domain.image import Blob
+from cbsr_qa.analysis.run_masks import sensed_regions
 from cbsr_qa.domain.loads import LoadRecord
 from cbsr_qa.domain.observation import MetricTimeline
 from cbsr_qa.domain.run import PhaseRecord, RunRecord
 from cbsr_qa.domain.steps import Role
-from cbsr_qa.imaging.shape import area_overlap_percent, centre_of_mass_error_mm, shape_deviation_mm2
+from cbsr_qa.imaging.shape import spatial_figures
 
 
 def metric_timelines(setting: LoadSetting, record: RunRecord) -> tuple[MetricTimeline, ...]:
@@ -37,17 +36,9 @@ def _timeline(setting: LoadSetting, phase: PhaseRecord) -> MetricTimeline:
 
 
 def _metrics(setting: LoadSetting, signed: NDArray[np.float64], record: LoadRecord) -> NDArray[np.float64]:
-    views = mask_views(setting.imager.mesh, signed, setting.noise_floor, setting.settings, record.load)
-    columns = [_of_blob(setting, view.sensed, record) for view in views]
-    return np.array(columns).T
-
-
-def _of_blob(setting: LoadSetting, blob: Blob | None, record: LoadRecord) -> tuple[float, float, float]:
-    if blob is None:
-        return (np.nan, np.nan, np.nan)
-    pressed, chosen = setting.indenter.at(record.load.x_mm, record.load.y_mm), setting.settings
-    return (
-        centre_of_mass_error_mm(blob, pressed),
-        area_overlap_percent(blob, pressed, chosen.clipping),
-        shape_deviation_mm2(blob, pressed, chosen.perimeter),
-    )
+    """Three metrics of every mask, (3, k); NaN where no blob is seen."""
+    chosen, pressed = setting.settings, setting.indenter.at(record.load.x_mm, record.load.y_mm)
+    regions = sensed_regions(setting.imager.mesh, signed, setting.noise_floor, chosen, pressed)
+    found = spatial_figures(regions, pressed, clipping=chosen.clipping, perimeter=chosen.perimeter)
+    nothing = (np.nan, np.nan, np.nan)
+    return np.array([nothing if f is None else (f.error_mm, f.overlap_percent, f.deviation_mm2) for f in found]).T

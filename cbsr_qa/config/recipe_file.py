@@ -73,6 +73,7 @@ class AnalysisTable(Table):
     )
     clipping: Literal["exact", "centroid"] = "exact"
     perimeter: Literal["length", "nodes"] = "length"
+    outline: Literal["contour", "elements"] = "contour"
 
     def problems(self) -> Iterator[Problem]:
         """Yield what does not fit together within the table."""
@@ -86,6 +87,18 @@ class AnalysisTable(Table):
         if self.size_ratio[0] >= self.size_ratio[1]:
             yield Problem(("analysis", "size_ratio"), f"is {self.size_ratio}; the first must be below the second")
         yield from self._band_problems()
+        yield from self._outline_problems()
+
+    def _outline_problems(self) -> Iterator[Problem]:
+        """A contour has neither elements nor nodes to count, and none lies at the maximum itself."""
+        if self.outline == "elements":
+            return
+        remedy = 'set outline = "elements", as the paper has it'
+        for key, value, counted in (("clipping", self.clipping, "centroid"), ("perimeter", self.perimeter, "nodes")):
+            if value == counted:
+                yield Problem(("analysis", key), f"is {counted!r}, which counts in whole elements: {remedy}")
+        if 100.0 in self.masks_percent:
+            yield Problem(("analysis", "masks_percent"), f"hold 100 %, where no contour encloses anything: {remedy}")
 
     def _band_problems(self) -> Iterator[Problem]:
         reached = 0.0
@@ -116,6 +129,7 @@ class AnalysisTable(Table):
             size_ratio=(self.size_ratio[0], self.size_ratio[1]),
             clipping=self.clipping,
             perimeter=self.perimeter,
+            outline=self.outline,
         )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock
-from cbsr_qa.domain.image import Blob, Image
+from cbsr_qa.domain.image import Blob, Image, Region
 from cbsr_qa.domain.loads import Indenter, LoadRecord
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.reconstruction import LinearReconstruction
@@ -58,12 +58,20 @@ class MaskView:
     ----------
     fraction : p, of the image's maximum.
     blobs : every blob, heaviest first; empty is "no blob".
-    sensed : the blob nearest to the indenter; None where there is none.
+    sensed : the blob nearest to the indenter (where several loads are held at once, the one assigned to this load);
+        None where there is none. Amplitudes are taken over its elements.
+    contour : the same bounded by a contour, where ``settings.outline`` asks for it; None elsewhere.
     """
 
     fraction: float
     blobs: tuple[Blob, ...]
     sensed: Blob | None
+    contour: Region | None = None
+
+    @property
+    def region(self) -> Region | None:
+        """What place, size and shape are taken from."""
+        return self.sensed if self.contour is None else self.contour
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -121,6 +121,7 @@ class AnalysisSettings:
     size_ratio : lowest and highest A_b/A_FA for which a band counts.
     clipping : ``"exact"`` or ``"centroid"``.
     perimeter : ``"length"`` or ``"nodes"``.
+    outline : of a sensed region: ``"contour"`` (inside the elements) or ``"elements"`` (whole ones, the paper's).
     """
 
     masks: tuple[float, ...]
@@ -137,6 +138,7 @@ class AnalysisSettings:
     size_ratio: tuple[float, float]
     clipping: str
     perimeter: str
+    outline: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ Values = NDArray[np.float64]
 #: Difference of a stretch's two Simpson's rules, of the polygon's area and of the whole edge's length, that is small.
 _TOLERANCE: Final = 1e-9
 _DEEPEST: Final = 48  # halvings; 2⁻⁴⁸ of an edge is rounding
+_QUARTERS: Final = np.linspace(0.0, 1.0, 5)[:, None, None]
 _COARSE: Final = np.array([1, 0, 4, 0, 1]) / 6  # Simpson's rule of a stretch …
 _FINE: Final = np.array([1, 4, 2, 4, 1]) / 12  # … and of its halves
 
@@ -104,35 +105,50 @@ def squared_distance_integral(start: Points, end: Points, corners: Points) -> Va
     """Integral of the squared distance to a polygon's outline along straight edges: (k, 2), (k, 2) → (k,).
 
     By Simpson's rule, exact where one side or corner of the polygon stays the nearest. Stretches on which it and its
-    halves differ by more than 1e-9 of the polygon's area, weighed by length, are halved.
+    halves differ by more than 1e-9 of the polygon's area, weighed by length, are halved. Sides that cannot be the
+    nearest anywhere on a stretch are dropped as stretches get shorter.
     """
     tolerance = _TOLERANCE * abs(signed_area(corners))
-    integral = np.zeros(len(start))
-    owner = np.arange(len(start))
+    integral, owner, sides = np.zeros(len(start)), np.arange(len(start)), len(corners)
+    if not len(start):
+        return integral
+    stretch, side = np.repeat(owner, sides), np.tile(np.arange(sides), len(owner))
     for depth in range(_DEEPEST):
         length = np.hypot(*(end - start).T)
-        share = np.linspace(0.0, 1.0, 5)[:, None, None]
-        points = start + share * (end - start)
-        squared = distance_to_outline(points.reshape(-1, 2), corners).reshape(5, -1) ** 2
-        coarse = _COARSE @ squared
+        away = _distance_to_sides((start + end)[stretch] / 2, side, corners)
+        nearest = np.minimum.reduceat(away, np.searchsorted(stretch, np.arange(len(owner))))
+        near = away <= (nearest + length)[stretch]
+        stretch, side = stretch[near], side[near]
+        points = start + _QUARTERS * (end - start)
+        away = _distance_to_sides(points[:, stretch], side, corners)
+        squared = np.minimum.reduceat(away, np.searchsorted(stretch, np.arange(len(owner))), axis=1) ** 2
         fine = _FINE @ squared
-        wrong = np.abs(fine - coarse) > tolerance * 2.0**depth
-        np.add.at(integral, owner[~wrong], (length * fine)[~wrong])
-        if not wrong.any():
-            return integral
-        owner = np.tile(owner[wrong], 2)
+        wrong = np.abs(fine - _COARSE @ squared) > tolerance * 2.0**depth
+        done = ~wrong if depth < _DEEPEST - 1 else np.ones_like(wrong)
+        np.add.at(integral, owner[done], (length * fine)[done])
+        if done.all():
+            break
         start, end = np.concatenate([start[wrong], points[2, wrong]]), np.concatenate([points[2, wrong], end[wrong]])
-    np.add.at(integral, owner, np.hypot(*(end - start).T) * distance_to_outline((start + end) / 2, corners) ** 2)
+        number, kept = np.cumsum(wrong) - 1, wrong[stretch]
+        stretch = np.concatenate([number[stretch[kept]], number[stretch[kept]] + int(wrong.sum())])
+        owner, side = np.tile(owner[wrong], 2), np.tile(side[kept], 2)
     return integral
 
 
 def distance_to_outline(points: Points, corners: Points) -> Values:
     """Distance of points from a polygon's outline, not below 0 inside either: (n, 2) → (n,)."""
-    along = np.roll(corners, -1, axis=0) - corners
-    away = points[:, None] - corners
+    distance: Values = _distance_to_sides(points[:, None], np.arange(len(corners)), corners).min(axis=1)
+    return distance
+
+
+def _distance_to_sides(points: Points, side: NDArray[np.int64], corners: Points) -> Values:
+    """Distance of points (…, 2) from sides (…,) of a polygon, each from its own."""
+    start = corners[side]
+    along = corners[(side + 1) % len(corners)] - start
+    away = points - start
     share = np.clip(_dot(away, along) / _dot(along, along), 0.0, 1.0)
     off = away - share[..., None] * along
-    distance: Values = np.sqrt(_dot(off, off).min(axis=1))
+    distance: Values = np.sqrt(_dot(off, off))
     return distance
 
 

@@ -5,11 +5,10 @@ from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.image import Blob, Image, Region
+from cbsr_qa.imaging.components import component_labels, groups
 from cbsr_qa.imaging.masks import percentage_mask
 
 _AnyRegion = TypeVar("_AnyRegion", bound=Region)
@@ -77,12 +76,9 @@ def _components(image: Image, keeps: NDArray[np.bool_]) -> tuple[tuple[Blob, ...
     one, other = image.mesh.neighbours.T
     anywhere = np.logical_or.reduce(keeps)
     pairs = number[:, image.mesh.neighbours[anywhere[one] & anywhere[other]]].reshape(-1, 2)
-    pairs = pairs[(pairs >= 0).all(axis=1)]
-    links = csr_array((np.ones(len(pairs), dtype=np.int8), pairs.T), shape=(element.size, element.size))
-    label = connected_components(links, directed=False)[1]
-    order = np.argsort(label, kind="stable")
+    pairs = pairs[(pairs[:, 0] >= 0) & (pairs[:, 1] >= 0)]
     found: tuple[list[Blob], ...] = tuple([] for _ in keeps)
-    for piece in np.split(order, np.flatnonzero(np.diff(label[order])) + 1):
+    for piece in groups(component_labels(element.size, pairs[:, 0], pairs[:, 1])).values():
         found[mask[piece[0]]].append(Blob(image, element[piece].astype(np.int64)))
     return tuple(tuple(sorted(blobs, key=_heaviest_first)) for blobs in found)
 

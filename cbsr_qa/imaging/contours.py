@@ -1,26 +1,29 @@
 """Regions bounded by a contour inside the elements, for images whose masks would jump by whole elements.
 
 An image of one value per element becomes one value per node (:func:`nodal_values`), linear in between; a region is
-where that field reaches a share of its maximum. ``contour_regions(image, fraction)`` returns them heaviest first;
-E_CoM, A_OL and SD of :mod:`cbsr_qa.imaging.shape` take them as they take blobs, and all three are then exact for the
-linear field. ``nearest_blob`` of :mod:`cbsr_qa.imaging.blobs` picks the sensed one.
+where that field reaches a share of its maximum. ``contour_regions(image, fraction)`` returns them heaviest first
+(:func:`masked_contours` those of several masks at once); E_CoM, A_OL and SD of :mod:`cbsr_qa.imaging.shape` take them
+as they take blobs, and all three are then exact for the linear field. ``nearest_blob`` of
+:mod:`cbsr_qa.imaging.blobs` picks the sensed one.
 """
 
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
-from scipy.sparse.csgraph import connected_components
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.image import Image
 from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.imaging.components import component_labels, groups
 from cbsr_qa.imaging.masks import threshold
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 
 _SPECK: Final = 1e-9  # of a mean element's area
 
@@ -49,19 +52,28 @@ class ContourRegion:
     @cached_property
     def weight(self) -> float:
         """Integral of the field over the region [mm²]."""
-        return float(self._areas_mm2 @ self.values.mean(axis=1))
+        return float(self._areas_mm2 @ self._sums) / 3
 
     def centre_mm(self) -> Array:
         """Centre of mass M of the field over the region, exact: (2,) [mm]."""
-        # ∫ u x over a triangle is A/12 (Σu Σx + Σ u x).
-        corners, values = self.triangles_mm, self.values
-        moment = values.sum(axis=1)[:, None] * corners.sum(axis=1) + (values[..., None] * corners).sum(axis=1)
-        centre: Array = self._areas_mm2 @ moment / 12 / self.weight
-        return centre
+        return self._centre_mm
 
     def rim_mm(self) -> tuple[Array, Array]:
         """Starts and ends (k, 2) [mm] of the perimeter's pieces."""
         return self.start_mm, self.end_mm
+
+    @cached_property
+    def _centre_mm(self) -> Array:
+        # ∫ u x over a triangle is A/12 (Σu Σx + Σ u x).
+        shared = (self._areas_mm2[:, None] * (self._sums[:, None] + self.values)).reshape(-1)
+        centre: Array = shared @ self.triangles_mm.reshape(-1, 2) / (12 * self.weight)
+        return centre
+
+    @cached_property
+    def _sums(self) -> Array:
+        first, second, third = self.values.T
+        sums: Array = first + second + third
+        return sums
 
     @cached_property
     def _areas_mm2(self) -> Array:
@@ -75,10 +87,7 @@ def nodal_values(mesh: Mesh, values: Array) -> Array:
 
     The field linear between them has the image's integral, exactly (a projection with the mass matrix lumped).
     """
-    count, nodes = len(mesh.nodes_mm), mesh.elements.ravel()
-    around = np.bincount(nodes, np.repeat(mesh.areas_mm2, 3), minlength=count)
-    total = np.bincount(nodes, np.repeat(mesh.areas_mm2 * values, 3), minlength=count)
-    nodal: Array = total / np.where(around > 0, around, 1.0)
+    nodal: Array = _averaging(mesh) @ values
     return nodal
 
 
@@ -100,102 +109,164 @@ def contour_regions(image: Image, fraction: float) -> tuple[ContourRegion, ...]:
     NumericsError
         If the fraction is outside (0, 1).
     """
-    if fraction == 1:
+    return masked_contours(image, (fraction,))[0]
+
+
+def masked_contours(image: Image, fractions: Sequence[float]) -> tuple[tuple[ContourRegion, ...], ...]:
+    """Find the regions of several masks, at little more than the cost of the laxest.
+
+    Returns
+    -------
+    One tuple per mask, in the order given, each as :func:`contour_regions` returns it.
+
+    Raises
+    ------
+    NumericsError
+        If a fraction is outside (0, 1).
+    """
+    if max(fractions, default=0.5) == 1:
         raise NumericsError("a contour at the maximum itself encloses nothing", remedy="take a mask below 100 %")
     mesh, nodal = image.mesh, nodal_values(image.mesh, image.values)
-    level = threshold(nodal, fraction)
-    if level <= 0:
-        return ()
-    above = nodal >= level
-    pieces, label = _clipped(mesh, nodal, level, above), _components(mesh, above)
-    of_piece, of_edge = label[pieces.anchor], label[pieces.edge_anchor]
-    has_length = (pieces.start_mm != pieces.end_mm).any(axis=1)
-    regions = []
-    for number in np.unique(of_piece):
-        part, edge = of_piece == number, (of_edge == number) & has_length
-        regions.append(
-            ContourRegion(pieces.corners_mm[part], pieces.values[part], pieces.start_mm[edge], pieces.end_mm[edge])
-        )
+    levels = np.array([threshold(nodal, fraction) for fraction in fractions])
+    if not levels.size or levels[0] <= 0:
+        return ((),) * len(levels)
+    found: tuple[list[ContourRegion], ...] = tuple([] for _ in levels)
     least = _SPECK * float(mesh.areas_mm2.mean())
-    return tuple(sorted((r for r in regions if r.area_mm2 > least), key=lambda region: -region.weight))
+    for mask, region in _regions(_Cut(mesh, nodal, levels)):
+        if region.area_mm2 > least:
+            found[mask].append(region)
+    return tuple(tuple(sorted(regions, key=lambda region: -region.weight)) for regions in found)
 
 
-@dataclass(frozen=True, eq=False)
-class _Pieces:
-    """What is left of elements cut at a level, each piece with a node (its anchor) that tells its region."""
-
-    corners_mm: Array
-    values: Array
-    anchor: NDArray[np.int64]
-    start_mm: Array
-    end_mm: Array
-    edge_anchor: NDArray[np.int64]
+@lru_cache(maxsize=16)
+def _averaging(mesh: Mesh) -> csr_array:
+    """Rows: nodes; columns: the elements around, each with its share of their area."""
+    elements, nodes = len(mesh.elements), mesh.elements.ravel()
+    area = np.repeat(mesh.areas_mm2, 3)
+    share = area / np.bincount(nodes, area)[nodes]
+    return csr_array((share, (nodes, np.repeat(np.arange(elements), 3))), shape=(len(mesh.nodes_mm), elements))
 
 
-def _clipped(mesh: Mesh, nodal: Array, level: float, above: NDArray[np.bool_]) -> _Pieces:
-    """Cut the elements that reach the level."""
-    count = above[mesh.elements].sum(axis=1)
-    whole = mesh.elements[count == 3]
-    # One corner above: it comes first. One corner below: that one comes first.
-    tips = _led_by(mesh.elements[count == 1], above)
-    stumps = _led_by(mesh.elements[count == 2], ~above)
-    tip_right, tip_left = (_crossing(mesh, nodal, level, tips[:, 0], tips[:, k]) for k in (1, 2))
-    stump_right, stump_left = (_crossing(mesh, nodal, level, stumps[:, k], stumps[:, 0]) for k in (1, 2))
-    node, tip, stump = mesh.nodes_mm, np.full(len(tips), level), np.full(len(stumps), level)
-    corners = [
-        node[whole],
-        np.stack([node[tips[:, 0]], tip_right, tip_left], axis=1),
-        np.stack([stump_right, node[stumps[:, 1]], node[stumps[:, 2]]], axis=1),
-        np.stack([stump_right, node[stumps[:, 2]], stump_left], axis=1),
-    ]
-    values = [
-        nodal[whole],
-        np.column_stack([nodal[tips[:, 0]], tip, tip]),
-        np.column_stack([stump, nodal[stumps[:, 1]], nodal[stumps[:, 2]]]),
-        np.column_stack([stump, nodal[stumps[:, 2]], stump]),
-    ]
-    start, end, outer = _along_the_edge(mesh, nodal, level, above)
-    return _Pieces(
-        np.concatenate(corners),
-        np.concatenate(values),
-        np.concatenate([whole[:, 0], tips[:, 0], stumps[:, 1], stumps[:, 2]]),
-        np.concatenate([tip_right, stump_left, start]),
-        np.concatenate([tip_left, stump_right, end]),
-        np.concatenate([tips[:, 0], stumps[:, 1], outer]),
-    )
+class _Cut:
+    """Elements cut at several levels. Corners are numbered level by level: node k at level j is j × nodes + k.
+
+    Attributes
+    ----------
+    whole, tips, stumps : (…, 3) corners of elements with three, one and two of them at or above the level. The one
+        that differs from the others comes first.
+    tip_cuts, stump_cuts : where the field passes the level from the first corner to the second and to the third.
+    joined : (k, 2), edges with both ends at or above.
+    outer : (k, 2), edges of the sheet's own edge with an end at or above.
+    """
+
+    def __init__(self, mesh: Mesh, nodal: Array, levels: Array) -> None:
+        self._nodes_mm, self._nodal, self._levels = mesh.nodes_mm, nodal, levels
+        self.above = (nodal >= levels[:, None]).ravel()
+        high = nodal >= levels.min()
+        triangles = self._copies(mesh.elements[_any(high, mesh.elements)])
+        reached = self.above[triangles]
+        first, second, third = reached.T.astype(np.int8)
+        count = first + second + third
+        self.whole = triangles[count == 3]
+        self.tips, self.stumps = (
+            _turned(triangles[count == 1], reached[count == 1]),
+            _turned(triangles[count == 2], ~reached[count == 2]),
+        )
+        self.tip_cuts = [self.crossing(self.tips[:, 0], self.tips[:, k]) for k in (1, 2)]
+        self.stump_cuts = [self.crossing(self.stumps[:, k], self.stumps[:, 0]) for k in (1, 2)]
+        edges = self._copies(mesh.edges[_all(high, mesh.edges)])
+        self.joined = edges[_all(self.above, edges)]
+        outer = self._copies(mesh.outline[_any(high, mesh.outline)])
+        self.outer = outer[_any(self.above, outer)]
+
+    def _copies(self, nodes: Indices) -> Indices:
+        shift = len(self._nodal) * np.arange(len(self._levels))
+        return (nodes + shift[:, None, None]).reshape(-1, nodes.shape[1])
+
+    def place(self, corner: Indices) -> Array:
+        """Places of corners, (…, 2) [mm]."""
+        return self._nodes_mm[corner % len(self._nodal)]
+
+    def value(self, corner: Indices) -> Array:
+        """Field at corners."""
+        return self._nodal[corner % len(self._nodal)]
+
+    def mask(self, corner: Indices) -> Indices:
+        """Which level corners belong to."""
+        mask: Indices = corner // len(self._nodal)
+        return mask
+
+    def crossing(self, high: Indices, low: Indices) -> Array:
+        """Where the field passes the level between corners at or above it and corners below it."""
+        level, upper, place = self._levels[self.mask(high)], self.value(high), self.place(high)
+        share = (upper - level) / (upper - self.value(low))
+        return place + share[:, None] * (self.place(low) - place)
+
+    def level(self, corner: Indices) -> Array:
+        """Level that corners belong to."""
+        return self._levels[self.mask(corner)]
 
 
-def _led_by(elements: NDArray[np.int64], first: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Turn elements so that the one corner that is marked comes first."""
-    lead = first[elements].argmax(axis=1)
-    turned: NDArray[np.int64] = np.take_along_axis(elements, (lead[:, None] + np.arange(3)) % 3, axis=1)
+def _any(flags: NDArray[np.bool_], nodes: Indices) -> NDArray[np.bool_]:
+    """Whether any of some nodes (k, …) is marked: (k,). Column by column, for speed."""
+    found: NDArray[np.bool_] = np.logical_or.reduce(flags[nodes.T])
+    return found
+
+
+def _all(flags: NDArray[np.bool_], nodes: Indices) -> NDArray[np.bool_]:
+    found: NDArray[np.bool_] = np.logical_and.reduce(flags[nodes.T])
+    return found
+
+
+def _turned(triangles: Indices, odd: NDArray[np.bool_]) -> Indices:
+    """Turn triangles so that the one corner that is marked comes first."""
+    turned: Indices = np.take_along_axis(triangles, (odd.argmax(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
     return turned
 
 
-def _crossing(mesh: Mesh, nodal: Array, level: float, high: NDArray[np.int64], low: NDArray[np.int64]) -> Array:
-    """Where the field passes the level between nodes at or above it and nodes below it."""
-    share = (nodal[high] - level) / (nodal[high] - nodal[low])
-    crossing: Array = mesh.nodes_mm[high] + share[:, None] * (mesh.nodes_mm[low] - mesh.nodes_mm[high])
-    return crossing
+def _regions(cut: _Cut) -> Iterator[tuple[int, ContourRegion]]:
+    """Put the pieces of each connected region together; with the number of its level."""
+    corners_mm, values, anchor = _inside(cut)
+    start, end, rim_anchor = _rim(cut)
+    label = component_labels(len(cut.above), cut.joined[:, 0], cut.joined[:, 1])
+    rims = groups(label[rim_anchor])
+    for number, pieces in groups(label[anchor]).items():
+        rim = rims.get(number, pieces[:0])
+        mask = int(cut.mask(anchor[pieces[0]]))
+        yield mask, ContourRegion(corners_mm[pieces], values[pieces], start[rim], end[rim])
 
 
-def _along_the_edge(
-    mesh: Mesh, nodal: Array, level: float, above: NDArray[np.bool_]
-) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Parts of the sheet's own edge that reach the level: starts, ends, and a node of each."""
-    first, last = mesh.outline.T
-    first, last = first[above[first] | above[last]], last[above[first] | above[last]]
-    start, end = mesh.nodes_mm[first].copy(), mesh.nodes_mm[last].copy()
-    enters, leaves = ~above[first], ~above[last]
-    start[enters] = _crossing(mesh, nodal, level, last[enters], first[enters])
-    end[leaves] = _crossing(mesh, nodal, level, first[leaves], last[leaves])
-    return start, end, np.where(above[first], first, last)
+def _inside(cut: _Cut) -> tuple[Array, Array, Indices]:
+    """Triangles (t, 3, 2) of what reaches the level, values (t, 3), and a corner at or above it of each (t,)."""
+    stump_right, stump_left = cut.stump_cuts
+    stumps, tip_level, stump_level = cut.place(cut.stumps), cut.level(cut.tips[:, 0]), cut.level(cut.stumps[:, 0])
+    corners = [
+        cut.place(cut.whole),
+        np.stack([cut.place(cut.tips[:, 0]), *cut.tip_cuts], axis=1),
+        np.stack([stump_right, stumps[:, 1], stumps[:, 2]], axis=1),
+        np.stack([stump_right, stumps[:, 2], stump_left], axis=1),
+    ]
+    stump_values = cut.value(cut.stumps)
+    values = [
+        cut.value(cut.whole),
+        np.column_stack([cut.value(cut.tips[:, 0]), tip_level, tip_level]),
+        np.column_stack([stump_level, stump_values[:, 1:]]),
+        np.column_stack([stump_level, stump_values[:, 2], stump_level]),
+    ]
+    anchor = [cut.whole[:, 0], cut.tips[:, 0], cut.stumps[:, 1], cut.stumps[:, 2]]
+    return np.concatenate(corners), np.concatenate(values), np.concatenate(anchor)
 
 
-def _components(mesh: Mesh, above: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Number the connected regions by their nodes: two nodes above the level join over the edge between them."""
-    edges = mesh.edges[above[mesh.edges].all(axis=1)]
-    count = len(mesh.nodes_mm)
-    graph = csr_array((np.ones(len(edges), dtype=np.int8), (edges[:, 0], edges[:, 1])), shape=(count, count))
-    label: NDArray[np.int64] = connected_components(graph, directed=False)[1].astype(np.int64)
-    return label
+def _rim(cut: _Cut) -> tuple[Array, Array, Indices]:
+    """Starts and ends (k, 2) of the contours' pieces and of the sheet's edge between them, and a corner above."""
+    first, last = cut.outer.T
+    enters, leaves = ~cut.above[first], ~cut.above[last]
+    start, end = cut.place(first), cut.place(last)
+    start[enters] = cut.crossing(last[enters], first[enters])
+    end[leaves] = cut.crossing(first[leaves], last[leaves])
+    starts = np.concatenate([cut.tip_cuts[0], cut.stump_cuts[1], start])
+    ends = np.concatenate([cut.tip_cuts[1], cut.stump_cuts[0], end])
+    anchor = np.concatenate([cut.tips[:, 0], cut.stumps[:, 1], np.where(enters, last, first)])
+    apart = starts != ends
+    has_length = apart[:, 0] | apart[:, 1]
+    return starts[has_length], ends[has_length], anchor[has_length]

@@ -1,10 +1,68 @@
 """The paper's spatial metrics of a sensed region against the indenter (Eqs 4 to 6)."""
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.footprints import Footprint
 from cbsr_qa.domain.image import Blob, Region
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SpatialFigures:
+    """What one region scores against one indenter.
+
+    Parameters
+    ----------
+    error_mm : E_CoM, see :func:`centre_of_mass_error_mm`.
+    overlap_percent : A_OL, see :func:`area_overlap_percent`.
+    deviation_mm2 : SD, see :func:`shape_deviation_mm2`.
+    area_ratio : A_b/A_FA.
+    """
+
+    error_mm: float
+    overlap_percent: float
+    deviation_mm2: float
+    area_ratio: float
+
+
+def spatial_figures(
+    regions: Sequence[Region | None], indenter: Footprint, *, clipping: str = "exact", perimeter: str = "length"
+) -> tuple[SpatialFigures | None, ...]:
+    """Return the figures of several regions, e.g. the sensed ones of several masks, in one pass over all perimeters.
+
+    Parameters
+    ----------
+    indenter : where it pressed.
+    clipping, perimeter : modes of :func:`area_overlap_percent` and :func:`shape_deviation_mm2`.
+
+    Returns
+    -------
+    One for each region; None where there is no region.
+
+    Raises
+    ------
+    NumericsError
+        If a mode is unknown, or needs regions of whole elements and these are none.
+    """
+    seen = [region for region in regions if region is not None]
+    if not seen:
+        return (None,) * len(regions)
+    rims = [region.rim_mm() for region in seen]
+    overlaps = _overlaps_percent(seen, rims, indenter, clipping)
+    deviations = _deviations_mm2(seen, rims, indenter, perimeter)
+    figures = iter(
+        SpatialFigures(
+            centre_of_mass_error_mm(region, indenter), overlap, deviation, region.area_mm2 / indenter.area_mm2
+        )
+        for region, overlap, deviation in zip(seen, overlaps, deviations, strict=True)
+    )
+    return tuple(None if region is None else next(figures) for region in regions)
 
 
 def centre_of_mass_error_mm(region: Region, indenter: Footprint) -> float:
@@ -31,42 +89,72 @@ def area_overlap_percent(region: Region, indenter: Footprint, mode: str = "exact
     NumericsError
         If the mode is another, or centroids of a region without elements are asked for.
     """
-    if mode == "exact":
-        # Green's theorem: the overlap depends on the region's perimeter alone.
-        inside = max(float(indenter.area_under_edges_mm2(*region.rim_mm()).sum()), 0.0)
-    elif mode == "centroid":
-        blob = _of_elements(region, "clipping by centroids")
-        mesh = blob.image.mesh
-        inside = float(mesh.areas_mm2[blob.elements] @ indenter.contains(mesh.centroids_mm[blob.elements]))
-    else:
-        raise NumericsError(f"clipping mode {mode!r} is unknown", remedy="use 'exact' or 'centroid'")
-    return 50.0 * inside * (1 / indenter.area_mm2 + 1 / region.area_mm2)
+    return _overlaps_percent([region], [region.rim_mm()], indenter, mode)[0]
 
 
 def shape_deviation_mm2(region: Region, indenter: Footprint, mode: str = "length") -> float:
     """Return SD, the mean squared distance of the region's perimeter from the indenter's outline [mm²] (paper Eq 6).
 
-    For a round indenter that is the mean of (‖P − F‖ − r)².
+    For a round indenter that is the mean of (‖P − F‖ − r)². Points inside the indenter count like those outside.
 
     Parameters
     ----------
     indenter : where it pressed.
-    mode : ``"length"`` integrates along the perimeter's edges, exactly; ``"nodes"`` is the paper's mean over
-        perimeter nodes, which weighs finely meshed stretches more.
+    mode : ``"length"`` integrates along the perimeter's edges, exactly for a round indenter and to 1e-9 of its area
+        for another; ``"nodes"`` is the paper's mean over perimeter nodes, which weighs finely meshed stretches more.
 
     Raises
     ------
     NumericsError
         If the mode is another, or nodes of a region without elements are asked for.
     """
+    return _deviations_mm2([region], [region.rim_mm()], indenter, mode)[0]
+
+
+def _overlaps_percent(
+    regions: Sequence[Region], rims: Sequence[tuple[Array, Array]], indenter: Footprint, mode: str
+) -> list[float]:
+    if mode == "exact":
+        # Green's theorem: the overlap depends on the region's perimeter alone.
+        start, end, first = _joined(rims)
+        inside = np.maximum(np.add.reduceat(indenter.area_under_edges_mm2(start, end), first), 0.0)
+    elif mode == "centroid":
+        inside = np.array(
+            [_counted_mm2(_of_elements(region, "clipping by centroids"), indenter) for region in regions]
+        )
+    else:
+        raise NumericsError(f"clipping mode {mode!r} is unknown", remedy="use 'exact' or 'centroid'")
+    area = np.array([region.area_mm2 for region in regions])
+    percent: list[float] = (50.0 * inside * (1 / indenter.area_mm2 + 1 / area)).tolist()
+    return percent
+
+
+def _deviations_mm2(
+    regions: Sequence[Region], rims: Sequence[tuple[Array, Array]], indenter: Footprint, mode: str
+) -> list[float]:
     if mode == "nodes":
-        blob = _of_elements(region, "a mean over nodes")
-        nodes = np.unique(blob.rim)
-        return float(np.mean(indenter.distance_mm(blob.image.mesh.nodes_mm[nodes]) ** 2))
+        blobs = [_of_elements(region, "a mean over nodes") for region in regions]
+        nodes = [blob.image.mesh.nodes_mm[np.unique(blob.rim)] for blob in blobs]
+        return [float(np.mean(indenter.distance_mm(places) ** 2)) for places in nodes]
     if mode != "length":
         raise NumericsError(f"perimeter mode {mode!r} is unknown", remedy="use 'length' or 'nodes'")
-    start, end = region.rim_mm()
-    return float(indenter.squared_distance_mm3(start, end).sum() / np.hypot(*(end - start).T).sum())
+    start, end, first = _joined(rims)
+    along = end - start
+    length = np.sqrt(along[:, 0] ** 2 + along[:, 1] ** 2)
+    mean = np.add.reduceat(indenter.squared_distance_mm3(start, end), first) / np.add.reduceat(length, first)
+    deviations: list[float] = mean.tolist()
+    return deviations
+
+
+def _joined(rims: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, NDArray[np.int64]]:
+    """All perimeters in a row, and where each begins."""
+    start, end = (np.concatenate(parts) for parts in zip(*rims, strict=True))
+    return start, end, np.cumsum([0, *(len(rim[0]) for rim in rims[:-1])])
+
+
+def _counted_mm2(blob: Blob, indenter: Footprint) -> float:
+    mesh = blob.image.mesh
+    return float(mesh.areas_mm2[blob.elements] @ indenter.contains(mesh.centroids_mm[blob.elements]))
 
 
 def _of_elements(region: Region, what: str) -> Blob:

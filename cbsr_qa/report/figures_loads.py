@@ -9,14 +9,22 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle
-from numpy.typing import NDArray
 
-from cbsr_qa.domain.image import Blob, Image
+from cbsr_qa.domain.footprints import Footprint
+from cbsr_qa.domain.image import Image, Region
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.report import Figure
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.report.outlines import Raster, outline_path
-from cbsr_qa.report.sheet import add_scale, draw_circles, draw_electrodes, draw_outlines, draw_sheet, fit_sheet
+from cbsr_qa.report.outlines import Raster, head_path, region_path
+from cbsr_qa.report.sheet import (
+    add_scale,
+    draw_circles,
+    draw_electrodes,
+    draw_heads,
+    draw_outlines,
+    draw_sheet,
+    fit_sheet,
+)
 from cbsr_qa.report.style import (
     BLUE,
     CHANGE_MAP,
@@ -44,9 +52,10 @@ class SeenLoad:
     Parameters
     ----------
     label, title : short name; name with strain or trial.
-    x_mm, y_mm, radius_mm, strain : what was pressed.
+    x_mm, y_mm, radius_mm, strain : what was pressed; the radius of a head that is not round is that of its area.
+    pressed : the head's outline there.
     image : un-subtracted.
-    sensed : blob of the main mask; None where nothing was seen.
+    sensed : region of the main mask; None where nothing was seen.
     error_mm, overlap_percent : None where not measured.
     outcome, overlap_outcome : of the centre-of-mass error, and of the overlap.
     group : heading it stands under, e.g. the phase.
@@ -57,9 +66,10 @@ class SeenLoad:
     x_mm: float
     y_mm: float
     radius_mm: float
+    pressed: Footprint
     strain: float
     image: Image
-    sensed: Blob | None
+    sensed: Region | None
     error_mm: float | None
     overlap_percent: float | None
     outcome: Outcome
@@ -70,7 +80,7 @@ class SeenLoad:
 def load_images_figure(
     loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str, columns: int = 6
 ) -> Figure:
-    """Draw every load's image with the indenter's circle over the outline of the sensed blob.
+    """Draw every load's image with the indenter over the outline of the sensed blob.
 
     Parameters
     ----------
@@ -88,7 +98,7 @@ def load_images_figure(
         bare(axes)
         raster = Raster(loads[0].image.mesh, radius, 200)
         largest = max(float(np.abs(load.image.values).max()) for load in loads)
-        group = ""
+        group, heads = "", []
         for index, load in enumerate(loads):
             row, column = divmod(index, columns)
             shift = ((column + 0.5) * cell_x, -(row + 0.5) * cell_y - 0.16 * radius)
@@ -97,7 +107,8 @@ def load_images_figure(
             if load.group != group:
                 axes.text(shift[0] - radius, shift[1] + 1.3 * radius, load.group, fontsize=7, fontweight="bold")
                 group = load.group
-        draw_circles(axes, _shifted(loads, columns, cell_x, cell_y, radius), loads[0].radius_mm, color=VERMILION)
+            heads.append(head_path(load.pressed, shift))
+        draw_heads(axes, heads, color=VERMILION)
         axes.set_xlim(0, columns * cell_x)
         axes.set_ylim(-rows * cell_y, 0)
         whole = figure.add_axes((0, 0, 1, 1))
@@ -180,25 +191,13 @@ def arrow_scale(loads: Sequence[SeenLoad]) -> int:
     return max((scale for scale in _ARROW_SCALES if scale <= wanted), default=1)
 
 
-def _shifted(
-    loads: Sequence[SeenLoad], columns: int, cell_x: float, cell_y: float, radius: float
-) -> NDArray[np.float64]:
-    cells = [divmod(index, columns) for index in range(len(loads))]
-    return np.array(
-        [
-            ((column + 0.5) * cell_x + load.x_mm, -(row + 0.5) * cell_y - 0.16 * radius + load.y_mm)
-            for (row, column), load in zip(cells, loads, strict=True)
-        ]
-    )
-
-
 def _draw_small(axes: Axes, load: SeenLoad, raster: Raster, shift: tuple[float, float], largest: float) -> None:
     left, right, bottom, top = raster.extent
     extent = (left + shift[0], right + shift[0], bottom + shift[1], top + shift[1])
     picture, norm = raster.picture(load.image.values), change_norm(largest)
     axes.imshow(picture, origin="lower", extent=extent, cmap=CHANGE_MAP, norm=norm)
     if load.sensed is not None:
-        draw_outlines(axes, [outline_path(load.sensed.image.mesh, load.sensed.elements, shift)], width=0.9)
+        draw_outlines(axes, [region_path(load.sensed, shift)], width=0.9)
     axes.text(shift[0], shift[1] + top * 1.03, load.title, ha="center", va="bottom", fontsize=6.5)
     note = "not detected" if load.error_mm is None else f"error {load.error_mm:.1f} mm"
     colour = VERMILION if load.error_mm is None or load.outcome is Outcome.FAIL else QUIET
@@ -209,13 +208,13 @@ def _draw_places(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType, scal
     bare(axes)
     draw_sheet(axes, sensor.radius_mm, filled=True)
     draw_electrodes(axes, sensor.electrodes, sensor.radius_mm)
-    places = np.array([(load.x_mm, load.y_mm) for load in loads])
-    draw_circles(axes, np.unique(places, axis=0), loads[0].radius_mm, color=QUIET, dashed=True)
+    heads = {(load.x_mm, load.y_mm): head_path(load.pressed) for load in loads}
+    draw_heads(axes, list(heads.values()), color=QUIET, dashed=True)
     seen = [(load, load.sensed) for load in loads if load.sensed is not None]
-    draw_outlines(axes, [outline_path(b.image.mesh, b.elements) for _, b in seen], color=BLUE, face="#0072b218")
+    draw_outlines(axes, [region_path(region) for _, region in seen], color=BLUE, face="#0072b218")
     if seen:
-        start = np.array([(load.x_mm, load.y_mm) for load, _ in seen])
-        error = np.array([blob.centre_mm() for _, blob in seen]) - start
+        start = np.array([load.pressed.centre_mm for load, _ in seen])
+        error = np.array([region.centre_mm() for _, region in seen]) - start
         axes.quiver(
             *start.T,
             *(scale * error).T,

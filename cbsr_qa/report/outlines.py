@@ -1,4 +1,4 @@
-"""Outlines of blobs and pictures of images, ready to be drawn."""
+"""Outlines of regions and heads, and pictures of images, ready to be drawn."""
 
 from collections import defaultdict
 
@@ -8,37 +8,32 @@ from matplotlib.tri import Triangulation
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from cbsr_qa.domain.footprints import Footprint
+from cbsr_qa.domain.image import Region
 from cbsr_qa.domain.mesh import Mesh
 
+Point = tuple[float, float]
 
-def outline(mesh: Mesh, elements: NDArray[np.int64]) -> list[NDArray[np.float64]]:
-    """Trace the outline of some elements: every edge that belongs to exactly one of them, holes included.
 
-    Parameters
-    ----------
-    mesh : counterclockwise elements.
-    elements : (k,) int64.
+def rings(region: Region) -> list[NDArray[np.float64]]:
+    """Trace the perimeter of a region, holes included.
 
     Returns
     -------
     Closed rings, each (n, 2) [mm] with the first point repeated; outer rings counterclockwise, holes clockwise.
     """
-    corners = mesh.elements[elements]
-    edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    count = len(mesh.nodes_mm)
-    forward, backward = edges[:, 0] * count + edges[:, 1], edges[:, 1] * count + edges[:, 0]
-    rim = edges[~np.isin(forward, backward)]
-    following: dict[int, list[int]] = defaultdict(list)
-    for start, end in rim.tolist():
+    starts, ends = region.rim_mm()
+    following: dict[Point, list[Point]] = defaultdict(list)
+    for start, end in zip(map(tuple, starts.tolist()), map(tuple, ends.tolist()), strict=True):
         following[start].append(end)
-    rings = []
+    found = []
     while following:
-        rings.append(mesh.nodes_mm[_ring(following)])
-    return rings
+        found.append(np.array(_ring(following)))
+    return found
 
 
-def _ring(following: dict[int, list[int]]) -> list[int]:
-    """Walk one ring and take its edges out; a node where rings touch is left by whichever edge is still there."""
+def _ring(following: dict[Point, list[Point]]) -> list[Point]:
+    """Walk one ring and take its edges out; a point where rings touch is left by whichever edge is still there."""
     start = next(iter(following))
     ring = [start]
     while True:
@@ -46,16 +41,19 @@ def _ring(following: dict[int, list[int]]) -> list[int]:
         ring.append(ends.pop())
         if not ends:
             del following[ring[-2]]
-        if ring[-1] == start:
+        if ring[-1] == start or ring[-1] not in following:
             return ring
 
 
-def outline_path(
-    mesh: Mesh, elements: NDArray[np.int64], shift_mm: tuple[float, float] = (0.0, 0.0), scale: float = 1.0
-) -> Path:
-    """Return the outline as one compound path, moved and scaled."""
-    rings = [ring * scale + np.asarray(shift_mm) for ring in outline(mesh, elements)]
-    return Path.make_compound_path(*(Path(ring, closed=True) for ring in rings))
+def region_path(region: Region, shift_mm: tuple[float, float] = (0.0, 0.0)) -> Path:
+    """Return the outline as one compound path, moved."""
+    return Path.make_compound_path(*(Path(ring + np.asarray(shift_mm), closed=True) for ring in rings(region)))
+
+
+def head_path(head: Footprint, shift_mm: tuple[float, float] = (0.0, 0.0)) -> Path:
+    """Return a head's outline as a path, moved."""
+    corners = head.drawn_mm()
+    return Path(np.vstack([corners, corners[:1]]) + np.asarray(shift_mm), closed=True)
 
 
 class Raster:

@@ -81,9 +81,17 @@ def draw_circles(
 
 
 def draw_outlines(axes: Axes, paths: list[Path], *, color: str = INK, width: float = 1.1, face: str = "none") -> None:
-    """Draw blob outlines (see :func:`cbsr_qa.report.outlines.outline_path`) as one collection."""
+    """Draw outlines of regions (see :func:`cbsr_qa.report.outlines.region_path`) as one collection."""
     if paths:
         axes.add_collection(PathCollection(paths, facecolors=face, edgecolors=color, linewidths=width, zorder=5))
+
+
+def draw_heads(axes: Axes, paths: list[Path], *, color: str = INK, dashed: bool = False) -> None:
+    """Draw the indenter at many places (see :func:`cbsr_qa.report.outlines.head_path`) as one collection."""
+    style = [(0, (2.5, 1.8))] if dashed else "solid"
+    axes.add_collection(
+        PathCollection(paths, facecolors="none", edgecolors=color, linewidths=0.8, linestyles=style, zorder=6)
+    )
 
 
 def add_scale(figure: Canvas, axes: Axes, norm: Normalize, colours: Colormap, *, label: str, place: str) -> None:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.footprints import overlap_mm2
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.forward.coverage import coverage
 from cbsr_qa.forward.local import LocalUpdate
 from cbsr_qa.forward.meshing import sheet_mesh
 from cbsr_qa.forward.model import ForwardModel
@@ -105,12 +105,14 @@ class SimulatedSheet:
         known = self._covers.get((place, indenter))
         if known is not None:
             return known
-        cover = coverage(self.mesh, indenter.at(*place))
-        if not cover[0].size:
+        share = overlap_mm2(indenter.at(*place), self.mesh.corners_mm) / self.mesh.areas_mm2
+        elements = np.flatnonzero(share > 0)
+        if not elements.size:
             raise RefusedError(
                 f"a head of radius {indenter.reach_mm:g} mm at ({place[0]:g}, {place[1]:g}) mm is outside the sheet",
                 remedy=f"the sheet's radius is {self.sensor_type.radius_mm:g} mm",
             )
+        cover = (elements, np.minimum(share[elements], 1.0))
         self._covers[(place, indenter)] = cover
         return cover
 

@@ -63,6 +63,7 @@ SETTINGS = AnalysisSettings(
     size_ratio=(1 / 3, 3.0),
     clipping="exact",
     perimeter="length",
+    outline="elements",
 )
 SENSOR = SensorType(
     name="disc-100mm",

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from report_samples import SENSOR, sample_recording
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.image import Image
+from cbsr_qa.domain.image import Blob, Image
 from cbsr_qa.domain.observation import Trace
 from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit
 from cbsr_qa.forward.meshing import image_mesh
@@ -21,7 +21,7 @@ from cbsr_qa.report.figures_metrics import Held, held_profile
 from cbsr_qa.report.figures_relaxation import relaxation_value
 from cbsr_qa.report.figures_sheet import ImagePanel, Marker, image_figure
 from cbsr_qa.report.figures_time import Span, thinned, timeline_figure
-from cbsr_qa.report.outlines import Raster, outline
+from cbsr_qa.report.outlines import Raster, rings
 from cbsr_qa.report.style import spread_labels
 from cbsr_qa.report.svg import checked_svg
 
@@ -140,10 +140,10 @@ def test_an_outline_encloses_its_elements_holes_left_out(x, y, radius, ring):
     elements = np.flatnonzero((far < radius) & ((far > 0.6 * radius) | (not ring)))
     if not elements.size:
         return
-    rings = outline(mesh, elements)
-    enclosed = sum(_signed_area(points) for points in rings)
+    found = rings(Blob(Image(mesh, np.ones(len(mesh.elements))), elements))
+    enclosed = sum(_signed_area(points) for points in found)
     assert enclosed == pytest.approx(mesh.areas_mm2[elements].sum())
-    assert all((points[0] == points[-1]).all() for points in rings)
+    assert all((points[0] == points[-1]).all() for points in found)
 
 
 def test_a_pixel_shows_the_element_it_lies_in(mesh):

@@ -2,7 +2,7 @@
 
 from typing import Any, ClassVar
 
-from cbsr_qa.domain.image import Blob
+from cbsr_qa.domain.image import Blob, Region
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.plan import AnalysisSettings
@@ -27,19 +27,23 @@ class AreaOverlap:
         """Measure the sensed blob under each mask; without a blob there is no value."""
         measured: list[Measurement] = []
         for view, qualifier in masks_of(load, run):
-            overlap, ratio, how = _measure(view.sensed, load, run.settings)
+            overlap, ratio, how = _measure(view.region, load, run.settings)
             measured.append(at_load(load, "area_overlap", overlap, "%", qualifier=qualifier, how=how))
             measured.append(at_load(load, "area_ratio", ratio, "1", qualifier=qualifier, how=how))
         return tuple(measured)
 
 
 def _measure(
-    blob: Blob | None, load: LoadObservation, settings: AnalysisSettings
+    region: Region | None, load: LoadObservation, settings: AnalysisSettings
 ) -> tuple[float | None, float | None, str]:
-    if blob is None:
+    if region is None:
         return None, None, NOT_DETECTED
     place = load.record.load
-    overlap = area_overlap_percent(blob, load.indenter.at(place.x_mm, place.y_mm), settings.clipping)
-    ratio = blob.area_mm2 / load.indenter.area_mm2
+    overlap = area_overlap_percent(region, load.indenter.at(place.x_mm, place.y_mm), settings.clipping)
+    ratio = region.area_mm2 / load.indenter.area_mm2
     grade = overlap_grade(overlap, ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio)
-    return overlap, ratio, f"{grade}; A_b/A_FA {ratio:.2f}; {settings.clipping} clipping"
+    return overlap, ratio, f"{grade}; A_b/A_FA {ratio:.2f}; {_clipped(region, settings)}"
+
+
+def _clipped(region: Region, settings: AnalysisSettings) -> str:
+    return f"{settings.clipping} clipping of {'elements' if isinstance(region, Blob) else 'a contour'}"

@@ -27,10 +27,10 @@ class CentreOfMassError:
             at_load(
                 load,
                 "centre_of_mass_error",
-                None if view.sensed is None else centre_of_mass_error_mm(view.sensed, pressed),
+                None if view.region is None else centre_of_mass_error_mm(view.region, pressed),
                 "mm",
                 qualifier=qualifier,
-                how=NOT_DETECTED if view.sensed is None else "area- and value-weighted centre of mass",
+                how=NOT_DETECTED if view.region is None else "area- and value-weighted centre of mass",
             )
             for view, qualifier in masks_of(load, run)
         )

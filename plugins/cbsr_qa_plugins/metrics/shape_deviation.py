@@ -28,8 +28,8 @@ class ShapeDeviation:
         measured: list[Measurement] = []
         for view, qualifier in masks_of(load, run):
             value, how = None, NOT_DETECTED
-            if view.sensed is not None:
-                value = shape_deviation_mm2(view.sensed, pressed, mode)
+            if view.region is not None:
+                value = shape_deviation_mm2(view.region, pressed, mode)
                 how = f"mean over the outline's {mode}"
             measured.append(at_load(load, "shape_deviation", value, "mm²", qualifier=qualifier, how=how))
         return tuple(measured)

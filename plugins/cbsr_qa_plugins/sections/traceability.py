@@ -1,11 +1,18 @@
 """What the numbers can be traced to: instruments, software, settings."""
 
+from typing import Final
+
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.report import Block, RunResult, Section, Table
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.report.numbers import duration, number, quantity
 from cbsr_qa.report.tables import text_table
+
+_OUTLINES: Final = {
+    "contour": "bounded by a contour inside the elements",
+    "elements": "whole elements, as the paper counts",
+}
 
 
 class Traceability:
@@ -47,7 +54,7 @@ def _sensor(record: RunRecord) -> Table:
         ["Sheet", f"{2 * sensor.radius_mm:g} mm diameter, {sensor.thickness_mm:g} mm thick"],
         ["Electrodes", electrodes],
         ["Readings a frame", f"{drives} drive pairs × {measures} measure pairs"],
-        ["Indenter", f"{record.indenter.diameter_mm:g} mm diameter, {record.indenter.area_mm2:.1f} mm²"],
+        ["Indenter", f"{record.indenter.words()}, {record.indenter.area_mm2:.1f} mm²"],
         ["Configuration digest (SHA-256)", record.identity.configuration_digest],
     ]
     return text_table("What was tested, and with what configuration.", ("Item", "Value"), rows)
@@ -66,6 +73,7 @@ def _analysis(run: RunObservation) -> Table:
         ["Response to load", f"{run.response.value} ({run.response_how})"],
         ["Noise floor", f"{number(run.noise_floor)} (relative), from {len(run.noise_images)} unloaded images"],
         ["Masks", f"{masks}; {100 * run.main_mask:g} % decides"],
+        ["Sensed region", _OUTLINES[settings.outline]],
         ["Overlap and outline", f"{settings.clipping} clipping, perimeter by {settings.perimeter}"],
     ]
     return text_table("How images became numbers.", ("Choice", "Value"), rows)
