@@ -55,6 +55,11 @@ class FiniteElements:
         """Number of nodes n."""
         return len(self.points_mm)
 
+    @cached_property
+    def elements_per_node(self) -> Indices:
+        """To how many elements each node belongs, (n,) int64."""
+        return np.bincount(self.cells.ravel(), minlength=self.count).astype(np.int64)
+
     @property
     def weights_mm2(self) -> Array:
         """Area that each integration point stands for, (e, q) [mm²]."""

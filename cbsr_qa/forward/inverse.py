@@ -30,7 +30,7 @@ class InverseEntries:
     def __init__(self, model: ForwardModel, *, most: int = MOST_NODES) -> None:
         self._model = model
         self._most = most
-        self._place = np.full(len(model.mesh.nodes_mm), -1, dtype=np.int64)
+        self._place = np.full(model.elements.count, -1, dtype=np.int64)
         self._known: Indices = np.empty(0, dtype=np.int64)
         self._entries: Array = np.empty((0, 0))
 

@@ -9,8 +9,11 @@ the new conductance, E₀ of the old), the patch seen from its rim changes by
 which is the difference of the two Schur complements without their cancellation (Eᵀ K = [Λ 0], K₀ E₀ = [Λ₀ 0]ᵀ). With
 F the fields of the electrodes on all rims and W = K₀⁻¹ between rim nodes the transfer impedance changes by
 −Fᵀ (I + ΔΛ W)⁻¹ ΔΛ F (Woodbury; Hager 1989). These are identities, not approximations. F, W and E₀ do not depend on
-the change, so each further change on the same elements costs dense solves of the size of each patch's inside, and
-one of the size of all rims.
+the change, so each further change on the same elements costs dense solves of the size of each patch's inside and rim.
+
+Several patches feel each other. What one sends to another's rim is smooth there, and so is what the electrodes send:
+to rounding it lies in a space of some fifteen dimensions, fewer than the rim has nodes. Each patch's answer
+(I + ΔΛ W)⁻¹ ΔΛ is formed for these alone, and one system over all patches, as large as these are many, links them.
 """
 
 from collections import OrderedDict
@@ -21,7 +24,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.forward.inverse import InverseEntries
-from cbsr_qa.forward.model import ForwardModel
+from cbsr_qa.forward.model import ForwardModel, conducts
 from cbsr_qa.forward.patches import Patches
 
 Array = NDArray[np.float64]
@@ -58,7 +61,8 @@ class LocalUpdate:
         Parameters
         ----------
         elements : (k,) int64; changes of an element named twice add up.
-        conductance_change : (k,) [S] against the model's conductance.
+        conductance_change : (k,) [S] against the model's conductance; or (k, q, 2, 2) by integration point and
+            direction, as of :meth:`Cover.change <cbsr_qa.forward.coverage.Cover.change>`.
 
         Returns
         -------
@@ -67,7 +71,8 @@ class LocalUpdate:
         Raises
         ------
         NumericsError
-            If an element is not in the mesh, or its new conductance is not a positive finite number.
+            If an element is not in the mesh, or its new conductance is not a positive finite number, or as a matrix
+            not positive definite.
         """
         elements, change = self._checked(elements, conductance_change)
         if not elements.size:
@@ -77,19 +82,21 @@ class LocalUpdate:
 
     def _checked(self, elements: Indices, change: Array) -> tuple[Indices, Array]:
         elements, change = np.asarray(elements, dtype=np.int64), np.asarray(change, dtype=np.float64)
-        count = len(self.model.mesh.elements)
-        if elements.ndim != 1 or change.shape != elements.shape:
+        model, count = self.model, len(self.model.mesh.elements)
+        shape = elements.shape if change.ndim == 1 else (*elements.shape, len(model.elements.shapes.points), 2, 2)
+        if elements.ndim != 1 or change.shape != shape:
             raise NumericsError(f"{change.shape} conductance changes do not fit {elements.shape} elements")
         if elements.size and not 0 <= elements.min() <= elements.max() < count:
             raise NumericsError(f"a changed element is not one of 0 to {count - 1}")
         unique, place = np.unique(elements, return_inverse=True)
-        total: Array = np.bincount(place, change, minlength=len(unique)).astype(np.float64)
-        new = self.model.conductance[unique] + total
-        wrong = np.flatnonzero(~(np.isfinite(new) & (new > 0)))
+        total = np.zeros((len(unique), *change.shape[1:]))
+        np.add.at(total, place, change)
+        new = model.changed_conductance(unique, total)
+        wrong = np.flatnonzero(~conducts(new))
         if wrong.size:
             raise NumericsError(
-                f"the change of element {unique[wrong[0]]} leaves it with a conductance of {new[wrong[0]]} S;"
-                " it must stay a positive finite number"
+                f"the change of element {unique[wrong[0]]} leaves it with a conductance of {new[wrong[0]].tolist()}"
+                " S; it must stay a positive finite number, in every direction"
             )
         return unique.astype(np.int64), total
 

@@ -75,6 +75,32 @@ class ForwardModel:
             prepared=self.prepared,
         )
 
+    def changed_on(self, elements: Indices, change: Array) -> "ForwardModel":
+        """Return the same sheet with other conductances on some elements, factorised again.
+
+        Parameters
+        ----------
+        elements : (m,) int64; changes of an element named twice add up.
+        change : (m,), or (m, q, 2, 2) as of :meth:`Cover.change <cbsr_qa.forward.coverage.Cover.change>` [S].
+        """
+        conductance, change = _alike(self.conductance.copy(), change, len(self.elements.shapes.points))
+        np.add.at(conductance, elements, change)
+        return self.changed(conductance=conductance)
+
+    def changed_conductance(self, elements: Indices, change: Array) -> Array:
+        """Conductance of some elements, each named once, after a change: (m,) or (m, q, 2, 2) [S]."""
+        conductance, change = _alike(self.conductance[elements], change, len(self.elements.shapes.points))
+        changed: Array = conductance + change
+        return changed
+
+    def element_matrices(self, elements: Indices) -> Array:
+        """Stiffness of some elements with their conductance: (m,) int64 to (m, k, k) [S]."""
+        conductance = self.conductance[elements]
+        if conductance.ndim > 1:
+            return self.elements.directional_stiffness(elements, conductance)
+        matrices: Array = conductance[:, None, None] * self.stiffness[elements]
+        return matrices
+
     def solve(self, load: Array) -> Array:
         """Solve for the nodes' potentials caused by currents into nodes.
 
@@ -208,11 +234,9 @@ class ForwardModel:
                 f"the mesh carries {len(self.prepared.contacts.nodes)} electrodes with edges,"
                 f" the pattern needs {electrodes}"
             )
-        if self.conductance.ndim == 1:
-            check_positive("conductance", self.conductance, count)
-        else:
-            check_definite(self.conductance, (count, len(self.elements.shapes.points), 2, 2))
-        check_positive("contact impedance", self.contact_impedance, electrodes)
+        directional = (len(self.elements.shapes.points), 2, 2) if self.conductance.ndim > 1 else ()
+        _check("conductance", self.conductance, (count, *directional))
+        _check("contact impedance", self.contact_impedance, (electrodes,))
 
 
 def point_model(
@@ -237,35 +261,38 @@ def point_model(
     return ForwardModel(mesh, pattern, conductance, np.ones(len(nodes)), prepared=prepared)
 
 
-def check_positive(name: str, values: Array, count: int) -> None:
-    """Refuse values that are not one positive finite number each."""
-    if values.shape != (count,):
-        raise NumericsError(f"{name} has shape {values.shape}; one value for each of {count} is needed")
-    wrong = np.flatnonzero(~(np.isfinite(values) & (values > 0)))
-    if wrong.size:
-        raise NumericsError(
-            f"{name} {wrong[0]} is {values[wrong[0]]} (one of {wrong.size} such); it must be a positive finite number"
-        )
-
-
-def check_definite(conductance: Array, shape: tuple[int, ...]) -> None:
-    """Refuse directional conductances that are not symmetric, finite and positive in every direction."""
-    if conductance.shape != shape:
-        raise NumericsError(f"conductance has shape {conductance.shape}; {shape[:1]} or {shape} is needed")
-    wrong = np.flatnonzero(~definite(conductance).all(axis=1))
-    if wrong.size:
-        raise NumericsError(
-            f"conductance {wrong[0]} is {conductance[wrong[0]].tolist()} (one of {wrong.size} such);"
-            " it must be symmetric, finite and positive in every direction"
-        )
-
-
-def definite(conductance: Array) -> NDArray[np.bool_]:
-    """Whether matrices (…, 2, 2) are symmetric, finite and positive definite: (…)."""
+def conducts(conductance: Array) -> NDArray[np.bool_]:
+    """Whether conductances (m,) or (m, q, 2, 2) are finite and positive, as matrices symmetric and definite: (m,)."""
+    if conductance.ndim == 1:
+        return np.asarray(np.isfinite(conductance) & (conductance > 0), dtype=np.bool_)
     (xx, xy), (yx, yy) = np.moveaxis(conductance, (-2, -1), (0, 1))
-    alike = np.abs(xy - yx) <= 1e-12 * np.sqrt(np.abs(xx * yy))
-    found = np.isfinite(xx + yy) & alike & (xx > 0) & (xx * yy > xy**2)
-    return np.asarray(found, dtype=np.bool_)
+    with np.errstate(invalid="ignore", over="ignore"):
+        alike = np.abs(xy - yx) <= 1e-12 * np.sqrt(np.abs(xx * yy))
+        definite = np.isfinite(xx + yy) & alike & (xx > 0) & (xx * yy > xy**2)
+    return np.asarray(definite.all(axis=1), dtype=np.bool_)
+
+
+def _check(name: str, values: Array, shape: tuple[int, ...]) -> None:
+    if values.shape != shape:
+        raise NumericsError(f"{name} has shape {values.shape}; one value for each of {shape[0]} is needed")
+    wrong = np.flatnonzero(~conducts(values))
+    if wrong.size:
+        direction = ", in every direction" if values.ndim > 1 else ""
+        raise NumericsError(
+            f"{name} {wrong[0]} is {values[wrong[0]].tolist()} (one of {wrong.size} such);"
+            f" it must be a positive finite number{direction}"
+        )
+
+
+def _alike(one: Array, other: Array, points: int) -> tuple[Array, Array]:
+    """Conductances both as numbers, or both as matrices (…, q, 2, 2)."""
+    if np.ndim(one) == np.ndim(other):
+        return one, other
+    first, second = (
+        part if np.ndim(part) > 1 else np.multiply.outer(part, np.tile(np.eye(2), (points, 1, 1)))
+        for part in (one, other)
+    )
+    return first, second
 
 
 def _grounded(impedance: Array) -> Array:

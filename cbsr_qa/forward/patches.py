@@ -1,6 +1,8 @@
 """Patches of changed elements, seen from their rims: what they need, whatever their change."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,70 +14,82 @@ from cbsr_qa.forward.model import ForwardModel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+Item = TypeVar("Item")
+
+# What reaches a patch from outside is smooth there: of the fields its rim could carry, few are ever met.
+_NEGLIGIBLE: Final = 1e-14
 
 
-class Patch:
-    """Elements that hang together; those inside are condensed away.
+class PatchStack:
+    """Patches of about one size, each of elements that hang together; those inside are condensed away.
+
+    All arrays are filled up to the largest patch, so that one call serves the whole stack: with zeros on the rim, and
+    with ones on the diagonal inside.
 
     Parameters
     ----------
     model : the unchanged sheet.
-    elements : (k,) int64, each once.
+    patches : elements of each, (k,) int64, each once.
+    rims : whether a node is seen from outside, for the sorted nodes of each patch.
     """
 
-    def __init__(self, model: ForwardModel, elements: Indices) -> None:
-        nodes, corner = np.unique(model.mesh.elements[elements], return_inverse=True)
-        corner = corner.reshape(-1, 3)
-        rim = _seen_outside(model, nodes, corner)
-        order = np.argsort(~rim, kind="stable")  # the rim first
-        rank = np.argsort(order)[corner]
-        self._count = len(nodes)
-        self._entry, self._scatter = np.unique(
-            (rank[:, :, None] * len(nodes) + rank[:, None, :]).ravel(), return_inverse=True
-        )
-        row, self._column = np.divmod(self._entry, len(nodes))
-        self._rows = np.searchsorted(row, np.arange(len(nodes) + 1))
-        self._stiffness = model.stiffness[elements].reshape(-1, 9)
-        self._conductance = model.conductance[elements]
-        #: nodes that the world outside sees, (b,)
-        self.rim: Indices = nodes[rim].astype(np.int64)
-        self._extension = np.vstack([np.eye(len(self.rim)), self._inside(self._conductance)])
+    def __init__(self, model: ForwardModel, patches: Sequence[Indices], rims: Sequence[NDArray[np.bool_]]) -> None:
+        self._rim = max(int(rim.sum()) for rim in rims)
+        size = self._rim + max(int((~rim).sum()) for rim in rims)
+        cells = model.elements.cells
+        #: nodes on the rim of each patch, the rest filled up with −1: (g, b)
+        self.rims: Indices = np.full((len(patches), self._rim), -1, dtype=np.int64)
+        filled = np.tile(np.arange(size) >= self._rim, (len(patches), 1))
+        scatter = []
+        for number, (elements, rim) in enumerate(zip(patches, rims, strict=True)):
+            nodes, corner = np.unique(cells[elements], return_inverse=True)
+            rank = np.where(rim, np.cumsum(rim) - 1, self._rim + np.cumsum(~rim) - 1)
+            filled[number, rank] = False
+            self.rims[number, : rim.sum()] = nodes[rim]
+            place = rank[corner.reshape(len(elements), -1)]
+            scatter.append((number * size + place[:, :, None]) * size + place[:, None, :])
+        self._shape = len(patches), size, size
+        self._scatter = np.concatenate(scatter).ravel()
+        base = self._assembled(model.element_matrices(np.concatenate(patches)))
+        stack, node = np.nonzero(filled)
+        base[stack, node, node] = 1
+        self._base = np.ascontiguousarray(base[:, self._rim :])
+        eye = np.tile(np.eye(self._rim), (len(patches), 1, 1))
+        self._extension = np.concatenate([eye, -self._inside(self._base)], axis=1)
 
     @property
     def nbytes(self) -> int:
         """Memory it takes."""
         return _nbytes(self)
 
-    def rim_change(self, change: Array) -> Array:
-        """How the stiffness that the rim feels changes, ΔΛ = Eᵀ ΔK E₀: (b, b) [S].
+    def rim_changes(self, change: Array) -> Array:
+        """How the stiffness that each rim feels changes, ΔΛ = Eᵀ ΔK E₀: (g, b, b) [S].
 
         Parameters
         ----------
-        change : (k,) [S] of each element's conductance, leaving it positive.
+        change : (all elements of the stack, k, k) of their matrices [S].
         """
-        shape = self._count, self._count
-        stiffness = sparse.csr_array((self._entries(change), self._column, self._rows), shape=shape)
-        currents = np.asarray(stiffness @ self._extension)
-        b = len(self.rim)
-        seen: Array = currents[:b] + self._inside(self._conductance + change).T @ currents[b:]
+        stiffness = self._assembled(change)
+        currents = stiffness @ self._extension
+        inside = self._inside(self._base + stiffness[:, self._rim :])
+        seen: Array = currents[:, : self._rim] - inside.swapaxes(1, 2) @ currents[:, self._rim :]
         return seen
 
-    def _inside(self, conductance: Array) -> Array:
-        """Potentials inside for each unit potential of a rim node: (p − b, b)."""
-        stiffness = np.zeros(self._count * self._count)
-        stiffness[self._entry] = self._entries(conductance)
-        b = len(self.rim)
-        lower = stiffness.reshape(self._count, self._count)[b:]
-        return np.asarray(-np.linalg.solve(lower[:, b:], lower[:, :b]), dtype=np.float64)
+    def _inside(self, lower: Array) -> Array:
+        """Minus the potentials inside for each unit potential of a rim node: (g, i, b)."""
+        return np.asarray(np.linalg.solve(lower[..., self._rim :], lower[..., : self._rim]), dtype=np.float64)
 
-    def _entries(self, conductance: Array) -> Array:
-        """Entries of the patch's own stiffness matrix that are stored."""
-        entries = np.bincount(self._scatter, (conductance[:, None] * self._stiffness).ravel())
-        return np.asarray(entries, dtype=np.float64)
+    def _assembled(self, matrices: Array) -> Array:
+        size = self._shape[0] * self._shape[1] * self._shape[2]
+        assembled = np.bincount(self._scatter, matrices.ravel(), minlength=size)
+        return np.asarray(assembled.reshape(self._shape), dtype=np.float64)
 
 
 class Patches:
     """A set of changed elements as patches that share no node, and what links their rims.
+
+    Fields from outside are described on each rim by the few that are ever met, without their mean, which no change of
+    conductance feels.
 
     Parameters
     ----------
@@ -85,60 +99,183 @@ class Patches:
     """
 
     def __init__(self, model: ForwardModel, elements: Indices, inverse: InverseEntries) -> None:
-        self._members = list(_connected(model.mesh.elements[elements]))
-        self._patches = [Patch(model, elements[members]) for members in self._members]
-        rim = np.concatenate([patch.rim for patch in self._patches])
-        ends = np.cumsum([len(patch.rim) for patch in self._patches])
-        self._slices = [slice(end - len(p.rim), end) for p, end in zip(self._patches, ends, strict=True)]
-        fields = model.electrode_fields[rim]
-        self._fields = fields
-        self._linked = np.hstack([inverse.between(rim), fields])  # both meet the same change
+        members = list(_connected(model.elements.cells[elements]))
+        rims = [_seen_outside(model, elements[part]) for part in members]
+        groups = list(_alike([(int(rim.sum()), int((~rim).sum())) for rim in rims]))
+        self._stacks = [
+            PatchStack(model, [elements[members[k]] for k in group], [rims[k] for k in group]) for group in groups
+        ]
+        self._members = [np.concatenate([members[k] for k in group]) for group in groups]
+        self._matrices = [ElementChanges(model, elements[part]) for part in self._members]
+        self._link(model, inverse)
 
     @property
     def nbytes(self) -> int:
         """Memory it takes."""
-        indices = sum(members.nbytes for members in self._members)
-        return indices + _nbytes(self) + sum(patch.nbytes for patch in self._patches)
+        parts = sum(stack.nbytes for stack in self._stacks) + sum(matrices.nbytes for matrices in self._matrices)
+        arrays = sum(members.nbytes for members in self._members)
+        return (
+            parts
+            + arrays
+            + _nbytes(self)
+            + sum(own.nbytes + met.nbytes for own, met in zip(self._own, self._met, strict=True))
+        )
 
     def correction(self, change: Array) -> Array:
         """What the transfer impedance loses.
 
         Parameters
         ----------
-        change : (k,) [S] of each element's conductance, leaving it positive.
+        change : (k,) or (k, q, 2, 2) [S] of each element's conductance, leaving it positive.
 
         Returns
         -------
         (electrodes, electrodes) float64 [V/A].
         """
-        changed = np.empty_like(self._linked)
-        for patch, members, rows in zip(self._patches, self._members, self._slices, strict=True):
-            np.matmul(patch.rim_change(change[members]), self._linked[rows], out=changed[rows])
-        count = len(changed)
-        capacitance, sources = changed[:, :count], changed[:, count:]
-        np.einsum("ii->i", capacitance)[:] += 1
-        correction: Array = self._fields.T @ np.linalg.solve(capacitance, sources)
+        scattered = np.empty_like(self._linked)
+        first = 0
+        for stack, matrices, members, own, met in zip(
+            self._stacks, self._matrices, self._members, self._own, self._met, strict=True
+        ):
+            seen = stack.rim_changes(matrices.of(change[members]))
+            capacitance = seen @ own
+            np.einsum("gii->gi", capacitance)[:] += 1
+            answer = met.swapaxes(1, 2) @ np.linalg.solve(capacitance, seen @ met)  # of each patch alone
+            last = first + len(answer)
+            np.matmul(answer, self._linked[first:last], out=scattered[first:last])
+            first = last
+        count = len(self._fields)
+        flat = scattered.reshape(count, -1)
+        between = flat[:, :count]
+        np.einsum("ii->i", between)[:] += 1
+        correction: Array = self._fields.T @ np.linalg.solve(between, flat[:, count:])
         return correction
+
+    def _link(self, model: ForwardModel, inverse: InverseEntries) -> None:
+        """Describe what each patch meets, and how patches and electrodes meet each other."""
+        shapes = [stack.rims.shape for stack in self._stacks]
+        spans = _spans([b for g, b in shapes for _ in range(g)])
+        between, fields = _without_means(model, inverse, [row for stack in self._stacks for row in stack.rims], spans)
+        self._own = [
+            np.stack([between[span, span] for span in part]) for part in _shared_out(spans, [g for g, _ in shapes])
+        ]
+        for span in spans:
+            between[span, span] = 0
+        bases = _bases(between, fields, spans)
+        self._met = [np.stack(part) for part in _shared_out(bases, [g for g, _ in shapes])]
+        rank = bases[0].shape[1]
+        whole = np.zeros((len(fields), rank * len(spans)))
+        for number, (span, basis) in enumerate(zip(spans, bases, strict=True)):
+            whole[span, number * rank : (number + 1) * rank] = basis
+        self._fields = whole.T @ fields  # (patches · rank, electrodes)
+        self._linked = np.hstack([whole.T @ between @ whole, self._fields]).reshape(len(spans), rank, -1)
+
+
+class ElementChanges:
+    """Changes of elements' matrices by changes of their conductance.
+
+    Parameters
+    ----------
+    model, elements : (k,) int64.
+    """
+
+    def __init__(self, model: ForwardModel, elements: Indices) -> None:
+        self._stiffness = model.stiffness[elements]
+        self._model, self._elements = model, elements
+
+    @cached_property
+    def _directional(self) -> Array:
+        """Change for the entries of each integration point's conductance, (k, q · 4, n · n)."""
+        gradients = self._model.elements.gradients[self._elements]  # (k, q, n, 2)
+        weighted = self._model.elements.weights_mm2[self._elements][..., None, None] * gradients
+        count, entries = len(gradients), self._stiffness[0].size
+        matrices: Array = np.einsum("kqia,kqjb->kqabij", weighted, gradients).reshape(count, -1, entries)
+        return matrices
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes."""
+        return _nbytes(self)
+
+    def of(self, change: Array) -> Array:
+        """Changes (k,) or (k, q, 2, 2) [S] to matrices (k, n, n) [S]."""
+        if change.ndim == 1:
+            return np.asarray(change[:, None, None] * self._stiffness, dtype=np.float64)
+        flat = change.reshape(len(change), 1, -1) @ self._directional
+        return np.asarray(flat.reshape(self._stiffness.shape), dtype=np.float64)
 
 
 def _nbytes(of: object) -> int:
     return sum(value.nbytes for value in vars(of).values() if isinstance(value, np.ndarray))
 
 
-def _seen_outside(model: ForwardModel, nodes: Indices, corner: Indices) -> NDArray[np.bool_]:
-    """Whether a node belongs to an element that does not change, or to an electrode."""
-    everywhere = np.bincount(model.mesh.elements.ravel(), minlength=len(model.mesh.nodes_mm))[nodes]
-    electrodes = np.concatenate([edges.ravel() for edges in model.mesh.electrode_edges])
-    seen: NDArray[np.bool_] = (np.bincount(corner.ravel()) < everywhere) | np.isin(nodes, electrodes)
+def _seen_outside(model: ForwardModel, elements: Indices) -> NDArray[np.bool_]:
+    """Whether each of a patch's sorted nodes belongs to an element that does not change, or to an electrode."""
+    nodes, corner = np.unique(model.elements.cells[elements], return_inverse=True)
+    contacts = np.concatenate(model.prepared.contacts.nodes)
+    everywhere = model.elements.elements_per_node[nodes]
+    seen: NDArray[np.bool_] = (np.bincount(corner.ravel()) < everywhere) | np.isin(nodes, contacts)
     return seen
 
 
 def _connected(corners: Indices) -> Iterator[Indices]:
     """Indices of the elements of each patch."""
-    nodes, local = np.unique(corners, return_inverse=True)
+    nodes, local = np.unique(corners[:, :3], return_inverse=True)
     local = local.reshape(-1, 3)
     pairs = local[:, :2].ravel(), local[:, 1:].ravel()
     graph = sparse.coo_array((np.ones(len(pairs[0])), pairs), shape=(len(nodes), len(nodes)))
     count, patch = connected_components(graph, directed=False)
     for number in range(count):
         yield np.flatnonzero(patch[local[:, 0]] == number)
+
+
+def _alike(sizes: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
+    """Groups of patches that waste little when each is filled up to the largest (rim, inside)."""
+    group: list[int] = []
+    for number in sorted(range(len(sizes)), key=lambda k: sizes[k][::-1]):
+        if group and any(sizes[number][k] > 1.25 * min(sizes[n][k] for n in group) + 8 for k in (0, 1)):
+            yield group
+            group = []
+        group.append(number)
+    if group:
+        yield group
+
+
+def _spans(lengths: Sequence[int]) -> list[slice]:
+    ends = np.cumsum(lengths).tolist()
+    return [slice(end - length, end) for end, length in zip(ends, lengths, strict=True)]
+
+
+def _shared_out(items: Sequence[Item], counts: Sequence[int]) -> Iterator[Sequence[Item]]:
+    """Successive parts of a sequence."""
+    for span in _spans(counts):
+        yield items[span]
+
+
+def _without_means(
+    model: ForwardModel, inverse: InverseEntries, rims: Sequence[Indices], spans: Sequence[slice]
+) -> tuple[Array, Array]:
+    """K₀⁻¹ between all rims and the electrodes' fields there, without their means on each rim; 0 where filled up."""
+    nodes = np.concatenate(rims)
+    real = nodes >= 0
+    between = np.zeros((len(nodes), len(nodes)))
+    between[np.ix_(real, real)] = inverse.between(nodes[real])
+    fields = np.zeros((len(nodes), len(model.contact_impedance)))
+    fields[real] = model.electrode_fields[nodes[real]]
+    for span in spans:
+        use = real[span].astype(np.float64)
+        mean = use / use.sum()
+        fields[span] -= np.outer(use, mean @ fields[span])
+        between[span] -= np.outer(use, mean @ between[span])
+        between[:, span] -= np.outer(between[:, span] @ mean, use)
+    return between, fields
+
+
+def _bases(between: Array, fields: Array, spans: Sequence[slice]) -> list[Array]:
+    """Orthonormal bases (b, r) of what reaches each rim from other rims and electrodes, with zeros up to one r."""
+    found = []
+    for span in spans:
+        basis, size, _ = np.linalg.svd(np.hstack([between[span], fields[span]]), full_matrices=False)
+        found.append(basis[:, size > _NEGLIGIBLE * max(size[0], np.finfo(float).tiny)])
+    rank = max(1, *(basis.shape[1] for basis in found))
+    return [np.pad(basis, ((0, 0), (0, rank - basis.shape[1]))) for basis in found]
