@@ -256,3 +256,37 @@ def _centre(polygon: Polygon) -> tuple[float, float]:
         best = int(np.lexsort(((offsets**2).sum(axis=1).round(9), -clearance.round(9)))[0])
         here, step, deepest = places[best], step / 4, float(clearance[best])
     return (0.0, 0.0) if own >= deepest / 2 else (float(here[0]), float(here[1]))
+
+
+def simplified(outline: SheetOutline, tolerance_mm: float) -> SheetOutline:
+    """Leave out corners of a polygon that lie within a tolerance of the line between others.
+
+    Douglas & Peucker (1973), from the first corner to the one furthest from it and back. Rounded outlines and discs
+    are returned as they are.
+    """
+    if isinstance(outline, Disc) or outline.corner_radius_mm or len(outline.corners_mm) <= 4:
+        return outline
+    corners = np.array(outline.corners_mm)
+    furthest = int(np.hypot(*(corners - corners[0]).T).argmax())
+    closed = np.vstack([corners, corners[:1]])
+    kept = sorted(
+        {*_thinned(closed, 0, furthest, tolerance_mm), *_thinned(closed, furthest, len(corners), tolerance_mm)}
+    )
+    plain = tuple(outline.corners_mm[index] for index in kept if index < len(corners))
+    return outline if len(plain) < 3 else Polygon(plain)
+
+
+def _thinned(points: Points, first: int, last: int, tolerance: float) -> set[int]:
+    """Indices of the points that a line from the first to the last needs, both included."""
+    kept, open_ = {first, last}, [(first, last)]
+    while open_:
+        begin, end = open_.pop()
+        if end - begin < 2:
+            continue
+        between = points[begin + 1 : end]
+        away = _to_edge(between, np.broadcast_to(points[begin], between.shape), points[end])
+        furthest = begin + 1 + int(away.argmax())
+        if away.max() > tolerance:
+            kept.add(furthest)
+            open_ += [(begin, furthest), (furthest, end)]
+    return kept

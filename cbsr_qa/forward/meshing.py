@@ -1,6 +1,5 @@
 """Meshes of a sensor type's round sheet: graded at the electrodes for voltages, near-uniform for images."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,18 +10,22 @@ from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.mesh import CircleArcs, Mesh
 from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.forward.grading import (
+    EDGES_PER_ARC,
+    EDGES_PER_PIN,
+    FINEST,
+    SMOOTHING,
+    Size,
+    finest_of_arc,
+    graded,
+    spread,
+)
+from cbsr_qa.forward.outline_meshing import outline_image_mesh, outline_sheet_mesh
 from cbsr_qa.forward.triangulate import Outline, fill
 
 Points = NDArray[np.float64]
-Size = Callable[[Points], NDArray[np.float64]]
 
-_FINEST = 1 / 16  # edge length at a pin's rim or an arc's end, relative to the sheet's
-_EDGES_PER_PIN = 12  # at least so many edges round a pin
-_EDGES_PER_ARC = 10  # and along an arc
-_STEEPEST = 0.45  # growth of the edge length per distance from an electrode; more makes thin triangles
-_REACH = 0.13  # of the radius: how far the refinement reaches, so that a family of meshes refines everywhere alike
 _COARSEST = 0.25  # largest edge length, of the radius
-_SMOOTHING = 10
 
 
 def sheet_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
@@ -43,10 +46,12 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
     """
     _check_size(sensor_type, size_mm)
     layout = sensor_type.electrodes
-    _check_layout(sensor_type)
+    if sensor_type.polygon is not None or not isinstance(layout, ElectrodeLayout):
+        return outline_sheet_mesh(sensor_type, size_mm)
+    _check_layout(sensor_type.name, layout, sensor_type.radius_mm)
     ring = _pins if layout.kind is ElectrodeKind.PIN else _arcs
     boundary = ring(layout, sensor_type.radius_mm, size_mm)
-    nodes, elements = fill(boundary.outline, np.zeros((0, 2)), smoothing=_SMOOTHING)
+    nodes, elements = fill(boundary.outline, np.zeros((0, 2)), smoothing=SMOOTHING)
     return Mesh(nodes, elements, boundary.electrode_edges, boundary.arcs)
 
 
@@ -63,6 +68,8 @@ def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
         If the size is out of range.
     """
     _check_size(sensor_type, size_mm)
+    if sensor_type.polygon is not None:
+        return outline_image_mesh(sensor_type.polygon, size_mm)
     radius = sensor_type.radius_mm
     count = int(np.ceil(2 * np.pi * radius / size_mm))
     rim = radius * _unit(2 * np.pi * np.arange(count) / count)
@@ -74,7 +81,7 @@ def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
     )
     lattice = _hexagonal(radius, size_mm)
     start = lattice[np.hypot(lattice[:, 0], lattice[:, 1]) < radius - 0.7 * size_mm]
-    nodes, elements = fill(outline, start, smoothing=_SMOOTHING)
+    nodes, elements = fill(outline, start, smoothing=SMOOTHING)
     return Mesh(nodes, elements)
 
 
@@ -96,8 +103,8 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
     def clearance(points: Points) -> NDArray[np.float64]:
         return np.minimum(from_pin(points), radius - np.hypot(points[:, 0], points[:, 1]))
 
-    finest = min(size * _FINEST, 2 * np.pi * pin / _EDGES_PER_PIN, gap)
-    sizes = _graded(size, finest, radius, from_pin)
+    finest = min(size * FINEST, 2 * np.pi * pin / EDGES_PER_PIN, gap)
+    sizes = graded(size, finest, radius, from_pin)
     rim_count = int(np.ceil(2 * np.pi * pin / finest - 1e-9))
     edge = _rotated(_spread_arc(radius, layout.angles_rad()[0], abs(layout.step_rad), sizes)[:-1], layout, radius)
     rim = pin * _unit(2 * np.pi * np.arange(rim_count) / rim_count)
@@ -113,13 +120,10 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
     half = layout.width_mm / radius / 2
     ends = layout.angles_rad()[:, None] + np.array([-half, half])
     tree = cKDTree(radius * _unit(ends.ravel()))
-    growth = _growth(size, radius)
-    # The size at which an arc refined towards both ends takes its smallest number of edges.
-    enough = growth * layout.width_mm / 2 / np.expm1(growth * _EDGES_PER_ARC / 2)
-    finest = min(size * _FINEST, enough)
-    sizes = _graded(size, finest, radius, lambda points: np.asarray(tree.query(points)[0], dtype=np.float64))
+    finest = finest_of_arc(size, radius, layout.width_mm)
+    sizes = graded(size, finest, radius, lambda points: np.asarray(tree.query(points)[0], dtype=np.float64))
     start = float(ends[0, 0])
-    arc = _spread_arc(radius, start, 2 * half, sizes, at_least=_EDGES_PER_ARC)
+    arc = _spread_arc(radius, start, 2 * half, sizes, at_least=EDGES_PER_ARC)
     space = _spread_arc(radius, start + 2 * half, abs(layout.step_rad) - 2 * half, sizes)
     edge = _rotated(np.concatenate([arc[:-1], space[:-1]]), layout, radius)
     period = len(edge) // layout.count
@@ -139,27 +143,11 @@ def _ring(count: int) -> NDArray[np.int64]:
     return np.column_stack([np.arange(count), (np.arange(count) + 1) % count])
 
 
-def _graded(size: float, finest: float, radius: float, distance: Callable[[Points], NDArray[np.float64]]) -> Size:
-    growth = _growth(size, radius)
-
-    def sizes(points: Points) -> NDArray[np.float64]:
-        return np.minimum(size, finest + growth * np.maximum(distance(points), 0))
-
-    return sizes
-
-
-def _growth(size: float, radius: float) -> float:
-    return min(_STEEPEST, size / (_REACH * radius))
-
-
 def _spread_arc(radius: float, start: float, span: float, sizes: Size, *, at_least: int = 2) -> NDArray[np.float64]:
     """Angles along an arc, both ends included, with the wanted distances between them."""
     angles = start + np.linspace(0, span, 2001)
     density = radius / sizes(radius * _unit(angles))
-    total = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2) * (angles[1] - angles[0])])
-    count = max(at_least, int(np.ceil(total[-1])))
-    spread: NDArray[np.float64] = np.interp(np.arange(count + 1) / count * total[-1], total, angles)
-    return spread
+    return spread(density, angles, at_least=at_least)
 
 
 def _rotated(angles: NDArray[np.float64], layout: ElectrodeLayout, radius: float) -> Points:
@@ -194,15 +182,14 @@ def _check_size(sensor_type: SensorType, size_mm: float) -> None:
         )
 
 
-def _check_layout(sensor_type: SensorType) -> None:
-    layout, radius = sensor_type.electrodes, sensor_type.radius_mm
+def _check_layout(name: str, layout: ElectrodeLayout, radius: float) -> None:
     if layout.kind is ElectrodeKind.PIN and layout.ring_radius_mm + layout.width_mm / 2 >= radius:
         raise RefusedError(
-            f"sensor type {sensor_type.name!r}: pins of {layout.width_mm} mm on a ring of radius"
+            f"sensor type {name!r}: pins of {layout.width_mm} mm on a ring of radius"
             f" {layout.ring_radius_mm} mm do not lie inside the sheet of radius {radius} mm"
         )
     if layout.kind is ElectrodeKind.ARC and abs(layout.ring_radius_mm - radius) > 1e-6 * radius:
         raise RefusedError(
-            f"sensor type {sensor_type.name!r}: electrodes.ring_radius_mm is {layout.ring_radius_mm};"
+            f"sensor type {name!r}: electrodes.ring_radius_mm is {layout.ring_radius_mm};"
             f" arcs lie on the sheet's edge, at its radius of {radius} mm"
         )

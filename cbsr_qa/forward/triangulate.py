@@ -31,12 +31,14 @@ class Outline:
     hole : (k,) int64, number of the hole a node is on the rim of, −1 on the outer edge. Holes are convex.
     size : wanted edge length at (n, 2) points, (n,).
     clearance : distance of (n, 2) points to the outline, (n,), negative outside.
+    inside : whether (n, 2) points lie within the outer edge, (n,); None where that is convex.
     """
 
     points: Points
     hole: Elements
     size: Callable[[Points], NDArray[np.float64]]
     clearance: Callable[[Points], NDArray[np.float64]]
+    inside: Callable[[Points], NDArray[np.bool_]] | None = None
 
 
 def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, Elements]:
@@ -65,7 +67,10 @@ def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, El
 
 
 def triangulate(outline: Outline, points: Points) -> Elements:
-    """Delaunay triangles of the points, counterclockwise, without those that fill a hole or have no area."""
+    """Delaunay triangles of the points, counterclockwise, without those that fill a hole or have no area.
+
+    Nor are there those outside a concave edge: they join three of its nodes.
+    """
     elements = Delaunay(points).simplices.astype(np.int64)
     hole = np.full(len(points), -1)
     hole[: len(outline.hole)] = outline.hole
@@ -77,6 +82,10 @@ def triangulate(outline: Outline, points: Points) -> Elements:
     elements[turned] = elements[turned][:, ::-1]
     longest = _edge_lengths(points, elements).max(axis=1)
     solid: Elements = elements[np.abs(twice_area) > 1e-9 * longest**2]
+    if outline.inside is not None:
+        edge = np.flatnonzero(((solid < len(outline.hole)) & (hole[solid] < 0)).all(axis=1))
+        outside = ~outline.inside(points[solid[edge]].mean(axis=1))
+        solid = np.delete(solid, edge[outside], axis=0)
     return solid
 
 

@@ -1,0 +1,243 @@
+"""Meshes of sheets of any outline, with electrodes anywhere: the edge node by node, then filled.
+
+The outline is first laid in a frame of its own, its first corner in the origin and its first edge along +x, on a grid
+far finer than any drawing: a sheet that is turned or moved has the same mesh, turned or moved.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final, Self
+
+import numpy as np
+from scipy.spatial import Delaunay, cKDTree
+
+from cbsr_qa.domain.curve import ClosedCurve, circle_curve, polygon_curve
+from cbsr_qa.domain.electrode_fit import placement_problems
+from cbsr_qa.domain.electrodes import ElectrodeKind
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.mesh import CircleArcs, Mesh
+from cbsr_qa.domain.outlines import Disc, SheetOutline, simplified
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.forward.boundary import Edge, Indices, SizeField, edge_nodes, narrow_places, singular_corners
+from cbsr_qa.forward.grading import EDGES_PER_PIN, FINEST, SMOOTHING, Lengths, Points, finest_of_arc
+from cbsr_qa.forward.triangulate import Outline, fill
+
+_ROUNDS: Final = 12  # of dividing edges that the triangles would cut
+_EDGES_ROUND_CLOSE_PIN: Final = 200  # at most: a pin as close to something as that has no room
+#: An image's outline leaves out corners that stick out by less than this, of the elements' size.
+_OUT_OF_LINE: Final = 0.03
+
+
+def outline_sheet_mesh(sensor_type: SensorType, size_mm: float) -> Mesh:
+    """Mesh any sheet for its forward model; see :func:`cbsr_qa.forward.meshing.sheet_mesh`.
+
+    Raises
+    ------
+    RefusedError
+        If an electrode does not fit the sheet, or the outline cannot be followed with elements of this size.
+    """
+    electrodes, radius = sensor_type.electrodes, sensor_type.radius_mm
+    for number, what in placement_problems(electrodes, sensor_type.outline):
+        which = "its ring of electrodes" if number is None else f"electrode {number}"
+        raise RefusedError(f"sensor type {sensor_type.name!r}: {which} {what}")
+    frame = _Frame.of(sensor_type.outline)
+    curve, places, width = frame.curve, frame.into(electrodes.positions_mm()), electrodes.width_mm
+    corners, at_corners = singular_corners(curve, size_mm)
+    if electrodes.kind is ElectrodeKind.PIN:
+        pins = _Pins.of(curve, places, width / 2, size_mm)
+        sources, strips = (places, np.full(len(places), width / 2), pins.finest), np.zeros(0)
+    else:
+        pins, strips = _Pins.of(curve, places[:0], 0.0, size_mm), curve.nearest(places)[0]
+        ends = curve.at(np.concatenate([strips - width / 2, strips + width / 2]))
+        finest = finest_of_arc(size_mm, radius, width)
+        sources = ends, np.zeros(len(ends)), np.full(len(ends), finest)
+    sizes = SizeField(
+        size_mm,
+        radius,
+        np.vstack([sources[0], corners]),
+        np.concatenate([sources[1], np.zeros(len(corners))]),
+        np.concatenate([sources[2], at_corners]),
+        *narrow_places(curve, size_mm),
+    )
+    return frame.out(_filled(curve, sizes, pins, np.zeros((0, 2)), strips, width))
+
+
+def outline_image_mesh(outline: SheetOutline, size_mm: float) -> Mesh:
+    """Mesh any sheet with near-uniform triangles; see :func:`cbsr_qa.forward.meshing.image_mesh`.
+
+    Raises
+    ------
+    RefusedError
+        If the outline cannot be followed with elements of this size.
+    """
+    plain = simplified(outline, _OUT_OF_LINE * size_mm)
+    frame = _Frame.of(plain)
+    curve = frame.curve
+    nothing = np.zeros((0, 2)), np.zeros(0), np.zeros(0)
+    sizes = SizeField(size_mm, plain.radius_mm, *nothing, *narrow_places(curve, size_mm))
+    start = _lattice(curve, size_mm)
+    start = start[_signed_distance(curve, start) > 0.7 * size_mm]
+    mesh = _filled(curve, sizes, _Pins.of(curve, nothing[0], 0.0, size_mm), start, np.zeros(0), 0.0)
+    return frame.out(replace(mesh, electrode_edges=(), arcs=()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    """Where the sheet's own frame lies: x = origin + turn · x_own.
+
+    Parameters
+    ----------
+    curve : the edge, in the own frame.
+    """
+
+    origin: Points
+    turn: Points
+    grid: float
+    curve: ClosedCurve
+
+    @classmethod
+    def of(cls, outline: SheetOutline) -> Self:
+        grid = float(10.0 ** (np.floor(np.log10(outline.radius_mm)) - 10))
+        if isinstance(outline, Disc):
+            return cls(np.zeros(2), np.eye(2), grid, circle_curve(outline.radius_mm))
+        corners = np.array(outline.corners_mm)
+        along = corners[1] - corners[0]
+        cosine, sine = along / np.hypot(*along)
+        turn = np.array([[cosine, -sine], [sine, cosine]])
+        own = np.round((corners - corners[0]) @ turn / grid) * grid
+        return cls(corners[0], turn, grid, polygon_curve(own, outline.corner_radius_mm))
+
+    def into(self, points: Points) -> Points:
+        own: Points = np.round((points - self.origin) @ self.turn / self.grid) * self.grid
+        return own
+
+    def out(self, mesh: Mesh) -> Mesh:
+        arcs = tuple(
+            CircleArcs(a.edges, (float(x), float(y)), a.radius_mm)
+            for a, (x, y) in ((a, self.origin + self.turn @ np.array(a.centre_mm)) for a in mesh.arcs)
+        )
+        return replace(mesh, nodes_mm=self.origin + mesh.nodes_mm @ self.turn.T, arcs=arcs)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pins:
+    """Round holes: (p, 2) centres, their radius, (p,) edge length at their rims."""
+
+    centres: Points
+    radius: float
+    finest: Lengths
+
+    @classmethod
+    def of(cls, curve: ClosedCurve, centres: Points, radius: float, size: float) -> Self:
+        """Edges so short that a dozen go round a pin, and that they fit between it and what is next to it."""
+        if not len(centres):
+            return cls(centres, radius, np.zeros(0))
+        room = curve.nearest(centres)[1] - radius
+        if len(centres) > 1:
+            next_pin = np.asarray(cKDTree(centres).query(centres, k=[2])[0])[:, 0]
+            room = np.minimum(room, next_pin - 2 * radius)
+        round_ = 2 * np.pi * radius
+        room = np.maximum(room, round_ / _EDGES_ROUND_CLOSE_PIN)
+        return cls(centres, radius, np.minimum(min(size * FINEST, round_ / EDGES_PER_PIN), room))
+
+    def rims(self) -> list[Points]:
+        """Nodes round each pin."""
+        counts = np.ceil(2 * np.pi * self.radius / self.finest - 1e-9).astype(int)
+        rims = []
+        for centre, count in zip(self.centres, counts, strict=True):
+            angle = 2 * np.pi * np.arange(count) / count
+            rims.append(centre + self.radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+        return rims
+
+    def distance(self, points: Points) -> Lengths:
+        """Distance of points to the nearest rim, negative in a pin."""
+        if not len(self.centres):
+            return np.full(len(points), np.inf)
+        return np.asarray(cKDTree(self.centres).query(points)[0], dtype=np.float64) - self.radius
+
+
+def _filled(curve: ClosedCurve, sizes: SizeField, pins: _Pins, start: Points, strips: Lengths, width: float) -> Mesh:
+    rims = pins.rims()
+    edge, sizes = _followed(curve, sizes, rims, strips, width)
+    points = np.vstack([edge.points, *rims])
+    hole = np.repeat(np.arange(-1, len(rims)), [len(edge.points), *map(len, rims)])
+    near = _near_edge(curve, edge.points)
+
+    def clearance(places: Points) -> Lengths:
+        return np.minimum(near(places), pins.distance(places))
+
+    outline = Outline(points, hole.astype(np.int64), sizes, clearance, curve.contains)
+    nodes, elements = fill(outline, start, smoothing=SMOOTHING)
+    first = len(edge.points) + np.cumsum([0, *map(len, rims)])
+    rings = [begin + _ring(len(rim)) for begin, rim in zip(first[:-1], rims, strict=True)]
+    circles = [
+        CircleArcs(ring, (x, y), pins.radius) for ring, (x, y) in zip(rings, pins.centres.tolist(), strict=True)
+    ]
+    mesh = Mesh(nodes, elements, (*edge.strips, *rings), (*edge.arcs, *circles))
+    _check_edge(mesh, [_ring(len(edge.points)), *rings], sizes.size)
+    return mesh
+
+
+def _followed(
+    curve: ClosedCurve, sizes: SizeField, rims: list[Points], strips: Lengths, width: float
+) -> tuple[Edge, SizeField]:
+    """Spread nodes along the edge, closer where triangles through them would cut it."""
+    for _ in range(_ROUNDS):
+        edge = edge_nodes(curve, sizes, strips, width)
+        points = np.vstack([edge.points, *rims])
+        count = len(edge.points)
+        triangles = Delaunay(points).simplices
+        joined = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+        ring = _ring(count)
+        cut = ~np.isin(np.sort(ring, axis=1) @ [len(points), 1], joined @ [len(points), 1])
+        if not cut.any():
+            break
+        ends = edge.points[ring[cut]]
+        sizes = sizes.with_narrow(ends.mean(axis=1), np.hypot(*(ends[:, 1] - ends[:, 0]).T) / 2)
+    return edge, sizes
+
+
+def _check_edge(mesh: Mesh, rings: list[Indices], size: float) -> None:
+    """The mesh must end exactly where the sheet does."""
+    counts = np.bincount(mesh.element_edges.ravel(), minlength=len(mesh.edges))
+    found = mesh.edges[counts == 1] @ [len(mesh.nodes_mm), 1]
+    wanted = np.sort(np.vstack(rings), axis=1) @ [len(mesh.nodes_mm), 1]
+    if counts.max() > 2 or not np.array_equal(np.sort(found), np.sort(wanted)):
+        raise RefusedError(
+            f"elements of {size:g} mm cannot follow the sheet's outline",
+            remedy="use a smaller element size, or a plainer outline",
+        )
+
+
+def _near_edge(curve: ClosedCurve, nodes: Points) -> Callable[[Points], Lengths]:
+    """Signed distance to the edge, exact near it and to the nearest node on it, which costs less, far from it."""
+    tree = cKDTree(nodes)
+    longest = float(np.hypot(*(nodes - np.roll(nodes, 1, axis=0)).T).max())
+
+    def distance(places: Points) -> Lengths:
+        away = np.asarray(tree.query(places)[0], dtype=np.float64)
+        near = away < 3 * longest
+        away[near] = curve.nearest(places[near])[1]
+        return np.where(curve.contains(places), away, -away)
+
+    return distance
+
+
+def _signed_distance(curve: ClosedCurve, points: Points) -> Lengths:
+    distance = curve.nearest(points)[1]
+    return np.where(curve.contains(points), distance, -distance)
+
+
+def _lattice(curve: ClosedCurve, size: float) -> Points:
+    """Equilateral lattice over the curve's pieces, along +x."""
+    low, high = curve.start.min(axis=0), curve.start.max(axis=0)
+    step = np.array([size, size * np.sqrt(3) / 2])
+    columns, rows = np.ceil((high - low) / step).astype(int) + 1
+    row, column = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    x = low[0] + size * (column + 0.5 * (row % 2))
+    return np.column_stack([x.ravel(), (low[1] + step[1] * row).ravel()])
+
+
+def _ring(count: int) -> Indices:
+    """Edges of a closed line of so many nodes."""
+    return np.column_stack([np.arange(count), (np.arange(count) + 1) % count]).astype(np.int64)
