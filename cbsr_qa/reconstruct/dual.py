@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 #: Of the dual system; the matrix has ten digits less than the numbers it is made of.
 _MOST_CONDITION: Final = 1e10
+_UNSEEN: Final = 1e-12  # of what the readings could see at most
 
 
 def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, variance: Array | None = None) -> Array:
@@ -130,15 +131,16 @@ class _System:
         normal = white @ back
         if prior.free is None:
             return cls(back, normal, np.diag(root), np.zeros((len(back), 0)), np.zeros((0, count)))
-        return cls._without_free(back, normal, white @ prior.free, prior.free, root)
+        seen = white @ prior.free
+        if np.linalg.norm(seen, axis=0).min() <= _UNSEEN * np.linalg.norm(white) * np.linalg.norm(prior.free):
+            raise NumericsError("the readings do not see the image the prior leaves free: it cannot be determined")
+        return cls._without_free(back, normal, seen, prior.free, root)
 
     @classmethod
     def _without_free(cls, back: Array, normal: Array, seen: Array, free: Array, root: Array) -> "_System":
         complete, triangle = linalg.qr(seen)
         width = free.shape[1]
         triangle = triangle[:width]
-        if np.abs(np.diag(triangle)).min() <= 1e-12 * np.linalg.norm(seen):
-            raise NumericsError("the readings do not see the image the prior leaves free: it cannot be determined")
         explained, rest = complete[:, :width], complete[:, width:]
         free = linalg.solve_triangular(triangle, free.T, trans="T").T  # so that its coefficients are Q₁ᵀ of readings
         back = back @ rest - free @ (explained.T @ normal @ rest)
