@@ -1,0 +1,244 @@
+"""The linear reconstruction plugins: how their parameter is chosen, and what they refuse."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.reconstruction import ImagingProblem
+from cbsr_qa.reconstruct.evidence import central_signal, evidence_of
+from cbsr_qa.reconstruct.folding import ReadingFold
+from cbsr_qa.reconstruct.problem import imaging_problem, target_signal
+from cbsr_qa.reconstruct.truncation import Truncation
+from cbsr_qa_plugins.reconstruction.gauss_newton_high_pass import GaussNewtonHighPass
+from cbsr_qa_plugins.reconstruction.gauss_newton_indenter import GaussNewtonIndenter
+from cbsr_qa_plugins.reconstruction.gauss_newton_laplace import GaussNewtonLaplace
+from cbsr_qa_plugins.reconstruction.gauss_newton_noser import GaussNewtonNoser
+from cbsr_qa_plugins.reconstruction.gauss_newton_tikhonov import GaussNewtonTikhonov
+from cbsr_qa_plugins.reconstruction.linear_back_projection import LinearBackProjection
+from cbsr_qa_plugins.reconstruction.truncated_svd import TruncatedSvd
+
+RIDGES = (GaussNewtonNoser, GaussNewtonTikhonov, GaussNewtonLaplace, GaussNewtonHighPass, GaussNewtonIndenter)
+CRITERIA = ("noise-figure", "gcv", "l-curve", "discrepancy")
+
+
+@pytest.fixture(scope="module")
+def problem(pin_sensor) -> ImagingProblem:
+    return imaging_problem(pin_sensor(), image_size_mm=5.0)
+
+
+@pytest.fixture(scope="module")
+def measured(problem) -> ImagingProblem:
+    """With changes measured off centre, at 60 dB of the mean reading."""
+    signal = target_signal(problem, x_mm=12, y_mm=-9, radius_mm=6.5, contrast=0.3)
+    noise = np.random.default_rng(3).standard_normal((6, len(signal)))
+    return replace(problem, sample=signal + deviation_of(problem) * noise)
+
+
+def deviation_of(problem: ImagingProblem) -> float:
+    return 1e-3 * float(np.abs(problem.reference).mean())
+
+
+@pytest.mark.parametrize("method", [*RIDGES, TruncatedSvd])
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_every_criterion_settles_every_method(problem, criterion, method):
+    """By itself on simulated frames that are stated with their seed; choices are repeatable, and all are listed."""
+    prepared = method(choose=criterion).prepare(problem)
+    choice = prepared.choice
+    assert choice.curve is not None
+    answers = {answer.criterion: answer for answer in choice.curve.answers}
+    assert tuple(answers) == CRITERIA
+    assert (answers[criterion].value, answers[criterion].words) == (choice.value, choice.how)
+    said = "central target of 13 mm and 1% contrast" if criterion == "noise-figure" else "simulated frames (seed"
+    assert said in choice.how
+    assert 0.2 < choice.noise_figure < 5
+    assert np.array_equal(method(choose=criterion).prepare(problem).matrix, prepared.matrix)
+
+
+@pytest.mark.parametrize("method", RIDGES)
+def test_the_curve_holds_the_noise_figure_of_every_parameter(problem, method):
+    curve = method().prepare(problem).choice.curve
+    assert (np.diff(curve.values) > 0).all()
+    for at in (24, 27, 30):
+        again = method(hyperparameter=float(curve.values[at])).prepare(problem).choice
+        assert again.noise_figure == pytest.approx(curve.noise_figures[at], rel=1e-6)
+        assert again.curve is None
+
+
+def test_measured_changes_are_looked_at_where_there_are_any(problem, measured):
+    simulated, found = (GaussNewtonLaplace(choose="gcv").prepare(each).choice for each in (problem, measured))
+    assert "6 measured changes" in found.how
+    assert found.value != simulated.value
+    # A noise figure looks at the model alone.
+    assert GaussNewtonLaplace().prepare(measured).choice == GaussNewtonLaplace().prepare(problem).choice
+
+
+def test_noise_of_measured_changes_is_told_by_their_reciprocal_readings(problem, measured):
+    evidence = evidence_of(measured)
+    assert evidence.variance == pytest.approx(deviation_of(problem) ** 2, rel=0.2)
+    prepared = GaussNewtonIndenter(choose="discrepancy").prepare(measured)
+    fold = ReadingFold.of(measured)
+    left = fold.fold(measured.sample - prepared.images(measured.sample) @ measured.jacobian.T)
+    assert (left**2 / fold.variance).sum() == pytest.approx(evidence.variance * 6 * 104, rel=1e-6)
+
+
+def test_a_sample_is_looked_at_with_its_own_readings_and_noise(pin_sensor):
+    """λ of a sensor with a bad channel is its type's where the type decides, and its own where its data do."""
+    sensor = pin_sensor()
+    used = sensor.pattern.usable()
+    used[4] = False
+    masked = imaging_problem(sensor, used=used, image_size_mm=5.0)
+    nominal = imaging_problem(sensor, image_size_mm=5.0)
+    for criterion in CRITERIA:
+        own, of_type = (GaussNewtonLaplace(choose=criterion).prepare(each) for each in (masked, nominal))
+        assert own.choice.value == of_type.choice.value
+    sampled = replace(masked, sample=evidence_of(masked).changes)
+    assert GaussNewtonLaplace(choose="gcv").prepare(sampled).choice.value != of_type.choice.value
+
+
+def test_without_readings_that_are_there_twice_nobody_knows_the_noise(pin_sensor):
+    sensor = pin_sensor()
+    once = np.triu(sensor.pattern.usable())
+    plain = imaging_problem(sensor, used=once, image_size_mm=5.0)
+    sampled = replace(plain, sample=evidence_of(plain).changes)
+    with pytest.raises(NumericsError, match="no readings are there twice"):
+        GaussNewtonLaplace(choose="discrepancy").prepare(sampled)
+    choice = GaussNewtonLaplace(choose="gcv").prepare(sampled).choice
+    assert next(a for a in choice.curve.answers if a.criterion == "discrepancy").value is None
+
+
+@pytest.mark.parametrize(
+    ("sample", "reason"),
+    [
+        (np.zeros((3, 208)), "nothing to fit"),
+        (np.full((1, 208), np.nan), "not a finite number"),
+        (np.ones((2, 207)), "does not fit 208"),
+        (np.ones(208), "does not fit 208"),
+        (np.ones((0, 208)), "does not fit 208"),
+    ],
+)
+def test_samples_that_are_none_are_refused(problem, sample, reason):
+    for method in (GaussNewtonTikhonov, TruncatedSvd):
+        with pytest.raises(NumericsError, match=reason):
+            method(choose="gcv").prepare(replace(problem, sample=sample))
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"choose": "taste"}, "allowed: noise-figure, gcv, l-curve, discrepancy"),
+        ({"choose": 3}, "choose is 3"),
+        ({"noise_figure": "one"}, "allowed: a number"),
+        ({"noise_figure": True}, "allowed: a number"),
+        ({"choose": "gcv", "noise_figure": 1.0}, "not both"),
+        ({"noise_figure": float("nan")}, "cannot be reached"),
+    ],
+)
+@pytest.mark.parametrize("method", [*RIDGES, TruncatedSvd])
+def test_options_that_say_nothing_are_refused(problem, method, options, reason):
+    with pytest.raises((ConfigError, NumericsError), match=reason):
+        method(**options).prepare(problem)
+
+
+@pytest.mark.parametrize(
+    ("method", "options", "reason"),
+    [
+        (GaussNewtonHighPass, {"width": "wide"}, "allowed: a number"),
+        (GaussNewtonHighPass, {"width": 0.0}, "positive finite"),
+        (GaussNewtonIndenter, {"indenter_diameter_mm": -13.0}, "positive finite"),
+        (GaussNewtonNoser, {"exponent": "half"}, "allowed: a number"),
+        (TruncatedSvd, {"components": 2.5}, "a whole number"),
+        (TruncatedSvd, {"components": 0}, "not among"),
+        (TruncatedSvd, {"components": 105}, "not among"),
+        (TruncatedSvd, {"components": 20, "choose": "gcv"}, "not both"),
+    ],
+)
+def test_options_of_single_methods_are_checked(problem, method, options, reason):
+    with pytest.raises((ConfigError, NumericsError), match=reason):
+        method(**options).prepare(problem)
+
+
+def test_an_indenter_smooths_over_its_own_width(problem):
+    """Half the default's diameter is half the length; the default is 0.13 of the sheet's diameter."""
+    default = GaussNewtonIndenter(hyperparameter=0.01).prepare(problem).matrix
+    same, other = (
+        GaussNewtonIndenter(hyperparameter=0.01, indenter_diameter_mm=width).prepare(problem).matrix
+        for width in (13.0, 6.5)
+    )
+    assert np.array_equal(default, same)
+    assert np.abs(other - default).max() > 0.1 * np.abs(default).max()
+
+
+def test_truncation_is_the_singular_value_decomposition_in_the_sheets_own_norm(problem):
+    """x = A^-½ V_k Σ_k⁻¹ U_kᵀ y of J A^-½, by numpy's own decomposition of all 208 readings."""
+    areas = problem.mesh.areas_mm2
+    left, values, right = np.linalg.svd(problem.jacobian / np.sqrt(areas), full_matrices=False)
+    truncation = Truncation(problem)
+    for components in truncation.cuts[[3, 12, 25]]:
+        kept = slice(None, int(components))
+        expected = (right[kept].T / np.sqrt(areas)[:, None] / values[kept]) @ left[:, kept].T
+        found = truncation.matrix(int(components))
+        assert np.abs(found - expected).max() < 1e-6 * np.abs(expected).max()
+
+
+def test_truncation_splits_no_pair(problem):
+    """On a round sheet patterns come with their turned twins."""
+    truncation = Truncation(problem)
+    values = np.linalg.svd(problem.jacobian / np.sqrt(problem.mesh.areas_mm2), compute_uv=False)
+    for components in truncation.cuts[:-1]:
+        assert values[components] < 0.98 * values[components - 1]
+    split = next(k for k in range(1, 104) if k not in truncation.cuts)
+    with pytest.raises(NumericsError, match="split a pair"):
+        TruncatedSvd(components=split).prepare(problem)
+
+
+def test_truncation_by_readings_follows_the_definitions(problem, measured):
+    truncation, evidence = Truncation(problem), evidence_of(measured)
+    fold = ReadingFold.of(problem)
+    readings = fold.fold(measured.sample)
+    weight = 1 / fold.variance
+    left = []
+    for components in truncation.cuts:
+        images = measured.sample @ truncation.matrix(int(components)).T
+        left.append(((readings - images @ fold.rows(problem.jacobian).T) ** 2 * weight).sum())
+    left = np.array(left)
+    count = Truncation(problem).cuts[-1]
+    by_gcv = int(np.argmin(left[:-1] / (count - truncation.cuts[:-1]) ** 2))
+    assert TruncatedSvd(choose="gcv").prepare(measured).choice.value == truncation.cuts[by_gcv]
+    enough = int(np.flatnonzero(left <= evidence.variance * 6 * 104)[0])
+    assert TruncatedSvd(choose="discrepancy").prepare(measured).choice.value == truncation.cuts[enough]
+
+
+def test_truncation_keeps_within_the_noise_figure(problem):
+    prepared = TruncatedSvd(noise_figure=1.5).prepare(problem)
+    truncation = Truncation(problem)
+    assert prepared.choice.noise_figure <= 1.5
+    further = truncation.cuts[truncation.cuts > prepared.choice.value]
+    assert (truncation.noise_figures(further.astype(float)) > 1.5).all()
+    assert prepared.choice.name == "components kept"
+
+
+def test_a_masked_sensor_keeps_no_half_pair(pin_sensor):
+    sensor = pin_sensor()
+    used = sensor.pattern.usable()
+    used[3] = used[:, 3] = False
+    masked = imaging_problem(sensor, used=used, image_size_mm=5.0)
+    assert TruncatedSvd().prepare(masked).choice.value in Truncation(masked).cuts
+
+
+def test_back_projection_is_the_normalised_transpose(problem):
+    prepared = LinearBackProjection().prepare(problem)
+    relative = problem.jacobian / problem.reference[:, None]
+    readings = central_signal(problem, 0.2)
+    expected = [s @ (readings / problem.reference) / np.linalg.norm(s) for s in relative.T]
+    assert np.allclose(prepared.images(readings[None])[0], expected, rtol=1e-10)
+    assert "nothing is regularised" in prepared.choice.how
+
+
+def test_simulated_evidence_is_what_it_says(problem):
+    evidence = evidence_of(problem)
+    assert np.sqrt(evidence.variance) == pytest.approx(deviation_of(problem), rel=1e-12)
+    scatter = evidence.changes - central_signal(problem, 0.2)
+    assert scatter.std() == pytest.approx(deviation_of(problem), rel=0.05)
+    assert ReadingFold.of(problem).noise(evidence.changes)[0] == pytest.approx(evidence.variance, rel=0.1)
