@@ -73,6 +73,10 @@ class Reading:
     def __init__(self, entries: Mapping[str, Entry]) -> None:
         self._entries = entries
 
+    def has(self, path: str) -> bool:
+        """Whether there is an entry: not every kind of sensor has every one."""
+        return path in self._entries
+
     def number(self, path: str) -> float:
         """Return a number."""
         return float(self._array(path, np.float64, ()))

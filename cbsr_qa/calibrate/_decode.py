@@ -14,10 +14,11 @@ from cbsr_qa.domain.calibration import (
     SettlingSummary,
     Validity,
 )
-from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
 from cbsr_qa.domain.errors import CalibrationError, RefusedError
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.outlines import Polygon
 from cbsr_qa.domain.patterns import DrivePattern
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, ParameterChoice
 from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, SettlingTime
@@ -74,14 +75,6 @@ def _calibration(read: Reading) -> Calibration:
 
 
 def _sensor_type(read: Reading) -> SensorType:
-    layout = ElectrodeLayout(
-        count=read.integer("sensor_type/electrodes/count"),
-        kind=ElectrodeKind(read.text("sensor_type/electrodes/kind")),
-        ring_radius_mm=read.number("sensor_type/electrodes/ring_radius"),
-        width_mm=read.number("sensor_type/electrodes/width"),
-        first_angle_deg=read.number("sensor_type/electrodes/first_angle"),
-        counterclockwise=read.flag("sensor_type/electrodes/counterclockwise"),
-    )
     pattern = DrivePattern(
         read.integer("sensor_type/pattern/electrode_count"),
         _pairs(read.integers("sensor_type/pattern/drive")),
@@ -91,10 +84,37 @@ def _sensor_type(read: Reading) -> SensorType:
         read.text("sensor_type/name"),
         read.number("sensor_type/radius"),
         read.number("sensor_type/thickness"),
-        layout,
+        _electrodes(read),
         pattern,
         Response(read.text("sensor_type/response")),
+        _polygon(read),
     )
+
+
+def _electrodes(read: Reading) -> Electrodes:
+    group = "sensor_type/electrodes"
+    kind, width_mm = ElectrodeKind(read.text(f"{group}/kind")), read.number(f"{group}/width")
+    if read.has(f"{group}/positions"):
+        return PlacedElectrodes(kind, _points(read.numbers(f"{group}/positions")), width_mm)
+    return ElectrodeLayout(
+        count=read.integer(f"{group}/count"),
+        kind=kind,
+        ring_radius_mm=read.number(f"{group}/ring_radius"),
+        width_mm=width_mm,
+        first_angle_deg=read.number(f"{group}/first_angle"),
+        counterclockwise=read.flag(f"{group}/counterclockwise"),
+    )
+
+
+def _polygon(read: Reading) -> Polygon | None:
+    if not read.has("sensor_type/outline/corners"):
+        return None
+    corners = _points(read.numbers("sensor_type/outline/corners"))
+    return Polygon(corners, read.number("sensor_type/outline/corner_radius"))
+
+
+def _points(table: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:
+    return tuple((float(x), float(y)) for x, y in table)
 
 
 def _pairs(table: NDArray[np.int64]) -> tuple[tuple[int, int], ...]:

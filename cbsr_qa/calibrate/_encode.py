@@ -6,6 +6,7 @@ import numpy as np
 
 from cbsr_qa.calibrate._content import Entry, Writing
 from cbsr_qa.domain.calibration import Calibration, LoadRelaxation
+from cbsr_qa.domain.electrodes import Electrodes, PlacedElectrodes
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.domain.relaxation import RelaxationFit
@@ -55,16 +56,26 @@ def _sensor_type(out: Writing, kind: SensorType) -> None:
     out.number("sensor_type/radius", kind.radius_mm, "mm")
     out.number("sensor_type/thickness", kind.thickness_mm, "mm")
     out.text("sensor_type/response", kind.response)
-    layout = kind.electrodes
-    out.integers("sensor_type/electrodes/count", layout.count, "1")
-    out.text("sensor_type/electrodes/kind", layout.kind)
-    out.number("sensor_type/electrodes/ring_radius", layout.ring_radius_mm, "mm")
-    out.number("sensor_type/electrodes/width", layout.width_mm, "mm")
-    out.number("sensor_type/electrodes/first_angle", layout.first_angle_deg, "deg")
-    out.flags("sensor_type/electrodes/counterclockwise", layout.counterclockwise)
+    if kind.polygon is not None:
+        out.numbers("sensor_type/outline/corners", np.array(kind.polygon.corners_mm), "mm")
+        out.number("sensor_type/outline/corner_radius", kind.polygon.corner_radius_mm, "mm")
+    _electrodes(out, kind.electrodes)
     out.integers("sensor_type/pattern/electrode_count", kind.pattern.electrode_count, "1")
     out.integers("sensor_type/pattern/drive", np.array(kind.pattern.drive))
     out.integers("sensor_type/pattern/measure", np.array(kind.pattern.measure))
+
+
+def _electrodes(out: Writing, electrodes: Electrodes) -> None:
+    group = "sensor_type/electrodes"
+    out.integers(f"{group}/count", electrodes.count, "1")
+    out.text(f"{group}/kind", electrodes.kind)
+    out.number(f"{group}/width", electrodes.width_mm, "mm")
+    if isinstance(electrodes, PlacedElectrodes):
+        out.numbers(f"{group}/positions", electrodes.positions_mm(), "mm")
+        return
+    out.number(f"{group}/ring_radius", electrodes.ring_radius_mm, "mm")
+    out.number(f"{group}/first_angle", electrodes.first_angle_deg, "deg")
+    out.flags(f"{group}/counterclockwise", electrodes.counterclockwise)
 
 
 def _reconstruction(out: Writing, reconstruction: LinearReconstruction) -> None:

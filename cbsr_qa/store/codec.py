@@ -4,15 +4,19 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from typing import Any
 
-from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
 from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.outlines import Polygon
 from cbsr_qa.domain.patterns import DrivePattern
 from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation, Response, SensorType
 
 
 def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | None = None) -> dict[str, Any]:
     """Return plain lists, numbers and texts; :func:`decoded_sensor_type` and its neighbours are the inverse."""
-    setting = {"sensor_type": asdict(sensor_type), "indenter": asdict(indenter)}
+    kind = asdict(sensor_type)
+    if sensor_type.polygon is None:
+        del kind["polygon"]  # as discs have always been kept
+    setting = {"sensor_type": kind, "indenter": asdict(indenter)}
     if material is not None:
         setting["material"] = asdict(material)
     return setting
@@ -21,17 +25,20 @@ def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | No
 def decoded_sensor_type(setting: Mapping[str, Any]) -> SensorType:
     """Return the sensor type; KeyError or TypeError where the JSON is not ours."""
     data = dict(setting["sensor_type"])
-    electrodes, pattern = dict(data.pop("electrodes")), dict(data.pop("pattern"))
+    pattern, polygon = dict(data.pop("pattern")), data.pop("polygon", None)
+    electrodes = _electrodes(data.pop("electrodes"))
     return SensorType(
         **{**data, "response": Response(data["response"])},
-        electrodes=ElectrodeLayout(**{**electrodes, "kind": ElectrodeKind(electrodes["kind"])}),
+        electrodes=electrodes,
+        polygon=None if polygon is None else Polygon(_points(polygon["corners_mm"]), polygon["corner_radius_mm"]),
         pattern=DrivePattern(pattern["electrode_count"], _pairs(pattern["drive"]), _pairs(pattern["measure"])),
     )
 
 
 def decoded_indenter(setting: Mapping[str, Any]) -> Indenter:
     """Return the indenter."""
-    return Indenter(**setting["indenter"])
+    data = setting["indenter"]
+    return Indenter(data["diameter_mm"], _points(data.get("outline_mm", [])))
 
 
 def decoded_material(setting: Mapping[str, Any]) -> Material:
@@ -48,6 +55,17 @@ def decoded_material(setting: Mapping[str, Any]) -> Material:
         unloading_relaxation=_relaxation(data["unloading_relaxation"]),
         relative_noise=Parameter(**data["relative_noise"]),
     )
+
+
+def _electrodes(data: Mapping[str, Any]) -> Electrodes:
+    kind = ElectrodeKind(data["kind"])
+    if "places_mm" in data:
+        return PlacedElectrodes(kind, _points(data["places_mm"]), data["width_mm"])
+    return ElectrodeLayout(**{**data, "kind": kind})
+
+
+def _points(data: list[list[float]]) -> tuple[tuple[float, float], ...]:
+    return tuple((x, y) for x, y in data)
 
 
 def _pairs(data: list[list[int]]) -> tuple[tuple[int, int], ...]:
