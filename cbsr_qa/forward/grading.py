@@ -15,6 +15,11 @@ EDGES_PER_PIN: Final = 12  # at least so many edges round a pin
 EDGES_PER_ARC: Final = 10  # and along an arc
 SMOOTHING: Final = 10  # passes
 _STEEPEST = 0.45  # growth of the edge length per distance from an electrode; more makes thin triangles
+# For the second order: with a size of 0.12 radii all readings of a disc with 16 arcs err by 1e-4, in 7000 unknowns.
+_SMOOTH_SIZE = 0.12
+_SMOOTH_FACTOR = 0.17
+_SMOOTH_POWER = 0.6
+_SMOOTH_STEEPEST = 0.6
 _REACH = 0.13  # of the radius: how far the refinement reaches, so that a family of meshes refines everywhere alike
 
 
@@ -31,6 +36,35 @@ def graded(size: float, finest: float, radius: float, distance: Callable[[Points
         return np.minimum(size, finest + slope * np.maximum(distance(points), 0))
 
     return sizes
+
+
+def graded_smoothly(size: float, finest: float, radius: float, distance: Callable[[Points], Lengths]) -> Size:
+    """Edge lengths for elements of second order, which all err alike under a singularity in ``distance`` 0.
+
+    Where a field goes as r log r an element of second order errs by (h/r)⁴ r² in energy, and there are r dr/h² of
+    them: both together are least for h ∝ r^(2/3). The power was then measured on discs with arcs. Readings converge
+    with the fourth order of ``size``, whatever the contact impedance.
+    """
+    scale = size / (_SMOOTH_SIZE * radius)
+    slope = _SMOOTH_STEEPEST * min(1.0, scale)
+
+    def sizes(points: Points) -> Lengths:
+        away = np.maximum(distance(points), 0)
+        far = np.minimum(size, _SMOOTH_FACTOR * scale * radius * (away / radius) ** _SMOOTH_POWER)
+        return np.maximum(finest, np.minimum(far, finest + slope * away))
+
+    return sizes
+
+
+def finest_smoothly(size: float, radius: float, length: float) -> float:
+    """Edge length at the ends of an electrode of some length, for elements of second order."""
+    scale = size / (_SMOOTH_SIZE * radius)
+    return float(min(0.012 * scale ** (1 / (1 - _SMOOTH_POWER)), 0.1)) * length
+
+
+def edges_round_pin_smoothly(size: float, radius: float) -> int:
+    """Edges round a pin, for elements of second order."""
+    return max(6, int(np.ceil(8 * _SMOOTH_SIZE * radius / size - 1e-9)))
 
 
 def finest_of_arc(size: float, radius: float, length: float) -> float:

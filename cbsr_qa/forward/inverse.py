@@ -12,7 +12,7 @@ Indices = NDArray[np.int64]
 
 #: More nodes than this are not kept: 2048² entries are 34 MB, and hold some seventy heads on a mesh of 2.5 mm.
 MOST_NODES: Final = 2048
-_AT_ONCE: Final = 128  # nodes solved for together: bounds the memory of the full columns
+_AT_ONCE: Final = 16  # nodes solved for together: few enough for their full columns to stay in the cache
 
 
 class InverseEntries:

@@ -16,8 +16,11 @@ from cbsr_qa.forward.grading import (
     FINEST,
     SMOOTHING,
     Size,
+    edges_round_pin_smoothly,
     finest_of_arc,
+    finest_smoothly,
     graded,
+    graded_smoothly,
     spread,
 )
 from cbsr_qa.forward.outline_meshing import outline_image_mesh, outline_sheet_mesh
@@ -26,9 +29,10 @@ from cbsr_qa.forward.triangulate import Outline, fill
 Points = NDArray[np.float64]
 
 _COARSEST = 0.25  # largest edge length, of the radius
+_FEWEST_SMOOTHLY = 4  # edges along an arc, for elements of second order
 
 
-def sheet_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
+def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Mesh:
     """Mesh a sheet for its forward model.
 
     Pins are round holes whose rims are the electrodes; arcs are stretches of the edge, refined at their ends
@@ -38,6 +42,8 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
     Parameters
     ----------
     size_mm : edge length far from the electrodes [mm], at most a quarter of the radius.
+    order : of the elements that the mesh is to carry. Those of second order want larger steps away from electrodes,
+        and smaller ones at the ends of arcs; sheets that are no disc with a ring of electrodes are graded alike.
 
     Raises
     ------
@@ -50,7 +56,7 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
         return outline_sheet_mesh(sensor_type, size_mm)
     _check_layout(sensor_type.name, layout, sensor_type.radius_mm)
     ring = _pins if layout.kind is ElectrodeKind.PIN else _arcs
-    boundary = ring(layout, sensor_type.radius_mm, size_mm)
+    boundary = ring(layout, sensor_type.radius_mm, size_mm, order)
     nodes, elements = fill(boundary.outline, np.zeros((0, 2)), smoothing=SMOOTHING)
     return Mesh(nodes, elements, boundary.electrode_edges, boundary.arcs)
 
@@ -92,7 +98,7 @@ class _Boundary:
     arcs: tuple[CircleArcs, ...]
 
 
-def _pins(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
+def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
     centres, pin = layout.positions_mm(), layout.width_mm / 2
     tree = cKDTree(centres)
     gap = radius - layout.ring_radius_mm - pin
@@ -103,8 +109,12 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
     def clearance(points: Points) -> NDArray[np.float64]:
         return np.minimum(from_pin(points), radius - np.hypot(points[:, 0], points[:, 1]))
 
-    finest = min(size * FINEST, 2 * np.pi * pin / EDGES_PER_PIN, gap)
-    sizes = graded(size, finest, radius, from_pin)
+    if order == 1:
+        finest = min(size * FINEST, 2 * np.pi * pin / EDGES_PER_PIN, gap)
+        sizes = graded(size, finest, radius, from_pin)
+    else:
+        finest = min(2 * np.pi * pin / edges_round_pin_smoothly(size, radius), gap)
+        sizes = graded_smoothly(size, finest, radius, from_pin)
     rim_count = int(np.ceil(2 * np.pi * pin / finest - 1e-9))
     edge = _rotated(_spread_arc(radius, layout.angles_rad()[0], abs(layout.step_rad), sizes)[:-1], layout, radius)
     rim = pin * _unit(2 * np.pi * np.arange(rim_count) / rim_count)
@@ -116,14 +126,17 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
     return _Boundary(outline, edges, (CircleArcs(_ring(len(edge)), (0.0, 0.0), radius), *arcs))
 
 
-def _arcs(layout: ElectrodeLayout, radius: float, size: float) -> _Boundary:
+def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
     half = layout.width_mm / radius / 2
     ends = layout.angles_rad()[:, None] + np.array([-half, half])
     tree = cKDTree(radius * _unit(ends.ravel()))
-    finest = finest_of_arc(size, radius, layout.width_mm)
-    sizes = graded(size, finest, radius, lambda points: np.asarray(tree.query(points)[0], dtype=np.float64))
+    fewest, finest_at, grade = (
+        (EDGES_PER_ARC, finest_of_arc, graded) if order == 1 else (_FEWEST_SMOOTHLY, finest_smoothly, graded_smoothly)
+    )
+    finest = finest_at(size, radius, layout.width_mm)
+    sizes = grade(size, finest, radius, lambda points: np.asarray(tree.query(points)[0], dtype=np.float64))
     start = float(ends[0, 0])
-    arc = _spread_arc(radius, start, 2 * half, sizes, at_least=EDGES_PER_ARC)
+    arc = _spread_arc(radius, start, 2 * half, sizes, at_least=fewest)
     space = _spread_arc(radius, start + 2 * half, abs(layout.step_rad) - 2 * half, sizes)
     edge = _rotated(np.concatenate([arc[:-1], space[:-1]]), layout, radius)
     period = len(edge) // layout.count
