@@ -80,6 +80,7 @@ def _validity(c: Calibration) -> dict[str, Any]:
         "temperature_C": None if c.validity.temperature_C is None else list(c.validity.temperature_C),
         "radius_mm": c.validity.radius_mm,
         "indenter_diameter_mm": c.indenter.diameter_mm,
+        "indenter": c.indenter.words(),
         "reduced": list(c.validity.reduced),
     }
 

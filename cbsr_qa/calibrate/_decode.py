@@ -51,7 +51,7 @@ def _calibration(read: Reading) -> Calibration:
             read.text("identity/serial"), read.text("identity/batch"), read.text("identity/sensor_type")
         ),
         sensor_type=sensor_type,
-        indenter=Indenter(read.number("indenter/diameter")),
+        indenter=_indenter(read),
         reference=read.numbers("reference/voltages"),
         current_A=read.number("reference/current"),
         scale=read.number("reference/scale"),
@@ -72,6 +72,11 @@ def _calibration(read: Reading) -> Calibration:
         size_ratio=read.pair("area_overlap/size_ratio"),
         noise_figure=read.maybe("image/measured_noise_figure"),
     )
+
+
+def _indenter(read: Reading) -> Indenter:
+    corners = read.numbers("indenter/outline").tolist() if read.has("indenter/outline") else []
+    return Indenter(read.number("indenter/diameter"), tuple((x, y) for x, y in corners))
 
 
 def _sensor_type(read: Reading) -> SensorType:

@@ -195,6 +195,8 @@ def _padded(rows: Sequence[tuple[float, ...]]) -> np.ndarray:
 def _use(out: Writing, c: Calibration) -> None:
     out.texts("assumed", c.assumed)
     out.number("indenter/diameter", c.indenter.diameter_mm, "mm")
+    if c.indenter.outline_mm:
+        out.numbers("indenter/outline", np.array(c.indenter.outline_mm), "mm")
     out.texts("area_overlap/band", [band.name for band in c.overlap_bands])
     out.numbers("area_overlap/lower", [band.lower for band in c.overlap_bands], "%")
     out.numbers("area_overlap/upper", [band.upper for band in c.overlap_bands], "%")

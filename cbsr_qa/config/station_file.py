@@ -9,10 +9,12 @@ from pydantic import BeforeValidator, Field
 
 from cbsr_qa.config.documents import reference_path
 from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table, Word
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.plan import InstrumentSpec, Motion, SafetyLimits, Station
 
 Positive = Annotated[float, Field(gt=0)]
+Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 
 #: Roles that every run needs filled.
@@ -43,9 +45,27 @@ class StationTable(Table):
 
 
 class IndenterTable(Table):
-    """``[indenter]``: the flat round head."""
+    """``[indenter]``: the flat head, round (13 mm unless it says otherwise) or of any outline."""
 
-    diameter_mm: Positive = 13.0
+    diameter_mm: Positive | None = None
+    outline_mm: Annotated[list[Corner], Field(min_length=3)] | None = None
+
+    def problems(self) -> Iterator[Problem]:
+        """Yield what does not fit together within the table."""
+        if self.outline_mm is None:
+            return
+        if self.diameter_mm is not None:
+            yield Problem(("indenter", "diameter_mm"), "is given beside outline_mm; a head has one or the other")
+        try:
+            self.to_domain()
+        except NumericsError as error:
+            yield Problem(("indenter", "outline_mm"), f"is no outline: {error.reason}. {error.remedy}".strip())
+
+    def to_domain(self) -> Indenter:
+        """Return the head."""
+        if self.outline_mm is None:
+            return Indenter(13.0 if self.diameter_mm is None else self.diameter_mm)
+        return Indenter.with_outline((x, y) for x, y in self.outline_mm)
 
 
 class MotionTable(Table):
@@ -84,7 +104,8 @@ class StationFile(FileModel[Station]):
     instruments: Annotated[dict[Word, InstrumentTable], Field(min_length=1)]
 
     def problems(self) -> Iterator[Problem]:
-        """Every role filled once; the head clears the sheet when it travels."""
+        """Every role filled once; the head one thing only."""
+        yield from self.indenter.problems()
         filled: dict[str, str] = {}
         for name, table in self.instruments.items():
             for role in table.provides:
@@ -103,7 +124,7 @@ class StationFile(FileModel[Station]):
             clock=self.station.clock,
             sensor_type=self.station.sensor_type,
             material=self.station.material,
-            indenter=Indenter(self.indenter.diameter_mm),
+            indenter=self.indenter.to_domain(),
             motion=Motion(
                 press_speed_mm_s=self.motion.press_speed_mm_per_min / 60,
                 travel_speed_mm_s=self.motion.travel_speed_mm_per_min / 60,

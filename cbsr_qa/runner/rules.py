@@ -4,6 +4,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+import numpy as np
+
 from cbsr_qa.domain.loads import Load
 from cbsr_qa.runner.plan import Plan
 
@@ -25,16 +27,33 @@ class Violation:
 def place_violations(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
     """Yield what is wrong with a place: out of the head's range, or the head not wholly on the sheet."""
     radius_mm = math.hypot(x_mm, y_mm)
-    head_mm, sheet_mm = plan.indenter.radius_mm, plan.sensor_type.radius_mm
     if not radius_mm <= plan.safety.travel_radius_mm:
         yield Violation(
             "travel", f"{radius_mm:.4g} mm from the centre; the station allows {plan.safety.travel_radius_mm:g} mm"
         )
+    if plan.sensor_type.polygon is None:
+        yield from _off_disc(radius_mm, plan)
+    else:
+        yield from _off_polygon(x_mm, y_mm, plan)
+
+
+def _off_disc(radius_mm: float, plan: Plan) -> Iterator[Violation]:
+    head_mm, sheet_mm = plan.indenter.reach_mm, plan.sensor_type.radius_mm
     if not radius_mm + head_mm <= sheet_mm:
         yield Violation(
             "travel",
             f"the head of {2 * head_mm:g} mm would reach {radius_mm + head_mm:.4g} mm; the sheet ends at"
             f" {sheet_mm:g} mm",
+        )
+
+
+def _off_polygon(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
+    head_mm = plan.indenter.reach_mm
+    room_mm = float(plan.sensor_type.outline.clearance_mm(np.array([[x_mm, y_mm]]))[0])
+    if not room_mm >= head_mm:
+        where = f"{room_mm:.4g} mm from the sheet's edge" if room_mm >= 0 else f"{-room_mm:.4g} mm outside the sheet"
+        yield Violation(
+            "travel", f"the head of {2 * head_mm:g} mm would stand {where}; it needs {head_mm:g} mm inside it"
         )
 
 
