@@ -53,7 +53,8 @@ def analyse_recording(
     """
     choices = choices or AnalysisChoices()
     spent: dict[str, float] = {}
-    ready = _timed(spent, "channels", lambda: make_ready(recording, choices.correct_memory))
+    pattern = None if choices.sensor_type is None else choices.sensor_type.pattern
+    ready = _timed(spent, "channels", lambda: make_ready(recording, choices.correct_memory, pattern))
     rate_hz = frame_rate_hz(recording)
     searched = _timed(spent, "events", lambda: _events(recording, ready, reconstruction, choices, rate_hz))
     events, why = searched.events, searched.why
@@ -67,6 +68,7 @@ def analyse_recording(
         events_why="" if events else why,
         warnings=_warnings(recording, ready, searched),
         compute_s=tuple(spent.items()),
+        sensor_type=choices.sensor_type,
     )
 
 

@@ -16,7 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
 from cbsr_qa.domain.errors import CbsrError, RecordingError, RefusedError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.loads import Load, LoadRecord
@@ -181,10 +181,17 @@ def _read(path: Path, file: h5py.File) -> Recording:
         if "samples" in file
         else (),
         loads=_read_loads(file["loads"]) if "loads" in file else (),
-        layout=None if layout is None else ElectrodeLayout(**{**layout, "kind": ElectrodeKind(layout["kind"])}),
+        layout=None if layout is None else _read_layout(layout),
         sensor_type=said["sensor_type"],
         notes=tuple(said["notes"]),
     )
+
+
+def _read_layout(said: dict[str, Any]) -> Electrodes:
+    kind = ElectrodeKind(said["kind"])
+    if "places_mm" in said:
+        return PlacedElectrodes(kind, tuple((float(x), float(y)) for x, y in said["places_mm"]), said["width_mm"])
+    return ElectrodeLayout(**{**said, "kind": kind})
 
 
 def _read_frames(group: h5py.Group) -> FrameBlock:

@@ -15,7 +15,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.domain.reconstruction import ImagingProblem
@@ -30,7 +30,8 @@ _ARC = 0.1  # length of a nominal electrode, of the radius
 _IMAGE_SIZE = 0.06  # of the radius: 3 mm on a 100 mm disc
 #: A load is looked for as a bump of this width (one standard deviation, of the radius): the head and the blur.
 _BUMP = 0.11
-#: Places further out than this are the electrodes' own neighbourhood, where contact changes look like loads.
+#: Places further out than this (nearer to the edge of another sheet than what is left of the radius) are the
+#: electrodes' own neighbourhood, where contact changes look like loads.
 _OUTERMOST = 0.9
 #: The reference frame must follow the model this well (correlation) before counts are imaged.
 _LEAST_CORRELATION = 0.5
@@ -59,20 +60,22 @@ class Sheet:
         return self.problem.sensor_type.radius_mm
 
     @property
-    def layout(self) -> ElectrodeLayout:
+    def layout(self) -> Electrodes:
         """Where the electrodes are."""
         return self.problem.sensor_type.electrodes
 
 
-def nominal_disc(layout: ElectrodeLayout | None, electrode_count: int) -> SensorType:
+def nominal_disc(layout: Electrodes | None, electrode_count: int) -> SensorType:
     """Disc with arc electrodes on its edge, for recordings whose sensor nobody named.
 
     Parameters
     ----------
-    layout : numbering the recording's format documents; electrode 0 on +x, counterclockwise, where it documents none.
+    layout : numbering the recording's format documents; electrode 0 on +x, counterclockwise, where it documents none
+        or the electrodes are on no ring.
     """
-    first_deg = 0.0 if layout is None else layout.first_angle_deg
-    turning = True if layout is None else layout.counterclockwise
+    ring = layout if isinstance(layout, ElectrodeLayout) else None
+    first_deg = 0.0 if ring is None else ring.first_angle_deg
+    turning = True if ring is None else ring.counterclockwise
     electrodes = ElectrodeLayout(
         electrode_count, ElectrodeKind.ARC, _NOMINAL_RADIUS_MM, _ARC * _NOMINAL_RADIUS_MM, first_deg, turning
     )
@@ -100,7 +103,12 @@ def sheet_for(sensor_type: SensorType, used: Mask) -> Sheet:
 def _bumps(sensor_type: SensorType) -> tuple[NDArray[np.int64], Array]:
     mesh = imaging_problem(sensor_type, image_size_mm=_IMAGE_SIZE * sensor_type.radius_mm).mesh
     places = mesh.centroids_mm / sensor_type.radius_mm
-    inner = _thinned(places, np.flatnonzero(np.hypot(*places.T) <= _OUTERMOST).astype(np.int64))
+    if sensor_type.polygon is None:
+        well_inside = np.hypot(*places.T) <= _OUTERMOST
+    else:
+        clearance = sensor_type.polygon.clearance_mm(mesh.centroids_mm) / sensor_type.radius_mm
+        well_inside = clearance >= min(1 - _OUTERMOST, float(clearance.max()) / 2)
+    inner = _thinned(places, np.flatnonzero(well_inside).astype(np.int64))
     distance = ((places[:, None] - places[None, inner]) ** 2).sum(axis=2)
     bumps = np.exp(-distance / (2 * _BUMP**2)) * mesh.areas_mm2[:, None]
     return inner, bumps / bumps.sum(axis=0)

@@ -18,7 +18,7 @@ from cbsr_qa.analysis.recording_noise import channel_noise
 from cbsr_qa.analysis.recording_spikes import despiked
 from cbsr_qa.domain.frames import FrameBlock, VoltageUnit
 from cbsr_qa.domain.load_events import ChannelReport
-from cbsr_qa.domain.patterns import adjacent_pattern
+from cbsr_qa.domain.patterns import DrivePattern, adjacent_pattern
 from cbsr_qa.domain.recording import Recording, ScanKind
 
 Array = NDArray[np.float64]
@@ -80,8 +80,10 @@ class ReadyReadings:
         return use if use.any() else np.ones_like(use)
 
 
-def _usable(recording: Recording) -> Mask:
+def _usable(recording: Recording, pattern: DrivePattern | None) -> Mask:
     shape = recording.frames.voltages.shape[1:]
+    if pattern is not None and recording.scan is ScanKind.FULL and pattern.shape == shape:
+        return pattern.usable()
     if recording.scan is ScanKind.DRIVEN_PAIRS or shape[0] != shape[1]:
         return np.ones(shape, dtype=bool)
     return adjacent_pattern(shape[0]).usable()
@@ -92,17 +94,19 @@ def has_offset(recording: Recording) -> bool:
     return recording.frames.unit is VoltageUnit.COUNT and not recording.magnitudes_only
 
 
-def make_ready(recording: Recording, wanted: bool | None) -> ReadyReadings:
+def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern | None = None) -> ReadyReadings:
     """Find the faults of a recording, and take the reading memory out.
 
     Parameters
     ----------
     wanted : whether to correct reading memory; None to do it where the estimate is worth it.
+    pattern : of the named sensor type; None for the same adjacent pairs driven and measured. Where other pairs are
+        measured than driven no two readings are reciprocal, and what is judged by that is left out.
     """
     block = recording.frames
     faults = find_faults(block, recording.scan)
-    used = _usable(recording) & ~faults.bad
-    imaged = recording.scan is ScanKind.FULL
+    used = _usable(recording, pattern) & ~faults.bad
+    imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
     memory = None
     scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
     mending = scanned and recording.reference is None

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from cbsr_qa.domain.image import Image
 from cbsr_qa.domain.recording import Recording
+from cbsr_qa.domain.sensor import SensorType
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +122,7 @@ class RecordingResult:
     ----------
     frame_rate_hz : None for still images.
     events_why : why there is no event, where there is none ("nothing stands out of the noise", …).
+    sensor_type : what was measured; None where nobody named it.
     """
 
     recording: Recording
@@ -131,3 +133,4 @@ class RecordingResult:
     events_why: str
     warnings: tuple[str, ...] = ()
     compute_s: tuple[tuple[str, float], ...] = ()
+    sensor_type: SensorType | None = None

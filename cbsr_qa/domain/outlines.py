@@ -46,6 +46,10 @@ class Disc:
         clearance: NDArray[np.float64] = self.radius_mm - np.hypot(points[:, 0], points[:, 1])
         return clearance
 
+    def words(self) -> str:
+        """Say where it ends, behind "the sheet"."""
+        return f"ends {self.radius_mm:g} mm from its centre"
+
 
 @dataclass(frozen=True, slots=True)
 class Polygon:
@@ -107,6 +111,14 @@ class Polygon:
         points = np.asarray(points_mm, dtype=np.float64).reshape(-1, 2)
         distance = self.curve.nearest(points)[1]
         return np.where(self.curve.contains(points), distance, -distance)
+
+    def words(self) -> str:
+        """Say where it ends, behind "the sheet"."""
+        low_x, high_x, low_y, high_y = self.extent_mm
+        return (
+            f"is a polygon of {len(self.corners_mm)} corners, x from {low_x:g} to {high_x:g} mm,"
+            f" y from {low_y:g} to {high_y:g} mm"
+        )
 
 
 SheetOutline = Disc | Polygon

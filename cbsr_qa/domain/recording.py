@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from enum import StrEnum
 from pathlib import Path
 
-from cbsr_qa.domain.electrodes import ElectrodeLayout
+from cbsr_qa.domain.electrodes import Electrodes
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.loads import LoadRecord
 
@@ -49,7 +49,7 @@ class Recording:
     problems : rows left out or noteworthy, by line.
     clock : which clock the times are from: ``"board"``, ``"computer"``, ``"station"`` (our own runs),
         ``"documented"`` (a rate the data's authors state; the file holds no times) or ``"none"``.
-    layout : electrode numbering the format documents; None where it is unknown.
+    layout : electrode numbering the format documents, or their places; None where it is unknown.
     sensor_type : name of the sensor type where the recording states it.
     notes : facts worth telling a reader, in words.
     frames_dropped : frames that are in the file but not whole; the ones cut by its beginning and end do not count.
@@ -67,7 +67,7 @@ class Recording:
     samples: tuple[SampleBlock, ...] = ()
     loads: tuple[LoadRecord, ...] = ()
     problems: tuple[RowProblem, ...] = ()
-    layout: ElectrodeLayout | None = None
+    layout: Electrodes | None = None
     sensor_type: str | None = None
     notes: tuple[str, ...] = field(default=())
     frames_dropped: int = 0

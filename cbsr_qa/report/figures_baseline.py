@@ -56,8 +56,8 @@ def _draw_map(
     norm: Normalize,
 ) -> None:
     bare(axes)
-    draw_sheet(axes, sensor.radius_mm, filled=True)
-    draw_electrodes(axes, sensor.electrodes, sensor.radius_mm)
+    draw_sheet(axes, sensor.outline, filled=True)
+    draw_electrodes(axes, sensor.electrodes, sensor.outline)
     for place in places:
         at = (place.x_mm, place.y_mm)
         known = place.value is not None
@@ -70,7 +70,7 @@ def _draw_map(
         dark = place.value is not None and norm(place.value) > 0.55
         name = axes.text(*at, place.location, ha="center", va="center", fontsize=7, fontweight="bold", zorder=6)
         name.set_color("white" if dark else INK)
-    fit_sheet(axes, sensor.radius_mm)
+    fit_sheet(axes, sensor.outline)
 
 
 def _draw_values(axes: Axes, places: Sequence[BaselineConductance], mean: float) -> None:

@@ -13,6 +13,7 @@ from matplotlib.patches import Circle
 from cbsr_qa.domain.footprints import Footprint
 from cbsr_qa.domain.image import Image, Region
 from cbsr_qa.domain.outcome import Outcome
+from cbsr_qa.domain.outlines import SheetOutline
 from cbsr_qa.domain.report import Figure
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report.outlines import Raster, head_path, region_path
@@ -24,6 +25,8 @@ from cbsr_qa.report.sheet import (
     draw_outlines,
     draw_sheet,
     fit_sheet,
+    reach,
+    sheet_patch,
 )
 from cbsr_qa.report.style import (
     BLUE,
@@ -41,6 +44,7 @@ from cbsr_qa.report.style import (
 )
 from cbsr_qa.report.svg import drawn
 
+_GRID: Final = "#dcdcdc"
 #: Arrows are drawn this many times longer than the error, so that a typical one is about a third of the head.
 _ARROW_SCALES: Final = (1, 2, 5, 10, 20, 50)
 
@@ -88,24 +92,29 @@ def load_images_figure(
     """
 
     def build() -> Canvas:
-        rows, radius = ceil(len(loads) / columns), sensor.radius_mm
-        cell_x, cell_y = 2.12 * radius, 2.86 * radius
+        rows, sheet = ceil(len(loads) / columns), sensor.outline
+        low_x, high_x, low_y, high_y = sheet.extent_mm
+        radius, middle = reach(sheet), ((low_x + high_x) / 2, (low_y + high_y) / 2)
+        cell_x, cell_y = high_x - low_x + 0.12 * radius, high_y - low_y + 0.86 * radius
         scale_in = WIDTH_IN / (columns * cell_x)
         body_in = rows * cell_y * scale_in
         height_in = body_in + 0.62
         figure = canvas(height_in)
         axes = figure.add_axes((0, 0.62 / height_in, 1, body_in / height_in))
         bare(axes)
-        raster = Raster(loads[0].image.mesh, radius, 200)
+        raster = Raster(loads[0].image.mesh, sheet, 200)
         largest = max(float(np.abs(load.image.values).max()) for load in loads)
         group, heads = "", []
         for index, load in enumerate(loads):
             row, column = divmod(index, columns)
-            shift = ((column + 0.5) * cell_x, -(row + 0.5) * cell_y - 0.16 * radius)
+            centre = (column + 0.5) * cell_x, -(row + 0.5) * cell_y - 0.16 * radius
+            shift = centre[0] - middle[0], centre[1] - middle[1]
             _draw_small(axes, load, raster, shift, largest)
-            draw_sheet(axes, radius, shift)
+            _write_small(axes, load, centre, (high_y - low_y) / 2, radius)
+            draw_sheet(axes, sheet, shift)
             if load.group != group:
-                axes.text(shift[0] - radius, shift[1] + 1.3 * radius, load.group, fontsize=7, fontweight="bold")
+                place = shift[0] + low_x, shift[1] + high_y + 0.3 * radius
+                axes.text(*place, load.group, fontsize=7, fontweight="bold")
                 group = load.group
             heads.append(head_path(load.pressed, shift))
         draw_heads(axes, heads, color=VERMILION)
@@ -134,9 +143,8 @@ def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, captio
         axes = figure.add_axes((0.0, 0.01, 0.545, 0.98))
         _draw_places(axes, loads, sensor, arrow_scale(loads))
         firsts = {load.label: load for load in reversed(loads)}
-        centre_mm = sensor.radius_mm
         for label, load in firsts.items():
-            above = load.y_mm + load.radius_mm + 0.03 * centre_mm
+            above = load.y_mm + load.radius_mm + 0.03 * reach(sensor.outline)
             axes.text(load.x_mm, above, label, ha="center", va="bottom", fontsize=7, fontweight="bold", zorder=9)
         order = list(dict.fromkeys(load.label for load in loads))
         error_axes = figure.add_axes((0.62, 0.115, 0.165, 0.8))
@@ -157,7 +165,7 @@ def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, captio
 def random_loads_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str) -> Figure:
     """Draw random loads on a polar plot, discs growing with strain, and the error against strain beside it (Fig 11).
 
-    Places are true to scale; crosses mark where the load was seen.
+    Places are true to scale, on lines of x and y where the sheet is no disc; crosses mark where the load was seen.
     """
 
     def build() -> Canvas:
@@ -198,16 +206,21 @@ def _draw_small(axes: Axes, load: SeenLoad, raster: Raster, shift: tuple[float, 
     axes.imshow(picture, origin="lower", extent=extent, cmap=CHANGE_MAP, norm=norm)
     if load.sensed is not None:
         draw_outlines(axes, [region_path(load.sensed, shift)], width=0.9)
-    axes.text(shift[0], shift[1] + top * 1.03, load.title, ha="center", va="bottom", fontsize=6.5)
+
+
+def _write_small(axes: Axes, load: SeenLoad, centre: tuple[float, float], half: float, radius: float) -> None:
+    """Write the title above a small picture of this half height, and what was found below it."""
+    x, y = centre
+    axes.text(x, y + half + 0.03 * radius, load.title, ha="center", va="bottom", fontsize=6.5)
     note = "not detected" if load.error_mm is None else f"error {load.error_mm:.1f} mm"
     colour = VERMILION if load.error_mm is None or load.outcome is Outcome.FAIL else QUIET
-    axes.text(shift[0], shift[1] + bottom * 1.04, note, ha="center", va="top", fontsize=6.5, color=colour)
+    axes.text(x, y - half - 0.04 * radius, note, ha="center", va="top", fontsize=6.5, color=colour)
 
 
 def _draw_places(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType, scale: int) -> None:
     bare(axes)
-    draw_sheet(axes, sensor.radius_mm, filled=True)
-    draw_electrodes(axes, sensor.electrodes, sensor.radius_mm)
+    draw_sheet(axes, sensor.outline, filled=True)
+    draw_electrodes(axes, sensor.electrodes, sensor.outline)
     heads = {(load.x_mm, load.y_mm): head_path(load.pressed) for load in loads}
     draw_heads(axes, list(heads.values()), color=QUIET, dashed=True)
     seen = [(load, load.sensed) for load in loads if load.sensed is not None]
@@ -232,7 +245,7 @@ def _draw_places(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType, scal
     for load in loads:
         if load.sensed is None:
             axes.plot([load.x_mm], [load.y_mm], marker="x", color=VERMILION, markersize=8, zorder=8)
-    fit_sheet(axes, sensor.radius_mm)
+    fit_sheet(axes, sensor.outline)
 
 
 def _draw_dots(axes: Axes, order: list[str], dots: list[tuple[str, float | None, Outcome]]) -> None:
@@ -257,18 +270,11 @@ def _draw_dots(axes: Axes, order: list[str], dots: list[tuple[str, float | None,
 
 def _draw_polar(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType) -> None:
     bare(axes)
-    radius = sensor.radius_mm
-    draw_sheet(axes, radius, filled=True)
-    step = 10.0 if radius <= 60 else 25.0
-    for ring in np.arange(step, radius, step):
-        draw_circles(axes, np.zeros((1, 2)), float(ring), color="#dcdcdc", width=0.5)
-        axes.text(0.6, ring + 0.6, f"{ring:g} mm" if ring + step >= radius else f"{ring:g}", fontsize=6, color=QUIET)
-    for degrees in range(0, 360, 30):
-        x, y = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
-        axes.plot([0, radius * x], [0, radius * y], color="#dcdcdc", linewidth=0.5, zorder=1)
-        axes.text(
-            1.09 * radius * x, 1.09 * radius * y, f"{degrees}°", ha="center", va="center", fontsize=6.5, color=QUIET
-        )
+    draw_sheet(axes, sensor.outline, filled=True)
+    if sensor.polygon is None:
+        _draw_rays(axes, sensor.radius_mm)
+    else:
+        _draw_grid(axes, sensor.outline)
     strongest = max(load.strain for load in loads)
     for load in loads:
         size = load.radius_mm * max(load.strain / strongest, 0.05)
@@ -278,8 +284,37 @@ def _draw_polar(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType) -> No
             x_mm, y_mm = load.sensed.centre_mm()
             axes.plot([load.x_mm, x_mm], [load.y_mm, y_mm], color=INK, linewidth=0.8, zorder=6)
             axes.plot([x_mm], [y_mm], marker="x", markersize=4.5, color=INK, markeredgewidth=1.1, zorder=7)
-    _label_polar(axes, loads, radius)
-    fit_sheet(axes, radius)
+    _label_polar(axes, loads, reach(sensor.outline))
+    fit_sheet(axes, sensor.outline)
+
+
+def _draw_rays(axes: Axes, radius: float) -> None:
+    """Rings and rays of a disc."""
+    step = 10.0 if radius <= 60 else 25.0
+    for ring in np.arange(step, radius, step):
+        draw_circles(axes, np.zeros((1, 2)), float(ring), color=_GRID, width=0.5)
+        axes.text(0.6, ring + 0.6, f"{ring:g} mm" if ring + step >= radius else f"{ring:g}", fontsize=6, color=QUIET)
+    for degrees in range(0, 360, 30):
+        x, y = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+        axes.plot([0, radius * x], [0, radius * y], color=_GRID, linewidth=0.5, zorder=1)
+        axes.text(
+            1.09 * radius * x, 1.09 * radius * y, f"{degrees}°", ha="center", va="center", fontsize=6.5, color=QUIET
+        )
+
+
+def _draw_grid(axes: Axes, sheet: SheetOutline) -> None:
+    """Lines of x and y of any other sheet, cut at its edge."""
+    low_x, high_x, low_y, high_y = sheet.extent_mm
+    step, out = (10.0 if reach(sheet) <= 60 else 25.0), 0.05 * reach(sheet)
+    edge = sheet_patch(sheet)
+    edge.set(facecolor="none", edgecolor="none")
+    axes.add_patch(edge)
+    for x in np.arange(np.ceil(low_x / step), np.floor(high_x / step) + 1) * step:
+        axes.plot([x, x], [low_y, high_y], color=_GRID, linewidth=0.5, zorder=1, clip_path=edge)
+        axes.text(x, low_y - out, f"{x:g}", ha="center", va="top", fontsize=6, color=QUIET)
+    for y in np.arange(np.ceil(low_y / step), np.floor(high_y / step) + 1) * step:
+        axes.plot([low_x, high_x], [y, y], color=_GRID, linewidth=0.5, zorder=1, clip_path=edge)
+        axes.text(low_x - out, y, f"{y:g}", ha="right", va="center", fontsize=6, color=QUIET)
 
 
 def _label_polar(axes: Axes, loads: Sequence[SeenLoad], radius: float) -> None:

@@ -8,12 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.domain.electrodes import ElectrodeLayout
+from cbsr_qa.domain.electrodes import Electrodes
 from cbsr_qa.domain.image import Image
 from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.outlines import SheetOutline
 from cbsr_qa.domain.report import Figure
 from cbsr_qa.report.outlines import Raster
-from cbsr_qa.report.sheet import add_scale, draw_electrodes, draw_sheet, fit_sheet
+from cbsr_qa.report.sheet import add_scale, draw_electrodes, draw_sheet, fit_sheet, reach
 from cbsr_qa.report.style import CHANGE_MAP, INK, QUIET, WIDTH_IN, bare, canvas, change_norm
 from cbsr_qa.report.svg import drawn
 
@@ -46,10 +47,10 @@ class ImagePanel:
 def image_figure(
     panels: Sequence[ImagePanel],
     *,
-    radius: float,
+    sheet: SheetOutline,
     caption: str,
     alternative: str,
-    electrodes: ElectrodeLayout | None = None,
+    electrodes: Electrodes | None = None,
     columns: int = 3,
     shared_scale: bool = True,
 ) -> Figure:
@@ -58,9 +59,9 @@ def image_figure(
     Parameters
     ----------
     panels : at least one; all in the same unit of length.
-    radius : of the sheet in that unit (1 where lengths are in units of the radius).
-    electrodes : drawn and numbered where they are known; their ring is taken as the sheet's edge where ``radius``
-        is in another unit than millimetres.
+    sheet : its outline in that unit (a disc of radius 1 where lengths are in units of the radius).
+    electrodes : drawn and numbered where they are known; a ring is drawn on a disc's edge where it would be
+        outside of it, the disc being in another unit than millimetres.
     columns : at most this many side by side.
     shared_scale : one colour scale for all; otherwise each image has its own, stated below it.
 
@@ -78,10 +79,10 @@ def image_figure(
         for panel, size, axes in zip(panels, sizes, places, strict=True):
             mesh = panel.image.mesh
             if id(mesh) not in rasters:
-                rasters[id(mesh)] = Raster(mesh, radius, 420 if across < 3 else 300)
-            _draw_panel(axes, panel, rasters[id(mesh)], radius, max(sizes) if shared_scale else size)
+                rasters[id(mesh)] = Raster(mesh, sheet, 420 if across < 3 else 300)
+            _draw_panel(axes, panel, rasters[id(mesh)], sheet, max(sizes) if shared_scale else size)
             if electrodes is not None:
-                draw_electrodes(axes, electrodes, radius)
+                draw_electrodes(axes, electrodes, sheet)
         if shared_scale:
             _draw_scale(figure, max(sizes))
         return figure
@@ -111,8 +112,9 @@ def _draw_scale(figure: Canvas, largest: float) -> None:
     add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=label, place="bottom")
 
 
-def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, radius: float, largest: float) -> None:
+def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, sheet: SheetOutline, largest: float) -> None:
     bare(axes)
+    radius = reach(sheet)
     axes.imshow(
         raster.picture(panel.image.values),
         origin="lower",
@@ -120,7 +122,7 @@ def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, radius: float, la
         cmap=CHANGE_MAP,
         norm=change_norm(largest),
     )
-    draw_sheet(axes, radius)
+    draw_sheet(axes, sheet)
     for marker in panel.markers:
         axes.plot([marker.x], [marker.y], marker="+", markersize=8, color="white", markeredgewidth=2.6, zorder=7)
         axes.plot([marker.x], [marker.y], marker="+", markersize=7, color=INK, markeredgewidth=1.1, zorder=8)
@@ -135,9 +137,9 @@ def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, radius: float, la
     axes.set_title(panel.title, loc="center", pad=2)
     if panel.note:
         axes.text(0.5, -0.01, panel.note, transform=axes.transAxes, ha="center", va="top", fontsize=7, color=QUIET)
-    fit_sheet(axes, radius)
+    fit_sheet(axes, sheet)
 
 
 def sheet_radius(mesh: Mesh) -> float:
-    """Return the radius of the sheet a mesh covers, in the mesh's unit."""
+    """Return the radius of the disc a mesh covers, in the mesh's unit."""
     return float(np.linalg.norm(mesh.nodes_mm, axis=1).max())

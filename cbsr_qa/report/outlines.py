@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from cbsr_qa.domain.footprints import Footprint
 from cbsr_qa.domain.image import Region
 from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.outlines import SheetOutline
 
 Point = tuple[float, float]
 
@@ -57,31 +58,33 @@ def head_path(head: Footprint, shift_mm: tuple[float, float] = (0.0, 0.0)) -> Pa
 
 
 class Raster:
-    """Which element lies under each pixel of a square picture of the sheet: made once per mesh, used per image.
+    """Which element lies under each pixel of a picture of the sheet: made once per mesh, used per image.
 
     A picture of elements is a tenth of the bytes of their polygons, and an image costs one look-up.
 
     Parameters
     ----------
     mesh : of the images.
-    radius_mm : half the picture's width.
-    pixels : along each side.
+    sheet : its outline, in the mesh's unit; the picture ends where it does.
+    pixels : along the longer side; they are square.
     """
 
-    def __init__(self, mesh: Mesh, radius_mm: float, pixels: int) -> None:
-        step = 2 * radius_mm / pixels
-        centres = -radius_mm + step * (np.arange(pixels) + 0.5)
-        x, y = np.meshgrid(centres, centres)
+    def __init__(self, mesh: Mesh, sheet: SheetOutline, pixels: int) -> None:
+        low_x, high_x, low_y, high_y = sheet.extent_mm
+        step = max(high_x - low_x, high_y - low_y) / pixels
+        columns, rows = (int(np.ceil(side / step - 1e-9)) for side in (high_x - low_x, high_y - low_y))
+        x, y = np.meshgrid(low_x + step * (np.arange(columns) + 0.5), low_y + step * (np.arange(rows) + 0.5))
         triangles = Triangulation(mesh.nodes_mm[:, 0], mesh.nodes_mm[:, 1], mesh.elements)
         found = np.asarray(triangles.get_trifinder()(x, y), dtype=np.int64)
-        # Round sheets are polygons in a mesh: pixels of the thin rim between them take the nearest element.
-        rim = (found < 0) & (x**2 + y**2 <= radius_mm**2)
+        # Round edges are polygons in a mesh: pixels of the thin rim between them take the nearest element.
+        rim = found < 0
+        rim[rim] = sheet.clearance_mm(np.column_stack([x[rim], y[rim]])) >= 0
         if rim.any():
             found[rim] = KDTree(mesh.centroids_mm).query(np.column_stack([x[rim], y[rim]]))[1]
         self.elements = found
-        self.extent = (-radius_mm, radius_mm, -radius_mm, radius_mm)
+        self.extent = (low_x, low_x + step * columns, low_y, low_y + step * rows)
 
     def picture(self, values: NDArray[np.float64]) -> np.ma.MaskedArray[tuple[int, int], np.dtype[np.float64]]:
-        """Return (pixels, pixels) values, bottom row first; masked outside the sheet."""
+        """Return (rows, columns) values, bottom row first; masked outside the sheet."""
         outside = self.elements < 0
         return np.ma.MaskedArray(values[np.where(outside, 0, self.elements)], mask=outside)

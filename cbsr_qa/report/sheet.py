@@ -8,10 +8,12 @@ from matplotlib.collections import LineCollection, PathCollection, PolyCollectio
 from matplotlib.colors import Colormap, Normalize
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle
+from matplotlib.patches import Polygon as Patch
 from matplotlib.path import Path
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes
+from cbsr_qa.domain.outlines import Disc, SheetOutline
 from cbsr_qa.report.style import FAINT, INK, QUIET
 
 #: A circle of this many sides is round in print.
@@ -20,37 +22,85 @@ _SIDES: Final = 72
 Shift = tuple[float, float]
 
 
-def draw_sheet(axes: Axes, radius_mm: float, shift: Shift = (0.0, 0.0), *, filled: bool = False) -> None:
+def draw_sheet(axes: Axes, sheet: SheetOutline, shift: Shift = (0.0, 0.0), *, filled: bool = False) -> None:
     """Draw the sheet's edge."""
-    face = "#fbfbfb" if filled else "none"
-    axes.add_patch(
-        Circle(shift, radius_mm, facecolor=face, edgecolor=QUIET, linewidth=0.7, zorder=3 if not filled else 0)
-    )
+    axes.add_patch(sheet_patch(sheet, shift, filled=filled))
+
+
+def sheet_patch(sheet: SheetOutline, shift: Shift = (0.0, 0.0), *, filled: bool = False) -> Circle | Patch:
+    """Return the sheet's edge, moved."""
+    face, order = ("#fbfbfb", 0) if filled else ("none", 3)
+    if isinstance(sheet, Disc):
+        return Circle(shift, sheet.radius_mm, facecolor=face, edgecolor=QUIET, linewidth=0.7, zorder=order)
+    corners = sheet_path(sheet) + np.asarray(shift)
+    return Patch(corners, closed=True, facecolor=face, edgecolor=QUIET, linewidth=0.7, zorder=order)
+
+
+def sheet_path(sheet: SheetOutline) -> NDArray[np.float64]:
+    """Corners of the sheet's edge as it is drawn, (n, 2): bends in steps that look round in print."""
+    curve = sheet.curve
+    steps = np.maximum(np.ceil(np.abs(curve.curvature * curve.length) * _SIDES / (2 * np.pi)).astype(int), 1)
+    pieces = zip(curve.begins[:-1], curve.length, steps, strict=True)
+    places = [begin + length * np.arange(count) / count for begin, length, count in pieces]
+    return curve.at(np.concatenate(places))
 
 
 def draw_electrodes(
-    axes: Axes, layout: ElectrodeLayout, radius_mm: float, shift: Shift = (0.0, 0.0), *, numbered: bool = True
+    axes: Axes, electrodes: Electrodes, sheet: SheetOutline, shift: Shift = (0.0, 0.0), *, numbered: bool = True
 ) -> None:
     """Draw the electrodes where they are, with their numbers just outside the sheet.
 
     Parameters
     ----------
-    radius_mm : of the sheet as drawn; the layout is scaled to it where a drawing is in units of the radius.
+    sheet : as drawn; a ring on a disc is scaled to it where a drawing is in units of the radius.
     numbered : every number where there is room, else only electrode 0.
     """
+    if isinstance(electrodes, ElectrodeLayout) and isinstance(sheet, Disc):
+        places = _draw_ring(axes, electrodes, sheet.radius_mm, np.asarray(shift))
+    else:
+        places = _draw_placed(axes, electrodes, sheet, np.asarray(shift))
+    for number, (x, y) in enumerate(places):
+        if numbered or number == 0:
+            axes.text(x, y, str(number), ha="center", va="center", fontsize=6, color=QUIET)
+
+
+def _draw_ring(
+    axes: Axes, layout: ElectrodeLayout, radius_mm: float, shift: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Draw electrodes on a ring; returns where their numbers go."""
     angles = layout.angles_rad()
     direction = np.column_stack([np.cos(angles), np.sin(angles)])
     if layout.kind is ElectrodeKind.PIN:
         ring = min(layout.ring_radius_mm, radius_mm)
-        pins = direction * ring + np.asarray(shift)
+        pins = direction * ring + shift
         axes.scatter(pins[:, 0], pins[:, 1], s=4, c=INK, linewidths=0, zorder=4)
     else:
         half = layout.width_mm / layout.ring_radius_mm / 2
-        arcs = [_arc(angle - half, angle + half, radius_mm) + np.asarray(shift) for angle in angles]
+        arcs = [_arc(angle - half, angle + half, radius_mm) + shift for angle in angles]
         axes.add_collection(LineCollection(arcs, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
-    for number, (x, y) in enumerate(direction * radius_mm * 1.075 + np.asarray(shift)):
-        if numbered or number == 0:
-            axes.text(x, y, str(number), ha="center", va="center", fontsize=6, color=QUIET)
+    places: NDArray[np.float64] = direction * radius_mm * 1.075 + shift
+    return places
+
+
+def _draw_placed(
+    axes: Axes, electrodes: Electrodes, sheet: SheetOutline, shift: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Draw electrodes one by one; returns where their numbers go: outside the edge, or beside a pin far inside."""
+    centres, curve = electrodes.positions_mm(), sheet.curve
+    along, away = curve.nearest(centres)
+    if electrodes.kind is ElectrodeKind.PIN:
+        pins = centres + shift
+        axes.scatter(pins[:, 0], pins[:, 1], s=4, c=INK, linewidths=0, zorder=4)
+    else:
+        half = electrodes.width_mm / 2
+        strips = [curve.at(np.linspace(place - half, place + half, _SIDES)) + shift for place in along]
+        axes.add_collection(LineCollection(strips, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
+    size = 0.075 * reach(sheet)
+    ahead = curve.at(along + size / 8) - curve.at(along - size / 8)
+    outward = np.column_stack([ahead[:, 1], -ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
+    inner = (away > 4 * size)[:, None]
+    places: NDArray[np.float64] = np.where(inner, centres + size / 2, curve.at(along) + size * outward) + shift
+    return places
 
 
 def draw_circles(
@@ -121,10 +171,18 @@ def add_scale(figure: Canvas, axes: Axes, norm: Normalize, colours: Colormap, *,
         slot.set_xlabel(label)
 
 
-def fit_sheet(axes: Axes, radius_mm: float, margin: float = 1.16) -> None:
+def fit_sheet(axes: Axes, sheet: SheetOutline, margin: float = 0.16) -> None:
     """Show exactly the sheet with room for the electrodes' numbers."""
-    axes.set_xlim(-margin * radius_mm, margin * radius_mm)
-    axes.set_ylim(-margin * radius_mm, margin * radius_mm)
+    low_x, high_x, low_y, high_y = sheet.extent_mm
+    room = margin * reach(sheet)
+    axes.set_xlim(low_x - room, high_x + room)
+    axes.set_ylim(low_y - room, high_y + room)
+
+
+def reach(sheet: SheetOutline) -> float:
+    """Half the longer side of the box round a sheet: by it what is drawn beside the sheet is placed."""
+    low_x, high_x, low_y, high_y = sheet.extent_mm
+    return max(high_x - low_x, high_y - low_y) / 2
 
 
 def _arc(start: float, end: float, radius: float) -> NDArray[np.float64]:

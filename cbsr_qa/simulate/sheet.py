@@ -110,7 +110,7 @@ class SimulatedSheet:
         if not elements.size:
             raise RefusedError(
                 f"a head of radius {indenter.reach_mm:g} mm at ({place[0]:g}, {place[1]:g}) mm is outside the sheet",
-                remedy=f"the sheet's radius is {self.sensor_type.radius_mm:g} mm",
+                remedy=f"the sheet {self.sensor_type.outline.words()}",
             )
         cover = (elements, np.minimum(share[elements], 1.0))
         self._covers[(place, indenter)] = cover

@@ -14,6 +14,7 @@ from report_samples import SENSOR, sample_recording
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.image import Blob, Image
 from cbsr_qa.domain.observation import Trace
+from cbsr_qa.domain.outlines import Disc
 from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit
 from cbsr_qa.forward.meshing import image_mesh
 from cbsr_qa.report.figures_channels import ChannelMark, channel_map_figure
@@ -89,7 +90,7 @@ def test_every_figure_passes_the_check_and_leaves_no_trace_in_the_settings(mesh)
         timeline(spans=[Span(10, 20, "E1", 13)]),
         image_figure(
             [ImagePanel("a", image, (Marker(1, 2, "E1"),), "note")],
-            radius=50,
+            sheet=Disc(50.0),
             electrodes=SENSOR.electrodes,
             caption="c",
             alternative="a",
@@ -127,7 +128,7 @@ def test_units_of_the_recording_need_no_millimetres():
     result = sample_recording(1)
     event = result.events[0]
     panel = ImagePanel("E1", event.image, (Marker(event.x_over_R, event.y_over_R),))
-    figure = image_figure([panel], radius=1.0, electrodes=SENSOR.electrodes, caption="c", alternative="a")
+    figure = image_figure([panel], sheet=Disc(1.0), electrodes=SENSOR.electrodes, caption="c", alternative="a")
     words = re.findall(r"<text[^>]*>([^<]*)</text>", figure.svg)
     assert "E1" in words
     assert not any("mm" in text for text in words)
@@ -147,7 +148,7 @@ def test_an_outline_encloses_its_elements_holes_left_out(x, y, radius, ring):
 
 
 def test_a_pixel_shows_the_element_it_lies_in(mesh):
-    raster = Raster(mesh, 50.0, 80)
+    raster = Raster(mesh, Disc(50.0), 80)
     step = 100 / 80
     rows, columns = np.nonzero(raster.elements >= 0)
     points = -50 + step * (np.column_stack([columns, rows]) + 0.5)

@@ -152,11 +152,11 @@ class SimulatedBench:
     def move_to(self, x_mm: float, y_mm: float) -> None:
         """Travel at the hover height."""
         self._check_open()
-        radius_mm = self._context.sensor_type.radius_mm
-        if not math.hypot(x_mm, y_mm) <= radius_mm:
+        outline = self._context.sensor_type.outline
+        if not outline.clearance_mm(np.array([[x_mm, y_mm]]))[0] >= 0:
             place = f"({x_mm:g}, {y_mm:g}) mm"
             raise InstrumentError(
-                self._context.role, place, "outside the sheet", remedy=f"the sheet's radius is {radius_mm:g} mm"
+                self._context.role, place, "outside the sheet", remedy=f"the sheet {outline.words()}"
             )
         self._head.travel(x_mm, y_mm)
 

@@ -5,9 +5,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from cbsr_qa.analysis.recording_imaging import nominal_disc
-from cbsr_qa.domain.electrodes import ElectrodeLayout
 from cbsr_qa.domain.load_events import LoadEvent, RecordingResult
 from cbsr_qa.domain.observation import Trace
+from cbsr_qa.domain.outlines import Disc
 from cbsr_qa.domain.recording import ScanKind
 from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
 from cbsr_qa.report.figures_sheet import ImagePanel, Marker, image_figure, sheet_radius
@@ -28,8 +28,7 @@ class RecordingEvents:
         blocks: list[Block] = []
         if result.events:
             still = result.frame_rate_hz is None
-            electrodes = nominal_disc(result.recording.layout, result.recording.frames.voltages.shape[1]).electrodes
-            blocks += [_table(result.events, still=still), _images(result.events, electrodes)]
+            blocks += [_table(result.events, still=still), _images(result)]
         else:
             blocks.append(Paragraph(f"No event: {result.events_why}.", "note"))
         if timeline := _timeline(result):
@@ -65,19 +64,22 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
     return text_table(caption, columns, rows, numeric)
 
 
-def _images(events: Sequence[LoadEvent], electrodes: ElectrodeLayout) -> Figure:
+def _images(result: RecordingResult) -> Figure:
+    events, named = result.events, result.sensor_type
     shown = events[:_MOST_IMAGES]
+    sensor = named or nominal_disc(result.recording.layout, result.recording.frames.voltages.shape[1])
+    # Images of a sensor nobody named may be in any unit.
+    sheet = Disc(sheet_radius(shown[0].image.mesh)) if named is None else named.outline
     panels = []
     for rank, event in enumerate(shown):
-        radius = sheet_radius(event.image.mesh)
-        place = Marker(event.x_over_R * radius, event.y_over_R * radius)
+        place = Marker(event.x_over_R * sheet.radius_mm, event.y_over_R * sheet.radius_mm)
         note = f"electrode {event.electrode:.1f}, r/R {event.r_over_R:.2f}"
         panels.append(ImagePanel(_name(rank), event.image, (place,), note))
     left = "" if len(shown) == len(events) else f" The first {len(shown)} of {len(events)}."
     return image_figure(
         panels,
-        radius=sheet_radius(shown[0].image.mesh),
-        electrodes=electrodes,
+        sheet=sheet,
+        electrodes=sensor.electrodes,
         shared_scale=False,
         caption="Change each event made against the frames just before it (or against the reference). Marked: the"
         f" place of the best fit of a small load, which the blur of the image does not move.{left}",

@@ -2,10 +2,12 @@
 
 from typing import Final
 
+from cbsr_qa.domain.electrodes import ElectrodeKind, Electrodes, PlacedElectrodes
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.report import Block, RunResult, Section, Table
 from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report.numbers import duration, number, quantity
 from cbsr_qa.report.tables import text_table
 
@@ -43,21 +45,36 @@ def _instruments(record: RunRecord) -> Table:
 
 
 def _sensor(record: RunRecord) -> Table:
-    sensor, layout = record.sensor_type, record.sensor_type.electrodes
-    turn = "counterclockwise" if layout.counterclockwise else "clockwise"
-    electrodes = (
-        f"{layout.count} {layout.kind.value}s of {layout.width_mm:g} mm on a ring of"
-        f" {layout.ring_radius_mm:g} mm radius, counted {turn} from {layout.first_angle_deg:g}°"
-    )
+    sensor = record.sensor_type
     drives, measures = sensor.pattern.shape
     rows = [
-        ["Sheet", f"{2 * sensor.radius_mm:g} mm diameter, {sensor.thickness_mm:g} mm thick"],
-        ["Electrodes", electrodes],
+        ["Sheet", f"{_size(sensor)}, {sensor.thickness_mm:g} mm thick"],
+        ["Electrodes", _electrodes(sensor.electrodes)],
         ["Readings a frame", f"{drives} drive pairs × {measures} measure pairs"],
         ["Indenter", f"{record.indenter.words()}, {record.indenter.area_mm2:.1f} mm²"],
         ["Configuration digest (SHA-256)", record.identity.configuration_digest],
     ]
     return text_table("What was tested, and with what configuration.", ("Item", "Value"), rows)
+
+
+def _size(sensor: SensorType) -> str:
+    if sensor.polygon is None:
+        return f"{2 * sensor.radius_mm:g} mm diameter"
+    low_x, high_x, low_y, high_y = sensor.polygon.extent_mm
+    rounded = f" rounded with {sensor.polygon.corner_radius_mm:g} mm" if sensor.polygon.corner_radius_mm else ""
+    corners = f"{len(sensor.polygon.corners_mm)} corners{rounded}"
+    return f"polygon of {corners}, {high_x - low_x:g} mm × {high_y - low_y:g} mm"
+
+
+def _electrodes(electrodes: Electrodes) -> str:
+    if isinstance(electrodes, PlacedElectrodes):
+        kind = "pins" if electrodes.kind is ElectrodeKind.PIN else "strips along the edge"
+        return f"{electrodes.count} {kind} of {electrodes.width_mm:g} mm, each at a place of its own"
+    turn = "counterclockwise" if electrodes.counterclockwise else "clockwise"
+    return (
+        f"{electrodes.count} {electrodes.kind.value}s of {electrodes.width_mm:g} mm on a ring of"
+        f" {electrodes.ring_radius_mm:g} mm radius, counted {turn} from {electrodes.first_angle_deg:g}°"
+    )
 
 
 def _analysis(run: RunObservation) -> Table:
