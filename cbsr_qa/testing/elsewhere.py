@@ -19,6 +19,7 @@ Array = NDArray[np.float64]
 Factory = Callable[[], Reconstruction]
 
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_POLITE = {"OPENBLAS_THREAD_TIMEOUT": "4"}  # idle threads sleep at once: others may need the core
 _COMMAND = "import sys; from cbsr_qa.testing.elsewhere import answer; answer(sys.argv[1])"
 
 
@@ -50,7 +51,7 @@ def images_elsewhere(
                 f"another process cannot be asked: {error}",
                 remedy="use a class or function that a module holds by name",
             ) from error
-        environment = os.environ | dict.fromkeys(_THREADS, str(threads)) | {"PYTHONHASHSEED": str(threads)}
+        environment = os.environ | dict.fromkeys(_THREADS, str(threads)) | _POLITE | {"PYTHONHASHSEED": str(threads)}
         environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
         done = subprocess.run(
             [sys.executable, "-c", _COMMAND, folder], env=environment, capture_output=True, text=True, check=False

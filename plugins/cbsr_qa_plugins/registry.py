@@ -20,6 +20,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.RECONSTRUCTION, "gauss-newton-indenter", "reconstruction.gauss_newton_indenter:GaussNewtonIndenter"),
     (Kind.RECONSTRUCTION, "truncated-svd", "reconstruction.truncated_svd:TruncatedSvd"),
     (Kind.RECONSTRUCTION, "linear-back-projection", "reconstruction.linear_back_projection:LinearBackProjection"),
+    (Kind.RECONSTRUCTION, "total-variation", "reconstruction.total_variation:TotalVariation"),
     (Kind.RECONSTRUCTION, "pyeit-jac", "reconstruction.pyeit_jac:PyeitJac"),
     (Kind.RECONSTRUCTION, "pyeit-greit", "reconstruction.pyeit_greit:PyeitGreit"),
     (Kind.METRIC, "centre-of-mass-error", "metrics.centre_of_mass_error:CentreOfMassError"),

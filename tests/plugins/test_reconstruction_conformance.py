@@ -29,7 +29,11 @@ _TOLERANCES: dict[str, Tolerances] = {
     "pyeit-greit": Tolerances(turned_image=0.3, turned_place=0.05, masked_place=0.25),
 }
 #: Options that make a method faster than its defaults.
-_OPTIONS: dict[str, dict[str, Any]] = {"pyeit-jac": {"mesh_size": 0.14}, "pyeit-greit": {"mesh_size": 0.14}}
+_OPTIONS: dict[str, dict[str, Any]] = {
+    "pyeit-jac": {"mesh_size": 0.14},
+    "pyeit-greit": {"mesh_size": 0.14},
+    "total-variation": {"hyperparameter": 2.6e-8},
+}
 
 
 def _installed(name):

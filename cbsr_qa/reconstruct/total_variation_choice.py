@@ -1,0 +1,159 @@
+"""How much total variation may cost: as much as leaves a residual of the noise's size (Morozov 1966).
+
+∫|∇x| is the same number on every mesh, so what it may cost is settled on a coarse image of the sensor type, in a
+second or two, and holds on any finer one. The noise figure there says what a chosen α does to noise.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.reconstruction import ImagingProblem, ParameterChoice
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.reconstruct.evidence import Evidence, central_signal, evidence_of, target_radius_mm
+from cbsr_qa.reconstruct.problem import imaging_problem
+from cbsr_qa.reconstruct.total_variation import TotalVariation, check_alpha
+from cbsr_qa.reconstruct.total_variation_images import WhiteReadings
+
+Array = NDArray[np.float64]
+
+_COARSE: Final = 0.12  # edge length of the image α is settled on, of the sheet's radius
+_CONTRAST: Final = 0.2  # of the simulated target: a press as deep as the paper's
+_FRAMES: Final = 3  # that a residual is averaged over
+_DRAWS: Final = 8  # of noise, for the noise figure
+_SEED: Final = 3
+_LEAST: Final = 1e-7  # α searched, of the one that leaves nothing but a flat image
+_STEP: Final = 8.0  # from which it is searched downwards in such steps
+_CLEAR: Final = 4.0  # sampling errors by which a flat image must fail, or the readings are all noise
+_EXACT: Final = 0.01  # α is found to a hundredth: the residual it is held against is no better known
+
+
+def choose_alpha(problem: ImagingProblem, *, given: float | None, noise_dB: float) -> ParameterChoice:
+    """Choose α for a problem.
+
+    Parameters
+    ----------
+    given : α itself; None for the discrepancy principle, on measured changes where the problem has them, else on
+        simulated ones of the sensor type's nominal problem.
+    noise_dB : how far below the mean reading the noise of simulated changes is.
+
+    Raises
+    ------
+    NumericsError
+        If α is not a positive finite number, or no α leaves a residual of the noise's size.
+    """
+    if given is not None:
+        check_alpha(given)
+    if problem.sample is not None:
+        return _chosen(problem, given, noise_dB)
+    return _of_type(problem.sensor_type, given, noise_dB)
+
+
+@lru_cache(maxsize=16)
+def _of_type(sensor_type: SensorType, given: float | None, noise_dB: float) -> ParameterChoice:
+    return _chosen(imaging_problem(sensor_type), given, noise_dB)
+
+
+def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> ParameterChoice:
+    size_mm = _COARSE * problem.sensor_type.radius_mm
+    coarse = imaging_problem(
+        problem.sensor_type, used=problem.used, noise_variance=problem.noise_variance, image_size_mm=size_mm
+    )
+    simulated = _simulated(coarse, noise_dB)
+    evidence = simulated if problem.sample is None else evidence_of(replace(coarse, sample=problem.sample))
+    value = _by_discrepancy(coarse, evidence) if given is None else given
+    figure, error = _noise_figure(coarse, value, simulated)
+    how = "hyperparameter given" if given is not None else f"residual as large as the noise on {evidence.words}"
+    how += (
+        f"; noise figure {figure:.2f} ± {error:.2f} by {_DRAWS} draws (seed {_SEED}) at {_CONTRAST:.0%} contrast,"
+        f" on elements of {size_mm:g} mm"
+    )
+    return ParameterChoice(value, how, figure, "α")
+
+
+def _simulated(problem: ImagingProblem, noise_dB: float) -> Evidence:
+    if not np.isfinite(noise_dB):
+        raise NumericsError(f"noise_dB is {noise_dB}; it must be a finite number")
+    deviation = 10 ** (-noise_dB / 20) * float(np.abs(problem.reference).mean())
+    relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
+    noise = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(relative))) * np.sqrt(relative)
+    words = (
+        f"{_FRAMES} simulated frames (seed {_SEED}) of a central target of {2 * target_radius_mm(problem):g} mm and"
+        f" {_CONTRAST:.0%} contrast, noise {noise_dB:g} dB below the mean reading"
+    )
+    return Evidence(central_signal(problem, _CONTRAST) + deviation * noise, deviation**2, words)
+
+
+def _by_discrepancy(problem: ImagingProblem, evidence: Evidence) -> float:
+    if evidence.variance is None:
+        raise NumericsError(
+            "the discrepancy principle needs the noise, and no readings are there twice to tell it",
+            remedy="give the hyperparameter itself",
+        )
+    white = WhiteReadings.of(problem)
+    search = _Search(
+        TotalVariation(problem.mesh, white.rows), white.white(evidence.changes[:_FRAMES]), evidence.variance
+    )
+    return float(f"{search.alpha():.6g}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """Residual against α, for white readings (n, g) of a variance."""
+
+    method: TotalVariation
+    readings: Array
+    variance: float
+
+    def alpha(self) -> float:
+        """Return α at which the mean squared residual is the variance."""
+        upper = max(self.method.flattening(one) for one in self.readings)
+        if self.excess(upper) < _CLEAR * np.sqrt(2 / self.readings.size):
+            raise NumericsError(
+                "the changes to choose α on are all noise: a flat image explains them",
+                remedy="give the hyperparameter itself, or choose it on a clearer change",
+            )
+        lower, least = upper / _STEP, _LEAST * upper
+        while self.excess(lower) > 0:
+            upper, lower = lower, lower / _STEP
+            if lower < least:
+                raise NumericsError(
+                    "no image explains the changes to choose α on as well as the noise would allow",
+                    remedy="give the hyperparameter itself, or check geometry and noise",
+                )
+        found = brentq(lambda log: self.excess(float(np.exp(log))), np.log(lower), np.log(upper), xtol=_EXACT)
+        return float(np.exp(found))
+
+    def excess(self, alpha: float) -> float:
+        """Logarithm of the mean squared residual over the variance."""
+        residuals = [self.method.image(one, alpha).residual for one in self.readings]
+        return float(np.log(sum(residuals) / self.readings.size / self.variance))
+
+
+def _noise_figure(problem: ImagingProblem, alpha: float, evidence: Evidence) -> tuple[float, float]:
+    """Noise figure (Adler et al. 2009 form) at the evidence's contrast and noise, and its standard error.
+
+    The image of the signal is the mean of the noisy ones, and the error is what leaving out one draw at a time says
+    (jackknife).
+    """
+    assert evidence.variance is not None
+    white = WhiteReadings.of(problem)
+    method = TotalVariation(problem.mesh, white.rows)
+    images = np.array([method.image(one, alpha).image for one in white.white(evidence.changes)])
+    images *= problem.mesh.areas_mm2
+    relative = np.ones(1) if problem.noise_variance is None else problem.noise_variance
+    snr = float(np.abs(central_signal(problem, _CONTRAST)).mean() / np.sqrt(evidence.variance * relative.mean()))
+    left_out = [snr / _image_snr(np.delete(images, one, axis=0)) for one in range(len(images))]
+    spread = np.sqrt((len(images) - 1) * np.var(left_out))
+    return snr / _image_snr(images), float(spread)
+
+
+def _image_snr(images: Array) -> float:
+    """Mean size of the mean image over the root of the mean variance."""
+    noise = np.sqrt(images.var(axis=0, ddof=1).mean())
+    return float(np.abs(images.mean(axis=0)).mean() / noise) if noise > 0 else np.inf

@@ -1,0 +1,192 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.reconstruction import ImagingProblem, ParameterChoice
+from cbsr_qa.reconstruct.evidence import central_signal
+from cbsr_qa.reconstruct.problem import imaging_problem
+from cbsr_qa.reconstruct.total_variation import TotalVariation as Minimise
+from cbsr_qa.reconstruct.total_variation import jump_matrix
+from cbsr_qa.reconstruct.total_variation_choice import choose_alpha
+from cbsr_qa.reconstruct.total_variation_images import TotalVariationImages, WhiteReadings
+from cbsr_qa_plugins.reconstruction.gauss_newton_noser import GaussNewtonNoser
+from cbsr_qa_plugins.reconstruction.total_variation import TotalVariation
+
+_ALPHA = 2.6e-8
+
+
+@pytest.fixture(scope="module")
+def problem(pin_sensor) -> ImagingProblem:
+    return imaging_problem(pin_sensor(), image_size_mm=6.0)
+
+
+@pytest.fixture(scope="module")
+def noisy(problem) -> np.ndarray:
+    noise = 1e-3 * np.abs(problem.reference).mean() * np.random.default_rng(2).standard_normal(208)
+    return central_signal(problem, 0.2) + noise
+
+
+def strip(count: int, edge_mm: float) -> Mesh:
+    """Triangles in a row, each joined to the next by an edge of this length."""
+    height = np.sqrt(edge_mm**2 - 0.25)
+    nodes = np.column_stack([np.arange(count + 2) / 2, height * (np.arange(count + 2) % 2)])
+    corners = np.arange(count)[:, None] + np.arange(3)
+    corners[::2] = corners[::2, ::-1]
+    return Mesh(nodes, corners)
+
+
+def objective(mesh: Mesh, rows: np.ndarray, readings: np.ndarray, alpha: float, image: np.ndarray) -> float:
+    return 0.5 * float(((rows @ image - readings) ** 2).sum()) + alpha * float(
+        np.abs(jump_matrix(mesh) @ image).sum()
+    )
+
+
+def test_jumps_are_weighed_by_the_length_of_the_edge():
+    mesh = strip(6, 2.5)
+    jumps = jump_matrix(mesh)
+    assert jumps.shape == (5, 6)
+    assert np.abs(jumps @ np.array([0.0, 0, 3, 3, 1, 1])) == pytest.approx([0, 7.5, 0, 5, 0])
+
+
+def test_a_step_is_denoised_as_it_can_be_by_hand():
+    """With A = I each plateau of a chain moves by α l over its length (taut string)."""
+    mesh, alpha, edge = strip(12, 1.7), 0.2, 1.7
+    step = np.where(np.arange(12) < 5, 1.0, 4.0)
+    found = Minimise(mesh, np.eye(12), tolerance=1e-12).image(step, alpha)
+    expected = step + np.where(np.arange(12) < 5, alpha * edge / 5, -alpha * edge / 7)
+    assert np.abs(found.image - expected).max() < 1e-5
+    assert found.residual == pytest.approx((alpha * edge) ** 2 * (1 / 5 + 1 / 7), rel=1e-5)
+
+
+def test_a_bump_too_weak_for_its_edges_is_levelled():
+    """Its two edges cost 2 α l; a bump of height h on one element is gone where h ≤ 2 α l (1 + 1/rest) or so."""
+    mesh, edge = strip(9, 2.0), 2.0
+    bump = np.where(np.arange(9) == 4, 1.0, 0.0)
+    gone, left = (Minimise(mesh, np.eye(9), tolerance=1e-12).image(bump, alpha).image for alpha in (0.26, 0.1))
+    assert np.abs(gone - 1 / 9).max() < 1e-5
+    assert left[4] == pytest.approx(1 - 2 * 0.1 * edge, abs=1e-6)
+
+
+def test_nothing_near_the_minimiser_is_better(problem, noisy):
+    white = WhiteReadings.of(problem)
+    readings = white.white(noisy[None])[0]
+    found = Minimise(problem.mesh, white.rows, tolerance=1e-8).image(readings, _ALPHA)
+    best = objective(problem.mesh, white.rows, readings, _ALPHA, found.image)
+    random = np.random.default_rng(4)
+    for size in np.geomspace(1e-6, 1e-1, 12):
+        blocks = np.hypot(*(problem.mesh.centroids_mm - random.uniform(-40, 40, 2)).T) < random.uniform(4, 30)
+        for direction in (random.standard_normal(len(found.image)), blocks - 0.0, found.image, np.ones(len(blocks))):
+            for sign in (1, -1):
+                moved = found.image + sign * size * direction
+                assert objective(problem.mesh, white.rows, readings, _ALPHA, moved) >= best * (1 - 1e-8)
+
+
+def test_a_smooth_image_with_the_same_residual_has_more_total_variation(problem, noisy):
+    white = WhiteReadings.of(problem)
+    found = TotalVariation(hyperparameter=_ALPHA).prepare(problem).minimisers(noisy[None])[0]
+    jumps = jump_matrix(problem.mesh)
+    for value in (0.002, 0.01, 0.03):
+        smooth = GaussNewtonNoser(hyperparameter=value).prepare(problem).images(noisy[None])[0]
+        if ((white.rows @ smooth - white.white(noisy[None])[0]) ** 2).sum() <= found.residual:
+            assert np.abs(jumps @ smooth).sum() > 1.2 * np.abs(jumps @ found.image).sum()
+            break
+    else:
+        pytest.fail("no smooth image explains the readings as well")
+
+
+@given(factor=st.floats(1e-3, 1e3), sign=st.sampled_from([-1, 1]))
+@settings(max_examples=6, deadline=None)
+def test_readings_and_parameter_scale_together(problem, noisy, factor, sign):
+    white = WhiteReadings.of(problem)
+    minimise = Minimise(problem.mesh, white.rows, tolerance=1e-8)
+    one = minimise.image(white.white(noisy[None])[0], _ALPHA).image
+    other = minimise.image(sign * factor * white.white(noisy[None])[0], factor * _ALPHA).image
+    assert np.abs(other - sign * factor * one).max() < 1e-6 * factor * np.abs(one).max()
+
+
+def test_from_some_parameter_on_the_image_is_flat(problem, noisy):
+    white = WhiteReadings.of(problem)
+    readings, minimise = white.white(noisy[None])[0], Minimise(problem.mesh, white.rows, tolerance=1e-9)
+    flat = minimise.flattening(readings)
+    ones = white.rows.sum(axis=1)
+    for factor in (1.0, 10.0, 1e9):
+        image = minimise.image(readings, factor * flat).image
+        assert np.allclose(image, ones @ readings / (ones @ ones), rtol=1e-12)
+    assert np.ptp(minimise.image(readings, 0.1 * flat).image) > 0
+
+
+def test_the_parameter_means_the_same_on_every_mesh(problem, noisy):
+    residuals = []
+    for size in (7.0, 5.0, 4.0):
+        finer = imaging_problem(problem.sensor_type, image_size_mm=size)
+        residuals.append(TotalVariation(hyperparameter=_ALPHA).prepare(finer).minimisers(noisy[None])[0].residual)
+    assert max(residuals) < 1.06 * min(residuals)
+
+
+def test_the_chosen_parameter_leaves_a_residual_of_the_noises_size(problem, noisy):
+    prepared = TotalVariation().prepare(problem)
+    variance = (1e-3 * np.abs(problem.reference).mean()) ** 2
+    residual = prepared.minimisers(noisy[None])[0].residual / 104  # of other noise than it was chosen on
+    assert residual == pytest.approx(variance, rel=0.35)
+    assert "60 dB below the mean reading" in prepared.choice.how
+    assert 0.1 < prepared.choice.noise_figure < 2
+    louder = TotalVariation(noise_dB=50.0).prepare(problem).choice.value
+    assert 20 * prepared.choice.value > louder > 3 * prepared.choice.value
+
+
+def test_measured_changes_choose_for_themselves(problem, noisy):
+    noise = 1e-3 * np.abs(problem.reference).mean() * np.random.default_rng(9).standard_normal((3, 208))
+    sample = central_signal(problem, 0.2) + noise
+    choice = choose_alpha(replace(problem, sample=sample), given=None, noise_dB=60.0)
+    assert "3 measured changes" in choice.how
+    assert choice.value == pytest.approx(_ALPHA, rel=0.5)
+    with pytest.raises(NumericsError, match="all noise"):
+        choose_alpha(replace(problem, sample=noise), given=None, noise_dB=60.0)
+
+
+def test_noisy_channels_weigh_less(problem, noisy):
+    variance = np.ones((16, 16))
+    variance[5], variance[:, 5] = 1e8, 1e8
+    weighed = imaging_problem(problem.sensor_type, noise_variance=variance, image_size_mm=6.0)
+    of_five = (np.argwhere(problem.used) == 5).any(axis=1)
+    prepared = TotalVariationImages.of(
+        "weighed", weighed, ParameterChoice(_ALPHA, "given", 1.0), tolerance=1e-5, most_steps=60
+    )
+    disturbed = np.where(of_five, 1.5 * noisy, noisy)
+    quiet, loud = prepared.images(np.stack([noisy, disturbed]))
+    assert np.abs(loud - quiet).max() < 0.02 * np.abs(quiet).max()
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"hyperparameter": 0.0}, "above zero"),
+        ({"hyperparameter": -1.0}, "above zero"),
+        ({"hyperparameter": float("nan")}, "above zero"),
+        ({"tolerance": 0.0}, "tolerance is 0.0"),
+        ({"iterations": 0}, "at least 1"),
+        ({"noise_dB": float("inf")}, "noise_dB is inf"),
+        ({"noise_dB": -60.0}, "all noise"),
+    ],
+)
+def test_impossible_options_are_refused(problem, options, reason):
+    with pytest.raises(NumericsError, match=reason):
+        TotalVariation(**options).prepare(problem)
+
+
+@pytest.mark.parametrize("options", [{"hyperparameter": _ALPHA, "iterations": 3}, {"hyperparameter": 1e-18}])
+def test_an_image_that_did_not_converge_is_refused(problem, noisy, options):
+    prepared = TotalVariation(hyperparameter=_ALPHA).prepare(problem)  # with an α that does
+    hard = replace(
+        prepared,
+        choice=replace(prepared.choice, value=options["hyperparameter"]),
+        minimise=Minimise(problem.mesh, prepared.readings.rows, most_steps=options.get("iterations", 60)),
+    )
+    with pytest.raises(NumericsError, match=r"did not converge: after \d+ of \d+ steps") as refused:
+        hard.images(noisy[None])
+    assert "raise the hyperparameter" in refused.value.remedy
