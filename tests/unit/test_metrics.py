@@ -240,7 +240,18 @@ def test_reciprocity_of_a_pattern_without_reciprocal_pairs_is_refused():
     record = replace(run.record, sensor_type=replace(run.record.sensor_type, pattern=pattern))
     (found,) = ReciprocityError().measure_run(replace(run, record=record))
     assert found.value is None
-    assert "differ" in found.how
+    assert "no imaged reading has a reciprocal one" in found.how
+
+
+def test_reciprocity_of_pairs_that_are_driven_one_way_and_measured_the_other():
+    run = sample_run()
+    pattern = DrivePattern(6, ((0, 1), (4, 3)), ((1, 0), (3, 4), (2, 5)))
+    record = replace(run.record, sensor_type=replace(run.record.sensor_type, pattern=pattern))
+    reference = np.array([[5.0, 1.0, 0.3], [1.1, 5.0, 0.2]])
+    usable = pattern.usable()
+    (found,) = ReciprocityError().measure_run(replace(run, record=record, reference=reference, usable=usable))
+    assert found.value == pytest.approx(0.1 / np.sqrt((1.0**2 + 1.1**2) / 2))
+    assert "over 1 pairs" in found.how
 
 
 def test_contact_resistance_of_each_pair_and_together():

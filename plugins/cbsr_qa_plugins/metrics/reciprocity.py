@@ -12,6 +12,9 @@ from cbsr_qa_plugins.metrics._shared import refuse_unknown
 class ReciprocityError:
     """``reciprocity_error`` [1] of the reference frame: rms |V_ij − V_ji| over rms |V| of the imaged readings.
 
+    Of patterns that drive other pairs than they measure the readings that are still reciprocal to each other are
+    taken, see :meth:`cbsr_qa.domain.patterns.DrivePattern.reciprocal_pairs`.
+
     Multiplexers that keep a share of the previous reading break reciprocity too: a large value is a reason to look,
     not yet an electrode fault. It has no options.
     """
@@ -22,16 +25,15 @@ class ReciprocityError:
         refuse_unknown("reciprocity", options)
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
-        """Measure; patterns whose drive and measure pairs differ have no reciprocal readings."""
-        pattern = run.record.sensor_type.pattern
-        if pattern.drive != pattern.measure:
-            return (_refused("drive and measure pairs differ, so no reading has a reciprocal one"),)
-        both = run.usable & run.usable.T & ~np.eye(len(pattern.drive), dtype=np.bool_)
-        level = float(np.sqrt(np.mean(run.reference[both] ** 2))) if both.any() else 0.0
+        """Measure; patterns without reciprocal readings have no value."""
+        pairs, sign = run.record.sensor_type.pattern.reciprocal_pairs()
+        both = run.usable.ravel()[pairs].all(axis=1)
+        first, second = run.reference.ravel()[pairs[both]].T
+        level = float(np.sqrt(np.mean(np.concatenate([first, second]) ** 2))) if both.any() else 0.0
         if level == 0:
             return (_refused("no imaged reading has a reciprocal one, or all are zero"),)
-        error = float(np.sqrt(np.mean((run.reference - run.reference.T)[both] ** 2))) / level
-        how = f"rms over {int(both.sum()) // 2} pairs of readings of the reference frame"
+        error = float(np.sqrt(np.mean((first - sign[both] * second) ** 2))) / level
+        how = f"rms over {int(both.sum())} pairs of readings of the reference frame"
         return (Measurement("reciprocity_error", error, "1", how=how),)
 
 
