@@ -1,7 +1,7 @@
 """The edge of a sheet as nodes: spaced by a size field, with every corner and every strip's end on one."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -10,7 +10,17 @@ from scipy.spatial import cKDTree
 
 from cbsr_qa.domain.curve import ClosedCurve
 from cbsr_qa.domain.mesh import CircleArcs
-from cbsr_qa.forward.grading import EDGES_PER_ARC, FINEST, Lengths, Points, growth, spread
+from cbsr_qa.forward.grading import (
+    FINEST,
+    Grade,
+    Lengths,
+    Points,
+    Size,
+    finest_at_corner,
+    plain_lengths,
+    smooth_lengths,
+    spread,
+)
 
 Indices = NDArray[np.int64]
 
@@ -22,49 +32,49 @@ _SAMPLES: Final = 401
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """A disc at whose rim elements are finest, or a point where its radius is 0."""
+
+    centre: Points
+    radius: float
+    finest: float
+    grade: Grade
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class SizeField:
     """Wanted edge lengths: ``size``, and less near places where the field is singular or the sheet narrow.
 
     Parameters
     ----------
     size : far from everything.
-    radius : of the sheet, by which the refinement's reach is scaled.
-    centres, radii, finest : (s, 2), (s,), (s,) discs at whose rims elements are finest, radius 0 for points.
+    slope : growth of the edge length per distance from a narrow place.
+    sources : where the field is singular.
     narrow, across : (w, 2), (w,) places on the edge and the edge length there.
     """
 
     size: float
-    radius: float
-    centres: Points
-    radii: Lengths
-    finest: Lengths
+    slope: float
+    sources: tuple[Source, ...]
     narrow: Points
     across: Lengths
 
     def __call__(self, points: Points) -> Lengths:
         """Edge lengths at (n, 2) points, (n,)."""
-        slope = growth(self.size, self.radius)
         sizes = np.full(len(points), self.size)
-        for centre, radius, finest in zip(self.centres, self.radii, self.finest, strict=True):
-            away = np.hypot(points[:, 0] - centre[0], points[:, 1] - centre[1]) - radius
-            np.minimum(sizes, finest + slope * np.maximum(away, 0), out=sizes)
+        for source in self.sources:
+            away = np.hypot(points[:, 0] - source.centre[0], points[:, 1] - source.centre[1]) - source.radius
+            np.minimum(sizes, source.grade(source.finest, away), out=sizes)
         if len(self.narrow):
             count = min(4, len(self.narrow))
             away, which = cKDTree(self.narrow).query(points, k=range(1, count + 1))
-            np.minimum(sizes, (self.across[which] + slope * away).min(axis=1), out=sizes)
+            np.minimum(sizes, (self.across[which] + self.slope * away).min(axis=1), out=sizes)
         return sizes
 
     def with_narrow(self, places: Points, across: Lengths) -> "SizeField":
         """Return the field with further narrow places."""
-        return SizeField(
-            self.size,
-            self.radius,
-            self.centres,
-            self.radii,
-            self.finest,
-            np.vstack([self.narrow, places]),
-            np.concatenate([self.across, across]),
-        )
+        places, across = np.vstack([self.narrow, places]), np.concatenate([self.across, across])
+        return replace(self, narrow=places, across=across)
 
 
 def narrow_places(curve: ClosedCurve, size: float) -> tuple[Points, Lengths]:
@@ -91,16 +101,21 @@ def narrow_places(curve: ClosedCurve, size: float) -> tuple[Points, Lengths]:
     return points[narrow], across[narrow]
 
 
-def singular_corners(curve: ClosedCurve, size: float) -> tuple[Points, Lengths]:
-    """Re-entrant corners and the edge length there.
+def singular_corners(curve: ClosedCurve, size: float, radius: float, order: int) -> Iterator[Source]:
+    """Yield the re-entrant corners.
 
     At a corner of inner angle ω the field is singular as r^(π/ω), at an electrode's end as r^(1/2). Elements are as
     much finer as the singularity is stronger.
     """
     inner = np.pi - curve.turns
-    corner = np.flatnonzero(inner > np.pi + 1e-6)
-    strength = 2 * (1 - np.pi / inner[corner])
-    return curve.start[corner], size * FINEST**strength
+    for corner in np.flatnonzero(inner > np.pi + 1e-6):
+        exponent = float(np.pi / inner[corner])
+        if order == 1:
+            grade, finest = plain_lengths(size, radius), size * FINEST ** (2 * (1 - exponent))
+        else:
+            power = 1 - exponent / 3
+            grade, finest = smooth_lengths(size, radius, power), finest_at_corner(size, radius, power)
+        yield Source(curve.start[corner], 0.0, finest, grade)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -119,13 +134,14 @@ class Edge:
     arcs: tuple[CircleArcs, ...]
 
 
-def edge_nodes(curve: ClosedCurve, sizes: Callable[[Points], Lengths], strips: Lengths, width: float) -> Edge:
+def edge_nodes(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float, fewest: int) -> Edge:
     """Spread nodes along an edge.
 
     Parameters
     ----------
     strips : (l,) lengths along the edge at which the strips' centres lie.
     width : of each strip.
+    fewest : edges that each strip has at least.
     """
     breaks = _breaks(curve, strips, width)
     points: list[Points] = []
@@ -137,7 +153,7 @@ def edge_nodes(curve: ClosedCurve, sizes: Callable[[Points], Lengths], strips: L
         owner = _owner(curve, middle, strips, width)
         least = max(1, int(np.ceil((end - begin) * abs(curve.curvature[piece]) / _TURN_PER_EDGE - 1e-9)))
         if owner >= 0:
-            least = max(least, int(np.ceil(EDGES_PER_ARC * (end - begin) / width - 1e-9)))
+            least = max(least, int(np.ceil(fewest * (end - begin) / width - 1e-9)))
         places = np.linspace(begin, end, _SAMPLES)
         chosen = spread(1 / sizes(curve.at(places)), places, at_least=least)[:-1]
         points.append(curve.at(chosen))

@@ -9,10 +9,13 @@ from numpy.typing import NDArray
 Points = NDArray[np.float64]
 Lengths = NDArray[np.float64]
 Size = Callable[[Points], Lengths]
+#: (least edge length, distances from where it is) → edge lengths
+Grade = Callable[[float, Lengths], Lengths]
 
 FINEST: Final = 1 / 16  # edge length at a pin's rim or an arc's end, relative to the sheet's
 EDGES_PER_PIN: Final = 12  # at least so many edges round a pin
 EDGES_PER_ARC: Final = 10  # and along an arc
+FEWEST_SMOOTHLY: Final = 4  # edges along an arc, for elements of second order
 SMOOTHING: Final = 10  # passes
 _STEEPEST = 0.45  # growth of the edge length per distance from an electrode; more makes thin triangles
 # For the second order: with a size of 0.12 radii all readings of a disc with 16 arcs err by 1e-4, in 7000 unknowns.
@@ -30,12 +33,14 @@ def growth(size: float, radius: float) -> float:
 
 def graded(size: float, finest: float, radius: float, distance: Callable[[Points], Lengths]) -> Size:
     """Edge lengths that grow from ``finest`` to ``size`` with a distance."""
+    lengths = plain_lengths(size, radius)
+    return lambda points: lengths(finest, distance(points))
+
+
+def plain_lengths(size: float, radius: float) -> Grade:
+    """Edge lengths by their least and the distance from there."""
     slope = growth(size, radius)
-
-    def sizes(points: Points) -> Lengths:
-        return np.minimum(size, finest + slope * np.maximum(distance(points), 0))
-
-    return sizes
+    return lambda finest, away: np.minimum(size, finest + slope * np.maximum(away, 0))
 
 
 def graded_smoothly(size: float, finest: float, radius: float, distance: Callable[[Points], Lengths]) -> Size:
@@ -45,15 +50,33 @@ def graded_smoothly(size: float, finest: float, radius: float, distance: Callabl
     them: both together are least for h ∝ r^(2/3). The power was then measured on discs with arcs. Readings converge
     with the fourth order of ``size``, whatever the contact impedance.
     """
+    lengths = smooth_lengths(size, radius)
+    return lambda points: lengths(finest, distance(points))
+
+
+def smooth_lengths(size: float, radius: float, power: float = _SMOOTH_POWER) -> Grade:
+    """Edge lengths for elements of second order by their least and the distance from there.
+
+    Parameters
+    ----------
+    power : of the distance; 1 − λ/3 at a corner where the field goes as r^λ.
+    """
     scale = size / (_SMOOTH_SIZE * radius)
     slope = _SMOOTH_STEEPEST * min(1.0, scale)
 
-    def sizes(points: Points) -> Lengths:
-        away = np.maximum(distance(points), 0)
-        far = np.minimum(size, _SMOOTH_FACTOR * scale * radius * (away / radius) ** _SMOOTH_POWER)
+    def lengths(finest: float, distance: Lengths) -> Lengths:
+        away = np.maximum(distance, 0)
+        far = np.minimum(size, _SMOOTH_FACTOR * scale * radius * (away / radius) ** power)
         return np.maximum(finest, np.minimum(far, finest + slope * away))
 
-    return sizes
+    return lengths
+
+
+def finest_at_corner(size: float, radius: float, power: float) -> float:
+    """Edge length at a re-entrant corner, for elements of second order: where its power of r meets the slope."""
+    scale = size / (_SMOOTH_SIZE * radius)
+    slope = _SMOOTH_STEEPEST * min(1.0, scale)
+    return float(slope * radius * min(1.0, _SMOOTH_FACTOR * scale / slope) ** (1 / (1 - power)))
 
 
 def finest_smoothly(size: float, radius: float, length: float) -> float:

@@ -13,6 +13,7 @@ from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.forward.grading import (
     EDGES_PER_ARC,
     EDGES_PER_PIN,
+    FEWEST_SMOOTHLY,
     FINEST,
     SMOOTHING,
     Size,
@@ -29,7 +30,6 @@ from cbsr_qa.forward.triangulate import Outline, fill
 Points = NDArray[np.float64]
 
 _COARSEST = 0.25  # largest edge length, of the radius
-_FEWEST_SMOOTHLY = 4  # edges along an arc, for elements of second order
 
 
 def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Mesh:
@@ -43,7 +43,7 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Me
     ----------
     size_mm : edge length far from the electrodes [mm], at most a quarter of the radius.
     order : of the elements that the mesh is to carry. Those of second order want larger steps away from electrodes,
-        and smaller ones at the ends of arcs; sheets that are no disc with a ring of electrodes are graded alike.
+        and smaller ones at the ends of arcs.
 
     Raises
     ------
@@ -53,7 +53,7 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Me
     _check_size(sensor_type, size_mm)
     layout = sensor_type.electrodes
     if sensor_type.polygon is not None or not isinstance(layout, ElectrodeLayout):
-        return outline_sheet_mesh(sensor_type, size_mm)
+        return outline_sheet_mesh(sensor_type, size_mm, order)
     _check_layout(sensor_type.name, layout, sensor_type.radius_mm)
     ring = _pins if layout.kind is ElectrodeKind.PIN else _arcs
     boundary = ring(layout, sensor_type.radius_mm, size_mm, order)
@@ -131,7 +131,7 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
     ends = layout.angles_rad()[:, None] + np.array([-half, half])
     tree = cKDTree(radius * _unit(ends.ravel()))
     fewest, finest_at, grade = (
-        (EDGES_PER_ARC, finest_of_arc, graded) if order == 1 else (_FEWEST_SMOOTHLY, finest_smoothly, graded_smoothly)
+        (EDGES_PER_ARC, finest_of_arc, graded) if order == 1 else (FEWEST_SMOOTHLY, finest_smoothly, graded_smoothly)
     )
     finest = finest_at(size, radius, layout.width_mm)
     sizes = grade(size, finest, radius, lambda points: np.asarray(tree.query(points)[0], dtype=np.float64))

@@ -4,7 +4,7 @@ The outline is first laid in a frame of its own, its first corner in the origin 
 far finer than any drawing: a sheet that is turned or moved has the same mesh, turned or moved.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
@@ -18,8 +18,22 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.mesh import CircleArcs, Mesh
 from cbsr_qa.domain.outlines import Disc, SheetOutline, simplified
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.forward.boundary import Edge, Indices, SizeField, edge_nodes, narrow_places, singular_corners
-from cbsr_qa.forward.grading import EDGES_PER_PIN, FINEST, SMOOTHING, Lengths, Points, finest_of_arc
+from cbsr_qa.forward.boundary import Edge, Indices, SizeField, Source, edge_nodes, narrow_places, singular_corners
+from cbsr_qa.forward.grading import (
+    EDGES_PER_ARC,
+    EDGES_PER_PIN,
+    FEWEST_SMOOTHLY,
+    FINEST,
+    SMOOTHING,
+    Lengths,
+    Points,
+    edges_round_pin_smoothly,
+    finest_of_arc,
+    finest_smoothly,
+    growth,
+    plain_lengths,
+    smooth_lengths,
+)
 from cbsr_qa.forward.triangulate import Outline, fill
 
 _ROUNDS: Final = 12  # of dividing edges that the triangles would cut
@@ -28,7 +42,7 @@ _EDGES_ROUND_CLOSE_PIN: Final = 200  # at most: a pin as close to something as t
 _OUT_OF_LINE: Final = 0.03
 
 
-def outline_sheet_mesh(sensor_type: SensorType, size_mm: float) -> Mesh:
+def outline_sheet_mesh(sensor_type: SensorType, size_mm: float, order: int) -> Mesh:
     """Mesh any sheet for its forward model; see :func:`cbsr_qa.forward.meshing.sheet_mesh`.
 
     Raises
@@ -36,30 +50,24 @@ def outline_sheet_mesh(sensor_type: SensorType, size_mm: float) -> Mesh:
     RefusedError
         If an electrode does not fit the sheet, or the outline cannot be followed with elements of this size.
     """
-    electrodes, radius = sensor_type.electrodes, sensor_type.radius_mm
+    electrodes = sensor_type.electrodes
     for number, what in placement_problems(electrodes, sensor_type.outline):
         which = "its ring of electrodes" if number is None else f"electrode {number}"
         raise RefusedError(f"sensor type {sensor_type.name!r}: {which} {what}")
     frame = _Frame.of(sensor_type.outline)
-    curve, places, width = frame.curve, frame.into(electrodes.positions_mm()), electrodes.width_mm
-    corners, at_corners = singular_corners(curve, size_mm)
+    curve, radius = frame.curve, frame.radius
+    places, width = frame.into(electrodes.positions_mm()), electrodes.width_mm
     if electrodes.kind is ElectrodeKind.PIN:
-        pins = _Pins.of(curve, places, width / 2, size_mm)
-        sources, strips = (places, np.full(len(places), width / 2), pins.finest), np.zeros(0)
+        contacts = _Contacts(_Pins.of(curve, places, width / 2, size_mm, order), np.zeros(0), 0.0, 1)
     else:
-        pins, strips = _Pins.of(curve, places[:0], 0.0, size_mm), curve.nearest(places)[0]
-        ends = curve.at(np.concatenate([strips - width / 2, strips + width / 2]))
-        finest = finest_of_arc(size_mm, radius, width)
-        sources = ends, np.zeros(len(ends)), np.full(len(ends), finest)
-    sizes = SizeField(
-        size_mm,
-        radius,
-        np.vstack([sources[0], corners]),
-        np.concatenate([sources[1], np.zeros(len(corners))]),
-        np.concatenate([sources[2], at_corners]),
-        *narrow_places(curve, size_mm),
+        fewest = EDGES_PER_ARC if order == 1 else FEWEST_SMOOTHLY
+        contacts = _Contacts(_Pins.none(), curve.nearest(places)[0], width, fewest)
+    sources = (
+        *contacts.sources(curve, size_mm, radius, order),
+        *singular_corners(curve, size_mm, radius, order),
     )
-    return frame.out(_filled(curve, sizes, pins, np.zeros((0, 2)), strips, width))
+    sizes = SizeField(size_mm, growth(size_mm, radius), sources, *narrow_places(curve, size_mm))
+    return frame.out(_filled(curve, sizes, contacts, np.zeros((0, 2))))
 
 
 def outline_image_mesh(outline: SheetOutline, size_mm: float) -> Mesh:
@@ -73,11 +81,10 @@ def outline_image_mesh(outline: SheetOutline, size_mm: float) -> Mesh:
     plain = simplified(outline, _OUT_OF_LINE * size_mm)
     frame = _Frame.of(plain)
     curve = frame.curve
-    nothing = np.zeros((0, 2)), np.zeros(0), np.zeros(0)
-    sizes = SizeField(size_mm, plain.radius_mm, *nothing, *narrow_places(curve, size_mm))
+    sizes = SizeField(size_mm, growth(size_mm, frame.radius), (), *narrow_places(curve, size_mm))
     start = _lattice(curve, size_mm)
     start = start[_signed_distance(curve, start) > 0.7 * size_mm]
-    mesh = _filled(curve, sizes, _Pins.of(curve, nothing[0], 0.0, size_mm), start, np.zeros(0), 0.0)
+    mesh = _filled(curve, sizes, _Contacts(_Pins.none(), np.zeros(0), 0.0, 1), start)
     return frame.out(replace(mesh, electrode_edges=(), arcs=()))
 
 
@@ -107,6 +114,11 @@ class _Frame:
         own = np.round((corners - corners[0]) @ turn / grid) * grid
         return cls(corners[0], turn, grid, polygon_curve(own, outline.corner_radius_mm))
 
+    @property
+    def radius(self) -> float:
+        """Of the disc of equal area, the same to the bit however the sheet lies."""
+        return float(np.sqrt(self.curve.area / np.pi))
+
     def into(self, points: Points) -> Points:
         own: Points = np.round((points - self.origin) @ self.turn / self.grid) * self.grid
         return own
@@ -128,17 +140,23 @@ class _Pins:
     finest: Lengths
 
     @classmethod
-    def of(cls, curve: ClosedCurve, centres: Points, radius: float, size: float) -> Self:
-        """Edges so short that a dozen go round a pin, and that they fit between it and what is next to it."""
-        if not len(centres):
-            return cls(centres, radius, np.zeros(0))
+    def none(cls) -> Self:
+        return cls(np.zeros((0, 2)), 0.0, np.zeros(0))
+
+    @classmethod
+    def of(cls, curve: ClosedCurve, centres: Points, radius: float, size: float, order: int) -> Self:
+        """Edges so short that enough go round a pin, and that they fit between it and what is next to it."""
         room = curve.nearest(centres)[1] - radius
         if len(centres) > 1:
             next_pin = np.asarray(cKDTree(centres).query(centres, k=[2])[0])[:, 0]
             room = np.minimum(room, next_pin - 2 * radius)
         round_ = 2 * np.pi * radius
         room = np.maximum(room, round_ / _EDGES_ROUND_CLOSE_PIN)
-        return cls(centres, radius, np.minimum(min(size * FINEST, round_ / EDGES_PER_PIN), room))
+        if order == 1:
+            finest = min(size * FINEST, round_ / EDGES_PER_PIN)
+        else:
+            finest = round_ / edges_round_pin_smoothly(size, float(np.sqrt(curve.area / np.pi)))
+        return cls(centres, radius, np.minimum(finest, room))
 
     def rims(self) -> list[Points]:
         """Nodes round each pin."""
@@ -156,9 +174,29 @@ class _Pins:
         return np.asarray(cKDTree(self.centres).query(points)[0], dtype=np.float64) - self.radius
 
 
-def _filled(curve: ClosedCurve, sizes: SizeField, pins: _Pins, start: Points, strips: Lengths, width: float) -> Mesh:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Contacts:
+    """Electrodes: pins, or strips by the lengths along the edge of their centres, their width and fewest edges."""
+
+    pins: _Pins
+    strips: Lengths
+    width: float
+    fewest: int
+
+    def sources(self, curve: ClosedCurve, size: float, radius: float, order: int) -> Iterator[Source]:
+        """Yield where they make the field singular: at pins, at the ends of strips."""
+        grade = plain_lengths(size, radius) if order == 1 else smooth_lengths(size, radius)
+        for centre, finest in zip(self.pins.centres, self.pins.finest, strict=True):
+            yield Source(centre, self.pins.radius, float(finest), grade)
+        finest_of = finest_of_arc if order == 1 else finest_smoothly
+        for end in curve.at(np.concatenate([self.strips - self.width / 2, self.strips + self.width / 2])):
+            yield Source(end, 0.0, finest_of(size, radius, self.width), grade)
+
+
+def _filled(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts, start: Points) -> Mesh:
+    pins = contacts.pins
     rims = pins.rims()
-    edge, sizes = _followed(curve, sizes, rims, strips, width)
+    edge, sizes = _followed(curve, sizes, rims, contacts)
     points = np.vstack([edge.points, *rims])
     hole = np.repeat(np.arange(-1, len(rims)), [len(edge.points), *map(len, rims)])
     near = _near_edge(curve, edge.points)
@@ -179,11 +217,11 @@ def _filled(curve: ClosedCurve, sizes: SizeField, pins: _Pins, start: Points, st
 
 
 def _followed(
-    curve: ClosedCurve, sizes: SizeField, rims: list[Points], strips: Lengths, width: float
+    curve: ClosedCurve, sizes: SizeField, rims: list[Points], contacts: _Contacts
 ) -> tuple[Edge, SizeField]:
     """Spread nodes along the edge, closer where triangles through them would cut it."""
     for _ in range(_ROUNDS):
-        edge = edge_nodes(curve, sizes, strips, width)
+        edge = edge_nodes(curve, sizes, contacts.strips, contacts.width, contacts.fewest)
         points = np.vstack([edge.points, *rims])
         count = len(edge.points)
         triangles = Delaunay(points).simplices
