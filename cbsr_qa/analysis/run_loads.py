@@ -10,6 +10,7 @@ from cbsr_qa.analysis.run_masks import mask_views
 from cbsr_qa.analysis.run_relaxation import relaxations_of
 from cbsr_qa.analysis.run_response import mean_under
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.footprints import Footprint
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.image import Image
 from cbsr_qa.domain.loads import Indenter, LoadRecord
@@ -107,6 +108,7 @@ def _observe(
 ) -> LoadObservation:
     force, stderr = _mean_force(phase.channel("force"), window.steady, record)
     mesh, pressed = setting.imager.mesh, setting.indenter.at(record.load.x_mm, record.load.y_mm)
+    others = held_beside(setting.indenter, phase, record, float(window.steady.time_s[-1]))
     return LoadObservation(
         phase=phase.name,
         record=record,
@@ -114,13 +116,23 @@ def _observe(
         image=Image(mesh, values),
         response=setting.response,
         noise_floor=setting.noise_floor,
-        masks=mask_views(mesh, setting.sign * values, setting.noise_floor, setting.settings, pressed),
+        masks=mask_views(mesh, setting.sign * values, setting.noise_floor, setting.settings, pressed, others),
         steady_frames=len(window.steady),
         settled=None,
         force_N=force,
         force_stderr_N=stderr,
         residue=residue,
+        together=1 + len(others),
     )
+
+
+def held_beside(indenter: Indenter, phase: PhaseRecord, record: LoadRecord, time_s: float) -> list[Footprint]:
+    """Where else the phase held loads at a time."""
+    return [
+        indenter.at(other.load.x_mm, other.load.y_mm)
+        for other in phase.loads
+        if other.index != record.index and other.hold_start_s <= time_s < other.release_start_s
+    ]
 
 
 def _mean_force(

@@ -61,12 +61,16 @@ class MaskView:
     sensed : the blob nearest to the indenter (where several loads are held at once, the one assigned to this load);
         None where there is none. Amplitudes are taken over its elements.
     contour : the same bounded by a contour, where ``settings.outline`` asks for it; None elsewhere.
+    fate : ``"apart"``, ``"merged"`` (its region is another load's too) or ``"missed"``.
+    regions : number of regions there are, of which every load has at most one.
     """
 
     fraction: float
     blobs: tuple[Blob, ...]
     sensed: Blob | None
     contour: Region | None = None
+    fate: str = "apart"
+    regions: int = 1
 
     @property
     def region(self) -> Region | None:
@@ -89,6 +93,7 @@ class LoadObservation:
     masks : one view per percentage mask, in the recipe's order.
     steady_frames : how many frames the steady image averages.
     settled : whether they lie at or beyond 1.5 × the settling time; None where no settling time is known.
+    together : how many loads were held while the steady frames were taken, this one included.
     force_N, force_stderr_N : mean over the same window; None where no force was recorded.
     relaxations : fits of this load's traces.
     residue : largest absolute value of the image just before the press: what earlier loads left behind, of
@@ -110,6 +115,7 @@ class LoadObservation:
     force_stderr_N: float | None
     relaxations: tuple[RelaxationObservation, ...] = ()
     residue: float = 0.0
+    together: int = 1
     alternate: Self | None = None
 
     @property

@@ -153,15 +153,24 @@ def _distance_to_sides(points: Points, side: NDArray[np.int64], corners: Points)
 
 
 def inside_polygon(points: Points, corners: Points) -> NDArray[np.bool_]:
-    """Whether points lie inside a polygon, by counting the sides to their right: (n, 2) → (n,).
+    """Whether points lie inside a polygon: (n, 2) → (n,).
 
     On the outline it is either, so that polygons side by side share out their points.
     """
-    following = np.roll(corners, -1, axis=0)
+    return inside_edges(points, corners, np.roll(corners, -1, axis=0))
+
+
+def inside_edges(points: Points, start: Points, end: Points) -> NDArray[np.bool_]:
+    """Whether closed outlines go around points, holes left out, by counting the edges to their right: (n, 2) → (n,).
+
+    Parameters
+    ----------
+    start, end : (k, 2) float64, edges that make up closed outlines, in any order.
+    """
     x, y = points[:, :1], points[:, 1:]
-    spans = (corners[:, 1] > y) != (following[:, 1] > y)
-    rise = following[:, 1] - corners[:, 1]
-    at = corners[:, 0] + (y - corners[:, 1]) / np.where(rise == 0, 1.0, rise) * (following[:, 0] - corners[:, 0])
+    spans = (start[:, 1] > y) != (end[:, 1] > y)
+    rise = end[:, 1] - start[:, 1]
+    at = start[:, 0] + (y - start[:, 1]) / np.where(rise == 0, 1.0, rise) * (end[:, 0] - start[:, 0])
     inside: NDArray[np.bool_] = (spans & (x < at)).sum(axis=1) % 2 == 1
     return inside
 

@@ -11,7 +11,7 @@ from cbsr_qa.domain.image import Blob, Image, Region
 from cbsr_qa.imaging.components import component_labels, groups
 from cbsr_qa.imaging.masks import percentage_mask
 
-_AnyRegion = TypeVar("_AnyRegion", bound=Region)
+AnyRegion = TypeVar("AnyRegion", bound=Region)
 
 
 def find_blobs(image: Image, keep: NDArray[np.bool_]) -> tuple[Blob, ...]:
@@ -56,7 +56,7 @@ def masked_blobs(image: Image, fractions: Sequence[float]) -> tuple[tuple[Blob, 
     return _components(image, np.array([percentage_mask(image.values, fraction) for fraction in fractions]))
 
 
-def nearest_blob(blobs: Sequence[_AnyRegion], x_mm: float, y_mm: float) -> _AnyRegion | None:
+def nearest_blob(blobs: Sequence[AnyRegion], x_mm: float, y_mm: float) -> AnyRegion | None:
     """Return the region whose centre of mass is nearest to a place; None where there is none.
 
     Of regions equally near, the first is taken: the heaviest comes first.

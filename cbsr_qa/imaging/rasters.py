@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.image import Image
+from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.imaging.masks import percentage_mask, threshold
 
 # scikit-image ships without types for these.
@@ -113,6 +115,31 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
     markers = np.zeros(keep.shape, dtype=np.int64)
     markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
     return _regions(raster, _segmentation.watershed(-smooth, markers, mask=keep), level)
+
+
+def pixel_image(raster: Raster, where: NDArray[np.bool_] | None = None) -> Image:
+    """Return a raster as an image on a mesh: two triangles a pixel, for figures that want areas.
+
+    Parameters
+    ----------
+    where : (rows, columns), the pixels of the sheet; all by default.
+
+    Raises
+    ------
+    NumericsError
+        If no pixel is left.
+    """
+    rows, columns = raster.values.shape
+    kept = np.ones(raster.values.shape, dtype=np.bool_) if where is None else where
+    if not kept.any():
+        raise NumericsError("no pixel of the raster lies on the sheet")
+    corners = np.stack(np.meshgrid(np.arange(rows + 1), np.arange(columns + 1), indexing="ij"), axis=-1) - 0.5
+    row, column = np.nonzero(kept)
+    lower = row * (columns + 1) + column
+    right, up, across = lower + 1, lower + columns + 1, lower + columns + 2
+    halves = np.stack([np.column_stack([lower, right, across]), np.column_stack([lower, across, up])], axis=1)
+    mesh = Mesh(raster.places_mm(corners.reshape(-1, 2)), halves.reshape(-1, 3))
+    return Image(mesh, np.repeat(raster.values[kept], 2))
 
 
 def outlines(raster: Raster, level: float) -> tuple[NDArray[np.float64], ...]:

@@ -97,7 +97,9 @@ def sample_load(
     image = Image(mesh, np.full(len(mesh.elements), sign * change))
     cleared = Image(mesh, np.full(len(mesh.elements), change - 0.005))
     blobs = () if blob_mm is None else (Blob(cleared, np.arange(len(mesh.elements))),)
-    masks = tuple(MaskView(fraction, blobs, blobs[0] if blobs else None) for fraction in SETTINGS.masks)
+    masks = tuple(
+        MaskView(fraction, blobs, blobs[0] if blobs else None, regions=len(blobs)) for fraction in SETTINGS.masks
+    )
     return LoadObservation(
         phase=phase,
         record=LoadRecord(index, Load(label, *place_mm, 0.2, trial), 100.0, 101.0, 161.0, 162.0, 222.0),

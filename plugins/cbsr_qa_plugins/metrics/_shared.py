@@ -8,8 +8,16 @@ from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.measurement import Bound, Measurement
 from cbsr_qa.domain.observation import LoadObservation, MaskView, RunObservation
 
-#: Why a spatial metric has no value.
-NOT_DETECTED: Final = "not detected: no positive element of the image stands above the noise floor"
+_NOT_DETECTED: Final = "not detected: no positive element of the image stands above the noise floor"
+_MERGED: Final = "not detected by itself: it shares the region of another load held at the same time"
+_UNASSIGNED: Final = "not detected: no region lies within a head's diameter of it that is not another load's"
+
+
+def why_not(view: MaskView) -> str:
+    """Say why a load has no region under a mask, and so no spatial metric a value."""
+    if not view.regions:
+        return _NOT_DETECTED
+    return _MERGED if view.fate == "merged" else _UNASSIGNED
 
 
 def refuse_unknown(metric: str, options: Mapping[str, Any], allowed: tuple[str, ...] = ()) -> None:

@@ -4,11 +4,11 @@ from typing import Any, ClassVar
 
 from cbsr_qa.domain.image import Blob, Region
 from cbsr_qa.domain.measurement import Measurement
-from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.observation import LoadObservation, MaskView, RunObservation
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.imaging.overlap_bands import overlap_grade
 from cbsr_qa.imaging.shape import area_overlap_percent
-from cbsr_qa_plugins.metrics._shared import NOT_DETECTED, at_load, masks_of, refuse_unknown
+from cbsr_qa_plugins.metrics._shared import at_load, masks_of, refuse_unknown, why_not
 
 
 class AreaOverlap:
@@ -27,18 +27,18 @@ class AreaOverlap:
         """Measure the sensed blob under each mask; without a blob there is no value."""
         measured: list[Measurement] = []
         for view, qualifier in masks_of(load, run):
-            overlap, ratio, how = _measure(view.region, load, run.settings)
+            overlap, ratio, how = _measure(view, load, run.settings)
             measured.append(at_load(load, "area_overlap", overlap, "%", qualifier=qualifier, how=how))
             measured.append(at_load(load, "area_ratio", ratio, "1", qualifier=qualifier, how=how))
         return tuple(measured)
 
 
 def _measure(
-    region: Region | None, load: LoadObservation, settings: AnalysisSettings
+    view: MaskView, load: LoadObservation, settings: AnalysisSettings
 ) -> tuple[float | None, float | None, str]:
-    if region is None:
-        return None, None, NOT_DETECTED
-    place = load.record.load
+    if view.region is None:
+        return None, None, why_not(view)
+    place, region = load.record.load, view.region
     overlap = area_overlap_percent(region, load.indenter.at(place.x_mm, place.y_mm), settings.clipping)
     ratio = region.area_mm2 / load.indenter.area_mm2
     grade = overlap_grade(overlap, ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio)

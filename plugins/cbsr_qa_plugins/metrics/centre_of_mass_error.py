@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.imaging.shape import centre_of_mass_error_mm
-from cbsr_qa_plugins.metrics._shared import NOT_DETECTED, at_load, masks_of, refuse_unknown
+from cbsr_qa_plugins.metrics._shared import at_load, masks_of, refuse_unknown, why_not
 
 
 class CentreOfMassError:
@@ -30,7 +30,7 @@ class CentreOfMassError:
                 None if view.region is None else centre_of_mass_error_mm(view.region, pressed),
                 "mm",
                 qualifier=qualifier,
-                how=NOT_DETECTED if view.region is None else "area- and value-weighted centre of mass",
+                how=why_not(view) if view.region is None else "area- and value-weighted centre of mass",
             )
             for view, qualifier in masks_of(load, run)
         )

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.imaging.shape import shape_deviation_mm2
-from cbsr_qa_plugins.metrics._shared import NOT_DETECTED, at_load, masks_of, refuse_unknown
+from cbsr_qa_plugins.metrics._shared import at_load, masks_of, refuse_unknown, why_not
 
 
 class ShapeDeviation:
@@ -27,7 +27,7 @@ class ShapeDeviation:
         pressed = load.indenter.at(place.x_mm, place.y_mm)
         measured: list[Measurement] = []
         for view, qualifier in masks_of(load, run):
-            value, how = None, NOT_DETECTED
+            value, how = None, why_not(view)
             if view.region is not None:
                 value = shape_deviation_mm2(view.region, pressed, mode)
                 how = f"mean over the outline's {mode}"
