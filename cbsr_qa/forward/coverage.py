@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _WHOLE = 1 - 1e-12  # a share above this is all of the element
-_CUTS: Final = 4  # a cut element's side is divided by this, to find where in the element the covered part lies
+_LEVELS: Final = 5  # integration points, for where in a cut element the covered part lies
 _STEP = 1e-4  # of an element's size, for the derivative of the distance from an outline
 
 
@@ -81,7 +81,7 @@ class Cover:
             raise NumericsError(
                 f"a relative change of {relative} leaves no positive conductance", remedy="stay over −1"
             )
-        part = self._within(min(1.0, 1 + relative) / (2 * abs(relative)) if relative else np.inf)
+        part = self._within(min(1.0, 1 + relative) / (2 * max(abs(relative), 0.01)))
         along = 1 + part * relative
         across = 1 / (1 - part * relative / (1 + relative))
         lower = np.where(self.share[:, None] < _WHOLE, across - along, 0.0)[..., None, None]
@@ -123,16 +123,28 @@ def cover(elements: FiniteElements, footprint: Footprint) -> Cover:
 
 
 def _slopes(footprint: Footprint, corners: Array, share: Array) -> Array:
-    """Linear function whose moments over the element are those of its covered part, less the mean: (k, 3)."""
-    parts = _divided(_CUTS)
-    small = np.einsum("pcb,kbx->kpcx", parts, corners)
-    count = len(corners)
-    covered = overlap_mm2(footprint, small.reshape(-1, 3, 2)).reshape(count, len(parts))
-    whole = np.maximum(covered.sum(axis=1), np.finfo(float).tiny)
-    centre = (covered @ parts.mean(axis=1)) / whole[:, None]  # of the covered part, barycentric
+    """Linear function whose moments over the element are those of its covered part, less the mean: (k, 3).
+
+    The moment of a barycentric coordinate is the integral over s of the covered area where it is above s, and that is
+    a corner of the triangle.
+    """
+    levels, weights = np.polynomial.legendre.leggauss(_LEVELS)
+    parts = _corners((levels + 1) / 2)
+    small = np.einsum("ipcb,kbx->kipcx", parts, corners)
+    covered = overlap_mm2(footprint, small.reshape(-1, 3, 2)).reshape(-1, 3, _LEVELS)
+    moments = covered @ weights
+    whole = np.maximum(moments.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     # ∫ λ_i λ_j over the element is (1 + δ_ij)/12 of its area, so that moments turn into slopes twelvefold.
-    slopes: Array = 12 * share[:, None] * (centre - 1 / 3)
+    slopes: Array = 12 * share[:, None] * (moments / whole - 1 / 3)
     return slopes
+
+
+def _corners(levels: Array) -> Array:
+    """Parts of a triangle where a barycentric coordinate is above a level, by their corners: (3, n, 3, 3)."""
+    parts = np.zeros((3, len(levels), 3, 3))
+    for corner in range(3):
+        parts[corner] = np.eye(3)[corner] + (1 - levels)[:, None, None] * (np.eye(3) - np.eye(3)[corner])
+    return parts
 
 
 def _normals(footprint: Footprint, corners: Array, points: Array) -> Array:
@@ -153,12 +165,3 @@ def _signed_distance(footprint: Footprint, places: Array) -> Array:
     flat = places.reshape(-1, 2)
     sign = np.where(footprint.contains(flat), -1.0, 1.0)
     return (sign * footprint.distance_mm(flat)).reshape(places.shape[:-1])
-
-
-def _divided(cuts: int) -> Array:
-    """Barycentric corners of the like triangles a triangle divides into: (cuts², 3, 3), each counterclockwise."""
-    i, j = np.indices((cuts, cuts)).reshape(2, -1)
-    up = np.stack([np.stack([i + a, j + b], -1) for a, b in ((0, 0), (1, 0), (0, 1))], axis=1)[i + j < cuts]
-    down = np.stack([np.stack([i + a, j + b], -1) for a, b in ((1, 0), (1, 1), (0, 1))], axis=1)[i + j < cuts - 1]
-    both = np.concatenate([up, down])
-    return np.concatenate([both, cuts - both.sum(axis=-1, keepdims=True)], axis=-1) / cuts

@@ -14,6 +14,8 @@ the change, so each further change on the same elements costs dense solves of th
 Several patches feel each other. What one sends to another's rim is smooth there, and so is what the electrodes send:
 to rounding it lies in a space of some fifteen dimensions, fewer than the rim has nodes. Each patch's answer
 (I + ΔΛ W)⁻¹ ΔΛ is formed for these alone, and one system over all patches, as large as these are many, links them.
+
+Where so much changes that this would take longer than factorising the whole sheet again, that is what is done.
 """
 
 from collections import OrderedDict
@@ -25,13 +27,14 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.forward.inverse import InverseEntries
 from cbsr_qa.forward.model import ForwardModel, conducts
-from cbsr_qa.forward.patches import Patches
+from cbsr_qa.forward.patches import Patches, dense_work
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 #: Memory for what is kept of sets of elements; nine heads on a mesh of 2.5 mm take 2 MB.
 KEPT_BYTES: Final = 64 << 20
+_MOST_WORK: Final = 2e8  # cubes of the patches' nodes, about as long as factorising 8000 elements
 
 
 class LocalUpdate:
@@ -47,13 +50,13 @@ class LocalUpdate:
         self.model = model
         self._unchanged = model.voltages()
         self._inverse = InverseEntries(model)
-        self._kept: OrderedDict[bytes, Patches] = OrderedDict()
+        self._kept: OrderedDict[bytes, Patches | None] = OrderedDict()
         self._kept_bytes = kept_bytes
 
     @property
     def nbytes(self) -> int:
         """Memory of what is kept between calls."""
-        return self._inverse.nbytes + sum(patches.nbytes for patches in self._kept.values())
+        return self._inverse.nbytes + self._kept_now()
 
     def voltages(self, elements: Indices, conductance_change: Array) -> Array:
         """Readings after the conductance of some elements has changed.
@@ -78,6 +81,8 @@ class LocalUpdate:
         if not elements.size:
             return self._unchanged.copy()
         patches = self._patches(elements)
+        if patches is None:
+            return self.model.changed_on(elements, change).voltages()
         return self._unchanged - self.model.readings(patches.correction(change))
 
     def _checked(self, elements: Indices, change: Array) -> tuple[Indices, Array]:
@@ -100,12 +105,16 @@ class LocalUpdate:
             )
         return unique.astype(np.int64), total
 
-    def _patches(self, elements: Indices) -> Patches:
+    def _patches(self, elements: Indices) -> Patches | None:
+        """Patches of some elements, or None where factorising the whole sheet again is the shorter way."""
         key = elements.tobytes()
-        patches = self._kept.get(key)
-        if patches is None:
-            patches = self._kept[key] = Patches(self.model, elements, self._inverse)
-            while len(self._kept) > 1 and sum(kept.nbytes for kept in self._kept.values()) > self._kept_bytes:
+        if key not in self._kept:
+            short = dense_work(self.model, elements) < _MOST_WORK
+            self._kept[key] = Patches(self.model, elements, self._inverse) if short else None
+            while len(self._kept) > 1 and self._kept_now() > self._kept_bytes:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
-        return patches
+        return self._kept[key]
+
+    def _kept_now(self) -> int:
+        return sum(patches.nbytes for patches in self._kept.values() if patches is not None)

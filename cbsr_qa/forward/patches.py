@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import Final, TypeVar
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,13 +113,8 @@ class Patches:
     def nbytes(self) -> int:
         """Memory it takes."""
         parts = sum(stack.nbytes for stack in self._stacks) + sum(matrices.nbytes for matrices in self._matrices)
-        arrays = sum(members.nbytes for members in self._members)
-        return (
-            parts
-            + arrays
-            + _nbytes(self)
-            + sum(own.nbytes + met.nbytes for own, met in zip(self._own, self._met, strict=True))
-        )
+        arrays: list[NDArray[Any]] = [*self._members, *self._own, *self._met]
+        return _nbytes(self) + parts + sum(array.nbytes for array in arrays)
 
     def correction(self, change: Array) -> Array:
         """What the transfer impedance loses.
@@ -203,6 +198,12 @@ class ElementChanges:
             return np.asarray(change[:, None, None] * self._stiffness, dtype=np.float64)
         flat = change.reshape(len(change), 1, -1) @ self._directional
         return np.asarray(flat.reshape(self._stiffness.shape), dtype=np.float64)
+
+
+def dense_work(model: ForwardModel, elements: Indices) -> float:
+    """Sum of the cubed numbers of nodes of patches that elements (k,) form."""
+    cells = model.elements.cells[elements]
+    return float(sum(len(np.unique(cells[part])) ** 3 for part in _connected(cells)))
 
 
 def _nbytes(of: object) -> int:

@@ -4,16 +4,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.footprints import RoundFootprint
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
-from cbsr_qa.forward.coverage import disc_coverage
+from cbsr_qa.forward.coverage import cover, disc_coverage
 from cbsr_qa.forward.inverse import InverseEntries
 from cbsr_qa.forward.local import LocalUpdate
 from cbsr_qa.forward.model import ForwardModel
 
 
-@pytest.fixture(scope="module")
-def model(pin_sensor, model_of) -> ForwardModel:
-    return model_of(pin_sensor(), size_mm=4.0, conductance=2e-4, contact=500.0)
+@pytest.fixture(scope="module", params=[1, 2])
+def model(request, pin_sensor, model_of) -> ForwardModel:
+    plain = model_of(pin_sensor(), size_mm=4.0 * request.param, conductance=2e-4, contact=500.0)
+    if request.param == 1:
+        return plain
+    return ForwardModel(plain.mesh, plain.pattern, plain.conductance, plain.contact_impedance, order=2)
 
 
 @pytest.fixture(scope="module")
@@ -22,9 +26,7 @@ def update(model) -> LocalUpdate:
 
 
 def refactorised(model: ForwardModel, elements, change) -> np.ndarray:
-    conductance = model.conductance.copy()
-    np.add.at(conductance, elements, change)
-    return ForwardModel(model.mesh, model.pattern, conductance, model.contact_impedance).voltages()
+    return model.changed_on(elements, change).voltages()
 
 
 def worst(found: np.ndarray, exact: np.ndarray) -> float:
@@ -43,6 +45,35 @@ def test_equals_full_refactorisation(model, update, x, y, radius, log_factor):
     elements, fraction = disc_coverage(model.mesh, x, y, radius)
     change = model.conductance[elements] * fraction * np.expm1(log_factor)
     assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+@given(x=st.floats(-45, 45), y=st.floats(-45, 45), radius=st.floats(3, 15), log_factor=st.floats(-3, 3))
+@settings(max_examples=15, deadline=None)
+def test_a_load_that_cuts_elements_equals_full_refactorisation(model, update, x, y, radius, log_factor):
+    load = cover(model.elements, RoundFootprint(x, y, radius))
+    change = load.change(model.conductance, np.expm1(log_factor))
+    found = update.voltages(load.elements, change)
+    assert worst(found, refactorised(model, load.elements, change)) < 1e-10
+
+
+def test_loads_that_cut_the_same_elements_equal_full_refactorisation(model, update):
+    loads = [cover(model.elements, RoundFootprint(x, y, 6.5)) for x, y in ((0, 0), (11, 3), (-25, 10))]
+    elements = np.concatenate([load.elements for load in loads])
+    change = np.concatenate([load.change(model.conductance, 0.3) for load in loads])
+    found = update.voltages(elements, change)
+    assert worst(found, refactorised(model, elements, change)) < 1e-10
+    even = np.concatenate([0.3 * model.conductance[load.elements] * load.share for load in loads])
+    assert not np.allclose(found, update.voltages(elements, even), rtol=1e-5)
+
+
+def test_changes_of_a_sheet_that_differs_by_direction_equal_full_refactorisation(model):
+    points = model.elements.weights_mm2.shape[1]
+    matrices = model.conductance[:, None, None, None] * np.tile(np.diag([1.0, 0.5]), (points, 1, 1))
+    layered = model.changed(conductance=matrices)
+    elements, fraction = disc_coverage(model.mesh, 10.0, -8.0, 6.5)
+    change = 1e-4 * fraction
+    found = LocalUpdate(layered).voltages(elements, change)
+    assert worst(found, layered.changed_on(elements, change).voltages()) < 1e-10
 
 
 def test_nine_presses_at_once_equal_full_refactorisation(model, update):
@@ -134,8 +165,8 @@ def test_a_set_larger_than_the_bounds_is_served_all_the_same(model):
 def test_entries_of_the_inverse_are_those_of_whole_columns(model):
     inverse = InverseEntries(model)
     for seed in range(4):
-        nodes = np.random.default_rng(seed).choice(len(model.mesh.nodes_mm), 150, replace=False)
-        columns = model.solve(np.eye(len(model.mesh.nodes_mm))[:, nodes])
+        nodes = np.random.default_rng(seed).choice(model.elements.count, 150, replace=False)
+        columns = model.solve(np.eye(model.elements.count)[:, nodes])
         np.testing.assert_allclose(inverse.between(nodes), columns[nodes], rtol=0, atol=1e-12 * abs(columns).max())
 
 
@@ -163,8 +194,18 @@ def test_first_order_term_is_the_jacobian(model, update):
         ([-1], [1e-5], "not one of 0 to"),
         ([10**7], [1e-5], "not one of 0 to"),
         ([1, 2], [1e-5], "do not fit"),
+        ([5], np.zeros((1, 7, 2, 2)), "do not fit"),
+        ([], [1e-5], "do not fit"),
     ],
 )
 def test_impossible_changes_are_refused(update, elements, change, reason):
     with pytest.raises(NumericsError, match=reason):
-        update.voltages(np.array(elements), np.array(change))
+        update.voltages(np.array(elements, dtype=np.int64), np.array(change))
+
+
+def test_changes_that_conduct_backwards_in_one_direction_are_refused(model, update):
+    points = model.elements.weights_mm2.shape[1]
+    change = np.zeros((1, points, 2, 2))
+    change[0, -1, 1, 1] = -2.1e-4
+    with pytest.raises(NumericsError, match="in every direction"):
+        update.voltages(np.array([5]), change)
