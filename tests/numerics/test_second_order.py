@@ -79,7 +79,7 @@ def test_published_reference_numbers_to_one_in_ten_thousand(shared, arc_sensor):
     models: dict[float, ForwardModel] = {}
     for case in cases:
         half_width = case["hw"]
-        plain = models.setdefault(half_width, model_on(arc_sensor(half_width_rad=half_width), 0.12))
+        plain = models.setdefault(half_width, model_on(arc_sensor(half_width_rad=half_width), 0.11))
         model = plain.changed(contact_impedance=np.full(16, case["z"]))
         if case["s_i"] != 1:
             load = cover(model.elements, RoundFootprint(0.0, 0.0, case["a"]))
