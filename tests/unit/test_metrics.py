@@ -1,5 +1,6 @@
 """Every built-in metric: names, units, values that follow from the run made by hand, and refusals with a reason."""
 
+import re
 from dataclasses import replace
 from importlib import import_module
 
@@ -225,21 +226,53 @@ def test_frames_without_noise_have_no_ratio():
 
 
 def test_reciprocity():
-    (perfect,) = ReciprocityError().measure_run(sample_run())
+    perfect, _ = ReciprocityError().measure_run(sample_run())
     assert perfect.value == pytest.approx(0.0, abs=1e-15)
     run = sample_run()
     skewed = run.reference * np.where(np.triu(np.ones_like(run.reference)) > 0, 1.01, 1.0)
-    (found,) = ReciprocityError().measure_run(replace(run, reference=skewed))
+    found, worst = ReciprocityError().measure_run(replace(run, reference=skewed))
     assert (found.name, found.unit) == ("reciprocity_error", "1")
     assert found.value == pytest.approx(0.01, rel=0.05)
+    assert worst.qualifier == "worst"
+    assert worst.value > found.value
+
+
+def test_reciprocity_of_every_pair_names_the_readings():
+    run = sample_run()
+    skewed = run.reference.copy()
+    drive, measure = np.argwhere(run.usable)[4]
+    skewed[drive, measure] *= 1.1
+    together, worst, *every = ReciprocityError(every=True).measure_run(replace(run, reference=skewed))
+    assert len(every) == run.usable.sum() // 2
+    assert sorted((drive, measure)) == [int(word) for word in re.findall(r"\d+", worst.how)]
+    assert [m.qualifier for m in every if m.value > 1e-12] == [worst.how]
+    assert together.value == pytest.approx(np.sqrt(np.mean([m.value**2 for m in every])))
+
+
+def test_the_ratio_of_every_channel_is_its_own_measurement():
+    run = sample_run(noise=1e-3, frames=50)
+    median, worst, *every, drift = ChannelNoise(every=True).measure_run(run)
+    assert len(every) == run.usable.sum()
+    assert {m.unit for m in every} == {"dB"}
+    assert median.value == pytest.approx(np.median([m.value for m in every]))
+    assert worst.value == min(m.value for m in every)
+    drive, measure = np.argwhere(run.usable)[0]
+    assert every[0].qualifier == f"drive {drive}, measure {measure}"
+    assert drift.name == "drift"
+
+
+@pytest.mark.parametrize("metric", [ChannelNoise, ReciprocityError])
+def test_every_is_true_or_false(metric):
+    with pytest.raises(ConfigError, match="'every' is 'yes'"):
+        metric(every="yes")
 
 
 def test_reciprocity_of_a_pattern_without_reciprocal_pairs_is_refused():
     run = sample_run()
     pattern = DrivePattern(6, ((0, 1), (1, 2)), ((3, 4), (4, 5)))
     record = replace(run.record, sensor_type=replace(run.record.sensor_type, pattern=pattern))
-    (found,) = ReciprocityError().measure_run(replace(run, record=record))
-    assert found.value is None
+    found, worst = ReciprocityError().measure_run(replace(run, record=record))
+    assert found.value is worst.value is None
     assert "no imaged reading has a reciprocal one" in found.how
 
 
@@ -249,7 +282,7 @@ def test_reciprocity_of_pairs_that_are_driven_one_way_and_measured_the_other():
     record = replace(run.record, sensor_type=replace(run.record.sensor_type, pattern=pattern))
     reference = np.array([[5.0, 1.0, 0.3], [1.1, 5.0, 0.2]])
     usable = pattern.usable()
-    (found,) = ReciprocityError().measure_run(replace(run, record=record, reference=reference, usable=usable))
+    found, _ = ReciprocityError().measure_run(replace(run, record=record, reference=reference, usable=usable))
     assert found.value == pytest.approx(0.1 / np.sqrt((1.0**2 + 1.1**2) / 2))
     assert "over 1 pairs" in found.how
 

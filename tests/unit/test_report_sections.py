@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from report_samples import ended_early, sample_recording, sample_run
 
+from cbsr_qa.analysis.channel_quality import signal_to_noise_dB
 from cbsr_qa.domain.measurement import Bound, Limit, Measurement
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.relaxation import FitStatus
@@ -23,7 +24,7 @@ from cbsr_qa_plugins.sections.limits import Limits
 from cbsr_qa_plugins.sections.load_images import LoadImages
 from cbsr_qa_plugins.sections.mask_comparison import MaskComparison
 from cbsr_qa_plugins.sections.nine_locations import NineLocations
-from cbsr_qa_plugins.sections.noise_and_contacts import NoiseAndContacts, signal_to_noise_dB
+from cbsr_qa_plugins.sections.noise_and_contacts import NoiseAndContacts
 from cbsr_qa_plugins.sections.random_loads import RandomLoads
 from cbsr_qa_plugins.sections.relaxation import RelaxationFits
 from cbsr_qa_plugins.sections.time_and_accuracy import TimeAndAccuracy
@@ -233,19 +234,23 @@ def test_a_baseline_without_any_value_is_said_without_a_figure(result):
     assert {row[4] for row in texts(tables(section)[0])} == {"no blob"}
 
 
-def test_signal_to_noise_is_level_over_deviation(result):
-    run = result.observation
-    voltages = run.unloaded.voltages
-    ratio = signal_to_noise_dB(run)
-    assert ratio[3, 7] == pytest.approx(20 * np.log10(abs(voltages[:, 3, 7].mean()) / voltages[:, 3, 7].std(ddof=1)))
-    assert signal_to_noise_dB(replace(run, unloaded=run.unloaded.select(slice(0, 2)))) is None
+def test_signal_to_noise_is_level_over_deviation_from_a_line(result):
+    unloaded = result.observation.unloaded
+    one = unloaded.voltages[:, 3, 7]
+    left = one - np.polyval(np.polyfit(unloaded.time_s, one, 1), unloaded.time_s)
+    expected = 20 * np.log10(abs(one.mean()) / np.sqrt(left @ left / (len(one) - 2)))
+    assert signal_to_noise_dB(unloaded)[3, 7] == pytest.approx(expected)
+    drift = one[:1] * 1e-3 * (unloaded.time_s - unloaded.time_s.mean())
+    drifting = replace(unloaded, voltages=unloaded.voltages + drift[:, None, None])
+    assert signal_to_noise_dB(drifting)[3, 7] == pytest.approx(expected, abs=1e-6)
+    assert signal_to_noise_dB(unloaded.select(slice(0, 2))) is None
 
 
 def test_a_reading_that_never_changes_has_no_finite_ratio(result):
     run = result.observation
     frozen = run.unloaded.voltages.copy()
     frozen[:, 0, 5] = 1.0
-    ratio = signal_to_noise_dB(replace(run, unloaded=replace(run.unloaded, voltages=frozen)))
+    ratio = signal_to_noise_dB(replace(run.unloaded, voltages=frozen))
     assert np.isinf(ratio[0, 5])
 
 

@@ -38,6 +38,20 @@ def refuse_unknown(metric: str, options: Mapping[str, Any], allowed: tuple[str, 
         )
 
 
+def flag(metric: str, options: Mapping[str, Any], name: str) -> bool:
+    """Return an option that is true or false, false where it is not given.
+
+    Raises
+    ------
+    ConfigError
+        If it is something else.
+    """
+    value = options.get(name, False)
+    if not isinstance(value, bool):
+        raise ConfigError(f"metric {metric!r}: option {name!r} is {value!r}", remedy="it must be true or false")
+    return value
+
+
 def masks_of(load: LoadObservation, run: RunObservation) -> Iterator[tuple[MaskView, str]]:
     """Yield each mask of a load with its qualifier: empty for the main one, ``"mask 25 %"`` for another."""
     for view in load.masks:

@@ -1,65 +1,71 @@
 """Signal-to-noise ratio of the single readings, and the drift of all of them together."""
 
-from typing import Any, ClassVar, Final
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.channel_quality import FEWEST_FRAMES, signal_to_noise_dB
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import RunObservation
-from cbsr_qa_plugins.metrics._shared import refuse_unknown
-
-_FEWEST_FRAMES: Final = 3
+from cbsr_qa_plugins.metrics._shared import flag, refuse_unknown
 
 
 class ChannelNoise:
     """``channel_snr`` [dB], median and worst over the imaged readings, and ``drift`` [%/min] of the unloaded sheet.
 
     A reading's ratio is its mean's size over its rms deviation from a straight line in time, so that drift counts
-    once, as drift. Drift is the slope of the frames' common scale against the reference. It has no options.
+    once, as drift. Drift is the slope of the frames' common scale against the reference. With the option
+    ``every = true`` each imaged reading's ratio is a measurement of its own, ``"drive 3, measure 7"``.
     """
 
     measures: ClassVar[dict[str, str]] = {"channel_snr": "dB", "drift": "%/min"}
 
     def __init__(self, **options: Any) -> None:
-        refuse_unknown("channel-noise", options)
+        refuse_unknown("channel-noise", options, ("every",))
+        self._every = flag("channel-noise", options, "every")
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; fewer than three unloaded frames, or frames that are all alike, give no ratio."""
-        count = len(run.unloaded)
-        if count < _FEWEST_FRAMES:
-            why = f"{count} unloaded frames are too few; {_FEWEST_FRAMES} are needed"
-            snr = [Measurement("channel_snr", None, "dB", qualifier=q, how=why) for q in ("median", "worst")]
-            return (*snr, Measurement("drift", None, "%/min", how=why))
-        return (*_signal_to_noise(run), _drift(run))
+        ratio_dB = signal_to_noise_dB(run.unloaded)
+        if ratio_dB is None:
+            why = f"{len(run.unloaded)} unloaded frames are too few; {FEWEST_FRAMES} are needed"
+            return (*_no_ratio(why), Measurement("drift", None, "%/min", how=why))
+        every = _each(ratio_dB, run) if self._every else ()
+        return (*_together(ratio_dB, run), *every, _drift(run))
 
 
-def _signal_to_noise(run: RunObservation) -> tuple[Measurement, Measurement]:
-    readings = run.unloaded.voltages[:, run.usable]
-    level = np.abs(readings.mean(axis=0))
-    left = _without_line(run.unloaded.time_s, readings)
-    noise = np.sqrt((left**2).sum(axis=0) / (len(readings) - 2))
-    heard = (noise > 1e-13 * level.max(initial=0.0)) & (level > 0)
+def _together(ratio_dB: NDArray[np.float64], run: RunObservation) -> tuple[Measurement, ...]:
+    heard = np.isfinite(ratio_dB) & run.usable
     if not heard.any():
-        why = "the unloaded frames do not differ: there is no noise to compare with"
-        return (
-            Measurement("channel_snr", None, "dB", qualifier="median", how=why),
-            Measurement("channel_snr", None, "dB", qualifier="worst", how=why),
-        )
-    ratio_dB = 20 * np.log10(level[heard] / noise[heard])
-    drive, measure = np.argwhere(run.usable)[np.flatnonzero(heard)[int(ratio_dB.argmin())]]
-    silent = int((~heard).sum())
-    how = f"{len(ratio_dB)} imaged readings, {len(readings)} frames" + (f"; {silent} without noise" if silent else "")
+        return _no_ratio("the unloaded frames do not differ: there is no noise to compare with")
+    drive, measure = np.argwhere(heard)[int(ratio_dB[heard].argmin())]
+    silent = int(run.usable.sum() - heard.sum())
+    how = f"{int(heard.sum())} imaged readings, {len(run.unloaded)} frames"
+    how += f"; {silent} without noise or level" if silent else ""
+    where = f"drive pair {drive}, measure pair {measure}"
     return (
-        Measurement("channel_snr", float(np.median(ratio_dB)), "dB", qualifier="median", how=how),
+        Measurement("channel_snr", float(np.median(ratio_dB[heard])), "dB", qualifier="median", how=how),
+        Measurement("channel_snr", float(ratio_dB[heard].min()), "dB", qualifier="worst", how=where),
+    )
+
+
+def _each(ratio_dB: NDArray[np.float64], run: RunObservation) -> tuple[Measurement, ...]:
+    how = f"{len(run.unloaded)} frames"
+    return tuple(
         Measurement(
             "channel_snr",
-            float(ratio_dB.min()),
+            float(ratio_dB[drive, measure]) if np.isfinite(ratio_dB[drive, measure]) else None,
             "dB",
-            qualifier="worst",
-            how=f"drive pair {drive}, measure pair {measure}",
-        ),
+            qualifier=f"drive {drive}, measure {measure}",
+            how=how if np.isfinite(ratio_dB[drive, measure]) else "it has no noise, or no level",
+        )
+        for drive, measure in np.argwhere(run.usable).tolist()
     )
+
+
+def _no_ratio(why: str) -> tuple[Measurement, ...]:
+    return tuple(Measurement("channel_snr", None, "dB", qualifier=q, how=why) for q in ("median", "worst"))
 
 
 def _drift(run: RunObservation) -> Measurement:
@@ -75,10 +81,3 @@ def _drift(run: RunObservation) -> Measurement:
     return Measurement(
         "drift", 100 * slope, "%/min", 100 * stderr, how="slope of the unloaded frames' scale against the reference"
     )
-
-
-def _without_line(time_s: NDArray[np.float64], readings: NDArray[np.float64]) -> NDArray[np.float64]:
-    q, _ = np.linalg.qr(np.column_stack([np.ones(len(time_s)), time_s - time_s.mean()]))
-    centred = readings - readings.mean(axis=0)
-    left: NDArray[np.float64] = centred - q @ (q.T @ centred)
-    return left

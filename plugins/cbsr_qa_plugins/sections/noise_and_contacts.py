@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.channel_quality import reciprocity_errors, signal_to_noise_dB
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import RunObservation
@@ -33,34 +34,22 @@ class NoiseAndContacts:
         if run is None or not isinstance(result, RunResult):
             return None
         blocks: list[Block] = [_table(result, run)]
-        ratio_dB = signal_to_noise_dB(run)
+        ratio_dB = signal_to_noise_dB(run.unloaded)
         if ratio_dB is not None:
             blocks.append(_channels(run, ratio_dB))
-        pairs = [m for m in result.measurements if m.name == "contact_resistance" and m.qualifier]
-        if any(m.value is not None for m in pairs):
-            blocks.append(_contacts(pairs))
+        pairs, errors = reciprocity_errors(run.reference, run.record.sensor_type.pattern, run.usable)
+        if errors.size:
+            blocks.append(_reciprocity(run, pairs, errors))
+        contacts = [m for m in result.measurements if m.name == "contact_resistance" and m.qualifier]
+        if any(m.value is not None for m in contacts):
+            blocks.append(_contacts(contacts))
         return Section("Noise and contacts", tuple(blocks))
-
-
-def signal_to_noise_dB(run: RunObservation) -> NDArray[np.float64] | None:
-    """Level over rms noise of every reading of the rested sheet [dB], (drives, measures).
-
-    Returns
-    -------
-    Infinite where a reading never changed; None with fewer than three unloaded frames.
-    """
-    if len(run.unloaded) < 3:
-        return None
-    level = np.abs(run.unloaded.voltages.mean(axis=0))
-    noise = run.unloaded.voltages.std(axis=0, ddof=1)
-    tiny = np.finfo(np.float64).tiny
-    ratio: NDArray[np.float64] = 20 * np.log10(np.maximum(level, tiny) / np.maximum(noise, tiny))
-    return np.where(noise > 0, ratio, np.inf)
 
 
 def _table(result: RunResult, run: RunObservation) -> Table:
     own = [m for m in result.measurements if m.name.startswith(_WORDS) and not m.location]
-    found = [m for m in own if m.name != "contact_resistance" or not m.qualifier]  # those pairs are drawn
+    # Single pairs and readings are drawn.
+    found = [m for m in own if not (m.qualifier.startswith("pair ") or m.qualifier.startswith("drive "))]
     rows: list[list[str | Cell]] = [
         [m.label, m.phase or "whole run", value_cell(m, unit=True), limit_text(m.limit) if m.limit else "–", m.how]
         for m in found
@@ -82,6 +71,21 @@ def _channels(run: RunObservation, ratio_dB: NDArray[np.float64]) -> Figure:
         used=run.usable,
         caption=f"Signal-to-noise ratio of each reading on the rested sheet ({len(run.unloaded)} frames): {told}."
         " Grey: readings that are not imaged.",
+        alternative=f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {told}.",
+    )
+
+
+def _reciprocity(run: RunObservation, pairs: NDArray[np.int64], errors: NDArray[np.float64]) -> Figure:
+    values = np.full(run.usable.size, np.nan)
+    np.fmax.at(values, pairs.T, 100 * errors)
+    told = f"rms {number(100 * float(np.sqrt(np.mean(errors**2))), 2)} %, largest {number(100 * errors.max(), 2)} %"
+    return channel_map_figure(
+        values.reshape(run.usable.shape),
+        label="reciprocity error",
+        unit="%",
+        used=run.usable,
+        caption=f"Change of each reading of the reference frame when drive and measure pair are exchanged, of the rms"
+        f" reading: {told}. One electrode whose row and column stand out is a contact; a whole triangle is memory.",
         alternative=f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {told}.",
     )
 

@@ -1,0 +1,70 @@
+"""What every single reading of the rested sheet is worth: its signal-to-noise ratio, and its reciprocity."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.frames import FrameBlock
+from cbsr_qa.domain.patterns import DrivePattern
+
+Array = NDArray[np.float64]
+
+#: Frames below which a scatter about a straight line says nothing.
+FEWEST_FRAMES: Final = 3
+_ROUNDING: Final = 1e-13  # of the largest level: less is no noise
+
+
+def signal_to_noise_dB(frames: FrameBlock) -> Array | None:
+    """Return the signal-to-noise ratio of every reading [dB], (drives, measures).
+
+    A reading's ratio is its mean's size over its rms deviation from a straight line in time, so that drift counts
+    once, as drift.
+
+    Returns
+    -------
+    +∞ where a reading never left its line, −∞ where one is noise about zero alone; None with fewer than three frames.
+    """
+    if len(frames) < FEWEST_FRAMES:
+        return None
+    level = np.abs(frames.voltages.mean(axis=0))
+    noise = np.sqrt((_off_the_line(frames) ** 2).sum(axis=0) / (len(frames) - 2))
+    silent = noise <= _ROUNDING * level.max(initial=0.0)
+    ratio = level / np.where(silent, 1.0, noise)
+    loud = ratio > 0
+    decibel = np.where(loud, 20 * np.log10(np.where(loud, ratio, 1.0)), -np.inf)
+    return np.where(silent, np.inf, decibel)
+
+
+def reciprocity_errors(
+    frame: Array, pattern: DrivePattern, usable: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], Array]:
+    """Return what exchanging drive and measure pair changes, for every pair of readings that should be the same.
+
+    Parameters
+    ----------
+    frame : (drives, measures) float64.
+    usable : (drives, measures); pairs with a reading that is not usable are left out.
+
+    Returns
+    -------
+    pairs : (k, 2) int64, readings by their place in C order.
+    errors : (k,) float64, |V_ij ∓ V_ji| over the rms of all these readings; empty where there is none, or all are 0.
+    """
+    pairs, sign = pattern.reciprocal_pairs()
+    both = usable.ravel()[pairs].all(axis=1)
+    first, second = frame.ravel()[pairs[both]].T
+    level = float(np.sqrt(np.mean(np.concatenate([first, second]) ** 2))) if both.any() else 0.0
+    if level == 0:
+        return np.empty((0, 2), dtype=np.int64), np.empty(0)
+    errors: Array = np.abs(first - sign[both] * second) / level
+    return pairs[both], errors
+
+
+def _off_the_line(frames: FrameBlock) -> Array:
+    """Deviation of every reading from its straight line in time, (n, drives, measures)."""
+    readings = frames.voltages.reshape(len(frames), -1)
+    q, _ = np.linalg.qr(np.column_stack([np.ones(len(frames)), frames.time_s - frames.time_s.mean()]))
+    centred = readings - readings.mean(axis=0)
+    left: Array = (centred - q @ (q.T @ centred)).reshape(frames.voltages.shape)
+    return left
