@@ -33,7 +33,7 @@ _COARSEST = 0.25  # largest edge length, of the radius
 
 
 def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Mesh:
-    """Mesh a sheet for its forward model.
+    """Mesh a sheet for its forward model; the sensor type's own mesh where it comes with one.
 
     Pins are round holes whose rims are the electrodes; arcs are stretches of the edge, refined at their ends
     where the current density is singular. All edge lengths scale with ``size_mm`` once there are enough edges on an
@@ -50,6 +50,8 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Me
     RefusedError
         If the size is out of range, or the electrodes do not fit the sheet.
     """
+    if sensor_type.mesh is not None:
+        return sensor_type.mesh.mesh
     _check_size(sensor_type, size_mm)
     layout = sensor_type.electrodes
     if sensor_type.polygon is not None or not isinstance(layout, ElectrodeLayout):
@@ -123,7 +125,7 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
     edges = tuple(len(edge) + k * rim_count + _ring(rim_count) for k in range(layout.count))
     arcs = [CircleArcs(e, (x, y), pin) for e, (x, y) in zip(edges, centres.tolist(), strict=True)]
     outline = Outline(np.vstack([edge, *rims]), hole.astype(np.int64), sizes, clearance)
-    return _Boundary(outline, edges, (CircleArcs(_ring(len(edge)), (0.0, 0.0), radius), *arcs))
+    return _Boundary(outline, edges, (CircleArcs(_round(edge), (0.0, 0.0), radius), *arcs))
 
 
 def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
@@ -148,12 +150,18 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
         sizes,
         lambda points: radius - np.hypot(points[:, 0], points[:, 1]),
     )
-    return _Boundary(outline, edges, (CircleArcs(_ring(len(edge)), (0.0, 0.0), radius),))
+    return _Boundary(outline, edges, (CircleArcs(_round(edge), (0.0, 0.0), radius),))
 
 
 def _ring(count: int) -> NDArray[np.int64]:
     """Edges of a closed line of so many nodes."""
     return np.column_stack([np.arange(count), (np.arange(count) + 1) % count])
+
+
+def _round(edge: Points) -> NDArray[np.int64]:
+    """Edges of the sheet's edge counterclockwise, whichever way its stretches follow each other."""
+    order = np.argsort(np.arctan2(edge[:, 1], edge[:, 0]), kind="stable")
+    return np.column_stack([order, np.roll(order, -1)])
 
 
 def _spread_arc(radius: float, start: float, span: float, sizes: Size, *, at_least: int = 2) -> NDArray[np.float64]:

@@ -1,5 +1,7 @@
 """How much of each element of one mesh lies in each element of another, exactly."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
@@ -11,27 +13,57 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 
-def overlap_fractions(fine: Mesh, coarse: Mesh) -> sparse.csr_matrix:
-    """Fraction of each fine element's area in each coarse element.
+_SLIVER = 1e-12  # of a mean element's area: what is smaller has no centroid to rounding
 
-    Rows sum to one: what a fine element has outside the coarse mesh (slivers between two polygons of the same circle)
-    is counted in proportion to what it has inside, or goes to the nearest coarse element where nothing is inside.
 
-    Returns
-    -------
-    (fine elements, coarse elements) sparse.
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Where the elements of two meshes lie over each other.
+
+    Parameters
+    ----------
+    fine, coarse : (p,) int64, the elements.
+    areas_mm2 : (p,) of what they share.
+    centroids_mm : (p, 2) of the same.
+    """
+
+    fine: Indices
+    coarse: Indices
+    areas_mm2: Array
+    centroids_mm: Array
+
+
+def overlap_pieces(fine: Mesh, coarse: Mesh) -> Pieces:
+    """Cut every fine element by the coarse mesh, so that the pieces of each make up all of its area.
+
+    What a fine element has outside the coarse mesh (slivers between two polygons of the same circle) is counted in
+    proportion to what it has inside, or goes to the nearest coarse element where nothing is inside.
     """
     first, second = _candidates(fine, coarse)
-    area = _intersection_areas(fine.corners_mm[first], coarse.corners_mm[second])
+    area, centroids = _intersections(fine.corners_mm[first], coarse.corners_mm[second])
+    keep = area > _SLIVER * fine.areas_mm2.mean()
+    first, second, area, centroids = first[keep], second[keep], area[keep], centroids[keep]
     inside = np.bincount(first, area, minlength=len(fine.elements))
     lost = np.flatnonzero(inside <= 0)
     if lost.size:
         nearest = cKDTree(coarse.centroids_mm).query(fine.centroids_mm[lost])[1]
         first, second = np.concatenate([first, lost]), np.concatenate([second, nearest])
-        area, inside[lost] = np.concatenate([area, np.ones(lost.size)]), 1
-    keep = area > 0
-    entries = (area[keep] / inside[first[keep]], (first[keep], second[keep]))
-    return sparse.csr_matrix(entries, shape=(len(fine.elements), len(coarse.elements)))
+        area = np.concatenate([area, fine.areas_mm2[lost]])
+        centroids = np.vstack([centroids, fine.centroids_mm[lost]])
+        inside[lost] = fine.areas_mm2[lost]
+    return Pieces(first, second, area * (fine.areas_mm2 / inside)[first], centroids)
+
+
+def overlap_fractions(fine: Mesh, coarse: Mesh) -> sparse.csr_matrix:
+    """Fraction of each fine element's area in each coarse element; rows sum to one, see :func:`overlap_pieces`.
+
+    Returns
+    -------
+    (fine elements, coarse elements) sparse.
+    """
+    pieces = overlap_pieces(fine, coarse)
+    share = pieces.areas_mm2 / fine.areas_mm2[pieces.fine]
+    return sparse.csr_matrix((share, (pieces.fine, pieces.coarse)), shape=(len(fine.elements), len(coarse.elements)))
 
 
 def _candidates(fine: Mesh, coarse: Mesh) -> tuple[Indices, Indices]:
@@ -53,8 +85,11 @@ def _reach(mesh: Mesh) -> Array:
     return reach
 
 
-def _intersection_areas(first: Array, second: Array) -> Array:
-    """Areas of intersection of pairs of counterclockwise triangles (p, 3, 2), by Sutherland & Hodgman 1974: (p,)."""
+def _intersections(first: Array, second: Array) -> tuple[Array, Array]:
+    """Areas (p,) and centroids (p, 2) of what counterclockwise triangles (p, 3, 2) share (Sutherland & Hodgman 1974).
+
+    Centroids of what has no area mean nothing.
+    """
     polygon = first
     for corner in range(3):
         start = second[:, corner]
@@ -62,8 +97,11 @@ def _intersection_areas(first: Array, second: Array) -> Array:
     following = np.roll(polygon, -1, axis=1)
     origin = polygon[:, :1]
     one, other = polygon - origin, following - origin
-    area: Array = (one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]).sum(axis=1) / 2
-    return np.maximum(area, 0)
+    twice = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+    area = np.maximum(twice.sum(axis=1) / 2, 0)
+    moment = (twice[..., None] * (one + other)).sum(axis=1)
+    divisor = np.where(area > 0, 6 * area, 1.0)[:, None]
+    return area, origin[:, 0] + moment / divisor
 
 
 def _clipped(polygon: Array, start: Array, along: Array) -> Array:

@@ -7,21 +7,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.footprints import RoundFootprint
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.reconstruction import ImagingProblem
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.forward.coverage import disc_coverage
+from cbsr_qa.forward.coverage import cover
 from cbsr_qa.forward.local import LocalUpdate
 from cbsr_qa.forward.meshing import image_mesh, sheet_mesh
 from cbsr_qa.forward.model import ForwardModel
-from cbsr_qa.reconstruct.overlap import overlap_fractions
+from cbsr_qa.reconstruct.sensitivity import image_jacobian
 
 Array = NDArray[np.float64]
 
 #: Nominal contact impedance times sheet conductance [mm]. Readings that touch no driven electrode hardly feel it.
 NOMINAL_CONTACT_MM = 0.5
 
-_FORWARD_SIZE = 0.06  # edge length of the forward mesh, of the radius (3 mm on a 100 mm disc)
+_FORWARD_SIZE = 0.1  # edge length of the forward mesh far from electrodes, of the radius (5 mm on a 100 mm disc)
 _FEWEST_READINGS = 16
 
 
@@ -103,11 +104,12 @@ def target_signal(problem: ImagingProblem, *, x_mm: float, y_mm: float, radius_m
     NumericsError
         If the disc does not touch the sheet, or the contrast leaves no conductance.
     """
-    model = nominal_model(problem.sensor_type)
-    elements, fraction = disc_coverage(model.model.mesh, x_mm, y_mm, radius_mm)
-    if not elements.size:
+    local = nominal_model(problem.sensor_type)
+    model = local.model
+    covered = cover(model.elements, RoundFootprint(x_mm, y_mm, radius_mm))
+    if not covered.elements.size:
         raise NumericsError(f"a target of radius {radius_mm} mm at ({x_mm}, {y_mm}) mm does not touch the sheet")
-    change = model.voltages(elements, contrast * fraction) - model.model.voltages()
+    change = local.voltages(covered.elements, covered.change(model.conductance, contrast)) - model.voltages()
     signal: Array = change[problem.used]
     return signal
 
@@ -121,18 +123,21 @@ class _Nominal:
 
 @lru_cache(maxsize=8)
 def _nominal_model(sensor_type: SensorType) -> LocalUpdate:
-    mesh = sheet_mesh(sensor_type, size_mm=_FORWARD_SIZE * sensor_type.radius_mm)
+    mesh = sheet_mesh(sensor_type, size_mm=_FORWARD_SIZE * sensor_type.radius_mm, order=2)
     contact = np.full(sensor_type.electrodes.count, NOMINAL_CONTACT_MM)
-    return LocalUpdate(ForwardModel(mesh, sensor_type.pattern, np.ones(len(mesh.elements)), contact))
+    return LocalUpdate(ForwardModel(mesh, sensor_type.pattern, np.ones(len(mesh.elements)), contact, order=2))
 
 
 @lru_cache(maxsize=8)
 def _nominal(sensor_type: SensorType, image_size_mm: float) -> _Nominal:
     model = _nominal_model(sensor_type).model
     mesh = image_mesh(sensor_type, size_mm=image_size_mm)
-    share = overlap_fractions(model.mesh, mesh)
-    fine = model.jacobian()
-    jacobian = np.asarray(fine.reshape(-1, fine.shape[-1]) @ share).reshape(*fine.shape[:2], -1)
+    group, sign = sensor_type.pattern.reading_groups()
+    _, first, number = np.unique(group, return_index=True, return_inverse=True)
+    drive, measure = np.unravel_index(first, group.shape)
+    distinct = image_jacobian(model, mesh, drive, measure)
+    number = number.reshape(group.shape)
+    jacobian = distinct[number] * (sign * sign.ravel()[first][number])[..., None]
     reference = model.voltages()
     jacobian.flags.writeable = reference.flags.writeable = False  # shared by everybody who asks
     return _Nominal(mesh, jacobian, reference)

@@ -96,7 +96,7 @@ def test_masked_electrodes_are_left_out_and_still_give_an_image(pin_sensor):
     assert np.array_equal(problem.jacobian, full.jacobian[rows])
     prepared = GaussNewtonNoser(exponent=0.25).prepare(problem)
     signal = target_signal(problem, x_mm=-15, y_mm=-15, radius_mm=6.5, contrast=0.3)
-    assert np.hypot(*(brightest_centre(problem, prepared.images(signal[None])[0]) + 15)) < 2.5
+    assert np.hypot(*(brightest_centre(problem, prepared.images(signal[None])[0]) + 15)) < 3.0
 
 
 def test_noisy_channels_weigh_less(problem):
