@@ -1,6 +1,7 @@
 """From the entries of a calibration file (schema version 1) back to the calibration."""
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,14 @@ from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes
 from cbsr_qa.domain.errors import CalibrationError, RefusedError
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.mesh_arrays import INTEGERS as MESH_INTEGERS
+from cbsr_qa.domain.mesh_arrays import NAMES as MESH_ARRAYS
+from cbsr_qa.domain.mesh_arrays import mesh_of_arrays
 from cbsr_qa.domain.outlines import Polygon
 from cbsr_qa.domain.patterns import DrivePattern
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, ParameterChoice
 from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, SettlingTime
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response, SensorIdentity, SensorType
+from cbsr_qa.domain.sensor import GivenMesh, Parameter, QuasiStatic, Response, SensorIdentity, SensorType
 
 
 def decode(entries: Mapping[str, Entry]) -> Calibration:
@@ -93,6 +97,7 @@ def _sensor_type(read: Reading) -> SensorType:
         pattern,
         Response(read.text("sensor_type/response")),
         _polygon(read),
+        _given_mesh(read),
     )
 
 
@@ -116,6 +121,16 @@ def _polygon(read: Reading) -> Polygon | None:
         return None
     corners = _points(read.numbers("sensor_type/outline/corners"))
     return Polygon(corners, read.number("sensor_type/outline/corner_radius"))
+
+
+def _given_mesh(read: Reading) -> GivenMesh | None:
+    if not read.has("sensor_type/mesh/nodes_mm"):
+        return None
+    arrays: dict[str, NDArray[Any]] = {}
+    for name in MESH_ARRAYS:
+        path = f"sensor_type/mesh/{name}"
+        arrays[name] = read.integers(path) if name in MESH_INTEGERS else read.numbers(path)
+    return GivenMesh.of(mesh_of_arrays(arrays))
 
 
 def _points(table: NDArray[np.float64]) -> tuple[tuple[float, float], ...]:

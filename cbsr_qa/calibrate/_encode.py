@@ -8,6 +8,8 @@ from cbsr_qa.calibrate._content import Entry, Writing
 from cbsr_qa.domain.calibration import Calibration, LoadRelaxation
 from cbsr_qa.domain.electrodes import Electrodes, PlacedElectrodes
 from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.mesh_arrays import INTEGERS as MESH_INTEGERS
+from cbsr_qa.domain.mesh_arrays import mesh_arrays
 from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.domain.relaxation import RelaxationFit
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, SensorType
@@ -59,6 +61,12 @@ def _sensor_type(out: Writing, kind: SensorType) -> None:
     if kind.polygon is not None:
         out.numbers("sensor_type/outline/corners", np.array(kind.polygon.corners_mm), "mm")
         out.number("sensor_type/outline/corner_radius", kind.polygon.corner_radius_mm, "mm")
+    if kind.mesh is not None:
+        for name, array in mesh_arrays(kind.mesh.mesh).items():
+            if name in MESH_INTEGERS:
+                out.integers(f"sensor_type/mesh/{name}", array)
+            else:
+                out.numbers(f"sensor_type/mesh/{name}", array, "mm")
     _electrodes(out, kind.electrodes)
     out.integers("sensor_type/pattern/electrode_count", kind.pattern.electrode_count, "1")
     out.integers("sensor_type/pattern/drive", np.array(kind.pattern.drive))

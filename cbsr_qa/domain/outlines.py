@@ -273,19 +273,24 @@ def _centre(polygon: Polygon) -> tuple[float, float]:
 def simplified(outline: SheetOutline, tolerance_mm: float) -> SheetOutline:
     """Leave out corners of a polygon that lie within a tolerance of the line between others.
 
-    Douglas & Peucker (1973), from the first corner to the one furthest from it and back. Rounded outlines and discs
-    are returned as they are.
+    Rounded outlines and discs are returned as they are.
     """
     if isinstance(outline, Disc) or outline.corner_radius_mm or len(outline.corners_mm) <= 4:
         return outline
-    corners = np.array(outline.corners_mm)
-    furthest = int(np.hypot(*(corners - corners[0]).T).argmax())
-    closed = np.vstack([corners, corners[:1]])
-    kept = sorted(
-        {*_thinned(closed, 0, furthest, tolerance_mm), *_thinned(closed, furthest, len(corners), tolerance_mm)}
-    )
-    plain = tuple(outline.corners_mm[index] for index in kept if index < len(corners))
-    return outline if len(plain) < 3 else Polygon(plain)
+    plain = thinned_ring(np.array(outline.corners_mm), tolerance_mm)
+    return outline if len(plain) < 3 else Polygon(tuple((x, y) for x, y in plain.tolist()))
+
+
+def thinned_ring(points: Points, tolerance: float) -> Points:
+    """Leave out points of a closed line that lie within a tolerance of the line through the others.
+
+    Douglas & Peucker (1973), from the first point to the one furthest from it and back.
+    """
+    furthest = int(np.hypot(*(points - points[0]).T).argmax())
+    closed = np.vstack([points, points[:1]])
+    kept = _thinned(closed, 0, furthest, tolerance) | _thinned(closed, furthest, len(points), tolerance)
+    thinned: Points = points[sorted(kept - {len(points)})]
+    return thinned
 
 
 def _thinned(points: Points, first: int, last: int, tolerance: float) -> set[int]:

@@ -1,10 +1,13 @@
 """The device under test: its type, its material and its identity."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import StrEnum
+from typing import Self
 
 from cbsr_qa.domain.electrodes import Electrodes
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.mesh_arrays import mesh_digest
 from cbsr_qa.domain.outlines import Disc, Polygon, SheetOutline
 from cbsr_qa.domain.patterns import DrivePattern
 
@@ -15,6 +18,24 @@ class Response(StrEnum):
     INCREASE = "increase"
     DECREASE = "decrease"
     AUTO = "auto"  #: decided from the calibration loads, and the decision recorded
+
+
+@dataclass(frozen=True, slots=True)
+class GivenMesh:
+    """A mesh that a sensor type comes with; equal where everything in it is.
+
+    Parameters
+    ----------
+    digest : SHA-256 of its content.
+    """
+
+    digest: str
+    mesh: Mesh = field(compare=False, repr=False)
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> Self:
+        """Return a mesh with its digest."""
+        return cls(mesh_digest(mesh), mesh)
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +52,7 @@ class SensorType:
     pattern : drive and measure pairs of these electrodes.
     response : sign of the conductance change under load.
     polygon : the sheet's outline; None where it is a disc.
+    mesh : of the forward model, made elsewhere; None where one is made for the outline.
 
     Raises
     ------
@@ -45,12 +67,18 @@ class SensorType:
     pattern: DrivePattern
     response: Response
     polygon: Polygon | None = None
+    mesh: GivenMesh | None = None
 
     def __post_init__(self) -> None:
         if self.pattern.electrode_count != self.electrodes.count:
             raise RefusedError(
                 f"sensor type {self.name!r} has {self.electrodes.count} electrodes,"
                 f" its pattern {self.pattern.electrode_count}"
+            )
+        if self.mesh is not None and len(self.mesh.mesh.electrode_edges) != self.electrodes.count:
+            raise RefusedError(
+                f"sensor type {self.name!r} has {self.electrodes.count} electrodes,"
+                f" its mesh {len(self.mesh.mesh.electrode_edges)}"
             )
         if self.polygon is not None and abs(self.radius_mm / self.polygon.radius_mm - 1) > 1e-9:
             raise RefusedError(

@@ -6,9 +6,10 @@ from typing import Any
 
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
 from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.mesh_arrays import mesh_arrays, mesh_of_arrays
 from cbsr_qa.domain.outlines import Polygon
 from cbsr_qa.domain.patterns import DrivePattern
-from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation, Response, SensorType
+from cbsr_qa.domain.sensor import GivenMesh, Material, Parameter, QuasiStatic, Relaxation, Response, SensorType
 
 
 def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | None = None) -> dict[str, Any]:
@@ -16,6 +17,10 @@ def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | No
     kind = asdict(sensor_type)
     if sensor_type.polygon is None:
         del kind["polygon"]  # as discs have always been kept
+    if sensor_type.mesh is None:
+        del kind["mesh"]
+    else:
+        kind["mesh"] = {name: array.tolist() for name, array in mesh_arrays(sensor_type.mesh.mesh).items()}
     setting = {"sensor_type": kind, "indenter": asdict(indenter)}
     if material is not None:
         setting["material"] = asdict(material)
@@ -25,12 +30,13 @@ def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | No
 def decoded_sensor_type(setting: Mapping[str, Any]) -> SensorType:
     """Return the sensor type; KeyError or TypeError where the JSON is not ours."""
     data = dict(setting["sensor_type"])
-    pattern, polygon = dict(data.pop("pattern")), data.pop("polygon", None)
+    pattern, polygon, mesh = dict(data.pop("pattern")), data.pop("polygon", None), data.pop("mesh", None)
     electrodes = _electrodes(data.pop("electrodes"))
     return SensorType(
         **{**data, "response": Response(data["response"])},
         electrodes=electrodes,
         polygon=None if polygon is None else Polygon(_points(polygon["corners_mm"]), polygon["corner_radius_mm"]),
+        mesh=None if mesh is None else GivenMesh.of(mesh_of_arrays(mesh)),
         pattern=DrivePattern(pattern["electrode_count"], _pairs(pattern["drive"]), _pairs(pattern["measure"])),
     )
 
