@@ -1,0 +1,206 @@
+"""Least-squares fit of one round load to each of many frames at once, by damped Gauss–Newton steps."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.forward.round_load import RoundLoadModel, RoundLoads
+from cbsr_qa.reconstruct.load_readings import MergedReadings
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Squared length of the last step in standard errors: a hundredth of one.
+_CLOSE_ENOUGH: Final = 1e-4
+_MOST_STEPS: Final = 30
+_EASIER: Final = 0.1
+_HARDER: Final = 8.0
+_LARGEST_DAMPING: Final = 1e8
+_AT_ONCE: Final = 128  # loads evaluated together: what is held stays in the processor's cache
+_FURTHEST: Final = 0.94  # of the sheet's radius: where a place that left the sheet is put
+_LEAST_CLEARANCE: Final = 0.02  # of the sheet's radius: nearer to an electrode or the edge a load is not followed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fits:
+    """Fitted loads.
+
+    Parameters
+    ----------
+    parameters : (n, 4) x [mm], y [mm], strength s [mm²], square q [mm²] (:mod:`cbsr_qa.forward.round_load`).
+    covariance : (n, 4, 4) inverse Fisher matrix at the estimate; rows and columns of what was given are zero.
+    misfit : (n,) sum of squared residuals of unit noise.
+    empty_misfit : (n,) the same without a load.
+    steps : (n,) tried.
+    converged : (n,) False where the last step was not small.
+    held : (n,) where the load would have grown into an electrode or over the edge; its square stays at the bound.
+    excess : (n,) by how much the square of those would be larger without the bound, to first order; else 0.
+    """
+
+    parameters: Array
+    covariance: Array
+    misfit: Array
+    empty_misfit: Array
+    steps: NDArray[np.int64]
+    converged: Mask
+    held: Mask
+    excess: Array
+
+
+class LoadFitter:
+    """Fits loads to rows of unit noise.
+
+    Parameters
+    ----------
+    model : of the sheet.
+    readings : how frames become rows.
+    """
+
+    def __init__(self, model: RoundLoadModel, readings: MergedReadings) -> None:
+        self.model = model
+        self.readings = readings
+
+    def rows(self, parameters: Array) -> tuple[Array, Array]:
+        """Rows (n, rows) of loads (n, 4), and their slopes (n, rows, 4)."""
+        change, slope = [], []
+        for first in range(0, len(parameters), _AT_ONCE):
+            part = parameters[first : first + _AT_ONCE]
+            found = self.model.readings(RoundLoads(part[:, :2], part[:, 2], part[:, 3]))
+            change.append(self.readings.of_model(found.change))
+            slope.append(self.readings.of_model(found.slope).swapaxes(1, 2))
+        return np.concatenate(change), np.concatenate(slope)
+
+    def fit(self, data: Array, start: Array, *, square: bool) -> Fits:
+        """Fit.
+
+        Parameters
+        ----------
+        data : (n, rows).
+        start : (n, 4) parameters.
+        square : whether the square is fitted too; else it stays as given.
+        """
+        run = _Run(self, data, start, square)
+        for _ in range(_MOST_STEPS):
+            if not run.active.any():
+                break
+            run.step()
+        return run.result()
+
+    def covariance(self, parameters: Array, *, square: bool) -> Array:
+        """Inverse Fisher matrix (n, 4, 4) at loads (n, 4); zero for the square where it is not fitted."""
+        _, slopes = self.rows(parameters)
+        return _inverted(slopes.swapaxes(1, 2) @ slopes, square=square)
+
+    def inside(self, parameters: Array, *, square: bool) -> tuple[Array, Mask]:
+        """Move loads into the sheet; if their size is fitted, shrink them until they touch no electrode and no edge.
+
+        Returns
+        -------
+        (n, 4) parameters, and (n,) whose square was cut.
+        """
+        moved = parameters.copy()
+        surroundings = self.model.surroundings
+        clear = surroundings.clearance_mm(moved[:, :2])
+        outside = clear < _LEAST_CLEARANCE * surroundings.radius_mm
+        if outside.any():
+            away = np.hypot(moved[outside, 0], moved[outside, 1])
+            moved[outside, :2] *= np.minimum(1, _FURTHEST * surroundings.radius_mm / np.maximum(away, 1e-9))[:, None]
+        if not square:
+            return moved, np.zeros(len(moved), dtype=np.bool_)
+        bound = np.maximum(clear, _LEAST_CLEARANCE * surroundings.radius_mm) ** 2
+        moved[:, 3] = np.clip(moved[:, 3], -bound, bound)
+        return moved, moved[:, 3] != parameters[:, 3]
+
+
+class _Run:
+    """State of one batch."""
+
+    def __init__(self, fitter: LoadFitter, data: Array, start: Array, square: bool) -> None:
+        count = len(data)
+        self.fitter, self.data, self.square = fitter, data, square
+        self.free = np.tile([True, True, True, square], (count, 1))
+        self.at, _ = fitter.inside(start, square=square)
+        rows, slopes = fitter.rows(self.at)
+        residual = data - rows
+        self.misfit = (residual**2).sum(axis=1)
+        self.information = slopes.swapaxes(1, 2) @ slopes
+        self.pull = np.einsum("nrp,nr->np", slopes, residual)
+        self.damping = np.full(count, 1e-3)
+        self.active = np.ones(count, dtype=np.bool_)
+        self.converged = np.zeros(count, dtype=np.bool_)
+        self.steps = np.zeros(count, dtype=np.int64)
+
+    def step(self) -> None:
+        """One trial step for every load that still moves."""
+        which = np.flatnonzero(self.active)
+        move, gain = self._moves(which)
+        aim, cut = self.fitter.inside(self.at[which] + move, square=self.square)
+        newly = cut & self.free[which, 3]
+        self.free[which[cut], 3] = False
+        self.steps[which] += 1
+        done = (gain < _CLOSE_ENOUGH) & ~newly
+        self._finish(which[done], aim[done], gain[done])
+        if not done.all():
+            self._try(which[~done], aim[~done])
+
+    def _moves(self, which: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Damped steps (k, 4), and their squared length in standard errors."""
+        normal, pull, scale = self._scaled(which)
+        damped = normal + self.damping[which, None, None] * np.eye(4)
+        move = np.linalg.solve(damped, pull[..., None])[..., 0]
+        return move / scale, (move * pull).sum(axis=1)
+
+    def _scaled(self, which: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+        """Normal equations (k, 4, 4), (k, 4) of parameters scaled (k, 4) to unit diagonal; fixed ones do not move."""
+        free = self.free[which]
+        normal, scale = _normal(self.information[which], free)
+        return normal, np.where(free, self.pull[which] / scale, 0), scale
+
+    def _finish(self, which: NDArray[np.int64], at: Array, gain: Array) -> None:
+        self.at[which] = at
+        self.misfit[which] -= gain
+        self.active[which] = False
+        self.converged[which] = True
+
+    def _try(self, which: NDArray[np.int64], aim: Array) -> None:
+        rows, slopes = self.fitter.rows(aim)
+        residual = self.data[which] - rows
+        misfit = (residual**2).sum(axis=1)
+        better = misfit < self.misfit[which]
+        good = which[better]
+        self.at[good], self.misfit[good] = aim[better], misfit[better]
+        slopes = slopes[better]
+        self.information[good] = slopes.swapaxes(1, 2) @ slopes
+        self.pull[good] = np.einsum("nrp,nr->np", slopes, residual[better])
+        self.damping[good] *= _EASIER
+        bad = which[~better]
+        self.damping[bad] *= _HARDER
+        self.active[bad[self.damping[bad] > _LARGEST_DAMPING]] = False
+
+    def result(self) -> Fits:
+        """What was reached, with covariances of everything that could have been fitted."""
+        held = self.square & ~self.free[:, 3]
+        covariance = _inverted(self.information, square=self.square)
+        excess = np.where(held, (covariance[:, 3] * self.pull).sum(axis=1), 0.0)
+        empty = (self.data**2).sum(axis=1)
+        return Fits(
+            self.at, covariance, self.misfit, empty, self.steps, self.converged, held, np.maximum(excess, 0.0)
+        )
+
+
+def _normal(information: Array, free: Mask) -> tuple[Array, Array]:
+    """Information (n, 4, 4) scaled to unit diagonal, with ones for what is fixed, and the scale (n, 4)."""
+    diagonal = np.diagonal(information, axis1=1, axis2=2)
+    scale = np.sqrt(np.where(free & (diagonal > 0), diagonal, 1))
+    both = free[:, :, None] & free[:, None]
+    return np.where(both, information / (scale[:, :, None] * scale[:, None]), np.eye(4)), scale
+
+
+def _inverted(information: Array, *, square: bool) -> Array:
+    free = np.tile([True, True, True, square], (len(information), 1))
+    normal, scale = _normal(information, free)
+    inverse = np.linalg.pinv(normal, hermitian=True) / (scale[:, :, None] * scale[:, None])
+    covariance: Array = inverse * (free[:, :, None] & free[:, None])
+    return covariance
