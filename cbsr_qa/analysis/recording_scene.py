@@ -19,6 +19,7 @@ from cbsr_qa.analysis.recording_imaging import (
 )
 from cbsr_qa.analysis.recording_noise import channel_noise
 from cbsr_qa.analysis.recording_objects import Object, find_moving, find_still, reciprocal_noise
+from cbsr_qa.analysis.recording_overlaps import with_fates
 from cbsr_qa.analysis.recording_places import Matcher, Place, matcher, robust_directions
 from cbsr_qa.analysis.recording_ready import ReadyReadings
 from cbsr_qa.domain.frames import SampleBlock
@@ -125,7 +126,8 @@ class RecordedScene:
         found, why = find_still(white[0], match) if len(white) == 1 else find_moving(white, match)
         if found and len(white) == 1:
             found = self._turned(found)
-        return Searched(tuple(self._object_event(one, changes) for one in found), why)
+        events = [self._object_event(one, changes) for one in found]
+        return Searched(with_fates(events, self.sheet.radius_mm), why)
 
     def _turned(self, found: tuple[Object, ...]) -> tuple[Object, ...]:
         """Take the directions of still objects from a robust fit in one scale, where the tank follows the model."""
@@ -185,7 +187,7 @@ class RecordedScene:
         if not (why or events or remarks):
             at = ", ".join(f"{times[change.frame]:.1f} s" for change in seen[:_MOST_LISTED])
             why = f"what changes (at {at}) leads back to the state the recording begins in: no load is put on"
-        return Searched(tuple(events), why, remarks), suspects
+        return Searched(with_fates(events, self.sheet.radius_mm), why, remarks), suspects
 
     def _no_loads(self, match: Matcher) -> NoLoads:
         problem = self.sheet.problem

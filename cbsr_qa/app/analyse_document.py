@@ -100,6 +100,7 @@ def _event(event: LoadEvent) -> dict[str, Any]:
         "electrode": event.electrode,
         "sign": event.sign,
         "snr": event.snr,
+        "fate": event.fate or None,
         "force_N": event.force_N,
     }
     if event.x_mm is not None:

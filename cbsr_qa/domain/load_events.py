@@ -92,6 +92,8 @@ class LoadEvent:
     image : of the change it made.
     force_N : peak force while it lasted; None where not recorded.
     track : (time_s, x_over_R, y_over_R) per frame of an object that moves; empty for a press.
+    fate : beside others held at its peak, whether the image shows it ``"apart"``, ``"merged"`` with one of them, or
+        it was ``"missed"``; empty where it was alone.
     """
 
     start_s: float
@@ -107,6 +109,7 @@ class LoadEvent:
     y_mm: float | None = None
     force_N: float | None = None
     track: tuple[tuple[float, float, float], ...] = ()
+    fate: str = ""
 
     @property
     def r_over_R(self) -> float:

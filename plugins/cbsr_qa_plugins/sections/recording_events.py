@@ -46,6 +46,8 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
     columns += ["x [mm]", "y [mm]"] if named else []
     forced = any(event.force_N is not None for event in events)
     columns += ["Force [N]"] if forced else []
+    beside = any(event.fate for event in events)
+    columns += ["Beside others"] if beside else []
     rows = []
     for rank, event in enumerate(events):
         times = ["–"] * 3 if still else [fixed(t, 1) for t in (event.start_s, event.peak_s, event.end_s)]
@@ -55,11 +57,14 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
             row += ["–" if at is None else fixed(at, 1) for at in (event.x_mm, event.y_mm)]
         if forced:
             row.append("–" if event.force_N is None else fixed(event.force_N, 2))
+        if beside:
+            row.append(event.fate or "–")
         rows.append(row)
-    numeric = tuple(k for k, column in enumerate(columns) if column not in ("Event", "The place"))
+    numeric = tuple(k for k, column in enumerate(columns) if column not in ("Event", "The place", "Beside others"))
     caption = (
         "Events, found without being told where or when. Electrode: direction as a fractional electrode number."
         " SNR: change over the noise of such changes in this recording."
+        + (" Beside others held at its peak: whether the image shows it as a region of its own." if beside else "")
     )
     return text_table(caption, columns, rows, numeric)
 
