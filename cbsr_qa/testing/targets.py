@@ -16,7 +16,7 @@ PLACES = ((0.1, 0.05), (0.5, 0.2), (-0.4, 0.3), (-0.1, -0.55))
 CONTRAST = 0.2
 
 _TARGET_RADIUS = 0.13  # of the sheet's radius: the 13 mm indenter on the 100 mm disc
-_BLOB = 0.75  # an image's blob is what exceeds this share of its maximum
+_BLOB = 0.5  # an image's blob is what exceeds this share of its maximum
 _NOISE = 1e-3  # of a reading: 60 dB
 
 
@@ -79,8 +79,11 @@ def check_image(prepared: PreparedReconstruction, image: Array) -> None:
 
 
 def blob_centre(prepared: PreparedReconstruction, image: Array) -> Array:
-    """Centre of mass [mm] of what exceeds three quarters of an image's maximum, (2,)."""
+    """Centre of mass [mm] of what an image has above half its maximum, (2,).
+
+    Half the maximum is subtracted, so that an element at the threshold does not make the centre jump.
+    """
     mesh = prepared.problem.mesh
-    weights = np.where(image >= _BLOB * image.max(), image, 0) * mesh.areas_mm2
+    weights = np.maximum(image - _BLOB * image.max(), 0) * mesh.areas_mm2
     centre: Array = weights @ mesh.centroids_mm / weights.sum()
     return centre

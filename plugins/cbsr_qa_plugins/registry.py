@@ -22,6 +22,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.RECONSTRUCTION, "linear-back-projection", "reconstruction.linear_back_projection:LinearBackProjection"),
     (Kind.RECONSTRUCTION, "total-variation", "reconstruction.total_variation:TotalVariation"),
     (Kind.RECONSTRUCTION, "temporal", "reconstruction.temporal:Temporal"),
+    (Kind.RECONSTRUCTION, "absolute-gauss-newton", "reconstruction.absolute_gauss_newton:AbsoluteGaussNewton"),
     (Kind.RECONSTRUCTION, "pyeit-jac", "reconstruction.pyeit_jac:PyeitJac"),
     (Kind.RECONSTRUCTION, "pyeit-greit", "reconstruction.pyeit_greit:PyeitGreit"),
     (Kind.METRIC, "centre-of-mass-error", "metrics.centre_of_mass_error:CentreOfMassError"),
