@@ -7,6 +7,7 @@ from typing import Any, Generic, TypeVar
 
 from cbsr_qa.config.documents import Document, DocumentKind, open_document
 from cbsr_qa.config.material_file import MaterialFile
+from cbsr_qa.config.mesh_reference import with_mesh
 from cbsr_qa.config.recipe_file import RecipeFile
 from cbsr_qa.config.scene_file import SceneFile
 from cbsr_qa.config.sensor_type_file import SensorTypeFile
@@ -78,4 +79,6 @@ def _load(kind: DocumentKind, model: type[FileModel[T]], source: Source, near: P
         document = Document(kind, f"stored {kind.noun}", None, "", source)
     else:
         document = open_document(kind, source, near=near)
+        if kind is DocumentKind.SENSOR_TYPE:
+            document = with_mesh(document)
     return Loaded(validated(model, document), document)

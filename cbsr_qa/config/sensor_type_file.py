@@ -3,112 +3,57 @@
 import math
 from collections.abc import Iterator
 from functools import cached_property
-from typing import Annotated, Literal
 
-from pydantic import Field, PlainValidator
+from pydantic import Field
 
-from cbsr_qa.config.tables import FileModel, Problem, Table
+from cbsr_qa.config.sensor_type_tables import ElectrodesTable, PatternTable, SensorTypeTable
+from cbsr_qa.config.tables import FileModel, Problem
 from cbsr_qa.domain.electrode_fit import placement_problems
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.outlines import Disc, Polygon, SheetOutline, polygon_problems, rounding_problems
-from cbsr_qa.domain.patterns import DrivePattern, Pairs, imaging_problems, is_rule, named_pairs, pair_problems
+from cbsr_qa.domain.patterns import DrivePattern, imaging_problems, named_pairs, pair_problems
 from cbsr_qa.domain.sensor import Response, SensorType
-
-Positive = Annotated[float, Field(gt=0)]
-Name = Annotated[str, Field(min_length=1, max_length=64)]
-Point = Annotated[list[float], Field(min_length=2, max_length=2)]
+from cbsr_qa.forward.mesh_sensor import mesh_sensor
 
 _OUTLINE = ("sensor_type", "outline_mm")
 _POSITIONS = ("electrodes", "positions_mm")
 #: What places a ring; a list of positions needs none of it.
 _RING_KEYS = ("count", "ring_radius_mm", "first_angle_deg", "direction")
-
-
-class SensorTypeTable(Table):
-    """``[sensor_type]``: a disc by its radius, or any other sheet by its corners."""
-
-    name: Name
-    radius_mm: Positive | None = None
-    outline_mm: Annotated[list[Point], Field(max_length=500)] | None = None
-    corner_radius_mm: Annotated[float, Field(ge=0)] = 0.0
-    thickness_mm: Positive
-    response: Literal["increase", "decrease", "auto"] = "auto"
-
-
-class ElectrodesTable(Table):
-    """``[electrodes]``: a ring or a list of places; pins have a diameter, arcs a length along the edge."""
-
-    kind: Literal["pin", "arc"]
-    count: Annotated[int, Field(ge=3, le=256)] | None = None
-    ring_radius_mm: Positive | None = None
-    diameter_mm: Positive | None = None
-    length_mm: Positive | None = None
-    first_angle_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
-    direction: Literal["counterclockwise", "clockwise"] = "counterclockwise"
-    positions_mm: Annotated[list[Point], Field(min_length=3, max_length=256)] | None = None
-
-    @property
-    def width_key(self) -> str:
-        """The key that gives the electrodes' size."""
-        return "diameter_mm" if self.kind == "pin" else "length_mm"
-
-    @property
-    def width_mm(self) -> float | None:
-        """A pin's diameter or an arc's length."""
-        return self.diameter_mm if self.kind == "pin" else self.length_mm
-
-    @property
-    def number(self) -> int | None:
-        """How many electrodes there are; None where the file does not say."""
-        return self.count if self.positions_mm is None else len(self.positions_mm)
-
-
-def _rule_or_pairs(value: object) -> object:
-    if isinstance(value, str):
-        if not is_rule(value):
-            raise ValueError("allowed: 'adjacent', 'opposite', 'skip-1', 'skip-2' and so on, or pairs [[0, 1], …]")
-    elif not isinstance(value, list) or not all(_is_pair(pair) for pair in value):
-        raise ValueError("it must be the name of a rule or an array of pairs of electrodes, [[0, 1], …]")
-    return value
-
-
-def _is_pair(pair: object) -> bool:
-    return isinstance(pair, list) and len(pair) == 2 and all(type(electrode) is int for electrode in pair)
-
-
-RuleOrPairs = Annotated[str | list[list[int]], PlainValidator(_rule_or_pairs)]
-
-
-class PatternTable(Table):
-    """``[pattern]``: each the name of a rule, or the pairs themselves."""
-
-    drive: RuleOrPairs = "adjacent"
-    measure: RuleOrPairs = "adjacent"
-
-    def pairs(self, kind: str, electrode_count: int) -> Pairs:
-        """Drive or measure pairs; RefusedError where the rule does not suit the electrodes."""
-        given: str | list[list[int]] = getattr(self, kind)
-        if isinstance(given, str):
-            return named_pairs(given, electrode_count)
-        return tuple((first, second) for first, second in given)
+#: What describes an outline; a mesh has one of its own.
+_OUTLINE_KEYS = ("radius_mm", "outline_mm", "corner_radius_mm")
 
 
 class SensorTypeFile(FileModel[SensorType]):
     """A sensor type file."""
 
     sensor_type: SensorTypeTable
-    electrodes: ElectrodesTable
+    electrodes: ElectrodesTable | None = None
     pattern: PatternTable = Field(default_factory=PatternTable)
 
     def problems(self) -> Iterator[Problem]:
         """The outline is one, electrodes fit it and do not touch, and the pattern is of these electrodes."""
-        yield from self._outline_problems()
-        yield from self._key_problems()
-        yield from self._width_problems()
-        yield from self._ring_problems()
-        yield from self._placement_problems()
+        if self.sensor_type.mesh is not None:
+            yield from self._mesh_problems()
+        else:
+            yield from self._outline_problems()
+            if self.electrodes is None:
+                yield Problem(("electrodes",), "is missing; only a mesh brings its own electrodes")
+            else:
+                yield from self._key_problems(self.electrodes)
+                yield from self._width_problems(self.electrodes)
+                yield from self._ring_problems(self.electrodes)
+            yield from self._placement_problems()
         yield from self._pattern_problems()
+
+    def _mesh_problems(self) -> Iterator[Problem]:
+        for key in _OUTLINE_KEYS:
+            if key in self.sensor_type.model_fields_set:
+                yield Problem(("sensor_type", key), "does not apply where mesh is given")
+        if self.electrodes is not None:
+            yield Problem(("electrodes",), "does not apply where mesh is given: the mesh carries them")
+        if self._count is None:
+            yield Problem(("sensor_type", "mesh"), "carries fewer than 3 electrodes")
 
     def _outline_problems(self) -> Iterator[Problem]:
         sheet = self.sensor_type
@@ -126,8 +71,7 @@ class SensorTypeFile(FileModel[SensorType]):
         for what in () if wrong else rounding_problems(sheet.outline_mm, sheet.corner_radius_mm):
             yield Problem(("sensor_type", "corner_radius_mm"), what)
 
-    def _key_problems(self) -> Iterator[Problem]:
-        electrodes = self.electrodes
+    def _key_problems(self, electrodes: ElectrodesTable) -> Iterator[Problem]:
         if electrodes.positions_mm is not None:
             for key in _RING_KEYS:
                 if key in electrodes.model_fields_set:
@@ -137,8 +81,8 @@ class SensorTypeFile(FileModel[SensorType]):
             if getattr(electrodes, key) is None:
                 yield Problem(("electrodes", key), "is missing; without a ring positions_mm is needed")
 
-    def _width_problems(self) -> Iterator[Problem]:
-        electrodes, key = self.electrodes, self.electrodes.width_key
+    def _width_problems(self, electrodes: ElectrodesTable) -> Iterator[Problem]:
+        key = electrodes.width_key
         other = "length_mm" if key == "diameter_mm" else "diameter_mm"
         if getattr(electrodes, other) is not None:
             yield Problem(("electrodes", other), f"does not apply where kind is {electrodes.kind!r}; use {key}")
@@ -152,9 +96,9 @@ class SensorTypeFile(FileModel[SensorType]):
             what = f"is {electrodes.width_mm:g}; it must be below the electrodes' spacing of {spacing_mm:.3g} mm"
             yield Problem(("electrodes", key), what)
 
-    def _ring_problems(self) -> Iterator[Problem]:
+    def _ring_problems(self, electrodes: ElectrodesTable) -> Iterator[Problem]:
         """Rings on discs: inside the sheet (pins) or on its edge (arcs)."""
-        electrodes, radius_mm, ring_mm = self.electrodes, self.sensor_type.radius_mm, self.electrodes.ring_radius_mm
+        radius_mm, ring_mm = self.sensor_type.radius_mm, electrodes.ring_radius_mm
         if ring_mm is None or radius_mm is None:
             return
         width_mm = electrodes.width_mm or 0.0
@@ -179,7 +123,7 @@ class SensorTypeFile(FileModel[SensorType]):
                 yield Problem(("electrodes", "ring_radius_mm"), f"{which}{what}")
 
     def _pattern_problems(self) -> Iterator[Problem]:
-        count = self.electrodes.number
+        count = self._count
         if count is None:
             return
         found = [Problem(path, what) for path, what in self._pair_problems(count)]
@@ -211,9 +155,19 @@ class SensorTypeFile(FileModel[SensorType]):
         except RefusedError:
             return None
 
+    @property
+    def _count(self) -> int | None:
+        """How many electrodes there are; None where the file does not say, or a mesh has too few."""
+        if self.sensor_type.mesh is not None:
+            carried = len(self.sensor_type.mesh.electrode_edges)
+            return carried if carried >= 3 else None
+        return None if self.electrodes is None else self.electrodes.number
+
     @cached_property
     def _layout(self) -> Electrodes | None:
         electrodes = self.electrodes
+        if electrodes is None:
+            return None
         kind, width_mm = ElectrodeKind(electrodes.kind), electrodes.width_mm
         if width_mm is None:
             return None
@@ -235,16 +189,14 @@ class SensorTypeFile(FileModel[SensorType]):
 
     def to_domain(self) -> SensorType:
         """Return the sensor type."""
+        sheet, count = self.sensor_type, self._count
+        assert count is not None
+        pattern = DrivePattern(count, *(self.pattern.pairs(kind, count) for kind in ("drive", "measure")))
+        response = Response(sheet.response)
+        if sheet.mesh is not None:
+            return mesh_sensor(sheet.name, sheet.mesh, pattern, thickness_mm=sheet.thickness_mm, response=response)
         outline, layout = self._outline, self._layout
         assert outline is not None
         assert layout is not None
-        drive, measure = (self.pattern.pairs(kind, layout.count) for kind in ("drive", "measure"))
-        return SensorType(
-            name=self.sensor_type.name,
-            radius_mm=outline.radius_mm,
-            thickness_mm=self.sensor_type.thickness_mm,
-            electrodes=layout,
-            pattern=DrivePattern(layout.count, drive, measure),
-            response=Response(self.sensor_type.response),
-            polygon=outline if isinstance(outline, Polygon) else None,
-        )
+        polygon = outline if isinstance(outline, Polygon) else None
+        return SensorType(sheet.name, outline.radius_mm, sheet.thickness_mm, layout, pattern, response, polygon)
