@@ -92,3 +92,12 @@ def test_the_reconstruction_of_the_plugin_page_conforms(capsys):
     said = capsys.readouterr().out.splitlines()
     assert len(said) == 9
     assert said[-1].startswith("refusals: NaN")
+
+
+def test_the_sheet_of_the_forward_model_page_is_pressed():
+    namespace = {}
+    for block in _blocks(_TOP / "docs" / "explanation" / "forward-model.md", "python"):
+        exec(block, namespace)
+    unloaded, pressed = namespace["sheet"].voltages(), namespace["pressed"]
+    assert pressed.shape == unloaded.shape == (16, 16)
+    assert (np.diag(pressed) < np.diag(unloaded)).all()  # it conducts better everywhere
