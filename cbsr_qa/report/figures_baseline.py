@@ -5,12 +5,14 @@ from collections.abc import Sequence
 from matplotlib.axes import Axes
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure as Canvas
-from matplotlib.patches import Circle
+from matplotlib.patches import PathPatch
 
 from cbsr_qa.domain.calibration import BaselineConductance
+from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.report import Figure
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report.numbers import with_uncertainty
+from cbsr_qa.report.outlines import head_path
 from cbsr_qa.report.sheet import add_scale, draw_electrodes, draw_sheet, fit_sheet
 from cbsr_qa.report.style import AMOUNT_MAP, BLUE, INK, QUIET, VERMILION, bare, canvas, light_grid
 from cbsr_qa.report.svg import drawn
@@ -19,7 +21,7 @@ from cbsr_qa.report.svg import drawn
 def baseline_figure(
     places: Sequence[BaselineConductance],
     sensor: SensorType,
-    head_radius_mm: float,
+    indenter: Indenter,
     *,
     caption: str,
     alternative: str,
@@ -39,7 +41,7 @@ def baseline_figure(
         low, high = min(values), max(values)
         room = 0.25 * (high - low) or 0.1 * abs(high) or 1e-6
         norm = Normalize(low - room, high + room)
-        _draw_map(axes, places, sensor, head_radius_mm, norm)
+        _draw_map(axes, places, sensor, indenter, norm)
         add_scale(figure, axes, norm, AMOUNT_MAP, label="ρ̄₀ [relative]", place="right")
         side = figure.add_axes((0.685, 0.13, 0.3, 0.78))
         _draw_values(side, places, sum(values) / len(values))
@@ -52,7 +54,7 @@ def _draw_map(
     axes: Axes,
     places: Sequence[BaselineConductance],
     sensor: SensorType,
-    head_radius_mm: float,
+    indenter: Indenter,
     norm: Normalize,
 ) -> None:
     bare(axes)
@@ -63,8 +65,9 @@ def _draw_map(
         known = place.value is not None
         face = AMOUNT_MAP(norm(place.value)) if place.value is not None else "white"
         edge = QUIET if known else VERMILION
-        axes.add_patch(Circle(at, head_radius_mm, facecolor=face, edgecolor=edge, linewidth=0.7, zorder=4))
-        below = place.y_mm - head_radius_mm - 0.02 * sensor.radius_mm
+        head = head_path(indenter.at(*at))
+        axes.add_patch(PathPatch(head, facecolor=face, edgecolor=edge, linewidth=0.7, zorder=4))
+        below = float(head.get_extents().ymin) - 0.02 * sensor.radius_mm
         text = "no value" if place.value is None else with_uncertainty(place.value, place.stderr)
         axes.text(place.x_mm, below, text, ha="center", va="top", fontsize=6.5, zorder=6)
         dark = place.value is not None and norm(place.value) > 0.55

@@ -225,6 +225,21 @@ def sample_measurements(loads):
             found += [
                 Measurement(n, v, u, how=h if v is not None else "not detected", **about) for n, u, v, h in values
             ]
+        found += [
+            Measurement(name, value, "mm" if name == "position_error" else "1", **{**about, "qualifier": ""})
+            for name, value in (
+                ("amplitude_response", 0.9),
+                ("position_error", 0.04 * np.hypot(*place)),
+                ("resolution", 0.3),
+                ("shape_deformation", 0.05),
+                ("ringing", 0.2),
+                ("false_regions", 0.0),
+            )
+        ]
+    found += [
+        Measurement("two_touch_resolution", 29.0, "mm", how="contours at 85 %; steps of 0.5 mm"),
+        Measurement("merged_loads", 1.0, "1"),
+    ]
     limit = Limit("centre_of_mass_error", "mm", None, 5.0, marginal=0.5, phase="nine")
     judged = [
         m.judged(limit) if (m.name, m.phase, m.qualifier) == ("centre_of_mass_error", "nine", "") else m

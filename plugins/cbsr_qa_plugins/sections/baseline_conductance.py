@@ -24,7 +24,7 @@ class BaselineConductanceMap:
                 baseline_figure(
                     calibration.baseline,
                     calibration.sensor_type,
-                    calibration.indenter.radius_mm,
+                    calibration.indenter,
                     caption="Baseline conductance ρ̄₀ where loads were calibrated: the apparent response of the place,"
                     " relative image units. Right: the same with its uncertainty (one standard deviation).",
                     alternative=_in_words(calibration.baseline),
