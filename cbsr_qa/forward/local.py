@@ -87,12 +87,11 @@ class LocalUpdate:
 
     def _checked(self, elements: Indices, change: Array) -> tuple[Indices, Array]:
         elements, change = np.asarray(elements, dtype=np.int64), np.asarray(change, dtype=np.float64)
-        model, count = self.model, len(self.model.mesh.elements)
+        model = self.model
         shape = elements.shape if change.ndim == 1 else (*elements.shape, len(model.elements.shapes.points), 2, 2)
         if elements.ndim != 1 or change.shape != shape:
             raise NumericsError(f"{change.shape} conductance changes do not fit {elements.shape} elements")
-        if elements.size and not 0 <= elements.min() <= elements.max() < count:
-            raise NumericsError(f"a changed element is not one of 0 to {count - 1}")
+        model.check_elements(elements)
         unique, place = np.unique(elements, return_inverse=True)
         total = np.zeros((len(unique), *change.shape[1:]))
         np.add.at(total, place, change)

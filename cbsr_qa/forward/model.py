@@ -38,7 +38,7 @@ class ForwardModel:
     ------
     NumericsError
         If the mesh is in pieces or has electrodes without edges, or a conductance or contact impedance is not a
-        positive finite number.
+        positive finite number, or ``prepared`` belongs to another mesh.
     """
 
     def __init__(
@@ -54,6 +54,8 @@ class ForwardModel:
         if prepared is None:
             elements = FiniteElements(mesh, order)
             prepared = PreparedSheet(elements, edge_contacts(elements))
+        elif prepared.elements.mesh is not mesh:
+            raise NumericsError("the sheet was prepared for another mesh", remedy="prepare each mesh for itself")
         self.mesh = mesh
         self.pattern = pattern
         self.prepared = prepared
@@ -83,9 +85,22 @@ class ForwardModel:
         elements : (m,) int64; changes of an element named twice add up.
         change : (m,), or (m, q, 2, 2) as of :meth:`Cover.change <cbsr_qa.forward.coverage.Cover.change>` [S].
         """
+        self.check_elements(elements)
         conductance, change = _alike(self.conductance.copy(), change, len(self.elements.shapes.points))
         np.add.at(conductance, elements, change)
         return self.changed(conductance=conductance)
+
+    def check_elements(self, elements: Indices) -> None:
+        """Refuse numbers (m,) that are not elements of the mesh.
+
+        Raises
+        ------
+        NumericsError
+            Naming the range.
+        """
+        count = len(self.mesh.elements)
+        if elements.size and not 0 <= elements.min() <= elements.max() < count:
+            raise NumericsError(f"a changed element is not one of 0 to {count - 1}")
 
     def changed_conductance(self, elements: Indices, change: Array) -> Array:
         """Conductance of some elements, each named once, after a change: (m,) or (m, q, 2, 2) [S]."""

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from disc_meshes import disc_mesh, square_mesh
 
-from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.mesh import CircleArcs, Mesh
 from cbsr_qa.forward.contacts import edge_contacts, point_contacts
 from cbsr_qa.forward.elements import FiniteElements
@@ -96,6 +96,12 @@ def test_an_arc_that_folds_an_element_is_refused():
     mesh = Mesh(nodes, np.array([[0, 1, 2]]), arcs=(arcs,))
     with pytest.raises(NumericsError, match=r"bends element 0 .* inside out"):
         _ = FiniteElements(mesh, 2).stiffness
+
+
+def test_arcs_off_their_circle_are_refused():
+    mesh = disc_mesh(2.0)
+    with pytest.raises(RefusedError, match=r"radius 1\.9 mm joins nodes that are not on its circle"):
+        Mesh(mesh.nodes_mm, mesh.elements, arcs=(CircleArcs(mesh.outline, (0.0, 0.0), 1.9),))
 
 
 def test_electrodes_beside_the_mesh_are_refused():

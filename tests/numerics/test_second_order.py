@@ -216,6 +216,18 @@ def test_impossible_directional_conductances_are_refused(model, wrong):
         model.changed(conductance=conductance[:, :2])
 
 
+def test_what_was_prepared_for_another_mesh_is_refused(model):
+    mesh = Mesh(model.mesh.nodes_mm, model.mesh.elements, model.mesh.electrode_edges)
+    with pytest.raises(NumericsError, match="another mesh"):
+        ForwardModel(mesh, model.pattern, model.conductance, model.contact_impedance, prepared=model.prepared)
+
+
+def test_changes_beside_the_mesh_are_refused(model):
+    for element in (-1, len(model.mesh.elements)):
+        with pytest.raises(NumericsError, match="not one of 0 to"):
+            model.changed_on(np.array([element]), np.array([0.1]))
+
+
 def test_an_even_sheet_given_by_direction_is_the_same(model):
     matrices = model.conductance[:, None, None, None] * np.tile(np.eye(2), (3, 1, 1))
     same = model.changed(conductance=matrices)
