@@ -53,6 +53,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.SECTION, "nine-locations", "sections.nine_locations:NineLocations"),
     (Kind.SECTION, "load-images", "sections.load_images:LoadImages"),
     (Kind.SECTION, "mask-comparison", "sections.mask_comparison:MaskComparison"),
+    (Kind.SECTION, "image-quality", "sections.image_quality:ImageQuality"),
     (Kind.SECTION, "random-loads", "sections.random_loads:RandomLoads"),
     (Kind.SECTION, "relaxation", "sections.relaxation:RelaxationFits"),
     (Kind.SECTION, "baseline-conductance", "sections.baseline_conductance:BaselineConductanceMap"),
