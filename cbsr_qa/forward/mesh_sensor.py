@@ -10,6 +10,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.outlines import Polygon, thinned_ring
 from cbsr_qa.domain.patterns import DrivePattern
+from cbsr_qa.domain.polygons import inside_polygon, signed_area
 from cbsr_qa.domain.sensor import GivenMesh, Response, SensorType
 
 Indices = NDArray[np.int64]
@@ -58,14 +59,19 @@ def mesh_sensor(
 
 
 def outer_ring(mesh: Mesh) -> Indices:
-    """Nodes of the outer boundary, counterclockwise: of the boundary's closed lines the one round most."""
-    rings = _rings(mesh)
-    after = [np.roll(mesh.nodes_mm[ring], -1, axis=0) for ring in rings]
-    around = [
-        float((mesh.nodes_mm[ring][:, 0] * b[:, 1] - mesh.nodes_mm[ring][:, 1] * b[:, 0]).sum())
-        for ring, b in zip(rings, after, strict=True)
-    ]
-    return rings[int(np.argmax(around))]
+    """Nodes of the outer boundary, counterclockwise: of the boundary's closed lines the one that goes round most."""
+    return max(_rings(mesh), key=lambda ring: signed_area(mesh.nodes_mm[ring]))
+
+
+def without_holes(image: Mesh, sheet: Mesh) -> Mesh:
+    """Leave out of an image's mesh what lies in the holes of the sheet's: elements whose middle does."""
+    inside = np.zeros(len(image.elements), dtype=np.bool_)
+    for ring in _rings(sheet):
+        corners = sheet.nodes_mm[ring]
+        if signed_area(corners) < 0:
+            inside |= inside_polygon(image.centroids_mm, corners)
+    used, elements = np.unique(image.elements[~inside], return_inverse=True)
+    return Mesh(image.nodes_mm[used], elements.reshape(-1, 3).astype(np.int64))
 
 
 def _rings(mesh: Mesh) -> list[Indices]:

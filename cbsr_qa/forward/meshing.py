@@ -24,6 +24,7 @@ from cbsr_qa.forward.grading import (
     graded_smoothly,
     spread,
 )
+from cbsr_qa.forward.mesh_sensor import without_holes
 from cbsr_qa.forward.outline_meshing import outline_image_mesh, outline_sheet_mesh
 from cbsr_qa.forward.triangulate import Outline, fill
 
@@ -77,7 +78,8 @@ def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
     """
     _check_size(sensor_type, size_mm)
     if sensor_type.polygon is not None:
-        return outline_image_mesh(sensor_type.polygon, size_mm)
+        mesh = outline_image_mesh(sensor_type.polygon, size_mm)
+        return mesh if sensor_type.mesh is None else without_holes(mesh, sensor_type.mesh.mesh)
     radius = sensor_type.radius_mm
     count = int(np.ceil(2 * np.pi * radius / size_mm))
     rim = radius * _unit(2 * np.pi * np.arange(count) / count)

@@ -42,6 +42,22 @@ def test_the_tour_of_the_readme_runs_as_printed(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["var"]
 
 
+def test_the_page_on_ones_own_sensor_runs_as_printed(tmp_path):
+    page = _TOP / "docs" / "how-to" / "describe-a-sensor.md"
+    for name, content in re.findall(r"^`([\w-]+\.toml)`:\n\n```toml\n(.*?)^```", page.read_text(), re.M | re.S):
+        (tmp_path / name).write_text(content)
+    assert len(list(tmp_path.iterdir())) == 3
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("CBSR_QA_")}
+    environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
+    script = "\n".join(_blocks(page, "python"))
+    commands = [[sys.executable, "-c", script], *(["bash", "-c", command] for command in _commands(page))]
+    for command in commands:
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    (report,) = (tmp_path / "var" / "reports").glob("E-1*.html")
+    assert "polygon of 6 corners rounded with 4 mm, 80 mm × 80 mm" in report.read_text()
+
+
 @pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
 def test_links_between_pages_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
