@@ -1,1 +1,1 @@
-"""From images to regions: noise floor, percentage masks, blobs, exact clipping."""
+"""From images to regions and what they score: masks, blobs and contours, loads they belong to, figures of merit."""
