@@ -39,7 +39,7 @@ class Expected:
         radius.
     load_spread, load_length : the same of what a load changes. No spread: the one whose first step has
         ``noise_figure`` on the sensor type's nominal problem.
-    contact_spread : standard deviation of ln z.
+    contact_spread : standard deviation of ln z about the nominal contact; loads change it as much as ln γ.
     mesh_size : edge length of the forward mesh (second order), of the radius.
     iterations : Gauss–Newton steps allowed.
 
@@ -130,9 +130,8 @@ class AbsoluteImages:
         reference, scale = _reference_state(problem, expected, model, variance)
         spread, how = expected.chosen_spread(problem)
         length_mm = expected.load_length * problem.sensor_type.radius_mm
-        load = SheetPrior.of(
-            problem.mesh, spread=spread, length_mm=length_mm, level=0.0, contact=expected.contact_spread
-        )
+        # A contact changes as little as conductance does, or it would explain what the image may not.
+        load = SheetPrior.of(problem.mesh, spread=spread, length_mm=length_mm, level=0.0, contact=spread)
         before = Linearised(reference.solved, load, variance)
         figure = _noise_figure(problem, model, before)
         choice = ParameterChoice(spread, f"{how}; {_said(problem, reference)}", figure, "spread of ln γ under loads")

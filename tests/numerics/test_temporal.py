@@ -6,13 +6,13 @@ from hypothesis import strategies as st
 from cbsr_qa.domain.errors import ConfigError, NumericsError, RefusedError
 from cbsr_qa.domain.reconstruction import ImagingProblem
 from cbsr_qa.reconstruct.evidence import central_signal
-from cbsr_qa.reconstruct.priors import noser
 from cbsr_qa.reconstruct.problem import imaging_problem
+from cbsr_qa.reconstruct.smoothness import indenter_smoothness
 from cbsr_qa.reconstruct.temporal import Correlation, smoothed
-from cbsr_qa_plugins.reconstruction.gauss_newton_noser import GaussNewtonNoser
+from cbsr_qa_plugins.reconstruction.gauss_newton_indenter import GaussNewtonIndenter
 from cbsr_qa_plugins.reconstruction.temporal import Temporal
 
-_LAMBDA = 0.01
+_LAMBDA = 0.03
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +45,7 @@ def test_a_block_is_the_textbook_block(problem, frames, time, weighted):
     block, jacobian = frames[:4], problem.jacobian
     apart = np.abs(np.subtract.outer(np.arange(4), np.arange(4)))
     together = np.exp(-apart / time)
-    seen = jacobian / noser(jacobian, 0.25)
+    seen = indenter_smoothness(problem.mesh, 6.5).covariance(jacobian.T).T
     noise = np.ones(208) if variance is None else problem.noise_variance
     system = np.kron(together, seen @ jacobian.T) + _LAMBDA**2 * np.diag(np.tile(noise, 4))
     weights = np.linalg.solve(system, block.ravel()).reshape(4, 208)
@@ -54,14 +54,14 @@ def test_a_block_is_the_textbook_block(problem, frames, time, weighted):
 
 
 def test_frames_that_know_nothing_of_each_other_are_imaged_one_by_one(problem, frames):
-    alone = GaussNewtonNoser(hyperparameter=_LAMBDA, exponent=0.25).prepare(problem).images(frames)
+    alone = GaussNewtonIndenter(hyperparameter=_LAMBDA).prepare(problem).images(frames)
     assert close(temporal(problem, correlation_frames=0.0).images(frames), alone)
     one_by_one = np.vstack([temporal(problem).images(frame[None]) for frame in frames])
     assert close(one_by_one, alone)
 
 
 def test_one_lasting_image_is_that_of_the_mean_with_the_means_noise(problem, frames):
-    mean = GaussNewtonNoser(hyperparameter=_LAMBDA / np.sqrt(10), exponent=0.25).prepare(problem)
+    mean = GaussNewtonIndenter(hyperparameter=_LAMBDA / np.sqrt(10)).prepare(problem)
     expected = mean.images(frames.mean(axis=0)[None])
     images = temporal(problem, correlation_frames=float("inf")).images(frames)
     assert close(images, np.repeat(expected, 10, axis=0), 1e-9)
@@ -126,7 +126,7 @@ def test_impossible_options_are_refused(problem, options, reason):
         Temporal(**options).prepare(problem)
 
 
-@pytest.mark.parametrize("options", [{"lag": 1.5}, {"correlation_frames": "long"}, {"exponent": True}])
+@pytest.mark.parametrize("options", [{"lag": 1.5}, {"correlation_frames": "long"}, {"indenter_diameter_mm": True}])
 def test_options_that_are_no_numbers_are_refused(options):
     with pytest.raises(ConfigError, match="allowed: a"):
         Temporal(**options)

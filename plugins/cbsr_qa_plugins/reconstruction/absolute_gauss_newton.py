@@ -24,7 +24,8 @@ class AbsoluteGaussNewton:
         expected to change ln γ; 1.0 unless that is given as
     load_spread : smaller keeps places, larger amplitudes. load_length : over which it varies, of the radius; that of
         the indenter by default.
-    contact_spread : how much ln z is expected to vary about the nominal contact impedance.
+    contact_spread : how much ln z is expected to vary about the nominal contact impedance; a load is expected to
+        change it as much as ln γ.
     mesh_size : edge length of the forward mesh (second order), of the radius.
     iterations : allowed; a state that needs more is refused.
     """

@@ -3,17 +3,19 @@
 from dataclasses import replace
 
 from cbsr_qa.domain.reconstruction import ImagingProblem
+from cbsr_qa.reconstruct.evidence import target_radius_mm
 from cbsr_qa.reconstruct.one_step import OneStep, RidgeSearch
 from cbsr_qa.reconstruct.options import number, whole
-from cbsr_qa.reconstruct.priors import Prior, noser
+from cbsr_qa.reconstruct.priors import Prior
 from cbsr_qa.reconstruct.regularisation import Regularisation
+from cbsr_qa.reconstruct.smoothness import indenter_smoothness
 from cbsr_qa.reconstruct.temporal import Correlation, TemporalImages, lasting_noise_figure
 
 _NAME = "temporal"
 
 
 class Temporal:
-    """NOSER images whose neighbours in time are expected to be alike (Adler, Dai & Lionheart 2007).
+    """Images as of gauss-newton-indenter, alike their neighbours in time (Adler, Dai & Lionheart 2007).
 
     Images of a block of frames are made together: noise falls where nothing changes, and what changes faster than the
     correlation time is smeared over it. Frames of a block must be evenly spaced, in order and of one recording; a
@@ -27,7 +29,7 @@ class Temporal:
         images come late on every change by about the time they average over.
     choose, noise_figure, hyperparameter : how λ is chosen, for a single frame, see
         :class:`~cbsr_qa.reconstruct.regularisation.Regularisation`.
-    exponent : of the NOSER prior, 0 to 1.
+    indenter_diameter_mm : of the head [mm]; by default 0.13 of the sheet's diameter.
     """
 
     def __init__(
@@ -38,13 +40,13 @@ class Temporal:
         choose: str | None = None,
         noise_figure: float | None = None,
         hyperparameter: float | None = None,
-        exponent: float = 0.25,
+        indenter_diameter_mm: float | None = None,
     ) -> None:
         self._correlation = Correlation(
             number(_NAME, "correlation_frames", correlation_frames), whole(_NAME, "lag", lag)
         )
         chosen = Regularisation.of(_NAME, choose=choose, noise_figure=noise_figure, given=hyperparameter)
-        self._exponent = number(_NAME, "exponent", exponent)
+        self._diameter_mm = number(_NAME, "indenter_diameter_mm", indenter_diameter_mm)
         self._step = OneStep(_NAME, self._prior, chosen)
 
     def prepare(self, problem: ImagingProblem) -> TemporalImages:
@@ -53,7 +55,7 @@ class Temporal:
         Raises
         ------
         NumericsError
-            If λ cannot be chosen or is too small to determine the image, or an element is felt by no reading.
+            If λ cannot be chosen or is too small to determine the image, or the diameter is not positive.
         """
         choice = self._step.prepare(problem).choice
         spectrum = RidgeSearch(problem, self._prior(problem)).spectrum
@@ -62,4 +64,5 @@ class Temporal:
         return TemporalImages(_NAME, problem, replace(choice, how=how), spectrum, self._correlation)
 
     def _prior(self, problem: ImagingProblem) -> Prior:
-        return Prior.diagonal(noser(problem.jacobian, self._exponent))
+        head_mm = target_radius_mm(problem) if self._diameter_mm is None else self._diameter_mm / 2
+        return indenter_smoothness(problem.mesh, head_mm)

@@ -1,0 +1,116 @@
+"""Nine loads simulated on a mesh of their own, and what an image makes of them: shared by all parts that localise."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.domain.footprints import RoundFootprint
+from cbsr_qa.domain.image import Image
+from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
+from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.reconstruction import ImagingProblem
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.forward.coverage import cover
+from cbsr_qa.forward.local import LocalUpdate
+from cbsr_qa.forward.meshing import sheet_mesh
+from cbsr_qa.forward.model import ForwardModel
+from cbsr_qa.imaging.blobs import nearest_blob
+from cbsr_qa.imaging.contours import contour_regions
+from cbsr_qa.imaging.shape import spatial_figures
+
+Array = NDArray[np.float64]
+
+RADIUS_MM = 6.5
+SIZE_MM = 2.3  # of the true sheet's mesh, of the second order; images are made with a coarser one
+CONTACT_MM = 0.3  # and its contacts are not the nominal ones
+MASK = 0.85
+
+
+@dataclass(frozen=True)
+class Loads:
+    """Readings of an unloaded sheet, and their changes under each load.
+
+    Parameters
+    ----------
+    reference : (drives, measures).
+    changes : (sites, drives, measures), without noise.
+    places : (sites, 2) [mm].
+    """
+
+    reference: Array
+    changes: Array
+    places: Array
+
+    def noisy(self, problem: ImagingProblem, decibels: float, frames: int, seed: int = 1) -> Array:
+        """Changes of a problem's readings with noise so far below each reading: (sites, frames, m)."""
+        clean = self.changes[:, problem.used][:, None]
+        size = 10 ** (-decibels / 20) * np.abs(self.reference[problem.used])
+        drawn = np.random.default_rng(seed).standard_normal((len(clean), frames, clean.shape[2]))
+        return clean + size * drawn
+
+
+@dataclass(frozen=True)
+class Score:
+    """Figures over all sites and frames; the worst site is that of the largest mean error."""
+
+    error_mm: float
+    worst_mm: float
+    overlap_percent: float
+    deviation_mm2: float
+
+    def words(self) -> str:
+        """In one line."""
+        return (
+            f"E_CoM {self.error_mm:.2f} mm (worst site {self.worst_mm:.2f}), A_OL {self.overlap_percent:.1f} %,"
+            f" SD {self.deviation_mm2:.2f} mm²"
+        )
+
+
+@lru_cache(maxsize=8)
+def loads(contrast: float = 0.5, radius_mm: float = RADIUS_MM) -> Loads:
+    """Simulate loads of a contrast at the nine sites of the 100 mm disc, one at a time."""
+    sensor = disc()
+    local = _sheet()
+    places = np.array(NINE_LOCATIONS_MM, dtype=np.float64)
+    reference, changes = local.model.voltages(), []
+    for x, y in places:
+        covered = cover(local.model.elements, RoundFootprint(float(x), float(y), radius_mm))
+        pressed = local.voltages(covered.elements, covered.change(local.model.conductance, contrast))
+        changes.append(pressed - reference)
+    assert reference.shape == sensor.pattern.shape
+    return Loads(reference, np.array(changes), places)
+
+
+@lru_cache(maxsize=1)
+def disc() -> SensorType:
+    """The shipped 100 mm disc."""
+    return load_sensor_type("disc-100mm").value
+
+
+@lru_cache(maxsize=1)
+def _sheet() -> LocalUpdate:
+    mesh = sheet_mesh(disc(), size_mm=SIZE_MM, order=2)
+    contacts = np.full(disc().electrodes.count, CONTACT_MM)
+    return LocalUpdate(ForwardModel(mesh, disc().pattern, np.ones(len(mesh.elements)), contacts, order=2))
+
+
+def score(images: ArrayLike, mesh: Mesh, places: Array, radius_mm: float = RADIUS_MM) -> Score:
+    """Figures of images (sites, frames, e) at the 85 % mask, the region bounded by a contour."""
+    figures = np.array(
+        [
+            [_figures(image, mesh, RoundFootprint(float(x), float(y), radius_mm)) for image in frames]
+            for frames, (x, y) in zip(np.asarray(images), places, strict=True)
+        ]
+    )
+    error, overlap, deviation = figures.mean(axis=(0, 1))
+    return Score(float(error), float(figures[..., 0].mean(axis=1).max()), float(overlap), float(deviation))
+
+
+def _figures(values: Array, mesh: Mesh, head: RoundFootprint) -> tuple[float, float, float]:
+    region = nearest_blob(contour_regions(Image(mesh, values), MASK), *head.centre_mm)
+    (found,) = spatial_figures([region], head)
+    assert found is not None
+    return found.error_mm, found.overlap_percent, found.deviation_mm2
