@@ -108,9 +108,10 @@ def cover(elements: FiniteElements, footprint: Footprint) -> Cover:
     footprint : of the load.
     """
     mesh = elements.mesh
-    share = overlap_mm2(footprint, mesh.corners_mm) / mesh.areas_mm2
-    touched = np.flatnonzero(share > 1e-12)
-    share = np.minimum(share[touched], 1.0)
+    near = _near(elements, footprint)
+    share = overlap_mm2(footprint, mesh.corners_mm[near]) / mesh.areas_mm2[near]
+    touched = near[share > 1e-12]
+    share = np.minimum(share[share > 1e-12], 1.0)
     points = elements.shapes.points
     spread = np.repeat(share[:, None], len(points), axis=1)
     across = np.zeros((*spread.shape, 2))
@@ -120,6 +121,17 @@ def cover(elements: FiniteElements, footprint: Footprint) -> Cover:
     if elements.order == 2:
         spread[cut] += _slopes(footprint, corners, share[cut]) @ (points - 1 / 3).T
     return Cover(touched, share, spread, across)
+
+
+def _near(elements: FiniteElements, footprint: Footprint) -> Indices:
+    """Elements about whose bounding circle the footprint's box comes."""
+    drawn = footprint.drawn_mm()
+    middle, half = (
+        (drawn.max(axis=0) + drawn.min(axis=0)) / 2,
+        0.51 * np.ptp(drawn, axis=0),
+    )  # drawn inside its circle
+    beside = np.abs(elements.mesh.centroids_mm - middle) - half
+    return np.flatnonzero((beside <= elements.reaches_mm[:, None]).all(axis=1))
 
 
 def _slopes(footprint: Footprint, corners: Array, share: Array) -> Array:

@@ -60,6 +60,13 @@ class FiniteElements:
         """To how many elements each node belongs, (n,) int64."""
         return np.bincount(self.cells.ravel(), minlength=self.count).astype(np.int64)
 
+    @cached_property
+    def reaches_mm(self) -> Array:
+        """Largest distance of a corner of each element from its centroid, (e,) [mm]."""
+        away = self.mesh.corners_mm - self.mesh.centroids_mm[:, None]
+        reaches: Array = np.hypot(away[..., 0], away[..., 1]).max(axis=1)
+        return reaches
+
     @property
     def weights_mm2(self) -> Array:
         """Area that each integration point stands for, (e, q) [mm²]."""

@@ -92,9 +92,11 @@ class LocalUpdate:
         if elements.ndim != 1 or change.shape != shape:
             raise NumericsError(f"{change.shape} conductance changes do not fit {elements.shape} elements")
         model.check_elements(elements)
-        unique, place = np.unique(elements, return_inverse=True)
-        total = np.zeros((len(unique), *change.shape[1:]))
-        np.add.at(total, place, change)
+        unique, total = elements, change
+        if not (elements[1:] > elements[:-1]).all():
+            unique, place = np.unique(elements, return_inverse=True)
+            total = np.zeros((len(unique), *change.shape[1:]))
+            np.add.at(total, place, change)
         new = model.changed_conductance(unique, total)
         wrong = np.flatnonzero(~conducts(new))
         if wrong.size:

@@ -158,8 +158,8 @@ class ForwardModel:
 
     def readings(self, transfer_impedance: Array) -> Array:
         """Turn a transfer impedance (electrodes, electrodes) into readings (drives, measures)."""
-        potentials = transfer_impedance @ self.pattern.drive_currents()
-        readings: Array = potentials.T @ self.pattern.measure_matrix()
+        driven, measured = self._pairs
+        readings: Array = (transfer_impedance @ driven).T @ measured
         return readings
 
     def jacobian(self) -> Array:
@@ -215,6 +215,11 @@ class ForwardModel:
         return slopes
 
     @cached_property
+    def _pairs(self) -> tuple[Array, Array]:
+        """Currents of the drive pairs and weights of the measure pairs, each (electrodes, pairs)."""
+        return self.pattern.drive_currents(), self.pattern.measure_matrix()
+
+    @cached_property
     def _pair_fields(self) -> tuple[Array, Array]:
         """Gradients, times the root of the area each stands for, for drive and measure pairs: (pairs, 2 q, e)."""
         elements = self.elements
@@ -226,9 +231,9 @@ class ForwardModel:
             nodal = (self.electrode_fields @ pairs)[elements.cells]
             return np.array((gradient @ nodal).transpose(2, 1, 0), dtype=np.float64, order="C")
 
-        drive = of(self.pattern.drive_currents())
-        alike = self.pattern.drive == self.pattern.measure
-        return drive, drive if alike else of(self.pattern.measure_matrix())
+        driven, measured = self._pairs
+        drive = of(driven)
+        return drive, drive if self.pattern.drive == self.pattern.measure else of(measured)
 
     def _fields_at(self, nodes: Indices) -> Array:
         """:attr:`electrode_fields` at some nodes."""

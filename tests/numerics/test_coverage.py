@@ -43,7 +43,7 @@ def test_shares_are_those_of_exact_clipping(elements, x, y, radius):
 @given(part=st.floats(0.02, 0.98), corner=st.integers(0, 2))
 @settings(max_examples=30, deadline=None)
 def test_first_moments_are_those_of_the_covered_part(part, corner):
-    """A cut parallel to a side leaves a corner of known centroid; found to 2 % of the range."""
+    """A cut parallel to a side leaves a corner of known centroid; found to 3 % of the range."""
     mesh = Mesh(np.array([[0.0, 0.0], [3.0, 0.4], [1.0, 2.0]]), np.array([[0, 1, 2]]))
     elements = FiniteElements(mesh, 2)
     ends = mesh.nodes_mm[corner] + part * (np.delete(mesh.nodes_mm, corner, axis=0) - mesh.nodes_mm[corner])
@@ -53,7 +53,7 @@ def test_first_moments_are_those_of_the_covered_part(part, corner):
     centroid[corner] = 1 - 2 * part / 3
     points = elements.shapes.points
     expected = part**2 * (1 + 12 * (points - 1 / 3) @ (centroid - 1 / 3))  # ∫ λ_i λ_j = (1 + δ_ij)/12 of the area
-    assert np.allclose(load.spread[0], expected, atol=0.02)
+    assert np.allclose(load.spread[0], expected, atol=0.03)
 
 
 def test_normals_are_those_of_the_outline(elements):
