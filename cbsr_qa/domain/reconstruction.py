@@ -23,7 +23,8 @@ class ImagingProblem:
         at unit current and unit sheet conductance [V/(A·Ω)].
     reference : (m,) float64, the used readings of the unloaded sheet, same scaling.
     used : (drives, measures) bool with m True entries; readings are taken in C order.
-    noise_variance : (m,) float64 relative variances of the used readings, or None for equal noise on all.
+    noise_variance : (m,) float64 variances of the used readings relative to their harmonic mean, or None for equal
+        noise on all.
     nominal : the sensor type's problem with every reading its pattern images and equal noise: what belongs to the
         type, such as λ, is chosen on it. None where this is it.
     sample : (k, m) float64 measured changes, scaled as ``reference``, for a choice of λ that looks at data

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.footprints import RoundFootprint
 from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.patterns import DrivePattern
 from cbsr_qa.domain.reconstruction import ImagingProblem
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.forward.coverage import cover
@@ -25,6 +27,9 @@ NOMINAL_CONTACT_MM = 0.5
 _FORWARD_SIZE = 0.1  # edge length of the forward mesh far from electrodes, of the radius (5 mm on a 100 mm disc)
 _FEWEST_READINGS = 16
 
+#: Whole electrodes that may be left out; with more, too much of the sheet lies between the others.
+MOST_MASKED: Final = 3
+
 
 def imaging_problem(
     sensor_type: SensorType,
@@ -32,16 +37,20 @@ def imaging_problem(
     used: NDArray[np.bool_] | None = None,
     noise_variance: Array | None = None,
     image_size_mm: float = 3.0,
+    sample: Array | None = None,
+    measured: Array | None = None,
 ) -> ImagingProblem:
     """Linearise a sensor type around its unloaded homogeneous sheet.
 
     Parameters
     ----------
     used : (drives, measures) bool, readings to image from; by default those that touch no driven electrode. Bad
-        channels are left out here, never set to zero.
+        channels are left out here, never set to zero. Up to three whole electrodes may be missing.
     noise_variance : (drives, measures) or (m,) float64, variances of the readings in any common unit; None for equal
-        noise.
+        noise. They are kept relative to their harmonic mean, so that λ means the same with equal noise and without.
     image_size_mm : edge length of the image's elements [mm].
+    sample, measured : (k, drives, measures) or (k, m), and without k, as of :class:`ImagingProblem`; scaled as its
+        reference.
 
     Returns
     -------
@@ -51,36 +60,33 @@ def imaging_problem(
     Raises
     ------
     NumericsError
-        If the mask has another shape, fewer than 16 readings are left, or a variance is not a positive finite number.
+        If the mask has another shape, fewer than 16 readings or more than three electrodes fewer are left, a variance
+        is not a positive finite number, or a sample or measured frame does not fit or is not finite.
     """
     nominal = _nominal(sensor_type, float(image_size_mm))
-    used = sensor_type.pattern.usable() if used is None else np.array(used, dtype=np.bool_)
-    if used.shape != sensor_type.pattern.shape:
-        raise NumericsError(f"a mask of {used.shape} readings does not fit frames of {sensor_type.pattern.shape}")
-    count = int(used.sum())
-    if count < _FEWEST_READINGS:
-        raise NumericsError(
-            f"only {count} readings are left to image from; at least {_FEWEST_READINGS} are needed",
-            remedy="mend the channels that were masked",
-        )
-    variance = None if noise_variance is None else _variance_of(np.asarray(noise_variance, dtype=np.float64), used)
     whole = sensor_type.pattern.usable()
-    full = _rows(sensor_type, nominal, whole, None, None)
-    if variance is None and np.array_equal(used, whole):
+    used = whole if used is None else np.array(used, dtype=np.bool_)
+    _check_used(sensor_type.pattern, used)
+    full = ImagingProblem(sensor_type, nominal.mesh, nominal.jacobian[whole], nominal.reference[whole], whole)
+    if noise_variance is None and sample is None and measured is None and np.array_equal(used, whole):
         return full
-    return _rows(sensor_type, nominal, used, variance, full)
-
-
-def _rows(
-    sensor_type: SensorType,
-    nominal: "_Nominal",
-    used: NDArray[np.bool_],
-    variance: Array | None,
-    full: ImagingProblem | None,
-) -> ImagingProblem:
     return ImagingProblem(
-        sensor_type, nominal.mesh, nominal.jacobian[used], nominal.reference[used], used, variance, full
+        sensor_type,
+        nominal.mesh,
+        nominal.jacobian[used],
+        nominal.reference[used],
+        used,
+        None if noise_variance is None else _relative_variance(np.asarray(noise_variance, dtype=np.float64), used),
+        full,
+        None if sample is None else _readings("sample", np.asarray(sample, dtype=np.float64), used, 2),
+        None if measured is None else _readings("measured frame", np.asarray(measured, dtype=np.float64), used, 1),
     )
+
+
+def masked_electrodes(pattern: DrivePattern, used: NDArray[np.bool_]) -> tuple[int, ...]:
+    """Electrodes of whose usable readings, (drives, measures) bool, none is used."""
+    usable, left = (_touched(pattern, readings) for readings in (pattern.usable(), used))
+    return tuple(int(electrode) for electrode in np.flatnonzero(usable & ~left))
 
 
 def nominal_model(sensor_type: SensorType) -> LocalUpdate:
@@ -143,7 +149,33 @@ def _nominal(sensor_type: SensorType, image_size_mm: float) -> _Nominal:
     return _Nominal(mesh, jacobian, reference)
 
 
-def _variance_of(variance: Array, used: NDArray[np.bool_]) -> Array:
+def _check_used(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
+    if used.shape != pattern.shape:
+        raise NumericsError(f"a mask of {used.shape} readings does not fit frames of {pattern.shape}")
+    count = int(used.sum())
+    if count < _FEWEST_READINGS:
+        raise NumericsError(
+            f"only {count} readings are left to image from; at least {_FEWEST_READINGS} are needed",
+            remedy="mend the channels that were masked",
+        )
+    masked = masked_electrodes(pattern, used)
+    if len(masked) > MOST_MASKED:
+        raise NumericsError(
+            f"electrodes {', '.join(map(str, masked))} are masked, {len(masked)} of {pattern.electrode_count};"
+            f" at most {MOST_MASKED} may be: what lies between the others would be guessed",
+            remedy="mend their contacts",
+        )
+
+
+def _touched(pattern: DrivePattern, readings: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Electrodes that some readings have to do with, (electrodes,)."""
+    driven, measured = pattern.drive_currents() != 0, pattern.measure_matrix() != 0
+    touched: NDArray[np.bool_] = driven[:, readings.any(axis=1)].any(axis=1)
+    touched |= measured[:, readings.any(axis=0)].any(axis=1)
+    return touched
+
+
+def _relative_variance(variance: Array, used: NDArray[np.bool_]) -> Array:
     count = int(used.sum())
     variance = variance[used] if variance.shape == used.shape else variance
     if variance.shape != (count,) or not (np.isfinite(variance) & (variance > 0)).all():
@@ -151,4 +183,17 @@ def _variance_of(variance: Array, used: NDArray[np.bool_]) -> Array:
             f"noise variances of shape {variance.shape} are not one positive finite number"
             f" for each of {count} readings"
         )
-    return variance
+    relative: Array = variance * (1 / variance).mean()
+    return relative
+
+
+def _readings(what: str, values: Array, used: NDArray[np.bool_], axes: int) -> Array:
+    """Used readings of frames, or of one, which may come as such already."""
+    count = int(used.sum())
+    if values.shape[-2:] == used.shape and values.ndim == axes + 1:
+        values = values[..., used]
+    if values.ndim != axes or values.shape[-1] != count or not values.size:
+        raise NumericsError(f"a {what} of shape {values.shape} does not fit {count} used readings")
+    if not np.isfinite(values).all():
+        raise NumericsError(f"a {what} holds a reading that is not a finite number", remedy="leave its channel out")
+    return values
