@@ -30,6 +30,8 @@ Array = NDArray[np.float64]
 #: By how much a load must lower the squared residuals to be there at all. Noise alone does it in fewer than 2 of
 #: 10 000 frames (measured with 20 000, anywhere on the sheet, of any size).
 DETECTED_GAIN: Final = 27.0
+#: What does not explain so much of the squares at the best place of the grid explains no 27 beside it.
+_HOPELESS_GAIN: Final = 10.0
 #: d′ from which a place is given. Loads of d′ = 10 are answered in 97 of 100 frames, of d′ = 6 in 3.
 LEAST_DETECTABILITY: Final = 8.0
 #: Largest standard error of place and radius over the expected radius.
@@ -39,6 +41,8 @@ _SPARE: Final = 1.15
 #: A misfit this improbable is taken as the model's fault.
 _IMPROBABLE: Final = 1e-3
 _COVERED: Final = 0.6827  # by one standard deviation to each side
+_SMALL: Final = 0.6  # of the clearance: largest radius of a load the search begins with
+_AT_ONCE: Final = 64
 _GRID: Final = 0.08  # of the sheet's radius, between places the matched filter looks at
 
 
@@ -87,7 +91,7 @@ class LoadEstimator:
         self.expected_radius_mm = expected_radius_mm
         self.known = known
         self._fitter = LoadFitter(model, readings)
-        self._places, weak = _weak_loads(model, expected_radius_mm, known)
+        self._places, weak = _weak_loads(model, expected_radius_mm)
         self._patterns, self._size = _filters(readings.of_model(weak))
 
     def estimate(self, changes: Array, *, start_mm: Array | None = None) -> tuple[LoadEstimate, ...]:
@@ -116,26 +120,32 @@ class LoadEstimator:
         if not np.isfinite(changes).all():
             raise NumericsError("a reading is not a finite number", remedy="leave its channel out of the readings")
         data = self.readings.of_data(changes)
-        fits = self._fitter.fit(data, self._start(data, start_mm), square=False)
+        start, gain = self._start(data, start_mm)
+        fits = _unfitted(data, start, gain)
+        hopeful = np.flatnonzero(gain > _HOPELESS_GAIN)
+        if hopeful.size:
+            fitted = self._fitter.fit(data[hopeful], start[hopeful], square=False)
+            fits = _with(fits, hopeful, fitted)
         if not self.known:
             fits = self._sized(data, fits)
         return self._judged(fits)
 
-    def _start(self, data: Array, start_mm: Array | None) -> Array:
-        """Place, strength and size to begin with: the better of the given place and the best of the grid."""
+    def _start(self, data: Array, start_mm: Array | None) -> tuple[Array, Array]:
+        """Begin at the better of the given place and the best of the grid, (n, 4); what that explains, (n,)."""
         match = data @ self._patterns.T
         best, every = np.abs(match).argmax(axis=1), np.arange(len(data))
-        place, strength = self._places[best], match[every, best] / self._size[best]
+        found = match[every, best]
+        place, strength = self._places[best], found / self._size[best]
         if start_mm is not None:
             given = np.asarray(start_mm, dtype=np.float64)
             patterns, size = _filters(
-                self.readings.of_model(_weak_changes(self.model, given, self.expected_radius_mm, self.known))
+                self.readings.of_model(_weak_changes(self.model, given, self.expected_radius_mm))
             )
             own = (data * patterns).sum(axis=1)
-            better = np.abs(own) > np.abs(match[every, best])
+            better = np.abs(own) > np.abs(found)
             place = np.where(better[:, None], given, place)
-            strength = np.where(better, own / size, strength)
-        return np.column_stack([place, strength, np.full(len(data), self.expected_radius_mm**2)])
+            strength, found = np.where(better, own / size, strength), np.where(better, own, found)
+        return np.column_stack([place, strength, np.full(len(data), self.expected_radius_mm**2)]), found**2
 
     def _sized(self, data: Array, fits: Fits) -> Fits:
         """Fit the size as well, where a load was seen."""
@@ -143,7 +153,7 @@ class LoadEstimator:
         if not seen.size:
             return fits
         sized = self._fitter.fit(data[seen], fits.parameters[seen], square=True)
-        return Fits(*(_replaced(getattr(fits, name), seen, getattr(sized, name)) for name in Fits.__slots__))
+        return _with(fits, seen, sized)
 
     def _judged(self, fits: Fits) -> LoadFits:
         unknowns = 3 if self.known else 4
@@ -229,20 +239,25 @@ class LoadEstimator:
 
 
 @lru_cache(maxsize=16)
-def _weak_loads(model: RoundLoadModel, radius_mm: float, known: bool) -> tuple[Array, Array]:
+def _weak_loads(model: RoundLoadModel, radius_mm: float) -> tuple[Array, Array]:
     """Places (p, 2) all over the sheet, and what a weak load of unit strength changes there (p, drives, measures)."""
     radius = model.surroundings.radius_mm
     along = np.arange(-ceil(1 / _GRID), ceil(1 / _GRID) + 1) * _GRID * radius
     places = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
     places = places[model.surroundings.clearance_mm(places) > _GRID * radius / 2]
-    return places, _weak_changes(model, places, radius_mm, known)
+    return places, _weak_changes(model, places, radius_mm)
 
 
-def _weak_changes(model: RoundLoadModel, places_mm: Array, radius_mm: float, known: bool) -> Array:
-    square = np.full(len(places_mm), radius_mm**2)
-    if not known:
-        square = np.minimum(square, (0.8 * np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)) ** 2)
-    changes: Array = model.readings(RoundLoads(places_mm, np.zeros(len(places_mm)), square)).slope[:, 2]
+def _weak_changes(model: RoundLoadModel, places_mm: Array, radius_mm: float) -> Array:
+    """What weak loads of unit strength change, smaller near an electrode: good enough to begin with, and cheap."""
+    clear = np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)
+    square = np.minimum(radius_mm, _SMALL * clear) ** 2
+    changes = np.empty((len(places_mm), *model.pattern.shape))
+    order = np.argsort(-clear, kind="stable")  # places alike in clearance need alike numbers of terms
+    for first in range(0, len(order), _AT_ONCE):
+        part = order[first : first + _AT_ONCE]
+        loads = RoundLoads(places_mm[part], np.zeros(len(part)), square[part])
+        changes[part] = model.readings(loads).slope[:, 2]
     return changes
 
 
@@ -280,6 +295,18 @@ def radius_of(square_mm2: float, stderr_mm2: float, excess_mm2: float = 0.0) -> 
         outside = (1 - _COVERED) * ndtr(-excess_mm2 / stderr_mm2)
         below, above = square_mm2 + excess_mm2 + stderr_mm2 * float(ndtri(outside)), square_mm2
     return Estimated(value, stderr_mm2 / (2 * value), sqrt(max(below, 0.0)), max(sqrt(max(above, 0.0)), value))
+
+
+def _unfitted(data: Array, start: Array, gain: Array) -> Fits:
+    """Loads where they begin, not fitted."""
+    empty, count = (data**2).sum(axis=1), len(data)
+    no = np.zeros(count, dtype=np.bool_)
+    covariance, steps = np.zeros((count, 4, 4)), np.zeros(count, dtype=np.int64)
+    return Fits(start, covariance, empty - gain, empty, steps, no, no, np.zeros(count))
+
+
+def _with(fits: Fits, which: NDArray[np.int64], new: Fits) -> Fits:
+    return Fits(*(_replaced(getattr(fits, name), which, getattr(new, name)) for name in Fits.__slots__))
 
 
 def _replaced(values: NDArray, which: NDArray[np.int64], new: NDArray) -> NDArray:  # type: ignore[type-arg]

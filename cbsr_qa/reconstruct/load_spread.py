@@ -16,7 +16,7 @@ Array = NDArray[np.float64]
 
 #: d′ above which a place is known so well that the sheet does not change over it.
 SURE: Final = 30.0
-#: Variance of the place beyond the bound, times d′²: from simulated loads of d′ = 10 to 20 (benchmarks/load_estimate.py).
+#: Variance of the place beyond the bound, times d′², as simulated at d′ = 10 to 20 (benchmarks/load_estimate.py).
 _BEYOND: Final = 8.0
 
 

@@ -234,6 +234,7 @@ def sample_measurements(loads):
                 ("shape_deformation", 0.05),
                 ("ringing", 0.2),
                 ("false_regions", 0.0),
+                ("detectability", 40.0),
             )
         ]
     found += [
