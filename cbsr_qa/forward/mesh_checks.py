@@ -35,9 +35,8 @@ def whole_numbers(numbers: ArrayLike, what: str, tail: tuple[int, ...]) -> Indic
     array = np.asarray(numbers)
     whole = array.dtype.kind in "iu" or (array.dtype.kind == "f" and bool((array == np.floor(array)).all()))
     if not whole or array.ndim != 1 + len(tail) or array.shape[1:] != tail or not len(array):
-        raise NumericsError(
-            f"{what} of shape {array.shape} and type {array.dtype} are not rows of {tail or ''} nodes"
-        )
+        wanted = {(): "a list of nodes", (2,): "rows of two nodes", (3,): "rows of three nodes"}[tail]
+        raise NumericsError(f"{what} of shape {array.shape} and type {array.dtype}; {wanted} are needed, by number")
     return array.astype(np.int64)
 
 

@@ -68,7 +68,7 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
 
 def _npz(path: Path) -> dict[str, NDArray[Any]]:
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise NumericsError("it is damaged, or no .npz file of numbers") from error

@@ -64,12 +64,13 @@ def outer_ring(mesh: Mesh) -> Indices:
 
 
 def without_holes(image: Mesh, sheet: Mesh) -> Mesh:
-    """Leave out of an image's mesh what lies in the holes of the sheet's: elements whose middle does."""
+    """Leave out of an image's mesh the elements that lie in a hole of the sheet's, with all their corners."""
     inside = np.zeros(len(image.elements), dtype=np.bool_)
     for ring in _rings(sheet):
         corners = sheet.nodes_mm[ring]
         if signed_area(corners) < 0:
-            inside |= inside_polygon(image.centroids_mm, corners)
+            nodes = inside_polygon(image.nodes_mm, corners)
+            inside |= nodes[image.elements].all(axis=1) & inside_polygon(image.centroids_mm, corners)
     used, elements = np.unique(image.elements[~inside], return_inverse=True)
     return Mesh(image.nodes_mm[used], elements.reshape(-1, 3).astype(np.int64))
 
