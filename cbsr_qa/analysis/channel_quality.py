@@ -61,6 +61,15 @@ def reciprocity_errors(
     return pairs[both], errors
 
 
+def largest_by_reading(pairs: NDArray[np.int64], errors: Array, shape: tuple[int, int]) -> Array:
+    """Return the largest error of the pairs each reading belongs to, (drives, measures); −1 where it is in none."""
+    largest = np.full(shape[0] * shape[1], -1.0)
+    # Column by column: numpy's ufunc.at reads beyond operands that it has to broadcast.
+    for reading in pairs.T:
+        np.maximum.at(largest, reading, errors)
+    return largest.reshape(shape)
+
+
 def _off_the_line(frames: FrameBlock) -> Array:
     """Deviation of every reading from its straight line in time, (n, drives, measures)."""
     readings = frames.voltages.reshape(len(frames), -1)

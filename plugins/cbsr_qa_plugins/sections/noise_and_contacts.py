@@ -6,7 +6,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.channel_quality import reciprocity_errors, signal_to_noise_dB
+from cbsr_qa.analysis.channel_quality import largest_by_reading, reciprocity_errors, signal_to_noise_dB
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import RunObservation
@@ -76,14 +76,13 @@ def _channels(run: RunObservation, ratio_dB: NDArray[np.float64]) -> Figure:
 
 
 def _reciprocity(run: RunObservation, pairs: NDArray[np.int64], errors: NDArray[np.float64]) -> Figure:
-    values = np.full(run.usable.size, np.nan)
-    np.fmax.at(values, pairs.T, 100 * errors)
+    largest = largest_by_reading(pairs, errors, run.usable.shape)
     told = f"rms {number(100 * float(np.sqrt(np.mean(errors**2))), 2)} %, largest {number(100 * errors.max(), 2)} %"
     return channel_map_figure(
-        values.reshape(run.usable.shape),
+        100 * largest,
         label="reciprocity error",
         unit="%",
-        used=run.usable,
+        used=largest >= 0,
         caption=f"Change of each reading of the reference frame when drive and measure pair are exchanged, of the rms"
         f" reading: {told}. One electrode whose row and column stand out is a contact; a whole triangle is memory.",
         alternative=f"Map of {run.usable.shape[0]} drive by {run.usable.shape[1]} measure pairs; {told}.",
