@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.errors import ConfigError, NumericsError
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.reconstruction import ImagingProblem, ParameterChoice
 from cbsr_qa.reconstruct.evidence import central_signal
@@ -177,6 +177,12 @@ def test_noisy_channels_weigh_less(problem, noisy):
 def test_impossible_options_are_refused(problem, options, reason):
     with pytest.raises(NumericsError, match=reason):
         TotalVariation(**options).prepare(problem)
+
+
+@pytest.mark.parametrize("options", [{"hyperparameter": "small"}, {"iterations": 2.5}, {"noise_dB": "quiet"}])
+def test_options_that_are_no_numbers_are_refused(options):
+    with pytest.raises(ConfigError, match="allowed: a"):
+        TotalVariation(**options)
 
 
 @pytest.mark.parametrize("options", [{"hyperparameter": _ALPHA, "iterations": 3}, {"hyperparameter": 1e-18}])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
-from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.errors import ConfigError, NumericsError, RefusedError
 from cbsr_qa.domain.outlines import Polygon
 from cbsr_qa.domain.patterns import DrivePattern, adjacent_pattern
 from cbsr_qa.domain.sensor import Response, SensorType, polygon_sensor
@@ -128,6 +128,14 @@ def test_it_is_neither_heard_nor_felt(problem, capfd):
 def test_impossible_options_are_refused(method, options, reason):
     with pytest.raises(NumericsError, match=reason):
         method(**options)
+
+
+@pytest.mark.parametrize("options", [{"lamb": "small"}, {"p": True}])
+def test_options_that_are_no_numbers_are_refused(options):
+    with pytest.raises(RefusedError):
+        PyeitJac(**options)
+    with pytest.raises(ConfigError, match="allowed: a whole number"):
+        PyeitGreit(n=3.5)
 
 
 @pytest.mark.parametrize("options", [{"n": 3}, {"ratio": 0.0}, {"s": float("nan")}])

@@ -21,6 +21,7 @@ from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, ParameterChoice
 from cbsr_qa.reconstruct.dual import check_hyperparameter
 from cbsr_qa.reconstruct.noise_figure import noise_figure
+from cbsr_qa.reconstruct.options import number
 from cbsr_qa.reconstruct.problem import target_signal
 
 Array = NDArray[np.float64]
@@ -47,16 +48,20 @@ class PyeitProblem:
     elements: Mesh
 
 
-def check_options(mesh_size: float, regularisation: float, exponent: float) -> None:
-    """Refuse what pyEIT would take and answer with noise, and that pyEIT is missing."""
+def checked_options(method: str, *, p: float, lamb: float, mesh_size: float) -> tuple[float, float, float]:
+    """Return p, lamb and mesh_size; refuse what pyEIT would take and answer with noise, and that pyEIT is missing."""
     _module("pyeit")
+    p, lamb, mesh_size = (
+        number(method, name, value) for name, value in (("p", p), ("lamb", lamb), ("mesh_size", mesh_size))
+    )
     if not _SIZES[0] <= mesh_size <= _SIZES[1]:
         raise NumericsError(f"mesh_size is {mesh_size}; pyEIT is used with {_SIZES[0]} to {_SIZES[1]} of the radius")
-    check_hyperparameter(regularisation)
-    if regularisation == 0:
+    check_hyperparameter(lamb)
+    if lamb == 0:
         raise NumericsError("lamb is 0: pyEIT would invert a singular matrix", remedy="give a value above zero")
-    if not 0 <= exponent <= 1:
-        raise NumericsError(f"p is {exponent}; it must be in 0 … 1")
+    if not 0 <= p <= 1:
+        raise NumericsError(f"p is {p}; it must be in 0 … 1")
+    return p, lamb, mesh_size
 
 
 def pyeit_problem(problem: ImagingProblem, mesh_size: float) -> PyeitProblem:

@@ -6,10 +6,12 @@ from scipy import sparse
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
-from cbsr_qa_plugins.reconstruction._pyeit import check_options, finished, pyeit_problem, quiet, solver
+from cbsr_qa.reconstruct.options import number, whole
+from cbsr_qa_plugins.reconstruction._pyeit import checked_options, finished, pyeit_problem, quiet, solver
 
 Array = NDArray[np.float64]
 
+_NAME = "pyeit-greit"
 _PIXELS = (8, 256)
 
 
@@ -36,13 +38,13 @@ class PyeitGreit:
         ratio: float = 0.1,
         mesh_size: float = 0.07,
     ) -> None:
-        check_options(mesh_size, lamb, p)
-        if not _PIXELS[0] <= n <= _PIXELS[1]:
+        p, self._lamb, self._mesh_size = checked_options(_NAME, p=p, lamb=lamb, mesh_size=mesh_size)
+        points, s, ratio = whole(_NAME, "n", n) or 0, number(_NAME, "s", s), number(_NAME, "ratio", ratio)
+        if not _PIXELS[0] <= points <= _PIXELS[1]:
             raise NumericsError(f"n is {n}; the raster must have {_PIXELS[0]} to {_PIXELS[1]} points a side")
         if not (0 < ratio < 1 and 0 < s < 1e3):
             raise NumericsError(f"ratio is {ratio} and s {s}; ratio must be in 0 … 1 and s in 0 … 1000")
-        self._options = {"p": p, "lamb": lamb, "n": n, "s": s, "ratio": ratio}
-        self._lamb, self._mesh_size = lamb, mesh_size
+        self._options = {"p": p, "lamb": self._lamb, "n": points, "s": s, "ratio": ratio}
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
         """Prepare the imaging matrix.
@@ -58,7 +60,7 @@ class PyeitGreit:
             greit.setup(method="dist", perm=1, jac_normalized=False, **self._options)
         x, y = np.asarray(greit.xg)[0], np.asarray(greit.yg)[:, 0]
         between = _between(x, y, problem.mesh.centroids_mm / problem.sensor_type.radius_mm)
-        return finished("pyeit-greit", problem, -(between @ np.asarray(greit.H, dtype=np.float64)), self._lamb)
+        return finished(_NAME, problem, -(between @ np.asarray(greit.H, dtype=np.float64)), self._lamb)
 
 
 def _between(x: Array, y: Array, points: Array) -> sparse.csr_matrix:

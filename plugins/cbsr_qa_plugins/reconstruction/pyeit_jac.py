@@ -4,7 +4,7 @@ import numpy as np
 
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
 from cbsr_qa.reconstruct.overlap import overlap_fractions
-from cbsr_qa_plugins.reconstruction._pyeit import check_options, finished, pyeit_problem, quiet, solver
+from cbsr_qa_plugins.reconstruction._pyeit import checked_options, finished, pyeit_problem, quiet, solver
 
 
 class PyeitJac:
@@ -20,8 +20,7 @@ class PyeitJac:
     """
 
     def __init__(self, *, p: float = 0.5, lamb: float = 0.01, mesh_size: float = 0.07) -> None:
-        check_options(mesh_size, lamb, p)
-        self._p, self._lamb, self._mesh_size = p, lamb, mesh_size
+        self._p, self._lamb, self._mesh_size = checked_options("pyeit-jac", p=p, lamb=lamb, mesh_size=mesh_size)
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
         """Prepare the imaging matrix.

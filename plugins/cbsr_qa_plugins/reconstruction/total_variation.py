@@ -2,10 +2,12 @@
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.reconstruction import ImagingProblem
+from cbsr_qa.reconstruct.options import number, whole
 from cbsr_qa.reconstruct.total_variation import MOST_STEPS, TOLERANCE, check_alpha
 from cbsr_qa.reconstruct.total_variation_choice import choose_alpha
 from cbsr_qa.reconstruct.total_variation_images import TotalVariationImages
 
+_NAME = "total-variation"
 _EXACTEST = 1e-9  # duality gap that rounding leaves room for
 
 
@@ -32,14 +34,16 @@ class TotalVariation:
         tolerance: float = TOLERANCE,
         iterations: int = MOST_STEPS,
     ) -> None:
-        if hyperparameter is not None:
-            check_alpha(hyperparameter)
+        alpha = number(_NAME, "hyperparameter", hyperparameter)
+        tolerance, steps = number(_NAME, "tolerance", tolerance), whole(_NAME, "iterations", iterations) or 0
+        if alpha is not None:
+            check_alpha(alpha)
         if not _EXACTEST <= tolerance < 1:
             raise NumericsError(f"tolerance is {tolerance}; it must be in {_EXACTEST:g} … 1")
-        if iterations < 1:
+        if steps < 1:
             raise NumericsError(f"iterations is {iterations}; at least 1 is needed")
-        self._hyperparameter, self._noise_dB = hyperparameter, noise_dB
-        self._tolerance, self._iterations = tolerance, iterations
+        self._alpha, self._noise_dB = alpha, number(_NAME, "noise_dB", noise_dB)
+        self._tolerance, self._steps = tolerance, steps
 
     def prepare(self, problem: ImagingProblem) -> TotalVariationImages:
         """Choose α and prepare the minimisation.
@@ -49,7 +53,5 @@ class TotalVariation:
         NumericsError
             If no α leaves a residual of the noise's size.
         """
-        choice = choose_alpha(problem, given=self._hyperparameter, noise_dB=self._noise_dB)
-        return TotalVariationImages.of(
-            "total-variation", problem, choice, tolerance=self._tolerance, most_steps=self._iterations
-        )
+        choice = choose_alpha(problem, given=self._alpha, noise_dB=self._noise_dB)
+        return TotalVariationImages.of(_NAME, problem, choice, tolerance=self._tolerance, most_steps=self._steps)
