@@ -91,13 +91,14 @@ class ClosedCurve:
         for (x0, y0), (x1, y1), curvature, heading in zip(
             self.start, after, self.curvature, self.heading, strict=True
         ):
-            if (y0 > y1) != (y0 < y1):  # not level
-                crossed = (y0 > y) != (y1 > y)
-                inside ^= crossed & (x < x0 + (y - y0) * ((x1 - x0) / (y1 - y0)))
+            rise, run = y1 - y0, x1 - x0
+            side = run * (y - y0) - rise * (x - x0)  # positive left of the chord
+            # What is exactly on a chord is taken as a little to its right in x; so it is on one side for both tests.
+            right = (side < 0) | ((side == 0) & (rise > 0 or (rise == 0 and run < 0)))
+            inside ^= ((y0 > y) != (y1 > y)) & (right if rise < 0 else ~right)
             if curvature:
-                bulge = (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)  # positive left of the chord
                 away = np.hypot(x - x0 + np.sin(heading) / curvature, y - y0 - np.cos(heading) / curvature)
-                inside ^= (away < 1 / abs(curvature)) & (bulge * curvature < 0)
+                inside ^= (away < 1 / abs(curvature)) & (right if curvature > 0 else ~right)
         return inside
 
     def _on(self, piece: NDArray[np.int64], step: Array) -> Points:

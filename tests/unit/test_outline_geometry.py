@@ -59,6 +59,24 @@ def test_clearance_is_the_distance_to_the_densely_drawn_edge(corners, rounding):
     np.testing.assert_array_equal((clearance > 0)[clear], Path(drawn).contains_points(points)[clear])
 
 
+@pytest.mark.parametrize("rounding", [0.0, 4.0])
+def test_places_that_line_up_with_corners_and_chords_are_told_apart_too(rounding):
+    polygon = Polygon(ELBOW, rounding)
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-2.0, 83.0), np.arange(-2.0, 83.0)))  # on every chord
+    clearance = polygon.clearance_mm(np.column_stack([x, y]))
+    inside = (x > 0) & (y > 0) & (x < 80) & (y < 80) & ((x < 30) | (y < 30))
+    for corner_x, corner_y in ELBOW:
+        sign_x, sign_y = (-1 if corner_x else 1), (-1 if corner_y else 1)
+        away_x, away_y = (x - corner_x) * sign_x, (y - corner_y) * sign_y
+        if (corner_x, corner_y) == (30.0, 30.0):
+            away_x, away_y = -away_x, -away_y
+        cut = (np.hypot(away_x - rounding, away_y - rounding) > rounding) & (away_x < rounding) & (away_y < rounding)
+        near = cut & (away_x >= 0) & (away_y >= 0)
+        inside = inside | near if (corner_x, corner_y) == (30.0, 30.0) else inside & ~near
+    clear = np.abs(clearance) > 1e-9
+    np.testing.assert_array_equal((clearance > 0)[clear], inside[clear])
+
+
 @given(stars, st.floats(0, 1))
 def test_a_place_on_the_edge_is_found_again(corners, share):
     curve = Polygon(corners, 1.0).curve
@@ -82,7 +100,7 @@ def test_clockwise_corners_are_turned_and_begin_with_the_first():
 
 def test_the_centre_is_the_origin_where_that_is_well_inside_and_else_the_deepest_place():
     assert Polygon(RECTANGLE).centre_mm == (0.0, 0.0)
-    away = Polygon(as_corners(np.array(RECTANGLE) + [200, 0]))
+    away = Polygon(as_corners(np.array(RECTANGLE) + np.array([200, 0])))
     assert away.centre_mm[1] == pytest.approx(0.0, abs=1e-6)
     assert away.clearance_mm(np.array([away.centre_mm]))[0] == pytest.approx(40.0, abs=1e-6)
     # In the elbow's corner the largest disc touches both outer edges and the inner corner: (30√2)/(1 + √2).
