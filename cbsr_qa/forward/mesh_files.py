@@ -5,6 +5,7 @@ import re
 import zipfile
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
+from importlib import import_module
 from pathlib import Path
 from typing import Any, Final
 
@@ -90,7 +91,7 @@ def _checked(arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeG
 
 def _by_meshio(path: Path) -> tuple[NDArray[Any], NDArray[Any], list[ElectrodeGiven]]:
     try:
-        import meshio
+        meshio: Any = import_module("meshio")
     except ImportError as error:
         raise NumericsError(
             f"files of type {path.suffix!r} are read by meshio, which is not installed",
