@@ -156,7 +156,7 @@ def test_an_unknown_key_does_not_hide_what_does_not_fit_together(spoilt):
         ("count = 16", "count = 16.0", "electrodes.count is 16.0; it must be a whole number"),
         ("count = 16", "count = true", "electrodes.count is True; it must be a whole number"),
         ("radius_mm = 50.0", "radius = 50.0", "did you mean 'radius_mm'?"),
-        ('drive = "adjacent"', 'drive = "oposite"', "pattern.drive is 'oposite'; allowed: 'adjacent', 'opposite', 'skip-1', 'skip-2'"),
+        ('drive = "adjacent"', 'drive = "oposite"', "drive is 'oposite'; allowed: 'adjacent', 'opposite', 'skip-1'"),
     ],
 )
 def test_sensor_types_that_cannot_be(spoilt, old, new, said):
