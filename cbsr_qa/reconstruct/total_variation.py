@@ -14,6 +14,7 @@ Each step solves (AᵀA + DᵀWD) δx = b: DᵀWD is a graph Laplacian, factoris
 The duality gap P(x) − D(A x − y) bounds what is left to gain, and ½‖A (x − x*)‖² with it.
 """
 
+import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
@@ -87,7 +88,8 @@ class TotalVariation:
         flat = self._flat_image(readings, alpha)
         if flat is not None:
             return flat
-        with np.errstate(all="ignore"):  # what is not finite is refused below
+        with np.errstate(all="ignore"), warnings.catch_warnings():  # what is not finite is refused below
+            warnings.simplefilter("ignore", linalg.LinAlgWarning)
             return self._converged(readings, alpha)
 
     def flattening(self, readings: Array) -> float:

@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 
 _COARSE: Final = 0.12  # edge length of the image α is settled on, of the sheet's radius
 _CONTRAST: Final = 0.2  # of the simulated target: a press as deep as the paper's
+_NOISE_DB: Final = 60  # of its readings; with other noise a target that stands as far out of it is chosen on
+_QUIETEST_DB: Final = 200
+_SAID: Final = "residual as large as the noise (discrepancy principle) on "
 _FRAMES: Final = 3  # that a residual is averaged over
 _DRAWS: Final = 8  # of noise, for the noise figure
 _SEED: Final = 3
@@ -33,14 +36,28 @@ _CLEAR: Final = 4.0  # sampling errors by which a flat image must fail, or the r
 _EXACT: Final = 0.01  # α is found to a hundredth: the residual it is held against is no better known
 
 
-def choose_alpha(problem: ImagingProblem, *, given: float | None, noise_dB: float) -> ParameterChoice:
+@dataclass(frozen=True, slots=True)
+class ChosenAlpha:
+    """The choice, and the noise it was made for.
+
+    Parameters
+    ----------
+    variance : of a reading of unit relative variance; None where α was given.
+    """
+
+    choice: ParameterChoice
+    variance: float | None
+
+
+def choose_alpha(problem: ImagingProblem, *, given: float | None, noise_dB: float) -> ChosenAlpha:
     """Choose α for a problem.
 
     Parameters
     ----------
     given : α itself; None for the discrepancy principle, on measured changes where the problem has them, else on
         simulated ones of the sensor type's nominal problem.
-    noise_dB : how far below the mean reading the noise of simulated changes is.
+    noise_dB : how far below the mean reading the noise is, where no changes were measured. α grows with the noise
+        in proportion: it is chosen for targets that stand as far out of it as a press does at 60 dB.
 
     Raises
     ------
@@ -49,42 +66,51 @@ def choose_alpha(problem: ImagingProblem, *, given: float | None, noise_dB: floa
     """
     if given is not None:
         check_alpha(given)
+    if not 0 < noise_dB <= _QUIETEST_DB:
+        raise NumericsError(f"noise_dB is {noise_dB}; it must be above 0 and at most {_QUIETEST_DB}")
     if problem.sample is not None:
         return _chosen(problem, given, noise_dB)
     return _of_type(problem.sensor_type, given, noise_dB)
 
 
 @lru_cache(maxsize=16)
-def _of_type(sensor_type: SensorType, given: float | None, noise_dB: float) -> ParameterChoice:
+def _of_type(sensor_type: SensorType, given: float | None, noise_dB: float) -> ChosenAlpha:
     return _chosen(imaging_problem(sensor_type), given, noise_dB)
 
 
-def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> ParameterChoice:
+def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> ChosenAlpha:
     size_mm = _COARSE * problem.sensor_type.radius_mm
     coarse = imaging_problem(
         problem.sensor_type, used=problem.used, noise_variance=problem.noise_variance, image_size_mm=size_mm
     )
-    simulated = _simulated(coarse, noise_dB)
+    simulated = _simulated(coarse)
+    assert simulated.variance is not None
+    louder = 10 ** ((_NOISE_DB - noise_dB) / 20)
     evidence = simulated if problem.sample is None else evidence_of(replace(coarse, sample=problem.sample))
-    value = _by_discrepancy(coarse, evidence) if given is None else given
-    figure, error = _noise_figure(coarse, value, simulated)
-    how = "hyperparameter given" if given is not None else f"residual as large as the noise on {evidence.words}"
+    if given is not None:
+        value, how, variance = given, "hyperparameter given", None
+    elif problem.sample is not None:
+        value, how, variance = _by_discrepancy(coarse, evidence), _SAID + evidence.words, evidence.variance
+    else:
+        value = float(f"{louder * _by_discrepancy(coarse, evidence):.6g}")
+        how, variance = _SAID + evidence.words, louder**2 * simulated.variance
+        how += "" if louder == 1 else f", times {louder:.3g} for noise of {noise_dB:g} dB"
+    # The image of a louder target in louder noise is the louder image: what holds for α holds for louder · α there.
+    figure, error = _noise_figure(coarse, value / louder, simulated)
     how += (
-        f"; noise figure {figure:.2f} ± {error:.2f} by {_DRAWS} draws (seed {_SEED}) at {_CONTRAST:.0%} contrast,"
-        f" on elements of {size_mm:g} mm"
+        f"; noise figure {figure:.2f} ± {error:.2f} by {_DRAWS} draws (seed {_SEED}) at a contrast of"
+        f" {louder * _CONTRAST:.3g}, on elements of {size_mm:g} mm"
     )
-    return ParameterChoice(value, how, figure, "α")
+    return ChosenAlpha(ParameterChoice(value, how, figure, "α"), variance)
 
 
-def _simulated(problem: ImagingProblem, noise_dB: float) -> Evidence:
-    if not np.isfinite(noise_dB):
-        raise NumericsError(f"noise_dB is {noise_dB}; it must be a finite number")
-    deviation = 10 ** (-noise_dB / 20) * float(np.abs(problem.reference).mean())
+def _simulated(problem: ImagingProblem) -> Evidence:
+    deviation = 10 ** (-_NOISE_DB / 20) * float(np.abs(problem.reference).mean())
     relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
     noise = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(relative))) * np.sqrt(relative)
     words = (
         f"{_FRAMES} simulated frames (seed {_SEED}) of a central target of {2 * target_radius_mm(problem):g} mm and"
-        f" {_CONTRAST:.0%} contrast, noise {noise_dB:g} dB below the mean reading"
+        f" {_CONTRAST:.0%} contrast, noise {_NOISE_DB} dB below the mean reading"
     )
     return Evidence(central_signal(problem, _CONTRAST) + deviation * noise, deviation**2, words)
 

@@ -75,7 +75,7 @@ def test_a_bump_too_weak_for_its_edges_is_levelled():
 def test_nothing_near_the_minimiser_is_better(problem, noisy):
     white = WhiteReadings.of(problem)
     readings = white.white(noisy[None])[0]
-    found = Minimise(problem.mesh, white.rows, tolerance=1e-8).image(readings, _ALPHA)
+    found = Minimise(problem.mesh, white.rows, tolerance=1e-7).image(readings, _ALPHA)
     best = objective(problem.mesh, white.rows, readings, _ALPHA, found.image)
     random = np.random.default_rng(4)
     for size in np.geomspace(1e-6, 1e-1, 12):
@@ -83,7 +83,7 @@ def test_nothing_near_the_minimiser_is_better(problem, noisy):
         for direction in (random.standard_normal(len(found.image)), blocks - 0.0, found.image, np.ones(len(blocks))):
             for sign in (1, -1):
                 moved = found.image + sign * size * direction
-                assert objective(problem.mesh, white.rows, readings, _ALPHA, moved) >= best * (1 - 1e-8)
+                assert objective(problem.mesh, white.rows, readings, _ALPHA, moved) >= best * (1 - 1e-7)
 
 
 def test_a_smooth_image_with_the_same_residual_has_more_total_variation(problem, noisy):
@@ -103,7 +103,7 @@ def test_a_smooth_image_with_the_same_residual_has_more_total_variation(problem,
 @settings(max_examples=6, deadline=None)
 def test_readings_and_parameter_scale_together(problem, noisy, factor, sign):
     white = WhiteReadings.of(problem)
-    minimise = Minimise(problem.mesh, white.rows, tolerance=1e-8)
+    minimise = Minimise(problem.mesh, white.rows, tolerance=1e-7)
     one = minimise.image(white.white(noisy[None])[0], _ALPHA).image
     other = minimise.image(sign * factor * white.white(noisy[None])[0], factor * _ALPHA).image
     assert np.abs(other - sign * factor * one).max() < 1e-6 * factor * np.abs(one).max()
@@ -111,7 +111,7 @@ def test_readings_and_parameter_scale_together(problem, noisy, factor, sign):
 
 def test_from_some_parameter_on_the_image_is_flat(problem, noisy):
     white = WhiteReadings.of(problem)
-    readings, minimise = white.white(noisy[None])[0], Minimise(problem.mesh, white.rows, tolerance=1e-9)
+    readings, minimise = white.white(noisy[None])[0], Minimise(problem.mesh, white.rows, tolerance=1e-7)
     flat = minimise.flattening(readings)
     ones = white.rows.sum(axis=1)
     for factor in (1.0, 10.0, 1e9):
@@ -135,14 +135,16 @@ def test_the_chosen_parameter_leaves_a_residual_of_the_noises_size(problem, nois
     assert residual == pytest.approx(variance, rel=0.35)
     assert "60 dB below the mean reading" in prepared.choice.how
     assert 0.1 < prepared.choice.noise_figure < 2
-    louder = TotalVariation(noise_dB=50.0).prepare(problem).choice.value
-    assert 20 * prepared.choice.value > louder > 3 * prepared.choice.value
+    louder = TotalVariation(noise_dB=40.0).prepare(problem)
+    assert louder.choice.value == pytest.approx(10 * prepared.choice.value, rel=1e-5)
+    assert louder.variance == pytest.approx(100 * variance)
+    assert louder.choice.noise_figure == pytest.approx(prepared.choice.noise_figure, rel=1e-3)
 
 
 def test_measured_changes_choose_for_themselves(problem, noisy):
     noise = 1e-3 * np.abs(problem.reference).mean() * np.random.default_rng(9).standard_normal((3, 208))
     sample = central_signal(problem, 0.2) + noise
-    choice = choose_alpha(replace(problem, sample=sample), given=None, noise_dB=60.0)
+    choice = choose_alpha(replace(problem, sample=sample), given=None, noise_dB=60.0).choice
     assert "3 measured changes" in choice.how
     assert choice.value == pytest.approx(_ALPHA, rel=0.5)
     with pytest.raises(NumericsError, match="all noise"):
@@ -168,10 +170,10 @@ def test_noisy_channels_weigh_less(problem, noisy):
         ({"hyperparameter": 0.0}, "above zero"),
         ({"hyperparameter": -1.0}, "above zero"),
         ({"hyperparameter": float("nan")}, "above zero"),
-        ({"tolerance": 0.0}, "tolerance is 0.0"),
+        ({"tolerance": 1e-9}, "tolerance is 1e-09"),
         ({"iterations": 0}, "at least 1"),
         ({"noise_dB": float("inf")}, "noise_dB is inf"),
-        ({"noise_dB": -60.0}, "all noise"),
+        ({"noise_dB": -60.0}, "noise_dB is -60"),
     ],
 )
 def test_impossible_options_are_refused(problem, options, reason):
@@ -196,3 +198,15 @@ def test_an_image_that_did_not_converge_is_refused(problem, noisy, options):
     with pytest.raises(NumericsError, match=r"did not converge: after \d+ of \d+ steps") as refused:
         hard.images(noisy[None])
     assert "raise the hyperparameter" in refused.value.remedy
+
+
+def test_a_frame_no_image_explains_is_refused(problem, noisy):
+    prepared = TotalVariation().prepare(problem)
+    prepared.images(noisy[None])
+    other = np.roll(noisy, 31)  # readings of no place
+    with pytest.raises(
+        NumericsError, match=r"no image explains frame 1: what is left is \d+ times the noise"
+    ) as refused:
+        prepared.images(np.stack([noisy, 20 * other]))
+    assert "noise_dB" in refused.value.remedy
+    TotalVariation(hyperparameter=prepared.choice.value).prepare(problem).images(20 * other[None])  # nobody said

@@ -8,7 +8,7 @@ from cbsr_qa.reconstruct.total_variation_choice import choose_alpha
 from cbsr_qa.reconstruct.total_variation_images import TotalVariationImages
 
 _NAME = "total-variation"
-_EXACTEST = 1e-9  # duality gap that rounding leaves room for
+_EXACTEST = 1e-7  # duality gap that rounding leaves room for
 
 
 class TotalVariation:
@@ -21,7 +21,8 @@ class TotalVariation:
     ----------
     hyperparameter : α itself, in the units of the unit model; else α is chosen once per sensor type by the
         discrepancy principle: the residual of a central target is as large as its noise.
-    noise_dB : how far below the mean reading that noise is, where no measured changes say it.
+    noise_dB : how far below the mean reading that noise is, where no measured changes say it. A frame that no image
+        explains to ten times the noise is refused.
     tolerance : duality gap, of the objective, at which an image counts as the minimiser.
     iterations : allowed a frame; fifteen do it. A frame that needs more is refused.
     """
@@ -53,5 +54,7 @@ class TotalVariation:
         NumericsError
             If no α leaves a residual of the noise's size.
         """
-        choice = choose_alpha(problem, given=self._alpha, noise_dB=self._noise_dB)
-        return TotalVariationImages.of(_NAME, problem, choice, tolerance=self._tolerance, most_steps=self._steps)
+        chosen = choose_alpha(problem, given=self._alpha, noise_dB=self._noise_dB)
+        return TotalVariationImages.of(
+            _NAME, problem, chosen.choice, chosen.variance, tolerance=self._tolerance, most_steps=self._steps
+        )
