@@ -24,7 +24,7 @@ from cbsr_qa.reconstruct.sheet_model import SheetModel
 
 Array = NDArray[np.float64]
 
-_UNEXPLAINED = 0.1  # of the reference readings; more means another sheet, or electrodes in another order
+_UNEXPLAINED = 0.1  # of a frame's readings; more means another sheet, or electrodes in another order
 _KNOWN = 0.5  # of its expected spread: a contact whose error is larger was not measured
 
 
@@ -145,7 +145,7 @@ class AbsoluteImages:
         RefusedError
             If readings do not fit or are not finite.
         NumericsError
-            If a frame does not converge; says after how many steps, and what helps.
+            If a frame does not converge, after how many steps; or if no sheet explains its readings to 10 %.
         """
         unloaded = self.reference.conductance
         images = np.array([state.conductance / unloaded - 1 for state in self.states(changes)])
@@ -157,9 +157,15 @@ class AbsoluteImages:
         return images
 
     def states(self, changes: Array) -> list[FoundState]:
-        """State of each frame, with its residual and number of steps; contacts are found anew."""
+        """State of each frame, with its residual and number of steps; contacts are found anew.
+
+        Raises
+        ------
+        RefusedError, NumericsError
+            As :meth:`images`.
+        """
         folded = self.model.fold.fold(checked_changes(changes, self.problem)) / self.scale
-        return [
+        found = [
             most_probable_state(
                 self.model,
                 self.before_load,
@@ -169,6 +175,9 @@ class AbsoluteImages:
             )
             for change in folded
         ]
+        for number, state in enumerate(found):
+            _check_explained(state, f"frame {number}")
+        return found
 
     def contact_impedance(self) -> Array:
         """Contact impedances of the unloaded sensor times the unit model's conductance, (electrodes,) [mm].
@@ -213,13 +222,17 @@ def _reference_state(
             remedy="check the electrode numbering of the sensor type and that the source was on",
         )
     found = most_probable_state(model, nominal, wanted / scale, prior, most_steps=expected.iterations)
-    if found.unexplained > _UNEXPLAINED:
+    _check_explained(found, "the reference")
+    return found, scale
+
+
+def _check_explained(state: FoundState, what: str) -> None:
+    if state.unexplained > _UNEXPLAINED:
         raise NumericsError(
-            f"no sheet of this geometry explains the reference readings: {found.unexplained:.0%} of them is left,"
+            f"no sheet of this geometry explains {what}: {state.unexplained:.0%} of its readings is left,"
             f" {_UNEXPLAINED:.0%} is allowed",
             remedy="check geometry, electrode numbering and pattern of the sensor type, and mask bad channels",
         )
-    return found, scale
 
 
 def _noise_figure(problem: ImagingProblem, model: SheetModel, before: Linearised) -> float:

@@ -176,6 +176,13 @@ def test_readings_of_no_such_sheet_are_refused(problem, sensor, spoil, reason):
     assert refused.value.remedy
 
 
+def test_a_frame_no_sheet_explains_is_refused(problem):
+    prepared = AbsoluteGaussNewton(mesh_size=0.15).prepare(problem)
+    one = target_signal(problem, x_mm=12, y_mm=-20, radius_mm=6.5, contrast=0.2)
+    with pytest.raises(NumericsError, match=r"explains frame 1|did not converge"):
+        prepared.images(np.stack([one, np.roll(problem.reference, 31) - problem.reference]))
+
+
 def test_readings_that_are_no_numbers_are_refused(problem):
     with pytest.raises(RefusedError, match="not a finite number"):
         AbsoluteGaussNewton().prepare(replace(problem, measured=np.full(208, np.nan)))
