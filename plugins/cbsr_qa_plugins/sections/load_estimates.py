@@ -16,8 +16,7 @@ from cbsr_qa.report.select import Measured, loads_of, observed
 from cbsr_qa.report.tables import text_table, value_cell
 
 _COLUMNS = (
-    "Load", "Strain [%]", "E_CoM [mm]", "Estimate's error [mm]", "Contrast [%]", "Radius [mm]",
-    "Area × contrast [mm²]", "d′",
+    "Load", "Strain [%]", "Image [mm]", "Readings [mm]", "Contrast c [%]", "Radius [mm]", "A·c [mm²]", "d′",
 )  # fmt: skip
 
 
@@ -110,8 +109,8 @@ def _table(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], measured: Mea
         row.append("–" if chosen is None else f"{chosen.detectability:.0f}")
         rows.append(row)
     caption = (
-        "Every load by its readings, ± one standard error (of the place: along one axis). Contrast with the"
-        " indenter's radius given; radius and area × contrast (against the mean of both conductances) without. A dash"
-        " for the radius: the readings do not determine it at this place and strength."
+        "Errors of place by the image (E_CoM) and by the readings, ± one standard error along an axis. Contrast with"
+        " the head's radius given; radius and area × contrast A·c (against the mean of both conductances) without."
+        " A dash for the radius: the readings do not determine it at this place and strength. d′: detectability."
     )
     return text_table(caption, _COLUMNS, rows, tuple(range(1, len(_COLUMNS))))
