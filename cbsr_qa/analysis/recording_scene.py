@@ -22,6 +22,7 @@ from cbsr_qa.analysis.recording_objects import Object, find_moving, find_still, 
 from cbsr_qa.analysis.recording_overlaps import with_fates
 from cbsr_qa.analysis.recording_places import Matcher, Place, matcher, robust_directions
 from cbsr_qa.analysis.recording_ready import ReadyReadings
+from cbsr_qa.analysis.recording_tank import fitted_tank
 from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.image import Image
 from cbsr_qa.domain.load_events import LoadEvent
@@ -38,6 +39,8 @@ FEWEST_FRAMES = 8  #: fewer cannot tell a press from noise
 _MOST_LISTED = 5  #: changes named in a reason
 _MOST_CONTACTS = 4  #: searches are repeated without a suspect's readings at most so often
 _SAME_CHANGE_S = 1.0  #: changes this close in time are one
+_FIRST_BALL = 0.1  #: radius of a ball in a tank, of the tank's, before one is known
+_BALL_ROUNDS = 3  #: of finding places and sizes of balls in turn
 _LEAST_LEFT = 0.5  #: and only as long as this share of the readings is left
 
 
@@ -121,17 +124,45 @@ class RecordedScene:
         sigma = reciprocal_noise(changes, self.sheet.problem.used)
         if sigma == 0:
             return Searched((), "the frames equal the reference: nothing has changed")
-        match = matcher(self.sheet.patterns, self.sheet.places, np.full(changes.shape[1], sigma), self.model.nuisance)
-        white = match.whiten(changes)
-        found, why = find_still(white[0], match) if len(white) == 1 else find_moving(white, match)
-        if found and len(white) == 1:
+        if len(changes) > 1:
+            found, why = find_moving(*self._matched(self.sheet, changes, sigma))
+            remarks: tuple[str, ...] = ()
+        else:
+            found, why, remarks = self._still(changes, sigma)
             found = self._turned(found)
         events = [self._object_event(one, changes) for one in found]
-        return Searched(with_fates(events, self.sheet.radius_mm), why)
+        return Searched(with_fates(events, self.sheet.radius_mm), why, remarks)
+
+    def _matched(self, sheet: Sheet, changes: Array, sigma: float) -> tuple[Array, Matcher]:
+        match = matcher(sheet.patterns, sheet.places, np.full(changes.shape[1], sigma), self.model.nuisance)
+        return match.whiten(changes), match
+
+    def _still(self, changes: Array, sigma: float) -> tuple[tuple[Object, ...], str, tuple[str, ...]]:
+        """Search a still image; in a tank that is no sheet with the patterns of balls as large as what is found."""
+        white, match = self._matched(self.sheet, changes, sigma)
+        found, why = find_still(white[0], match)
+        tank = None
+        if found and not self.named and not self.ready.offset:
+            tank = fitted_tank(self.model.reference, self.sheet.problem)
+        if tank is None:
+            return found, why, ()
+        ball, conducts, on_sheet = _FIRST_BALL, found[0].place.score > 0, found
+        for _ in range(_BALL_ROUNDS):
+            sheet = tank.sheet(self.sheet, ball=ball, conducts=conducts)
+            white, match = self._matched(sheet, changes, sigma)
+            found, _ = find_still(white[0], match)
+            if not found:
+                return on_sheet, why, ()
+            ball, conducts = tank.ball_of(found, sheet, changes[0])
+        remark = (
+            f"the reference frame falls off like that of a tank {tank.depth:.2f} radii deep, not like a sheet's:"
+            f" places are those of balls in it, of {ball:.2f} radii or more"
+        )
+        return found, why, (remark,)
 
     def _turned(self, found: tuple[Object, ...]) -> tuple[Object, ...]:
         """Take the directions of still objects from a robust fit in one scale, where the tank follows the model."""
-        plain = None if self.ready.offset else plain_model(self.model.reference, self.sheet.problem)
+        plain = None if self.ready.offset or not found else plain_model(self.model.reference, self.sheet.problem)
         if plain is None:
             return found
         match = matcher(self.sheet.patterns, self.sheet.places, np.ones(len(plain.gain)), plain.nuisance)
