@@ -19,7 +19,6 @@ from cbsr_qa.forward.grading import (
     finest_at_corner,
     plain_lengths,
     smooth_lengths,
-    spread,
 )
 
 Indices = NDArray[np.int64]
@@ -27,8 +26,14 @@ Indices = NDArray[np.int64]
 _ACROSS: Final = 2.5  # elements across a narrow place, at least
 #: Two places on the edge face each other where it is so much longer between them than straight.
 _DETOUR: Final = 4.0
-_TURN_PER_EDGE: Final = np.pi / 6  # of a rounded corner, at most
-_SAMPLES: Final = 401
+_TURN_PER_EDGE: Final = np.pi / 3  # of a rounded corner, at most
+_SHORT_ARC: Final = 0.6  # of the elements: shorter arcs have one node
+_SHORT_EDGE: Final = 0.45  # of the elements: round shorter edges they are smaller
+_ON_CORNER: Final = 0.01  # of a strip's width: ends closer to a corner lie on it
+#: Where along a stretch sizes are looked at: close together at its ends, where they may be far smaller.
+_SAMPLES: Final = np.unique(
+    np.concatenate([np.linspace(0, 1, 401), np.geomspace(1e-6, 0.1, 200), 1 - np.geomspace(1e-6, 0.1, 200)])
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,28 +139,58 @@ class Edge:
     arcs: tuple[CircleArcs, ...]
 
 
-def edge_nodes(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float, fewest: int) -> Edge:
+def fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float) -> Lengths:
+    """Lengths along an edge at which a node must be, rising: corners, ends of arcs, ends of strips.
+
+    An arc that is shorter than an element has one node, in its middle; a strip that ends next to a corner ends there.
+    """
+    begins, ends = curve.begins[:-1], curve.begins[1:]
+    middles = (begins + ends) / 2
+    short = (curve.curvature != 0) & (curve.length < _SHORT_ARC * sizes(curve.at(middles)))
+    smooth = np.abs(curve.turns) < 1e-6
+    free = smooth & (short | np.roll(short, 1))  # where a short arc begins or ends
+    corners = np.concatenate([begins[~free], middles[short]])
+    stops = np.concatenate([strips - width / 2, strips + width / 2]) % curve.perimeter
+    for corner in corners:
+        away = np.abs(stops - corner)
+        stops[np.minimum(away, curve.perimeter - away) < _ON_CORNER * width] = corner
+    places = np.unique(np.concatenate([corners, stops]))
+    apart = np.diff(np.append(places, places[0] + curve.perimeter))
+    kept: Lengths = places[np.roll(apart, 1) > 1e-9 * curve.perimeter]
+    return kept
+
+
+def short_edges(points: Points, sizes: Size) -> tuple[Points, Lengths]:
+    """Where nodes of a closed line are closer together than elements are large: (w, 2) places and (w,) lengths."""
+    ends = np.roll(points, -1, axis=0)
+    middles, length = (points + ends) / 2, np.hypot(*(ends - points).T)
+    short = length < _SHORT_EDGE * sizes(middles)
+    return middles[short], length[short]
+
+
+def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths, width: float, fewest: int) -> Edge:
     """Spread nodes along an edge.
 
     Parameters
     ----------
+    fixed : of :func:`fixed_places`.
     strips : (l,) lengths along the edge at which the strips' centres lie.
     width : of each strip.
     fewest : edges that each strip has at least.
     """
-    breaks = _breaks(curve, strips, width)
     points: list[Points] = []
     owners: list[int] = []
     pieces: list[int] = []
-    for begin, end in zip(breaks, np.append(breaks[1:], breaks[0] + curve.perimeter), strict=True):
+    for begin, end in zip(fixed, np.append(fixed[1:], fixed[0] + curve.perimeter), strict=True):
         middle = (begin + end) / 2 % curve.perimeter
-        piece = int(np.searchsorted(curve.begins, middle, side="right")) - 1
+        piece = _piece_of(curve, begin, end)
         owner = _owner(curve, middle, strips, width)
-        least = max(1, int(np.ceil((end - begin) * abs(curve.curvature[piece]) / _TURN_PER_EDGE - 1e-9)))
+        turn = 0.0 if piece < 0 else (end - begin) * abs(curve.curvature[piece])
+        least = max(1, int(np.ceil(turn / _TURN_PER_EDGE - 1e-9)))
         if owner >= 0:
-            least = max(least, int(np.ceil(fewest * (end - begin) / width - 1e-9)))
-        places = np.linspace(begin, end, _SAMPLES)
-        chosen = spread(1 / sizes(curve.at(places)), places, at_least=least)[:-1]
+            least = max(least, int(np.ceil(fewest * (end - begin) / width - 0.2)))
+        places = begin + _SAMPLES * (end - begin)
+        chosen = _spread(1 / sizes(curve.at(places)), places, least)[:-1]
         points.append(curve.at(chosen))
         owners += [owner] * len(chosen)
         pieces += [piece] * len(chosen)
@@ -164,17 +199,25 @@ def edge_nodes(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float, f
     arcs = [
         CircleArcs(edges[of_piece == piece], _centre(curve, piece), float(1 / abs(curve.curvature[piece])))
         for piece in np.flatnonzero(curve.curvature).tolist()
+        if (of_piece == piece).any()
     ]
     return Edge(np.vstack(points), tuple(edges[of_strip == strip] for strip in range(len(strips))), tuple(arcs))
 
 
-def _breaks(curve: ClosedCurve, strips: Lengths, width: float) -> Lengths:
-    """Lengths at which a node must be, rising: where pieces meet and where strips end."""
-    ends = np.concatenate([strips - width / 2, strips + width / 2]) % curve.perimeter
-    breaks = np.sort(np.concatenate([curve.begins[:-1], ends]))
-    apart = np.diff(np.append(breaks, breaks[0] + curve.perimeter))
-    kept: Lengths = breaks[np.roll(apart, 1) > 1e-9 * curve.perimeter]
-    return kept
+def _spread(density: Lengths, places: Lengths, at_least: int) -> Lengths:
+    """Places between the first and the last, both included, that share out the integral of a density evenly."""
+    total = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(places))])
+    count = max(at_least, int(np.ceil(total[-1])))
+    chosen: Lengths = np.interp(np.arange(count + 1) / count * total[-1], total, places)
+    return chosen
+
+
+def _piece_of(curve: ClosedCurve, begin: float, end: float) -> int:
+    """The piece that a stretch lies on, −1 where it goes on from one to the next."""
+    along = (begin + end) / 2 % curve.perimeter
+    piece = int(np.searchsorted(curve.begins, along, side="right")) - 1
+    whole = end - begin <= 2 * min(along - curve.begins[piece], curve.begins[piece + 1] - along) * (1 + 1e-9)
+    return piece if whole else -1
 
 
 def _owner(curve: ClosedCurve, along: float, strips: Lengths, width: float) -> int:

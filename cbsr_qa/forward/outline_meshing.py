@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Self
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
 from cbsr_qa.domain.curve import ClosedCurve, circle_curve, polygon_curve
@@ -18,7 +19,17 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.mesh import CircleArcs, Mesh
 from cbsr_qa.domain.outlines import Disc, SheetOutline, simplified
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.forward.boundary import Edge, Indices, SizeField, Source, edge_nodes, narrow_places, singular_corners
+from cbsr_qa.forward.boundary import (
+    Edge,
+    Indices,
+    SizeField,
+    Source,
+    edge_nodes,
+    fixed_places,
+    narrow_places,
+    short_edges,
+    singular_corners,
+)
 from cbsr_qa.forward.grading import (
     EDGES_PER_ARC,
     EDGES_PER_PIN,
@@ -158,6 +169,12 @@ class _Pins:
             finest = round_ / edges_round_pin_smoothly(size, float(np.sqrt(curve.area / np.pi)))
         return cls(centres, radius, np.minimum(finest, room))
 
+    def finer(self, which: Indices) -> Self:
+        """Return them with half the edge length round some."""
+        finest = self.finest.copy()
+        finest[which] /= 2
+        return replace(self, finest=finest)
+
     def rims(self) -> list[Points]:
         """Nodes round each pin."""
         counts = np.ceil(2 * np.pi * self.radius / self.finest - 1e-9).astype(int)
@@ -194,9 +211,8 @@ class _Contacts:
 
 
 def _filled(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts, start: Points) -> Mesh:
-    pins = contacts.pins
+    edge, pins, sizes = _followed(curve, sizes, contacts)
     rims = pins.rims()
-    edge, sizes = _followed(curve, sizes, rims, contacts)
     points = np.vstack([edge.points, *rims])
     hole = np.repeat(np.arange(-1, len(rims)), [len(edge.points), *map(len, rims)])
     near = _near_edge(curve, edge.points)
@@ -216,23 +232,37 @@ def _filled(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts, start: Po
     return mesh
 
 
-def _followed(
-    curve: ClosedCurve, sizes: SizeField, rims: list[Points], contacts: _Contacts
-) -> tuple[Edge, SizeField]:
-    """Spread nodes along the edge, closer where triangles through them would cut it."""
+def _followed(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts) -> tuple[Edge, _Pins, SizeField]:
+    """Spread nodes along the edge and round the pins, closer where triangles through them would cut either."""
+    fixed, pins = fixed_places(curve, sizes, contacts.strips, contacts.width), contacts.pins
+
+    def spread() -> Edge:
+        return edge_nodes(curve, sizes, fixed, contacts.strips, contacts.width, contacts.fewest)
+
+    edge = spread()
+    sizes = sizes.with_narrow(*short_edges(edge.points, sizes))
     for _ in range(_ROUNDS):
-        edge = edge_nodes(curve, sizes, contacts.strips, contacts.width, contacts.fewest)
-        points = np.vstack([edge.points, *rims])
-        count = len(edge.points)
-        triangles = Delaunay(points).simplices
-        joined = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
-        ring = _ring(count)
-        cut = ~np.isin(np.sort(ring, axis=1) @ [len(points), 1], joined @ [len(points), 1])
+        edge, rims = spread(), pins.rims()
+        rings = [edge.points, *rims]
+        cut = _cut_edges(rings)
         if not cut.any():
             break
-        ends = edge.points[ring[cut]]
-        sizes = sizes.with_narrow(ends.mean(axis=1), np.hypot(*(ends[:, 1] - ends[:, 0]).T) / 2)
-    return edge, sizes
+        starts, ends = np.vstack(rings), np.vstack([np.roll(ring, -1, axis=0) for ring in rings])
+        sizes = sizes.with_narrow((starts + ends)[cut] / 2, np.hypot(*(ends - starts)[cut].T) / 2)
+        owner = np.repeat(np.arange(-1, len(rims)), [len(ring) for ring in rings])
+        pins = pins.finer(np.unique(owner[cut & (owner >= 0)]))
+    return edge, pins, sizes
+
+
+def _cut_edges(rings: list[Points]) -> NDArray[np.bool_]:
+    """Which edges of closed lines are no edges of the Delaunay triangles of all their nodes, one for each node."""
+    points = np.vstack(rings)
+    triangles = Delaunay(points).simplices
+    joined = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    begins = np.cumsum([0, *(len(ring) for ring in rings)])
+    edges = np.vstack([begin + _ring(len(ring)) for begin, ring in zip(begins[:-1], rings, strict=True)])
+    cut: NDArray[np.bool_] = ~np.isin(np.sort(edges, axis=1) @ [len(points), 1], joined @ [len(points), 1])
+    return cut
 
 
 def _check_edge(mesh: Mesh, rings: list[Indices], size: float) -> None:

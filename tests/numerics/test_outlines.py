@@ -4,13 +4,17 @@ from functools import cache
 
 import numpy as np
 import pytest
+from hypothesis import given, reject, settings
+from hypothesis import strategies as st
 
+from cbsr_qa.domain.curve import corner_turns, rounding_room
 from cbsr_qa.domain.electrodes import ElectrodeKind, PlacedElectrodes
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.outlines import Polygon
 from cbsr_qa.domain.patterns import DrivePattern, adjacent_pattern
 from cbsr_qa.domain.sensor import polygon_sensor
 from cbsr_qa.forward.analytic_pins import pin_transfer_impedance
+from cbsr_qa.forward.elements import FiniteElements
 from cbsr_qa.forward.meshing import image_mesh, sheet_mesh
 from cbsr_qa.forward.model import ForwardModel
 from cbsr_qa.forward.triangulate import smallest_angle_deg
@@ -58,6 +62,36 @@ def mesh_on(name, kind, order=1):
 
 MESHED = [(name, ElectrodeKind.ARC) for name in SHEETS]
 MESHED += [(name, ElectrodeKind.PIN) for name in ("rectangle", "rounded elbow", "slotted")]
+
+
+@st.composite
+def any_sheets(draw):
+    """Sheets seen whole from a place inside, however pointed, with corners round or not and strips somewhere."""
+    gaps = draw(st.lists(st.floats(0.2, 1.0), min_size=3, max_size=10))
+    angles = 2 * np.pi * np.cumsum(gaps) / sum(gaps)
+    radii = np.array(draw(st.lists(st.floats(12.0, 50.0), min_size=len(gaps), max_size=len(gaps))))
+    corners = np.column_stack([radii * np.cos(angles), radii * np.sin(angles)])
+    rounding = draw(st.sampled_from([0.0, 0.1, 0.8])) * rounding_room(corners)
+    try:
+        outline = Polygon(tuple(map(tuple, corners.tolist())), rounding)
+    except RefusedError:
+        reject()
+    begin, width = draw(st.floats(0, 1)), draw(st.floats(0.01, 0.1))
+    curve = outline.curve
+    places = curve.at(curve.perimeter * (begin + np.arange(5) / 5))
+    electrodes = PlacedElectrodes(ElectrodeKind.ARC, tuple(map(tuple, places.tolist())), width * curve.perimeter)
+    return polygon_sensor("any", outline, 1.0, electrodes, adjacent_pattern(5))
+
+
+@settings(max_examples=8, deadline=None)
+@given(any_sheets(), st.floats(0.1, 0.2), st.sampled_from([1, 2]))
+def test_any_sheet_is_meshed_without_thin_elements(sensor, size, order):
+    sharpest = 180 - np.rad2deg(np.abs(corner_turns(np.array(sensor.outline.corners_mm))).max())
+    forward = sheet_mesh(sensor, size_mm=size * sensor.radius_mm, order=order)
+    for mesh in (forward, image_mesh(sensor, size_mm=size * sensor.radius_mm)):
+        assert smallest_angle_deg(mesh.nodes_mm, mesh.elements).min() > min(12, 0.8 * sharpest)
+        assert mesh.areas_mm2.sum() == pytest.approx(sensor.outline.curve.area, rel=0.02)
+    assert FiniteElements(forward, 2).weights_mm2.min() > 0  # no arc bends an element inside out
 
 
 def boundary_of(mesh):
