@@ -5,6 +5,7 @@ readings and is kept in single precision: what that rounds is as much as reading
 themselves, where good instruments are at 60 to 80 dB.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -34,8 +35,9 @@ class PixelImaging:
     pixels : on each side.
     pitch_mm : width of a pixel.
     first_mm : (x, y) of the centre of pixel [0, 0]; rows rise with y, columns with x.
-    inside : (pixels, pixels) bool, those that cover some of the sheet; all others are zero.
+    places : (p,) pixels that cover some of the sheet, in C order; all others are zero.
     matrix : (pixels², g) float32, from folded readings.
+    inner : (p, g) its rows that are not zero; for one frame they are all that is needed, and fit a core's cache.
     one, other : (g,) readings that are folded, reciprocal ones in most methods.
     ratio : (g,) weight of the second over the first's, which the matrix holds; 0 for a reading that stands alone.
         None where it is one throughout.
@@ -45,12 +47,20 @@ class PixelImaging:
     pixels: int
     pitch_mm: float
     first_mm: tuple[float, float]
-    inside: NDArray[np.bool_]
+    places: Indices
     matrix: Pixels
+    inner: Pixels
     one: Indices
     other: Indices
     ratio: Array | None
     readings: int
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Pixels that cover some of the sheet, (pixels, pixels)."""
+        inside = np.zeros(self.pixels * self.pixels, dtype=np.bool_)
+        inside[self.places] = True
+        return inside.reshape(self.pixels, self.pixels)
 
     def image(self, changes: Array) -> Pixels:
         """Image one frame.
@@ -70,11 +80,12 @@ class PixelImaging:
         """
         if changes.shape != (self.readings,):
             raise RefusedError(f"readings of shape {changes.shape} do not fit {self.readings} used channels")
-        # A sum of squares is not finite where a reading is not, and costs half of looking at each.
-        if not np.isfinite(changes @ changes):
+        # A sum of squares is not finite where a reading is not, and costs a third of looking at each.
+        if not math.isfinite(changes.dot(changes)):
             _check_finite(changes)
         second = changes[self.other] if self.ratio is None else changes[self.other] * self.ratio
-        image: Pixels = self.matrix @ (changes[self.one] + second).astype(np.float32)
+        image = np.zeros(self.pixels * self.pixels, np.float32)
+        image[self.places] = self.inner @ (changes[self.one] + second).astype(np.float32)
         return image.reshape(self.pixels, self.pixels)
 
     def images(self, changes: Array) -> Pixels:
@@ -102,6 +113,7 @@ def pixel_imaging(reconstruction: LinearReconstruction, pixels: int = 32) -> Pix
     pitch = max(high_x - low_x, high_y - low_y) / pixels
     corner = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2]) - pitch * pixels / 2
     shares = _shares(problem.mesh, corner, pitch, pixels)
+    places = np.flatnonzero(np.diff(shares.indptr))
     whole = np.asarray(shares @ reconstruction.matrix)
     one, other, ratio = _pairs(whole, ReadingFold.of(problem).group)
     x, y = (corner + pitch / 2).tolist()
@@ -109,8 +121,9 @@ def pixel_imaging(reconstruction: LinearReconstruction, pixels: int = 32) -> Pix
         pixels,
         float(pitch),
         (x, y),
-        np.asarray(shares.sum(axis=1) > 0).reshape(pixels, pixels),
+        places.astype(np.int64),
         np.ascontiguousarray(whole[:, one], dtype=np.float32),
+        np.ascontiguousarray(whole[places][:, one], dtype=np.float32),
         one,
         other,
         None if (ratio == 1).all() else ratio,
