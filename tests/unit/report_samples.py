@@ -240,6 +240,11 @@ def sample_measurements(loads):
     found += [
         Measurement("two_touch_resolution", 29.0, "mm", how="contours at 85 %; steps of 0.5 mm"),
         Measurement("merged_loads", 1.0, "1"),
+        Measurement("size_response", 0.1, "1", qualifier="centre", how="flat"),
+        *(
+            Measurement("region_area", area, "mm²", qualifier=f"centre, target of {diameter} mm")
+            for diameter, area in ((8, 131.0), (13, 133.0), (20, 142.0))
+        ),
     ]
     limit = Limit("centre_of_mass_error", "mm", None, 5.0, marginal=0.5, phase="nine")
     judged = [
