@@ -66,12 +66,21 @@ class PinnedDisc:
             )
         return max(1, ceil(log(_PIN_ERROR) / (2 * log(ratio)) - 1))
 
+    @property
+    def extent_mm(self) -> tuple[float, float, float, float]:
+        """Lowest and highest x, lowest and highest y."""
+        return -self.radius_mm, self.radius_mm, -self.radius_mm, self.radius_mm
+
     def clearance_mm(self, place_mm: Array) -> Array:
         """Radius of the largest disc about each place (n, 2) that touches neither edge nor pin: (n,) [mm]."""
         centre = self._centres(place_mm)
         to_pin = np.abs(centre[:, None] - self._pins).min(axis=1) - self._rim
         clear: Array = self.radius_mm * np.minimum(1 - np.abs(centre), to_pin)
         return clear
+
+    def fields(self, place_mm: Array, reach_mm: Array, orders: int) -> Array:
+        """Fields of unit currents about places, as in an :class:`~cbsr_qa.forward.round_load.Expansion`."""
+        return self._about(place_mm, reach_mm, orders)[0]
 
     def expansion(self, place_mm: Array, reach_mm: Array, orders: int) -> Expansion:
         """Expand about places.
@@ -82,18 +91,21 @@ class PinnedDisc:
         reach_mm : (n,) the length in units of which distances from each place are counted; positive.
         orders : M; what is left out falls as (reach over the distance of the nearest pin)^(2M).
         """
+        fields, poles, scale = self._about(place_mm, reach_mm, orders)
+        weights = np.tile(np.arange(1, orders + 1), 2)
+        response = poles @ self._scatter @ (poles.transpose(0, 2, 1) * weights)
+        response += _mirrored(self._centres(place_mm), orders) * scale * scale.transpose(0, 2, 1)
+        return Expansion(orders, fields, response)
+
+    def _about(self, place_mm: Array, reach_mm: Array, orders: int) -> tuple[Array, Array, Array]:
+        """Fields of currents and of the pins' poles about places, and what they are scaled by."""
         centre, reach = self._centres(place_mm), np.asarray(reach_mm) / self.radius_mm
         scale = np.concatenate([_powers(reach, orders)] * 2, axis=-1)[..., None]
         near = _powers(_inverse(self._pins - centre[:, None]), orders + self._poles)
         far = _powers(_inverse(self._images - centre[:, None]), orders + self._poles)
         poles = self._fields_of_poles(near, far, orders) * scale
-        harmonic = np.arange(1, orders + 1)[:, None]
-        logs = (near + far)[..., :orders].transpose(0, 2, 1) / (2 * np.pi * harmonic)
-        fields = _stacked(logs) * scale + poles @ self._driven
-        weights = np.concatenate([harmonic, harmonic])[:, 0]
-        response = poles @ self._scatter @ (poles.transpose(0, 2, 1) * weights)
-        response += _mirrored(centre, orders) * scale * scale.transpose(0, 2, 1)
-        return Expansion(orders, fields, response)
+        logs = (near + far)[..., :orders].transpose(0, 2, 1) / (2 * np.pi * np.arange(1, orders + 1)[:, None])
+        return _stacked(logs) * scale + poles @ self._driven, poles, scale
 
     def transfer_impedance(self) -> Array:
         """Electrode potentials per electrode current, (electrodes, electrodes) [Ω], with ΣI = ΣU = 0."""

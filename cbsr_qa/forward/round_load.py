@@ -24,8 +24,9 @@ from cbsr_qa.domain.patterns import DrivePattern
 
 Array = NDArray[np.float64]
 
-_ERROR = 1e-7  # of the series, relative to its first term
-_FEWEST, _MOST = 4, 24  # orders
+_ERROR = 1e-5  # of the series if every order were as strong as the first; in fact below 1e-6
+_FEWEST, _MOST = 4, 16  # orders
+_DETUNED = 1e-9
 _SMALLEST_REACH = 1e-3  # of the sheet's radius: keeps powers in range where q is next to nothing
 
 
@@ -55,8 +56,17 @@ class Surroundings(Protocol):
         """Size of the sheet [mm]."""
         ...
 
+    @property
+    def extent_mm(self) -> tuple[float, float, float, float]:
+        """Lowest and highest x, lowest and highest y."""
+        ...
+
     def clearance_mm(self, place_mm: Array) -> Array:
         """Radius (n,) of the largest disc about each place (n, 2) that touches neither edge nor electrode [mm]."""
+        ...
+
+    def fields(self, place_mm: Array, reach_mm: Array, orders: int) -> Array:
+        """The fields of :meth:`expansion` alone."""
         ...
 
     def expansion(self, place_mm: Array, reach_mm: Array, orders: int) -> Expansion:
@@ -132,7 +142,7 @@ class RoundLoadModel:
         strength = (loads.strength_mm2 / reach**2)[:, None]
         growth = (loads.square_mm2 / reach**2)[:, None] ** (order - 1)
         poles = np.tile(strength * growth, 2)  # D_m, real and imaginary parts alike
-        seen = np.linalg.solve(around.response * poles[:, None] + np.eye(2 * orders), around.fields)
+        seen = _solved(around.response * poles[:, None] + np.eye(2 * orders), around.fields)
         drive, measure = seen @ self._drive, seen @ self._measure
         weight = -2 * np.pi * np.tile(order, 2)
         change = _gram(around.fields @ self._drive, weight * poles, measure)
@@ -144,6 +154,18 @@ class RoundLoadModel:
         by_x, by_y = _moved(drive, step, measure)
         return LoadReadings(change, np.stack([by_x, by_y, by_strength, by_square], axis=1))
 
+    def weak(self, place_mm: Array, radius_mm: Array) -> Array:
+        """Changes per strength of loads so weak that they disturb no field: (n, drives, measures) [V/A per mm²]."""
+        nothing = np.zeros(len(place_mm))
+        loads = RoundLoads(np.asarray(place_mm, dtype=np.float64), nothing, np.asarray(radius_mm) ** 2)
+        reach = self._reach(loads)
+        orders = self._orders(loads.place_mm, reach)
+        fields = self.surroundings.fields(loads.place_mm, reach, orders)
+        order = np.arange(1, orders + 1)
+        growth = (loads.square_mm2 / reach**2)[:, None] ** (order - 1)
+        weight = -2 * np.pi * np.tile(order * growth, 2) / reach[:, None] ** 2
+        return _gram(fields @ self._drive, weight, fields @ self._measure)
+
     def _reach(self, loads: RoundLoads) -> Array:
         least = _SMALLEST_REACH * self.surroundings.radius_mm
         reach: Array = np.maximum(np.sqrt(np.abs(loads.square_mm2)), least)
@@ -153,6 +175,15 @@ class RoundLoadModel:
         clearance = self.surroundings.clearance_mm(place_mm)
         ratio = float((reach_mm / np.maximum(clearance, reach_mm * 1.05)).max(initial=0.0))
         return int(np.clip(ceil(log(_ERROR) / (2 * log(ratio))) + 1, _FEWEST, _MOST)) if ratio > 0 else _FEWEST
+
+
+def _solved(system: Array, fields: Array) -> Array:
+    """Fields with the load; a strength no disc has can resonate, and is then as bad as a very large field says."""
+    try:
+        return np.asarray(np.linalg.solve(system, fields), dtype=np.float64)
+    except np.linalg.LinAlgError:
+        detuned = system + _DETUNED * np.eye(system.shape[1])
+        return np.asarray(np.linalg.solve(detuned, fields), dtype=np.float64)
 
 
 def _gram(drive: Array, weight: NDArray[np.floating[Any]], measure: Array) -> Array:

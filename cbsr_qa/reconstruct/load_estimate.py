@@ -10,7 +10,7 @@ biased.
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from math import ceil, sqrt
+from math import ceil, floor, sqrt
 from typing import Final
 
 import numpy as np
@@ -20,7 +20,7 @@ from scipy.stats import chi2
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.load_estimate import Estimated, LoadEstimate, LoadFinding
-from cbsr_qa.forward.round_load import RoundLoadModel, RoundLoads
+from cbsr_qa.forward.round_load import RoundLoadModel
 from cbsr_qa.reconstruct.load_fit import Fits, LoadFitter
 from cbsr_qa.reconstruct.load_readings import MergedReadings
 from cbsr_qa.reconstruct.load_spread import SURE, spread_covariance
@@ -138,6 +138,8 @@ class LoadEstimator:
         place, strength = self._places[best], found / self._size[best]
         if start_mm is not None:
             given = np.asarray(start_mm, dtype=np.float64)
+            clear = self.model.surroundings.clearance_mm(given) > _GRID * self.model.surroundings.radius_mm / 2
+            given = np.where(clear[:, None], given, place)
             patterns, size = _filters(
                 self.readings.of_model(_weak_changes(self.model, given, self.expected_radius_mm))
             )
@@ -187,7 +189,7 @@ class LoadEstimator:
             return stderr
         usual = fits.parameters[which].copy()
         usual[:, 3] = self.expected_radius_mm**2
-        usual, _ = self._fitter.inside(usual, square=True)
+        usual, *_ = self._fitter.bounded(usual, square=True)
         variance = self._fitter.covariance(usual, square=True)[:, 3, 3]
         stderr[which] = np.sqrt(variance) / (2 * self.expected_radius_mm)
         return stderr
@@ -241,23 +243,25 @@ class LoadEstimator:
 @lru_cache(maxsize=16)
 def _weak_loads(model: RoundLoadModel, radius_mm: float) -> tuple[Array, Array]:
     """Places (p, 2) all over the sheet, and what a weak load of unit strength changes there (p, drives, measures)."""
-    radius = model.surroundings.radius_mm
-    along = np.arange(-ceil(1 / _GRID), ceil(1 / _GRID) + 1) * _GRID * radius
-    places = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
-    places = places[model.surroundings.clearance_mm(places) > _GRID * radius / 2]
+    step = _GRID * model.surroundings.radius_mm
+    left, right, bottom, top = model.surroundings.extent_mm
+    axes = (
+        np.arange(ceil(low / step), floor(high / step) + 1) * step for low, high in ((left, right), (bottom, top))
+    )
+    places = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    places = places[model.surroundings.clearance_mm(places) > step / 2]
     return places, _weak_changes(model, places, radius_mm)
 
 
 def _weak_changes(model: RoundLoadModel, places_mm: Array, radius_mm: float) -> Array:
     """What weak loads of unit strength change, smaller near an electrode: good enough to begin with, and cheap."""
     clear = np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)
-    square = np.minimum(radius_mm, _SMALL * clear) ** 2
+    radius = np.minimum(radius_mm, _SMALL * clear)
     changes = np.empty((len(places_mm), *model.pattern.shape))
     order = np.argsort(-clear, kind="stable")  # places alike in clearance need alike numbers of terms
     for first in range(0, len(order), _AT_ONCE):
         part = order[first : first + _AT_ONCE]
-        loads = RoundLoads(places_mm[part], np.zeros(len(part)), square[part])
-        changes[part] = model.readings(loads).slope[:, 2]
+        changes[part] = model.weak(places_mm[part], radius[part])
     return changes
 
 

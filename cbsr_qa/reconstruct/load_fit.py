@@ -19,7 +19,6 @@ _EASIER: Final = 0.1
 _HARDER: Final = 8.0
 _LARGEST_DAMPING: Final = 1e8
 _AT_ONCE: Final = 128  # loads evaluated together: what is held stays in the processor's cache
-_FURTHEST: Final = 0.94  # of the sheet's radius: where a place that left the sheet is put
 _LEAST_CLEARANCE: Final = 0.02  # of the sheet's radius: nearer to an electrode or the edge a load is not followed
 
 
@@ -93,25 +92,22 @@ class LoadFitter:
         _, slopes = self.rows(parameters)
         return _inverted(slopes.swapaxes(1, 2) @ slopes, square=square)
 
-    def inside(self, parameters: Array, *, square: bool) -> tuple[Array, Mask]:
-        """Move loads into the sheet; if their size is fitted, shrink them until they touch no electrode and no edge.
+    def bounded(self, parameters: Array, *, square: bool) -> tuple[Array, Mask, Mask]:
+        """Shrink loads whose size is fitted until they touch no electrode and no edge.
 
         Returns
         -------
-        (n, 4) parameters, and (n,) whose square was cut.
+        (n, 4) parameters; (n,) whose square was cut; (n,) that are on the sheet at all, clear of electrodes, and no
+        stronger than a disc of that clearance can be.
         """
+        least = _LEAST_CLEARANCE * self.model.surroundings.radius_mm
+        clear = self.model.surroundings.clearance_mm(parameters[:, :2])
         moved = parameters.copy()
-        surroundings = self.model.surroundings
-        clear = surroundings.clearance_mm(moved[:, :2])
-        outside = clear < _LEAST_CLEARANCE * surroundings.radius_mm
-        if outside.any():
-            away = np.hypot(moved[outside, 0], moved[outside, 1])
-            moved[outside, :2] *= np.minimum(1, _FURTHEST * surroundings.radius_mm / np.maximum(away, 1e-9))[:, None]
-        if not square:
-            return moved, np.zeros(len(moved), dtype=np.bool_)
-        bound = np.maximum(clear, _LEAST_CLEARANCE * surroundings.radius_mm) ** 2
-        moved[:, 3] = np.clip(moved[:, 3], -bound, bound)
-        return moved, moved[:, 3] != parameters[:, 3]
+        if square:
+            bound = np.maximum(clear, least) ** 2
+            moved[:, 3] = np.clip(moved[:, 3], -bound, bound)
+        possible = (clear >= least) & (np.abs(moved[:, 2]) <= np.maximum(clear**2, np.abs(moved[:, 3])))
+        return moved, moved[:, 3] != parameters[:, 3], possible
 
 
 class _Run:
@@ -121,7 +117,7 @@ class _Run:
         count = len(data)
         self.fitter, self.data, self.square = fitter, data, square
         self.free = np.tile([True, True, True, square], (count, 1))
-        self.at, _ = fitter.inside(start, square=square)
+        self.at, *_ = fitter.bounded(start, square=square)
         rows, slopes = fitter.rows(self.at)
         residual = data - rows
         self.misfit = (residual**2).sum(axis=1)
@@ -136,14 +132,16 @@ class _Run:
         """One trial step for every load that still moves."""
         which = np.flatnonzero(self.active)
         move, gain = self._moves(which)
-        aim, cut = self.fitter.inside(self.at[which] + move, square=self.square)
+        aim, cut, placed = self.fitter.bounded(self.at[which] + move, square=self.square)
         newly = cut & self.free[which, 3]
         self.free[which[cut], 3] = False
         self.steps[which] += 1
-        done = (gain < _CLOSE_ENOUGH) & ~newly
+        done = (gain < _CLOSE_ENOUGH) & ~newly & placed
         self._finish(which[done], aim[done], gain[done])
-        if not done.all():
-            self._try(which[~done], aim[~done])
+        self._refuse(which[~placed])
+        going = placed & ~done
+        if going.any():
+            self._try(which[going], aim[going])
 
     def _moves(self, which: NDArray[np.int64]) -> tuple[Array, Array]:
         """Damped steps (k, 4), and their squared length in standard errors."""
@@ -175,9 +173,11 @@ class _Run:
         self.information[good] = slopes.swapaxes(1, 2) @ slopes
         self.pull[good] = np.einsum("nrp,nr->np", slopes, residual[better])
         self.damping[good] *= _EASIER
-        bad = which[~better]
-        self.damping[bad] *= _HARDER
-        self.active[bad[self.damping[bad] > _LARGEST_DAMPING]] = False
+        self._refuse(which[~better])
+
+    def _refuse(self, which: NDArray[np.int64]) -> None:
+        self.damping[which] *= _HARDER
+        self.active[which[self.damping[which] > _LARGEST_DAMPING]] = False
 
     def result(self) -> Fits:
         """What was reached, with covariances of everything that could have been fitted."""

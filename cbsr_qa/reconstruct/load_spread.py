@@ -40,7 +40,9 @@ def spread_covariance(fitter: LoadFitter, fits: Fits, detectability: Array, *, s
     for axis in range(2):
         step = np.sqrt(np.maximum(size[:, axis], 0))[:, None] * axes[:, :, axis]
         for side in (-1, 1):
-            beside, _ = fitter.inside(fits.parameters + side * (follow @ step[..., None])[..., 0], square=square)
+            aim = fits.parameters + side * (follow @ step[..., None])[..., 0]
+            beside, _, placed = fitter.bounded(aim, square=square)
+            beside[~placed] = fits.parameters[~placed]
             total += fitter.covariance(beside, square=square)
     mean = np.where(fits.held[:, None, None], covariance, total / 5)
     beyond = np.sqrt(1 + _BEYOND / detectability**2)[:, None] ** np.array([1, 1, 0, 0])

@@ -1,7 +1,5 @@
 """The load estimate against the Cramér–Rao bound, seeded and small; benchmarks/load_estimate.py has the grid."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -298,8 +296,3 @@ def test_a_zero_frame_is_not_detected():
     found = estimator(60, known=False).estimate(np.zeros((1, 208)))[0]
     assert found.finding is LoadFinding.NOT_DETECTED
     assert found.detectability == 0
-
-
-def test_a_sensor_type_without_a_model_is_refused_by_name(arc_sensor):
-    with pytest.raises(NumericsError, match="no model"):
-        load_model(replace(arc_sensor(), name="strips"))
