@@ -12,7 +12,16 @@ from pathlib import Path
 from benchmarks.rows import Row
 
 _PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "performance.md"
-PARTS = ("commands", "forward", "outlines", "reconstruction", "metrics", "methods")
+PARTS = (
+    "commands",
+    "forward",
+    "outlines",
+    "reconstruction",
+    "metrics",
+    "localisation",
+    "load_estimate",
+    "methods",
+)
 _HEAD = """# Performance
 
 Written by `make bench`. Both sides of a comparison run in turn on one machine and one thread, and the fastest of

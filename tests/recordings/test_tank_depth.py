@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import scipy.io
 
 from cbsr_qa.analysis.recording_imaging import nominal_disc, sheet_for
 from cbsr_qa.analysis.recording_objects import find_still
@@ -54,3 +55,25 @@ def test_a_ball_is_found_where_it_is_and_as_large(conducts):
     assert np.hypot(*places["sheet"]) > np.hypot(*place) + 0.015  # a sheet's patterns put it further out
     assert ball == pytest.approx(radius, abs=0.01)
     assert seen is conducts
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize(("dataset", "balls"), [("vvAvg1", 1), ("vvAvg2", 1), ("vvAvg3", 2)])
+def test_depth_and_ball_of_a_real_tank_agree_on_its_radius(shared, dataset, balls):
+    """26 cm of water (the data's authors) over the depth in radii, and 2.13 cm (a golf ball, R&A) over its size."""
+    frames = scipy.io.loadmat(shared / "data/tank/phantom_16elec_1planeB.mat")
+    reference, change = (frames[name].reshape(16, 16)[USED] for name in ("vvRef", dataset))
+    tank = fitted_tank(reference, SHEET.problem)
+    ball = 0.1
+    for _ in range(3):
+        sheet = tank.sheet(SHEET, ball=ball, conducts=False)
+        relative = (change - reference) / reference * SHEET.problem.reference
+        match = matcher(sheet.patterns, sheet.places, np.full(len(relative), 1e-4), SHEET.problem.reference)
+        found, _ = find_still(match.whiten(relative[None])[0], match)
+        ball, conducts = tank.ball_of(found, sheet, relative)
+    assert len(found) == balls
+    assert not conducts
+    assert 2.13 / ball == pytest.approx(26 / tank.depth, rel=0.08)
+    assert all(
+        abs(np.hypot(one.place.x, one.place.y) * 26 / tank.depth - 7 * (dataset != "vvAvg1")) < 0.75 for one in found
+    )
