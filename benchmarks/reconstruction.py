@@ -37,7 +37,7 @@ _PATTERN = adjacent_pattern(16)
 
 
 def rows() -> Iterator[Row]:
-    """The rows of the issue's table, on pyEIT's own mesh where it is compared with."""
+    """Set-up, choice of λ and imaging, on pyEIT's own mesh where it is compared with."""
     yield _set_up()
     yield _noise_figure()
     yield from _imaging()
