@@ -42,7 +42,7 @@ _USED = _ARCS.pattern.usable()
 
 
 def rows() -> Iterator[Row]:
-    """The rows of the issue's table."""
+    """Voltages, order of convergence, solves and updates."""
     yield from _accuracy()
     yield _forward_solve()
     yield from _local_updates()
