@@ -180,7 +180,13 @@ class Sequence(Protocol):
 
 
 class Reconstruction(Protocol):
-    """Turns a linearised problem into images; a linear method into one matrix (LinearReconstruction)."""
+    """Turns a linearised problem into images; a linear method into one matrix (LinearReconstruction).
+
+    A reconstruction may say by two attributes what ``analyse``, which images single presses, must hand it beyond
+    their changes: ``sequences = True`` where a frame's image depends on the frames beside it, for consecutive
+    frames; ``absolute = True`` where it wants the unloaded sensor's own readings (:attr:`ImagingProblem.measured`),
+    with changes in the same one scale.
+    """
 
     def prepare(self, problem: ImagingProblem) -> PreparedReconstruction:
         """Prepare once per sensor type; NumericsError where the problem cannot be solved."""

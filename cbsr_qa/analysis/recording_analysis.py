@@ -1,12 +1,14 @@
 """A recording with everything that can be found in it: channels, reading memory, noise, presses."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from time import perf_counter
-from typing import TypeVar
+from typing import Final, TypeVar
 
 import numpy as np
 
+from cbsr_qa.analysis.recording_imaged_events import Imaged, image_events
+from cbsr_qa.analysis.recording_images import Tell
 from cbsr_qa.analysis.recording_imaging import nominal_disc
 from cbsr_qa.analysis.recording_memory import RECIPROCITY_LIMIT
 from cbsr_qa.analysis.recording_noise import channel_noise, find_steps, noise_report
@@ -14,12 +16,16 @@ from cbsr_qa.analysis.recording_ready import ReadyReadings, channel_report, make
 from cbsr_qa.analysis.recording_scene import FEWEST_FRAMES, RecordedScene, Searched
 from cbsr_qa.domain.errors import NumericsError, RecordingError
 from cbsr_qa.domain.frames import VoltageUnit
-from cbsr_qa.domain.load_events import LoadEvent, NoiseReport, NoiseStep, RecordingResult
+from cbsr_qa.domain.load_events import EventImaging, LoadEvent, NoiseReport, NoiseStep, RecordingResult
+from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.recording import Recording, ScanKind
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.interfaces import Reconstruction
 
 _Result = TypeVar("_Result")
+
+#: What images events where nobody chose.
+DEFAULT_RECONSTRUCTION: Final = "gauss-newton-noser"
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,34 +36,44 @@ class AnalysisChoices:
     ----------
     correct_memory : True or False; None to correct where the estimate is significant and makes reciprocity better.
     sensor_type : what was measured; None for the nominal disc, and then nothing is said in millimetres.
+    reconstruction : name and options of what images the events; they are said with the result.
     """
 
     correct_memory: bool | None = None
     sensor_type: SensorType | None = None
+    reconstruction: PluginChoice = field(default_factory=lambda: PluginChoice(DEFAULT_RECONSTRUCTION))
 
 
 def analyse_recording(
-    recording: Recording, reconstruction: Reconstruction, choices: AnalysisChoices | None = None
+    recording: Recording,
+    reconstruction: Reconstruction,
+    choices: AnalysisChoices | None = None,
+    *,
+    tell: Tell = lambda said: None,
 ) -> RecordingResult:
     """Analyse a recording.
 
     Parameters
     ----------
     recording : as its format read it.
-    reconstruction : images the events.
+    reconstruction : images the events, which are found without it.
+    tell : told of each image that takes its time.
 
     Raises
     ------
     RecordingError
         If a single image has nothing to be compared with, or the named sensor type does not fit the frames.
+    NumericsError, PluginError
+        If the reconstruction cannot image the events; names it.
     """
     choices = choices or AnalysisChoices()
     spent: dict[str, float] = {}
     pattern = None if choices.sensor_type is None else choices.sensor_type.pattern
     ready = _timed(spent, "channels", lambda: make_ready(recording, choices.correct_memory, pattern))
     rate_hz = frame_rate_hz(recording)
-    searched = _timed(spent, "events", lambda: _events(recording, ready, reconstruction, choices, rate_hz))
-    events, why = searched.events, searched.why
+    searched = _timed(spent, "events", lambda: _searched(recording, ready, choices, rate_hz))
+    imaged = _timed(spent, "images", lambda: _imaged(searched, reconstruction, choices.reconstruction, tell))
+    events, why = imaged.events, searched.why
     noise = _timed(spent, "noise", lambda: _noise(recording, ready, events))
     return RecordingResult(
         recording=recording,
@@ -66,9 +82,10 @@ def analyse_recording(
         noise=noise,
         events=events,
         events_why="" if events else why,
-        warnings=_warnings(recording, ready, searched),
+        warnings=(*_warnings(recording, ready, searched), *imaged.remarks),
         compute_s=tuple(spent.items()),
         sensor_type=choices.sensor_type,
+        imaging=imaged.imaging,
     )
 
 
@@ -96,12 +113,8 @@ def _timed(spent: dict[str, float], stage: str, work: Callable[[], _Result]) -> 
     return result
 
 
-def _events(
-    recording: Recording,
-    ready: ReadyReadings,
-    reconstruction: Reconstruction,
-    choices: AnalysisChoices,
-    rate_hz: float | None,
+def _searched(
+    recording: Recording, ready: ReadyReadings, choices: AnalysisChoices, rate_hz: float | None
 ) -> Searched:
     if why := _no_image(recording, ready):
         return Searched((), why)
@@ -113,12 +126,18 @@ def _events(
             remedy="name the sensor type that was measured, or none",
         )
     try:
-        scene = RecordedScene.of(recording, ready, sensor_type, reconstruction, named=choices.sensor_type is not None)
+        scene = RecordedScene.of(recording, ready, sensor_type, named=choices.sensor_type is not None)
     except NumericsError as error:
         return Searched((), f"no image can be made: {error.reason}")
     if recording.reference is not None:
-        return scene.objects()
+        return scene.objects(rate_hz)
     return scene.presses(rate_hz)
+
+
+def _imaged(searched: Searched, reconstruction: Reconstruction, chosen: PluginChoice, tell: Tell) -> Imaged:
+    if searched.scene is None or not searched.sightings:
+        return Imaged((), EventImaging(chosen))
+    return image_events(searched.scene, searched.sightings, reconstruction, chosen, tell)
 
 
 def _no_image(recording: Recording, ready: ReadyReadings) -> str:
@@ -169,6 +188,6 @@ def _warnings(recording: Recording, ready: ReadyReadings, searched: Searched) ->
             f"readings keep {ready.memory.share:.0%} of the one before them and were not corrected, as asked for"
         )
     said += [*ready.remarks(), *searched.remarks]
-    if searched.events and searched.why:
+    if searched.sightings and searched.why:
         said.append(searched.why)
     return tuple(said)

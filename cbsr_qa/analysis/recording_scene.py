@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from cbsr_qa.analysis.recording_changes import largest_score, threshold_for
 from cbsr_qa.analysis.recording_contacts import Suspect, suspects_of
 from cbsr_qa.analysis.recording_events import Found, NoLoads, Press, held_from_the_beginning, search
+from cbsr_qa.analysis.recording_images import Sighting, frames_around, nearest_frames
 from cbsr_qa.analysis.recording_imaging import (
     Sheet,
     UnitModel,
@@ -19,17 +20,11 @@ from cbsr_qa.analysis.recording_imaging import (
 )
 from cbsr_qa.analysis.recording_noise import channel_noise
 from cbsr_qa.analysis.recording_objects import Object, find_moving, find_still, reciprocal_noise
-from cbsr_qa.analysis.recording_overlaps import with_fates
 from cbsr_qa.analysis.recording_places import Matcher, Place, matcher, robust_directions
 from cbsr_qa.analysis.recording_ready import ReadyReadings
 from cbsr_qa.analysis.recording_tank import fitted_tank
-from cbsr_qa.domain.frames import SampleBlock
-from cbsr_qa.domain.image import Image
-from cbsr_qa.domain.load_events import LoadEvent
-from cbsr_qa.domain.reconstruction import PreparedReconstruction
 from cbsr_qa.domain.recording import Recording
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.interfaces import Reconstruction
 
 Array = NDArray[np.float64]
 
@@ -50,15 +45,17 @@ class Searched:
 
     Parameters
     ----------
+    scene : in which they were found, without the readings of suspect contacts; None where nothing was searched.
     why : why there is no event, where there is none; else what was not taken for one.
     remarks : what a reader must know about the recording, in words.
     suspect_electrodes : whose readings were left out.
     """
 
-    events: tuple[LoadEvent, ...]
+    sightings: tuple[Sighting, ...]
     why: str
     remarks: tuple[str, ...] = ()
     suspect_electrodes: tuple[int, ...] = ()
+    scene: "RecordedScene | None" = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,8 +65,6 @@ class RecordedScene:
     recording: Recording
     ready: ReadyReadings
     sheet: Sheet
-    reconstruction: Reconstruction
-    prepared: PreparedReconstruction
     model: UnitModel
     readings: Array  # (n, m)
     named: bool
@@ -80,7 +75,6 @@ class RecordedScene:
         recording: Recording,
         ready: ReadyReadings,
         sensor_type: SensorType,
-        reconstruction: Reconstruction,
         *,
         named: bool,
     ) -> Self:
@@ -105,8 +99,7 @@ class RecordedScene:
             used = usable_volts(frame, used, noise)
         sheet = sheet_for(sensor_type, used)
         model = unit_model(frame[used], sheet.problem, offset=ready.offset)
-        prepared = reconstruction.prepare(sheet.problem)
-        return cls(recording, ready, sheet, reconstruction, prepared, model, block.voltages[:, used], named)
+        return cls(recording, ready, sheet, model, block.voltages[:, used], named)
 
     def without(self, readings: NDArray[np.bool_]) -> Self:
         """Leave readings out: (m,) bool."""
@@ -115,10 +108,9 @@ class RecordedScene:
         used[used] = keep
         sheet = sheet_for(self.sheet.problem.sensor_type, used)
         model = UnitModel(self.model.reference[keep], self.model.gain[keep], self.model.nuisance[keep])
-        prepared = self.reconstruction.prepare(sheet.problem)
-        return replace(self, sheet=sheet, prepared=prepared, model=model, readings=self.readings[:, keep])
+        return replace(self, sheet=sheet, model=model, readings=self.readings[:, keep])
 
-    def objects(self) -> Searched:
+    def objects(self, rate_hz: float | None) -> Searched:
         """Search against the reference."""
         changes = self.model.changes(self.readings)
         sigma = reciprocal_noise(changes, self.sheet.problem.used)
@@ -130,8 +122,8 @@ class RecordedScene:
         else:
             found, why, remarks = self._still(changes, sigma)
             found = self._turned(found)
-        events = [self._object_event(one, changes) for one in found]
-        return Searched(with_fates(events, self.sheet.radius_mm), why, remarks)
+        sightings = tuple(self._object_seen(one, changes, timed=rate_hz is not None) for one in found)
+        return Searched(sightings, why, remarks, scene=self)
 
     def _matched(self, sheet: Sheet, changes: Array, sigma: float) -> tuple[Array, Matcher]:
         match = matcher(sheet.patterns, sheet.places, np.full(changes.shape[1], sigma), self.model.nuisance)
@@ -194,7 +186,7 @@ class RecordedScene:
                 break
             scene = scene.without(bad)
         why = searched.why or (
-            "" if searched.events else "no change is a load's: " + "; ".join([*said, *searched.remarks])
+            "" if searched.sightings else "no change is a load's: " + "; ".join([*said, *searched.remarks])
         )
         return replace(
             searched, why=why, remarks=(*said, *searched.remarks), suspect_electrodes=tuple(sorted(electrodes))
@@ -210,15 +202,17 @@ class RecordedScene:
         white = match.whiten(changes)
         found, seen = search(white, match, self._no_loads(match))
         presses, unclear = held_from_the_beginning(found.presses, len(white))
-        events = [self._press_event(press, place, times, changes) for press in presses for place in press.places]
-        events = sorted(events, key=lambda event: event.start_s)
-        remarks = (*_gains(found, times), *_signs(events, unclear, times))
+        seen_loads = [
+            self._press_seen(press, place, times, readings, changes) for press in presses for place in press.places
+        ]
+        sightings = tuple(sorted(seen_loads, key=lambda one: one.start_s))
+        remarks = (*_gains(found, times), *_signs(sightings, unclear, times))
         suspects = [(float(times[frame]), suspect) for frame, suspect in found.suspects]
         why = _rejected(found, times) if seen else _quiet(white @ match.patterns)
-        if not (why or events or remarks):
+        if not (why or sightings or remarks):
             at = ", ".join(f"{times[change.frame]:.1f} s" for change in seen[:_MOST_LISTED])
             why = f"what changes (at {at}) leads back to the state the recording begins in: no load is put on"
-        return Searched(with_fates(events, self.sheet.radius_mm), why, remarks), suspects
+        return Searched(sightings, why, remarks, scene=self), suspects
 
     def _no_loads(self, match: Matcher) -> NoLoads:
         problem = self.sheet.problem
@@ -239,52 +233,36 @@ class RecordedScene:
         means = readings[:whole].reshape(-1, group, readings.shape[1]).mean(axis=1)
         return times[:whole].reshape(-1, group).mean(axis=1), means
 
-    def _press_event(self, press: Press, place: Place, times: Array, changes: Array) -> LoadEvent:
+    def _press_seen(self, press: Press, place: Place, times: Array, readings: Array, changes: Array) -> Sighting:
         index = np.arange(len(times))
         start, end = (float(np.interp(at, index, times)) for at in (press.start, press.end))
-        change = changes[press.held].mean(axis=0) - changes[press.before].mean(axis=0)
-        return self._event(start, float(times[press.peak]), end, place, press.score, change)
+        return Sighting(
+            start,
+            float(times[press.peak]),
+            end,
+            place,
+            press.score,
+            changes[press.held].mean(axis=0) - changes[press.before].mean(axis=0),
+            *frames_around(changes, press.before, press.held),
+            readings[press.before].mean(axis=0),
+        )
 
-    def _object_event(self, found: Object, changes: Array) -> LoadEvent:
+    def _object_seen(self, found: Object, changes: Array, *, timed: bool) -> Sighting:
         times = self.ready.block.time_s
-        event = self._event(
+        track = tuple((float(times[k]), place.x, place.y) for k, place in found.track)
+        frames, at = nearest_frames(changes, found.peak) if timed else (changes[found.peak][None], 0)
+        return Sighting(
             float(times[found.first]),
             float(times[found.peak]),
             float(times[found.last]),
             found.place,
             found.score,
             changes[found.peak],
+            frames,
+            slice(at, at + 1),
+            self.model.reference,
+            track if len(track) > 1 else (),
         )
-        if len(found.track) == 1:
-            return event
-        return replace(event, track=tuple((float(times[k]), place.x, place.y) for k, place in found.track))
-
-    def _event(
-        self, start_s: float, peak_s: float, end_s: float, place: Place, score: float, change: Array
-    ) -> LoadEvent:
-        radius = self.sheet.radius_mm
-        return LoadEvent(
-            start_s=start_s,
-            peak_s=min(max(peak_s, start_s), end_s),
-            end_s=end_s,
-            x_over_R=place.x,
-            y_over_R=place.y,
-            electrode=self.sheet.layout.electrode_at(place.x, place.y),
-            sign=1 if place.score > 0 else -1,
-            snr=score,
-            image=Image(self.sheet.problem.mesh, self.prepared.images(change[None])[0]),
-            x_mm=place.x * radius if self.named else None,
-            y_mm=place.y * radius if self.named else None,
-            force_N=_peak_force(self.recording.samples, start_s, end_s),
-        )
-
-
-def _peak_force(samples: tuple[SampleBlock, ...], start_s: float, end_s: float) -> float | None:
-    force = next((block for block in samples if block.channel == "force"), None)
-    if force is None:
-        return None
-    during = force.values[(force.time_s >= start_s) & (force.time_s <= end_s)]
-    return float(during.max()) if during.size else None
 
 
 def _quiet(scores: Array) -> str:
@@ -309,11 +287,11 @@ def _gains(found: Found, times: Array) -> list[str]:
     ]
 
 
-def _signs(events: list[LoadEvent], unclear: list[Press], times: Array) -> list[str]:
+def _signs(sightings: tuple[Sighting, ...], unclear: list[Press], times: Array) -> list[str]:
     """Say what the signs of the loads leave open."""
     said = []
-    if len({event.sign for event in events}) > 1:
-        listed = ", ".join(f"{event.start_s:.1f} s {'more' if event.sign > 0 else 'less'}" for event in events)
+    if len({one.sign for one in sightings}) > 1:
+        listed = ", ".join(f"{one.start_s:.1f} s {'more' if one.sign > 0 else 'less'}" for one in sightings)
         said.append(
             f"the loads disagree about the sign (conducts {listed}): one sheet answers alike to all loads, so one"
             " of them may be a release, or not a load"

@@ -1,30 +1,29 @@
 """Recorded data through the same analysis and to the same report as a run."""
 
 import hashlib
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from cbsr_qa.analysis.recording_analysis import AnalysisChoices, analyse_recording
+from cbsr_qa.analysis.recording_analysis import DEFAULT_RECONSTRUCTION, AnalysisChoices, analyse_recording
 from cbsr_qa.app.analyse_document import recording_document, result_document, unread_document
 from cbsr_qa.app.analyse_reference import with_reference
 from cbsr_qa.app.outputs import report_sections
 from cbsr_qa.app.setup import made
 from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.config.paths import reports_folder
-from cbsr_qa.domain.errors import CbsrError, PluginError, RecordingError
+from cbsr_qa.domain.errors import CbsrError, ConfigError, NumericsError, PluginError, RecordingError
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.recording import ReadOptions, Recording
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.hookspecs import Kind
-from cbsr_qa.interfaces import RecordingFormat
+from cbsr_qa.interfaces import Reconstruction, RecordingFormat
 from cbsr_qa.plugins import Plugins, discover
 from cbsr_qa.report.render import render_recording, report_name, write_report
 
 _HEAD_BYTES = 4096
-_RECONSTRUCTION = "gauss-newton-noser"
 
 _Read = TypeVar("_Read")
 
@@ -44,6 +43,8 @@ class AnalyseRequest:
     reference : a file, and a data set in it, that holds the unloaded domain; it is recognised by itself.
     correct_memory : None to decide by the estimate.
     report : whether to write one.
+    reconstruction : plugin that images the events; None for the usual one.
+    options : of it.
     """
 
     format: str | None = None
@@ -52,6 +53,13 @@ class AnalyseRequest:
     reference: tuple[Path, str | None] | None = None
     correct_memory: bool | None = None
     report: bool = True
+    reconstruction: str | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def chosen(self) -> PluginChoice:
+        """What images the events."""
+        return PluginChoice(self.reconstruction or DEFAULT_RECONSTRUCTION, self.options)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -87,6 +95,7 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
     datasets: tuple[str, ...] = ()
     name: str | None = None
     try:
+        reconstruction = _reconstruction(request, plugins)
         tell(f"reading {path.name}")
         format_, name = recognised(path, request.format, plugins)
         datasets = _guarded(path, name, lambda: format_.datasets(path))
@@ -94,7 +103,7 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
         if request.reference is not None:
             recording = with_reference(recording, _empty(*request.reference, path, format_, name, plugins))
         tell(f"analysing {len(recording.frames)} frames")
-        return _analysed(path, recording, request, plugins, datasets)
+        return _analysed(path, recording, reconstruction, request, plugins, datasets, tell)
     except CbsrError as error:
         if recording is not None:
             read = recording_document(recording, None)
@@ -110,6 +119,16 @@ def _refused(path: Path, read: dict[str, Any], datasets: tuple[str, ...], error:
         document["datasets"] = list(datasets)
     document["refused"] = {"reason": error.reason, "remedy": error.remedy}
     return document
+
+
+def _reconstruction(request: AnalyseRequest, plugins: Plugins) -> Reconstruction:
+    """Make the reconstruction before anything is read: what is wrong with it is wrong for every file."""
+    where = "--option" if request.options else "--reconstruction"
+    try:
+        reconstruction: Reconstruction = made(plugins, Kind.RECONSTRUCTION, request.chosen, where)
+    except NumericsError as error:
+        raise ConfigError(f"{where}: {request.chosen.name}: {error.reason}", remedy=error.remedy) from error
+    return reconstruction
 
 
 def recognised(path: Path, asked: str | None, plugins: Plugins) -> tuple[RecordingFormat, str]:
@@ -193,11 +212,17 @@ def _guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
 
 
 def _analysed(
-    path: Path, recording: Recording, request: AnalyseRequest, plugins: Plugins, datasets: tuple[str, ...]
+    path: Path,
+    recording: Recording,
+    reconstruction: Reconstruction,
+    request: AnalyseRequest,
+    plugins: Plugins,
+    datasets: tuple[str, ...],
+    tell: Tell,
 ) -> Analysed:
     sensor_type, unknown = _sensor_type(recording, request)
-    reconstruction = made(plugins, Kind.RECONSTRUCTION, PluginChoice(_RECONSTRUCTION), "the analysis of recordings")
-    result = analyse_recording(recording, reconstruction, AnalysisChoices(request.correct_memory, sensor_type))
+    choices = AnalysisChoices(request.correct_memory, sensor_type, request.chosen)
+    result = analyse_recording(recording, reconstruction, choices, tell=tell)
     document: dict[str, Any] = {"file": str(path), **result_document(result)}
     if datasets:
         document["datasets"] = list(datasets)
@@ -246,5 +271,8 @@ def _told_apart(path: Path, request: AnalyseRequest) -> str:
         with each.open("rb") as file:
             sha.update(hashlib.file_digest(file, "sha256").digest())
     dataset = None if request.reference is None else request.reference[1]
-    sha.update(repr((request.format, request.sensor_type, dataset, request.correct_memory)).encode())
+    asked: tuple[object, ...] = (request.format, request.sensor_type, dataset, request.correct_memory)
+    if request.reconstruction is not None or request.options:
+        asked = (*asked, request.chosen.name, sorted(request.options.items()))
+    sha.update(repr(asked).encode())
     return sha.hexdigest()[:8]

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from cbsr_qa.domain.load_events import ChannelReport, LoadEvent, NoiseReport, RecordingResult
+from cbsr_qa.domain.load_events import ChannelReport, EventImaging, LoadEvent, NoiseReport, RecordingResult
 from cbsr_qa.domain.recording import Recording, RowProblem
 
 
@@ -66,11 +66,32 @@ def result_document(result: RecordingResult) -> dict[str, Any]:
     return {
         "recording": recording_document(result.recording, result.frame_rate_hz),
         "channels": _channels(result.channels),
+        "reconstruction": None if result.imaging is None else _reconstruction(result.imaging),
         "events": [_event(event) for event in result.events],
         "events_why": result.events_why,
         "noise": _noise(result.noise, result.recording),
         "warnings": list(result.warnings),
         "compute_s": {stage: round(seconds, 4) for stage, seconds in result.compute_s},
+    }
+
+
+def _reconstruction(imaging: EventImaging) -> dict[str, Any]:
+    """Say how images were made; no parameter where nothing was imaged."""
+    choice = imaging.choice
+    return {
+        "name": imaging.reconstruction.name,
+        "options": dict(imaging.reconstruction.options),
+        "parameter": None
+        if choice is None
+        else {
+            "name": choice.name,
+            "value": choice.value,
+            "criterion": choice.criterion or None,
+            "reason": choice.how,
+            "noise_figure": choice.noise_figure,
+        },
+        "elements": imaging.elements,
+        "used_for": "images of the events and what is said of them; events are found in the readings, without images",
     }
 
 
@@ -105,6 +126,17 @@ def _event(event: LoadEvent) -> dict[str, Any]:
     }
     if event.x_mm is not None:
         document |= {"x_mm": event.x_mm, "y_mm": event.y_mm}
+    seen = event.imaged
+    document["image"] = None
+    if seen is not None:
+        document["image"] = {
+            "x_over_R": seen.x_over_R,
+            "y_over_R": seen.y_over_R,
+            "r_over_R": seen.r_over_R,
+            "electrode": seen.electrode,
+            "largest_change": seen.largest,
+            "area_share": seen.area_share,
+        }
     if event.track:
         document["track"] = [{"time_s": t, "x_over_R": x, "y_over_R": y} for t, x, y in event.track]
     return document

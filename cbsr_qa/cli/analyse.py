@@ -9,7 +9,7 @@ from cbsr_qa.cli.output import emit_json, note, say
 
 if TYPE_CHECKING:
     from cbsr_qa.app.analyse import Analysed
-    from cbsr_qa.domain.load_events import LoadEvent
+    from cbsr_qa.domain.load_events import LoadEvent, RecordingResult
 
 
 def analyse(
@@ -31,11 +31,24 @@ def analyse(
             help="Take the share of the previous reading out of each; by default where it is clearly there.",
         ),
     ] = None,
+    reconstruction: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="What images the events, see `cbsr-qa plugins list --kind reconstruction`; by default"
+            " gauss-newton-noser. Events are found without it.",
+        ),
+    ] = None,
+    option: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KEY=VALUE", help="Option of the reconstruction, as in a recipe; may be repeated."),
+    ] = None,
     no_report: Annotated[bool, typer.Option("--no-report", help="Write no report.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
 ) -> int:
     """Find channels, noise and presses in recordings, without being told where or when."""
     from cbsr_qa.app.analyse import AnalyseRequest, analyse_file
+    from cbsr_qa.config.plugin_options import plugin_options
 
     request = AnalyseRequest(
         format=format_,
@@ -44,6 +57,8 @@ def analyse(
         reference=None if reference is None else _reference(reference, files[0]),
         correct_memory=memory_correction,
         report=not no_report,
+        reconstruction=reconstruction,
+        options=plugin_options(option or ()),
     )
     outcomes = [analyse_file(path, request, tell=lambda said: note(f"{said} …")) for path in files]
     if as_json:
@@ -53,7 +68,7 @@ def analyse(
         if outcome.refused is not None:
             note(f"cbsr-qa: {outcome.path.name}: {outcome.refused}")
         elif not as_json:
-            _show(outcome)
+            _show(outcome, chosen=reconstruction is not None or bool(option))
     return max(outcome.exit_code for outcome in outcomes)
 
 
@@ -67,7 +82,7 @@ def _reference(text: str, first: Path) -> tuple[Path, str | None]:
     return (Path(file) if file else first), name
 
 
-def _show(outcome: "Analysed") -> None:
+def _show(outcome: "Analysed", *, chosen: bool) -> None:
     result = outcome.result
     if result is None:
         return
@@ -81,12 +96,30 @@ def _show(outcome: "Analysed") -> None:
     if result.noise.rms is not None:
         steps = f", {len(result.noise.steps)} steps" if result.noise.steps else ""
         say(f"  noise     {result.noise.rms:.3g} {result.noise.unit} rms{steps}")
+    if result.events and chosen:
+        say(f"  images    {_chosen(result)}")
     for event in result.events:
-        say(f"  event     {_said(event, still=result.frame_rate_hz is None)}")
+        imaged = f", {_imaged(event)}" if chosen else ""
+        say(f"  event     {_said(event, still=result.frame_rate_hz is None)}{imaged}")
     if not result.events:
         say(f"  no event  {result.events_why}")
     if outcome.report is not None:
         say(f"  report    {outcome.report}")
+
+
+def _chosen(result: "RecordingResult") -> str:
+    imaging = result.imaging
+    if imaging is None or imaging.choice is None:
+        return "none"
+    choice = imaging.choice
+    return f"{imaging.reconstruction.name}, {choice.name} {choice.value:.3g}: {choice.how}"
+
+
+def _imaged(event: "LoadEvent") -> str:
+    seen = event.imaged
+    if seen is None:
+        return "not in its image"
+    return f"in its image at electrode {seen.electrode:.2f}, r/R {seen.r_over_R:.2f}"
 
 
 def _said(event: "LoadEvent", *, still: bool) -> str:

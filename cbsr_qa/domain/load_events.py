@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 
 from cbsr_qa.domain.image import Image
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.reconstruction import ParameterChoice
 from cbsr_qa.domain.recording import Recording
 from cbsr_qa.domain.sensor import SensorType
 
@@ -77,6 +79,46 @@ class ChannelReport:
     suspect_electrodes: tuple[int, ...] = ()
 
 
+@dataclass(frozen=True, slots=True)
+class ImagedPlace:
+    """Where, and how strongly, the image of an event shows it.
+
+    Parameters
+    ----------
+    x_over_R, y_over_R : centre of mass of its region, in units of the sheet's radius.
+    electrode : its direction as a fractional 0-based electrode number.
+    largest : relative conductance change of largest size in the region.
+    area_share : of the sheet, where the image is above half of that.
+    """
+
+    x_over_R: float
+    y_over_R: float
+    electrode: float
+    largest: float
+    area_share: float
+
+    @property
+    def r_over_R(self) -> float:
+        """Distance from the centre in units of the radius."""
+        return float((self.x_over_R**2 + self.y_over_R**2) ** 0.5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EventImaging:
+    """How the images of events were made.
+
+    Parameters
+    ----------
+    reconstruction : the plugin, and the options it was given.
+    choice : of its parameter; None where there was no event to image.
+    elements : of an image; None likewise.
+    """
+
+    reconstruction: PluginChoice
+    choice: ParameterChoice | None = None
+    elements: int | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadEvent:
     """One press (or object) found without being told where or when.
@@ -94,6 +136,7 @@ class LoadEvent:
     track : (time_s, x_over_R, y_over_R) per frame of an object that moves; empty for a press.
     fate : beside others held at its peak, whether the image shows it ``"apart"``, ``"merged"`` with one of them, or
         it was ``"missed"``; empty where it was alone.
+    imaged : where its own image shows it; None where the image shows nothing near its place.
     """
 
     start_s: float
@@ -110,6 +153,7 @@ class LoadEvent:
     force_N: float | None = None
     track: tuple[tuple[float, float, float], ...] = ()
     fate: str = ""
+    imaged: ImagedPlace | None = None
 
     @property
     def r_over_R(self) -> float:
@@ -126,6 +170,7 @@ class RecordingResult:
     frame_rate_hz : None for still images.
     events_why : why there is no event, where there is none ("nothing stands out of the noise", …).
     sensor_type : what was measured; None where nobody named it.
+    imaging : how the images were made; None where no image can be made of such a recording.
     """
 
     recording: Recording
@@ -137,3 +182,4 @@ class RecordingResult:
     warnings: tuple[str, ...] = ()
     compute_s: tuple[tuple[str, float], ...] = ()
     sensor_type: SensorType | None = None
+    imaging: EventImaging | None = None

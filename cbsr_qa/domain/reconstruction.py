@@ -95,6 +95,8 @@ class ParameterChoice:
     noise_figure : of the resulting matrix, Adler et al. 2009 form, on the nominal model.
     name : what ``value`` is.
     curve : what there was to choose from; None where the value was given, or is read from a file.
+    criterion : what it was chosen by, in one word (``"noise-figure"``, ``"gcv"``, ``"l-curve"``, ``"discrepancy"``,
+        ``"given"``, ``"none"`` where there is nothing to choose); empty where nobody says.
     """
 
     value: float
@@ -102,6 +104,7 @@ class ParameterChoice:
     noise_figure: float
     name: str = "λ"
     curve: ParameterCurve | None = field(default=None, compare=False)
+    criterion: str = ""
 
 
 class PreparedReconstruction(Protocol):

@@ -134,7 +134,9 @@ class AbsoluteImages:
         load = SheetPrior.of(problem.mesh, spread=spread, length_mm=length_mm, level=0.0, contact=spread)
         before = Linearised(reference.solved, load, variance)
         figure = _noise_figure(problem, model, before)
-        choice = ParameterChoice(spread, f"{how}; {_said(problem, reference)}", figure, "spread of ln γ under loads")
+        how = f"{how}; {_said(problem, reference)}"
+        criterion = "noise-figure" if expected.load_spread is None else "given"
+        choice = ParameterChoice(spread, how, figure, "spread of ln γ under loads", criterion=criterion)
         return cls(method, problem, choice, expected, model, reference, scale, before, load)
 
     def images(self, changes: Array) -> Array:

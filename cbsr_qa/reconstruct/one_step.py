@@ -57,7 +57,7 @@ class OneStep:
         matrix = fold.unfold(dual_matrix(fold.rows(problem.jacobian), prior, value, fold.variance))
         areas, variance = problem.mesh.areas_mm2, problem.noise_variance
         figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
-        choice = ParameterChoice(value, how, figure, curve=curve)
+        choice = ParameterChoice(value, how, figure, curve=curve, criterion=self._regularisation.decided_by)
         return LinearReconstruction(self._method, problem, matrix, choice)
 
 

@@ -102,6 +102,11 @@ class Regularisation:
             raise NumericsError(f"{method} takes a noise_figure or chooses by {criterion}, not both")
         return cls(criterion, 1.0 if noise_figure is None else noise_figure, None, given_as)
 
+    @property
+    def decided_by(self) -> str:
+        """Name of what decides: a criterion, or ``"given"``."""
+        return "given" if self.criterion is None else self.criterion.value
+
     def choose(
         self, problem: ImagingProblem, search_on: Callable[[ImagingProblem], ParameterSearch]
     ) -> tuple[float, str, ParameterCurve | None]:

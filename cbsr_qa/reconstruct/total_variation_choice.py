@@ -101,7 +101,8 @@ def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> Ch
         f"; noise figure {figure:.2f} ± {error:.2f} by {_DRAWS} draws (seed {_SEED}) at a contrast of"
         f" {louder * _CONTRAST:.3g}, on elements of {size_mm:g} mm"
     )
-    return ChosenAlpha(ParameterChoice(value, how, figure, "α"), variance)
+    criterion = "discrepancy" if given is None else "given"
+    return ChosenAlpha(ParameterChoice(value, how, figure, "α", criterion=criterion), variance)
 
 
 def _simulated(problem: ImagingProblem) -> Evidence:

@@ -102,10 +102,18 @@ def recording_page(result: RecordingResult) -> Page:
         ("Clock", _CLOCKS.get(recording.clock, f"the {recording.clock}'s")),
         ("Rows rejected", str(recording.rows_rejected)),
         ("Force", "recorded" if any(s.channel == "force" for s in recording.samples) else "not recorded"),
+        *_imaging(result),
     )
     headline = f"{plural(found, 'event')} found" if found else "no event"
     banner = Banner("plain", "●" if found else "○", headline, _found(result))
     return Page("Recording report", recording.path.name, banner, facts, (), (), result.warnings)
+
+
+def _imaging(result: RecordingResult) -> tuple[tuple[str, str], ...]:
+    if result.imaging is None:
+        return ()
+    name = result.imaging.reconstruction.name
+    return (("Images by", name if result.events else f"{name}: nothing was imaged"),)
 
 
 def _verdict(result: RunResult) -> Banner:

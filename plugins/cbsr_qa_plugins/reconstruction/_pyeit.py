@@ -117,7 +117,9 @@ def finished(method: str, problem: ImagingProblem, matrix: Array, regularisation
     radius = _TARGET_RADIUS * problem.sensor_type.radius_mm
     signal = target_signal(problem, x_mm=0, y_mm=0, radius_mm=radius, contrast=_TARGET_CONTRAST)
     figure = noise_figure(matrix, signal, problem.mesh.areas_mm2, noise_variance=problem.noise_variance)
-    choice = ParameterChoice(regularisation, "given; pyEIT does not choose it", figure, "pyEIT's lamb")
+    choice = ParameterChoice(
+        regularisation, "given; pyEIT does not choose it", figure, "pyEIT's lamb", criterion="given"
+    )
     return LinearReconstruction(method, problem, matrix, choice)
 
 

@@ -30,6 +30,8 @@ class AbsoluteGaussNewton:
     iterations : allowed; a state that needs more is refused.
     """
 
+    absolute = True
+
     def __init__(
         self,
         *,

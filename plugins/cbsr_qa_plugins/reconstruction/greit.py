@@ -61,7 +61,9 @@ class Greit:
         if value is None:
             value, how = self._chosen(problem, design)
         made = greit_matrix(problem, design, value)
-        return LinearReconstruction(_NAME, problem, made.values, ParameterChoice(value, how, made.noise_figure))
+        criterion = "noise-figure" if self._given is None else "given"
+        choice = ParameterChoice(value, how, made.noise_figure, criterion=criterion)
+        return LinearReconstruction(_NAME, problem, made.values, choice)
 
     def _chosen(self, problem: ImagingProblem, design: TargetDesign) -> tuple[float, str]:
         """Choose λ for the noise figure; returns it with how it was chosen."""

@@ -33,5 +33,7 @@ class LinearBackProjection:
         matrix = (relative[:, None] * sensitivity).T / felt[:, None]
         areas, variance = problem.mesh.areas_mm2, problem.noise_variance
         figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
-        choice = ParameterChoice(0.0, "nothing is regularised, and nothing chosen", figure, "no parameter")
+        choice = ParameterChoice(
+            0.0, "nothing is regularised, and nothing chosen", figure, "no parameter", criterion="none"
+        )
         return LinearReconstruction(_NAME, problem, matrix, choice)

@@ -32,6 +32,8 @@ class Temporal:
     indenter_diameter_mm : of the head [mm]; by default 0.13 of the sheet's diameter.
     """
 
+    sequences = True
+
     def __init__(
         self,
         *,

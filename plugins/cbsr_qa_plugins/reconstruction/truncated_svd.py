@@ -42,5 +42,5 @@ class TruncatedSvd:
         matrix = truncation.matrix(kept)
         areas, variance = problem.mesh.areas_mm2, problem.noise_variance
         figure = noise_figure_of(matrix, central_signal(problem), areas, noise_variance=variance)
-        choice = ParameterChoice(float(kept), how, figure, "components kept", curve)
+        choice = ParameterChoice(float(kept), how, figure, "components kept", curve, self._regularisation.decided_by)
         return LinearReconstruction(_NAME, problem, matrix, choice)

@@ -12,7 +12,7 @@ from cbsr_qa.domain.recording import ScanKind
 from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
 from cbsr_qa.report.figures_sheet import ImagePanel, Marker, image_figure, sheet_radius
 from cbsr_qa.report.figures_time import Span, timeline_figure
-from cbsr_qa.report.numbers import fixed, plural
+from cbsr_qa.report.numbers import fixed, number, plural
 from cbsr_qa.report.tables import text_table
 
 _MOST_IMAGES = 12
@@ -28,7 +28,7 @@ class RecordingEvents:
         blocks: list[Block] = []
         if result.events:
             still = result.frame_rate_hz is None
-            blocks += [_table(result.events, still=still), _images(result)]
+            blocks += [_table(result.events, still=still), _images(result), _imaging(result), _imaged(result.events)]
         else:
             blocks.append(Paragraph(f"No event: {result.events_why}.", "note"))
         if timeline := _timeline(result):
@@ -67,6 +67,38 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
         + (" Beside others held at its peak: whether the image shows it as a region of its own." if beside else "")
     )
     return text_table(caption, columns, rows, numeric)
+
+
+def _imaging(result: RecordingResult) -> Table:
+    rows = []
+    if (imaging := result.imaging) is not None:
+        options = ", ".join(f"{name} = {value!r}" for name, value in imaging.reconstruction.options.items())
+        rows += [["Reconstruction", imaging.reconstruction.name], ["Its options", options or "as by default"]]
+        if (chosen := imaging.choice) is not None:
+            rows.append(
+                [f"Parameter: {chosen.name}", f"{number(chosen.value)}, by {chosen.criterion or 'its author'}"]
+            )
+            rows.append(["Why", chosen.how])
+            rows.append(["Noise figure", number(chosen.noise_figure)])
+    rows.append(["Used for", "these images; events, places and SNR are found in the readings, without images"])
+    return text_table("How the images were made.", ("Choice", "Value"), rows)
+
+
+def _imaged(events: Sequence[LoadEvent]) -> Table:
+    rows = []
+    for rank, event in enumerate(events):
+        seen = event.imaged
+        shown = ["–"] * 4
+        if seen is not None:
+            shown = [fixed(seen.electrode, 2), fixed(seen.r_over_R, 2)]
+            shown += [fixed(100 * seen.largest, 2), fixed(100 * seen.area_share, 1)]
+        rows.append([_name(rank), *shown])
+    columns = ("Event", "Electrode", "r/R", "Largest change [%]", "Area above half of it [% of the sheet]")
+    caption = (
+        "Where the images show the events: centre of mass of the region that belongs to the place of the best fit."
+        " A dash: the image shows no region there."
+    )
+    return text_table(caption, columns, rows, (1, 2, 3, 4))
 
 
 def _images(result: RecordingResult) -> Figure:
