@@ -125,6 +125,8 @@ def _image(c: Calibration) -> dict[str, Any]:
     return {
         "method": c.reconstruction.method,
         "regularisation": c.reconstruction.choice.value,
+        "regularisation_name": c.reconstruction.choice.name,
+        "regularisation_criterion": c.reconstruction.choice.criterion or None,
         "regularisation_how": c.reconstruction.choice.how,
         "noise_figure_nominal": c.reconstruction.choice.noise_figure,
         "noise_figure_measured": c.noise_figure,

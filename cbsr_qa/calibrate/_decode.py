@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibrate._content import Entry, Reading
+from cbsr_qa.calibrate._parameter import read_choice
 from cbsr_qa.domain.calibration import (
     BaselineConductance,
     Calibration,
@@ -24,7 +25,7 @@ from cbsr_qa.domain.mesh_arrays import NAMES as MESH_ARRAYS
 from cbsr_qa.domain.mesh_arrays import mesh_of_arrays
 from cbsr_qa.domain.outlines import Polygon
 from cbsr_qa.domain.patterns import DrivePattern
-from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
 from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, SettlingTime
 from cbsr_qa.domain.sensor import GivenMesh, Parameter, QuasiStatic, Response, SensorIdentity, SensorType
 
@@ -155,15 +156,11 @@ def _reconstruction(read: Reading, sensor_type: SensorType) -> LinearReconstruct
         read.flags("reconstruction/used"),
         read.optional("reconstruction/noise_variance"),
     )
-    choice = ParameterChoice(
-        read.number("reconstruction/regularisation"),
-        read.text("reconstruction/regularisation_how"),
-        read.number("reconstruction/noise_figure"),
-    )
     matrix = read.numbers("reconstruction/matrix")
     if matrix.shape != problem.jacobian.T.shape:
         raise CalibrationError(f"reconstruction/matrix of {matrix.shape} does not fit its mesh and readings")
-    return LinearReconstruction(read.text("reconstruction/method"), problem, matrix, choice)
+    method = read.text("reconstruction/method")
+    return LinearReconstruction(method, problem, matrix, read_choice(read, method))
 
 
 def _baseline(read: Reading) -> tuple[BaselineConductance, ...]:

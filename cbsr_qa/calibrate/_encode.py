@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from cbsr_qa.calibrate._content import Entry, Writing
+from cbsr_qa.calibrate._parameter import write_choice
 from cbsr_qa.domain.calibration import Calibration, LoadRelaxation
 from cbsr_qa.domain.electrodes import Electrodes, PlacedElectrodes
 from cbsr_qa.domain.errors import CalibrationError
@@ -90,9 +91,7 @@ def _reconstruction(out: Writing, reconstruction: LinearReconstruction) -> None:
     problem, mesh = reconstruction.problem, reconstruction.problem.mesh
     out.text("reconstruction/method", reconstruction.method)
     out.numbers("reconstruction/matrix", reconstruction.matrix, "A.Ohm/V")
-    out.number("reconstruction/regularisation", reconstruction.choice.value)
-    out.text("reconstruction/regularisation_how", reconstruction.choice.how)
-    out.number("reconstruction/noise_figure", reconstruction.choice.noise_figure)
+    write_choice(out, reconstruction.method, reconstruction.choice)
     out.numbers("reconstruction/jacobian", problem.jacobian, "V/(A.Ohm)")
     out.numbers("reconstruction/reference", problem.reference, "V/(A.Ohm)")
     out.flags("reconstruction/used", problem.used)

@@ -59,6 +59,8 @@ def _summary(document: dict[str, Any]) -> Iterable[str]:
     yield from ("", f"Area overlap of at least {document['area_overlap']['threshold_percent']:g} % was asked for")
     image = document["image"]
     yield f"Images by {image['method']} on {image['elements']} elements from {image['readings']} readings, "
+    chosen_by = image["regularisation_criterion"] or "not said"
+    yield f"  {image['regularisation_name']} = {image['regularisation']:.4g}, chosen by {chosen_by}: "
     yield f"  {image['regularisation_how']}; noise floor {image['noise_floor']:.3g}; response: {image['response']}"
     yield f"SHA-256 {document['digest']}"
 

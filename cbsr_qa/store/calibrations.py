@@ -25,7 +25,7 @@ from cbsr_qa.store.engine import reading
 from cbsr_qa.store.result_tables import CalibrationRow
 from cbsr_qa.store.run_tables import RunRow
 
-#: λ found again for the same sensor type agrees to the tolerance of its search, not to the last digit.
+#: A parameter found again for the same sensor type agrees to the tolerance of its search, not to the last digit.
 _SAME_PARAMETER = 1e-6
 
 
@@ -96,18 +96,28 @@ def load_calibration(engine: Engine, calibration: str, reconstruction: LinearRec
     with reading(engine) as connection, Session(bind=connection) as session:
         row = _known(session, calibration)
         _check_matrix(row, reconstruction)
-        choice = ParameterChoice(row.regularisation, row.regularisation_how, row.noise_figure)
-        return _calibration(session, row, replace(reconstruction, choice=choice))
+        return _calibration(session, row, replace(reconstruction, choice=_choice(row)))
+
+
+def _choice(row: CalibrationRow) -> ParameterChoice:
+    return ParameterChoice(
+        row.regularisation,
+        row.regularisation_how,
+        row.noise_figure,
+        row.regularisation_name,
+        criterion=row.regularisation_criterion,
+    )
 
 
 def _check_matrix(row: CalibrationRow, reconstruction: LinearReconstruction) -> None:
-    """Raise StoreError where a matrix was prepared by another method, with another λ or for other readings."""
+    """Raise StoreError where a matrix was prepared by another method or parameter, or for other readings."""
     prepared = reconstruction.choice.value
     alike = math.isclose(row.regularisation, prepared, rel_tol=_SAME_PARAMETER)
     if row.method != reconstruction.method or not alike:
         raise StoreError(
-            f"calibration {row.calibration} was made with {row.method} at λ = {row.regularisation:g}, not with"
-            f" {reconstruction.method} at λ = {prepared:g}"
+            f"calibration {row.calibration} was made with {row.method} at"
+            f" {row.regularisation_name} = {row.regularisation:g}, not with"
+            f" {reconstruction.method} at {reconstruction.choice.name} = {prepared:g}"
         )
     problem = reconstruction.problem
     used = unpacked_flags(row.used, (row.drives, row.measures)).astype(np.bool_)
@@ -166,6 +176,8 @@ def _imaging_values(reconstruction: LinearReconstruction, reference: NDArray[np.
     return {
         "method": reconstruction.method,
         "regularisation": reconstruction.choice.value,
+        "regularisation_name": reconstruction.choice.name,
+        "regularisation_criterion": reconstruction.choice.criterion,
         "regularisation_how": reconstruction.choice.how,
         "noise_figure": reconstruction.choice.noise_figure,
         "drives": drives,

@@ -91,6 +91,8 @@ class CalibrationRow(Base):
     measured_noise_figure: Mapped[float | None]  #: of this sensor with its own matrix
     method: Mapped[str]  #: of the imaging matrix
     regularisation: Mapped[float]
+    regularisation_name: Mapped[str]  #: what ``regularisation`` is, e.g. "λ"
+    regularisation_criterion: Mapped[str]  #: what it was chosen by; empty where nobody said
     regularisation_how: Mapped[str]
     noise_figure: Mapped[float]  #: of the matrix on the nominal model
     drives: Mapped[int]

@@ -98,6 +98,10 @@ def test_data_survive_every_step_up_and_down(engine):
     full = content(engine)
     assert all(len(rows) == 1 for rows in full.values())
 
+    schema.upgrade(engine, "0003")
+    schema.downgrade(engine, "0002")
+    assert content(engine) == full
+
     schema.downgrade(engine, "0001")
     assert content(engine) == before
     schema.upgrade(engine)
@@ -108,6 +112,32 @@ def test_data_survive_every_step_up_and_down(engine):
     assert schema.found_version(engine).age is schema.Age.EMPTY
     schema.upgrade(engine)
     assert table_names(engine) == measured | concluded
+
+
+CALLED = {"truncated-svd": "components kept", "pyeit-greit": "pyEIT's lamb", "gauss-newton-noser": "λ", "x": "λ"}
+
+
+def test_the_parameter_of_an_old_calibration_is_named_as_its_method_did(engine):
+    schema.upgrade(engine, "0002")
+    fill(engine, table_names(engine))
+    tables = {table.name: table for table in reflected(engine)}
+    row = {column.name: sample(column) for column in tables["calibrations"].columns}
+    with writing(engine) as connection:
+        for method in CALLED:
+            if method != "x":  # the row that is there already
+                connection.execute(tables["calibrations"].insert(), row | {"calibration": method, "method": method})
+    before = sorted(content(engine)["calibrations"], key=repr)
+
+    schema.upgrade(engine, "0003")
+    with reading(engine) as connection:
+        found = connection.execute(
+            sa.text("SELECT method, regularisation_name, regularisation_criterion FROM calibrations")
+        )
+        assert {method: (name, criterion) for method, name, criterion in found} == {
+            method: (name, "") for method, name in CALLED.items()
+        }
+    schema.downgrade(engine, "0002")
+    assert sorted(content(engine)["calibrations"], key=repr) == before
 
 
 def test_the_migrations_make_what_the_program_uses(engine):

@@ -49,7 +49,8 @@ def sample_reconstruction(sensor_type: SensorType, seed: int = 5) -> LinearRecon
         random.uniform(1, 2, readings),
     )
     matrix = random.standard_normal((4, readings))
-    return LinearReconstruction("test-method", problem, matrix, ParameterChoice(0.03, "chosen for a test", 1.02))
+    choice = ParameterChoice(0.03, "chosen for a test", 1.02, "μ", criterion="l-curve")
+    return LinearReconstruction("test-method", problem, matrix, choice)
 
 
 def sample_calibration() -> Calibration:

@@ -295,7 +295,7 @@ def sample_reconstruction(mesh):
     used = SENSOR.pattern.usable()
     count = int(used.sum())
     problem = ImagingProblem(SENSOR, mesh, np.zeros((count, len(mesh.elements))), np.ones(count), used)
-    choice = ParameterChoice(0.0123, "noise figure 1.00 on the nominal model", 1.0)
+    choice = ParameterChoice(0.0123, "noise figure 1.00 on the nominal model", 1.0, criterion="noise-figure")
     return LinearReconstruction("gauss-newton-noser", problem, np.zeros((len(mesh.elements), count)), choice)
 
 

@@ -163,7 +163,10 @@ def reconstruction():
     count = int(used.sum())
     problem = ImagingProblem(SENSOR_TYPE, mesh, np.ones((count, 2)), np.ones(count), used)
     return LinearReconstruction(
-        "gauss-newton-noser", problem, np.ones((2, count)), ParameterChoice(0.02, "NF 1", 1.0)
+        "truncated-svd",
+        problem,
+        np.ones((2, count)),
+        ParameterChoice(0.02, "NF 1", 1.0, "share kept", criterion="noise-figure"),
     )
 
 

@@ -33,6 +33,7 @@ def test_show_prints_what_a_reader_needs(issued):
     assert "force: 0.9 to 3.5 N" in shown
     assert "assumed, not measured on this sensor: α against stress, β against stress" in shown
     assert "at least 29.5 s" in shown
+    assert "μ = 0.03, chosen by l-curve" in shown
     (line,) = [line for line in shown.splitlines() if line.strip().startswith("L0")]
     assert line.split() == ["L0", "0.0", "0.0", "0.31", "0.004", "3"]
     (line,) = [line for line in shown.splitlines() if line.strip().startswith("L1 ")]
@@ -48,6 +49,9 @@ def test_show_as_json_is_one_document(issued):
     assert document["against_stress"]["covariance"] == -1.5e-8
     assert (document["image"]["noise_figure_nominal"], document["image"]["noise_figure_measured"]) == (1.02, 1.17)
     assert document["area_overlap"]["size_ratio"] == [1 / 3, 3.0]
+    image = document["image"]
+    assert (image["regularisation_name"], image["regularisation_criterion"]) == ("μ", "l-curve")
+    assert (image["regularisation"], image["regularisation_how"]) == (0.03, "chosen for a test")
 
 
 def test_verify_says_sound(issued):

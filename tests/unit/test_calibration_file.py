@@ -30,6 +30,38 @@ def test_every_field_comes_back_exactly(tmp_path, make):
     assert_same(read_calibration(path), stamped(make()), "calibration")
 
 
+def _with_choice(method, **changes):
+    sample = sample_calibration()
+    choice = replace(sample.reconstruction.choice, **changes)
+    return replace(sample, reconstruction=replace(sample.reconstruction, method=method, choice=choice))
+
+
+@pytest.mark.parametrize(
+    ("method", "called"),
+    [("gauss-newton-noser", "λ"), ("truncated-svd", "components kept"), ("pyeit-jac", "pyEIT's lamb")],
+)
+def test_a_file_of_before_is_read_with_the_name_its_method_implied(tmp_path, method, called):
+    """A file with two datasets fewer, whose digest is worked out as anybody would."""
+    path = tmp_path / "old.h5"
+    write_calibration(path, _with_choice(method))
+    with h5py.File(path, "r+") as file:
+        del file["reconstruction/regularisation_name"], file["reconstruction/regularisation_criterion"]
+    stated = _plain_digest(path)
+    with h5py.File(path, "r+") as file:
+        file.attrs["digest"] = stated
+    old = read_calibration(path)
+    assert (old.reconstruction.choice.name, old.reconstruction.choice.criterion) == (called, "")
+    assert (old.reconstruction.choice.value, old.reconstruction.choice.how) == (0.03, "chosen for a test")
+    assert write_calibration(tmp_path / "again.h5", old) == stated
+
+
+@pytest.mark.parametrize(("name", "criterion"), [("λ", "gcv"), ("μ", ""), ("λ", "")])
+def test_name_and_criterion_come_back_whichever_is_there(tmp_path, name, criterion):
+    made = _with_choice("gauss-newton-noser", name=name, criterion=criterion)
+    write_calibration(tmp_path / "x.h5", made)
+    assert_same(read_calibration(tmp_path / "x.h5"), stamped(made), "calibration")
+
+
 def test_every_dataset_states_its_units(issued):
     units: dict[str, str] = {}
     with h5py.File(issued) as file:

@@ -306,6 +306,17 @@ def test_only_so_many_images_are_printed_and_the_rest_is_said(result):
     assert section.blocks[0].text.endswith("21 presses are not printed here; every frame is in the store.")
 
 
+@pytest.mark.parametrize(("name", "criterion"), [("λ", "gcv"), ("components kept", "noise-figure"), ("μ", "")])
+def test_the_regularisation_parameter_stands_under_its_own_name(result, name, criterion):
+    run = result.observation
+    choice = replace(run.reconstruction.choice, name=name, criterion=criterion)
+    seen = replace(run, reconstruction=replace(run.reconstruction, choice=choice))
+    rows = dict(texts(tables(Traceability().render(replace(result, observation=seen)))[2]))
+    assert rows["Regularisation parameter"] == f"{name} = 0.0123"
+    said = criterion or "criterion not stated"
+    assert rows["Parameter chosen by"] == f"{said}: noise figure 1.00 on the nominal model"
+
+
 def test_instruments_are_traceable(result):
     bench = replace(result.record.identity.instruments[0], simulated=False, calibration_due="2027-01-31")
     identity = replace(result.record.identity, instruments=(bench, replace(bench, calibration_due=None)))

@@ -206,7 +206,7 @@ def test_a_matrix_of_another_making_is_refused(repository, run):
     issued = calibration(repository.new_id(), run)
     repository.save_result(result(repository, run, calibration=issued))
     other = replace(reconstruction(), choice=ParameterChoice(0.5, "by hand", 2.0))
-    with pytest.raises(StoreError, match=r"λ = 0\.02, not with .* λ = 0\.5"):
+    with pytest.raises(StoreError, match=r"share kept = 0\.02, not with .* λ = 0\.5"):
         repository.load_calibration(issued.calibration, other)
 
 
@@ -240,3 +240,11 @@ def test_runs_are_found_by_serial_and_by_name(repository, run):
     with pytest.raises(StoreError, match="there is no run"):
         repository.load_run("nothing")
     assert repository.counts() == {"sensors": 1, "runs": 2, "frames": 22, "samples": 80, "loads": 2}
+
+
+def test_the_parameter_is_stored_under_its_own_name(repository, run, tmp_path):
+    repository.save_result(result(repository, run, calibration=calibration(repository.new_id(), run)))
+    with sqlite3.connect(tmp_path / "runs.db") as other:
+        columns = "regularisation_name, regularisation_criterion, regularisation, regularisation_how"
+        stored = other.execute(f"select {columns} from calibrations").fetchone()
+    assert stored == ("share kept", "noise-figure", 0.02, "NF 1")

@@ -83,7 +83,8 @@ def _analysis(run: RunObservation) -> Table:
     masks = ", ".join(f"{100 * fraction:g} %" for fraction in settings.masks)
     rows = [
         ["Reconstruction", run.reconstruction.method],
-        ["Regularisation λ", f"{number(chosen.value)}: {chosen.how}"],
+        ["Regularisation parameter", f"{chosen.name} = {number(chosen.value)}"],
+        ["Parameter chosen by", f"{chosen.criterion or 'criterion not stated'}: {chosen.how}"],
         ["Readings imaged", f"{int(run.usable.sum())} of {run.usable.size}"],
         ["Drive current", "not stated" if current is None else quantity(current, "A")],
         ["Reference", "mean of the unloaded frames" if settings.reference == "run" else "frames before each press"],
