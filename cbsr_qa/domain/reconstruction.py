@@ -76,12 +76,21 @@ class ParameterCurve:
     ----------
     values : (k,) float64 of the parameter, rising.
     noise_figures : (k,) float64, Adler et al. 2009 form, on the model the choice was made on.
-    answers : of every criterion, the one that decided among them.
+    answers : of every criterion, the one that decided among them; their values are among ``values``.
+    target : noise figure that the criterion of that name asks for; None where nobody says.
+    discrete : whether the parameter is a count, and ``values`` are all there are.
     """
 
     values: NDArray[np.float64]
     noise_figures: NDArray[np.float64]
     answers: tuple[ParameterAnswer, ...]
+    target: float | None = None
+    discrete: bool = False
+
+    def noise_figure_at(self, value: float) -> float | None:
+        """Noise figure of a value that is among ``values``; None of any other."""
+        where = np.flatnonzero(self.values == value)
+        return float(self.noise_figures[where[0]]) if where.size else None
 
 
 @dataclass(frozen=True, slots=True)

@@ -81,6 +81,16 @@ class RidgeSearch:
         """λ that are looked at."""
         return searched(self._spectrum)
 
+    @property
+    def shown(self) -> Array:
+        """λ four times as close together: a noise figure costs 0.1 ms."""
+        return np.geomspace(self.grid[0], self.grid[-1], 4 * (len(self.grid) - 1) + 1)
+
+    @property
+    def discrete(self) -> bool:
+        """λ is any positive number."""
+        return False
+
     def noise_figures(self, values: Array) -> Array:
         """Noise figure at each of some λ."""
         figure = noise_figure_of(self._spectrum, self._signal, self._areas, self._variance)

@@ -40,6 +40,16 @@ class ParameterSearch(Protocol):
         """Values that are looked at, (k,) rising."""
         ...
 
+    @property
+    def shown(self) -> Array:
+        """Values close enough together to draw what lies between them, over the same range."""
+        ...
+
+    @property
+    def discrete(self) -> bool:
+        """Whether the parameter is a count, and ``grid`` holds all there are."""
+        ...
+
     def noise_figures(self, values: Array) -> Array:
         """Noise figure at each of some values."""
         ...
@@ -143,8 +153,12 @@ class Regularisation:
             raise refusals[self.criterion]
         own = next(answer for answer in answers if answer.criterion == self.criterion)
         assert own.value is not None
-        curve = ParameterCurve(search.grid, search.noise_figures(search.grid), tuple(answers))
-        return own.value, own.words, curve
+        return own.value, own.words, self._curve(search, tuple(answers))
+
+    def _curve(self, search: ParameterSearch, answers: tuple[ParameterAnswer, ...]) -> ParameterCurve:
+        """Noise figures over all that was searched, with every answer among the values."""
+        values = np.union1d(search.shown, [a.value for a in answers if a.value is not None])
+        return ParameterCurve(values, search.noise_figures(values), answers, self.noise_figure, search.discrete)
 
     def _value(self, criterion: Criterion, search: ParameterSearch, evidence: Evidence) -> float:
         if criterion is Criterion.NOISE_FIGURE:

@@ -55,6 +55,16 @@ class Truncation:
         """The same, as values of a parameter."""
         return self.cuts.astype(np.float64)
 
+    @property
+    def shown(self) -> Array:
+        """The same: there are no others."""
+        return self.grid
+
+    @property
+    def discrete(self) -> bool:
+        """Components are counted."""
+        return True
+
     def at_most(self, components: int) -> int:
         """Largest number of components up to this one that splits no pair; a masked sensor has other pairs."""
         return int(self.cuts[self.cuts <= components].max(initial=self.cuts[0]))

@@ -59,6 +59,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.SECTION, "mask-comparison", "sections.mask_comparison:MaskComparison"),
     (Kind.SECTION, "image-quality", "sections.image_quality:ImageQuality"),
     (Kind.SECTION, "size-response", "sections.size_response:SizeResponses"),
+    (Kind.SECTION, "regularisation", "sections.regularisation:RegularisationParameter"),
     (Kind.SECTION, "random-loads", "sections.random_loads:RandomLoads"),
     (Kind.SECTION, "relaxation", "sections.relaxation:RelaxationFits"),
     (Kind.SECTION, "baseline-conductance", "sections.baseline_conductance:BaselineConductanceMap"),
