@@ -59,7 +59,8 @@ class AnalyseRequest:
     @property
     def chosen(self) -> PluginChoice:
         """What images the events."""
-        return PluginChoice(self.reconstruction or DEFAULT_RECONSTRUCTION, self.options)
+        name = DEFAULT_RECONSTRUCTION if self.reconstruction is None else self.reconstruction
+        return PluginChoice(name, self.options)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

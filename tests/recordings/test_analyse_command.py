@@ -1,36 +1,17 @@
 """``cbsr-qa analyse`` from the command line, on files made here."""
 
 import json
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import scipy.io
 from board_files import BoardFile, counts
+from pressed_files import exported, pressed_frames
 
-from cbsr_qa.analysis.recording_file import write_recording
-from cbsr_qa.analysis.recording_imaging import nominal_disc
 from cbsr_qa.cli.main import guarded
-from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.domain.recording import Recording, ScanKind
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.forward.coverage import disc_coverage
-from cbsr_qa.reconstruct.problem import nominal_model
-
-DISC: SensorType = nominal_disc(None, 16)
-
-
-def pressed_frames(x, y, *, contrast, n=80, start=30, end=60, seed=1):
-    """Volts of a disc with one press, by the forward model; (n, 16, 16)."""
-    model = nominal_model(DISC)
-    empty = model.model.voltages()
-    elements, share = disc_coverage(model.model.mesh, 50 * x, 50 * y, 6.5)
-    full = model.voltages(elements, contrast * share)
-    loaded = np.zeros(n)
-    loaded[start:end] = 1
-    noise = np.random.default_rng(seed).normal(0, 1e-4 * np.abs(empty).mean(), (n, 16, 16))
-    return empty + loaded[:, None, None] * (full - empty) + noise
+from cbsr_qa.domain.frames import VoltageUnit
+from cbsr_qa.domain.recording import ScanKind
 
 
 @pytest.fixture(autouse=True)
@@ -42,19 +23,6 @@ def run(capsys, *arguments):
     code = guarded(["analyse", *map(str, arguments)])
     said = capsys.readouterr()
     return code, said.out, said.err
-
-
-def exported(tmp_path, frames, *, sensor_type=None, name="run.h5", unit=VoltageUnit.VOLT, current_A=0.001, **said):
-    times = 100 + 2.5 * np.arange(len(frames))
-    block = FrameBlock(times, frames, np.zeros(frames.shape, np.uint8), unit, current_A)
-    force = SampleBlock("force", "N", times, np.where((times > 175) & (times < 250), 4.0, 0.0))
-    path = tmp_path / name
-    recording = Recording(
-        path, "cbsr-recording", "", ScanKind.FULL, block, None, False, False, "computer", (force,),
-        sensor_type=sensor_type,
-    )  # fmt: skip
-    write_recording(path, replace(recording, **said))
-    return path
 
 
 def test_a_press_in_an_export_is_found_with_force_and_reported(tmp_path, capsys):
