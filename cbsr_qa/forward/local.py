@@ -15,6 +15,9 @@ Several patches feel each other. What one sends to another's rim is smooth there
 to rounding it lies in a space of some fifteen dimensions, fewer than the rim has nodes. Each patch's answer
 (I + ΔΛ W)⁻¹ ΔΛ is formed for these alone, and one system over all patches, as large as these are many, links them.
 
+A contact is such a patch too, all rim: with z only the matrix under its electrode changes, by
+Δ(1/z) ∫ (u − ū)(v − v̄), and what the electrode adds to its own potential, Δz/|E|.
+
 Where so much changes that this would take longer than factorising the whole sheet again, that is what is done.
 """
 
@@ -26,7 +29,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.forward.inverse import InverseEntries
-from cbsr_qa.forward.model import ForwardModel, conducts
+from cbsr_qa.forward.model import ForwardModel, check_values, conducts
 from cbsr_qa.forward.patches import Patches, dense_work
 
 Array = NDArray[np.float64]
@@ -50,6 +53,7 @@ class LocalUpdate:
         self.model = model
         self._unchanged = model.voltages()
         self._inverse = InverseEntries(model)
+        self._touched = np.concatenate(model.prepared.contacts.nodes)
         self._kept: OrderedDict[bytes, Patches | None] = OrderedDict()
         self._kept_bytes = kept_bytes
 
@@ -58,14 +62,15 @@ class LocalUpdate:
         """Memory of what is kept between calls."""
         return self._inverse.nbytes + self._kept_now()
 
-    def voltages(self, elements: Indices, conductance_change: Array) -> Array:
-        """Readings after the conductance of some elements has changed.
+    def voltages(self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None) -> Array:
+        """Readings after the conductance of some elements has changed, or the contacts, or both.
 
         Parameters
         ----------
         elements : (k,) int64; changes of an element named twice add up.
         conductance_change : (k,) [S] against the model's conductance; or (k, q, 2, 2) by integration point and
             direction, as of :meth:`Cover.change <cbsr_qa.forward.coverage.Cover.change>`.
+        contact_impedance : (electrodes,) z in place of the model's [Ω·mm].
 
         Returns
         -------
@@ -75,15 +80,25 @@ class LocalUpdate:
         ------
         NumericsError
             If an element is not in the mesh, or its new conductance is not a positive finite number, or as a matrix
-            not positive definite.
+            not positive definite; or a contact impedance is not a positive finite number.
         """
         elements, change = self._checked(elements, conductance_change)
-        if not elements.size:
+        contact_change, own = self._checked_contacts(contact_impedance)
+        if not elements.size and contact_change is None:
             return self._unchanged.copy()
-        patches = self._patches(elements)
+        patches = self._patches(elements, contact_change is not None)
         if patches is None:
-            return self.model.changed_on(elements, change).voltages()
-        return self._unchanged - self.model.readings(patches.correction(change))
+            return self.model.changed(contact_impedance=contact_impedance).changed_on(elements, change).voltages()
+        return self._unchanged - self.model.readings(patches.correction(change, contact_change) - own)
+
+    def _checked_contacts(self, impedance: Array | None) -> tuple[Array | None, Array]:
+        """Change of 1/z [S/mm], None where there is none, and of what each electrode adds to its own potential."""
+        before = self.model.contact_impedance
+        if impedance is None or np.array_equal(impedance, before):
+            return None, np.zeros((1, 1))
+        impedance = check_values("contact impedance", np.asarray(impedance, dtype=np.float64), before.shape)
+        lengths = self.model.prepared.contacts.lengths_mm
+        return (before - impedance) / (before * impedance), np.diag((impedance - before) / lengths)
 
     def _checked(self, elements: Indices, change: Array) -> tuple[Indices, Array]:
         elements, change = np.asarray(elements, dtype=np.int64), np.asarray(change, dtype=np.float64)
@@ -106,12 +121,13 @@ class LocalUpdate:
             )
         return unique.astype(np.int64), total
 
-    def _patches(self, elements: Indices) -> Patches | None:
+    def _patches(self, elements: Indices, contacts: bool) -> Patches | None:
         """Patches of some elements, or None where factorising the whole sheet again is the shorter way."""
-        key = elements.tobytes()
+        key = elements.tobytes() + b"contacts" * contacts
         if key not in self._kept:
             short = dense_work(self.model, elements) < _MOST_WORK
-            self._kept[key] = Patches(self.model, elements, self._inverse) if short else None
+            short = short and not (contacts and np.isin(self.model.elements.cells[elements], self._touched).any())
+            self._kept[key] = Patches(self.model, elements, self._inverse, contacts=contacts) if short else None
             while len(self._kept) > 1 and self._kept_now() > self._kept_bytes:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)

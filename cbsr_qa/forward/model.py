@@ -255,8 +255,8 @@ class ForwardModel:
                 f" the pattern needs {electrodes}"
             )
         directional = (len(self.elements.shapes.points), 2, 2) if self.conductance.ndim > 1 else ()
-        _check("conductance", self.conductance, (count, *directional))
-        _check("contact impedance", self.contact_impedance, (electrodes,))
+        check_values("conductance", self.conductance, (count, *directional))
+        check_values("contact impedance", self.contact_impedance, (electrodes,))
 
 
 def point_model(
@@ -292,7 +292,14 @@ def conducts(conductance: Array) -> NDArray[np.bool_]:
     return np.asarray(definite.all(axis=1), dtype=np.bool_)
 
 
-def _check(name: str, values: Array, shape: tuple[int, ...]) -> None:
+def check_values(name: str, values: Array, shape: tuple[int, ...]) -> Array:
+    """Return conductances or contact impedances as they are.
+
+    Raises
+    ------
+    NumericsError
+        If they have another shape, or one is not a positive finite number, naming the first of these.
+    """
     if values.shape != shape:
         raise NumericsError(f"{name} has shape {values.shape}; one value for each of {shape[0]} is needed")
     wrong = np.flatnonzero(~conducts(values))
@@ -302,6 +309,7 @@ def _check(name: str, values: Array, shape: tuple[int, ...]) -> None:
             f"{name} {wrong[0]} is {values[wrong[0]].tolist()} (one of {wrong.size} such);"
             f" it must be a positive finite number{direction}"
         )
+    return values
 
 
 def _alike(one: Array, other: Array, points: int) -> tuple[Array, Array]:

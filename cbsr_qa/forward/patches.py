@@ -85,6 +85,35 @@ class PatchStack:
         return np.asarray(assembled.reshape(self._shape), dtype=np.float64)
 
 
+class ContactStack:
+    """The electrodes' contacts, which a change of their impedance changes as if each were a patch that is all rim.
+
+    Parameters
+    ----------
+    model : the unchanged sheet.
+    """
+
+    def __init__(self, model: ForwardModel) -> None:
+        contacts = model.prepared.contacts
+        width = max(len(nodes) for nodes in contacts.nodes)
+        #: nodes under each electrode, the rest filled up with −1: (g, b)
+        self.rims: Indices = np.full((len(contacts.nodes), width), -1, dtype=np.int64)
+        self._masses = np.zeros((len(contacts.nodes), width, width))
+        for number, (nodes, mass) in enumerate(zip(contacts.nodes, contacts.masses, strict=True)):
+            self.rims[number, : len(nodes)] = nodes
+            self._masses[number, : len(nodes), : len(nodes)] = mass
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes."""
+        return _nbytes(self)
+
+    def rim_changes(self, change: Array) -> Array:
+        """Change of the matrix under each electrode: (g,) of 1/z [S/mm] to (g, b, b) [S]."""
+        changes: Array = change[:, None, None] * self._masses
+        return changes
+
+
 class Patches:
     """A set of changed elements as patches that share no node, and what links their rims.
 
@@ -96,17 +125,23 @@ class Patches:
     model : the unchanged sheet.
     elements : (k,) int64, each once.
     inverse : gives K₀⁻¹ between rim nodes.
+    contacts : whether the contacts' impedances change too; no element may then touch one.
     """
 
-    def __init__(self, model: ForwardModel, elements: Indices, inverse: InverseEntries) -> None:
+    def __init__(
+        self, model: ForwardModel, elements: Indices, inverse: InverseEntries, *, contacts: bool = False
+    ) -> None:
         members = list(_connected(model.elements.cells[elements]))
         rims = [_seen_outside(model, elements[part]) for part in members]
         groups = list(_alike([(int(rim.sum()), int((~rim).sum())) for rim in rims]))
-        self._stacks = [
+        patches = [
             PatchStack(model, [elements[members[k]] for k in group], [rims[k] for k in group]) for group in groups
         ]
         self._members = [np.concatenate([members[k] for k in group]) for group in groups]
         self._matrices = [ElementChanges(model, elements[part]) for part in self._members]
+        self._patches = patches
+        self._contacts = ContactStack(model) if contacts else None
+        self._stacks: list[PatchStack | ContactStack] = [*patches, *([self._contacts] if self._contacts else [])]
         self._link(model, inverse)
 
     @property
@@ -116,12 +151,13 @@ class Patches:
         arrays: list[NDArray[Any]] = [*self._members, *self._own, *self._met]
         return _nbytes(self) + parts + sum(array.nbytes for array in arrays)
 
-    def correction(self, change: Array) -> Array:
+    def correction(self, change: Array, contact_change: Array | None = None) -> Array:
         """What the transfer impedance loses.
 
         Parameters
         ----------
         change : (k,) or (k, q, 2, 2) [S] of each element's conductance, leaving it positive.
+        contact_change : (electrodes,) of 1/z [S/mm], where contacts change too.
 
         Returns
         -------
@@ -129,10 +165,7 @@ class Patches:
         """
         scattered = np.empty_like(self._linked)
         first = 0
-        for stack, matrices, members, own, met in zip(
-            self._stacks, self._matrices, self._members, self._own, self._met, strict=True
-        ):
-            seen = stack.rim_changes(matrices.of(change[members]))
+        for seen, own, met in zip(self._rim_changes(change, contact_change), self._own, self._met, strict=True):
             capacitance = seen @ own
             np.einsum("gii->gi", capacitance)[:] += 1
             answer = met.swapaxes(1, 2) @ np.linalg.solve(capacitance, seen @ met)  # of each patch alone
@@ -145,6 +178,12 @@ class Patches:
         np.einsum("ii->i", between)[:] += 1
         correction: Array = self._fields.T @ np.linalg.solve(between, flat[:, count:])
         return correction
+
+    def _rim_changes(self, change: Array, contact_change: Array | None) -> Iterator[Array]:
+        for stack, matrices, members in zip(self._patches, self._matrices, self._members, strict=True):
+            yield stack.rim_changes(matrices.of(change[members]))
+        if self._contacts is not None and contact_change is not None:
+            yield self._contacts.rim_changes(contact_change)
 
     def _link(self, model: ForwardModel, inverse: InverseEntries) -> None:
         """Describe what each patch meets, and how patches and electrodes meet each other."""

@@ -209,3 +209,29 @@ def test_changes_that_conduct_backwards_in_one_direction_are_refused(model, upda
     change[0, -1, 1, 1] = -2.1e-4
     with pytest.raises(NumericsError, match="in every direction"):
         update.voltages(np.array([5]), change)
+
+
+@given(seed=st.integers(0, 2**32 - 1), spread=st.floats(0.01, 6), loads=st.integers(0, 2))
+@settings(max_examples=20, deadline=None)
+def test_changed_contacts_equal_full_refactorisation(model, update, seed, spread, loads):
+    """Contacts up to e⁶ times better and worse at once, with loads beside them and one over a pin."""
+    random = np.random.default_rng(seed)
+    contacts = model.contact_impedance * np.exp(spread * random.uniform(-1, 1, len(model.contact_impedance)))
+    found = [disc_coverage(model.mesh, x, y, 6.5) for x, y in ((20.0, -12.0), (43.0, 2.0))[:loads]]
+    elements = np.concatenate([np.zeros(0, dtype=np.int64), *(load[0] for load in found)])
+    change = 0.4 * np.concatenate([np.zeros(0), *(model.conductance[load[0]] * load[1] for load in found)])
+    exact = model.changed(contact_impedance=contacts).changed_on(elements, change).voltages()
+    assert worst(update.voltages(elements, change, contacts), exact) < 1e-9
+    assert np.array_equal(
+        update.voltages(elements, change, model.contact_impedance), update.voltages(elements, change)
+    )
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
+def test_a_contact_impedance_that_is_none_is_refused_by_number(model, update, wrong):
+    contacts = model.contact_impedance.copy()
+    contacts[5] = wrong
+    with pytest.raises(NumericsError, match="contact impedance 5"):
+        update.voltages(np.zeros(0, dtype=np.int64), np.zeros(0), contacts)
+    with pytest.raises(NumericsError, match="shape"):
+        update.voltages(np.zeros(0, dtype=np.int64), np.zeros(0), contacts[:3])
