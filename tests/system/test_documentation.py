@@ -117,3 +117,30 @@ def test_the_sheet_of_the_forward_model_page_is_pressed():
     unloaded, pressed = namespace["sheet"].voltages(), namespace["pressed"]
     assert pressed.shape == unloaded.shape == (16, 16)
     assert (np.diag(pressed) < np.diag(unloaded)).all()  # it conducts better everywhere
+
+
+_NUMBER = re.compile(r"\d+(?:\.\d+)?")
+
+
+def test_the_numbers_of_the_reconstruction_page_are_what_its_snippets_print(capsys):
+    page = _TOP / "docs" / "explanation" / "reconstruction.md"
+    snippets = re.findall(r"^```python\n(.*?)^```\n\n```text\n(.*?)^```", page.read_text(), re.M | re.S)
+    assert len(snippets) == len(_blocks(page, "python")) == 6
+    namespace = {}
+    for snippet, shown in snippets:
+        exec(snippet, namespace)
+        printed = capsys.readouterr().out
+        assert _NUMBER.sub("#", " ".join(printed.split())) == _NUMBER.sub("#", " ".join(shown.split()))
+        for stated, computed in zip(_NUMBER.findall(shown), _NUMBER.findall(printed), strict=True):
+            last = 10.0 ** -len(computed.partition(".")[2])  # a digit may round either way
+            assert float(stated) == pytest.approx(float(computed), rel=0.05, abs=1.01 * last), (stated, computed)
+
+
+def test_the_reconstruction_page_states_no_number_that_nothing_computes():
+    page = (_TOP / "docs" / "explanation" / "reconstruction.md").read_text()
+    printed = set(_NUMBER.findall("".join(re.findall(r"^```(?:text|python)\n(.*?)^```", page, re.M | re.S))))
+    prose = re.sub(r"^```.*?^```", "", page, flags=re.M | re.S)
+    prose = re.sub(r"`[^`]*`|\([A-Z][^()]*(?:19|20)\d\d\)|et al\. \d{4}", "", prose)  # options and sources
+    stated = {number for number in _NUMBER.findall(prose) if float(number) > 10}
+    assert "2025" in stated
+    assert stated <= printed, stated - printed
