@@ -176,14 +176,38 @@ class LinearReconstruction:
         Raises
         ------
         RefusedError
-            If the number of readings is not the prepared one, or one is not finite.
+            As :func:`checked_readings`.
         """
-        if changes.ndim != 2 or changes.shape[1] != self.matrix.shape[1]:
-            raise RefusedError(f"readings of shape {changes.shape} do not fit {self.matrix.shape[1]} used channels")
-        if not np.isfinite(changes).all():
-            raise RefusedError("a reading is not a finite number; mask its channel instead of imaging it")
-        images: NDArray[np.float64] = changes @ self.matrix.T
+        images: NDArray[np.float64] = checked_readings(changes, self.problem) @ self.matrix.T
         return images
+
+
+def checked_readings(changes: NDArray[np.float64], problem: ImagingProblem) -> NDArray[np.float64]:
+    """Changes of the used readings, (n, m), as float64.
+
+    Raises
+    ------
+    RefusedError
+        If the number of readings is not the prepared one, or one is not a finite real number; names the first.
+    """
+    changes, count = np.asarray(changes), len(problem.reference)
+    if changes.dtype.kind not in "fiu":
+        raise RefusedError(
+            f"readings are of type {changes.dtype}, not real numbers",
+            remedy="give real parts or magnitudes of complex readings" if changes.dtype.kind == "c" else "",
+        )
+    if changes.ndim != 2 or changes.shape[1] != count:
+        raise RefusedError(f"readings of shape {changes.shape} do not fit {count} used channels")
+    wrong = np.argwhere(~np.isfinite(changes))
+    if wrong.size:
+        frame, reading = wrong[0]
+        drive, measure = np.argwhere(problem.used)[reading]
+        raise RefusedError(
+            f"the reading of drive pair {drive} and measure pair {measure} in frame {frame} is"
+            f" {changes[frame, reading]}, not a finite number (one of {len(wrong)} such)",
+            remedy="mask its channel instead of imaging it",
+        )
+    return np.asarray(changes, dtype=np.float64)
 
 
 def linear(prepared: PreparedReconstruction) -> LinearReconstruction:

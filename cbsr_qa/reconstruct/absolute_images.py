@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.reconstruction import ImagingProblem, ParameterChoice
+from cbsr_qa.domain.reconstruction import ImagingProblem, ParameterChoice, checked_readings
 from cbsr_qa.reconstruct.absolute import (
     MOST_STEPS,
     FoundState,
@@ -15,7 +15,6 @@ from cbsr_qa.reconstruct.absolute import (
     matern,
     most_probable_state,
 )
-from cbsr_qa.reconstruct.checks import checked_changes
 from cbsr_qa.reconstruct.evidence import central_signal
 from cbsr_qa.reconstruct.noise_figure import noise_figure
 from cbsr_qa.reconstruct.one_step import RidgeSearch
@@ -166,7 +165,7 @@ class AbsoluteImages:
         RefusedError, NumericsError
             As :meth:`images`.
         """
-        folded = self.model.fold.fold(checked_changes(changes, self.problem)) / self.scale
+        folded = self.model.fold.fold(checked_readings(changes, self.problem)) / self.scale
         found = [
             most_probable_state(
                 self.model,
@@ -216,7 +215,7 @@ def _reference_state(
     if problem.measured is None:
         found = most_probable_state(model, nominal, nominal.readings, prior)
         return found, 1.0
-    wanted = model.fold.fold(checked_changes(problem.measured[None], problem))[0]
+    wanted = model.fold.fold(checked_readings(problem.measured[None], problem))[0]
     scale = float(wanted @ nominal.readings / (nominal.readings @ nominal.readings))
     if not scale > 0:
         raise NumericsError(

@@ -24,6 +24,7 @@ Pixels = NDArray[np.float32]
 Indices = NDArray[np.int64]
 
 _SAME: Final = 1e-9  # columns in proportion, and weights
+_REAL: Final = frozenset("fiu")  # kinds of numbers that readings may be
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,8 +79,8 @@ class PixelImaging:
         RefusedError
             If the number of readings is not the prepared one, or one is not finite.
         """
-        if changes.shape != (self.readings,):
-            raise RefusedError(f"readings of shape {changes.shape} do not fit {self.readings} used channels")
+        if changes.shape != (self.readings,) or changes.dtype.kind not in _REAL:
+            raise self._unfit(changes)
         # A sum of squares is not finite where a reading is not, and costs a third of looking at each.
         if not math.isfinite(changes.dot(changes)):
             _check_finite(changes)
@@ -88,10 +89,14 @@ class PixelImaging:
         image[self.places] = self.inner @ (changes[self.one] + second).astype(np.float32)
         return image.reshape(self.pixels, self.pixels)
 
+    def _unfit(self, changes: Array) -> RefusedError:
+        found = f"readings of shape {changes.shape} and type {changes.dtype}"
+        return RefusedError(f"{found} do not fit {self.readings} used channels, which are real numbers")
+
     def images(self, changes: Array) -> Pixels:
         """Image n frames (n, m), as :meth:`image`: (n, pixels, pixels)."""
-        if changes.ndim != 2 or changes.shape[1] != self.readings:
-            raise RefusedError(f"readings of shape {changes.shape} do not fit {self.readings} used channels")
+        if changes.ndim != 2 or changes.shape[1] != self.readings or changes.dtype.kind not in _REAL:
+            raise self._unfit(changes)
         _check_finite(changes)
         second = changes[:, self.other] if self.ratio is None else changes[:, self.other] * self.ratio
         images: Pixels = (changes[:, self.one] + second).astype(np.float32) @ self.matrix.T

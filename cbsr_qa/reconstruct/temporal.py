@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.reconstruction import ImagingProblem, ParameterChoice
-from cbsr_qa.reconstruct.checks import checked_changes
+from cbsr_qa.domain.reconstruction import ImagingProblem, ParameterChoice, checked_readings
 from cbsr_qa.reconstruct.dual import DualSpectrum
 from cbsr_qa.reconstruct.evidence import central_signal
 
@@ -130,7 +129,7 @@ class TemporalImages:
         RefusedError
             If readings do not fit or are not finite.
         """
-        readings = checked_changes(changes, self.problem) @ self.spectrum.analysis.T
+        readings = checked_readings(changes, self.problem) @ self.spectrum.analysis.T
         found = smoothed(readings, self.spectrum.values, self.choice.value**2, self.correlation)
         images: Array = found @ self.spectrum.basis.T
         return images

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.reconstruction import ImagingProblem, ParameterChoice
-from cbsr_qa.reconstruct.checks import checked_changes
+from cbsr_qa.domain.reconstruction import ImagingProblem, ParameterChoice, checked_readings
 from cbsr_qa.reconstruct.folding import ReadingFold
 from cbsr_qa.reconstruct.total_variation import TotalVariation, TvImage
 
@@ -89,11 +88,13 @@ class TotalVariationImages:
             If a frame does not converge, after how many steps; or if no image explains it to ten times the noise α
             was chosen for: the image that comes nearest would be one of whatever else is in the readings.
         """
-        return np.array([one.image for one in self.minimisers(changes)]).reshape(len(changes), -1)
+        return np.array([one.image for one in self.minimisers(changes)]).reshape(
+            len(changes), len(self.problem.mesh.elements)
+        )
 
     def minimisers(self, changes: Array) -> list[TvImage]:
         """Images with their residual, duality gap and number of steps."""
-        white = self.readings.white(checked_changes(changes, self.problem))
+        white = self.readings.white(checked_readings(changes, self.problem))
         found = [self.minimise.image(one, self.choice.value) for one in white]
         if self.variance is not None:
             left = np.sqrt([one.residual / (white.shape[1] * self.variance) for one in found])

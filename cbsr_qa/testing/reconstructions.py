@@ -294,11 +294,14 @@ def check_noise_propagation(prepared: PreparedReconstruction, *, draws: int = 20
 
 
 def check_refusals(prepared: PreparedReconstruction) -> Checked:
-    """Readings that are no numbers, or too few, are refused by name; never an image."""
+    """Readings that are no real numbers, or too few, are refused by name; no frames make no images."""
     good = elsewhere_readings(prepared.problem)
     holed = {name: good.copy() for name in ("NaN", "infinity")}
     holed["NaN"][1, 3], holed["infinity"][0, 7] = np.nan, np.inf
-    wrong = {**holed, "one reading less": good[:, 1:], "a frame without a block": good[0]}
+    kinds = {"complex numbers": good * (1 + 0.1j), "text": good.astype(str)}
+    wrong = {**holed, **kinds, "one reading less": good[:, 1:], "a frame without a block": good[0]}
+    none = prepared.images(good[:0])
+    _demand(prepared, none.shape == (0, len(prepared.problem.mesh.elements)), f"makes {none.shape} of no frames")
     for name, readings in wrong.items():
         try:
             prepared.images(readings)
