@@ -125,7 +125,7 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 def test_the_numbers_of_the_reconstruction_page_are_what_its_snippets_print(capsys):
     page = _TOP / "docs" / "explanation" / "reconstruction.md"
     snippets = re.findall(r"^```python\n(.*?)^```\n\n```text\n(.*?)^```", page.read_text(), re.M | re.S)
-    assert len(snippets) == len(_blocks(page, "python")) == 6
+    assert len(snippets) == len(_blocks(page, "python")) == 7
     namespace = {}
     for snippet, shown in snippets:
         exec(snippet, namespace)
