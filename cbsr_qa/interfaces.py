@@ -185,7 +185,8 @@ class Reconstruction(Protocol):
     A reconstruction may say by two attributes what ``analyse``, which images single presses, must hand it beyond
     their changes: ``sequences = True`` where a frame's image depends on the frames beside it, for consecutive
     frames; ``absolute = True`` where it wants the unloaded sensor's own readings (:attr:`ImagingProblem.measured`),
-    with changes in the same one scale.
+    with changes in the same one scale. ``weighs_noise = False`` where it lets all readings count alike whatever
+    :attr:`ImagingProblem.noise_variance` says: a recipe that asks for weights is then refused.
     """
 
     def prepare(self, problem: ImagingProblem) -> PreparedReconstruction:

@@ -4,18 +4,18 @@ from dataclasses import replace
 
 from cbsr_qa.analysis.imager import Imager
 from cbsr_qa.analysis.run_loads import LoadSetting, load_window, mean_change_under_head, observe_load
-from cbsr_qa.analysis.run_reference import UsableData, split_unloaded, unloaded_frames, usable_data
+from cbsr_qa.analysis.run_reference import split_unloaded, unloaded_frames, usable_data
 from cbsr_qa.analysis.run_response import decide_response
 from cbsr_qa.analysis.run_timeline import metric_timelines
+from cbsr_qa.analysis.run_weights import check_weighing, weighed_problem
 from cbsr_qa.domain.frames import FrameBlock
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.plan import AnalysisSettings
-from cbsr_qa.domain.reconstruction import linear
+from cbsr_qa.domain.reconstruction import ImagingProblem, linear
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.domain.sensor import Response
 from cbsr_qa.imaging.noise_floor import noise_floor
 from cbsr_qa.interfaces import Reconstruction
-from cbsr_qa.reconstruct.problem import imaging_problem
 from cbsr_qa.reconstruct.scaling import scale_of
 
 
@@ -31,12 +31,15 @@ def observe_run(record: RunRecord, reconstruction: Reconstruction, settings: Ana
     Raises
     ------
     NumericsError
-        If the run has no unloaded frames, too few usable readings, or a load without a frame.
+        If the run has no unloaded frames, too few usable readings, or a load without a frame; or if the recipe weighs
+        readings by their noise and it cannot be told.
     """
     data = usable_data(record)
     unloaded = unloaded_frames(data.record)
     for_noise, for_reference = split_unloaded(unloaded, settings.noise_floor_frames)
-    imager = _imager(data, for_reference, reconstruction)
+    check_weighing(reconstruction, type(reconstruction).__name__, settings)
+    problem, silent = weighed_problem(data, unloaded, settings)
+    imager = _imager(problem, for_reference, reconstruction)
     noise_images = imager.images(for_noise)
     floor = noise_floor(noise_images)
     phases = data.record.phases
@@ -60,14 +63,13 @@ def observe_run(record: RunRecord, reconstruction: Reconstruction, settings: Ana
         loads=loads,
         usable=data.readings,
         settings=settings,
-        warnings=(*data.warnings, *doubts, *_remarks(loads, settings.settling_multiple)),
+        warnings=(*data.warnings, *silent, *doubts, *_remarks(loads, settings.settling_multiple)),
         timelines=metric_timelines(setting, data.record),
     )
 
 
-def _imager(data: UsableData, for_reference: FrameBlock, reconstruction: Reconstruction) -> Imager:
+def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: Reconstruction) -> Imager:
     reference = for_reference.voltages.mean(axis=0)
-    problem = imaging_problem(data.record.sensor_type, used=data.readings)
     return Imager(linear(reconstruction.prepare(problem)), reference, scale_of(reference, problem))
 
 

@@ -86,7 +86,8 @@ def usable_data(record: RunRecord) -> UsableData:
     constant = np.ptp(kept, axis=0) == 0 if len(kept) else np.zeros_like(pattern)
     stuck = constant & pattern & ~left_out if not constant[pattern].all() else np.zeros_like(pattern)
     words = [
-        f"{int(channels.sum())} readings are left out of every image because they are {why}: {_named(channels)}"
+        f"{int(channels.sum())} readings are left out of every image because they are {why}:"
+        f" {named_readings(channels)}"
         for channels, why in ((left_out, "saturated or missing in many frames"), (stuck, "stuck at one value"))
         if channels.any()
     ]
@@ -124,7 +125,8 @@ def _unloaded_of(phase: PhaseRecord) -> FrameBlock | None:
     return phase.frames.between(phase.unloaded_from_s, min(presses, default=phase.ended_s))
 
 
-def _named(readings: NDArray[np.bool_], most: int = 6) -> str:
+def named_readings(readings: NDArray[np.bool_], most: int = 6) -> str:
+    """Name the first few of some readings, (drives, measures) bool."""
     pairs = [f"drive {drive} measure {measure}" for drive, measure in np.argwhere(readings)[:most]]
     more = int(readings.sum()) - len(pairs)
     return ", ".join(pairs) + (f" and {more} more" if more else "")

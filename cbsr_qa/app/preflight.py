@@ -3,7 +3,9 @@
 from collections.abc import Iterable
 from datetime import date
 from difflib import get_close_matches
+from typing import Final
 
+from cbsr_qa.analysis.run_weights import check_weighing
 from cbsr_qa.app.setup import made
 from cbsr_qa.domain.errors import CbsrError, ConfigError
 from cbsr_qa.domain.measurement import Limit
@@ -14,8 +16,13 @@ from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.domain.steps import AcquireFrames, MarkUnloaded, Press
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.plugins import Plugins
+from cbsr_qa.reconstruct.noise_weights import FEWEST_FRAMES
 from cbsr_qa.reconstruct.problem import imaging_problem
 from cbsr_qa.runner.plan import Plan
+
+_WEIGHING: Final = 'analysis.noise_weighting = "measured" needs'
+_EQUAL: Final = 'set analysis.noise_weighting = "equal"'
+_LESS: Final = "lower analysis.noise_floor_frames"
 
 
 def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> None:
@@ -28,6 +35,7 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
     """
     try:
         reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+        check_weighing(reconstruction, recipe.reconstruction.name, recipe.analysis)
         metrics = [made(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics]
         for name in recipe.sections:
             plugins.factory(Kind.SECTION, name)
@@ -38,14 +46,16 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
 
 
 def check_unloaded(plan: Plan, recipe: Recipe) -> None:
-    """Make sure that the plan takes enough unloaded frames for noise floor and reference.
+    """Make sure that the plan takes enough unloaded frames for noise floor, reference and noise weighting.
 
     Raises
     ------
     ConfigError
         If the first phase that marks the sheet as unloaded asks for fewer.
     """
-    needed = recipe.analysis.noise_floor_frames + 1
+    split = recipe.analysis.noise_floor_frames + 1
+    weighed = FEWEST_FRAMES if recipe.analysis.noise_weighting == "measured" else 0
+    needed = max(split, weighed)
     for phase in plan.phases:
         taken = _unloaded_frames(phase.sequence.steps(plan.context))
         if taken is None:
@@ -53,8 +63,8 @@ def check_unloaded(plan: Plan, recipe: Recipe) -> None:
         if taken < needed:
             raise ConfigError(
                 f"recipe {recipe.name!r}: phase {phase.name!r} takes {taken} unloaded frames, but"
-                f" analysis.noise_floor_frames and the reference need {needed}",
-                remedy="take more unloaded frames in that phase, or lower analysis.noise_floor_frames",
+                f" {'analysis.noise_floor_frames and the reference need' if taken < split else _WEIGHING} {needed}",
+                remedy=f"take more unloaded frames in that phase, or {_LESS if taken < split else _EQUAL}",
             )
         return
 

@@ -9,8 +9,9 @@ its length in bytes in decimal, a NEWLINE and its UTF-8 bytes.
 
 ``record_digest`` is the same sum over the datasets that no program can work out again: all but those named by
 :data:`PREPARED`. Mesh, model and matrix follow from sensor type, method, parameter and used readings, which are
-covered, but only to rounding, which is another one on another computer. So a calibration that is put together again
-from a database has its ``record_digest`` to the bit anywhere, and its ``digest`` where the arithmetic is the same.
+covered, and the readings' noise from the run's unloaded frames, but only to rounding, which is another one on another
+computer. So a calibration that is put together again from a database has its ``record_digest`` to the bit anywhere,
+and its ``digest`` where the arithmetic is the same.
 
 A digest tells damage and careless editing; it is not a signature.
 """

@@ -74,6 +74,7 @@ class AnalysisTable(Table):
     clipping: Literal["exact", "centroid"] = "exact"
     perimeter: Literal["length", "nodes"] = "length"
     outline: Literal["contour", "elements"] = "contour"
+    noise_weighting: Literal["equal", "measured"] = "equal"
 
     def problems(self) -> Iterator[Problem]:
         """Yield what does not fit together within the table."""
@@ -130,6 +131,7 @@ class AnalysisTable(Table):
             clipping=self.clipping,
             perimeter=self.perimeter,
             outline=self.outline,
+            noise_weighting=self.noise_weighting,
         )
 
 

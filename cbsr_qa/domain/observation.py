@@ -188,3 +188,9 @@ class RunObservation:
     settings: AnalysisSettings
     warnings: tuple[str, ...] = ()
     timelines: tuple[MetricTimeline, ...] = ()
+
+    @property
+    def weight_ratio(self) -> float:
+        """Largest over smallest weight of a reading, 1 where all count alike."""
+        variance = self.reconstruction.problem.noise_variance
+        return 1.0 if variance is None else float(variance.max() / variance.min())

@@ -122,6 +122,7 @@ class AnalysisSettings:
     clipping : ``"exact"`` or ``"centroid"``.
     perimeter : ``"length"`` or ``"nodes"``.
     outline : of a sensed region: ``"contour"`` (inside the elements) or ``"elements"`` (whole ones, the paper's).
+    noise_weighting : ``"equal"`` (all readings count alike) or ``"measured"`` (by their noise when unloaded).
     """
 
     masks: tuple[float, ...]
@@ -139,6 +140,7 @@ class AnalysisSettings:
     clipping: str
     perimeter: str
     outline: str
+    noise_weighting: str = "equal"
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,6 +24,8 @@ class StoredAnalysis:
     ----------
     analysed_at, software : when, and with which versions.
     calibration : the one it issued; None where it did not, ``calibration_why`` then says why.
+    noise_weighting : ``"equal"`` or ``"measured"``; empty where nothing was imaged.
+    weight_ratio : largest over smallest weight of a reading; None where nobody noted it.
     """
 
     analysis: str
@@ -36,6 +38,8 @@ class StoredAnalysis:
     compute_s: tuple[tuple[str, float], ...]
     calibration: str | None
     calibration_why: str
+    noise_weighting: str
+    weight_ratio: float | None
 
 
 def save_result(
@@ -58,7 +62,7 @@ def save_result(
     StoreError
         If the run is not stored, or a number is not finite; nothing of it is stored then.
     """
-    run = result.record.identity.run
+    run, observation = result.record.identity.run, result.observation
     values = {
         "analysis": analysis,
         "run": run,
@@ -67,6 +71,8 @@ def save_result(
         "outcome": str(result.verdict.outcome),
         "reason": result.verdict.reason,
         "calibration_why": result.calibration_why,
+        "noise_weighting": "" if observation is None else observation.settings.noise_weighting,
+        "weight_ratio": None if observation is None else observation.weight_ratio,
         "compute_s": [[stage, float(seconds)] for stage, seconds in result.compute_s],
     }
     with writing(engine) as connection:
@@ -133,6 +139,8 @@ def _analysis(connection: Connection, row: Row[Any]) -> StoredAnalysis:
             compute_s=tuple((stage, seconds) for stage, seconds in row.compute_s),
             calibration=connection.scalar(issued),
             calibration_why=row.calibration_why,
+            noise_weighting=row.noise_weighting,
+            weight_ratio=row.weight_ratio,
         )
 
 

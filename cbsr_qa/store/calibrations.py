@@ -22,7 +22,7 @@ from cbsr_qa.store import calibration_rows as lists
 from cbsr_qa.store.arrays import digest, packed, packed_flags, unpacked, unpacked_flags
 from cbsr_qa.store.codec import decoded_indenter, decoded_sensor_type, encoded
 from cbsr_qa.store.engine import reading
-from cbsr_qa.store.result_tables import CalibrationRow
+from cbsr_qa.store.result_tables import AnalysisRow, CalibrationRow
 from cbsr_qa.store.run_tables import RunRow
 
 #: A parameter found again for the same sensor type agrees to the tolerance of its search, not to the last digit.
@@ -96,6 +96,7 @@ def load_calibration(engine: Engine, calibration: str, reconstruction: LinearRec
     with reading(engine) as connection, Session(bind=connection) as session:
         row = _known(session, calibration)
         _check_matrix(row, reconstruction)
+        _check_weighting(session.get_one(AnalysisRow, row.analysis), row, reconstruction)
         return _calibration(session, row, replace(reconstruction, choice=_choice(row)))
 
 
@@ -125,6 +126,16 @@ def _check_matrix(row: CalibrationRow, reconstruction: LinearReconstruction) -> 
         raise StoreError(
             f"calibration {row.calibration} images {int(used.sum())} readings of a {problem.sensor_type.name};"
             " the matrix at hand was prepared for another sensor type or other readings"
+        )
+
+
+def _check_weighting(analysis: AnalysisRow, row: CalibrationRow, reconstruction: LinearReconstruction) -> None:
+    """Raise StoreError where a matrix weighs readings otherwise; an analysis without images says nothing of it."""
+    found = "equal" if reconstruction.problem.noise_variance is None else "measured"
+    if analysis.noise_weighting not in ("", found):
+        raise StoreError(
+            f"calibration {row.calibration} was made with {analysis.noise_weighting} noise weighting; the matrix at"
+            f" hand was prepared with {found}"
         )
 
 

@@ -26,6 +26,8 @@ class AnalysisRow(Base):
     outcome: Mapped[str] = mapped_column(String(16))
     reason: Mapped[str]
     calibration_why: Mapped[str]  #: why there is no calibration; empty where there is one
+    noise_weighting: Mapped[str] = mapped_column(String(16))  #: as in the recipe; empty where nothing was imaged
+    weight_ratio: Mapped[float | None]  #: largest over smallest weight of a reading
     compute_s: Mapped[list[Any]]  #: [[stage, seconds], …]
 
 

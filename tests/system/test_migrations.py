@@ -140,6 +140,18 @@ def test_the_parameter_of_an_old_calibration_is_named_as_its_method_did(engine):
     assert sorted(content(engine)["calibrations"], key=repr) == before
 
 
+def test_an_analysis_of_before_had_equal_weights(engine):
+    schema.upgrade(engine, "0003")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0004")
+    with reading(engine) as connection:
+        found = connection.execute(sa.text("SELECT noise_weighting, weight_ratio FROM analyses")).all()
+    assert [tuple(row) for row in found] == [("equal", None)]
+    schema.downgrade(engine, "0003")
+    assert content(engine) == before
+
+
 def test_the_migrations_make_what_the_program_uses(engine):
     schema.upgrade(engine)
     assert AnalysisRow.metadata is Base.metadata

@@ -2,6 +2,7 @@
 
 import sqlite3
 
+import h5py
 import pytest
 from command import cbsr_qa, document, short_recipe
 
@@ -81,6 +82,28 @@ def test_report_renders_the_same_bytes_again(finished):
     assert (folder / again["report"]).read_bytes() == before
 
 
+def test_weights_from_the_measured_noise_reach_report_database_and_calibration_file(finished, tmp_path):
+    recipe = short_recipe(tmp_path, **{'weighting = "equal"': 'weighting = "measured"'})
+    files = ["--station", "simulated", "--recipe", recipe, "--serial", "S-1", "--json", "--seed", "11"]
+    run = document(cbsr_qa(tmp_path, "run", *files))
+    with sqlite3.connect(tmp_path / "var" / "cbsr-qa.db") as database:
+        stored = database.execute("select noise_weighting, weight_ratio from analyses").fetchone()
+    with sqlite3.connect(finished[0] / "var" / "cbsr-qa.db") as database:
+        assert set(database.execute("select noise_weighting, weight_ratio from analyses")) == {("equal", 1.0)}
+    with h5py.File(tmp_path / run["calibration"]) as file:
+        variance = file["reconstruction/noise_variance"][()]
+        assert file["reconstruction/regularisation_name"].asstr()[()] == "λ"
+        assert file["reconstruction/regularisation_criterion"].asstr()[()] == "noise-figure"
+    assert stored == ("measured", pytest.approx(variance.max() / variance.min(), rel=1e-12))
+    before = (tmp_path / run["report"]).read_bytes()
+    assert b"measured: by the variance of each reading over 30 unloaded frames" in before
+    (tmp_path / run["calibration"]).unlink()
+    again = document(cbsr_qa(tmp_path, "report", "S-1", "--json"))
+    assert (tmp_path / again["report"]).read_bytes() == before
+    sound = document(cbsr_qa(tmp_path, "calibration", "verify", run["calibration"], "--json"))
+    assert sound["sound"] is True
+
+
 def test_an_exported_run_is_read_back_with_its_presses(finished):
     folder, run = finished
     exported = document(cbsr_qa(folder, "export", run["run"], "--to", "run.h5", "--json"))
@@ -155,6 +178,14 @@ def test_a_limit_that_is_not_met_fails_the_run_with_exit_code_1(tmp_path):
         ({"exponent = 0.25": "exponant = 0.25"}, "did you mean 'exponent'"),
         ({"noise_figure = 1.0": "noise_figure = 1e6"}, "allows"),
         ({"noise_floor_frames = 8": "noise_floor_frames = 50"}, "takes 30 unloaded frames"),
+        (
+            {
+                '"gauss-newton-noser"\nnoise_figure = 1.0': '"linear-back-projection"\n#',
+                "exponent = 0.25": "#",
+                'weighting = "equal"': 'weighting = "measured"',
+            },
+            "'linear-back-projection' lets all readings count alike",
+        ),
     ],
 )
 def test_what_the_analysis_would_refuse_is_refused_before_anything_moves(tmp_path, change, said):

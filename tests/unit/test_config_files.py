@@ -178,6 +178,7 @@ def test_sensor_types_that_cannot_be(spoilt, old, new, said):
         ('phase = "nine locations"', 'phase = "nine"', "is 'nine'; allowed: "),
         ("upper = 6.5", "marginal = 0.1", "TOML"),
         ("[reconstruction]", "[reconstructoin]", "did you mean 'reconstruction'?"),
+        ('weighting = "equal"', 'weighting = "loud"', "allowed: 'equal' or 'measured'"),
         ("noise_floor_frames = 8", "noise_floor_frames = 0", "it must be greater than or equal to 1"),
     ],
 )

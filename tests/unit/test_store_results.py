@@ -2,6 +2,7 @@
 
 import sqlite3
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -248,3 +249,21 @@ def test_the_parameter_is_stored_under_its_own_name(repository, run, tmp_path):
         columns = "regularisation_name, regularisation_criterion, regularisation, regularisation_how"
         stored = other.execute(f"select {columns} from calibrations").fetchone()
     assert stored == ("share kept", "noise-figure", 0.02, "NF 1")
+
+
+def test_the_analysis_says_how_readings_were_weighed(repository, run):
+    plain = repository.save_result(result(repository, run))
+    seen = SimpleNamespace(settings=SimpleNamespace(noise_weighting="measured"), weight_ratio=3.5)
+    weighed = repository.save_result(result(repository, run, observation=seen))
+    stored = {a.analysis: (a.noise_weighting, a.weight_ratio) for a in repository.analyses(run)}
+    assert stored == {plain: ("", None), weighed: ("measured", 3.5)}
+
+
+@pytest.mark.parametrize(("stored", "variance"), [("equal", np.ones(208)), ("measured", None)])
+def test_a_matrix_with_other_weights_is_refused(repository, run, stored, variance):
+    issued = calibration(repository.new_id(), run)
+    seen = SimpleNamespace(settings=SimpleNamespace(noise_weighting=stored), weight_ratio=1.0)
+    repository.save_result(result(repository, run, observation=seen, calibration=issued))
+    other = replace(reconstruction(), problem=replace(reconstruction().problem, noise_variance=variance))
+    with pytest.raises(StoreError, match=f"made with {stored} noise weighting"):
+        repository.load_calibration(issued.calibration, other)

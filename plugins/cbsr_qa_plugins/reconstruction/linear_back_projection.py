@@ -21,6 +21,8 @@ class LinearBackProjection:
     It has no options, and does not weigh readings by their noise.
     """
 
+    weighs_noise = False
+
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
         """Prepare the imaging matrix; NumericsError if an element is felt by no reading."""
         reference = problem.reference

@@ -28,6 +28,8 @@ class PyeitGreit:
     mesh_size : edge length of pyEIT's mesh, of the radius; 0.07 gives about 1400 elements and readings within 0.5 %.
     """
 
+    weighs_noise = False
+
     def __init__(
         self,
         *,

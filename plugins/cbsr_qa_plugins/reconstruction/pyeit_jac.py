@@ -19,6 +19,8 @@ class PyeitJac:
         It inverts a matrix as large as their number.
     """
 
+    weighs_noise = False
+
     def __init__(self, *, p: float = 0.5, lamb: float = 0.01, mesh_size: float = 0.07) -> None:
         self._p, self._lamb, self._mesh_size = checked_options("pyeit-jac", p=p, lamb=lamb, mesh_size=mesh_size)
 

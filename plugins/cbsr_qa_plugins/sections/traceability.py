@@ -85,6 +85,7 @@ def _analysis(run: RunObservation) -> Table:
         ["Reconstruction", run.reconstruction.method],
         ["Regularisation parameter", f"{chosen.name} = {number(chosen.value)}"],
         ["Parameter chosen by", f"{chosen.criterion or 'criterion not stated'}: {chosen.how}"],
+        ["Noise weighting", _weighting(run)],
         ["Readings imaged", f"{int(run.usable.sum())} of {run.usable.size}"],
         ["Drive current", "not stated" if current is None else quantity(current, "A")],
         ["Reference", "mean of the unloaded frames" if settings.reference == "run" else "frames before each press"],
@@ -95,6 +96,15 @@ def _analysis(run: RunObservation) -> Table:
         ["Overlap and outline", f"{settings.clipping} clipping, perimeter by {settings.perimeter}"],
     ]
     return text_table("How images became numbers.", ("Choice", "Value"), rows)
+
+
+def _weighting(run: RunObservation) -> str:
+    if run.settings.noise_weighting == "equal":
+        return "equal: all readings count alike, largest to smallest weight 1"
+    return (
+        f"measured: by the variance of each reading over {len(run.unloaded)} unloaded frames, drawn towards a common"
+        f" one; largest to smallest weight {number(run.weight_ratio)}"
+    )
 
 
 def _phases(record: RunRecord) -> Table:
