@@ -6,7 +6,7 @@ what is returned, with the reason: nothing is passed over in silence.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -107,6 +107,7 @@ def check_reconstruction(
         check_repeatable(factory, prepared),
         check_masked_electrodes(factory, tolerance=allowed.masked_place),
         check_noise_propagation(prepared),
+        check_noise_weighing(factory, prepared),
         check_refusals(prepared),
     ]
     if elsewhere:
@@ -291,6 +292,30 @@ def check_noise_propagation(prepared: PreparedReconstruction, *, draws: int = 20
     ratio = float(np.linalg.norm(sampled - expected) / error)
     _demand(prepared, ratio < 1.5, f"has noise whose covariance is {ratio:.2f} sampling errors from R Σ Rᵀ")
     return Checked("noise propagation", f"{ratio:.2f} sampling errors of {draws} draws")
+
+
+def check_noise_weighing(factory: Factory, prepared: PreparedReconstruction) -> Checked:
+    """Loud readings count less where the problem says that they are; of what runs can use, one matrix.
+
+    By the propagated noise tr(R Σ Rᵀ) of a matrix prepared for those variances, against one for equal ones. A method
+    that lets all readings count alike says so (``weighs_noise = False``).
+    """
+    if not isinstance(prepared, LinearReconstruction):
+        return Checked("noise weighing", "the method is not one matrix, and no run can use it", applies=False)
+    if not getattr(factory(), "weighs_noise", True):
+        return Checked("noise weighing", "the method says that it lets all readings count alike", applies=False)
+    problem, loud = prepared.problem, np.ones(len(prepared.problem.reference))
+    loud[: len(loud) // 8] = 100.0
+    variance = loud * (1 / loud).mean()
+    weighed = factory().prepare(replace(problem, noise_variance=variance, nominal=problem.nominal or problem))
+    units = np.eye(len(loud))
+    after, before = (float((one.images(units) ** 2).sum(axis=1) @ variance) for one in (weighed, prepared))
+    _demand(
+        prepared,
+        after < 0.9 * before,
+        f"does not weigh readings by their noise: loud ones leave {after / before:.3g} of the noise of equal weights",
+    )
+    return Checked("noise weighing", f"loud readings leave {after / before:.2g} of the noise of equal weights")
 
 
 def check_refusals(prepared: PreparedReconstruction) -> Checked:

@@ -50,8 +50,12 @@ def _factory(name):
 @pytest.mark.parametrize("name", _METHODS)
 def test_it_conforms(name):
     done = check_reconstruction(_factory(name), tolerances=_TOLERANCES.get(name), elsewhere=False)
-    assert len(done) == 9
-    assert {checked.check for checked in done if not checked.applies} <= {"linearity", "noise propagation"}
+    assert len(done) == 10
+    assert {checked.check for checked in done if not checked.applies} <= {
+        "linearity",
+        "noise propagation",
+        "noise weighing",
+    }
 
 
 def test_another_process_with_two_threads_sees_the_same():

@@ -106,7 +106,7 @@ def test_the_reconstruction_of_the_plugin_page_conforms(capsys):
     for block in _blocks(_TOP / "docs" / "how-to" / "write-a-plugin.md", "python"):
         exec(block, namespace)
     said = capsys.readouterr().out.splitlines()
-    assert len(said) == 9
+    assert len(said) == 10
     assert said[-1].startswith("refusals: NaN")
 
 

@@ -1,7 +1,7 @@
 """The conformance kit passes a good method and names what is wrong with each bad one."""
 
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -12,6 +12,7 @@ from cbsr_qa.testing.elsewhere import images_elsewhere
 from cbsr_qa.testing.reconstructions import (
     check_masked_electrodes,
     check_noise_propagation,
+    check_noise_weighing,
     check_reconstruction,
     check_same_elsewhere,
 )
@@ -27,7 +28,8 @@ class Plain:
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
         back = problem.jacobian.T / np.linalg.norm(problem.jacobian, axis=0)[:, None]
         normal = problem.jacobian @ back
-        normal.flat[:: len(normal) + 1] += _RIDGE * np.trace(normal) / len(normal)
+        noise = np.ones(len(normal)) if problem.noise_variance is None else problem.noise_variance
+        normal.flat[:: len(normal) + 1] += _RIDGE * np.trace(normal) / len(normal) * noise
         choice = ParameterChoice(_RIDGE, "given", 1.0)
         return LinearReconstruction("plain", problem, np.linalg.solve(normal, back.T).T, choice)
 
@@ -111,7 +113,7 @@ def _breaks(good, changes):
 
 def test_a_good_method_passes_everything():
     done = check_reconstruction(Plain)
-    assert len(done) == 10
+    assert len(done) == 11
     assert all(checked.applies for checked in done)
 
 
@@ -120,7 +122,23 @@ def test_what_does_not_apply_is_said():
     assert {c.check: c.found for c in done if not c.applies} == {
         "linearity": "the method does not claim it",
         "noise propagation": "the method is not linear: its noise depends on the image",
+        "noise weighing": "the method is not one matrix, and no run can use it",
     }
+
+
+class Deaf(Plain):
+    """Does not look at the readings' noise."""
+
+    def prepare(self, problem):
+        return replace(super().prepare(replace(problem, noise_variance=None)), problem=problem)
+
+
+def test_a_method_that_does_not_weigh_readings_must_say_so():
+    prepared = Deaf().prepare(example_problem())
+    with pytest.raises(AssertionError, match="plain does not weigh readings by their noise: loud ones leave 1 of"):
+        check_noise_weighing(Deaf, prepared)
+    frank = type("Frank", (Deaf,), {"weighs_noise": False})
+    assert not check_noise_weighing(frank, prepared).applies
 
 
 @pytest.mark.parametrize(
