@@ -54,7 +54,22 @@ def greit_matrix(problem: ImagingProblem, design: TargetDesign, hyperparameter: 
     return kept.matrices.get(hyperparameter) or _Search(problem, design, kept).at(hyperparameter)
 
 
-def hyperparameter_for(problem: ImagingProblem, design: TargetDesign, noise_figure: float) -> float:
+@dataclass(frozen=True, eq=False)
+class GreitChoice:
+    """The λ of a noise figure, and what was looked at on the way: the same whatever was searched before.
+
+    Parameters
+    ----------
+    value : λ.
+    searched, noise_figures : (k,) float64, λ rising and the noise figure of each; ``value`` is among them.
+    """
+
+    value: float
+    searched: Array
+    noise_figures: Array
+
+
+def hyperparameter_for(problem: ImagingProblem, design: TargetDesign, noise_figure: float) -> GreitChoice:
     """Find the λ whose matrix has a noise figure, to 1 in 1000.
 
     Raises
@@ -71,7 +86,7 @@ def hyperparameter_for(problem: ImagingProblem, design: TargetDesign, noise_figu
 @dataclass(frozen=True, eq=False)
 class _Kept:
     matrices: OrderedDict[float, GreitMatrix] = field(default_factory=OrderedDict)
-    chosen: dict[float, float] = field(default_factory=dict)
+    chosen: dict[float, GreitChoice] = field(default_factory=dict)
 
 
 _PROBLEMS: Final[OrderedDict[tuple[bytes, TargetDesign], _Kept]] = OrderedDict()
@@ -96,6 +111,7 @@ class _Search:
     def __init__(self, problem: ImagingProblem, design: TargetDesign, kept: _Kept) -> None:
         self._fits, self._kept = GreitRows(problem, design), kept
         self._calibration = Calibration(self._fits)
+        self._seen: dict[float, float] = {}
 
     def at(self, hyperparameter: float) -> GreitMatrix:
         """Return the matrix of a λ."""
@@ -109,32 +125,43 @@ class _Search:
         matrices.move_to_end(hyperparameter)
         return matrices[hyperparameter]
 
-    def for_noise_figure(self, target: float) -> float:
+    def for_noise_figure(self, target: float) -> GreitChoice:
         """λ of a noise figure."""
+        self._seen = {}
         ends = self._ends(target) if np.isfinite(target) and target > 0 else None
         if ends is None:
-            reached = [self.at(value).noise_figure for value in (_HIGHEST, _LOWEST)]
+            reached = [self._figure(value) for value in (_HIGHEST, _LOWEST)]
             raise NumericsError(
                 f"noise figure {target} cannot be reached by greit; this problem allows"
                 f" {reached[0]:.3g} to {reached[1]:.3g}",
                 remedy="ask for a noise figure in that range, or give the hyperparameter itself",
             )
 
-        def over(at: float) -> float:
-            return float(np.log(self.at(float(np.exp(at))).noise_figure / target))
+        low, high = (float(np.log(end)) for end in ends)
+        exactly = dict(zip((low, high), ends, strict=True))  # e^(ln λ) is not λ to the last digit, hence another fit
 
-        low, high = np.log(ends)
-        value = float(np.exp(brentq(over, low, high, xtol=_REACHED)))
-        self.at(value)
-        return value
+        def over(at: float) -> float:
+            return float(np.log(self._figure(exactly.get(at, float(np.exp(at)))) / target))
+
+        root = float(brentq(over, low, high, xtol=_REACHED))
+        value = exactly.get(root, float(np.exp(root)))
+        self._seen[value] = self.at(value).noise_figure  # and its matrix is kept
+        searched = np.array(sorted(self._seen))
+        return GreitChoice(value, searched, np.array([self._seen[each] for each in searched]))
+
+    def _figure(self, hyperparameter: float) -> float:
+        """Noise figure of a λ, which is remembered for the search."""
+        if hyperparameter not in self._seen:
+            self._seen[hyperparameter] = self.at(hyperparameter).noise_figure
+        return self._seen[hyperparameter]
 
     def _ends(self, target: float) -> tuple[float, float] | None:
         """Two λ between whose noise figures the target lies; None where there are none."""
         low, high = _TYPICAL
-        while self.at(low).noise_figure < target:
+        while self._figure(low) < target:
             if low == _LOWEST:
                 return None
             low = max(low / _WIDER, _LOWEST)
-        if self.at(high).noise_figure > target:
+        if self._figure(high) > target:
             high = _HIGHEST
-        return (low, high) if self.at(high).noise_figure <= target else None
+        return (low, high) if self._figure(high) <= target else None

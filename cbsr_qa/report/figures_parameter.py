@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure as Canvas
-from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.reconstruction import ParameterCurve
@@ -21,6 +21,7 @@ _SHAPES: Final = "osD^vP"
 _LARGEST: Final = 1e3  # noise figure drawn: above, an image is nothing but noise
 _AROUND: Final = 3.0  # factor on both sides of the marks that is drawn large
 _COUNTS_AROUND: Final = 8
+_FEW: Final = 30  #: with fewer values those looked at are drawn as dots
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +61,7 @@ def parameter_figure(
             _scale(axes, curve)
             _draw_curve(axes, curve)
             axes.set_title(title, fontweight="normal")
-            axes.set_xlabel(name if curve.discrete else f"{name} (of the unit model, no unit)")
+            axes.set_xlabel(name if curve.discrete else f"{name} (no unit)")
         whole.set_ylabel("noise figure")
         _draw_marks(whole, [(order, mark) for order, mark in enumerate(marks) if mark.chosen])
         _draw_marks(close, list(enumerate(marks)))
@@ -69,7 +70,8 @@ def parameter_figure(
         whole.axvspan(*across, color=HAIR, linewidth=0, zorder=0)
         close.set_xlim(*across)
         close.set_ylim(*_heights(curve, marks, across))
-        _label_ticks(whole, close, curve)
+        for axes in (whole, close):
+            _label_ticks(axes, discrete=curve.discrete)
         _name_target(close, curve)
         _name_marks(close, marks, discrete=curve.discrete)
         return figure
@@ -109,35 +111,30 @@ def _scale(axes: Axes, curve: ParameterCurve) -> None:
     light_grid(axes, "both")
 
 
-def _label_ticks(whole: Axes, close: Axes, curve: ParameterCurve) -> None:
-    """Write plain numbers; a stretch of less than two decades has ticks at 1, 2 and 5."""
-    written = FuncFormatter(lambda value, _: number(value, 1).removeprefix("1 × "))
-    whole.yaxis.set_major_locator(LogLocator(numticks=6))
-    few = _ticks(*close.get_ylim())
-    close.yaxis.set_major_locator(FixedLocator(few))
-    axes_of_values: list[Axis] = [whole.yaxis, close.yaxis]
-    if curve.discrete:
-        whole.xaxis.set_major_locator(MaxNLocator(6, integer=True))
-        close.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+def _label_ticks(axes: Axes, *, discrete: bool) -> None:
+    """Write plain numbers."""
+    scales: list[tuple[Axis, tuple[float, float]]] = [(axes.yaxis, axes.get_ylim())]
+    if discrete:
+        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     else:
-        whole.xaxis.set_major_locator(LogLocator(numticks=5))
-        close.xaxis.set_major_locator(FixedLocator(_ticks(*close.get_xlim())))
-        axes_of_values += [whole.xaxis, close.xaxis]
-    for axis in axes_of_values:
-        axis.set_major_formatter(written)
-        axis.set_minor_formatter(NullFormatter())
-        axis.set_minor_locator(FixedLocator([]))
+        scales.append((axes.xaxis, axes.get_xlim()))
+    for axis, (low, high) in scales:
+        axis.set_major_locator(FixedLocator(log_ticks(low, high)))
+        axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 1).removeprefix("1 × ")))
 
 
-def _ticks(low: float, high: float) -> list[float]:
-    """Return 1, 2 and 5 times powers of ten within two limits; powers of ten alone where those are many."""
+def log_ticks(low: float, high: float) -> list[float]:
+    """Return round values between two limits: powers of ten, with 2 and 5 or more where the limits are close."""
     powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
-    steps = (1.0, 2.0, 5.0) if high < 100 * low else (1.0,)
-    return [step * 10.0**power for power in powers for step in steps if low <= step * 10.0**power <= high]
+    ratio = high / low
+    steps = (1.0,) if ratio > 100 else (1.0, 2.0, 5.0) if ratio > 6 else (1.0, 2.0, 3.0, 4.0, 5.0, 7.0)
+    ticks = [step * 10.0**power for power in powers for step in steps if low <= step * 10.0**power <= high]
+    return ticks if ratio <= 100 else ticks[:: max(1, len(ticks) // 4)]
 
 
 def _draw_curve(axes: Axes, curve: ParameterCurve) -> None:
-    if curve.discrete:
+    if curve.discrete or len(curve.values) < _FEW:
         axes.plot(curve.values, curve.noise_figures, color=FAINT, linewidth=0.6, zorder=2)
         axes.plot(curve.values, curve.noise_figures, color=BLUE, linestyle="", marker=".", markersize=3, zorder=3)
     else:

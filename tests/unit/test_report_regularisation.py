@@ -18,6 +18,7 @@ from cbsr_qa_plugins.reconstruction.gauss_newton_indenter import GaussNewtonInde
 from cbsr_qa_plugins.reconstruction.gauss_newton_laplace import GaussNewtonLaplace
 from cbsr_qa_plugins.reconstruction.gauss_newton_noser import GaussNewtonNoser
 from cbsr_qa_plugins.reconstruction.gauss_newton_tikhonov import GaussNewtonTikhonov
+from cbsr_qa_plugins.reconstruction.greit import Greit
 from cbsr_qa_plugins.reconstruction.linear_back_projection import LinearBackProjection
 from cbsr_qa_plugins.reconstruction.truncated_svd import TruncatedSvd
 from cbsr_qa_plugins.sections.regularisation import RegularisationParameter
@@ -195,8 +196,16 @@ def test_a_sensor_with_bad_channels_keeps_its_types_curve_and_says_its_own_noise
     assert np.array_equal(whole.choice.curve.noise_figures, own.choice.curve.noise_figures)
     words = [blocks(section_of(each), Paragraph)[0].text for each in (whole, own)]
     assert "of this sensor" not in words[0]
-    assert f"the {int(used.sum())} readings of this sensor that are used: its matrix has noise figure" in words[1]
-    assert number(own.choice.noise_figure) in words[1]
+    figure = number(own.choice.noise_figure)
+    assert f"The matrix of this sensor, from {int(used.sum())} readings, has noise figure {figure}." in words[1]
+
+
+def test_weights_of_the_readings_are_said(problem, section_of):
+    noise = np.random.default_rng(2).uniform(0.3, 3.0, len(problem.reference))
+    weighted = imaging_problem(SENSOR, noise_variance=noise**2, image_size_mm=6.0)
+    prepared = GaussNewtonNoser().prepare(weighted)
+    words = blocks(section_of(prepared), Paragraph)[0].text
+    assert f"weighted by their noise, has noise figure {number(prepared.choice.noise_figure)}." in words
 
 
 def test_counts_are_written_as_such(problem, section_of):
@@ -229,3 +238,33 @@ def test_rendering_twice_changes_no_byte(problem, section_of):
 def test_recordings_and_runs_without_images_have_no_section(result):
     assert RegularisationParameter().render(sample_recording()) is None
     assert RegularisationParameter().render(replace(result, observation=None)) is None
+
+
+def test_the_few_values_that_greit_tried_are_drawn_as_they_were(problem, canvas_of):
+    """Each λ is a fit of its own: the curve holds those of the search, whatever was searched before."""
+    prepared = Greit(noise_figure=0.7).prepare(problem)
+    choice, curve = prepared.choice, prepared.choice.curve
+    assert 3 <= len(curve.values) < 15
+    assert (np.diff(curve.values) > 0).all()
+    assert (np.diff(curve.noise_figures) < 0).all()
+    assert curve.noise_figure_at(choice.value) == choice.noise_figure
+    for at in (0, -1):
+        assert Greit(hyperparameter=float(curve.values[at])).prepare(problem).choice.noise_figure == pytest.approx(
+            curve.noise_figures[at], rel=1e-9
+        )
+    Greit(noise_figure=0.6).prepare(problem)
+    assert np.array_equal(Greit(noise_figure=0.7).prepare(problem).choice.curve.values, curve.values)
+    for axes in canvas_of(prepared):
+        assert marks(axes)[1] == [(choice.value, choice.noise_figure)]
+        assert len(curve.values) in {len(line.get_xdata()) for line in axes.lines if line.get_marker() == "."}
+
+
+@pytest.mark.parametrize(
+    ("low", "high"), [(0.9, 1.2), (0.19, 1.1), (0.04, 0.4), (3e-4, 2e-2), (1e-7, 1e3), (0.3, 1400)]
+)
+def test_every_scale_has_some_ticks_and_not_too_many(low, high):
+    ticks = figures_parameter.log_ticks(low, high)
+    assert 1 <= len(ticks) <= 9
+    assert len(ticks) >= 3 or high < 2 * low
+    assert ticks == sorted(set(ticks))
+    assert low <= ticks[0] <= ticks[-1] <= high

@@ -3,7 +3,13 @@
 from collections.abc import Sequence
 
 from cbsr_qa.domain.errors import ConfigError, NumericsError
-from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.reconstruction import (
+    ImagingProblem,
+    LinearReconstruction,
+    ParameterAnswer,
+    ParameterChoice,
+    ParameterCurve,
+)
 from cbsr_qa.reconstruct.dual import check_hyperparameter
 from cbsr_qa.reconstruct.greit_matrix import greit_matrix, hyperparameter_for
 from cbsr_qa.reconstruct.greit_targets import TargetDesign
@@ -57,21 +63,24 @@ class Greit:
         """
         design = TargetDesign.of(problem, self._head_mm, self._targets_mm)
         value: float | None
-        value, how = self._given, "hyperparameter given"
+        value, how, curve = self._given, "hyperparameter given", None
         if value is None:
-            value, how = self._chosen(problem, design)
+            value, how, curve = self._chosen(problem, design)
         made = greit_matrix(problem, design, value)
         criterion = "noise-figure" if self._given is None else "given"
-        choice = ParameterChoice(value, how, made.noise_figure, criterion=criterion)
+        choice = ParameterChoice(value, how, made.noise_figure, curve=curve, criterion=criterion)
         return LinearReconstruction(_NAME, problem, made.values, choice)
 
-    def _chosen(self, problem: ImagingProblem, design: TargetDesign) -> tuple[float, str]:
-        """Choose λ for the noise figure; returns it with how it was chosen."""
+    def _chosen(self, problem: ImagingProblem, design: TargetDesign) -> tuple[float, str, ParameterCurve]:
+        """Choose λ for the noise figure; returns it with how it was chosen, and the few λ that were tried."""
         weighted = problem.noise_variance is not None
         base = problem if weighted else problem.nominal or problem
         where = "its own readings, weighted by their noise" if weighted else "the nominal model"
         how = f"noise figure {self._noise_figure:.2f} (Adler et al. 2009) on {where}"
-        return hyperparameter_for(base, design, self._noise_figure), how
+        found = hyperparameter_for(base, design, self._noise_figure)
+        answers = (ParameterAnswer("noise-figure", found.value, how),)
+        curve = ParameterCurve(found.searched, found.noise_figures, answers, self._noise_figure)
+        return found.value, how, curve
 
 
 def _diameters(given: object) -> tuple[float, ...] | None:

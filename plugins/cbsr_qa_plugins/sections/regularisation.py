@@ -46,16 +46,22 @@ def _in_words(made: LinearReconstruction) -> str:
     figure = f"Its matrix has noise figure {number(choice.noise_figure)}."
     if choice.criterion == "none":
         return f"{made.method} has no regularisation parameter: {choice.how}. {figure}"
-    discrete = curve.discrete if curve is not None else False
-    value = f"{choice.name} = {value_text(choice.value, discrete=discrete)}"
+    discrete = curve is not None and curve.discrete
+    value = f"{made.method} images with {choice.name} = {value_text(choice.value, discrete=discrete)}"
     if curve is None:
-        why = "" if choice.criterion == "given" else " The method keeps no curve of its search."
-        return f"{made.method} images with {value}: {choice.how}.{why} {figure}"
-    own = curve.noise_figure_at(choice.value)
-    figure = figure if own is None or abs(choice.noise_figure / own - 1) > _APART else ""
-    readings = f" From the {len(made.problem.reference)} readings of this sensor that are used:" if figure else ""
-    figure = f"{readings} {figure[0].lower()}{figure[1:]}" if figure else ""
-    return f"{made.method} images with {value}, chosen by {choice.how}.{figure}"
+        kept = "" if choice.criterion == "given" else " The method keeps no curve of its search."
+        return f"{value}: {choice.how}.{kept} {figure}"
+    return f"{value}, chosen by {choice.how}.{_own_figure(made, curve)}"
+
+
+def _own_figure(made: LinearReconstruction, curve: ParameterCurve) -> str:
+    """Say the noise figure of this sensor's matrix where it is not that of the curve."""
+    figure, of_type = made.choice.noise_figure, curve.noise_figure_at(made.choice.value)
+    if of_type is not None and abs(figure / of_type - 1) <= _APART:
+        return ""
+    weights = "" if made.problem.noise_variance is None else " weighted by their noise"
+    readings = f"{len(made.problem.reference)} readings{weights}"
+    return f" The matrix of this sensor, from {readings}, has noise figure {number(figure)}."
 
 
 def _marks(choice: ParameterChoice, curve: ParameterCurve) -> list[ParameterMark]:
@@ -73,10 +79,10 @@ def _marks(choice: ParameterChoice, curve: ParameterCurve) -> list[ParameterMark
 def _figure(choice: ParameterChoice, curve: ParameterCurve, marks: list[ParameterMark]) -> Figure:
     smoother = "Fewer components smooth more" if curve.discrete else "Larger values smooth more"
     target = "" if curve.target is None else f" Dashed: noise figure {curve.target:g}, what the criterion asks for."
+    others = " Open marks: what other criteria would have taken." if len(marks) > 1 else ""
     caption = (
         f"Noise figure (Adler et al. 2009) against {choice.name}. {smoother}: less noise, and what presses closer"
-        f" together is no longer told apart. Full mark and line: chosen; open marks: what other criteria would have"
-        f" taken.{target}"
+        f" together is no longer told apart. Full mark and line: chosen.{others}{target}"
     )
     said = [
         f"{mark.title} {'chose' if mark.chosen else 'would take'} {value_text(mark.value, discrete=curve.discrete)}"
