@@ -122,7 +122,8 @@ def _local_updates() -> Iterator[Row]:
                 f"one frame, {count} of nine places pressed, {len(mesh.elements)} elements; alike to {apart:.0e}",
                 ("local update", updated),
                 ("factorising again", again),
-                repeats=5 * _REPEATS,
+                repeats=_REPEATS,
+                burst=5,
             ),
             goal,
         )
