@@ -101,8 +101,9 @@ def _refusals(judged: list[Judged]) -> Row:
     said = ", ".join(f"{100 * one.answered:.0f} % at d′ {one.bound.detectability:.1f}" for one in some)
     here = (
         f"{len(rest)} cells of {REFUSALS} trials: {len(rest) - len(some)} refused in all of them; answered in"
-        f" {said or 'none'}; {len(border)} at the border (d′ {BORDER_D:g} to 10, place within {BORDER_SHARE:g} × the limit) answered in"
-        f" {100 * min(b.answered for b in border):.0f} to {100 * max(b.answered for b in border):.0f} %,"
+        f" {said or 'none'}; {len(border)} at the border (d′ {BORDER_D:g} to 10, place within {BORDER_SHARE:g} × the"
+        f" limit) answered in {100 * min(b.answered for b in border):.0f} to"
+        f" {100 * max(b.answered for b in border):.0f} %,"
         f" {100 * float(np.mean([b.answered for b in border])):.0f} % on average"
     )
     return Row(
