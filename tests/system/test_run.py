@@ -7,9 +7,11 @@ import pytest
 from command import cbsr_qa, document, short_recipe
 
 
-def _run(folder, *more, check=True, serial="S-1", **environment):
+def _run(folder, *more, check=True, serial="S-1", fresh=False, **environment):
     files = ["--station", "simulated", "--recipe", short_recipe(folder)]
-    return cbsr_qa(folder, "run", *files, "--serial", serial, "--json", *more, check=check, **environment)
+    return cbsr_qa(
+        folder, "run", *files, "--serial", serial, "--json", *more, check=check, fresh=fresh, **environment
+    )
 
 
 def _stored(folder):
@@ -30,7 +32,7 @@ def _stored(folder):
 def finished(tmp_path_factory):
     """A finished run with seed 11."""
     folder = tmp_path_factory.mktemp("finished")
-    return folder, document(_run(folder, "--seed", "11"))
+    return folder, document(_run(folder, "--seed", "11", fresh=True))
 
 
 def test_the_document_says_what_was_promised(finished):
@@ -49,7 +51,7 @@ def test_the_document_says_what_was_promised(finished):
 
 @pytest.mark.parametrize("threads", ["1", "2"])
 def test_the_same_seed_stores_identical_numbers_whatever_the_threads(finished, tmp_path, threads):
-    _run(tmp_path, "--seed", "11", OMP_NUM_THREADS=threads, OPENBLAS_NUM_THREADS=threads)
+    _run(tmp_path, "--seed", "11", fresh=True, OMP_NUM_THREADS=threads, OPENBLAS_NUM_THREADS=threads)
     assert _stored(tmp_path) == _stored(finished[0])
 
 

@@ -1,0 +1,30 @@
+"""What commands that run in a fork find loaded already: the modules, and the shipped sensor's model."""
+
+import os
+import sys
+from contextlib import ExitStack
+from pathlib import Path
+
+import matplotlib.figure  # noqa: F401 - loaded here so that no fork has to
+
+from cbsr_qa.app import analyse, run_sensor  # noqa: F401
+from cbsr_qa.cli.main import guarded
+from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.reconstruct.problem import imaging_problem
+
+imaging_problem(load_sensor_type("disc-100mm").value)
+
+
+def run(folder: Path, arguments: list[str], environment: dict[str, str], out: Path, err: Path) -> None:
+    """Run one command as the installed program does, its output in two files."""
+    os.chdir(folder)
+    os.environ.update(environment)
+    with ExitStack() as stack:
+        for stream, path in ((sys.stdout, out), (sys.stderr, err)):
+            target = stack.enter_context(path.open("w"))
+            stream.flush()
+            os.dup2(target.fileno(), stream.fileno())
+        code = guarded(arguments)
+        sys.stdout.flush()
+        sys.stderr.flush()
+    os._exit(code)
