@@ -20,7 +20,7 @@ from cbsr_qa.domain.reconstruction import ImagingProblem, PreparedReconstruction
 from cbsr_qa.domain.recording import ReadOptions, Recording
 from cbsr_qa.domain.report import RunResult, Section
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.domain.scene import Moment
+from cbsr_qa.domain.scene import Moment, SheetDesign
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.domain.steps import Step
 
@@ -229,11 +229,30 @@ class Effect(Protocol):
 
     @property
     def perturbs(self) -> str:
-        """A stage of the moment: ``geometry``, ``response``, ``stress``, ``voltages`` or ``force``."""
+        """A stage of the moment; :data:`cbsr_qa.simulate.chain.STAGES` lists them."""
         ...
 
     def apply(self, moment: Moment) -> None:
         """Change the moment. Random numbers come from the stream of (seed, own name, ``moment.index``)."""
+        ...
+
+
+@runtime_checkable
+class SheetEffect(Protocol):
+    """An effect on the sheet as it is made (stage ``sheet``)."""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Effects that must be on and come before this one."""
+        ...
+
+    @property
+    def perturbs(self) -> str:
+        """The stage ``sheet``."""
+        ...
+
+    def design(self, design: SheetDesign) -> None:
+        """Change the sheet before it is made. Random numbers come from the stream of (seed, own name, 0)."""
         ...
 
 

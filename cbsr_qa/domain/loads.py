@@ -56,6 +56,10 @@ class Indenter:
             return RoundFootprint(x_mm, y_mm, self.radius_mm)
         return PolygonFootprint(np.array(self.outline_mm) + np.array([x_mm, y_mm]))
 
+    def scaled(self, factor: float) -> Self:
+        """Return a head of the same shape, this many times as wide."""
+        return type(self)(factor * self.diameter_mm, tuple((factor * x, factor * y) for x, y in self.outline_mm))
+
     def words(self) -> str:
         """Say what it is, e.g. ``"13 mm diameter"``."""
         if not self.outline_mm:

@@ -1,12 +1,23 @@
-"""The simulated world's state at one moment, which effects change in turn."""
+"""What the effects of a scene change in turn: the sheet as it is made, and the world at one moment."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.sensor import Material, SensorType
+
+Array = NDArray[np.float64]
+
+#: A factor by place: (n, 2) [mm] to (n,), above zero.
+SheetField = Callable[[Array], Array]
+
+#: Contact impedance over sheet resistance z γ₀ [mm]. Chosen by us, since the paper gives no contact impedance: about
+#: a tenth of the inter-electrode resistance then lies in the contacts of 0.65 mm pins.
+CONTACT_LENGTH_MM = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,8 +59,7 @@ class SceneSetting:
     sensor_type, material, indenter : what is simulated.
     seed : of the run; random numbers are addressed with it.
     current_A : drive current.
-    reading_scale_V : mean magnitude of the used readings of the unloaded sheet [V], for effects that are stated
-        relative to it.
+    frame_period_s : time of one frame.
     """
 
     sensor_type: SensorType
@@ -57,7 +67,70 @@ class SceneSetting:
     indenter: Indenter
     seed: int
     current_A: float
-    reading_scale_V: float = 0.0
+    frame_period_s: float = 2.5
+
+
+@dataclass(frozen=True, slots=True)
+class HeadRing:
+    """One of the nested shapes a head's pressure is made of.
+
+    Parameters
+    ----------
+    size : of the head's outline about its centre, 1 for the head itself.
+    weight : relative pressure under it, which adds to that of the other rings.
+    """
+
+    size: float
+    weight: float
+
+
+@dataclass(slots=True, eq=False)
+class SheetDesign:
+    """A sheet before it is made. Effects of the stage ``sheet`` change it, once.
+
+    Parameters
+    ----------
+    sensor_type, indenter : what it is, and the head that presses on it.
+    contact_mm : (electrodes,) contact impedance over the sheet's mean resistance [mm].
+    shift_mm : (electrodes, 2) how far each electrode is from where its sensor type says.
+    conductance, response, thickness : factors by place, each 1 on average; several multiply. Conductance is that of
+        the material: the sheet's is thicker where the sheet is.
+    rings : what the head's pressure is made of; the weights' areas add up to the head's.
+    """
+
+    sensor_type: SensorType
+    indenter: Indenter
+    contact_mm: Array
+    shift_mm: Array
+    conductance: list[SheetField] = field(default_factory=list)
+    response: list[SheetField] = field(default_factory=list)
+    thickness: list[SheetField] = field(default_factory=list)
+    rings: tuple[HeadRing, ...] = (HeadRing(1.0, 1.0),)
+
+    @classmethod
+    def plain(cls, sensor_type: SensorType, indenter: Indenter, contact_length_mm: float = CONTACT_LENGTH_MM) -> Self:
+        """The sheet of a scene without effects: uniform, electrodes in place, contacts alike."""
+        count = sensor_type.electrodes.count
+        return cls(sensor_type, indenter, np.full(count, contact_length_mm), np.zeros((count, 2)))
+
+    def sheet_conductance_at(self, places_mm: Array) -> Array:
+        """Sheet conductance over its mean, at (n, 2) places: (n,)."""
+        return _product([*self.conductance, *self.thickness], places_mm)
+
+    def response_at(self, places_mm: Array) -> Array:
+        """Response over its mean, at (n, 2) places: (n,)."""
+        return _product(self.response, places_mm)
+
+    def thickness_mm_at(self, places_mm: Array) -> Array:
+        """Thickness at (n, 2) places: (n,) [mm]."""
+        return self.sensor_type.thickness_mm * _product(self.thickness, places_mm)
+
+
+def _product(factors: list[SheetField], places_mm: Array) -> Array:
+    total = np.ones(len(places_mm))
+    for factor in factors:
+        total *= factor(places_mm)
+    return total
 
 
 @dataclass(slots=True, eq=False)
@@ -74,8 +147,19 @@ class Moment:
     stress_kPa : under the head, per press.
     voltages : (drives, measures) [V]; None until the sheet was solved.
     force_N : what the load cell reads.
-    place_mm : where the head is, from the sheet's centre.
+    place_mm : where the head is, from the sheet's centre. In stage ``position`` where it was told to go.
+    depth_mm : how deep below the nominal surface it was told to go; hovering is a negative depth.
+    from_mm, from_depth_mm : where it was told to go before that.
     surface_mm : how far the sheet's surface there lies below nominal.
+    reading_scale_V : mean magnitude of the used readings of the unloaded sheet [V], for effects that are stated
+        relative to it.
+    reading_offsets_s : (drives, measures) when each reading of a frame is taken, from the frame's time; None where
+        all are taken at once.
+    contact_mm : (electrodes,) contact impedance over the sheet's mean resistance; None away from a frame.
+    impedance_ohm : (electrodes, electrodes) electrode potentials per electrode current; None before it was solved.
+    current_A : (drives,) what flows while each pair is driven; None before the source is on.
+    drive_ohm : (drives,) resistance that each driven pair shows to the source; None before the sheet was solved.
+    flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.frames.ReadingFlag`; None away from a frame.
     """
 
     setting: SceneSetting
@@ -87,4 +171,14 @@ class Moment:
     voltages: NDArray[np.float64] | None = None
     force_N: float = 0.0
     place_mm: tuple[float, float] = (0.0, 0.0)
+    depth_mm: float = 0.0
+    from_mm: tuple[float, float] = (0.0, 0.0)
+    from_depth_mm: float = 0.0
     surface_mm: float = 0.0
+    reading_scale_V: float = 0.0
+    reading_offsets_s: Array | None = None
+    contact_mm: Array | None = None
+    impedance_ohm: Array | None = None
+    current_A: Array | None = None
+    drive_ohm: Array | None = None
+    flags: NDArray[np.uint8] | None = None

@@ -56,7 +56,7 @@ class Cover:
     spread: Array
     across: Array
 
-    def change(self, conductance: Array, relative: float) -> Array:
+    def change(self, conductance: Array, relative: float | Array) -> Array:
         """Change of the conductance of each element.
 
         A cut element conducts as a stack of layers does: along the outline the conductances add, across it the
@@ -66,7 +66,7 @@ class Cover:
         Parameters
         ----------
         conductance : (e,) of all elements without the load [S].
-        relative : change of the covered material, above −1.
+        relative : change of the covered material, above −1: one, or (k,) one for each element.
 
         Returns
         -------
@@ -77,11 +77,14 @@ class Cover:
         NumericsError
             If the change leaves no conductance, or is not finite.
         """
-        if not -1 < relative < np.inf:
+        relative = np.broadcast_to(np.asarray(relative, dtype=np.float64), self.share.shape)
+        wrong = np.flatnonzero(~((relative > -1) & (relative < np.inf)))
+        if wrong.size:
             raise NumericsError(
-                f"a relative change of {relative} leaves no positive conductance", remedy="stay over −1"
+                f"a relative change of {relative[wrong[0]]} leaves no positive conductance", remedy="stay over −1"
             )
-        part = self._within(min(1.0, 1 + relative) / (2 * max(abs(relative), 0.01)))
+        part = self._within(np.minimum(1.0, 1 + relative) / (2 * np.maximum(np.abs(relative), 0.01)))
+        relative = relative[:, None]
         along = 1 + part * relative
         across = 1 / (1 - part * relative / (1 + relative))
         lower = np.where(self.share[:, None] < _WHOLE, across - along, 0.0)[..., None, None]
@@ -89,7 +92,7 @@ class Cover:
         change: Array = (along - 1)[..., None, None] * np.eye(2) + turned
         return change * conductance[self.elements, None, None, None]
 
-    def _within(self, margin: float) -> Array:
+    def _within(self, margin: Array) -> Array:
         """The spread, drawn towards the share until it is at most so far outside [0, 1]: all stays positive."""
         away = self.spread - self.share[:, None]
         above, below = away.max(axis=1), -away.min(axis=1)

@@ -82,14 +82,30 @@ class LocalUpdate:
             If an element is not in the mesh, or its new conductance is not a positive finite number, or as a matrix
             not positive definite; or a contact impedance is not a positive finite number.
         """
-        elements, change = self._checked(elements, conductance_change)
+        return self._unchanged - self.model.readings(self._loss(elements, conductance_change, contact_impedance))
+
+    def transfer_impedance(
+        self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None
+    ) -> Array:
+        """Electrode potentials per electrode current, as :meth:`voltages`: (electrodes, electrodes) [V/A].
+
+        Holds for currents that sum to zero, and differences of potentials.
+        """
+        before = self.model.transfer_impedance
+        changed: Array = before - self._loss(elements, conductance_change, contact_impedance)
+        return changed
+
+    def _loss(self, elements: Indices, change: Array, contact_impedance: Array | None) -> Array:
+        """What the transfer impedance loses."""
+        elements, change = self._checked(elements, change)
         contact_change, own = self._checked_contacts(contact_impedance)
         if not elements.size and contact_change is None:
-            return self._unchanged.copy()
+            return np.zeros_like(self.model.transfer_impedance)
         patches = self._patches(elements, contact_change is not None)
         if patches is None:
-            return self.model.changed(contact_impedance=contact_impedance).changed_on(elements, change).voltages()
-        return self._unchanged - self.model.readings(patches.correction(change, contact_change) - own)
+            again = self.model.changed(contact_impedance=contact_impedance).changed_on(elements, change)
+            return self.model.transfer_impedance - again.transfer_impedance
+        return patches.correction(change, contact_change) - own
 
     def _checked_contacts(self, impedance: Array | None) -> tuple[Array | None, Array]:
         """Change of 1/z [S/mm], None where there is none, and of what each electrode adds to its own potential."""

@@ -3,32 +3,58 @@
 import inspect
 from collections.abc import Callable, Iterable
 from difflib import get_close_matches
-from typing import Any, Final
+from typing import Any, Final, TypeGuard
 
 from cbsr_qa.domain.errors import CbsrError, ConfigError
 from cbsr_qa.domain.plan import PluginChoice, Scene
-from cbsr_qa.domain.scene import Moment, SceneSetting
-from cbsr_qa.interfaces import Effect
+from cbsr_qa.domain.scene import Moment, SceneSetting, SheetDesign
+from cbsr_qa.interfaces import Effect, SheetEffect
 
 #: ``effect_factory(name)`` returns what makes the effect: ``factory(setting, **parameters)``.
 EffectFactory = Callable[[str], Callable[..., Any]]
 
-#: In the order a moment goes through them; what an effect may perturb.
-STAGES: Final = ("geometry", "response", "stress", "voltages", "force")
+#: What an effect may perturb, in the order in which a world comes to it.
+STAGES: Final = (
+    "sheet",
+    "position",
+    "geometry",
+    "times",
+    "response",
+    "stress",
+    "contacts",
+    "impedance",
+    "source",
+    "voltages",
+    "force",
+)
 
 
 class Chain:
     """The effects that are on, by stage, each stage in the scene's order."""
 
-    def __init__(self, effects: Iterable[tuple[str, Effect]]) -> None:
+    def __init__(self, effects: Iterable[tuple[str, Effect | SheetEffect]]) -> None:
         named = tuple(effects)
         self.names = tuple(name for name, _ in named)
-        self._stages = {stage: tuple(e for _, e in named if e.perturbs == stage) for stage in STAGES}
+        self._sheet = tuple(e for _, e in named if isinstance(e, SheetEffect))
+        self._stages = {stage: tuple(e for _, e in named if _applies(e, stage)) for stage in STAGES}
+
+    def has(self, stage: str) -> bool:
+        """Whether any effect perturbs a stage."""
+        return bool(self._stages[stage])
+
+    def design(self, design: SheetDesign) -> None:
+        """Let the effects of the stage ``sheet`` change a sheet before it is made."""
+        for effect in self._sheet:
+            effect.design(design)
 
     def apply(self, stage: str, moment: Moment) -> None:
         """Let the effects of a stage change a moment, one after the other."""
         for effect in self._stages[stage]:
             effect.apply(moment)
+
+
+def _applies(effect: "Effect | SheetEffect", stage: str) -> TypeGuard[Effect]:
+    return effect.perturbs == stage and stage != "sheet"
 
 
 def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFactory) -> Chain:
@@ -48,7 +74,7 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
     PluginError
         If there is no such effect (raised by ``effect_factory``).
     """
-    made: dict[str, Effect] = {}
+    made: dict[str, Effect | SheetEffect] = {}
     for choice in scene.effects:
         if choice.name in made:
             raise ConfigError(f"scene {scene.name!r} has effect {choice.name!r} twice", remedy="keep one of them")
@@ -58,10 +84,12 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
     return Chain(made.items())
 
 
-def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Callable[..., Any]) -> Effect:
+def _make(
+    scene: str, choice: PluginChoice, setting: SceneSetting, factory: Callable[..., Any]
+) -> Effect | SheetEffect:
     _check_parameters(scene, choice, factory)
     try:
-        effect: Effect = factory(setting, **choice.options)
+        effect: Effect | SheetEffect = factory(setting, **choice.options)
     except CbsrError as error:
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r}: {error.reason}", remedy=error.remedy) from error
     except (TypeError, ValueError) as error:
@@ -70,6 +98,11 @@ def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Call
         raise ConfigError(
             f"effect {choice.name!r} perturbs {effect.perturbs!r}",
             remedy=f"an effect perturbs one of {', '.join(STAGES)}",
+        )
+    if (effect.perturbs == "sheet") != isinstance(effect, SheetEffect):
+        raise ConfigError(
+            f"effect {choice.name!r} perturbs {effect.perturbs!r} and lacks the method for it",
+            remedy="an effect that perturbs 'sheet' has design(design), every other apply(moment)",
         )
     return effect
 
@@ -91,7 +124,7 @@ def _check_parameters(scene: str, choice: PluginChoice, factory: Callable[..., A
             raise ConfigError(f"{where} lacks its parameter {name!r}", remedy=allowed)
 
 
-def _check_needs(scene: Scene, name: str, effect: Effect, before: Iterable[str]) -> None:
+def _check_needs(scene: Scene, name: str, effect: Effect | SheetEffect, before: Iterable[str]) -> None:
     on = {choice.name for choice in scene.effects}
     for need in effect.needs:
         if need not in on:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -21,8 +21,25 @@ from cbsr_qa.domain.scene import SimulatedPress, StrainStep
 _CONTACT_FORCE_N: Final = 0.2  # the rig's
 _SEARCH_DEPTH_MM: Final = 1.0  # below the nominal surface; deeper than any seat is wrong
 
-#: ``surface_mm(x_mm, y_mm, time_s)``: how far the sheet's true surface lies below nominal.
-Surface = Callable[[float, float, float], float]
+HeadPosition = tuple[float, float, float]  #: (x, y, depth below the nominal surface) [mm]
+
+
+class Sheet(Protocol):
+    """What a head meets."""
+
+    presses: list[SimulatedPress]
+
+    def surface_mm(self, x_mm: float, y_mm: float, time_s: float) -> float:
+        """How far the true surface lies below nominal."""
+        ...
+
+    def thickness_mm(self, x_mm: float, y_mm: float) -> float:
+        """How thick it is."""
+        ...
+
+    def head_at(self, to: HeadPosition, before: HeadPosition, time_s: float, index: int) -> HeadPosition:
+        """Where the head gets to when it is told to go somewhere; the index counts its movements."""
+        ...
 
 
 class SimulatedHead:
@@ -34,31 +51,21 @@ class SimulatedHead:
     Parameters
     ----------
     clock : the station's.
-    presses : appended to, and read by the world.
-    surface_mm : where the true surface is.
+    sheet : what it meets; presses are appended to its list.
     motion : the station's speeds and hover height.
-    thickness_mm : of the sheet.
     role : in the station file, for messages.
     """
 
-    def __init__(
-        self,
-        clock: Clock,
-        presses: list[SimulatedPress],
-        surface_mm: Surface,
-        motion: Motion,
-        *,
-        thickness_mm: float,
-        role: str,
-    ) -> None:
+    def __init__(self, clock: Clock, sheet: Sheet, motion: Motion, *, role: str) -> None:
         self._role = role
         self._clock = clock
-        self._presses = presses
-        self._thickness_mm = thickness_mm
-        self._true_surface_mm = surface_mm
+        self._sheet = sheet
         self._motion = motion
         self._place = (0.0, 0.0)
         self._depth_mm = -motion.hover_mm
+        #: where it is indeed
+        self._true: HeadPosition = (*self._place, self._depth_mm)
+        self._movements = 0
         self._speed_mm_s = motion.press_speed_mm_s
         self._found: dict[tuple[float, float], float] = {}
         self._pressing: SimulatedPress | None = None
@@ -66,14 +73,15 @@ class SimulatedHead:
 
     @property
     def place_mm(self) -> tuple[float, float]:
-        """Where the head is, from the sheet's centre."""
+        """Where the head was told to go, from the sheet's centre."""
         return self._place
 
     def travel(self, x_mm: float, y_mm: float) -> None:
         """Go to a place at the hover height, lifting first if need be."""
         self.lift()
         self._clock.sleep(math.dist(self._place, (x_mm, y_mm)) / self._motion.travel_speed_mm_s)
-        self._place = (x_mm, y_mm)
+        before, self._place = self._place, (x_mm, y_mm)
+        self._true = self._arrival(before, self._depth_mm)
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
         """Go this far below the surface found here (or else found nearest, or else nominal)."""
@@ -161,20 +169,28 @@ class SimulatedHead:
     def _start(self, depth_mm: float, speed_mm_s: float) -> float:
         """Begin a movement now; write the part of it below the true surface; return when it will be over."""
         start = self._clock.now()
-        surface = self._true_surface_mm(*self._place, start)
+        x_mm, y_mm, true_mm = self._true
+        surface = self._sheet.surface_mm(x_mm, y_mm, start)
         duration_s = abs(depth_mm - self._depth_mm) / speed_mm_s
-        before, after = max(self._depth_mm - surface, 0.0), max(depth_mm - surface, 0.0)
+        before_mm, self._depth_mm = self._depth_mm, depth_mm
+        self._true = (x_mm, y_mm, self._arrival(self._place, before_mm)[2])
+        before, after = max(true_mm - surface, 0.0), max(self._true[2] - surface, 0.0)
         if before != after:
-            ramp_s = abs(after - before) / speed_mm_s
+            ramp_s = min(abs(after - before) / speed_mm_s, duration_s)
             begins = start if after < before else start + duration_s - ramp_s
-            self._write(StrainStep(begins, ramp_s, (after - before) / self._thickness_mm))
+            self._write(StrainStep(begins, ramp_s, (after - before) / self._sheet.thickness_mm(x_mm, y_mm)))
         if after == 0:
             self._pressing = None
-        self._depth_mm = depth_mm
         return start + duration_s
+
+    def _arrival(self, from_place: tuple[float, float], from_depth_mm: float) -> HeadPosition:
+        """Where the head gets to on its way to where it is told to be."""
+        self._movements += 1
+        to, before = (*self._place, self._depth_mm), (*from_place, from_depth_mm)
+        return self._sheet.head_at(to, before, self._clock.now(), self._movements)
 
     def _write(self, step: StrainStep) -> None:
         if self._pressing is None:
-            self._pressing = SimulatedPress(len(self._presses), *self._place)
-            self._presses.append(self._pressing)
+            self._pressing = SimulatedPress(len(self._sheet.presses), *self._true[:2])
+            self._sheet.presses.append(self._pressing)
         self._pressing.steps.append(step)

@@ -1,74 +1,82 @@
 """The simulated sheet: a forward model whose conductance changes under the head."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.electrodes import PlacedElectrodes
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.footprints import overlap_mm2
-from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.scene import SheetDesign
 from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.forward.coverage import Cover, cover
 from cbsr_qa.forward.local import LocalUpdate
 from cbsr_qa.forward.meshing import sheet_mesh
 from cbsr_qa.forward.model import ForwardModel
 
 Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
 Place = tuple[float, float]
 
-#: Contact impedance of a pin over the sheet's resistance, z γ [mm]. Chosen by us, since the paper gives no contact
-#: impedance: about a tenth of the inter-electrode resistance then lies in the contacts of 0.65 mm pins.
-CONTACT_LENGTH_MM: Final = 0.2
+_ORDER: Final = 2  # of the elements; the image's Jacobian is another mesh's
+_PLACES: Final = 512  # whose covers are kept
 
 
 class SimulatedSheet:
-    """A uniform sheet whose mean inter-electrode resistance is the material's.
+    """A sheet whose mean inter-electrode resistance is the material's.
 
-    The model is solved for a sheet conductance of 1 S and a contact impedance of ``contact_length_mm`` Ω·mm: all
-    voltages of a sheet of conductance γ₀ whose contacts scale with it are 1/γ₀ of these, exactly.
+    The model is solved for a mean sheet conductance of 1 S and contact impedances in mm: all voltages of a sheet of
+    mean conductance γ₀ whose contacts scale with it are 1/γ₀ of these, exactly.
 
     Parameters
     ----------
-    sensor_type : geometry and electrodes.
+    design : what the scene's effects made of it.
     size_mm : element size far from the electrodes; keep it different from the image's.
     interelectrode_resistance_ohm : mean over all pairs of neighbouring electrodes, contacts included.
-    contact_length_mm : contact impedance over sheet resistance.
+
+    Raises
+    ------
+    RefusedError
+        If electrodes were moved out of place: off the sheet, or onto each other.
     """
 
-    def __init__(
-        self,
-        sensor_type: SensorType,
-        *,
-        size_mm: float,
-        interelectrode_resistance_ohm: float,
-        contact_length_mm: float = CONTACT_LENGTH_MM,
-    ) -> None:
-        self.sensor_type = sensor_type
-        self.mesh = sheet_mesh(sensor_type, size_mm=size_mm)
-        count = sensor_type.electrodes.count
-        contacts = np.full(count, contact_length_mm)
-        self.unit_model = ForwardModel(self.mesh, sensor_type.pattern, np.ones(len(self.mesh.elements)), contacts)
+    def __init__(self, design: SheetDesign, *, size_mm: float, interelectrode_resistance_ohm: float) -> None:
+        self.design = design
+        self.sensor_type = _moved(design.sensor_type, design.shift_mm)
+        self.mesh = sheet_mesh(self.sensor_type, size_mm=size_mm, order=_ORDER)
+        conductance = design.sheet_conductance_at(self.mesh.centroids_mm)
+        self.unit_model = ForwardModel(
+            self.mesh, self.sensor_type.pattern, conductance, design.contact_mm, order=_ORDER
+        )
         self._update = LocalUpdate(self.unit_model)
-        self._covers: dict[tuple[Place, Indenter], tuple[NDArray[np.int64], Array]] = {}
-        #: sheet conductance γ₀ [S]
+        self._covers: dict[Place, list[tuple[float, Cover, Array]]] = {}
+        #: mean sheet conductance γ₀ [S]
         self.conductance_S = _neighbour_resistance(self.unit_model) / interelectrode_resistance_ohm
         #: readings of the unloaded sheet, (drives, measures) [V/A]
-        self.unloaded: Array = self.unit_model.voltages() / self.conductance_S
+        self.unloaded: Array = self.readings(self.impedance({}))
 
-    def voltages(self, changes: Mapping[Place, float], indenter: Indenter) -> Array:
-        """Readings per ampere while places under a head have changed.
+    def voltages(self, changes: Mapping[Place, float]) -> Array:
+        """Readings per ampere while places under the head have changed: (drives, measures) [V/A].
+
+        Parameters and errors as of :meth:`impedance`.
+        """
+        return self.readings(self.impedance(changes))
+
+    def impedance(self, changes: Mapping[Place, float], contact_mm: Array | None = None) -> Array:
+        """Electrode potentials per electrode current while places under the head have changed.
 
         Parameters
         ----------
-        changes : relative conductance change by place; an element partly covered changes by its covered share, and
-            changes of places that overlap add.
-        indenter : the head.
+        changes : relative conductance change by place, under a head that presses evenly; changes of places that
+            overlap add.
+        contact_mm : (electrodes,) contact impedance over the mean sheet resistance; by default the design's.
 
         Returns
         -------
-        (drives, measures) float64 [V/A].
+        (electrodes, electrodes) float64 [V/A], for currents that sum to zero and differences of potentials.
 
         Raises
         ------
@@ -77,44 +85,62 @@ class SimulatedSheet:
         NumericsError
             If a change would leave an element without conductance.
         """
-        if not changes:
-            return self.unloaded.copy()
-        elements, relative = self.relative_change(changes, indenter)
-        return self._update.voltages(elements, relative) / self.conductance_S
+        return self._update.transfer_impedance(*self.change(changes), contact_mm) / self.conductance_S
 
-    def relative_change(self, changes: Mapping[Place, float], indenter: Indenter) -> tuple[NDArray[np.int64], Array]:
-        """Return which elements change and by how much: (k,) int64 and (k,) relative; repeated elements add up."""
-        covers = [self._cover(place, indenter) for place in changes]
-        elements = np.concatenate([cover[0] for cover in covers])
-        shares = [share * change for (_, share), change in zip(covers, changes.values(), strict=True)]
-        return elements, np.concatenate(shares)
+    def readings(self, impedance_ohm: Array) -> Array:
+        """Readings per ampere of a transfer impedance: (drives, measures) [V/A]."""
+        return self.unit_model.readings(impedance_ohm)
+
+    def change(self, changes: Mapping[Place, float]) -> tuple[Indices, Array]:
+        """Elements that change, (k,), and by what, (k, q, 2, 2), on a mean of 1 S; repeated ones add up."""
+        elements, conductance = [np.zeros(0, dtype=np.int64)], [np.zeros((0, *self._point_shape))]
+        for place, relative in changes.items():
+            for weight, covered, response in self._covers.get(place) or self._cover(place):
+                elements.append(covered.elements)
+                conductance.append(covered.change(self.unit_model.conductance, relative * weight * response))
+        return np.concatenate(elements), np.concatenate(conductance)
 
     @cached_property
     def contact_share(self) -> float:
-        """Share of the inter-electrode resistance that lies in the contacts.
+        """Share of the resistance of driven pairs that lies in the contacts.
 
-        A resistance is homogeneous of degree one in (1/γ, z), so the sheet's part is −Σ γ ∂R/∂γ (Euler).
+        A resistance is homogeneous of degree one in (1/γ, z), so the contacts' part is Σ z ∂R/∂z (Euler).
         """
         pattern = self.sensor_type.pattern
-        slope = self.unit_model.jacobian().sum(axis=2)
+        part = self.unit_model.contact_jacobian() @ self.unit_model.contact_impedance
         driven = np.array([[pair == other for other in pattern.measure] for pair in pattern.drive])
-        return 1 + float(slope[driven].sum() / self.unit_model.voltages()[driven].sum())
+        return float(part[driven].sum() / self.unit_model.voltages()[driven].sum())
 
-    def _cover(self, place: Place, indenter: Indenter) -> tuple[NDArray[np.int64], Array]:
-        """Elements under the head at a place, and the covered share of each."""
-        known = self._covers.get((place, indenter))
-        if known is not None:
-            return known
-        share = overlap_mm2(indenter.at(*place), self.mesh.corners_mm) / self.mesh.areas_mm2
-        elements = np.flatnonzero(share > 0)
-        if not elements.size:
+    @property
+    def _point_shape(self) -> tuple[int, int, int]:
+        return (len(self.unit_model.elements.shapes.points), 2, 2)
+
+    def _cover(self, place: Place) -> list[tuple[float, Cover, Array]]:
+        """Each ring's weight, what it covers at a place, and how strongly those elements respond."""
+        found = []
+        head = self.design.indenter
+        for ring in self.design.rings:
+            covered = cover(self.unit_model.elements, head.scaled(ring.size).at(*place))
+            response = self.design.response_at(self.mesh.centroids_mm[covered.elements])
+            found.append((ring.weight, covered, response))
+        if not any(covered.elements.size for _, covered, _ in found):
             raise RefusedError(
-                f"a head of radius {indenter.reach_mm:g} mm at ({place[0]:g}, {place[1]:g}) mm is outside the sheet",
+                f"a head of radius {head.reach_mm:g} mm at ({place[0]:g}, {place[1]:g}) mm is outside the sheet",
                 remedy=f"the sheet {self.sensor_type.outline.words()}",
             )
-        cover = (elements, np.minimum(share[elements], 1.0))
-        self._covers[(place, indenter)] = cover
-        return cover
+        if len(self._covers) >= _PLACES:
+            self._covers.clear()
+        self._covers[place] = found
+        return found
+
+
+def _moved(sensor_type: SensorType, shift_mm: Array) -> SensorType:
+    """The sensor type with its electrodes out of place."""
+    if not shift_mm.any():
+        return sensor_type
+    layout = sensor_type.electrodes
+    places = tuple((float(x), float(y)) for x, y in layout.positions_mm() + shift_mm)
+    return replace(sensor_type, electrodes=PlacedElectrodes(layout.kind, places, layout.width_mm))
 
 
 def _neighbour_resistance(model: ForwardModel) -> float:

@@ -4,7 +4,7 @@ A moment of it depends on its time, its index and the presses so far, on nothing
 in any order, any number of times.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -12,15 +12,14 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.plan import Scene
-from cbsr_qa.domain.scene import Moment, SceneSetting, SimulatedPress
+from cbsr_qa.domain.scene import CONTACT_LENGTH_MM, Moment, SceneSetting, SheetDesign, SimulatedPress
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.simulate.chain import EffectFactory, build_chain
-from cbsr_qa.simulate.sheet import CONTACT_LENGTH_MM, Place, SimulatedSheet
+from cbsr_qa.simulate.frames import FrameMaker, SimulatedFrame
+from cbsr_qa.simulate.sheet import SimulatedSheet
 
-#: Relative conductance changes below this are not solved for. A used reading changes by less than the change itself,
-#: in units of the mean reading, even with the head beside a pin: what is left out is three orders below the noise of
-#: the quieter shipped material (1.9e-4 in the same units).
-NEGLIGIBLE_CHANGE: Final = 1e-7
+#: (x, y, depth below the nominal surface) of the head [mm].
+HeadPosition = tuple[float, float, float]
 
 _TOUCHING: Final = 1e-9  # strain that is more than rounding
 
@@ -54,7 +53,7 @@ class SimulatedWorld:
     sensor_type, material, indenter : what is simulated.
     seed : of the run.
     effect_factory : finds an effect's factory by name; see :func:`cbsr_qa.simulate.chain.build_chain`.
-    contact_length_mm : see :class:`cbsr_qa.simulate.sheet.SimulatedSheet`.
+    contact_length_mm : contact impedance over sheet resistance, where no effect says otherwise.
 
     Raises
     ------
@@ -75,42 +74,38 @@ class SimulatedWorld:
         effect_factory: EffectFactory,
         contact_length_mm: float = CONTACT_LENGTH_MM,
     ) -> None:
-        setting = SceneSetting(sensor_type, material, indenter, seed, scene.current_A)
+        self.setting = SceneSetting(sensor_type, material, indenter, seed, scene.current_A, scene.frame_period_s)
+        self.chain = build_chain(scene, self.setting, effect_factory)
+        design = SheetDesign.plain(sensor_type, indenter, contact_length_mm)
+        self.chain.design(design)
         self.sheet = SimulatedSheet(
-            sensor_type,
+            design,
             size_mm=scene.sheet_mesh_size_mm,
             interelectrode_resistance_ohm=material.interelectrode_resistance_ohm.value,
-            contact_length_mm=contact_length_mm,
         )
         used = np.abs(self.sheet.unloaded[sensor_type.pattern.usable()])
-        scale_V = float(used.mean()) * scene.current_A if used.size else 0.0
-        self.setting = replace(setting, reading_scale_V=scale_V)
-        self.chain = build_chain(scene, self.setting, effect_factory)
+        self._scale_V = float(used.mean()) * scene.current_A if used.size else 0.0
+        self._frames = FrameMaker(self.sheet, self.chain)
         self.presses: list[SimulatedPress] = []
 
-    def voltages_V(self, time_s: float, index: int) -> NDArray[np.float64]:
-        """Readings of one frame, all taken at one time.
+    def frame(self, time_s: float, index: int) -> SimulatedFrame:
+        """Take one frame.
 
         Parameters
         ----------
-        time_s : on the station's clock.
+        time_s : of its middle, on the station's clock.
         index : of the frame, the address of its random numbers.
-
-        Returns
-        -------
-        (drives, measures) float64 [V].
 
         Raises
         ------
         RefusedError
             If a press lies outside the sheet, or a change leaves an element without conductance.
         """
-        moment = self._moment(time_s, index, self.presses)
-        self.chain.apply("response", moment)
-        changes = _by_place(moment)
-        moment.voltages = self.sheet.voltages(changes, self.setting.indenter) * self.setting.current_A
-        self.chain.apply("voltages", moment)
-        return moment.voltages
+        return self._frames.frame(lambda at_s: self._moment(at_s, index, self.presses), time_s)
+
+    def voltages_V(self, time_s: float, index: int) -> NDArray[np.float64]:
+        """Readings of one frame, (drives, measures) [V]; parameters and errors as of :meth:`frame`."""
+        return self.frame(time_s, index).voltages
 
     def force_N(self, time_s: float, index: int) -> float:
         """What the load cell reads at a time; the index is the address of the sample's random numbers."""
@@ -129,6 +124,18 @@ class SimulatedWorld:
         self.chain.apply("geometry", moment)
         return moment.surface_mm
 
+    def thickness_mm(self, x_mm: float, y_mm: float) -> float:
+        """How thick the sheet is at a place [mm]."""
+        return float(self.sheet.design.thickness_mm_at(np.array([[x_mm, y_mm]]))[0])
+
+    def head_at(self, to: HeadPosition, before: HeadPosition, time_s: float, index: int) -> HeadPosition:
+        """Where the head gets to when it is told to go somewhere; the index counts its movements."""
+        moment = self._moment(time_s, index, [])
+        moment.place_mm, moment.from_mm = (to[0], to[1]), (before[0], before[1])
+        moment.depth_mm, moment.from_depth_mm = to[2], before[2]
+        self.chain.apply("position", moment)
+        return (*moment.place_mm, moment.depth_mm)
+
     def truth(self, time_s: float) -> tuple[PressTruth, ...]:
         """Return what is true of every press at a time, before the sheet is measured."""
         moment = self._moment(time_s, 0, self.presses)
@@ -141,7 +148,9 @@ class SimulatedWorld:
 
     def _moment(self, time_s: float, index: int, presses: list[SimulatedPress]) -> Moment:
         none = [0.0] * len(presses)
-        return Moment(self.setting, time_s, index, presses, response=none.copy(), stress_kPa=none)
+        return Moment(
+            self.setting, time_s, index, presses, response=none.copy(), stress_kPa=none, reading_scale_V=self._scale_V
+        )
 
 
 def _strain(press: SimulatedPress, time_s: float) -> float:
@@ -152,15 +161,6 @@ def _strain(press: SimulatedPress, time_s: float) -> float:
     if time_s >= last.start_s + last.ramp_s:
         return sum([step.change for step in press.steps])
     return press.strain_at(time_s)
-
-
-def _by_place(moment: Moment) -> dict[Place, float]:
-    """Sum the changes of presses at one place; what has faded away is left out."""
-    total: dict[Place, float] = {}
-    for press, change in zip(moment.presses, moment.response, strict=True):
-        place = (press.x_mm, press.y_mm)
-        total[place] = total.get(place, 0.0) + change
-    return {place: change for place, change in total.items() if abs(change) > NEGLIGIBLE_CHANGE}
 
 
 def _truth(press: SimulatedPress, time_s: float, change: float, stress_kPa: float) -> PressTruth:

@@ -11,11 +11,12 @@ from cbsr_qa.domain.scene import Moment, SceneSetting, SimulatedPress, StrainSte
 from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation
 
 STEP_S = 1e-9  #: a ramp this short is a step
+READING_SCALE_V = 2.0
 
 
 def setting(material: Material | None = None, *, seed: int = 1) -> SceneSetting:
     chosen = material or load_material("cbsr-8wt").value
-    return SceneSetting(load_sensor_type("disc-100mm").value, chosen, Indenter(13.0), seed, 1e-3, reading_scale_V=2.0)
+    return SceneSetting(load_sensor_type("disc-100mm").value, chosen, Indenter(13.0), seed, 1e-3)
 
 
 def with_line(slope: float, intercept: float) -> Material:
@@ -24,7 +25,15 @@ def with_line(slope: float, intercept: float) -> Material:
 
 
 def moment(of: SceneSetting, time_s: float, *presses: SimulatedPress, index: int = 0) -> Moment:
-    return Moment(of, time_s, index, list(presses), [0.0] * len(presses), [0.0] * len(presses))
+    return Moment(
+        of,
+        time_s,
+        index,
+        list(presses),
+        [0.0] * len(presses),
+        [0.0] * len(presses),
+        reading_scale_V=READING_SCALE_V,
+    )
 
 
 def history(*ramps: tuple[float, float, float]) -> SimulatedPress:

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from effect_setting import moment, setting
+from effect_setting import READING_SCALE_V, moment, setting
 
 from cbsr_qa.config.loader import load_material
 from cbsr_qa.domain.errors import ConfigError
@@ -27,7 +27,7 @@ def _frames(of: SceneSetting, count: int, **parameters: float) -> np.ndarray:
 def test_reading_noise_is_as_strong_as_the_material_says():
     of = setting()
     noise = _frames(of, 400)
-    expected = load_material("cbsr-8wt").value.relative_noise.value * of.reading_scale_V
+    expected = load_material("cbsr-8wt").value.relative_noise.value * READING_SCALE_V
     assert noise.std() == pytest.approx(expected, rel=5 / np.sqrt(2 * noise.size))
     assert abs(noise.mean()) < 5 * expected / np.sqrt(noise.size)
 

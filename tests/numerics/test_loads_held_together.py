@@ -14,6 +14,7 @@ from cbsr_qa.domain.loads import Indenter, Load, LoadRecord
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run import PhaseRecord, RunIdentity, RunRecord
+from cbsr_qa.domain.scene import SheetDesign
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.domain.steps import Role
 from cbsr_qa.hookspecs import Kind
@@ -33,7 +34,7 @@ _PERIOD_S = 2.5
 
 @pytest.fixture(scope="module")
 def sheet() -> SimulatedSheet:
-    return SimulatedSheet(SENSOR, size_mm=4.0, interelectrode_resistance_ohm=1e4)
+    return SimulatedSheet(SheetDesign.plain(SENSOR, HEAD), size_mm=4.0, interelectrode_resistance_ohm=1e4)
 
 
 @pytest.fixture(scope="module")
@@ -42,7 +43,7 @@ def observed(sheet):
 
     def observe(*places: tuple[float, float], **settings: object) -> RunObservation:
         random = np.random.default_rng(8)
-        clean = [sheet.unloaded] * 20 + [sheet.voltages(dict.fromkeys(places, 0.12), HEAD)] * 20
+        clean = [sheet.unloaded] * 20 + [sheet.voltages(dict.fromkeys(places, 0.12))] * 20
         voltages = np.array(clean) * (1 + 1e-4 * random.standard_normal((40, *sheet.unloaded.shape)))
         time_s = _PERIOD_S * np.arange(40.0)
         frames = FrameBlock(time_s, voltages, np.zeros(voltages.shape, np.uint8), VoltageUnit.VOLT, 1e-3)

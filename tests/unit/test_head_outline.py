@@ -13,6 +13,7 @@ from cbsr_qa.calibrate.file import read_calibration, write_calibration
 from cbsr_qa.config.loader import load_sensor_type, load_station
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.scene import SheetDesign
 from cbsr_qa.simulate.sheet import SimulatedSheet
 from cbsr_qa.store.codec import decoded_indenter, encoded
 
@@ -76,13 +77,18 @@ def test_a_calibration_keeps_the_outline(tmp_path):
 
 
 def test_a_simulated_head_of_many_corners_is_the_round_one():
-    sheet = SimulatedSheet(load_sensor_type("disc-100mm").value, size_mm=6.0, interelectrode_resistance_ohm=1e4)
+    disc = load_sensor_type("disc-100mm").value
+
+    def under(head: Indenter) -> SimulatedSheet:
+        return SimulatedSheet(SheetDesign.plain(disc, head), size_mm=6.0, interelectrode_resistance_ohm=1e4)
+
+    sheet = under(Indenter(13.0))
     place = {(12.0, 7.0): 0.3}
     angle = 2 * np.pi * np.arange(256) / 256
     radius = 6.5 * np.sqrt(2 * np.pi / 256 / np.sin(2 * np.pi / 256))  # of the same area
     corners = Indenter.with_outline(zip(radius * np.cos(angle), radius * np.sin(angle), strict=True))
-    change = sheet.voltages(place, Indenter(13.0)) - sheet.unloaded
-    assert sheet.voltages(place, corners) - sheet.unloaded == pytest.approx(change, abs=1e-3 * np.abs(change).max())
+    change = sheet.voltages(place) - sheet.unloaded
+    assert under(corners).voltages(place) - sheet.unloaded == pytest.approx(change, abs=1e-3 * np.abs(change).max())
     long = Indenter.with_outline([(-10, -3.3), (10, -3.3), (10, 3.3), (-10, 3.3)])
     assert long.area_mm2 == pytest.approx(132, abs=1)
-    assert np.abs(sheet.voltages(place, long) - sheet.unloaded - change).max() > 0.05 * np.abs(change).max()
+    assert np.abs(under(long).voltages(place) - sheet.unloaded - change).max() > 0.05 * np.abs(change).max()

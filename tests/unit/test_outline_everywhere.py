@@ -19,6 +19,7 @@ from cbsr_qa.domain.frames import FrameBlock, VoltageUnit
 from cbsr_qa.domain.outlines import Disc, Polygon
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.domain.recording import Recording, ScanKind
+from cbsr_qa.domain.scene import SheetDesign
 from cbsr_qa.domain.sensor import SensorType, polygon_sensor
 from cbsr_qa.forward.mesh_sensor import mesh_sensor
 from cbsr_qa.forward.meshing import image_mesh, sheet_mesh
@@ -116,10 +117,10 @@ def test_the_simulated_head_does_not_travel_off_the_sheet():
 
 
 def test_a_simulated_head_in_the_notch_presses_nothing():
-    sheet = SimulatedSheet(elbow(), size_mm=6.0, interelectrode_resistance_ohm=1e4)
+    sheet = SimulatedSheet(SheetDesign.plain(elbow(), HEAD), size_mm=6.0, interelectrode_resistance_ohm=1e4)
     with pytest.raises(RefusedError, match="is outside the sheet"):
-        sheet.voltages({(25.0, 25.0): 0.1}, HEAD)
-    pressed = sheet.voltages({(20.0, -15.0): 0.1}, HEAD)
+        sheet.voltages({(25.0, 25.0): 0.1})
+    pressed = sheet.voltages({(20.0, -15.0): 0.1})
     assert np.abs(pressed - sheet.unloaded).max() > 1e-3 * np.abs(sheet.unloaded).max()
 
 

@@ -19,15 +19,15 @@ from simulated_setting import (
 )
 
 from cbsr_qa.domain.errors import ConfigError, NumericsError, PluginError, RefusedError
-from cbsr_qa.domain.geometry import circle_overlap_mm2
 from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.scene import Moment, SceneSetting
+from cbsr_qa.domain.scene import CONTACT_LENGTH_MM, Moment, SceneSetting, SheetDesign
+from cbsr_qa.forward.coverage import cover
 from cbsr_qa.forward.model import ForwardModel
 from cbsr_qa.simulate.chain import build_chain
-from cbsr_qa.simulate.sheet import CONTACT_LENGTH_MM, SimulatedSheet
-from cbsr_qa.simulate.world import NEGLIGIBLE_CHANGE
+from cbsr_qa.simulate.frames import NEGLIGIBLE_CHANGE
+from cbsr_qa.simulate.sheet import SimulatedSheet
 
-SETTING = SceneSetting(sensor_type(), material(), HEAD, seed=1, current_A=1e-3, reading_scale_V=1.0)
+SETTING = SceneSetting(sensor_type(), material(), HEAD, seed=1, current_A=1e-3)
 
 
 def _effect(perturbs: str, *, needs: tuple[str, ...] = (), write: float = 0.0):
@@ -135,13 +135,11 @@ def test_an_unknown_effect_is_refused_by_name():
 # --- the sheet ---
 
 
-def _physical_model(of: SimulatedSheet, relative: np.ndarray | None = None) -> ForwardModel:
+def _physical_model(of: SimulatedSheet) -> ForwardModel:
     """The same sheet in ohms and siemens, factorised afresh."""
     conductance = np.full(len(of.mesh.elements), of.conductance_S)
-    if relative is not None:
-        conductance = conductance * (1 + relative)
     impedance = np.full(16, CONTACT_LENGTH_MM / of.conductance_S)
-    return ForwardModel(of.mesh, sensor_type().pattern, conductance, impedance)
+    return ForwardModel(of.mesh, sensor_type().pattern, conductance, impedance, order=2)
 
 
 def test_without_effects_voltages_are_the_forward_models():
@@ -154,17 +152,19 @@ def test_without_effects_voltages_are_the_forward_models():
 @pytest.mark.parametrize("name", ["cbsr-8wt", "cbsr-9wt"])
 def test_the_mean_driven_pair_has_the_materials_resistance(name: str):
     resistance = material(name).interelectrode_resistance_ohm.value
-    sheet = SimulatedSheet(sensor_type(), size_mm=5.0, interelectrode_resistance_ohm=resistance)
+    sheet = SimulatedSheet(
+        SheetDesign.plain(sensor_type(), HEAD), size_mm=5.0, interelectrode_resistance_ohm=resistance
+    )
     assert np.diag(sheet.unloaded).mean() == pytest.approx(resistance, rel=1e-12)
 
 
 def test_the_contact_share_is_the_slope_of_the_resistance_in_the_contact_impedance():
-    sheet = SimulatedSheet(sensor_type(), size_mm=5.0, interelectrode_resistance_ohm=1e3)
+    sheet = SimulatedSheet(SheetDesign.plain(sensor_type(), HEAD), size_mm=5.0, interelectrode_resistance_ohm=1e3)
     step = 1e-4
 
     def log_resistance(factor: float) -> float:
         contacts = np.full(16, CONTACT_LENGTH_MM * factor)
-        model = ForwardModel(sheet.mesh, sensor_type().pattern, np.ones(len(sheet.mesh.elements)), contacts)
+        model = ForwardModel(sheet.mesh, sensor_type().pattern, np.ones(len(sheet.mesh.elements)), contacts, order=2)
         return float(np.log(np.diag(model.voltages()).mean()))
 
     slope = (log_resistance(1 + step) - log_resistance(1 - step)) / (2 * step)
@@ -175,11 +175,12 @@ def test_the_contact_share_is_the_slope_of_the_resistance_in_the_contact_impedan
 def test_loaded_voltages_equal_a_model_factorised_afresh():
     loaded = world(scene("piezoresistivity"))
     loaded.presses += [held(0, 3.0, -2.0, 0.3), held(1, 30.0, 1.0, 0.1)]
-    relative = np.zeros(len(loaded.sheet.mesh.elements))
-    for press in loaded.presses:
-        cover = circle_overlap_mm2(loaded.sheet.mesh.corners_mm, (press.x_mm, press.y_mm), HEAD.radius_mm)
-        relative += 0.6 * press.strain_at(30.0) * cover / loaded.sheet.mesh.areas_mm2
-    expected = _physical_model(loaded.sheet, relative).voltages() * loaded.setting.current_A
+    model = _physical_model(loaded.sheet)
+    covers = [cover(model.elements, HEAD.at(press.x_mm, press.y_mm)) for press in loaded.presses]
+    strains = [press.strain_at(30.0) for press in loaded.presses]
+    changes = [one.change(model.conductance, 0.6 * strain) for one, strain in zip(covers, strains, strict=True)]
+    elements = np.concatenate([one.elements for one in covers])
+    expected = model.changed_on(elements, np.concatenate(changes)).voltages() * loaded.setting.current_A
     np.testing.assert_allclose(loaded.voltages_V(30.0, 12), expected, rtol=0, atol=1e-11 * np.abs(expected).max())
 
 
@@ -195,7 +196,7 @@ def test_what_is_left_out_as_negligible_is_far_below_the_noise():
     sheet = world(scene()).sheet
     used = sensor_type().pattern.usable()
     worst = max(
-        np.abs(sheet.voltages({place: NEGLIGIBLE_CHANGE}, HEAD) - sheet.unloaded)[used].max()
+        np.abs(sheet.voltages({place: NEGLIGIBLE_CHANGE}) - sheet.unloaded)[used].max()
         for place in ((0.0, 0.0), (30.0, 0.0), (28.0, 28.0), (42.0, 0.0))
     )
     assert 0 < worst / np.abs(sheet.unloaded[used]).mean() < 1e-3 * material("cbsr-9wt").relative_noise.value
@@ -219,7 +220,7 @@ def test_a_head_outside_the_sheet_is_refused():
 def test_a_change_that_leaves_no_conductance_is_refused():
     sheet = world(scene()).sheet
     with pytest.raises(NumericsError, match="conductance"):
-        sheet.voltages({(0.0, 0.0): -1.5}, HEAD)
+        sheet.voltages({(0.0, 0.0): -1.5})
 
 
 # --- the world ---

@@ -21,10 +21,11 @@ class MeasurementNoise:
         relative = setting.material.relative_noise.value if relative_noise is None else relative_noise
         if not 0 <= relative < float("inf"):
             raise ConfigError(f"relative_noise is {relative}", remedy="it is a finite number of at least 0")
-        self._rms_V = relative * setting.reading_scale_V
+        self._relative = relative
         self._stream = RandomStream(setting.seed, "measurement-noise")
 
     def apply(self, moment: Moment) -> None:
         """Add the frame's noise."""
         if moment.voltages is not None:
-            moment.voltages = moment.voltages + self._rms_V * self._stream.normal(moment.index, moment.voltages.shape)
+            rms_V = self._relative * moment.reading_scale_V
+            moment.voltages = moment.voltages + rms_V * self._stream.normal(moment.index, moment.voltages.shape)

@@ -12,9 +12,9 @@ from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.plan import Motion
 from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.domain.scene import CONTACT_LENGTH_MM
 from cbsr_qa.interfaces import StationContext
 from cbsr_qa.simulate.head import SimulatedHead
-from cbsr_qa.simulate.sheet import CONTACT_LENGTH_MM
 from cbsr_qa.simulate.world import SimulatedWorld
 
 _DRIVER: Final = "simulated-bench"
@@ -71,10 +71,8 @@ class SimulatedBench:
         )
         self._head = SimulatedHead(
             context.clock,
-            self.world.presses,
-            self.world.surface_mm,
+            self.world,
             _motion(context, options),
-            thickness_mm=context.sensor_type.thickness_mm,
             role=context.role,
         )
         # A resumed session has addresses of its own: a block of 2³² for each millisecond it may have begun at.
@@ -105,7 +103,7 @@ class SimulatedBench:
         return self._scene.frame_period_s
 
     def acquire(self, count: int) -> FrameBlock:
-        """Take frames one after the other; all readings of a frame are taken in its middle."""
+        """Take frames one after the other, all readings in a frame's middle where no effect says otherwise."""
         self._check_open()
         if count < 1:
             raise InstrumentError(
@@ -118,12 +116,13 @@ class SimulatedBench:
             # Addressed by time in half periods: frames never share an index, and a bench opened late goes on with
             # the numbers of one that ran all the while.
             index = round(middle_s / (period_s / 2))
-            frames.append(self.world.voltages_V(middle_s, self._first_index + index))
+            frames.append(self.world.frame(middle_s, self._first_index + index))
             times.append(middle_s)
             clock.sleep(period_s)
-        voltages = np.stack(frames)
-        flags = np.zeros(voltages.shape, dtype=np.uint8)
-        return FrameBlock(np.array(times), voltages, flags, VoltageUnit.VOLT, self._scene.current_A)
+        voltages, flags = np.stack([one.voltages for one in frames]), np.stack([one.flags for one in frames])
+        own = [one.time_s for one in frames if one.time_s is not None]
+        at_s = np.stack(own) if own else None
+        return FrameBlock(np.array(times), voltages, flags, VoltageUnit.VOLT, self._scene.current_A, at_s)
 
     # --- sampler: the load cell ---
 

@@ -1,0 +1,135 @@
+"""One frame of the simulated world: from what presses to readings, each taken at its own time."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.scene import Moment, SimulatedPress
+from cbsr_qa.simulate.chain import Chain
+from cbsr_qa.simulate.sheet import Place, SimulatedSheet
+
+Array = NDArray[np.float64]
+
+#: Relative conductance changes below this are not solved for. A used reading changes by less than the change itself,
+#: in units of the mean reading, even with the head beside a pin: what is left out is three orders below the noise of
+#: the quieter shipped material (1.9e-4 in the same units).
+NEGLIGIBLE_CHANGE: Final = 1e-7
+
+_SHORTEST_S: Final = 1e-6  # between two ends of ramps that are told apart
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SimulatedFrame:
+    """Readings of one frame.
+
+    Parameters
+    ----------
+    voltages : (drives, measures) [V].
+    flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.frames.ReadingFlag`.
+    time_s : (drives, measures) of each reading on the station's clock; None where all are taken at once.
+    """
+
+    voltages: Array
+    flags: NDArray[np.uint8]
+    time_s: Array | None
+
+
+class FrameMaker:
+    """Takes frames of a sheet through the effects of a scene.
+
+    Readings that are taken one after the other see the sheet at different times. It is solved where ramps begin and
+    end within the frame, and once between, and readings are read off the parabola through each three: the change of a
+    frame of 2.5 s that relaxes with a time constant of 5 s is followed to 2e-3 of itself.
+
+    Parameters
+    ----------
+    sheet, chain : of the world.
+    """
+
+    def __init__(self, sheet: SimulatedSheet, chain: Chain) -> None:
+        self._sheet = sheet
+        self._chain = chain
+        self._pattern = sheet.sensor_type.pattern
+
+    def frame(self, moment_at: Callable[[float], Moment], time_s: float) -> SimulatedFrame:
+        """Take a frame about a time.
+
+        Parameters
+        ----------
+        moment_at : makes the moment of a time, always with the frame's own index.
+        time_s : of the frame's middle.
+        """
+        moment = moment_at(time_s)
+        self._chain.apply("times", moment)
+        offsets = moment.reading_offsets_s
+        moment.impedance_ohm, per_ampere = self._solved(moment_at, moment)
+        driven = self._pattern.drive_currents()
+        moment.drive_ohm = np.einsum("ed,ef,fd->d", driven, moment.impedance_ohm, driven)
+        moment.current_A = np.full(len(moment.drive_ohm), moment.setting.current_A)
+        moment.flags = np.zeros(self._pattern.shape, dtype=np.uint8)
+        self._chain.apply("source", moment)
+        moment.voltages = per_ampere * moment.current_A[:, None]
+        self._chain.apply("voltages", moment)
+        return SimulatedFrame(moment.voltages, moment.flags, None if offsets is None else time_s + offsets)
+
+    def _solved(self, moment_at: Callable[[float], Moment], moment: Moment) -> tuple[Array, Array]:
+        """Transfer impedance in the frame's middle, and readings per ampere each at its own time."""
+        middle = self._impedance(moment)
+        offsets = moment.reading_offsets_s
+        if offsets is None or not self._changes(moment):
+            return middle, self._sheet.readings(middle)
+        knots = _knots(moment.presses, moment.time_s + offsets.min(), moment.time_s + offsets.max())
+        at = np.concatenate([knots, (knots[1:] + knots[:-1]) / 2])
+        solved = np.array([self._sheet.readings(self._impedance(moment_at(float(time_s)))) for time_s in at])
+        weights = _weights(knots, moment.time_s + offsets)
+        return middle, np.einsum("kdm,kdm->dm", weights, solved)
+
+    def _impedance(self, moment: Moment) -> Array:
+        """Transfer impedance at a moment, after the effects on it."""
+        self._chain.apply("response", moment)
+        if self._chain.has("contacts"):
+            moment.contact_mm = self._sheet.design.contact_mm.copy()
+            self._chain.apply("contacts", moment)
+        moment.impedance_ohm = self._sheet.impedance(_by_place(moment), moment.contact_mm)
+        self._chain.apply("impedance", moment)
+        return moment.impedance_ohm
+
+    def _changes(self, moment: Moment) -> bool:
+        """Whether anything can change within a frame."""
+        return bool(moment.presses) or self._chain.has("contacts") or self._chain.has("impedance")
+
+
+def _by_place(moment: Moment) -> dict[Place, float]:
+    """Sum the changes of presses at one place; what has faded away is left out."""
+    total: dict[Place, float] = {}
+    for press, change in zip(moment.presses, moment.response, strict=True):
+        place = (press.x_mm, press.y_mm)
+        total[place] = total.get(place, 0.0) + change
+    return {place: change for place, change in total.items() if abs(change) > NEGLIGIBLE_CHANGE}
+
+
+def _knots(presses: Sequence[SimulatedPress], first_s: float, last_s: float) -> Array:
+    """Times between which nothing has a corner: the ends of a frame, and those of ramps within it, (k,) rising."""
+    ends = [end for press in presses for step in press.steps for end in (step.start_s, step.start_s + step.ramp_s)]
+    inside = sorted(end for end in ends if first_s + _SHORTEST_S < end < last_s - _SHORTEST_S)
+    apart = [end for end, before in zip(inside, [first_s, *inside], strict=False) if end - before > _SHORTEST_S]
+    return np.array([first_s, *apart, last_s])
+
+
+def _weights(knots: Array, times_s: Array) -> Array:
+    """Weights of values at the knots and, after them, at the middles between them: (2 k − 1, …) for times (…)."""
+    count = len(knots)
+    piece = np.clip(np.searchsorted(knots, times_s, side="right") - 1, 0, count - 2)
+    length = knots[piece + 1] - knots[piece]
+    share = np.where(length > 0, (times_s - knots[piece]) / np.where(length > 0, length, 1), 0.0)
+    weights = np.zeros((2 * count - 1, *times_s.shape))
+    for node, value in (
+        (piece, (1 - share) * (1 - 2 * share)),
+        (piece + 1, share * (2 * share - 1)),
+        (count + piece, 4 * share * (1 - share)),
+    ):
+        np.put_along_axis(weights, node[None], np.take_along_axis(weights, node[None], 0) + value, 0)
+    return weights
