@@ -37,6 +37,7 @@ Indices = NDArray[np.int64]
 
 #: Memory for what is kept of sets of elements; nine heads on a mesh of 2.5 mm take 2 MB.
 KEPT_BYTES: Final = 64 << 20
+_LEAST_CONTACT: Final = 1e-3  # z γ/|E|: readings are then right to some 1e-10
 _MOST_WORK: Final = 2e8  # cubes of the patches' nodes, about as long as factorising 8000 elements
 
 
@@ -142,12 +143,24 @@ class LocalUpdate:
         key = elements.tobytes() + b"contacts" * contacts
         if key not in self._kept:
             short = dense_work(self.model, elements) < _MOST_WORK
-            short = short and not (contacts and np.isin(self.model.elements.cells[elements], self._touched).any())
+            short = short and (not contacts or self._contacts_can_be_patches(elements))
             self._kept[key] = Patches(self.model, elements, self._inverse, contacts=contacts) if short else None
             while len(self._kept) > 1 and self._kept_now() > self._kept_bytes:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
         return self._kept[key]
+
+    def _contacts_can_be_patches(self, elements: Indices) -> bool:
+        """Whether no element touches an electrode, and contacts are not so good that their own part is all rounding.
+
+        What K₀⁻¹ has of a contact is some z γ/|E| of the whole, twice: an error of rounding over its square.
+        """
+        if np.isin(self.model.elements.cells[elements], self._touched).any():
+            return False
+        conductance = self.model.conductance
+        mean = float(conductance.mean() if conductance.ndim == 1 else conductance[..., (0, 1), (0, 1)].mean())
+        lengths = self.model.prepared.contacts.lengths_mm
+        return bool((self.model.contact_impedance * mean >= _LEAST_CONTACT * lengths).all())
 
     def _kept_now(self) -> int:
         return sum(patches.nbytes for patches in self._kept.values() if patches is not None)

@@ -235,3 +235,21 @@ def test_a_contact_impedance_that_is_none_is_refused_by_number(model, update, wr
         update.voltages(np.zeros(0, dtype=np.int64), np.zeros(0), contacts)
     with pytest.raises(NumericsError, match="shape"):
         update.voltages(np.zeros(0, dtype=np.int64), np.zeros(0), contacts[:3])
+
+
+@pytest.mark.parametrize("before", [1e-8, 1e-6, 1e-4, 2.1e-3, 1e-2, 1.0, 1e4])
+@pytest.mark.parametrize("after", [1e-5, 1e-3, 0.5, 1e3, 1e6])
+def test_any_contact_becomes_any_other(pin_sensor, model_of, before, after):
+    """Also those so good that a change of theirs drowns in rounding: they are factorised again.
+
+    To 1e-9, or what factorising itself loses on contacts that good.
+    """
+    model = model_of(pin_sensor(), size_mm=8.0, contact=before)
+    contacts = np.full(16, after)
+    load, fraction = disc_coverage(model.mesh, 20.0, -12.0, 6.5)
+    exact = model.changed(contact_impedance=contacts).changed_on(load, 0.4 * fraction).voltages()
+    found = LocalUpdate(model).voltages(load, 0.4 * fraction, contacts)
+    used = model.pattern.usable()
+    bound = max(1e-9, 1e-14 / after)
+    assert worst(found[used], exact[used]) < bound
+    assert np.abs(found - exact).max() < bound * np.abs(exact).max()
