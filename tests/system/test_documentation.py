@@ -119,6 +119,21 @@ def test_the_sheet_of_the_forward_model_page_is_pressed():
     assert (np.diag(pressed) < np.diag(unloaded)).all()  # it conducts better everywhere
 
 
+_RUN_ABOVE = {"write-a-plugin.md", "describe-a-sensor.md", "forward-model.md", "reconstruction.md"}
+
+
+@pytest.mark.parametrize(
+    "page",
+    [page for page in _PAGES if page.name not in _RUN_ABOVE and _blocks(page, "python")],
+    ids=lambda page: page.name,
+)
+def test_snippets_of_all_other_pages_run(page, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    namespace = {}
+    for block in _blocks(page, "python"):
+        exec(block, namespace)
+
+
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
