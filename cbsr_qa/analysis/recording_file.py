@@ -26,6 +26,9 @@ FORMAT: Final = "cbsr-recording"
 SCHEMA_VERSION: Final = 1
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 
+#: How notes of files that have no ``simulated`` of their own begin.
+_SIMULATED_NOTE: Final = "simulated: "
+
 _LOAD_COLUMNS: Final = (
     ("x_mm", "mm"),
     ("y_mm", "mm"),
@@ -122,6 +125,7 @@ def _write(file: h5py.File, recording: Recording) -> None:
         "sensor_type": recording.sensor_type,
         "layout": None if recording.layout is None else asdict(recording.layout),
         "notes": list(recording.notes),
+        "simulated": list(recording.simulated),
     }
     file.attrs["description"] = json.dumps(described, ensure_ascii=False, sort_keys=True)
     _write_frames(file.create_group("frames"), recording.frames)
@@ -167,6 +171,7 @@ def _put(group: h5py.Group, name: str, values: NDArray[Any], unit: str) -> None:
 def _read(path: Path, file: h5py.File) -> Recording:
     said: dict[str, Any] = json.loads(file.attrs["description"])
     layout = said["layout"]
+    notes, simulated = _told(said)
     return Recording(
         path=path,
         format=FORMAT,
@@ -183,8 +188,19 @@ def _read(path: Path, file: h5py.File) -> Recording:
         loads=_read_loads(file["loads"]) if "loads" in file else (),
         layout=None if layout is None else _read_layout(layout),
         sensor_type=said["sensor_type"],
-        notes=tuple(said["notes"]),
+        notes=notes,
+        simulated=simulated,
     )
+
+
+def _told(said: dict[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """Return the notes and what was simulated, which files of earlier versions hold as notes."""
+    notes = tuple(str(note) for note in said["notes"])
+    if "simulated" in said:
+        return notes, tuple(str(what) for what in said["simulated"])
+    marked = tuple(note for note in notes if note.startswith(_SIMULATED_NOTE))
+    others = tuple(note for note in notes if note not in marked)
+    return others, tuple(note.removeprefix(_SIMULATED_NOTE) for note in marked)
 
 
 def _read_layout(said: dict[str, Any]) -> Electrodes:

@@ -27,6 +27,7 @@ def recording_document(recording: Recording, frame_rate_hz: float | None) -> dic
         "sensor_type": recording.sensor_type,
         "loads_documented": len(recording.loads),
         "notes": list(recording.notes),
+        "simulated": list(recording.simulated),
     }
 
 
@@ -54,6 +55,7 @@ def unread_document(format_: str | None, problems: Sequence[RowProblem]) -> dict
         "sensor_type": None,
         "loads_documented": 0,
         "notes": [],
+        "simulated": None,
     }
 
 

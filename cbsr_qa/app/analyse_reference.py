@@ -45,6 +45,7 @@ def with_reference(recording: Recording, empty: Recording) -> Recording:
         reference=empty.frames,
         problems=(*recording.problems, *noted),
         notes=(*recording.notes, f"changes are against {'the mean of ' if len(empty.frames) > 1 else ''}{name}"),
+        simulated=(*recording.simulated, *(f"in the reference {name}: {what}" for what in empty.simulated)),
     )
 
 
@@ -89,8 +90,10 @@ def _scale_difference(recording: Recording, empty: Recording) -> str:
         (0.0, 0.0) if recording.magnitudes_only else (float(np.median(own)), float(np.median(other)))
     )
     size, other_size = _size(own - offset), _size(other - other_offset)
-    if size == 0.0 or other_size == 0.0:
-        return ""  # a frozen or unconnected recording is refused for that
+    if size == 0.0:
+        return ""  # an unconnected recording is refused for that
+    if other_size == 0.0:
+        return f"all its readings are {other[0]:.4g} {empty.frames.unit.value}: nothing was connected"
     if not 1 / _MOST_SCALE <= other_size / size <= _MOST_SCALE:
         return f"its readings are {other_size / size:.3g} times as large"
     if abs(other_offset - offset) > _MOST_OFFSET * max(size, other_size):

@@ -70,7 +70,8 @@ def as_recording(record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...])
         loads=tuple(load for phase in phases for load in phase.loads),
         layout=record.sensor_type.electrodes,
         sensor_type=record.sensor_type.name,
-        notes=(f"run {record.identity.run} of sensor {record.identity.sensor.serial}", *_simulated(record)),
+        notes=(f"run {record.identity.run} of sensor {record.identity.sensor.serial}",),
+        simulated=record.identity.simulated,
     )
 
 
@@ -80,7 +81,3 @@ def _samples(phases: tuple[PhaseRecord, ...]) -> tuple[SampleBlock, ...]:
         for block in phase.samples:
             channels.setdefault(block.channel, []).append(block)
     return tuple(join_samples(blocks) for blocks in channels.values())
-
-
-def _simulated(record: RunRecord) -> tuple[str, ...]:
-    return tuple(f"simulated: {what}" for what in record.identity.simulated)

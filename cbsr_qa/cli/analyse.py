@@ -92,6 +92,8 @@ def _show(outcome: "Analysed", *, chosen: bool) -> None:
     rate = "still" if result.frame_rate_hz is None else f"{result.frame_rate_hz:.2f} frames/s"
     name = f"{outcome.path.name}:{recording.dataset}" if recording.dataset else outcome.path.name
     say(f"{name}: {len(recording.frames)} frames, {rate}, {recording.rows_rejected} rows rejected")
+    if recording.simulated:
+        say(f"  simulated {'; '.join(recording.simulated)}")
     say(f"  channels  {len(channels.saturated)} saturated, {len(channels.stuck)} stuck, {channels.used} imaged")
     if result.noise.rms is not None:
         steps = f", {len(result.noise.steps)} steps" if result.noise.steps else ""

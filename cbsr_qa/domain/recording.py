@@ -53,6 +53,7 @@ class Recording:
     sensor_type : name of the sensor type where the recording states it.
     notes : facts worth telling a reader, in words.
     frames_dropped : frames that are in the file but not whole; the ones cut by its beginning and end do not count.
+    simulated : in words, what was simulated; empty where a real rig measured.
     """
 
     path: Path
@@ -71,6 +72,7 @@ class Recording:
     sensor_type: str | None = None
     notes: tuple[str, ...] = field(default=())
     frames_dropped: int = 0
+    simulated: tuple[str, ...] = ()
 
     @property
     def rows_rejected(self) -> int:

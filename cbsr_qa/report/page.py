@@ -106,7 +106,7 @@ def recording_page(result: RecordingResult) -> Page:
     )
     headline = f"{plural(found, 'event')} found" if found else "no event"
     banner = Banner("plain", "●" if found else "○", headline, _found(result))
-    return Page("Recording report", recording.path.name, banner, facts, (), (), result.warnings)
+    return Page("Recording report", recording.path.name, banner, facts, recording.simulated, (), result.warnings)
 
 
 def _imaging(result: RecordingResult) -> tuple[tuple[str, str], ...]:

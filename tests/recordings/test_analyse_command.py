@@ -81,6 +81,22 @@ def test_a_reference_recording_turns_presses_into_objects(tmp_path, capsys):
     assert (event["start_s"], event["end_s"]) == pytest.approx((25.0, 172.5))
 
 
+def test_what_was_simulated_is_said_wherever_results_are(tmp_path, capsys):
+    path = exported(tmp_path, pressed_frames(0, 0, contrast=0.0, n=12), simulated=("sheet: a <bench>, seed 7",))
+    assert "  simulated sheet: a <bench>, seed 7\n" in run(capsys, path, "--no-report")[1]
+    found = json.loads(run(capsys, path, "--json")[1])
+    html = Path(found["report"]).read_text(encoding="utf-8")
+    head, _, foot = html.partition("</header>")
+    assert found["recording"]["simulated"] == ["sheet: a <bench>, seed 7"]
+    assert "This report does not describe a real sensor" in head
+    assert "<li>sheet: a &lt;bench&gt;, seed 7</li>" in head
+    assert "· simulated</footer>" in foot
+    measured = exported(tmp_path, pressed_frames(0, 0, contrast=0.0, n=12, seed=2), name="measured.h5")
+    assert "simulated" not in run(capsys, measured, "--no-report")[1]
+    found = json.loads(run(capsys, measured, "--json", "--reference", path)[1])
+    assert found["recording"]["simulated"] == ["in the reference run.h5: sheet: a <bench>, seed 7"]
+
+
 def test_several_files_give_one_document_and_the_worst_exit_code(tmp_path, capsys):
     good = exported(tmp_path, pressed_frames(0.4, 0.3, contrast=-0.1))
     bad = BoardFile().header().save(tmp_path)
@@ -182,6 +198,19 @@ def test_a_reference_of_another_instrument_or_scale_is_refused(tmp_path, capsys,
     assert found["refused"]["remedy"]
     assert found["events"] == []
     assert found["recording"]["frames"] == 80
+
+
+@pytest.mark.parametrize(("level", "unit"), [(0.0, VoltageUnit.VOLT), (32534.0, VoltageUnit.COUNT)])
+def test_a_reference_of_an_unconnected_instrument_is_refused(tmp_path, capsys, level, unit):
+    frames = pressed_frames(0.4, 0.3, contrast=0.0, n=6)
+    held = exported(tmp_path, frames, name="held.h5", unit=unit)
+    empty = exported(tmp_path, np.full_like(frames, level), name="empty.h5", unit=unit)
+    code, out, _ = run(capsys, held, "--json", "--reference", empty)
+    reason = json.loads(out)["refused"]["reason"]
+    assert code == 2
+    assert reason.startswith("empty.h5 cannot be the reference of held.h5")
+    assert f"all its readings are {level:.4g} {unit.value}" in reason
+    assert not (tmp_path / "var").exists()
 
 
 def test_counts_about_another_offset_are_no_reference(tmp_path, capsys):

@@ -1,3 +1,4 @@
+import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,6 +38,7 @@ def sample(*, reading_times=True, reference=True):
         layout=ElectrodeLayout(16, ElectrodeKind.PIN, 48.0, 0.65, 90.0, counterclockwise=False),
         sensor_type="disc-100mm",
         notes=("run <x>", "µ"),
+        simulated=("sheet: <bench>, seed 7",),
     )
 
 
@@ -59,7 +61,7 @@ def test_what_is_written_is_read_back_to_the_bit(tmp_path, reading_times, refere
     same_block(after.frames, before.frames)
     if reference:
         same_block(after.reference, before.reference)
-    for name in ("loads", "layout", "sensor_type", "notes", "scan", "clock", "still"):
+    for name in ("loads", "layout", "sensor_type", "notes", "simulated", "scan", "clock", "still"):
         assert getattr(after, name) == getattr(before, name)
     np.testing.assert_array_equal(after.samples[0].values, before.samples[0].values)
     assert list(tmp_path.iterdir()) == [path]  # no temporary file is left
@@ -70,6 +72,19 @@ def test_when_the_head_left_the_sheet_is_kept_press_by_press(tmp_path):
     presses = replace(load, clear_s=20.4), replace(load, index=1)
     write_recording(tmp_path / "a.h5", replace(sample(), loads=presses))
     assert read_recording(tmp_path / "a.h5").loads == presses
+
+
+def test_files_that_hold_what_was_simulated_as_notes_say_it_too(tmp_path):
+    """Exports of earlier versions have no part of their own for it."""
+    path = tmp_path / "a.h5"
+    write_recording(path, replace(sample(), notes=("run R-1", "simulated: a bench", "µ"), simulated=()))
+    with h5py.File(path, "a") as file:
+        said = json.loads(file.attrs["description"])
+        del said["simulated"]
+        file.attrs["description"] = json.dumps(said)
+        file.attrs["sha256"] = recording_file._digest(file)
+    found = read_recording(path)
+    assert (found.notes, found.simulated) == (("run R-1", "µ"), ("a bench",))
 
 
 def test_a_file_that_never_noted_it_reads_as_nobody_knows(tmp_path):

@@ -113,6 +113,8 @@ def test_an_exported_run_is_read_back_with_its_presses(finished):
     analysed = document(cbsr_qa(folder, "analyse", "var/run.h5", "--json"))
     assert analysed["recording"]["frames"] == exported["frames"]
     assert analysed["recording"]["force_recorded"] is True
+    assert analysed["recording"]["simulated"] == run["simulated"]
+    assert "This report does not describe a real sensor" in (folder / analysed["report"]).read_text(encoding="utf-8")
 
 
 @pytest.mark.parametrize(
