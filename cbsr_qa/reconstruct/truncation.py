@@ -65,9 +65,28 @@ class Truncation:
         """Components are counted."""
         return True
 
-    def at_most(self, components: int) -> int:
-        """Largest number of components up to this one that splits no pair; a masked sensor has other pairs."""
-        return int(self.cuts[self.cuts <= components].max(initial=self.cuts[0]))
+    def within(self, target: float) -> int:
+        """Most components whose noise figure is at most a target, for a problem that is not the type's nominal one.
+
+        Noise is that of the quiet readings (harmonic mean of the variances): a reading that is loud beyond all
+        others is as good as missing, and its noise must not raise what the others are allowed to add.
+
+        Raises
+        ------
+        NumericsError
+            If even the fewest components have a larger one; says how large.
+        """
+        variance = self._problem.noise_variance
+        louder = 1.0 if variance is None else float(np.sqrt(variance.mean() * (1 / variance).mean()))
+        reached = louder * self.noise_figures(self.grid)
+        enough = np.flatnonzero(reached <= target)
+        if not enough.size:
+            raise NumericsError(
+                f"no number of components keeps within noise figure {target:.3g} with the readings that are left; the"
+                f" least is {reached.min():.3g}",
+                remedy="ask for a larger noise figure, give the number of components itself, or mend bad channels",
+            )
+        return int(self.cuts[enough[-1]])
 
     def matrix(self, components: int) -> Array:
         """Imaging matrix (e, m).

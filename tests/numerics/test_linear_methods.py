@@ -227,6 +227,62 @@ def test_a_masked_sensor_keeps_no_half_pair(pin_sensor):
     assert TruncatedSvd().prepare(masked).choice.value in Truncation(masked).cuts
 
 
+def press_errors_mm(method, problem: ImagingProblem) -> np.ndarray:
+    """How far 85 % masks of noisy presses (60 dB) lie from them, at 15 and 30 mm all around."""
+    random, matrix, mesh = np.random.default_rng(1), method().prepare(problem).matrix, problem.mesh
+    deviation = deviation_of(problem.nominal or problem)
+    errors = []
+    for radius in (15.0, 30.0):
+        for angle in np.arange(0, 2 * np.pi, np.pi / 4):
+            x, y = radius * np.cos(angle), radius * np.sin(angle)
+            signal = target_signal(problem, x_mm=x, y_mm=y, radius_mm=6.5, contrast=0.2)
+            image = matrix @ (signal + deviation * random.standard_normal(len(signal)))
+            mass = np.where(image >= 0.85 * image.max(), mesh.areas_mm2, 0.0)
+            errors.append(np.hypot(*(mass @ mesh.centroids_mm / mass.sum() - (x, y))))
+    return np.array(errors)
+
+
+@pytest.mark.parametrize("dead", [(3,), (3, 8), (3, 4, 5), (3, 8, 13)])
+def test_truncation_with_bad_channels_makes_no_image_of_noise(pin_sensor, dead):
+    """A count of components does not carry over to fewer readings."""
+    sensor = pin_sensor()
+    used = sensor.pattern.usable()
+    for electrode in dead:
+        used[sensor.pattern.drive_currents()[electrode] != 0] = False
+        used[:, sensor.pattern.measure_matrix()[electrode] != 0] = False
+    masked = imaging_problem(sensor, used=used, image_size_mm=5.0)
+    assert np.median(press_errors_mm(TruncatedSvd, masked)) < 2.5 * np.median(press_errors_mm(GaussNewtonNoser, masked))
+    for options in ({}, {"choose": "gcv"}, {"choose": "discrepancy"}, {"noise_figure": 1.5}):
+        of_type = TruncatedSvd(**options).prepare(imaging_problem(sensor, image_size_mm=5.0)).choice
+        choice = TruncatedSvd(**options).prepare(masked).choice
+        bound = options.get("noise_figure", of_type.noise_figure if options else 1.0)
+        assert choice.noise_figure <= bound * (1 + 1e-9)
+        further = Truncation(masked).cuts
+        further = further[further > choice.value].astype(float)
+        assert (Truncation(masked).noise_figures(further) > bound).all()
+        said = f"{of_type.value:.0f} components there, chosen again on the {used.sum()} readings in use"
+        assert said in choice.how
+        assert choice.how.endswith(f"are {choice.value:.0f}, with {choice.noise_figure:.2f}")
+
+
+def test_readings_that_are_all_noise_are_as_good_as_missing(pin_sensor):
+    sensor = pin_sensor()
+    used = sensor.pattern.usable()
+    used[[2, 3, 7, 8, 12, 13]] = used[:, [2, 3, 7, 8, 12, 13]] = False
+    usable = sensor.pattern.usable()
+    loud = imaging_problem(sensor, noise_variance=np.where(used, 1.0, 1e10)[usable], image_size_mm=5.0)
+    masked = imaging_problem(sensor, used=used, image_size_mm=5.0)
+    one, other = (TruncatedSvd().prepare(each).choice for each in (loud, masked))
+    assert one.value == pytest.approx(other.value, abs=4)
+    assert "208 readings in use, weighted by their noise" in one.how
+
+
+def test_a_noise_figure_that_no_truncation_keeps_within_is_refused(problem):
+    with pytest.raises(NumericsError, match=r"no number of components keeps within noise figure 1e-06") as refused:
+        Truncation(problem).within(1e-6)
+    assert "bad channels" in refused.value.remedy
+
+
 def test_back_projection_is_the_normalised_transpose(problem):
     prepared = LinearBackProjection().prepare(problem)
     relative = problem.jacobian / problem.reference[:, None]
