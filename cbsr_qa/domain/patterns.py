@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import is_whole
 from cbsr_qa.domain.reading_rank import Functional, rank_of
 
 Pair = tuple[int, int]
@@ -35,7 +36,7 @@ class DrivePattern:
     ------
     RefusedError
         If there are no pairs, or a pair repeats, joins an electrode with itself, or names an electrode that is not
-        there.
+        there, or not by a whole number.
     """
 
     electrode_count: int
@@ -131,6 +132,21 @@ class DrivePattern:
         """
         return rank_of(_functionals(self, self.usable() if used is None else used))
 
+    def too_few_readings(self, used: NDArray[np.bool_]) -> int | None:
+        """Number of independent readings where they are fewer than an image needs; None where there are enough.
+
+        Enough are :data:`FEWEST_INDEPENDENT`. They are not counted beyond, which takes long with many electrodes.
+
+        Parameters
+        ----------
+        used : (drive pairs, measure pairs) bool.
+        """
+        functionals = _functionals(self, used)
+        if rank_of(functionals[: 4 * FEWEST_INDEPENDENT]) >= FEWEST_INDEPENDENT:
+            return None
+        independent = rank_of(functionals)
+        return independent if independent < FEWEST_INDEPENDENT else None
+
 
 def adjacent_pattern(electrode_count: int) -> DrivePattern:
     """Pair k joins electrodes k and k+1, for driving and for measuring alike (the rig's pattern)."""
@@ -183,6 +199,10 @@ def pair_problems(pairs: Sequence[Sequence[int]], electrode_count: int) -> Itera
         yield None, "has no pairs"
     seen: dict[tuple[int, ...], int] = {}
     for index, pair in enumerate(pairs):
+        uncounted = [electrode for electrode in pair if not is_whole(electrode)]
+        if uncounted:
+            yield index, f"names electrode {uncounted[0]!r}; electrodes are counted by whole numbers"
+            continue
         missing = [electrode for electrode in pair if not 0 <= electrode < electrode_count]
         if len(pair) != 2:
             yield index, f"has {len(pair)} electrodes instead of two"
@@ -202,14 +222,11 @@ def imaging_problems(pattern: DrivePattern) -> Iterator[str]:
     if idle:
         which = ", ".join(map(str, idle[:6])) + (f" and {len(idle) - 6} more" if len(idle) > 6 else "")
         yield f"never uses electrode{'s' if len(idle) > 1 else ''} {which}; leave out what is not connected"
-    functionals, usable = _functionals(pattern, pattern.usable()), int(pattern.usable().sum())
-    if rank_of(functionals[: 4 * FEWEST_INDEPENDENT]) >= FEWEST_INDEPENDENT:
-        return  # no need to count them all
-    independent = rank_of(functionals)
-    if independent < FEWEST_INDEPENDENT:
+    independent = pattern.too_few_readings(pattern.usable())
+    if independent is not None:
         yield (
-            f"gives {independent} independent readings ({usable} touch no driven electrode); at least"
-            f" {FEWEST_INDEPENDENT} are needed to image"
+            f"gives {independent} independent readings ({int(pattern.usable().sum())} touch no driven electrode);"
+            f" at least {FEWEST_INDEPENDENT} are needed to image"
         )
 
 

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.numbers import real_numbers
 from cbsr_qa.domain.sensor import SensorType
 
 
@@ -190,12 +191,7 @@ def checked_readings(changes: NDArray[np.float64], problem: ImagingProblem) -> N
     RefusedError
         If the number of readings is not the prepared one, or one is not a finite real number; names the first.
     """
-    changes, count = np.asarray(changes), len(problem.reference)
-    if changes.dtype.kind not in "fiu":
-        raise RefusedError(
-            f"readings are of type {changes.dtype}, not real numbers",
-            remedy="give real parts or magnitudes of complex readings" if changes.dtype.kind == "c" else "",
-        )
+    changes, count = real_numbers(changes, "readings"), len(problem.reference)
     if changes.ndim != 2 or changes.shape[1] != count:
         raise RefusedError(f"readings of shape {changes.shape} do not fit {count} used channels")
     wrong = np.argwhere(~np.isfinite(changes))
@@ -207,7 +203,7 @@ def checked_readings(changes: NDArray[np.float64], problem: ImagingProblem) -> N
             f" {changes[frame, reading]}, not a finite number (one of {len(wrong)} such)",
             remedy="mask its channel instead of imaging it",
         )
-    return np.asarray(changes, dtype=np.float64)
+    return changes
 
 
 def linear(prepared: PreparedReconstruction) -> LinearReconstruction:

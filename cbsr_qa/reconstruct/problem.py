@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.footprints import RoundFootprint
 from cbsr_qa.domain.mesh import Mesh
-from cbsr_qa.domain.patterns import DrivePattern
+from cbsr_qa.domain.numbers import real_numbers
+from cbsr_qa.domain.patterns import FEWEST_INDEPENDENT, DrivePattern
 from cbsr_qa.domain.reconstruction import ImagingProblem
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.forward.coverage import cover
@@ -25,7 +26,7 @@ Array = NDArray[np.float64]
 NOMINAL_CONTACT_MM = 0.5
 
 _FORWARD_SIZE = 0.1  # edge length of the forward mesh far from electrodes, of the radius (5 mm on a 100 mm disc)
-_FEWEST_READINGS = 16
+_MOST_UNEQUAL: Final = 1e12  # largest over smallest noise variance; beyond, rounding decides what a reading says
 
 #: Whole electrodes that may be left out; with more, too much of the sheet lies between the others.
 MOST_MASKED: Final = 3
@@ -48,6 +49,7 @@ def imaging_problem(
         channels are left out here, never set to zero. Up to three whole electrodes may be missing.
     noise_variance : (drives, measures) or (m,) float64, variances of the readings in any common unit; None for equal
         noise. They are kept relative to their harmonic mean, so that λ means the same with equal noise and without.
+        The largest of the used ones is at most 1e12 times the smallest.
     image_size_mm : edge length of the image's elements [mm].
     sample, measured : (k, drives, measures) or (k, m), and without k, as of :class:`ImagingProblem`; scaled as its
         reference.
@@ -60,8 +62,9 @@ def imaging_problem(
     Raises
     ------
     NumericsError
-        If the mask has another shape, fewer than 16 readings or more than three electrodes fewer are left, a variance
-        is not a positive finite number, or a sample or measured frame does not fit or is not finite.
+        If the mask has another shape, fewer than :data:`~cbsr_qa.domain.patterns.FEWEST_INDEPENDENT` independent
+        readings or more than three electrodes fewer are left, a variance is not a positive finite number or too far
+        from the others, or a sample or measured frame does not fit or is not of finite real numbers.
     """
     nominal = _nominal(sensor_type, float(image_size_mm))
     whole = sensor_type.pattern.usable()
@@ -76,10 +79,12 @@ def imaging_problem(
         nominal.jacobian[used],
         nominal.reference[used],
         used,
-        None if noise_variance is None else _relative_variance(np.asarray(noise_variance, dtype=np.float64), used),
+        None if noise_variance is None else _relative_variance(real_numbers(noise_variance, "noise variances"), used),
         full,
-        None if sample is None else _readings("sample", np.asarray(sample, dtype=np.float64), used, 2),
-        None if measured is None else _readings("measured frame", np.asarray(measured, dtype=np.float64), used, 1),
+        None if sample is None else _readings("sample", real_numbers(sample, "readings of a sample"), used, 2),
+        None
+        if measured is None
+        else _readings("measured frame", real_numbers(measured, "readings of a measured frame"), used, 1),
     )
 
 
@@ -151,13 +156,11 @@ def _nominal(sensor_type: SensorType, image_size_mm: float) -> _Nominal:
 
 def _check_used(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
     if used.shape != pattern.shape:
-        raise NumericsError(f"a mask of {used.shape} readings does not fit frames of {pattern.shape}")
-    count = int(used.sum())
-    if count < _FEWEST_READINGS:
         raise NumericsError(
-            f"only {count} readings are left to image from; at least {_FEWEST_READINGS} are needed",
-            remedy="mend the channels that were masked",
+            f"a mask of {used.shape} readings does not fit frames of {pattern.shape}",
+            remedy="say of every reading, by drive and measure pair, whether it is used",
         )
+    _check_number(pattern, used)
     masked = masked_electrodes(pattern, used)
     if len(masked) > MOST_MASKED:
         raise NumericsError(
@@ -165,6 +168,24 @@ def _check_used(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
             f" at most {MOST_MASKED} may be: what lies between the others would be guessed",
             remedy="mend their contacts",
         )
+
+
+def _check_number(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
+    """Refuse too few readings, by what makes them few: the pattern, or a mask."""
+    independent = pattern.too_few_readings(used)
+    if independent is None:
+        return
+    left_out = int((pattern.usable() & ~used).sum())
+    if left_out:
+        raise NumericsError(
+            f"only {independent} independent readings are left to image from, with {left_out} masked; at least"
+            f" {FEWEST_INDEPENDENT} are needed",
+            remedy="mend the channels that were masked",
+        )
+    raise NumericsError(
+        f"the pattern gives {independent} independent readings; at least {FEWEST_INDEPENDENT} are needed to image",
+        remedy="drive or measure at further pairs of electrodes",
+    )
 
 
 def _touched(pattern: DrivePattern, readings: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -178,13 +199,50 @@ def _touched(pattern: DrivePattern, readings: NDArray[np.bool_]) -> NDArray[np.b
 def _relative_variance(variance: Array, used: NDArray[np.bool_]) -> Array:
     count = int(used.sum())
     variance = variance[used] if variance.shape == used.shape else variance
-    if variance.shape != (count,) or not (np.isfinite(variance) & (variance > 0)).all():
+    if variance.shape != (count,):
         raise NumericsError(
-            f"noise variances of shape {variance.shape} are not one positive finite number"
-            f" for each of {count} readings"
+            f"noise variances of shape {variance.shape} are not one for each of {count} used readings",
+            remedy=f"give {count} of them, or {used.shape} by drive and measure pair",
         )
-    relative: Array = variance * (1 / variance).mean()
+    wrong = np.flatnonzero(~(np.isfinite(variance) & (variance > 0)))
+    if wrong.size:
+        raise NumericsError(
+            f"the noise variance of {_pair(used, wrong[0])} is {variance[wrong[0]]} (one of {wrong.size} such); it"
+            " must be a positive finite number",
+            remedy="leave its channel out (`used`), or give it a variance near the others'",
+        )
+    _check_spread(variance, used)
+    with np.errstate(over="ignore"):
+        mean = (1 / variance).mean()
+    if not np.isfinite(mean) or mean < np.finfo(np.float64).tiny:
+        extreme = int(variance.argmax() if np.isfinite(mean) else variance.argmin())
+        raise NumericsError(
+            f"the noise variance of {_pair(used, extreme)} is {variance[extreme]:g}; its reciprocal is beyond the"
+            " range of numbers",
+            remedy="give variances in a larger or smaller unit: only their ratios count",
+        )
+    relative: Array = variance * mean
     return relative
+
+
+def _check_spread(variance: Array, used: NDArray[np.bool_]) -> None:
+    """Refuse variances of which one is so far from the others that an image is of it alone, or rounding its share."""
+    least, largest = int(variance.argmin()), int(variance.argmax())
+    if variance[largest] / _MOST_UNEQUAL <= variance[least]:
+        return
+    size = np.log(variance)
+    far = largest if size[largest] + size[least] > 2 * np.median(size) else least
+    other = least if far == largest else largest
+    raise NumericsError(
+        f"the noise variance of {_pair(used, far)} is {variance[far]:g}, that of {_pair(used, other)}"
+        f" {variance[other]:g}; the largest is at most {_MOST_UNEQUAL:g} times the smallest",
+        remedy="leave its channel out (`used`), or give it a variance near the others'",
+    )
+
+
+def _pair(used: NDArray[np.bool_], reading: int) -> str:
+    drive, measure = np.argwhere(used)[reading]
+    return f"reading (drive {drive}, measure {measure})"
 
 
 def _readings(what: str, values: Array, used: NDArray[np.bool_], axes: int) -> Array:
@@ -193,7 +251,10 @@ def _readings(what: str, values: Array, used: NDArray[np.bool_], axes: int) -> A
     if values.shape[-2:] == used.shape and values.ndim == axes + 1:
         values = values[..., used]
     if values.ndim != axes or values.shape[-1] != count or not values.size:
-        raise NumericsError(f"a {what} of shape {values.shape} does not fit {count} used readings")
+        raise NumericsError(
+            f"a {what} of shape {values.shape} does not fit {count} used readings",
+            remedy=f"give {'frames' if axes > 1 else 'one frame'} of {count} readings, or of {used.shape}",
+        )
     if not np.isfinite(values).all():
         raise NumericsError(f"a {what} holds a reading that is not a finite number", remedy="leave its channel out")
     return values

@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import real_numbers
 from cbsr_qa.domain.reconstruction import ImagingProblem
 
 Array = NDArray[np.float64]
@@ -21,9 +22,10 @@ def scale_of(reference_voltages: Array, problem: ImagingProblem) -> float:
     Raises
     ------
     NumericsError
-        If a used reading is not finite, or the readings have nothing in common with the model's.
+        If a used reading is not a finite real number, the shape is another, or the readings have nothing in common
+        with the model's.
     """
-    readings = _used(reference_voltages[None], problem)[0]
+    readings = _used_once(reference_voltages, problem)
     scale = float(readings @ problem.reference / (problem.reference @ problem.reference))
     if abs(scale) * np.linalg.norm(problem.reference) <= 1e-6 * np.linalg.norm(readings) or scale == 0:
         raise NumericsError(
@@ -38,7 +40,7 @@ def agreement(reference_voltages: Array, problem: ImagingProblem) -> float:
 
     Near 1 the geometry, electrode order and polarity are right; near −1 the polarity is turned.
     """
-    readings = _used(reference_voltages[None], problem)[0]
+    readings = _used_once(reference_voltages, problem)
     length = float(np.linalg.norm(readings) * np.linalg.norm(problem.reference))
     return float(readings @ problem.reference) / length if length else 0.0
 
@@ -57,23 +59,60 @@ def changes(voltages: Array, reference: Array, problem: ImagingProblem, scale: f
     Raises
     ------
     NumericsError
-        If a used reading or the scale is not a finite number, the scale is zero, or shapes disagree.
+        If a used reading or the scale is not a finite real number, the scale is zero or so small that changes over
+        it are no numbers, or shapes disagree.
     """
-    if not np.isfinite(scale) or scale == 0:
-        raise NumericsError(f"the scale of the sensor is {scale}; it must be a finite number other than zero")
-    changed: Array = (_used(voltages, problem) - _used(reference[None], problem)) / scale
+    _check_scale(scale)
+    with np.errstate(over="ignore"):
+        changed: Array = (_used(voltages, problem) - _used_once(reference, problem)) / scale
+    wrong = np.argwhere(~np.isfinite(changed))
+    if wrong.size:
+        frame, channel = wrong[0]
+        raise NumericsError(
+            f"the change of {_reading(problem, channel)} of frame {frame} over the scale {scale:g} is too large for"
+            " a number",
+            remedy="take the scale of the sensor's own unloaded frame (scale_of), in the unit of the voltages",
+        )
     return changed
 
 
+def _check_scale(scale: float) -> None:
+    number = real_numbers(scale, "scales of a sensor")
+    if number.ndim or not np.isfinite(number) or number == 0:
+        raise NumericsError(
+            f"the scale of the sensor is {scale}; it must be a finite number other than zero",
+            remedy="take that of its unloaded frame (scale_of)",
+        )
+
+
+def _used_once(voltages: Array, problem: ImagingProblem) -> Array:
+    """Used readings (m,) of one frame (drives, measures)."""
+    frame = real_numbers(voltages, "voltages")
+    if frame.shape != problem.used.shape:
+        raise NumericsError(
+            f"a reference of shape {frame.shape} does not fit frames of {problem.used.shape}",
+            remedy="give one frame, by drive and measure pair",
+        )
+    return _used(frame[None], problem)[0]
+
+
 def _used(voltages: Array, problem: ImagingProblem) -> Array:
+    voltages = real_numbers(voltages, "voltages")
     if voltages.ndim != 3 or voltages.shape[1:] != problem.used.shape:
-        raise NumericsError(f"voltages of shape {voltages.shape} do not fit frames of {problem.used.shape}")
-    readings = np.asarray(voltages[:, problem.used], dtype=np.float64)
+        raise NumericsError(
+            f"voltages of shape {voltages.shape} do not fit frames of {problem.used.shape}",
+            remedy="give frames one after another, each by drive and measure pair",
+        )
+    readings: Array = voltages[:, problem.used]
     if not np.isfinite(readings).all():
         frame, channel = np.argwhere(~np.isfinite(readings))[0]
-        drive, measure = np.argwhere(problem.used)[channel]
         raise NumericsError(
-            f"reading (drive {drive}, measure {measure}) of frame {frame} is not a finite number",
+            f"{_reading(problem, channel)} of frame {frame} is not a finite number",
             remedy="leave its channel out of the problem (`used`)",
         )
     return readings
+
+
+def _reading(problem: ImagingProblem, channel: int) -> str:
+    drive, measure = np.argwhere(problem.used)[channel]
+    return f"reading (drive {drive}, measure {measure})"

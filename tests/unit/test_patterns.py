@@ -122,6 +122,8 @@ def test_a_rule_that_does_not_suit_is_refused_with_one_that_does(rule, count, re
         (((2, 2),), "joins electrode 2 with itself"),
         (((0, 4),), "names electrode 4; there are 0 to 3"),
         (((-1, 0),), "names electrode -1"),
+        (((0, 1.0),), "names electrode 1.0; electrodes are counted by whole numbers"),
+        ((("0", "1"),), "names electrode '0'; electrodes are counted by whole numbers"),
         (((0, 1, 2),), "has 3 electrodes instead of two"),
         ((), "has no pairs"),
     ],

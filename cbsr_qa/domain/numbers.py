@@ -1,0 +1,41 @@
+"""Numbers as callers give them, refused by name where they are of another type."""
+
+from numbers import Integral
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cbsr_qa.domain.errors import NumericsError
+
+
+def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[np.float64]:
+    """Return real numbers as float64; those that are are not copied.
+
+    Complex numbers, text and truth values are refused instead of cast: a cast drops imaginary parts, and reads text.
+
+    Parameters
+    ----------
+    values : any shape; lists of lists as well.
+    what : they are, in the plural, as a message begins.
+    remedy : for values of another type; by default what helps there.
+
+    Raises
+    ------
+    NumericsError
+        Naming the type found.
+    """
+    try:
+        array = np.asarray(values)
+    except (ValueError, TypeError) as error:
+        raise NumericsError(
+            f"{what} are rows of different lengths, not an array", remedy="give rows of one length"
+        ) from error
+    if array.dtype.kind not in "fiu":
+        parts = "give real parts or magnitudes" if array.dtype.kind == "c" else "give integers or floats"
+        raise NumericsError(f"{what} are of type {array.dtype}, not real numbers", remedy=remedy or parts)
+    return np.asarray(array, dtype=np.float64)
+
+
+def is_whole(value: object) -> bool:
+    """Whether a value counts something: an integer, which truth values are not."""
+    return isinstance(value, Integral) and not isinstance(value, bool)
