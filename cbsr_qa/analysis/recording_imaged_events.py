@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from cbsr_qa.analysis.recording_images import Array, EventImages, Sighting, Tell, prepare_for_events
 from cbsr_qa.analysis.recording_overlaps import with_fates, with_imaged_places
 from cbsr_qa.analysis.recording_scene import RecordedScene
+from cbsr_qa.analysis.recording_tracks import motion_of
 from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.image import Image
 from cbsr_qa.domain.load_events import EventImaging, LoadEvent
@@ -87,6 +88,7 @@ def _event(scene: RecordedScene, one: Sighting, values: Array) -> LoadEvent:
         y_mm=place.y * radius if scene.named else None,
         force_N=_peak_force(scene.recording.samples, one.start_s, one.end_s),
         track=one.track,
+        motion=motion_of(one.track, scene.sheet.layout),
     )
 
 

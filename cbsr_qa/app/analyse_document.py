@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from cbsr_qa.domain.load_events import ChannelReport, EventImaging, LoadEvent, NoiseReport, RecordingResult
+from cbsr_qa.domain.load_events import ChannelReport, EventImaging, LoadEvent, Motion, NoiseReport, RecordingResult
 from cbsr_qa.domain.recording import Recording, RowProblem
 
 
@@ -141,7 +141,18 @@ def _event(event: LoadEvent) -> dict[str, Any]:
         }
     if event.track:
         document["track"] = [{"time_s": t, "x_over_R": x, "y_over_R": y} for t, x, y in event.track]
+        document["motion"] = None if event.motion is None else _motion(event.motion)
     return document
+
+
+def _motion(motion: Motion) -> dict[str, Any]:
+    ends = {"from": motion.begins, "to": motion.ends}
+    return {
+        **{name: {"electrode": electrode, "r_over_R": r} for name, (electrode, r) in ends.items()},
+        "turns": motion.turns,
+        "nearest_r_over_R": motion.nearest_r_over_R,
+        "words": motion.words,
+    }
 
 
 def _noise(noise: NoiseReport, recording: Recording) -> dict[str, Any]:

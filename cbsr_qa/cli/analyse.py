@@ -103,6 +103,8 @@ def _show(outcome: "Analysed", *, chosen: bool) -> None:
     for event in result.events:
         imaged = f", {_imaged(event)}" if chosen else ""
         say(f"  event     {_said(event, still=result.frame_rate_hz is None)}{imaged}")
+        if event.motion is not None:
+            say(f"            moves: {event.motion.words}; the place above is where it is clearest")
     if not result.events:
         say(f"  no event  {result.events_why}")
     if outcome.report is not None:

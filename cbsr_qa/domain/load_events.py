@@ -1,12 +1,17 @@
 """What was found in a recording nobody annotated: channels, noise, and presses as events."""
 
 from dataclasses import dataclass
+from typing import Final
 
 from cbsr_qa.domain.image import Image
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.reconstruction import ParameterChoice
 from cbsr_qa.domain.recording import Recording
 from cbsr_qa.domain.sensor import SensorType
+
+_AT_CENTRE: Final = 0.15  #: r/R within which an object has no direction worth a turn
+_NO_TURN: Final = 0.05
+_WHOLE_TURN: Final = 0.15
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +124,42 @@ class EventImaging:
     elements: int | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How an object moves while it is followed.
+
+    Parameters
+    ----------
+    begins, ends : electrode (direction as a fractional number) and r/R of its first and last place.
+    turns : round the centre, positive towards higher electrode numbers; means nothing for a way through the centre.
+    nearest_r_over_R : how near it comes to the centre.
+    """
+
+    begins: tuple[float, float]
+    ends: tuple[float, float]
+    turns: float
+    nearest_r_over_R: float
+
+    @property
+    def words(self) -> str:
+        """From where to where, and which way round."""
+        (first, first_r), (last, last_r) = self.begins, self.ends
+        places = f"from electrode {first:.1f}, r/R {first_r:.2f} to electrode {last:.1f}, r/R {last_r:.2f}"
+        way = self._way()
+        return f"{places}, {way}" if way else places
+
+    def _way(self) -> str:
+        if self.nearest_r_over_R < _AT_CENTRE:
+            return "through the centre"
+        sense = f"towards {'higher' if self.turns > 0 else 'lower'} electrode numbers"
+        round_ = abs(self.turns)
+        if round_ < _NO_TURN:
+            return ""
+        if abs(round_ - 1) <= _WHOLE_TURN:
+            return f"once round, {sense}"
+        return f"{round_:.1f} times round, {sense}" if round_ > 1 else sense
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LoadEvent:
     """One press (or object) found without being told where or when.
@@ -134,6 +175,7 @@ class LoadEvent:
     image : of the change it made.
     force_N : peak force while it lasted; None where not recorded.
     track : (time_s, x_over_R, y_over_R) per frame of an object that moves; empty for a press.
+    motion : how an object moves; None where it stays, and for a press.
     fate : beside others held at its peak, whether the image shows it ``"apart"``, ``"merged"`` with one of them, or
         it was ``"missed"``; empty where it was alone.
     imaged : where its own image shows it; None where the image shows nothing near its place.
@@ -152,6 +194,7 @@ class LoadEvent:
     y_mm: float | None = None
     force_N: float | None = None
     track: tuple[tuple[float, float, float], ...] = ()
+    motion: Motion | None = None
     fate: str = ""
     imaged: ImagedPlace | None = None
 

@@ -3,10 +3,12 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import ceil
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
+from numpy.typing import NDArray
 
 from cbsr_qa.domain.electrodes import Electrodes
 from cbsr_qa.domain.image import Image
@@ -17,6 +19,9 @@ from cbsr_qa.report.outlines import Raster
 from cbsr_qa.report.sheet import add_scale, draw_electrodes, draw_sheet, fit_sheet, reach
 from cbsr_qa.report.style import CHANGE_MAP, INK, QUIET, WIDTH_IN, bare, canvas, change_norm
 from cbsr_qa.report.svg import drawn
+
+_SCALE_LABEL: Final = "conductance change Δγ/γ₀ [%]"
+_SCALE_IN: Final = 0.42  #: room for a scale below each image
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +41,18 @@ class Marker:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePanel:
-    """One image with a title, a line below it, and the places found on it."""
+    """One image with a title, a line below it, the places found on it, and the way an object took.
+
+    Parameters
+    ----------
+    track : (n, 2) in the unit of the image's mesh, in order of time; None where nothing moves.
+    """
 
     title: str
     image: Image
     markers: tuple[Marker, ...] = ()
     note: str = ""
+    track: NDArray[np.float64] | None = None
 
 
 def image_figure(
@@ -63,7 +74,7 @@ def image_figure(
     electrodes : drawn and numbered where they are known; a ring is drawn on a disc's edge where it would be
         outside of it, the disc being in another unit than millimetres.
     columns : at most this many side by side.
-    shared_scale : one colour scale for all; otherwise each image has its own, stated below it.
+    shared_scale : one colour scale for all, below them; otherwise each image has its own below it.
 
     Returns
     -------
@@ -73,7 +84,8 @@ def image_figure(
 
     def build() -> Canvas:
         across = min(columns, len(panels))
-        figure, places = _laid_out(len(panels), across, below_in=0.6 if shared_scale else 0.1)
+        each_in, below_in = (0.0, 0.6) if shared_scale else (_SCALE_IN, 0.1)
+        figure, places = _laid_out(len(panels), across, each_in=each_in, below_in=below_in)
         sizes = [float(np.abs(panel.image.values).max()) for panel in panels]
         rasters: dict[int, Raster] = {}
         for panel, size, axes in zip(panels, sizes, places, strict=True):
@@ -83,6 +95,8 @@ def image_figure(
             _draw_panel(axes, panel, rasters[id(mesh)], sheet, max(sizes) if shared_scale else size)
             if electrodes is not None:
                 draw_electrodes(axes, electrodes, sheet)
+            if not shared_scale:
+                _draw_own_scale(figure, axes, size)
         if shared_scale:
             _draw_scale(figure, max(sizes))
         return figure
@@ -90,16 +104,17 @@ def image_figure(
     return drawn(build, caption=caption, alternative=alternative)
 
 
-def _laid_out(count: int, across: int, *, below_in: float) -> tuple[Canvas, list[Axes]]:
-    """Square axes in rows, with room for a title above and a note below each, and below them all."""
+def _laid_out(count: int, across: int, *, each_in: float, below_in: float) -> tuple[Canvas, list[Axes]]:
+    """Square axes in rows, with room for a title above and a note (and more) below each, and below them all."""
     side_in = min((WIDTH_IN - 0.6) / across, 2.9)
-    height_in = ceil(count / across) * (side_in + 0.42) + below_in
+    row_in = side_in + 0.42 + each_in
+    height_in = ceil(count / across) * row_in + below_in
     figure = canvas(height_in)
     left_in = (WIDTH_IN - across * side_in) / 2
     places = []
     for index in range(count):
         row, column = divmod(index, across)
-        bottom_in = height_in - (row + 1) * (side_in + 0.42) + 0.2
+        bottom_in = height_in - (row + 1) * row_in + 0.2 + each_in
         corner = ((left_in + column * side_in) / WIDTH_IN, bottom_in / height_in)
         places.append(figure.add_axes((*corner, side_in / WIDTH_IN, side_in / height_in)))
     return figure, places
@@ -108,8 +123,14 @@ def _laid_out(count: int, across: int, *, below_in: float) -> tuple[Canvas, list
 def _draw_scale(figure: Canvas, largest: float) -> None:
     whole = figure.add_axes((0, 0, 1, 1))
     whole.set_axis_off()
-    label = "conductance change Δγ/γ₀ [%]"
-    add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=label, place="bottom")
+    add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=_SCALE_LABEL, place="bottom")
+
+
+def _draw_own_scale(figure: Canvas, axes: Axes, largest: float) -> None:
+    """Draw an image's scale below its note."""
+    bottom_in = axes.get_position().y0 * figure.get_size_inches()[1] - 0.3
+    norm = change_norm(100 * largest)
+    add_scale(figure, axes, norm, CHANGE_MAP, label=_SCALE_LABEL, place="bottom", bottom_in=bottom_in)
 
 
 def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, sheet: SheetOutline, largest: float) -> None:
@@ -123,6 +144,8 @@ def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, sheet: SheetOutli
         norm=change_norm(largest),
     )
     draw_sheet(axes, sheet)
+    if panel.track is not None:
+        _draw_track(axes, panel.track)
     for marker in panel.markers:
         axes.plot([marker.x], [marker.y], marker="+", markersize=8, color="white", markeredgewidth=2.6, zorder=7)
         axes.plot([marker.x], [marker.y], marker="+", markersize=7, color=INK, markeredgewidth=1.1, zorder=8)
@@ -138,6 +161,14 @@ def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, sheet: SheetOutli
     if panel.note:
         axes.text(0.5, -0.01, panel.note, transform=axes.transAxes, ha="center", va="top", fontsize=7, color=QUIET)
     fit_sheet(axes, sheet)
+
+
+def _draw_track(axes: Axes, track: NDArray[np.float64]) -> None:
+    """Draw a way from a ring to a dot, readable on dark and pale images."""
+    for width, colour, order in ((2.4, "white", 4.5), (0.9, INK, 5)):
+        axes.plot(*track.T, color=colour, linewidth=width, zorder=order)
+    for place, face in ((track[0], "white"), (track[-1], INK)):
+        axes.plot(*place, "o", markersize=4.5, markerfacecolor=face, markeredgecolor=INK, zorder=6)
 
 
 def sheet_radius(mesh: Mesh) -> float:

@@ -135,4 +135,5 @@ def _found(result: RecordingResult) -> str:
     sense = "conducts more" if strongest.sign > 0 else "conducts less"
     place = f"electrode {strongest.electrode:.1f}, r/R {strongest.r_over_R:.2f}"
     when = "" if result.frame_rate_hz is None else f" at {strongest.peak_s:.1f} s"
-    return f"the clearest{when} near {place}: the place {sense}, SNR {strongest.snr:.3g}"
+    moves = "" if strongest.motion is None else f"; it moves: {strongest.motion.words}"
+    return f"the clearest{when} near {place}: the place {sense}, SNR {strongest.snr:.3g}{moves}"

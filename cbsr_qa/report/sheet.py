@@ -144,15 +144,29 @@ def draw_heads(axes: Axes, paths: list[Path], *, color: str = INK, dashed: bool 
     )
 
 
-def add_scale(figure: Canvas, axes: Axes, norm: Normalize, colours: Colormap, *, label: str, place: str) -> None:
-    """Draw a slim colour scale beside (``"right"``) or below (``"bottom"``) the axes."""
+def add_scale(
+    figure: Canvas,
+    axes: Axes,
+    norm: Normalize,
+    colours: Colormap,
+    *,
+    label: str,
+    place: str,
+    bottom_in: float = 0.36,
+) -> None:
+    """Draw a slim colour scale beside (``"right"``) or below (``"bottom"``) the axes.
+
+    Parameters
+    ----------
+    bottom_in : height of a scale below above the figure's lower edge [in].
+    """
     box = axes.get_position()
     beside = place == "right"
     if beside:
         slot = figure.add_axes((box.x1 + 0.015, box.y0 + 0.15 * box.height, 0.013, 0.7 * box.height))
     else:
         height_in = figure.get_size_inches()[1]
-        slot = figure.add_axes((box.x0 + 0.3 * box.width, 0.36 / height_in, 0.4 * box.width, 0.09 / height_in))
+        slot = figure.add_axes((box.x0 + 0.3 * box.width, bottom_in / height_in, 0.4 * box.width, 0.09 / height_in))
     low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     ramp = np.linspace(low, high, 128)[None, :]
     extent = (0, 1, low, high) if beside else (low, high, 0, 1)

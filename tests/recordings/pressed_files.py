@@ -27,6 +27,18 @@ def pressed_frames(x, y, *, contrast, n=80, start=30, end=60, seed=1):
     return empty + loaded[:, None, None] * (full - empty) + noise
 
 
+def moving_frames(places, *, contrast, seed=1):
+    """Volts of a disc with a load that is at another place in each frame; places (n, 2) in radii, (n, 16, 16)."""
+    model = nominal_model(DISC)
+    empty = model.model.voltages()
+    frames = []
+    for x, y in places:
+        elements, share = disc_coverage(model.model.mesh, 50 * x, 50 * y, 6.5)
+        frames.append(model.voltages(elements, contrast * share))
+    noise = np.random.default_rng(seed).normal(0, 1e-4 * np.abs(empty).mean(), (len(places), 16, 16))
+    return np.array(frames) + noise
+
+
 def exported(tmp_path, frames, *, sensor_type=None, name="run.h5", unit=VoltageUnit.VOLT, current_A=0.001, **said):
     times = 100 + 2.5 * np.arange(len(frames))
     block = FrameBlock(times, frames, np.zeros(frames.shape, np.uint8), unit, current_A)

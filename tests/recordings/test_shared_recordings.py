@@ -242,6 +242,8 @@ def test_the_rod_that_goes_round_never_goes_backwards(tank):
     assert np.diff(angle).min() > -0.1
     assert np.hypot(*track.T).mean() == pytest.approx(0.49, abs=0.05)
     assert event["sign"] == -1
+    assert "from electrode 1.6" in event["motion"]["words"]
+    assert "once round, towards higher electrode numbers" in event["motion"]["words"]
 
 
 def test_the_rod_that_goes_straight_through_the_centre(tank):
@@ -252,6 +254,7 @@ def test_the_rod_that_goes_straight_through_the_centre(tank):
     along = track[-1] - track[0]
     across = np.array([-along[1], along[0]]) / np.hypot(*along)
     assert np.abs(track @ across).max() < 0.06
+    assert event["motion"]["words"].endswith("through the centre")
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from cbsr_qa.domain.image import Blob, Image
 from cbsr_qa.domain.observation import Trace
 from cbsr_qa.domain.outlines import Disc
 from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit
+from cbsr_qa.domain.report import Figure
 from cbsr_qa.forward.meshing import image_mesh
 from cbsr_qa.report.figures_channels import ChannelMark, channel_map_figure
 from cbsr_qa.report.figures_metrics import Held, held_profile
@@ -25,6 +26,7 @@ from cbsr_qa.report.figures_time import Span, thinned, timeline_figure
 from cbsr_qa.report.outlines import Raster, rings
 from cbsr_qa.report.style import spread_labels
 from cbsr_qa.report.svg import checked_svg
+from cbsr_qa_plugins.sections.recording_events import RecordingEvents
 
 SVG = '<svg xmlns="http://www.w3.org/2000/svg" xmlns:xlink="http://www.w3.org/1999/xlink">{}</svg>'
 
@@ -132,6 +134,41 @@ def test_units_of_the_recording_need_no_millimetres():
     words = re.findall(r"<text[^>]*>([^<]*)</text>", figure.svg)
     assert "E1" in words
     assert not any("mm" in text for text in words)
+
+
+@pytest.mark.parametrize("shared_scale", [True, False])
+def test_every_image_has_a_colour_scale_in_percent_its_own_or_a_common_one(shared_scale):
+    """Values of two images a thousand times apart: ticks of one scale cannot say both."""
+    image = sample_recording(1).events[0].image
+    panels = [
+        ImagePanel(name, Image(image.mesh, size * image.values / np.abs(image.values).max()))
+        for name, size in (("E1", 0.002), ("E2", 2.0))
+    ]
+    figure = image_figure(panels, sheet=Disc(1.0), caption="c", alternative="a", shared_scale=shared_scale)
+    words = re.findall(r"<text[^>]*>([^<]*)</text>", figure.svg)
+    assert words.count("conductance change Δγ/γ₀ [%]") == (1 if shared_scale else 2)
+    ticks = {abs(float(text.replace("−", "-"))) for text in words if re.fullmatch(r"−?[\d.]+", text)}
+    assert max(ticks) in (100, 150, 200)
+    assert any(0 < tick <= 0.2 for tick in ticks) is not shared_scale
+
+
+@pytest.mark.parametrize(("events", "said"), [(1, False), (2, True)])
+def test_the_caption_of_several_events_says_that_scales_differ(events, said):
+    section = RecordingEvents().render(sample_recording(events))
+    (pictures,) = [block for block in section.blocks if isinstance(block, Figure) and "Marked:" in block.caption]
+    assert ("Each image has its own colour scale" in pictures.caption) is said
+    assert pictures.svg.count("conductance change Δγ/γ₀ [%]") == events
+
+
+def test_the_way_of_an_object_is_drawn_from_a_ring_to_a_dot():
+    image = sample_recording(1).events[0].image
+    still = ImagePanel("E1", image)
+    moved = ImagePanel("E1", image, track=np.array([[0.5, 0.0], [0.0, 0.5], [-0.5, 0.0]]))
+    still_svg, moved_svg = (
+        image_figure([panel], sheet=Disc(1.0), caption="c", alternative="a").svg for panel in (still, moved)
+    )
+    assert moved_svg.count("<path") >= still_svg.count("<path") + 3
+    assert moved_svg.count("<use") == still_svg.count("<use") + 2
 
 
 @given(st.floats(-30, 30), st.floats(-30, 30), st.floats(4, 18), st.booleans())

@@ -28,7 +28,8 @@ class RecordingEvents:
         blocks: list[Block] = []
         if result.events:
             still = result.frame_rate_hz is None
-            blocks += [_table(result.events, still=still), _images(result), _imaging(result), _imaged(result.events)]
+            blocks += [_table(result.events, still=still), *_moving(result.events)]
+            blocks += [_images(result), _imaging(result), _imaged(result.events)]
         else:
             blocks.append(Paragraph(f"No event: {result.events_why}.", "note"))
         if timeline := _timeline(result):
@@ -67,6 +68,11 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
         + (" Beside others held at its peak: whether the image shows it as a region of its own." if beside else "")
     )
     return text_table(caption, columns, rows, numeric)
+
+
+def _moving(events: Sequence[LoadEvent]) -> list[Block]:
+    said = [f"{_name(rank)} moves: {event.motion.words}" for rank, event in enumerate(events) if event.motion]
+    return [Paragraph(f"{'. '.join(said)}. The table gives where it is clearest.")] if said else []
 
 
 def _imaging(result: RecordingResult) -> Table:
@@ -115,16 +121,22 @@ def _images(result: RecordingResult) -> Figure:
     panels = []
     for rank, event in enumerate(shown):
         place = Marker(event.x_over_R * sheet.radius_mm, event.y_over_R * sheet.radius_mm)
-        note = f"electrode {event.electrode:.1f}, r/R {event.r_over_R:.2f}"
-        panels.append(ImagePanel(_name(rank), event.image, (place,), note))
+        moves = event.motion is not None
+        track = np.array([at[1:] for at in event.track]) * sheet.radius_mm if moves else None
+        note = f"{'clearest at ' if moves else ''}electrode {event.electrode:.1f}, r/R {event.r_over_R:.2f}"
+        panels.append(ImagePanel(_name(rank), event.image, (place,), note, track))
     left = "" if len(shown) == len(events) else f" The first {len(shown)} of {len(events)}."
+    moved = (
+        " Line: the way of what moves, from the ring to the dot." if any(p.track is not None for p in panels) else ""
+    )
+    scale = " Each image has its own colour scale, below it." if len(panels) > 1 else ""
     return image_figure(
         panels,
         sheet=sheet,
         electrodes=sensor.electrodes,
         shared_scale=False,
         caption="Change each event made against the frames just before it (or against the reference). Marked: the"
-        f" place of the best fit of a small load, which the blur of the image does not move.{left}",
+        f" place of the best fit of a small load, which the blur of the image does not move.{moved}{scale}{left}",
         alternative="; ".join(f"{panel.title}: {panel.note}" for panel in panels),
     )
 
