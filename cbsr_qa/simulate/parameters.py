@@ -1,0 +1,41 @@
+"""What parameters of effects may be, said in one way."""
+
+import math
+from typing import Any
+
+from cbsr_qa.domain.errors import ConfigError
+
+
+def number(name: str, value: Any, *, least: float = 0.0, most: float = math.inf, above: bool = False) -> float:
+    """A finite number in a range.
+
+    Parameters
+    ----------
+    name : of the parameter, with its unit.
+    least, most : the range.
+    above : whether ``least`` itself is not allowed.
+
+    Raises
+    ------
+    ConfigError
+        Naming the parameter, what was given and what is allowed.
+    """
+    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if good and (least < value if above else least <= value) and value <= most:
+        return float(value)
+    low = f"above {least:g}" if above else f"of at least {least:g}"
+    high = f" and at most {most:g}" if math.isfinite(most) else ""
+    raise ConfigError(f"{name} is {value!r}", remedy=f"it is a finite number {low}{high}")
+
+
+def electrode(name: str, value: Any, count: int) -> int:
+    """Number of an electrode.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such electrode.
+    """
+    if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count:
+        return value
+    raise ConfigError(f"{name} is {value!r}", remedy=f"electrodes are counted from 0 to {count - 1}")

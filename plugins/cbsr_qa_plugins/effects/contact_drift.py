@@ -1,0 +1,29 @@
+"""Contacts that change in the course of a run."""
+
+import numpy as np
+
+from cbsr_qa.domain.scene import Moment, SceneSetting
+from cbsr_qa.simulate.parameters import number
+from cbsr_qa.simulate.streams import RandomStream
+
+
+class ContactDrift:
+    """Every contact impedance grows or falls exponentially at a rate of its own, Gaussian, drawn once per seed.
+
+    Parameters
+    ----------
+    deviation_per_hour : standard deviation of the change of ln z in an hour.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "contacts"
+
+    def __init__(self, setting: SceneSetting, *, deviation_per_hour: float) -> None:
+        per_s = number("deviation_per_hour", deviation_per_hour, most=10.0) / 3600
+        count = setting.sensor_type.electrodes.count
+        self._rate_per_s = per_s * RandomStream(setting.seed, "contact-drift").normal(0, (count,))
+
+    def apply(self, moment: Moment) -> None:
+        """Change the contacts by what has passed since the run began."""
+        if moment.contact_mm is not None:
+            moment.contact_mm = moment.contact_mm * np.exp(self._rate_per_s * moment.time_s)

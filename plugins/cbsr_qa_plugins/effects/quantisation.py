@@ -1,0 +1,27 @@
+"""Readings in steps of a converter."""
+
+import numpy as np
+
+from cbsr_qa.domain.scene import Moment, SceneSetting
+from cbsr_qa.simulate.parameters import number
+
+
+class Quantisation:
+    """Every reading is rounded to the nearest step, 2 × range / 2^bits.
+
+    Parameters
+    ----------
+    range_V : of the converter, to both sides.
+    bits : of the converter.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "voltages"
+
+    def __init__(self, setting: SceneSetting, *, range_V: float, bits: int) -> None:
+        self._step_V = 2 * number("range_V", range_V, above=True) / 2.0 ** number("bits", bits, least=4, most=32)
+
+    def apply(self, moment: Moment) -> None:
+        """Round."""
+        if moment.voltages is not None:
+            moment.voltages = self._step_V * np.round(moment.voltages / self._step_V)

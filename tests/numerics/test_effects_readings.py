@@ -1,0 +1,216 @@
+"""Effects on readings and electrodes: each alone against its closed form."""
+
+import numpy as np
+import pytest
+from effect_setting import moment, setting
+from scipy.constants import Boltzmann
+
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.frames import ReadingFlag
+from cbsr_qa.domain.scene import SheetDesign
+from cbsr_qa.simulate.sheet import SimulatedSheet
+from cbsr_qa_plugins.effects.contact_drift import ContactDrift
+from cbsr_qa_plugins.effects.converter_saturation import ConverterSaturation
+from cbsr_qa_plugins.effects.electrode_short import ElectrodeShort
+from cbsr_qa_plugins.effects.johnson_noise import JohnsonNoise
+from cbsr_qa_plugins.effects.lead_resistance import LeadResistance
+from cbsr_qa_plugins.effects.mains_hum import MainsHum
+from cbsr_qa_plugins.effects.quantisation import Quantisation
+from cbsr_qa_plugins.effects.reading_memory import ReadingMemory
+from cbsr_qa_plugins.effects.reading_offset import ReadingOffset
+from cbsr_qa_plugins.effects.source_compliance import SourceCompliance
+from cbsr_qa_plugins.effects.time_skew import TimeSkew
+
+OF = setting()
+RANDOM = np.random.default_rng(4)
+
+
+def read(voltages, time_s=0.0, index=0):
+    at = moment(OF, time_s, index=index)
+    at.voltages = np.array(voltages, dtype=np.float64)
+    at.flags = np.zeros(at.voltages.shape, dtype=np.uint8)
+    return at
+
+
+@pytest.fixture(scope="module")
+def sheet():
+    return SimulatedSheet(
+        SheetDesign.plain(OF.sensor_type, OF.indenter), size_mm=8.0, interelectrode_resistance_ohm=1e4
+    )
+
+
+@pytest.mark.parametrize(("inner", "first", "last"), [("measure", (0, 1), (15, 14)), ("drive", (1, 0), (14, 15))])
+def test_readings_follow_each_other_through_the_frame(inner, first, last):
+    at = read(np.zeros((16, 16)))
+    TimeSkew(OF, share=0.8, inner=inner).apply(at)
+    offsets = at.reading_offsets_s
+    step = 0.8 * OF.frame_period_s / 256
+    assert np.diff(np.sort(offsets.ravel())) == pytest.approx(step)
+    assert offsets[first] - offsets[0, 0] == pytest.approx(step)
+    assert offsets[15, 15] - offsets[last] == pytest.approx(step)
+    assert offsets.mean() == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize("inner", ["measure", "drive"])
+@pytest.mark.parametrize("share", [0.0, 0.12, 0.5])
+def test_memory_is_the_recursion_it_says(inner, share):
+    plain = RANDOM.standard_normal((16, 16))
+    at = read(plain)
+    ReadingMemory(OF, share=share, inner=inner).apply(at)
+    found = at.voltages.ravel() if inner == "measure" else at.voltages.T.ravel()
+    order = plain.ravel() if inner == "measure" else plain.T.ravel()
+    assert found == pytest.approx((1 - share) * order + share * np.roll(found, 1), abs=1e-14)
+
+
+def test_memory_of_what_does_not_change_is_itself():
+    at = read(np.full((16, 16), 0.7))
+    ReadingMemory(OF, share=0.13).apply(at)
+    assert at.voltages == pytest.approx(0.7, abs=1e-14)
+
+
+@pytest.mark.parametrize("nplc", [0.01, 0.3, 1.5])
+def test_hum_is_a_sine_averaged_over_each_reading(nplc):
+    at = read(np.zeros((16, 16)), time_s=12.34)
+    TimeSkew(OF).apply(at)
+    MainsHum(OF, amplitude_V=0.01, nplc=nplc).apply(at)
+    times = 12.34 + at.reading_offsets_s
+    window = nplc / 50
+    phase = MainsHum(OF, amplitude_V=1.0)._phase
+    rate = 2 * np.pi * 50
+    expected = (np.cos(rate * (times - window / 2) + phase) - np.cos(rate * (times + window / 2) + phase)) / (
+        rate * window
+    )
+    assert at.voltages == pytest.approx(0.01 * expected, abs=1e-9)
+
+
+@pytest.mark.parametrize("nplc", [1, 2, 10])
+def test_whole_cycles_hear_no_hum(nplc):
+    at = read(np.zeros((16, 16)))
+    TimeSkew(OF).apply(at)
+    MainsHum(OF, amplitude_V=0.01, nplc=nplc).apply(at)
+    assert np.abs(at.voltages).max() < 1e-17
+
+
+def test_a_quantised_sine_has_the_error_of_its_steps():
+    """Uniform within half a step: deviation step/√12, and no reading further off."""
+    sine = np.sin(np.linspace(0, 200, 256 * 64)).reshape(64, 16, 16)
+    step = 2 * 2.0 / 2**12
+    errors = []
+    for frame in sine:
+        at = read(frame)
+        Quantisation(OF, range_V=2.0, bits=12).apply(at)
+        errors.append(at.voltages - frame)
+        assert np.abs(at.voltages / step - np.round(at.voltages / step)).max() < 1e-9
+    assert np.abs(errors).max() <= step / 2 * (1 + 1e-9)
+    assert np.std(errors) == pytest.approx(step / np.sqrt(12), rel=0.02)
+
+
+def test_beyond_the_range_readings_are_its_end_and_flagged():
+    at = read(np.linspace(-3, 3, 256).reshape(16, 16))
+    before = at.voltages.copy()
+    ConverterSaturation(OF, range_V=2.0).apply(at)
+    assert np.array_equal(at.voltages, np.clip(before, -2, 2))
+    assert np.array_equal(at.flags, np.where(np.abs(before) >= 2, ReadingFlag.SATURATED, 0))
+
+
+def test_an_offset_is_on_every_reading():
+    plain = RANDOM.standard_normal((16, 16))
+    at = read(plain)
+    ReadingOffset(OF, offset_V=-0.02).apply(at)
+    assert at.voltages == pytest.approx(plain - 0.02)
+
+
+def test_thermal_noise_is_nyquists(sheet):
+    effect, drawn = JohnsonNoise(OF, nplc=0.01, temperature_C=23.0), []
+    impedance = sheet.impedance({})
+    for index in range(300):
+        at = read(np.zeros((16, 16)), index=index)
+        at.impedance_ohm = impedance
+        effect.apply(at)
+        drawn.append(at.voltages)
+    pairs = OF.sensor_type.pattern.measure_matrix()
+    ohm = np.diag(pairs.T @ impedance @ pairs)
+    expected = np.sqrt(4 * Boltzmann * 296.15 * ohm / (2 * 0.01 / 50))
+    assert np.std(drawn, axis=(0, 1)) == pytest.approx(expected, rel=5 / np.sqrt(2 * 4800))
+    assert ohm.mean() == pytest.approx(1e4)
+
+
+def test_a_source_at_its_limit_gives_what_the_limit_gives():
+    at = read(np.zeros((16, 16)))
+    at.drive_ohm, at.current_A = np.linspace(1e4, 4e4, 16), np.full(16, 1e-3)
+    SourceCompliance(OF, limit_V=20.0).apply(at)
+    limited = at.drive_ohm > 2e4
+    assert at.current_A == pytest.approx(np.where(limited, 20 / at.drive_ohm, 1e-3))
+    assert ((at.flags & ReadingFlag.COMPLIANCE) > 0).all(axis=1).tolist() == limited.tolist()
+    assert (at.current_A * at.drive_ohm <= 20 * (1 + 1e-12)).all()
+
+
+def test_a_lead_is_seen_by_its_own_driven_pairs_alone(sheet):
+    at = read(np.zeros((16, 16)), time_s=50.0)
+    plain = sheet.impedance({})
+    at.impedance_ohm = plain
+    LeadResistance(OF, electrode=5, resistance_ohm=700.0, from_s=40.0, to_s=60.0).apply(at)
+    change = sheet.readings(at.impedance_ohm) - sheet.readings(plain)
+    expected = np.zeros((16, 16))
+    expected[4, 4] = expected[5, 5] = 700.0
+    expected[4, 5] = expected[5, 4] = -700.0
+    assert change == pytest.approx(expected, abs=1e-8)
+    later = read(np.zeros((16, 16)), time_s=60.0)
+    later.impedance_ohm = plain
+    LeadResistance(OF, electrode=5, resistance_ohm=700.0, from_s=40.0, to_s=60.0).apply(later)
+    assert np.array_equal(later.impedance_ohm, plain)
+
+
+@pytest.mark.parametrize("ohm", [0.0, 300.0])
+def test_a_short_is_a_conductor_beside_the_sheet(sheet, ohm):
+    """Kirchhoff at the electrodes: U = Z (I − a i), i = aᵀU/r, for every drive."""
+    at = read(np.zeros((16, 16)))
+    plain = sheet.impedance({})
+    at.impedance_ohm = plain
+    ElectrodeShort(OF, electrodes=[3, 9], resistance_ohm=ohm).apply(at)
+    between = np.zeros(16)
+    between[3], between[9] = 1, -1
+    for current in OF.sensor_type.pattern.drive_currents().T:
+        system = np.block([[np.eye(16), (plain @ between)[:, None]], [between[None], np.array([[-ohm]])]])
+        solved = np.linalg.solve(system, np.append(plain @ current, 0.0))[:16]
+        assert at.impedance_ohm @ current == pytest.approx(solved, abs=1e-8)
+        if not ohm:
+            assert between @ at.impedance_ohm @ current == pytest.approx(0, abs=1e-8)
+
+
+def test_contacts_drift_exponentially_each_at_its_own_rate():
+    effect = ContactDrift(OF, deviation_per_hour=0.3)
+    found = []
+    for time_s in (0.0, 1800.0, 3600.0):
+        at = moment(OF, time_s)
+        at.contact_mm = np.full(16, 0.2)
+        effect.apply(at)
+        found.append(np.log(at.contact_mm / 0.2))
+    assert found[0] == pytest.approx(0)
+    assert found[2] == pytest.approx(2 * found[1])
+    assert 0.1 < found[2].std() < 0.6
+
+
+@pytest.mark.parametrize(
+    ("made", "said"),
+    [
+        (lambda: TimeSkew(OF, inner="both"), "inner is 'both'"),
+        (lambda: TimeSkew(OF, share=1.2), "share is 1.2"),
+        (lambda: ReadingMemory(OF, share=1.0), "at most 0.9"),
+        (lambda: ReadingMemory(OF, share="much"), "'much'"),
+        (lambda: MainsHum(OF, amplitude_V=0.1, nplc=0.0), "nplc is 0"),
+        (lambda: Quantisation(OF, range_V=2.0, bits=2), "bits is 2"),
+        (lambda: ConverterSaturation(OF, range_V=-1.0), "range_V is -1"),
+        (lambda: ReadingOffset(OF, offset_V=float("nan")), "offset_V is nan"),
+        (lambda: JohnsonNoise(OF, temperature_C=-300.0), "temperature_C is -300"),
+        (lambda: SourceCompliance(OF, limit_V=0.0), "limit_V is 0"),
+        (lambda: LeadResistance(OF, electrode=16, resistance_ohm=1.0), "electrodes are counted from 0 to 15"),
+        (lambda: LeadResistance(OF, electrode=True, resistance_ohm=1.0), "electrode is True"),
+        (lambda: ElectrodeShort(OF, electrodes=[3, 3]), "two different electrodes"),
+        (lambda: ElectrodeShort(OF, electrodes=[3, 77]), "from 0 to 15"),
+        (lambda: ContactDrift(OF, deviation_per_hour=True), "deviation_per_hour is True"),
+    ],
+)
+def test_parameters_that_make_no_sense_are_named(made, said):
+    with pytest.raises(ConfigError, match=said):
+        made()
