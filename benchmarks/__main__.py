@@ -25,7 +25,8 @@ PARTS = (
 _HEAD = """# Performance
 
 Written by `make bench`. Both sides of a comparison run in turn on one machine and one thread, and the fastest of
-each is kept: ratios carry over to other machines, times do not. Accuracy is against truth the method does not know.
+each is kept, of 20 or more where it takes less than a tenth of a second: ratios carry over to other machines, times
+do not. Accuracy is against truth the method does not know.
 "Peer" is pyEIT 1.2.4 run here beside ours, where nothing else is said.
 """
 _COLUMNS = "| what | to reach | here | peer | |\n| --- | --- | --- | --- | --- |\n"

@@ -21,7 +21,7 @@ def rows() -> Iterator[Row]:
                 f"`cbsr-qa {' '.join(arguments)}`",
                 ("lazy", lambda arguments=arguments: _quiet([program, *arguments])),
                 ("importing what it avoids", lambda: _quiet(heavy)),
-                repeats=10,
+                repeats=20,
             )
         )
 

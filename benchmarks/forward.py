@@ -138,7 +138,7 @@ def _cost_of_accuracy() -> Iterator[str]:
             model = _arc_model(order, size)
             used, every = _errors(_unloaded(model)(), model.readings(_exact(0.0)))
             included, _ = _errors(_included(model)(), model.readings(_exact(0.5)))
-            seconds = fastest(_unloaded(model), 10)
+            seconds = fastest(_unloaded(model), _REPEATS)
             yield (
                 f"| {order} | {len(model.mesh.elements)} | {model.elements.count} | {used:.1e} | {every:.1e}"
                 f" | {included:.1e} | {shown(seconds)} |"
@@ -178,7 +178,7 @@ def _loads() -> Iterator[str]:
         (mean, other), (worst, last) = errors.mean(axis=0), errors.max(axis=0)
         yield (
             f"| {order} | {len(mesh.elements)} | {mean:.1e}; {worst:.1e} | {other:.1e}; {last:.1e}"
-            f" | {shown(fastest(_unloaded(model), 10))}"
+            f" | {shown(fastest(_unloaded(model), _REPEATS))}"
             f" | {shown(fastest(lambda local=local, load=load, c=change: local.voltages(load.elements, c), 50))} |"
         )
 

@@ -93,10 +93,11 @@ class Judged:
 
 
 def judge(cell: Cell) -> Judged:
-    """Run the trials of a cell; where coverage fell outside, once more with 2000 fresh ones, which alone count.
+    """Run the trials of a cell.
 
-    Of 500 trials 64 to 72 % is two standard deviations of the binomial about 68 %: five cells of a hundred would fail
-    by chance.
+    Where coverage fell outside, or anything was answered that should not be, once more with 2000 fresh ones, which
+    alone count. Of 500 trials 64 to 72 % is two standard deviations of the binomial about 68 %: five cells of a
+    hundred would fail by chance.
     """
     estimator, readings = estimator_of(cell.diameter_mm, cell.known, cell.decibels)
     x_mm, y_mm = cell.centre_mm
@@ -107,6 +108,8 @@ def judge(cell: Cell) -> Judged:
     asked = bound.detectability >= _ASKED_D and bound.place_mm <= _ASKED_SHARE * cell.radius_mm
     found = _trials(cell, estimator, TRIALS if asked else REFUSALS, 0)
     judged = _judged(cell, bound, asked, found, again=False)
+    if not asked and not judged.border and judged.answered > 0:
+        return _judged(cell, bound, asked, _trials(cell, estimator, AGAIN, 1), again=True)
     if asked and any(not _COVER[0] <= score.cover <= _COVER[1] for score in judged.scores.values()):
         judged = _judged(cell, bound, asked, _trials(cell, estimator, AGAIN, 1), again=True)
     return judged
@@ -182,17 +185,25 @@ def deviation(decibels: int) -> Array:
 
 
 @lru_cache(maxsize=64)
-def truth(diameter_mm: float, place: Place) -> dict[float, Array]:
-    """Changes of all readings (drives, measures) for each contrast, by finite elements."""
+def truth(diameter_mm: float, place: Place, contact_mm: float = NOMINAL_CONTACT_MM) -> dict[float, Array]:
+    """Changes of all readings (drives, measures) for each contrast, by finite elements.
+
+    Other contacts than the nominal ones change the size of all readings too; as in a run, that is taken out.
+    """
     sensor = load_sensor_type("disc-100mm").value
     centre = Cell(diameter_mm, True, 0.0, 0, place).centre_mm
     mesh, inside = fitted_mesh(_mesh(), centre, diameter_mm / 2)
     count = len(mesh.elements)
-    contacts = np.full(sensor.electrodes.count, NOMINAL_CONTACT_MM)
+    contacts = np.full(sensor.electrodes.count, contact_mm)
     plain = ForwardModel(mesh, sensor.pattern, np.ones(count), contacts, order=2)
     unloaded = plain.voltages()
+    used, nominal = sensor.pattern.usable(), load_model(sensor).unloaded()
+    scale = 1.0
+    if contact_mm != NOMINAL_CONTACT_MM:
+        scale = float(unloaded[used] @ nominal[used] / (nominal[used] @ nominal[used]))
     return {
-        contrast: plain.changed(conductance=1 + contrast * inside).voltages() - unloaded for contrast in CONTRASTS
+        contrast: (plain.changed(conductance=1 + contrast * inside).voltages() - unloaded) / scale
+        for contrast in CONTRASTS
     }
 
 

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.localisation import TRIED
 from benchmarks.nine_sites import Loads, Score, disc, loads, score
 from benchmarks.rows import Row
 from benchmarks.timing import fastest, shown
@@ -22,8 +23,6 @@ Array = NDArray[np.float64]
 
 TITLE = "Reconstructions"
 _FRAMES = 4
-#: What pyEIT leaves to its user, who tries until the loads he knows come out best.
-_TRIED = [{"p": p, "lamb": lamb} for p in (0.2, 0.5) for lamb in (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)]
 
 
 def rows() -> Iterator[Row]:
@@ -38,7 +37,7 @@ def rows() -> Iterator[Row]:
             continue
         factory = plugins.factory(Kind.RECONSTRUCTION, name)
         if name.startswith("pyeit"):
-            tried = [_row(partial(factory, **options), problem, changes, truth) for options in _TRIED]
+            tried = [_row(partial(factory, **options), problem, changes, truth) for options in TRIED[name]]
             _, here = min(tried, key=lambda one: one[0].error_mm)
         else:
             _, here = _row(factory, problem, changes, truth)

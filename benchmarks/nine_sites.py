@@ -1,5 +1,6 @@
 """Nine loads simulated on a mesh of their own, and what an image makes of them: shared by all parts that localise."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -60,21 +61,45 @@ class Score:
     worst_mm: float
     overlap_percent: float
     deviation_mm2: float
+    stderr_mm: float | None = None
 
     def words(self) -> str:
         """In one line."""
+        sure = "" if self.stderr_mm is None else f" ± {self.stderr_mm:.2f}"
         return (
-            f"E_CoM {self.error_mm:.2f} mm (worst site {self.worst_mm:.2f}), A_OL {self.overlap_percent:.1f} %,"
+            f"E_CoM {self.error_mm:.2f}{sure} mm (worst site {self.worst_mm:.2f}), A_OL {self.overlap_percent:.1f} %,"
             f" SD {self.deviation_mm2:.2f} mm²"
         )
 
 
-@lru_cache(maxsize=8)
-def loads(contrast: float = 0.5, radius_mm: float = RADIUS_MM) -> Loads:
-    """Simulate loads of a contrast at the nine sites of the 100 mm disc, one at a time."""
+def mean_score(scores: Sequence[Score]) -> Score:
+    """Mean of the scores of several seeds, with the standard error of the error."""
+    values = np.array([[one.error_mm, one.worst_mm, one.overlap_percent, one.deviation_mm2] for one in scores])
+    stderr = float(values[:, 0].std(ddof=1) / np.sqrt(len(scores)))
+    error, worst, overlap, deviation = values.mean(axis=0).tolist()
+    return Score(error, worst, overlap, deviation, stderr)
+
+
+@lru_cache(maxsize=1)
+def loads() -> Loads:
+    """Simulate loads of +50 % at the nine sites of the 100 mm disc, one at a time."""
+    return _loads_at(np.array(NINE_LOCATIONS_MM, dtype=np.float64))
+
+
+def elsewhere(count: int = 20) -> Loads:
+    """The same at other places, up to 32 mm out and none within 4 mm of the nine; seeded."""
+    random, places = np.random.default_rng(31), []
+    while len(places) < count:
+        away, turn = 32 * np.sqrt(random.uniform()), random.uniform(0, 2 * np.pi)
+        place = away * np.array([np.cos(turn), np.sin(turn)])
+        if np.hypot(*(np.array(NINE_LOCATIONS_MM) - place).T).min() > 4:
+            places.append(place)
+    return _loads_at(np.array(places))
+
+
+def _loads_at(places: Array, contrast: float = 0.5, radius_mm: float = RADIUS_MM) -> Loads:
     sensor = disc()
     local = _sheet()
-    places = np.array(NINE_LOCATIONS_MM, dtype=np.float64)
     reference, changes = local.model.voltages(), []
     for x, y in places:
         covered = cover(local.model.elements, RoundFootprint(float(x), float(y), radius_mm))
