@@ -43,7 +43,10 @@ class RidgeCurves:
         if not np.isfinite(energy).all():
             raise NumericsError("a reading to choose λ from is not a finite number", remedy="leave its channel out")
         if not energy.any():
-            raise NumericsError("the readings to choose λ from do not differ from their reference: nothing to fit")
+            raise NumericsError(
+                "the readings to choose λ from do not differ from their reference: nothing to fit",
+                remedy="choose by noise figure, or on readings of a load",
+            )
         self._values, self._energy = values, energy
         largest = float(np.sqrt(values.max()))
         self.grid: Array = 2 * np.linspace(np.log(_LOWEST * largest), np.log(_HIGHEST * largest), _STEPS)

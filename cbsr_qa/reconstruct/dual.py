@@ -24,6 +24,7 @@ Array = NDArray[np.float64]
 
 #: Of the dual system; the matrix has ten digits less than the numbers it is made of.
 _MOST_CONDITION: Final = 1e10
+_LARGEST: Final = 1e50  # of λ: its square, and that of an image it leaves, are doubles
 _UNSEEN: Final = 1e-12  # of what the readings could see at most
 
 
@@ -44,7 +45,7 @@ def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, va
     Raises
     ------
     NumericsError
-        If λ is negative or not finite, or so small that the readings do not determine the solve.
+        If λ is negative or above 1e50, or so small that the readings do not determine the solve.
     """
     check_hyperparameter(hyperparameter)
     system = _System.of(jacobian, prior, variance)
@@ -133,7 +134,10 @@ class _System:
             return cls(back, normal, np.diag(root), np.zeros((len(back), 0)), np.zeros((0, count)))
         seen = white @ prior.free
         if np.linalg.norm(seen, axis=0).min() <= _UNSEEN * np.linalg.norm(white) * np.linalg.norm(prior.free):
-            raise NumericsError("the readings do not see the image the prior leaves free: it cannot be determined")
+            raise NumericsError(
+                "the readings do not see the image the prior leaves free: it cannot be determined",
+                remedy="mend the masked channels, or take a prior that leaves nothing free (gauss-newton-noser)",
+            )
         return cls._without_free(back, normal, seen, prior.free, root)
 
     @classmethod
@@ -148,9 +152,12 @@ class _System:
 
 
 def check_hyperparameter(value: float) -> None:
-    """Refuse λ that is negative or not a finite number."""
-    if not np.isfinite(value) or value < 0:
-        raise NumericsError(f"hyperparameter λ is {value}; it must be a finite number, zero or above")
+    """Refuse λ that is negative or no number, or so large that the image is nothing but rounding."""
+    if not 0 <= value <= _LARGEST:
+        raise NumericsError(
+            f"hyperparameter λ is {value}; it must be a finite number, zero or above, up to {_LARGEST:.0e}",
+            remedy="give a λ in that range, or ask for a noise figure",
+        )
 
 
 def _condition(matrix: Array, factor: Array) -> float:

@@ -66,7 +66,10 @@ def evidence_of(problem: ImagingProblem) -> Evidence:
 def _measured(problem: ImagingProblem, sample: Array) -> Evidence:
     count = len(problem.reference)
     if sample.ndim != 2 or sample.shape[1] != count or not len(sample):
-        raise NumericsError(f"a sample of shape {sample.shape} does not fit {count} used readings")
+        raise NumericsError(
+            f"a sample of shape {sample.shape} does not fit {count} used readings",
+            remedy=f"give frames of the used readings, (k, {count})",
+        )
     if not np.isfinite(sample).all():
         raise NumericsError("a reading to choose λ from is not a finite number", remedy="leave its channel out")
     variance, freedom = ReadingFold.of(problem).noise(sample)
@@ -79,7 +82,7 @@ def _simulated(problem: ImagingProblem) -> Evidence:
     relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
     noise = np.random.default_rng(_SEED).standard_normal((_FRAMES, len(relative))) * np.sqrt(relative)
     words = (
-        f"{_FRAMES} simulated frames (seed {_SEED}) of a central target of {2 * target_radius_mm(problem):g} mm and"
+        f"{_FRAMES} simulated frames (seed {_SEED}) of a central target of {2 * target_radius_mm(problem):.3g} mm and"
         f" {_CONTRAST:.0%} contrast, noise {_NOISE_DB} dB below the mean reading"
     )
     return Evidence(central_signal(problem, _CONTRAST) + deviation * noise, deviation**2, words)

@@ -30,6 +30,7 @@ _LOUD: Final = 0.6  # of a peak: rows that a target further away drives to more 
 _RAISED: Final = 4.0  # by this factor of the squared error,
 _RAISES: Final = 4  # so often at most
 _USUAL: Final = 0.1  # λ at which that is settled
+_MOST_CONDITION: Final = 1e12  # of a row's normal equations; they have four digits then
 _AT_ONCE: Final = 256  # rows solved together
 
 #: Widths (second moments) of desired images that are solved for, of the nominal one; others are interpolated.
@@ -68,11 +69,15 @@ class GreitRows:
             If λ is negative, not finite, or too small to determine the fit.
         """
         check_hyperparameter(hyperparameter)
-        rows = self._solved(hyperparameter, np.arange(len(self._fit.right)))
-        if not np.isfinite(rows).all():
+        ridge = hyperparameter**2 * self._unit
+        largest = float(np.einsum("ngg->n", self._fit.normal).max())  # at least the largest eigenvalue
+        least, rows = float(np.sqrt(largest / _MOST_CONDITION / self._unit)), None
+        if ridge * _MOST_CONDITION > largest:
+            rows = self._solved(hyperparameter, np.arange(len(self._fit.right)))
+        if rows is None or not np.isfinite(rows).all():
             raise NumericsError(
                 f"greit: hyperparameter {hyperparameter:.3g} is too small: the targets do not determine the image",
-                remedy="raise the hyperparameter, or ask for a noise figure",
+                remedy=f"give a hyperparameter above {least:.1e}, or ask for a noise figure",
             )
         return rows
 

@@ -23,6 +23,8 @@ Indices = NDArray[np.int64]
 #: The contour of a target's image that is to be its outline: the percentage mask that decides.
 CONTOUR: Final = 0.85
 _CLOSEST: Final = 0.35  # of the head's radius: targets nearer to each other tell nothing more
+_RESOLVED: Final = 1.5  # edges of the image's elements that a head is wide: below, its image is no Gaussian on them
+_SMALLEST: Final = 0.1  # a target, of the head
 _WIDEST: Final = 0.5  # a target's radius, of the sheet's
 _ALL: Final = slice(None)
 
@@ -53,7 +55,8 @@ class TargetDesign:
         Raises
         ------
         NumericsError
-            If a size is not a positive number, or a target is wider than half of the sheet.
+            If a size is not a positive number, a target is wider than half of the sheet or narrower than a tenth of
+            the head, or the head narrower than 1.5 edges of the image's elements.
         """
         head = target_radius_mm(problem) if head_diameter_mm is None else head_diameter_mm / 2
         others = (head * 8 / 13, head * 20 / 13) if diameters_mm is None else (d / 2 for d in diameters_mm)
@@ -62,9 +65,10 @@ class TargetDesign:
         for radius in (head, *radii):
             if not 0 < radius <= largest:
                 raise NumericsError(
-                    f"greit: a target of diameter {2 * radius:g} mm does not fit the sheet",
-                    remedy=f"give diameters above 0 and up to {2 * largest:g} mm",
+                    f"greit: a target of diameter {2 * radius:.3g} mm does not fit the sheet",
+                    remedy=f"give diameters above 0 and up to {2 * largest:.3g} mm",
                 )
+        _check_resolved(problem.mesh, head, radii)
         return cls(head, radii)
 
     @property
@@ -125,6 +129,21 @@ class Targets:
         variance = self.variance_mm2[targets][:, None] + further
         images: Array = np.exp(-square[..., None] / (2 * variance)) / self._integral[targets][:, None]
         return images if len(widths) > 1 else images[..., 0]
+
+
+def _check_resolved(mesh: Mesh, head_mm: float, radii_mm: tuple[float, ...]) -> None:
+    """Refuse a head that the image's elements cannot show, and targets that are points beside it."""
+    edge_mm = float(np.sqrt(4 / np.sqrt(3) * mesh.areas_mm2.mean()))
+    if 2 * head_mm < _RESOLVED * edge_mm:
+        raise NumericsError(
+            f"greit: a head of diameter {2 * head_mm:.3g} mm is not resolved by image elements of {edge_mm:.2g} mm",
+            remedy=f"give a diameter of at least {_RESOLVED * edge_mm:.2g} mm, or image on smaller elements",
+        )
+    if radii_mm[0] < _SMALLEST * head_mm:
+        raise NumericsError(
+            f"greit: a target of diameter {2 * radii_mm[0]:.3g} mm is a point beside a head of {2 * head_mm:.3g} mm",
+            remedy=f"give diameters of at least {2 * _SMALLEST * head_mm:.3g} mm",
+        )
 
 
 def make_targets(problem: ImagingProblem, fold: ReadingFold, design: TargetDesign) -> Targets:

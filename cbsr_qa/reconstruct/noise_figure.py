@@ -45,11 +45,17 @@ def noise_figure(
     weighted = areas[:, None] * matrix
     response = float(np.abs(weighted @ signal).mean())
     if not (np.isfinite(response) and response > 0):
-        raise NumericsError("the noise figure is not defined: the matrix does not see the target")
+        raise NumericsError(
+            "the noise figure is not defined: the matrix does not see the target",
+            remedy="check the hyperparameter and which channels are masked",
+        )
     level = float(np.abs(signal).mean())
     if form is NoiseFigureForm.EIDORS:
         if noise_variance is not None:
-            raise NumericsError("the EIDORS form of the noise figure knows equal noise only")
+            raise NumericsError(
+                "the EIDORS form of the noise figure knows equal noise only",
+                remedy="take the form of Adler et al. 2009",
+            )
         channel = np.std(np.eye(len(signal))[0], ddof=1)
         return level / float(channel) * float(np.std(weighted, axis=0, ddof=1).mean()) / response
     variance = np.ones(len(signal)) if noise_variance is None else noise_variance

@@ -58,10 +58,16 @@ def noser(jacobian: Array, exponent: float) -> Array:
         If p is out of range, or an element is felt by no reading at all.
     """
     if not 0 <= exponent <= 1:
-        raise NumericsError(f"NOSER exponent {exponent} is not in 0 … 1")
+        raise NumericsError(
+            f"NOSER exponent {exponent} is not in 0 … 1",
+            remedy="give an exponent from 0 (Tikhonov's prior) to 1; 0.5 is usual",
+        )
     squared = np.einsum("me,me->e", jacobian, jacobian)
     if not (squared > 0).all():
-        raise NumericsError(f"{int((squared <= 0).sum())} image elements are felt by no reading that is left")
+        raise NumericsError(
+            f"{int((squared <= 0).sum())} image elements are felt by no reading that is left",
+            remedy="mend the masked channels",
+        )
     weights: Array = squared**exponent
     return weights
 

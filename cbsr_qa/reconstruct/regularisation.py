@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import ConfigError, NumericsError
 from cbsr_qa.domain.reconstruction import ImagingProblem, ParameterAnswer, ParameterCurve
 from cbsr_qa.reconstruct.evidence import SMALL_CONTRAST, Evidence, evidence_of, target_radius_mm
-from cbsr_qa.reconstruct.options import number
+from cbsr_qa.reconstruct.options import optional_number, shown
 
 Array = NDArray[np.float64]
 
@@ -99,17 +99,22 @@ class Regularisation:
         NumericsError
             If two options contradict each other.
         """
-        noise_figure, given = number(method, "noise_figure", noise_figure), number(method, given_as, given)
-        if choose is not None and choose not in set(Criterion):
-            raise ConfigError(f"{method}: choose is {choose!r}", remedy=f"allowed: {', '.join(Criterion)}")
+        noise_figure = optional_number(method, "noise_figure", noise_figure)
+        given = optional_number(method, given_as, given)
+        if choose is not None and not (isinstance(choose, str) and choose in set(Criterion)):
+            raise ConfigError(f"{method}: choose is {shown(choose)}", remedy=f"allowed: {', '.join(Criterion)}")
         if given is not None:
             for name, other in (("noise_figure", noise_figure), ("choose", choose)):
                 if other is not None:
-                    raise NumericsError(f"{method} takes {name} or {given_as}, not both")
+                    raise NumericsError(
+                        f"{method} takes {name} or {given_as}, not both", remedy="leave one of them out"
+                    )
             return cls(None, 1.0, given, given_as)
         criterion = Criterion(choose or Criterion.NOISE_FIGURE)
         if noise_figure is not None and criterion is not Criterion.NOISE_FIGURE:
-            raise NumericsError(f"{method} takes a noise_figure or chooses by {criterion}, not both")
+            raise NumericsError(
+                f"{method} takes a noise_figure or chooses by {criterion}, not both", remedy="leave one of them out"
+            )
         return cls(criterion, 1.0 if noise_figure is None else noise_figure, None, given_as)
 
     @property
@@ -169,6 +174,6 @@ class Regularisation:
         if criterion is Criterion.NOISE_FIGURE:
             return (
                 f"noise figure {self.noise_figure:.2f} (Adler et al. 2009) on the nominal model, central target of"
-                f" {2 * target_radius_mm(problem):g} mm and {SMALL_CONTRAST:.0%} contrast"
+                f" {2 * target_radius_mm(problem):.3g} mm and {SMALL_CONTRAST:.0%} contrast"
             )
         return f"{_SAID[criterion]} on {evidence.words}"

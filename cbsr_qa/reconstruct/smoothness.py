@@ -16,6 +16,9 @@ Array = NDArray[np.float64]
 #: The filter is a dense matrix; one of this many elements takes 800 MB and half a minute.
 _MOST_FILTERED: Final = 10_000
 _ROWS_AT_ONCE: Final = 512
+_SHORTEST: Final = 1e-6  #: length, of an element's edge
+_NARROWEST: Final = 0.5  #: width of the filter, likewise
+_LONGEST: Final = 10.0  #: of either, of the sheet's extent
 
 
 def indenter_smoothness(mesh: Mesh, length_mm: float) -> Prior:
@@ -27,14 +30,14 @@ def indenter_smoothness(mesh: Mesh, length_mm: float) -> Prior:
 
     Parameters
     ----------
-    length_mm : correlation length [mm], positive.
+    length_mm : correlation length [mm], a millionth of an element's edge to ten times the sheet.
 
     Raises
     ------
     NumericsError
-        If the length is not a positive finite number.
+        If the length is out of that range.
     """
-    _check_length(length_mm)
+    _check_length(mesh, length_mm, least=_SHORTEST)
     places = mesh.centroids_mm * (np.sqrt(3) / length_mm)
 
     def covariance(columns: Array) -> Array:
@@ -57,14 +60,15 @@ def high_pass(mesh: Mesh, width_mm: float) -> Prior:
 
     Parameters
     ----------
-    width_mm : at half height [mm], positive; Adler & Guardo take a tenth of the sheet's diameter.
+    width_mm : at half height [mm], half of an element's edge to ten times the sheet; a narrower filter would pass
+        nothing between elements, and F be nothing but rounding. Adler & Guardo take a tenth of the sheet's diameter.
 
     Raises
     ------
     NumericsError
-        If the width is not a positive finite number, or the mesh has so many elements that F does not fit.
+        If the width is out of that range, or the mesh has so many elements that F does not fit.
     """
-    _check_length(width_mm)
+    _check_length(mesh, width_mm, least=_NARROWEST)
     count, areas = len(mesh.elements), mesh.areas_mm2
     if count > _MOST_FILTERED:
         raise NumericsError(
@@ -88,6 +92,13 @@ def high_pass(mesh: Mesh, width_mm: float) -> Prior:
     return Prior(covariance, np.ones((count, 1)))
 
 
-def _check_length(value: float) -> None:
-    if not (np.isfinite(value) and value > 0):
-        raise NumericsError(f"a prior's length is {value} mm; it must be a positive finite number")
+def _check_length(mesh: Mesh, value: float, *, least: float) -> None:
+    """Refuse a length that is out of range; ``least`` is of the mean element's edge."""
+    shortest = least * float(np.sqrt(4 / np.sqrt(3) * mesh.areas_mm2.mean()))
+    longest = _LONGEST * float(np.ptp(mesh.nodes_mm, axis=0).max())
+    if not shortest <= value <= longest:
+        raise NumericsError(
+            f"a prior's length is {value:.3g} mm; it must be a positive finite number, {shortest:.2g} to"
+            f" {longest:.2g} mm on this image",
+            remedy="give a width or diameter in that range, or image on other elements",
+        )

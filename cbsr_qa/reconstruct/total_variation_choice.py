@@ -110,7 +110,7 @@ def _simulated(problem: ImagingProblem) -> Evidence:
     relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
     noise = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(relative))) * np.sqrt(relative)
     words = (
-        f"{_FRAMES} simulated frames (seed {_SEED}) of a central target of {2 * target_radius_mm(problem):g} mm and"
+        f"{_FRAMES} simulated frames (seed {_SEED}) of a central target of {2 * target_radius_mm(problem):.3g} mm and"
         f" {_CONTRAST:.0%} contrast, noise {_NOISE_DB} dB below the mean reading"
     )
     return Evidence(central_signal(problem, _CONTRAST) + deviation * noise, deviation**2, words)

@@ -136,7 +136,10 @@ class Truncation:
         """Number of components by what readings say; NumericsError where that is nothing."""
         energy = ((self._fold.fold(evidence.changes) @ self._spectrum.analysis.T) ** 2).sum(axis=0)
         if not energy.any():
-            raise NumericsError("the readings to choose from do not differ from their reference: nothing to fit")
+            raise NumericsError(
+                "the readings to choose from do not differ from their reference: nothing to fit",
+                remedy="choose by noise figure, or on readings of a load",
+            )
         left = np.append(np.cumsum(energy[::-1])[::-1], 0.0)[self.cuts]
         if criterion is Criterion.GCV:
             return self._cross_validated(left)

@@ -1,5 +1,6 @@
 """The linear reconstruction plugins: how their parameter is chosen, and what they refuse."""
 
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -16,7 +17,9 @@ from cbsr_qa_plugins.reconstruction.gauss_newton_indenter import GaussNewtonInde
 from cbsr_qa_plugins.reconstruction.gauss_newton_laplace import GaussNewtonLaplace
 from cbsr_qa_plugins.reconstruction.gauss_newton_noser import GaussNewtonNoser
 from cbsr_qa_plugins.reconstruction.gauss_newton_tikhonov import GaussNewtonTikhonov
+from cbsr_qa_plugins.reconstruction.greit import Greit
 from cbsr_qa_plugins.reconstruction.linear_back_projection import LinearBackProjection
+from cbsr_qa_plugins.reconstruction.temporal import Temporal
 from cbsr_qa_plugins.reconstruction.truncated_svd import TruncatedSvd
 
 RIDGES = (GaussNewtonNoser, GaussNewtonTikhonov, GaussNewtonLaplace, GaussNewtonHighPass, GaussNewtonIndenter)
@@ -129,6 +132,9 @@ def test_samples_that_are_none_are_refused(problem, sample, reason):
     [
         ({"choose": "taste"}, "allowed: noise-figure, gcv, l-curve, discrepancy"),
         ({"choose": 3}, "choose is 3"),
+        ({"choose": ["gcv"]}, r"choose is \['gcv'\]"),
+        ({"choose": {}}, "choose is {}"),
+        ({"noise_figure": 10**400}, "beyond 1.8e308"),
         ({"noise_figure": "one"}, "allowed: a number"),
         ({"noise_figure": True}, "allowed: a number"),
         ({"choose": "gcv", "noise_figure": 1.0}, "not both"),
@@ -146,6 +152,15 @@ def test_options_that_say_nothing_are_refused(problem, method, options, reason):
     [
         (GaussNewtonHighPass, {"width": "wide"}, "allowed: a number"),
         (GaussNewtonHighPass, {"width": 0.0}, "positive finite"),
+        (GaussNewtonHighPass, {"width": 1e-9}, r"2.5 to 1e\+03 mm on this image"),
+        (GaussNewtonHighPass, {"width": 1e200}, "positive finite"),
+        (GaussNewtonHighPass, {"width": None}, "width is None"),
+        (GaussNewtonNoser, {"exponent": None}, "exponent is None"),
+        (GaussNewtonNoser, {"exponent": 1.5}, "not in 0 … 1"),
+        (GaussNewtonIndenter, {"indenter_diameter_mm": 1e-300}, "positive finite"),
+        (GaussNewtonIndenter, {"indenter_diameter_mm": 1e300}, "positive finite"),
+        (TruncatedSvd, {"components": 10**400}, "up to 10¹⁵"),
+        (TruncatedSvd, {"components": 10**5000}, "up to 10¹⁵"),
         (GaussNewtonIndenter, {"indenter_diameter_mm": -13.0}, "positive finite"),
         (GaussNewtonNoser, {"exponent": "half"}, "allowed: a number"),
         (TruncatedSvd, {"components": 2.5}, "a whole number"),
@@ -155,8 +170,26 @@ def test_options_that_say_nothing_are_refused(problem, method, options, reason):
     ],
 )
 def test_options_of_single_methods_are_checked(problem, method, options, reason):
-    with pytest.raises((ConfigError, NumericsError), match=reason):
+    with pytest.raises((ConfigError, NumericsError)) as refused:
         method(**options).prepare(problem)
+    assert re.search(reason, str(refused.value))
+    assert refused.value.remedy
+
+
+@pytest.mark.parametrize("method", [*RIDGES, Greit, Temporal])
+@pytest.mark.parametrize("value", [-1.0, 1e200, 1.1e50, float("inf"), float("nan"), 10**400])
+def test_a_hyperparameter_beyond_what_can_be_computed_with_is_refused(problem, method, value):
+    with pytest.raises((ConfigError, NumericsError), match="hyperparameter") as refused:
+        method(hyperparameter=value)
+    assert refused.value.remedy
+
+
+@pytest.mark.parametrize("method", [*RIDGES, Greit])
+def test_the_largest_hyperparameter_there_may_be_makes_a_finite_image(problem, method):
+    prepared = method(hyperparameter=1e50).prepare(problem)
+    assert np.isfinite(prepared.matrix).all()
+    assert prepared.matrix.any()
+    assert 0 < prepared.choice.noise_figure < np.inf
 
 
 def test_an_indenter_smooths_over_its_own_width(problem):
@@ -251,7 +284,9 @@ def test_truncation_with_bad_channels_makes_no_image_of_noise(pin_sensor, dead):
         used[sensor.pattern.drive_currents()[electrode] != 0] = False
         used[:, sensor.pattern.measure_matrix()[electrode] != 0] = False
     masked = imaging_problem(sensor, used=used, image_size_mm=5.0)
-    assert np.median(press_errors_mm(TruncatedSvd, masked)) < 2.5 * np.median(press_errors_mm(GaussNewtonNoser, masked))
+    assert np.median(press_errors_mm(TruncatedSvd, masked)) < 2.5 * np.median(
+        press_errors_mm(GaussNewtonNoser, masked)
+    )
     for options in ({}, {"choose": "gcv"}, {"choose": "discrepancy"}, {"noise_figure": 1.5}):
         of_type = TruncatedSvd(**options).prepare(imaging_problem(sensor, image_size_mm=5.0)).choice
         choice = TruncatedSvd(**options).prepare(masked).choice

@@ -126,7 +126,10 @@ def test_impossible_options_are_refused(problem, options, reason):
         Temporal(**options).prepare(problem)
 
 
-@pytest.mark.parametrize("options", [{"lag": 1.5}, {"correlation_frames": "long"}, {"indenter_diameter_mm": True}])
+@pytest.mark.parametrize(
+    "options",
+    [{"lag": 1.5}, {"correlation_frames": "long"}, {"indenter_diameter_mm": True}, {"correlation_frames": None}],
+)
 def test_options_that_are_no_numbers_are_refused(options):
     with pytest.raises(ConfigError, match="allowed: a"):
         Temporal(**options)

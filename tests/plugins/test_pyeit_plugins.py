@@ -1,5 +1,6 @@
 """pyEIT as a plugin: the same electrodes, signs and readings, its own images, and a remedy where it is missing."""
 
+import re
 import sys
 from dataclasses import replace
 
@@ -121,6 +122,7 @@ def test_it_is_neither_heard_nor_felt(problem, capfd):
         ({"lamb": -1.0}, "zero or above"),
         ({"lamb": float("nan")}, "zero or above"),
         ({"lamb": 0.0}, "singular"),
+        ({"lamb": 1e200}, "up to 1e"),
         ({"p": 2.0}, "p is 2.0"),
         ({"mesh_size": 0.5}, "mesh_size is 0.5"),
     ],
@@ -130,7 +132,27 @@ def test_impossible_options_are_refused(method, options, reason):
         method(**options)
 
 
-@pytest.mark.parametrize("options", [{"lamb": "small"}, {"p": True}])
+@pytest.mark.parametrize("method", [PyeitJac, PyeitGreit])
+@pytest.mark.parametrize("p", [0.0, 0.5, 1.0])
+def test_what_rounding_alone_would_decide_is_refused(problem, method, p):
+    """And what is not refused is the same image when the Jacobian moves in its last digits."""
+    with pytest.raises(NumericsError, match=r"too small: rounding would decide|is singular") as refused:
+        method(lamb=1e-30, p=p, mesh_size=0.17).prepare(problem)
+    least = float(re.search(r"at least (\S+)", refused.value.remedy)[1])
+    given = pyeit_problem(problem, 0.17)
+    jac = solver("pyeit.eit.jac:JAC", given)
+    with quiet():
+        jac.setup(p=p, lamb=1.1 * least, method="kotre", perm=1, jac_normalized=False)
+    moved = jac.J * (1 + 1e-15 * np.random.default_rng(0).choice([-1, 1], jac.J.shape))
+    apart = np.abs(jac._compute_h(moved, p, 1.1 * least) - jac.H).max()
+    if method is PyeitJac:
+        assert apart < 0.05 * np.abs(jac.H).max()
+    method(lamb=1.1 * least, p=p, mesh_size=0.17).prepare(problem)
+
+
+@pytest.mark.parametrize(
+    "options", [{"lamb": "small"}, {"p": True}, {"lamb": None}, {"mesh_size": None}, {"p": 10**400}]
+)
 def test_options_that_are_no_numbers_are_refused(options):
     with pytest.raises(RefusedError):
         PyeitJac(**options)

@@ -28,6 +28,7 @@ Array = NDArray[np.float64]
 
 _REMEDY = "pip install 'cbsr-qa[pyeit]'"
 _SIZES = (0.02, 0.2)  # edge lengths its mesher is used with, of the radius: 18 000 to 170 elements
+_MOST_CONDITION = 1e12  # its inverse has four digits then
 _TARGET_RADIUS = 0.13  # of the sheet's radius: the 13 mm indenter on the 100 mm disc
 _TARGET_CONTRAST = 0.01
 
@@ -55,12 +56,15 @@ def checked_options(method: str, *, p: float, lamb: float, mesh_size: float) -> 
         number(method, name, value) for name, value in (("p", p), ("lamb", lamb), ("mesh_size", mesh_size))
     )
     if not _SIZES[0] <= mesh_size <= _SIZES[1]:
-        raise NumericsError(f"mesh_size is {mesh_size}; pyEIT is used with {_SIZES[0]} to {_SIZES[1]} of the radius")
+        raise NumericsError(
+            f"mesh_size is {mesh_size}; pyEIT is used with {_SIZES[0]} to {_SIZES[1]} of the radius",
+            remedy="give a size in that range; 0.07 is usual",
+        )
     check_hyperparameter(lamb)
     if lamb == 0:
         raise NumericsError("lamb is 0: pyEIT would invert a singular matrix", remedy="give a value above zero")
     if not 0 <= p <= 1:
-        raise NumericsError(f"p is {p}; it must be in 0 … 1")
+        raise NumericsError(f"p is {p}; it must be in 0 … 1", remedy="give a p in that range; 0.5 is usual")
     return p, lamb, mesh_size
 
 
@@ -102,6 +106,35 @@ def quiet() -> Iterator[None]:
             yield
     finally:
         np.random.set_state(state)  # noqa: NPY002
+
+
+def check_determined(squares: Array, p: float, lamb: float) -> None:
+    """Refuse lamb that is lost in rounding when pyEIT inverts JᵀJ + lamb·R, or JJᵀ + lamb·R: both are singular.
+
+    Parameters
+    ----------
+    squares : diagonal of JᵀJ or JJᵀ, whose p-th powers are R.
+
+    Raises
+    ------
+    NumericsError
+        If the condition number, against R, may be above 1e12.
+    """
+    least = float((squares ** (1 - p)).sum()) / _MOST_CONDITION
+    if not lamb >= least:
+        raise NumericsError(
+            f"lamb is {lamb:.3g}, too small: rounding would decide pyEIT's image",
+            remedy=f"give a lamb of at least {least:.1e}",
+        )
+
+
+@contextlib.contextmanager
+def invertible() -> Iterator[None]:
+    """Refuse by name what pyEIT cannot invert."""
+    try:
+        yield
+    except np.linalg.LinAlgError as error:
+        raise NumericsError("pyEIT's matrix is singular", remedy="give a larger lamb") from error
 
 
 def finished(method: str, problem: ImagingProblem, matrix: Array, regularisation: float) -> LinearReconstruction:

@@ -3,7 +3,7 @@
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.reconstruction import ImagingProblem
 from cbsr_qa.reconstruct.absolute_images import AbsoluteImages, Expected
-from cbsr_qa.reconstruct.options import number, whole
+from cbsr_qa.reconstruct.options import number, optional_number, whole
 
 _NAME = "absolute-gauss-newton"
 
@@ -46,17 +46,19 @@ class AbsoluteGaussNewton:
         iterations: int = 20,
     ) -> None:
         if noise_figure is not None and load_spread is not None:
-            raise NumericsError(f"{_NAME} takes noise_figure or load_spread, not both")
+            raise NumericsError(
+                f"{_NAME} takes noise_figure or load_spread, not both", remedy="leave one of them out"
+            )
         self._expected = Expected(
             noise_dB=number(_NAME, "noise_dB", noise_dB),
             spread=number(_NAME, "spread", spread),
             length=number(_NAME, "length", length),
             noise_figure=number(_NAME, "noise_figure", 1.0 if noise_figure is None else noise_figure),
-            load_spread=number(_NAME, "load_spread", load_spread),
+            load_spread=optional_number(_NAME, "load_spread", load_spread),
             load_length=number(_NAME, "load_length", load_length),
             contact_spread=number(_NAME, "contact_spread", contact_spread),
             mesh_size=number(_NAME, "mesh_size", mesh_size),
-            iterations=whole(_NAME, "iterations", iterations) or 0,
+            iterations=whole(_NAME, "iterations", iterations),
         )
 
     def prepare(self, problem: ImagingProblem) -> AbsoluteImages:

@@ -3,7 +3,7 @@
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
 from cbsr_qa.reconstruct.evidence import target_radius_mm
 from cbsr_qa.reconstruct.one_step import OneStep
-from cbsr_qa.reconstruct.options import number
+from cbsr_qa.reconstruct.options import optional_number
 from cbsr_qa.reconstruct.priors import Prior
 from cbsr_qa.reconstruct.regularisation import Regularisation
 from cbsr_qa.reconstruct.smoothness import indenter_smoothness
@@ -30,7 +30,7 @@ class GaussNewtonIndenter:
         indenter_diameter_mm: float | None = None,
     ) -> None:
         chosen = Regularisation.of(_NAME, choose=choose, noise_figure=noise_figure, given=hyperparameter)
-        given = number(_NAME, "indenter_diameter_mm", indenter_diameter_mm)
+        given = optional_number(_NAME, "indenter_diameter_mm", indenter_diameter_mm)
 
         def prior_of(problem: ImagingProblem) -> Prior:
             return indenter_smoothness(problem.mesh, target_radius_mm(problem) if given is None else given / 2)

@@ -13,7 +13,7 @@ from cbsr_qa.domain.reconstruction import (
 from cbsr_qa.reconstruct.dual import check_hyperparameter
 from cbsr_qa.reconstruct.greit_matrix import greit_matrix, hyperparameter_for
 from cbsr_qa.reconstruct.greit_targets import TargetDesign
-from cbsr_qa.reconstruct.options import number
+from cbsr_qa.reconstruct.options import number, optional_number, shown
 
 _NAME = "greit"
 _NOISE_FIGURE = 0.5  # of the method's authors
@@ -30,8 +30,10 @@ class Greit:
     noise_figure : target (Adler et al. 2009, equal noise on all readings); by default 0.5, the authors' choice. λ is
         chosen on the nominal sensor type; where the readings' noise is known, on the problem itself with its weights.
     hyperparameter : λ itself, noise over signal of a reading; excludes ``noise_figure``.
-    indenter_diameter_mm : of the head [mm]; by default 0.13 of the sheet's diameter, the 13 mm of the 100 mm disc.
-    target_diameters_mm : of the training targets [mm]; by default 8/13, 1 and 20/13 of the head.
+    indenter_diameter_mm : of the head [mm], at least 1.5 edges of the image's elements; by default 0.13 of the
+        sheet's diameter, the 13 mm of the 100 mm disc.
+    target_diameters_mm : of the training targets [mm], from a tenth of the head to half of the sheet; by default
+        8/13, 1 and 20/13 of the head.
     """
 
     def __init__(
@@ -42,14 +44,16 @@ class Greit:
         indenter_diameter_mm: float | None = None,
         target_diameters_mm: Sequence[float] | None = None,
     ) -> None:
-        noise_figure = number(_NAME, "noise_figure", noise_figure)
-        self._given = number(_NAME, "hyperparameter", hyperparameter)
+        noise_figure = optional_number(_NAME, "noise_figure", noise_figure)
+        self._given = optional_number(_NAME, "hyperparameter", hyperparameter)
         if noise_figure is not None and self._given is not None:
-            raise NumericsError("greit takes noise_figure or hyperparameter, not both")
+            raise NumericsError(
+                "greit takes noise_figure or hyperparameter, not both", remedy="leave one of them out"
+            )
         if self._given is not None:
             check_hyperparameter(self._given)
         self._noise_figure = _NOISE_FIGURE if noise_figure is None else noise_figure
-        self._head_mm = number(_NAME, "indenter_diameter_mm", indenter_diameter_mm)
+        self._head_mm = optional_number(_NAME, "indenter_diameter_mm", indenter_diameter_mm)
         self._targets_mm = _diameters(target_diameters_mm)
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
@@ -59,7 +63,7 @@ class Greit:
         ------
         NumericsError
             If the noise figure cannot be reached, λ is too small to determine the image, a target does not fit the
-            sheet, or no reading feels it.
+            sheet, no reading feels it, or the image's elements do not resolve the head.
         """
         design = TargetDesign.of(problem, self._head_mm, self._targets_mm)
         value: float | None
@@ -87,5 +91,5 @@ def _diameters(given: object) -> tuple[float, ...] | None:
     if given is None:
         return None
     if not isinstance(given, list | tuple) or not given:
-        raise ConfigError(f"{_NAME}: target_diameters_mm is {given!r}", remedy="allowed: a list of numbers")
+        raise ConfigError(f"{_NAME}: target_diameters_mm is {shown(given)}", remedy="allowed: a list of numbers")
     return tuple(number(_NAME, "target_diameters_mm", value) for value in given)

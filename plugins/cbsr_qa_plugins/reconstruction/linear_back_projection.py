@@ -31,7 +31,10 @@ class LinearBackProjection:
         sensitivity = relative[:, None] * problem.jacobian
         felt = np.sqrt(np.einsum("me,me->e", sensitivity, sensitivity))
         if not (felt > 0).all():
-            raise NumericsError(f"{int((felt <= 0).sum())} image elements are felt by no reading that is left")
+            raise NumericsError(
+                f"{int((felt <= 0).sum())} image elements are felt by no reading that is left",
+                remedy="mend the masked channels",
+            )
         matrix = (relative[:, None] * sensitivity).T / felt[:, None]
         areas, variance = problem.mesh.areas_mm2, problem.noise_variance
         figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)

@@ -7,7 +7,15 @@ from scipy import sparse
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
 from cbsr_qa.reconstruct.options import number, whole
-from cbsr_qa_plugins.reconstruction._pyeit import checked_options, finished, pyeit_problem, quiet, solver
+from cbsr_qa_plugins.reconstruction._pyeit import (
+    check_determined,
+    checked_options,
+    finished,
+    invertible,
+    pyeit_problem,
+    quiet,
+    solver,
+)
 
 Array = NDArray[np.float64]
 
@@ -40,13 +48,19 @@ class PyeitGreit:
         ratio: float = 0.1,
         mesh_size: float = 0.07,
     ) -> None:
-        p, self._lamb, self._mesh_size = checked_options(_NAME, p=p, lamb=lamb, mesh_size=mesh_size)
-        points, s, ratio = whole(_NAME, "n", n) or 0, number(_NAME, "s", s), number(_NAME, "ratio", ratio)
+        self._p, self._lamb, self._mesh_size = checked_options(_NAME, p=p, lamb=lamb, mesh_size=mesh_size)
+        points, s, ratio = whole(_NAME, "n", n), number(_NAME, "s", s), number(_NAME, "ratio", ratio)
         if not _PIXELS[0] <= points <= _PIXELS[1]:
-            raise NumericsError(f"n is {n}; the raster must have {_PIXELS[0]} to {_PIXELS[1]} points a side")
+            raise NumericsError(
+                f"n is {n}; the raster must have {_PIXELS[0]} to {_PIXELS[1]} points a side",
+                remedy="32 is usual",
+            )
         if not (0 < ratio < 1 and 0 < s < 1e3):
-            raise NumericsError(f"ratio is {ratio} and s {s}; ratio must be in 0 … 1 and s in 0 … 1000")
-        self._options = {"p": p, "lamb": self._lamb, "n": points, "s": s, "ratio": ratio}
+            raise NumericsError(
+                f"ratio is {ratio} and s {s}; ratio must be in 0 … 1 and s in 0 … 1000",
+                remedy="0.1 and 20 are usual",
+            )
+        self._options = {"p": self._p, "lamb": self._lamb, "n": points, "s": s, "ratio": ratio}
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
         """Prepare the imaging matrix.
@@ -54,12 +68,13 @@ class PyeitGreit:
         Raises
         ------
         NumericsError
-            If the sheet is not round, or a reading touches a driven electrode.
+            If the sheet is not round, a reading touches a driven electrode, or lamb is lost in rounding.
         """
         given = pyeit_problem(problem, self._mesh_size)
         greit = solver("pyeit.eit.greit:GREIT", given)
-        with quiet():
+        with quiet(), invertible():
             greit.setup(method="dist", perm=1, jac_normalized=False, **self._options)
+        check_determined(np.einsum("me,me->m", greit.J, greit.J), self._p, self._lamb)
         x, y = np.asarray(greit.xg)[0], np.asarray(greit.yg)[:, 0]
         between = _between(x, y, problem.mesh.centroids_mm / problem.sensor_type.radius_mm)
         return finished(_NAME, problem, -(between @ np.asarray(greit.H, dtype=np.float64)), self._lamb)

@@ -4,7 +4,15 @@ import numpy as np
 
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
 from cbsr_qa.reconstruct.overlap import overlap_fractions
-from cbsr_qa_plugins.reconstruction._pyeit import checked_options, finished, pyeit_problem, quiet, solver
+from cbsr_qa_plugins.reconstruction._pyeit import (
+    check_determined,
+    checked_options,
+    finished,
+    invertible,
+    pyeit_problem,
+    quiet,
+    solver,
+)
 
 
 class PyeitJac:
@@ -30,11 +38,12 @@ class PyeitJac:
         Raises
         ------
         NumericsError
-            If the sheet is not round, or a reading touches a driven electrode.
+            If the sheet is not round, a reading touches a driven electrode, or lamb is lost in rounding.
         """
         given = pyeit_problem(problem, self._mesh_size)
         jac = solver("pyeit.eit.jac:JAC", given)
-        with quiet():
+        with quiet(), invertible():
             jac.setup(p=self._p, lamb=self._lamb, method="kotre", perm=1, jac_normalized=False)
+        check_determined(np.einsum("me,me->e", jac.J, jac.J), self._p, self._lamb)
         share = overlap_fractions(problem.mesh, given.elements)
         return finished("pyeit-jac", problem, -(share @ np.asarray(jac.H, dtype=np.float64)), self._lamb)

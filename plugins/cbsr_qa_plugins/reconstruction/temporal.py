@@ -5,7 +5,7 @@ from dataclasses import replace
 from cbsr_qa.domain.reconstruction import ImagingProblem
 from cbsr_qa.reconstruct.evidence import target_radius_mm
 from cbsr_qa.reconstruct.one_step import OneStep, RidgeSearch
-from cbsr_qa.reconstruct.options import number, whole
+from cbsr_qa.reconstruct.options import number, optional_number, optional_whole
 from cbsr_qa.reconstruct.priors import Prior
 from cbsr_qa.reconstruct.regularisation import Regularisation
 from cbsr_qa.reconstruct.smoothness import indenter_smoothness
@@ -45,10 +45,10 @@ class Temporal:
         indenter_diameter_mm: float | None = None,
     ) -> None:
         self._correlation = Correlation(
-            number(_NAME, "correlation_frames", correlation_frames), whole(_NAME, "lag", lag)
+            number(_NAME, "correlation_frames", correlation_frames), optional_whole(_NAME, "lag", lag)
         )
         chosen = Regularisation.of(_NAME, choose=choose, noise_figure=noise_figure, given=hyperparameter)
-        self._diameter_mm = number(_NAME, "indenter_diameter_mm", indenter_diameter_mm)
+        self._diameter_mm = optional_number(_NAME, "indenter_diameter_mm", indenter_diameter_mm)
         self._step = OneStep(_NAME, self._prior, chosen)
 
     def prepare(self, problem: ImagingProblem) -> TemporalImages:

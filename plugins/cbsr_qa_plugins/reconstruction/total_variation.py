@@ -2,7 +2,7 @@
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.reconstruction import ImagingProblem
-from cbsr_qa.reconstruct.options import number, whole
+from cbsr_qa.reconstruct.options import number, optional_number, whole
 from cbsr_qa.reconstruct.total_variation import MOST_STEPS, TOLERANCE, check_alpha
 from cbsr_qa.reconstruct.total_variation_choice import choose_alpha
 from cbsr_qa.reconstruct.total_variation_images import TotalVariationImages
@@ -35,8 +35,8 @@ class TotalVariation:
         tolerance: float = TOLERANCE,
         iterations: int = MOST_STEPS,
     ) -> None:
-        alpha = number(_NAME, "hyperparameter", hyperparameter)
-        tolerance, steps = number(_NAME, "tolerance", tolerance), whole(_NAME, "iterations", iterations) or 0
+        alpha = optional_number(_NAME, "hyperparameter", hyperparameter)
+        tolerance, steps = number(_NAME, "tolerance", tolerance), whole(_NAME, "iterations", iterations)
         if alpha is not None:
             check_alpha(alpha)
         if not _EXACTEST <= tolerance < 1:

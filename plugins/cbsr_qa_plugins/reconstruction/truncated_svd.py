@@ -5,7 +5,7 @@ import numpy as np
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, ParameterChoice, ParameterCurve
 from cbsr_qa.reconstruct.evidence import central_signal
 from cbsr_qa.reconstruct.noise_figure import noise_figure as noise_figure_of
-from cbsr_qa.reconstruct.options import whole
+from cbsr_qa.reconstruct.options import optional_whole
 from cbsr_qa.reconstruct.regularisation import Criterion, Regularisation
 from cbsr_qa.reconstruct.truncation import Truncation
 
@@ -21,15 +21,15 @@ class TruncatedSvd:
         figure is a bound: the most components that stay within it.
     components : k itself; excludes the others. Pairs of equal singular values are kept or dropped together.
 
-    A count says nothing on other readings, as λ does: with bad channels, or readings weighted by their noise, the k of
-    the nominal sensor type would take in components that are all noise. There the most components are kept that stay
-    within the noise figure asked for, or that k has on the nominal problem.
+    A count does not carry over to other readings as λ does: with bad channels, or readings weighted by their noise,
+    the k of the nominal sensor type would take in components that are all noise. There the most components are kept
+    that stay within the noise figure asked for, or within that of k on the nominal problem.
     """
 
     def __init__(
         self, *, choose: str | None = None, noise_figure: float | None = None, components: int | None = None
     ) -> None:
-        given = whole(_NAME, "components", components)
+        given = optional_whole(_NAME, "components", components)
         self._regularisation = Regularisation.of(
             _NAME, choose=choose, noise_figure=noise_figure, given=given, given_as="components"
         )
