@@ -14,7 +14,7 @@ from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.observation import MetricTimeline
 from cbsr_qa.domain.report import Figure
 from cbsr_qa.report.figures_time import thinned
-from cbsr_qa.report.style import BLUE, INK, ORDERED, QUIET, canvas, light_grid, spread_labels
+from cbsr_qa.report.style import BLUE, INK, ORDERED, QUIET, canvas, fit_left, light_grid, spread_labels
 from cbsr_qa.report.svg import drawn
 
 _FORCE = "#f6d7a7"  # light orange, as in the paper
@@ -47,17 +47,19 @@ def mask_timeline_figure(timeline: MetricTimeline, held: Sequence[Held], *, capt
             ("deviation SD [mm²]", timeline.deviation_mm2),
         )
         start_s = held[0].start_s if held else float(timeline.time_s[0])
+        labelled: list[Axes] = []
         for row, (name, values) in enumerate(rows):
             axes = figure.add_subplot(grid[row])
             _draw_masks(axes, timeline, values, held, start_s)
             _draw_force(figure, axes, timeline.force, held, start_s, labelled=row == 1)
             axes.set_ylabel(name)
-            axes.yaxis.set_label_coords(-0.055, 0.5)
+            labelled.append(axes)
             axes.tick_params(labelbottom=row == 2)
             if row == 0:
                 _name_loads(axes, held, start_s)
                 _name_masks(axes, timeline.masks)
         axes.set_xlabel("time since the first press [min]")
+        fit_left(figure, grid, labelled)
         return figure
 
     return drawn(build, caption=caption, alternative=alternative)

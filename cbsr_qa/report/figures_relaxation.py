@@ -16,7 +16,7 @@ from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit
 from cbsr_qa.domain.report import Figure
 from cbsr_qa.report.figures_time import thinned
 from cbsr_qa.report.numbers import unit_shown
-from cbsr_qa.report.style import BLUE, FAINT, INK, QUIET, VERMILION, canvas, light_grid
+from cbsr_qa.report.style import BLUE, FAINT, INK, QUIET, VERMILION, canvas, fit_left, light_grid
 from cbsr_qa.report.svg import drawn
 
 _DIRECTIONS: Final = ((True, "after the press"), (False, "after the release"))
@@ -82,6 +82,7 @@ def relaxation_figure(
             hspace=0.34,
             wspace=0.2,
         )
+        labelled: list[Axes] = []
         for row, signal in enumerate(signals):
             for column, (loading, words) in enumerate(_DIRECTIONS):
                 axes = figure.add_subplot(grid[row, column])
@@ -94,7 +95,8 @@ def relaxation_figure(
                     axes.set_xlabel("time since the end of the ramp [s]")
                 if column == 0:
                     axes.set_ylabel(_axis_label(signal, loads))
-                    axes.yaxis.set_label_coords(-0.14, 0.5)
+                    labelled.append(axes)
+        fit_left(figure, grid, labelled)
         return figure
 
     return drawn(build, caption=caption, alternative=alternative)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.observation import Trace
 from cbsr_qa.domain.report import Figure
 from cbsr_qa.report.numbers import unit_shown
-from cbsr_qa.report.style import BLUE, CYCLE, INK, QUIET, canvas, light_grid
+from cbsr_qa.report.style import BLUE, CYCLE, INK, QUIET, canvas, fit_left, light_grid
 from cbsr_qa.report.svg import drawn
 
 #: More points than a line on a page can show are drawn as the extremes of each stretch.
@@ -63,10 +63,10 @@ def timeline_figure(
         grid = figure.add_gridspec(
             len(panels), 1, left=0.085, right=0.87, bottom=0.42 / height_in, top=1 - 0.3 / height_in, hspace=0.16
         )
-        first: Axes | None = None
+        drawn_axes: list[Axes] = []
         for row, (unit, members) in enumerate(panels):
-            axes = figure.add_subplot(grid[row], sharex=first)
-            first = first or axes
+            axes = figure.add_subplot(grid[row], sharex=drawn_axes[0] if drawn_axes else None)
+            drawn_axes.append(axes)
             _draw_traces(axes, members, unit)
             for span in spans:
                 shade(axes, span, named=row == 0)
@@ -74,6 +74,7 @@ def timeline_figure(
                 axes.tick_params(labelbottom=False)
         axes.set_xlabel(time_label)
         axes.margins(x=0.01)
+        fit_left(figure, grid, drawn_axes)
         return figure
 
     return drawn(build, caption=caption, alternative=alternative)
@@ -123,6 +124,5 @@ def _draw_traces(axes: Axes, traces: list[Trace], unit: str) -> None:
     name = traces[0].name if len(traces) == 1 else ""
     shown = unit_shown(unit)
     axes.set_ylabel(f"{name}\n[{shown}]" if name and shown else name or (f"[{shown}]" if shown else ""), color=INK)
-    axes.yaxis.set_label_coords(-0.06, 0.5)
     axes.yaxis.label.set_fontsize(7.5)
     axes.tick_params(axis="y", color=QUIET)

@@ -4,7 +4,7 @@ Figures are made with matplotlib's object API; there is no pyplot state. The set
 drawn (:func:`drawing`) and taken back afterwards.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any, Final, cast
 
@@ -12,6 +12,7 @@ import matplotlib as mpl
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap, Normalize
 from matplotlib.figure import Figure as Canvas
+from matplotlib.gridspec import GridSpec
 
 INK: Final = "#1c1c1c"
 QUIET: Final = "#6a6a6a"
@@ -32,6 +33,9 @@ ORDERED: Final = ("#9ecae1", "#56a0d3", "#2171b5", "#08306b")
 
 #: Text width of an A4 page with the report's margins [in].
 WIDTH_IN: Final = 6.9
+
+#: Kept clear at a figure's left edge [in].
+_MARGIN_IN: Final = 0.03
 
 #: Conductance falls (orange-brown), nothing (white), rises (blue).
 CHANGE_MAP: Final = LinearSegmentedColormap.from_list(
@@ -108,6 +112,28 @@ def light_grid(axes: Axes, which: str = "y") -> None:
     """Draw hairlines behind the data."""
     axes.grid(True, axis=which, color=HAIR, linewidth=0.5)  # type: ignore[arg-type]
     axes.set_axisbelow(True)
+
+
+def fit_left(figure: Canvas, grid: GridSpec, labelled: Sequence[Axes]) -> None:
+    """Align the labels of vertical axes clear of their numbers, and widen the left margin until both have room.
+
+    Parameters
+    ----------
+    grid : of the figure, with its margins set.
+    labelled : its first column, drawn in full: numbers decide how wide they are.
+    """
+    figure.align_ylabels(labelled)
+    figure.draw_without_rendering()
+    boxes = [axes.yaxis.get_tightbbox(None) for axes in labelled]
+    outermost = min((box.x0 for box in boxes if box is not None), default=0.0)
+    lacking = (_MARGIN_IN * figure.dpi - outermost) / figure.bbox.width
+    if lacking <= 0:
+        return
+    grid.update(left=grid.get_subplot_params(figure).left + lacking)
+    for axes in figure.axes:  # a grid only moves the axes of figures that pyplot knows
+        place = axes.get_subplotspec()
+        if place is not None and place.get_gridspec() is grid:
+            axes.set_position(place.get_position(figure))
 
 
 def bare(axes: Axes) -> None:

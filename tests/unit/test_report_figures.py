@@ -13,18 +13,19 @@ from report_samples import SENSOR, sample_recording
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.image import Blob, Image
-from cbsr_qa.domain.observation import Trace
+from cbsr_qa.domain.observation import RelaxationObservation, Trace
 from cbsr_qa.domain.outlines import Disc
-from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit
+from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, SettlingTime
 from cbsr_qa.domain.report import Figure
 from cbsr_qa.forward.meshing import image_mesh
+from cbsr_qa.report import figures_metrics, figures_relaxation, figures_time
 from cbsr_qa.report.figures_channels import ChannelMark, channel_map_figure
 from cbsr_qa.report.figures_metrics import Held, held_profile
-from cbsr_qa.report.figures_relaxation import relaxation_value
+from cbsr_qa.report.figures_relaxation import SettledLoad, relaxation_figure, relaxation_value
 from cbsr_qa.report.figures_sheet import ImagePanel, Marker, image_figure
 from cbsr_qa.report.figures_time import Span, thinned, timeline_figure
 from cbsr_qa.report.outlines import Raster, rings
-from cbsr_qa.report.style import spread_labels
+from cbsr_qa.report.style import drawing, spread_labels
 from cbsr_qa.report.svg import checked_svg
 from cbsr_qa_plugins.sections.recording_events import RecordingEvents
 
@@ -134,6 +135,56 @@ def test_units_of_the_recording_need_no_millimetres():
     words = re.findall(r"<text[^>]*>([^<]*)</text>", figure.svg)
     assert "E1" in words
     assert not any("mm" in text for text in words)
+
+
+@pytest.fixture
+def canvases(monkeypatch):
+    """The canvases of figures that are built meanwhile."""
+    kept = []
+
+    def keep(build, *, caption, alternative):
+        with drawing():
+            kept.append(build())
+            kept[-1].draw_without_rendering()
+        return Figure(caption, alternative, "")
+
+    for module in (figures_time, figures_relaxation, figures_metrics):
+        monkeypatch.setattr(module, "drawn", keep)
+    return kept
+
+
+def left_of_numbers(canvas):
+    """How far each vertical axis's label ends left of its widest number, and begins right of the edge [in]."""
+    for axes in canvas.axes:
+        label = axes.yaxis.label
+        if label.get_text() and axes.yaxis.get_label_position() == "left":
+            low, high = sorted(axes.get_ylim())
+            numbers = [
+                tick.label1.get_window_extent().x0
+                for tick in axes.yaxis.get_major_ticks()
+                if low <= tick.get_loc() <= high and tick.label1.get_text()
+            ]
+            box = label.get_window_extent()
+            yield (min(numbers) - box.x1) / canvas.dpi, box.x0 / canvas.dpi
+
+
+@pytest.mark.parametrize("level", [1.0, 2e-3, 40000.0, -70000.0])
+def test_axis_labels_are_clear_of_numbers_however_wide_these_are(canvases, level):
+    time_s = np.linspace(0, 60, 50)
+    values = level * (1 + 0.01 * np.sin(time_s / 9))
+    traces = [Trace("change", "V", time_s, values), Trace("force", "N", time_s, values)]
+    timeline_figure(traces, (), caption="c", alternative="a")
+    fit = RelaxationFit(FitStatus.REJECTED, 0.0, (), (), 0.0, (), 0.0, "short")
+    shown = Trace("image", "1", time_s, values)
+    relaxation = RelaxationObservation("image", True, shown, fit, SettlingTime(None, False, 1.0, "short"))
+    relaxed = [SettledLoad("L1", "p", 0.2, (relaxation,))]
+    relaxation_figure(relaxed, relaxed[0], ["image"], caption="c", alternative="a")
+    for canvas in canvases:
+        found = list(left_of_numbers(canvas))
+        assert found
+        for gap, edge in found:
+            assert gap > 0.01
+            assert edge > 0.01
 
 
 @pytest.mark.parametrize("shared_scale", [True, False])
