@@ -6,19 +6,27 @@ conductance, so that contact impedance is per length of an electrode's outline.
 """
 
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.numbers import real_numbers
 from cbsr_qa.domain.patterns import DrivePattern
 from cbsr_qa.forward.contacts import edge_contacts, point_contacts
 from cbsr_qa.forward.elements import FiniteElements
 from cbsr_qa.forward.prepared import PreparedSheet
+from cbsr_qa.forward.value_range import check_contacts, check_contrast, least_and_most
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+_NOTHING: Final = {
+    "conductance": "give an insulator 1e-8 of the others' conductance, or leave it out of the mesh",
+    "contact impedance": "give a perfect contact a small one, as 1e-6 of the electrode's length over conductance",
+}
 
 
 class ForwardModel:
@@ -38,7 +46,9 @@ class ForwardModel:
     ------
     NumericsError
         If the mesh is in pieces or has electrodes without edges, or a conductance or contact impedance is not a
-        positive finite number, or ``prepared`` belongs to another mesh.
+        positive finite number, or ``prepared`` belongs to another mesh. If conductances are more than 1e8 apart, or
+        z γ/|E| of an electrode is not within 1e-9 and 1e9: beyond, readings keep fewer than six digits
+        (:mod:`cbsr_qa.forward.value_range`).
     """
 
     def __init__(
@@ -62,8 +72,8 @@ class ForwardModel:
         self.elements = prepared.elements
         #: ∫ ∇φ_i·∇φ_j over each element, (e, k, k)
         self.stiffness = prepared.elements.stiffness
-        self.conductance = np.array(conductance, dtype=np.float64)
-        self.contact_impedance = np.array(contact_impedance, dtype=np.float64)
+        self.conductance = real_numbers(conductance, "conductances").copy()
+        self.contact_impedance = real_numbers(contact_impedance, "contact impedances").copy()
         self._check()
         self._factors = prepared.factorise(self.conductance, self.contact_impedance)
 
@@ -100,7 +110,9 @@ class ForwardModel:
         """
         count = len(self.mesh.elements)
         if elements.size and not 0 <= elements.min() <= elements.max() < count:
-            raise NumericsError(f"a changed element is not one of 0 to {count - 1}")
+            raise NumericsError(
+                f"a changed element is not one of 0 to {count - 1}", remedy="count the mesh's elements from 0"
+            )
 
     def changed_conductance(self, elements: Indices, change: Array) -> Array:
         """Conductance of some elements, each named once, after a change: (m,) or (m, q, 2, 2) [S]."""
@@ -252,11 +264,16 @@ class ForwardModel:
         if len(self.prepared.contacts.nodes) != electrodes:
             raise NumericsError(
                 f"the mesh carries {len(self.prepared.contacts.nodes)} electrodes with edges,"
-                f" the pattern needs {electrodes}"
+                f" the pattern needs {electrodes}",
+                remedy="use a pattern of the mesh's electrodes",
             )
         directional = (len(self.elements.shapes.points), 2, 2) if self.conductance.ndim > 1 else ()
         check_values("conductance", self.conductance, (count, *directional))
         check_values("contact impedance", self.contact_impedance, (electrodes,))
+        least, most = least_and_most(self.conductance)
+        check_contrast(least, most)
+        prepared = self.prepared
+        check_contacts(least, most, self.contact_impedance, prepared.contacts.lengths_mm, prepared.beside)
 
 
 def point_model(
@@ -301,13 +318,17 @@ def check_values(name: str, values: Array, shape: tuple[int, ...]) -> Array:
         If they have another shape, or one is not a positive finite number, naming the first of these.
     """
     if values.shape != shape:
-        raise NumericsError(f"{name} has shape {values.shape}; one value for each of {shape[0]} is needed")
+        raise NumericsError(
+            f"{name} has shape {values.shape}; one value for each of {shape[0]} is needed",
+            remedy=f"give an array of shape {shape}",
+        )
     wrong = np.flatnonzero(~conducts(values))
     if wrong.size:
         direction = ", in every direction" if values.ndim > 1 else ""
         raise NumericsError(
             f"{name} {wrong[0]} is {values[wrong[0]].tolist()} (one of {wrong.size} such);"
-            f" it must be a positive finite number{direction}"
+            f" it must be a positive finite number{direction}",
+            remedy=_NOTHING.get(name, ""),
         )
     return values
 

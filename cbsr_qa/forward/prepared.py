@@ -71,6 +71,17 @@ class PreparedSheet:
         means = self.contacts.means[np.argsort(self.place)]
         return np.asfortranarray((means - means.mean(axis=1, keepdims=True))[:, 1:])
 
+    @cached_property
+    def beside(self) -> tuple[Indices, ...]:
+        """Of each electrode, the elements that touch it."""
+        cells = self.elements.cells
+        touching = []
+        for nodes in self.contacts.nodes:
+            own = np.zeros(self.elements.count, dtype=np.bool_)
+            own[nodes] = True
+            touching.append(np.flatnonzero(own[cells].any(axis=1)))
+        return tuple(touching)
+
     def factorise(self, conductance: Array, contact_impedance: Array) -> "Factors":
         """Scale and factorise the matrix.
 

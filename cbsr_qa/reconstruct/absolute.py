@@ -20,6 +20,7 @@ from scipy.spatial.distance import cdist
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.forward.value_range import ValueRangeError
 from cbsr_qa.reconstruct.sheet_model import SheetModel, SolvedSheet
 
 Array = NDArray[np.float64]
@@ -205,8 +206,12 @@ def most_probable_state(
         length = min(1.0, _LONGEST / float(np.abs(step).max()))
         for _ in range(_HALVINGS):
             tried = place.moved(step, weights, length)
-            solved = model.at(origin.moved(tried.away))
-            lower = _misfit(solved.readings(), wanted, variance) + tried.cost()
+            try:
+                solved = model.at(origin.moved(tried.away))
+            except ValueRangeError:  # no state this far out has readings
+                lower = np.inf
+            else:
+                lower = _misfit(solved.readings(), wanted, variance) + tried.cost()
             if lower <= cost - _LEAST_FALL * length * fall:
                 break
             length /= 2

@@ -93,7 +93,8 @@ def _used_once(voltages: Array, problem: ImagingProblem) -> Array:
             f"a reference of shape {frame.shape} does not fit frames of {problem.used.shape}",
             remedy="give one frame, by drive and measure pair",
         )
-    return _used(frame[None], problem)[0]
+    readings: Array = _used(frame[None], problem)[0]
+    return readings
 
 
 def _used(voltages: Array, problem: ImagingProblem) -> Array:

@@ -1,4 +1,4 @@
-"""What an imaging problem and the scaling of readings are given: refused by name where no image could be made of it."""
+"""What imaging problems and the scaling of readings are given: refused by name where it makes no image."""
 
 import numpy as np
 import pytest
@@ -101,7 +101,7 @@ def test_readings_of_other_types_are_refused_not_cast(problem, frame):
             lambda wrong=wrong: scale_of(wrong, problem),
             lambda wrong=wrong: agreement(wrong, problem),
         ):
-            with pytest.raises(RefusedError, match="voltages are of type .* not real numbers"):
+            with pytest.raises(RefusedError, match=r"voltages are of type .* not real numbers"):
                 call()
 
 
