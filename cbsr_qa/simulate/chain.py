@@ -69,8 +69,8 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
     Raises
     ------
     ConfigError
-        If an effect is on twice, lacks what it needs or comes before it, perturbs nothing known, or is given a
-        parameter it does not have.
+        If an effect is on twice, lacks what it needs or comes before it, or before one that is on and that it says it
+        acts ``after``; perturbs nothing known, or is given a parameter it does not have.
     PluginError
         If there is no such effect (raised by ``effect_factory``).
     """
@@ -136,4 +136,10 @@ def _check_needs(scene: Scene, name: str, effect: Effect | SheetEffect, before: 
             raise ConfigError(
                 f"scene {scene.name!r} has effect {name!r} before {need!r}, which it needs",
                 remedy=f"move {need!r} above {name!r}",
+            )
+    for earlier in getattr(effect, "after", ()):
+        if earlier in on and earlier not in before:
+            raise ConfigError(
+                f"scene {scene.name!r} has effect {name!r} before {earlier!r}, which it acts on",
+                remedy=f"move {earlier!r} above {name!r}",
             )

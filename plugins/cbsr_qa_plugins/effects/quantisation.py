@@ -16,6 +16,13 @@ class Quantisation:
     """
 
     needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = (
+        "measurement-noise",
+        "johnson-noise",
+        "mains-hum",
+        "reading-memory",
+        "reading-offset",
+    )
     perturbs = "voltages"
 
     def __init__(self, setting: SceneSetting, *, range_V: float, bits: int) -> None:

@@ -1,0 +1,35 @@
+"""What a load leaves behind."""
+
+from cbsr_qa.domain.scene import Moment, SceneSetting
+from cbsr_qa.domain.sensor import Relaxation
+from cbsr_qa.simulate.parameters import number
+from cbsr_qa.simulate.ramps import response_ramps, transient
+
+
+class Residue:
+    """A share of every change stays when it is released, and fades slowly (paper 4.2: residues of earlier loads).
+
+    Beside the relaxation of the material itself: ramps that lift are answered with −share e^(−t/τ) more.
+
+    Parameters
+    ----------
+    share : of the released change.
+    decay_s : τ, minutes and more.
+    """
+
+    needs: tuple[str, ...] = ("piezoresistivity",)
+    perturbs = "response"
+
+    def __init__(self, setting: SceneSetting, *, share: float, decay_s: float) -> None:
+        self._line = setting.material.against_strain
+        decay_s = number("decay_s", decay_s, above=True)
+        self._kernel = Relaxation((-number("share", share, most=1.0), 0.0), (decay_s, decay_s), "scene")
+
+    def apply(self, moment: Moment) -> None:
+        """Add what is left of every press."""
+        for index, press in enumerate(moment.presses):
+            moment.response[index] += sum(
+                ramp.change * transient(ramp, self._kernel, moment.time_s)
+                for loads, ramp in response_ramps(press, self._line)
+                if not loads
+            )

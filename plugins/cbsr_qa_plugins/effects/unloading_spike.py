@@ -1,0 +1,36 @@
+"""The conductance jumps the wrong way when the head lifts."""
+
+from cbsr_qa.domain.scene import Moment, SceneSetting
+from cbsr_qa.domain.sensor import Relaxation
+from cbsr_qa.simulate.parameters import number
+from cbsr_qa.simulate.ramps import response_ramps, transient
+
+
+class UnloadingSpike:
+    """A release first raises the change by some share of what it will take away (paper 3.1.2), and that fades.
+
+    Every ramp that lifts is answered with −(1 + size) e^(−t/τ) beside its quasi-static change: at once the change is
+    `size` of the ramp beyond where it was, and comes back with τ. The paper prints neither: both are to be chosen.
+
+    Parameters
+    ----------
+    size : of the spike over the change that is released.
+    decay_s : τ.
+    """
+
+    needs: tuple[str, ...] = ("piezoresistivity",)
+    perturbs = "response"
+
+    def __init__(self, setting: SceneSetting, *, size: float, decay_s: float) -> None:
+        self._line = setting.material.against_strain
+        decay_s = number("decay_s", decay_s, above=True)
+        self._kernel = Relaxation((-1 - number("size", size, most=2.0), 0.0), (decay_s, decay_s), "scene")
+
+    def apply(self, moment: Moment) -> None:
+        """Add the spikes of every press that is being lifted, or was."""
+        for index, press in enumerate(moment.presses):
+            moment.response[index] += sum(
+                ramp.change * transient(ramp, self._kernel, moment.time_s)
+                for loads, ramp in response_ramps(press, self._line)
+                if not loads
+            )
