@@ -15,11 +15,10 @@ Array = NDArray[np.float64]
 
 #: Frames before and after a moment that are compared; wider windows find weaker and slower presses.
 WINDOWS = (2, 4, 8)
-#: A step counts from this many times its noise. With 200 frames about one recording in 200 of pure noise has one; see
+#: A step counts from this many times its noise, and more where few moments make a poor noise estimate: by the share
+#: window / moments. With 200 frames about one recording in 200 of pure noise has one; see
 #: tests/recordings/test_event_detection.py, which measures it.
 THRESHOLD = 5.5
-#: Few moments make a poor noise estimate: the threshold rises by this many times the share window / moments.
-_SMALL_SAMPLE = 8.0
 _MOST_CHANGES = 400
 
 
@@ -60,15 +59,22 @@ def find_changes(scores: Array) -> tuple[Change, ...]:
     return tuple(sorted(_rescored(scores, found), key=lambda change: change.frame))
 
 
-def largest_score(scores: Array) -> float:
-    """The largest step over its noise that there is, whether or not it counts; 0 where there are too few frames."""
-    steps = [_steps(scores, window, []) for window in WINDOWS]
-    return max((float(np.abs(z).max()) for _, z in steps if z.size), default=0.0)
+def nearest_step(scores: Array) -> tuple[float, float]:
+    """Return the step that is nearest to counting, over its noise, and the threshold it is held to.
+
+    Each window has its own threshold. Where there are too few frames for any, the step is 0.
+    """
+    found = [(0.0, threshold_for(len(scores), WINDOWS[0]))]
+    for window in WINDOWS:
+        at, z = _steps(scores, window, [])
+        if z.size:
+            found.append((float(np.abs(z).max()), threshold_for(len(at), window)))
+    return max(found, key=lambda one: one[0] / one[1])
 
 
 def threshold_for(moments: int, window: int) -> float:
     """Return the threshold for a noise estimate from so many moments."""
-    return THRESHOLD * (1 + _SMALL_SAMPLE * window / max(moments, 1) / 8) if moments else np.inf
+    return THRESHOLD * (1 + window / moments) if moments else np.inf
 
 
 def _strongest(scores: Array, window: int, found: list[Change]) -> list[Change]:

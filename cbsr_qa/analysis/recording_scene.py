@@ -6,7 +6,7 @@ from typing import Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.recording_changes import largest_score, threshold_for
+from cbsr_qa.analysis.recording_changes import nearest_step
 from cbsr_qa.analysis.recording_contacts import Suspect, suspects_of
 from cbsr_qa.analysis.recording_events import Found, NoLoads, Press, held_from_the_beginning, search
 from cbsr_qa.analysis.recording_images import Sighting, frames_around, nearest_frames
@@ -266,10 +266,8 @@ class RecordedScene:
 
 
 def _quiet(scores: Array) -> str:
-    return (
-        f"nothing stands out of the noise: the largest step is {largest_score(scores):.1f} times its noise,"
-        f" {threshold_for(len(scores), 2):.1f} is needed"
-    )
+    step, needed = nearest_step(scores)
+    return f"nothing stands out of the noise: the largest step is {step:.1f} times its noise, {needed:.1f} is needed"
 
 
 def _rejected(found: Found, times: Array) -> str:

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from cbsr_qa.analysis.recording_changes import find_changes
+from cbsr_qa.analysis.recording_changes import find_changes, nearest_step, threshold_for
 from cbsr_qa.analysis.recording_events import find_presses
 from cbsr_qa.analysis.recording_imaging import nominal_disc, sheet_for
 from cbsr_qa.analysis.recording_noise import channel_noise
@@ -110,6 +110,20 @@ def test_a_faint_press_needs_its_wide_windows_but_is_found():
 
 
 @pytest.mark.parametrize("residue", [0.0, 0.3, 0.65])
+def test_what_is_needed_is_more_than_the_largest_step_where_none_counts():
+    """A step of a wide window is held to that window's threshold, which few moments raise most."""
+    noise = np.random.default_rng(8).normal(size=(60, 3))
+    after = (np.arange(60) >= 30)[:, None]
+    beyond_the_narrowest = False
+    for height in np.linspace(0, 6, 121):
+        scores = noise + height * after
+        if not find_changes(scores):
+            step, needed = nearest_step(scores)
+            assert step < needed
+            beyond_the_narrowest |= step > threshold_for(60, 2)
+    assert beyond_the_narrowest
+
+
 def test_presses_at_different_places_over_the_residue_of_earlier_ones(residue):
     true = [Press(0.0, 0.1, 30, 75, -20, residue=residue), Press(-0.5, 0.2, 95, 135, -25, residue=residue)]
     true.append(Press(0.3, 0.6, 155, 190, -60, residue=residue))

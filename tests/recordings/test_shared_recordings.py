@@ -1,44 +1,18 @@
 """The lab's real recordings and the tank data, against what is known about them."""
 
-import json
 import re
-from functools import cache
-from pathlib import Path
 
 import numpy as np
 import pytest
+from shared_documents import document
 
 from cbsr_qa.analysis.recording_analysis import AnalysisChoices, analyse_recording
-from cbsr_qa.app.analyse import AnalyseRequest, analyse_file
 from cbsr_qa.domain.recording import ReadOptions
 from cbsr_qa.plugins import discover
 from cbsr_qa_plugins.reconstruction.gauss_newton_noser import GaussNewtonNoser
 from cbsr_qa_plugins.recordings.eidors_mat import EidorsMat
 
 pytestmark = pytest.mark.shared
-
-NO_REPORT = AnalyseRequest(report=False)
-
-
-@cache
-def document(path: Path, dataset: str | None = None, reference: Path | None = None) -> dict:
-    request = AnalyseRequest(
-        report=False, dataset=dataset, reference=None if reference is None else (reference, None)
-    )
-    analysed = analyse_file(path, request)
-    told = json.loads(json.dumps(analysed.document, allow_nan=False))
-    return {**told, "exit": analysed.exit_code}
-
-
-@pytest.fixture(scope="session")
-def board(shared):
-    return lambda name: document(shared / "data" / "black_sensor" / f"{name}.csv")
-
-
-@pytest.fixture(scope="session")
-def tank(shared):
-    folder = shared / "data" / "tank"
-    return lambda name, **options: document(folder / name, **options)
 
 
 @pytest.mark.parametrize(
