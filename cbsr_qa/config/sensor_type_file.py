@@ -8,7 +8,7 @@ from pydantic import Field
 
 from cbsr_qa.config.sensor_type_tables import ElectrodesTable, PatternTable, SensorTypeTable
 from cbsr_qa.config.tables import FileModel, Problem
-from cbsr_qa.domain.electrode_fit import placement_problems
+from cbsr_qa.domain.electrode_fit import LEAST_ROOM, placement_problems, widest_ring_mm, width_problem
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.outlines import Disc, Polygon, SheetOutline, polygon_problems, rounding_problems
@@ -102,9 +102,12 @@ class SensorTypeFile(FileModel[SensorType]):
         if ring_mm is None or radius_mm is None:
             return
         width_mm = electrodes.width_mm or 0.0
-        if electrodes.kind == "pin" and ring_mm + width_mm / 2 >= radius_mm:
-            highest = radius_mm - width_mm / 2
-            what = f"is {ring_mm:g}; pins must lie inside the sheet: below {highest:g} mm here"
+        highest = widest_ring_mm(width_mm, radius_mm)
+        if electrodes.kind == "pin" and ring_mm > highest:
+            what = (
+                f"is {ring_mm:g}; pins must lie inside the sheet, {LEAST_ROOM:.0%} of their diameter from its edge:"
+                f" at most {highest:g} mm here"
+            )
             yield Problem(("electrodes", "ring_radius_mm"), what)
         if electrodes.kind == "arc" and not math.isclose(ring_mm, radius_mm, rel_tol=1e-9):
             what = f"is {ring_mm:g}; arcs lie on the sheet's edge: it must be {radius_mm:g}"
@@ -114,6 +117,11 @@ class SensorTypeFile(FileModel[SensorType]):
         outline, layout = self._outline, self._layout
         if outline is None or layout is None:
             return  # what is wrong with them has been said
+        assert self.electrodes is not None
+        narrow = width_problem(layout, outline.radius_mm)
+        if narrow is not None:
+            yield Problem(("electrodes", self.electrodes.width_key), narrow)
+            return
         placed = isinstance(layout, PlacedElectrodes)
         for number, what in placement_problems(layout, outline):
             if placed:

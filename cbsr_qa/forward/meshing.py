@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from cbsr_qa.domain.electrode_fit import widest_ring_mm, width_problem
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.mesh import CircleArcs, Mesh
@@ -206,13 +207,19 @@ def _check_size(sensor_type: SensorType, size_mm: float) -> None:
 
 
 def _check_layout(name: str, layout: ElectrodeLayout, radius: float) -> None:
-    if layout.kind is ElectrodeKind.PIN and layout.ring_radius_mm + layout.width_mm / 2 >= radius:
+    narrow = width_problem(layout, radius)
+    if narrow is not None:
+        raise RefusedError(f"sensor type {name!r}: the electrodes' width {narrow}", remedy="change it or the ring")
+    widest = widest_ring_mm(layout.width_mm, radius)
+    if layout.kind is ElectrodeKind.PIN and layout.ring_radius_mm > widest:
         raise RefusedError(
             f"sensor type {name!r}: pins of {layout.width_mm} mm on a ring of radius"
-            f" {layout.ring_radius_mm} mm do not lie inside the sheet of radius {radius} mm"
+            f" {layout.ring_radius_mm} mm do not lie inside the sheet of radius {radius} mm, clear of its edge",
+            remedy=f"use a ring of at most {widest:g} mm",
         )
     if layout.kind is ElectrodeKind.ARC and abs(layout.ring_radius_mm - radius) > 1e-6 * radius:
         raise RefusedError(
             f"sensor type {name!r}: electrodes.ring_radius_mm is {layout.ring_radius_mm};"
-            f" arcs lie on the sheet's edge, at its radius of {radius} mm"
+            f" arcs lie on the sheet's edge, at its radius of {radius} mm",
+            remedy=f"set it to {radius}",
         )

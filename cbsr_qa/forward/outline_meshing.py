@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
 
 from cbsr_qa.domain.curve import ClosedCurve, circle_curve, polygon_curve
-from cbsr_qa.domain.electrode_fit import placement_problems
+from cbsr_qa.domain.electrode_fit import placement_problems, width_problem
 from cbsr_qa.domain.electrodes import ElectrodeKind
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.mesh import CircleArcs, Mesh
@@ -64,7 +64,10 @@ def outline_sheet_mesh(sensor_type: SensorType, size_mm: float, order: int) -> M
     electrodes = sensor_type.electrodes
     for number, what in placement_problems(electrodes, sensor_type.outline):
         which = "its ring of electrodes" if number is None else f"electrode {number}"
-        raise RefusedError(f"sensor type {sensor_type.name!r}: {which} {what}")
+        raise RefusedError(f"sensor type {sensor_type.name!r}: {which} {what}", remedy="move it, or make it narrower")
+    narrow = width_problem(electrodes, sensor_type.outline.radius_mm)
+    if narrow is not None:
+        raise RefusedError(f"sensor type {sensor_type.name!r}: the electrodes' width {narrow}", remedy="change it")
     frame = _Frame.of(sensor_type.outline)
     curve, radius = frame.curve, frame.radius
     places, width = frame.into(electrodes.positions_mm()), electrodes.width_mm

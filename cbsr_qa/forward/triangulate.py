@@ -7,10 +7,13 @@ numbers and no order of execution enter, so the same outline gives the same mesh
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
+
+from cbsr_qa.domain.errors import NumericsError
 
 Points = NDArray[np.float64]
 Elements = NDArray[np.int64]
@@ -19,6 +22,8 @@ _TOO_LARGE = 1.25  # a circumradius above this many times an equilateral triangl
 _SPACING = 0.86  # points inserted together keep this distance, in wanted sizes
 _CLEARANCE = 0.58  # and this one from the outline
 _ROUNDS = 60
+#: More points than any sheet's mesh has use for (3000 to 20000 do); filling so many takes about a minute.
+MOST_POINTS: Final = 200_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +58,11 @@ def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, El
     -------
     nodes : (n, 2), the outline's first, in their order.
     elements : (e, 3) counterclockwise.
+
+    Raises
+    ------
+    NumericsError
+        If it would take more than :data:`MOST_POINTS` points.
     """
     points = _refine(outline, np.vstack([outline.points, start]))
     elements = triangulate(outline, points)
@@ -100,6 +110,7 @@ def smallest_angle_deg(points: Points, elements: Elements) -> NDArray[np.float64
 
 def _refine(outline: Outline, points: Points) -> Points:
     for _ in range(_ROUNDS):
+        _check_number(len(points), len(outline.points))
         centres, radii = _circumcircles(points, triangulate(outline, points))
         keep = outline.clearance(centres) > 0
         centres, radii = centres[keep], radii[keep]
@@ -112,6 +123,15 @@ def _refine(outline: Outline, points: Points) -> Points:
         centres, wanted = centres[keep][order], wanted[keep][order]
         points = np.vstack([points, centres[_spread(centres, _SPACING * wanted)]])
     return points
+
+
+def _check_number(points: int, on_outline: int) -> None:
+    if points > MOST_POINTS:
+        raise NumericsError(
+            f"the mesh would take more than {MOST_POINTS} points ({on_outline} of them on the outline and round"
+            " electrodes)",
+            remedy="take larger elements, or give electrodes more width, or more room to the edge and to each other",
+        )
 
 
 def _spread(points: Points, distance: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -1,13 +1,15 @@
 import hashlib
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.forward import triangulate
 from cbsr_qa.forward.meshing import image_mesh, sheet_mesh
 from cbsr_qa.forward.triangulate import smallest_angle_deg
 
@@ -142,9 +144,39 @@ def test_size_out_of_range_is_refused(pin_sensor, size_mm):
 
 
 def test_electrodes_that_do_not_fit_the_sheet_are_refused(pin_sensor, arc_sensor):
-    from dataclasses import replace
-
     with pytest.raises(RefusedError, match="do not lie inside the sheet"):
         sheet_mesh(replace(pin_sensor(), radius_mm=48.2), size_mm=3.0)
     with pytest.raises(RefusedError, match="arcs lie on the sheet's edge"):
         sheet_mesh(replace(arc_sensor(), radius_mm=1.1), size_mm=0.08)
+
+
+@pytest.mark.parametrize(("width_mm", "ring_mm"), [(4.0, 47.8), (0.05, 48.0), (15.42, 41.51)])
+def test_electrodes_with_the_least_room_and_width_are_meshed_with_few_elements(pin_sensor, width_mm, ring_mm):
+    sensor = pin_sensor()
+    layout = replace(sensor.electrodes, width_mm=width_mm, ring_radius_mm=ring_mm * (1 - 1e-9))
+    for order in (1, 2):
+        mesh = sheet_mesh(replace(sensor, electrodes=layout), size_mm=5.0, order=order)
+        assert len(mesh.elements) < 20_000
+        assert len(mesh.electrode_edges) == 16
+
+
+@pytest.mark.parametrize(
+    ("width_mm", "reason"),
+    [
+        (3.9999, "clear of its edge"),
+        (1e-9, "must be at least 0.05 mm"),
+        (18.5, "at most 17.8"),
+    ],
+)
+def test_electrodes_too_small_or_without_room_are_refused_before_they_are_meshed(pin_sensor, width_mm, reason):
+    sensor = pin_sensor()
+    with pytest.raises(RefusedError, match=reason) as refused:
+        sheet_mesh(replace(sensor, electrodes=replace(sensor.electrodes, width_mm=width_mm)), size_mm=5.0)
+    assert refused.value.remedy
+
+
+def test_refinement_ends_with_a_refusal_where_it_takes_too_many_points(pin_sensor, monkeypatch):
+    monkeypatch.setattr(triangulate, "MOST_POINTS", 1000)
+    with pytest.raises(NumericsError, match=r"more than 1000 points \(\d+ of them on the outline") as refused:
+        sheet_mesh(pin_sensor(), size_mm=3.0)
+    assert "larger elements" in refused.value.remedy

@@ -143,7 +143,8 @@ def test_an_unknown_key_does_not_hide_what_does_not_fit_together(spoilt):
         ('response = "auto"', 'response = "auto"\nresponce = "auto"'),
     )
     assert "did you mean 'response'?" in message
-    assert "electrodes.ring_radius_mm is 49.9; pins must lie inside the sheet: below 49.675 mm here" in message
+    said = "electrodes.ring_radius_mm is 49.9; pins must lie inside the sheet, 5% of their diameter from its edge:"
+    assert f"{said} at most 49.6425 mm here" in message
 
 
 @pytest.mark.parametrize(
@@ -151,6 +152,14 @@ def test_an_unknown_key_does_not_hide_what_does_not_fit_together(spoilt):
     [
         ("diameter_mm = 0.65", "length_mm = 0.65", "length_mm does not apply where kind is 'pin'; use diameter_mm"),
         ("diameter_mm = 0.65", "diameter_mm = 20.0", "must be below the electrodes' spacing of 18.8 mm"),
+        ("diameter_mm = 0.65", "diameter_mm = 18.5", "centres are 18.73 mm apart are at most 17.83"),
+        ("diameter_mm = 0.65", "diameter_mm = 3.99", "ring_radius_mm is 48; pins must lie inside the sheet, 5%"),
+        ("diameter_mm = 0.65", "diameter_mm = 3.9999", "5% of their diameter from its edge: at most 47.8001 mm here"),
+        (
+            "diameter_mm = 0.65",
+            "diameter_mm = 1e-9",
+            "diameter_mm is 1e-09; on this sheet it must be at least 0.05 mm",
+        ),
         ('kind = "pin"', 'kind = "arc"', "arcs lie on the sheet's edge: it must be 50"),
         ("count = 16", "count = 2", "electrodes.count is 2; it must be greater than or equal to 3"),
         ("count = 16", "count = 16.0", "electrodes.count is 16.0; it must be a whole number"),

@@ -93,7 +93,18 @@ def test_an_outline_that_is_none_is_refused_with_its_line(refused, sheet, said):
     ("electrodes", "said"),
     [
         (PINS.replace("[55, 0]", "[65, 0]"), "electrodes.positions_mm[4] (electrode 3) lies 5 mm outside the sheet"),
-        (PINS.replace("[55, 0]", "[59.8, 0]"), "(electrode 3) lies 0.2 mm from the edge; a pin of 1 mm needs more"),
+        (
+            PINS.replace("[55, 0]", "[59.8, 0]"),
+            "(electrode 3) lies 0.2 mm from the edge; a pin of 1 mm needs 0.55 mm",
+        ),
+        (
+            PINS.replace("[55, 0]", "[55, 33.9999999]"),
+            "(electrode 4) is too close to electrode 3: between centres are 1.0000001 mm, pins of 1 mm need 1.05 mm",
+        ),
+        (
+            PINS.replace("diameter_mm = 1.0", "diameter_mm = 0.01"),
+            "electrodes.diameter_mm is 0.01; on this sheet it must",
+        ),
         (PINS.replace("[55, 0]", "[55, 34.5]"), "positions_mm[5] (electrode 4) overlaps electrode 3"),
         (
             PINS.replace('"pin"', '"arc"').replace("diameter", "length"),

@@ -171,8 +171,10 @@ def test_electrodes_that_fit_are_no_problem(kind):
     ("kind", "change", "number", "said"),
     [
         (ElectrodeKind.PIN, (3, (30.0, 43.0)), 3, "lies 3 mm outside the sheet"),
-        (ElectrodeKind.PIN, (3, (30.0, 39.0)), 3, "lies 1 mm from the edge; a pin of 4 mm needs more than 2 mm"),
+        (ElectrodeKind.PIN, (3, (30.0, 39.0)), 3, "lies 1 mm from the edge; a pin of 4 mm needs 2.2 mm"),
         (ElectrodeKind.PIN, (3, (-27.0, -34.0)), 3, "overlaps electrode 0: their centres are 2 mm apart"),
+        (ElectrodeKind.PIN, (3, (-22.9, -36.0)), 3, "is too close to electrode 0: between centres"),
+        (ElectrodeKind.ARC, (3, (-25.999, -40.0)), 3, "is too close to electrode 0: between centres are 4.001 mm"),
         (ElectrodeKind.ARC, (3, (30.0, 35.0)), 3, "lies 5 mm from the edge, on which"),
         (
             ElectrodeKind.ARC,
