@@ -124,6 +124,11 @@ class Linearised:
     Parameters
     ----------
     solved : the state. prior : C. variance : (g,) σ² of the folded readings.
+
+    Raises
+    ------
+    NumericsError
+        If the noise variances, against what is expected, leave a system that rounding decides.
     """
 
     def __init__(self, solved: SolvedSheet, prior: SheetPrior, variance: Array) -> None:
@@ -134,7 +139,10 @@ class Linearised:
         self._prior = prior
         system = self.jacobian @ self.back
         system.flat[:: len(system) + 1] += variance
-        self._factor = linalg.cho_factor(system, lower=True)
+        try:
+            self._factor = linalg.cho_factor(system, lower=True)
+        except (linalg.LinAlgError, ValueError) as error:  # not positive to rounding, or not finite
+            raise _beyond(f"noise variances of {variance.min():.2g} to {variance.max():.2g} leave") from error
 
     def matrix(self) -> Array:
         """First step from here per change of the readings, (e + electrodes, g)."""
@@ -193,14 +201,17 @@ def most_probable_state(
     Raises
     ------
     NumericsError
-        If no step lowers Φ, or steps run out, before that.
+        If no step lowers Φ, or steps run out, before that; or if Φ is no finite number.
     """
     origin, here, variance = start.solved.state, start, start.variance
     place = _Place(np.zeros(len(origin.unknowns)), np.zeros(len(origin.unknowns)))
     cost = _misfit(here.readings, wanted, variance)
     fall = np.inf
     for number in range(most_steps):
-        step, weights, fall = here.step(wanted, place)
+        with np.errstate(all="ignore"):  # what is not finite is refused here
+            step, weights, fall = here.step(wanted, place)
+        if not (np.isfinite(cost) and np.isfinite(fall) and np.isfinite(step).all()):
+            raise _beyond(f"readings of up to {np.abs(wanted).max():.2g} give")
         if fall <= tolerance + _SHARE * cost:
             return _found(here, wanted, number)
         length = min(1.0, _LONGEST / float(np.abs(step).max()))
@@ -222,7 +233,8 @@ def most_probable_state(
 
 
 def _misfit(readings: Array, wanted: Array, variance: Array) -> float:
-    return float(((readings - wanted) ** 2 / variance).sum())
+    with np.errstate(over="ignore"):
+        return float(((readings - wanted) ** 2 / variance).sum())
 
 
 def _found(here: Linearised, wanted: Array, steps: int) -> FoundState:
@@ -233,6 +245,13 @@ def _found(here: Linearised, wanted: Array, steps: int) -> FoundState:
         float(np.linalg.norm(apart) / np.linalg.norm(wanted)),
         here.contact_error(),
         steps,
+    )
+
+
+def _beyond(what: str) -> NumericsError:
+    return NumericsError(
+        f"the absolute image cannot be computed: {what} no finite numbers, or none that rounding does not decide",
+        remedy="check the units of readings and of their noise variances, and noise_dB",
     )
 
 

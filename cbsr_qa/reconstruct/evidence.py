@@ -24,6 +24,8 @@ _NOISE_DB: Final = 60
 _FRAMES: Final = 32
 _SEED: Final = 3
 
+_MOST_CHANGED: Final = 1e12  # a measured change, of the largest reading: more is another unit
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Evidence:
@@ -58,7 +60,7 @@ def evidence_of(problem: ImagingProblem) -> Evidence:
     Raises
     ------
     NumericsError
-        If the sample does not fit the problem, or is not finite.
+        If the sample does not fit the problem, is not finite, or is of another unit.
     """
     return _simulated(problem) if problem.sample is None else _measured(problem, problem.sample)
 
@@ -72,6 +74,13 @@ def _measured(problem: ImagingProblem, sample: Array) -> Evidence:
         )
     if not np.isfinite(sample).all():
         raise NumericsError("a reading to choose λ from is not a finite number", remedy="leave its channel out")
+    largest, usual = float(np.abs(sample).max()), float(np.abs(problem.reference).max())
+    if largest > _MOST_CHANGED * usual:
+        raise NumericsError(
+            f"a change to choose λ from is {largest:.2g}, where readings are {usual:.2g}: at most"
+            f" {_MOST_CHANGED:.0e} times as much can be",
+            remedy="give changes in the unit of the reference readings",
+        )
     variance, freedom = ReadingFold.of(problem).noise(sample)
     frames = "1 measured change" if len(sample) == 1 else f"{len(sample)} measured changes"
     return Evidence(sample, variance if freedom else None, frames)

@@ -82,38 +82,51 @@ class TotalVariation:
         Raises
         ------
         NumericsError
-            If α is not a positive finite number, or the gap is not closed within the steps allowed.
+            If α is not a positive finite number, readings or rows are so large or small that their squares are no
+            numbers, or the gap is not closed within the steps allowed.
         """
         check_alpha(alpha)
-        flat = self._flat_image(readings, alpha)
-        if flat is not None:
-            return flat
         with np.errstate(all="ignore"), warnings.catch_warnings():  # what is not finite is refused below
             warnings.simplefilter("ignore", linalg.LinAlgWarning)
-            return self._converged(readings, alpha)
+            return self._flat_image(readings, alpha) or self._converged(readings, alpha)
 
     def flattening(self, readings: Array) -> float:
-        """Return an α at which, and above which, the image of readings is flat."""
-        return self._flattest(readings)[1]
+        """Return an α at which, and above which, the image of readings is flat; NumericsError as of the image."""
+        with np.errstate(all="ignore"):
+            return self._flattest(readings)[1]
 
     def _converged(self, readings: Array, alpha: float) -> TvImage:
         state = _State.beginning(self._rows.shape[1], self._jumps.shape[0], readings, alpha)
-        balance = _BALANCED * float(np.abs(self._rows.T @ readings).max())
-        gap, step = np.inf, 0
-        for step in range(self._most_steps):
+        pull, steps = float(np.abs(self._rows.T @ readings).max()), 0
+        while True:
             here = _Here.at(state, self._rows, self._jumps, readings)
-            gap = here.gap(alpha, readings)
-            if abs(gap) <= self._tolerance and np.abs(here.imbalance).max() <= balance:
-                return TvImage(state.image, float(here.residual @ here.residual), gap, step)
+            gap, apart = here.gap(alpha, readings), float(np.abs(here.imbalance).max()) / pull
+            if abs(gap) <= self._tolerance and apart <= _BALANCED and np.isfinite(state.image).all():
+                return TvImage(state.image, float(here.residual @ here.residual), gap, steps)
+            if steps == self._most_steps:
+                break
             try:
                 state = self._step(state, here, alpha)
             except (RuntimeError, ValueError):  # singular to rounding, or no longer finite
                 break
+            steps += 1
         raise NumericsError(
-            f"total variation did not converge: after {step + 1} of {self._most_steps} steps the duality gap is"
-            f" {gap:.1e} of the objective, {self._tolerance:.0e} is wanted",
-            remedy="raise the hyperparameter, or allow more iterations",
+            f"total variation did not converge: after {steps} of {self._most_steps} steps {self._left(gap, apart)}",
+            remedy="raise the hyperparameter, or "
+            + (
+                "allow more iterations"
+                if steps == self._most_steps
+                else "check the units of readings and their noise"
+            ),
         )
+
+    def _left(self, gap: float, apart: float) -> str:
+        """What an image lacks to be taken for the minimiser; a gap means nothing out of balance."""
+        if not (np.isfinite(gap) and np.isfinite(apart)):
+            return "the image is no longer made of finite numbers"
+        if apart > _BALANCED:
+            return f"image and dual are out of balance by {apart:.1e}, {_BALANCED:.0e} is wanted"
+        return f"the duality gap is {gap:.1e} of the objective, {self._tolerance:.0e} is wanted"
 
     def _flat_image(self, readings: Array, alpha: float) -> TvImage | None:
         """Minimiser where it is certainly flat: a dual within ±α balances the residual of a constant."""
@@ -127,8 +140,17 @@ class TotalVariation:
         ones = self._rows.sum(axis=1)
         level = float(ones @ readings / (ones @ ones))
         residual = level * ones - readings
-        dual = self._jumps @ self._even.solve(self._rows.T @ residual)
-        return level, float(np.abs(dual).max()), float(residual @ residual)
+        pull = self._rows.T @ residual
+        found = level, np.inf, float(residual @ residual)
+        if np.isfinite(pull).all():
+            found = level, float(np.abs(self._jumps @ self._even.solve(pull)).max()), found[2]
+        if not np.isfinite(found).all():
+            raise NumericsError(
+                f"total variation cannot be minimised: readings are up to {np.abs(readings).max():.2g} and"
+                f" sensitivities up to {np.abs(self._rows).max():.2g} of their noise: their squares are no numbers",
+                remedy="check the units of readings and of their noise variances",
+            )
+        return found
 
     def _step(self, state: "_State", here: "_Here", alpha: float) -> "_State":
         weights = 1 / (state.up / (alpha - state.dual) + state.down / (alpha + state.dual))
@@ -163,7 +185,10 @@ def jump_matrix(mesh: Mesh) -> sparse.csr_matrix:
 def check_alpha(alpha: float) -> None:
     """Refuse α that is not a positive finite number."""
     if not (np.isfinite(alpha) and alpha > 0):
-        raise NumericsError(f"hyperparameter α is {alpha}; it must be a finite number above zero")
+        raise NumericsError(
+            f"hyperparameter α is {alpha}; it must be a finite number above zero",
+            remedy="give such a number, or none to have it chosen",
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

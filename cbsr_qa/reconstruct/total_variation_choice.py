@@ -31,6 +31,7 @@ _FRAMES: Final = 3  # that a residual is averaged over
 _DRAWS: Final = 8  # of noise, for the noise figure
 _SEED: Final = 3
 _LEAST: Final = 1e-7  # α searched, of the one that leaves nothing but a flat image
+_NOTHING: Final = 1e-12  # of the largest reading: less is no change
 _STEP: Final = 8.0  # from which it is searched downwards in such steps
 _CLEAR: Final = 4.0  # sampling errors by which a flat image must fail, or the readings are all noise
 _EXACT: Final = 0.01  # α is found to a hundredth: the residual it is held against is no better known
@@ -67,7 +68,10 @@ def choose_alpha(problem: ImagingProblem, *, given: float | None, noise_dB: floa
     if given is not None:
         check_alpha(given)
     if not 0 < noise_dB <= _QUIETEST_DB:
-        raise NumericsError(f"noise_dB is {noise_dB}; it must be above 0 and at most {_QUIETEST_DB}")
+        raise NumericsError(
+            f"noise_dB is {noise_dB}; it must be above 0 and at most {_QUIETEST_DB}",
+            remedy="give how many dB below the mean reading the noise is; 60 is usual",
+        )
     if problem.sample is not None:
         return _chosen(problem, given, noise_dB)
     return _of_type(problem.sensor_type, given, noise_dB)
@@ -86,10 +90,11 @@ def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> Ch
     simulated = _simulated(coarse)
     assert simulated.variance is not None
     louder = 10 ** ((_NOISE_DB - noise_dB) / 20)
-    evidence = simulated if problem.sample is None else evidence_of(replace(coarse, sample=problem.sample))
+    looks = problem.sample is not None and given is None
+    evidence = evidence_of(replace(coarse, sample=problem.sample)) if looks else simulated
     if given is not None:
         value, how, variance = given, "hyperparameter given", None
-    elif problem.sample is not None:
+    elif looks:
         value, how, variance = _by_discrepancy(coarse, evidence), _SAID + evidence.words, evidence.variance
     else:
         value = float(f"{louder * _by_discrepancy(coarse, evidence):.6g}")
@@ -98,8 +103,8 @@ def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> Ch
     # The image of a louder target in louder noise is the louder image: what holds for α holds for louder · α there.
     figure, error = _noise_figure(coarse, value / louder, simulated)
     how += (
-        f"; noise figure {figure:.2f} ± {error:.2f} by {_DRAWS} draws (seed {_SEED}) at a contrast of"
-        f" {louder * _CONTRAST:.3g}, on elements of {size_mm:g} mm"
+        f"; noise figure {figure:.2f} ± {error:.2f} by {_DRAWS} draws (seed {_SEED}) at"
+        f" {100 * louder * _CONTRAST:.3g}% contrast, on elements of {size_mm:.3g} mm"
     )
     criterion = "discrepancy" if given is None else "given"
     return ChosenAlpha(ParameterChoice(value, how, figure, "α", criterion=criterion), variance)
@@ -122,10 +127,20 @@ def _by_discrepancy(problem: ImagingProblem, evidence: Evidence) -> float:
             "the discrepancy principle needs the noise, and no readings are there twice to tell it",
             remedy="give the hyperparameter itself",
         )
+    changes = evidence.changes[:_FRAMES]
+    largest = float(np.abs(changes).max())
+    if largest < _NOTHING * np.abs(problem.reference).max():
+        raise NumericsError(
+            f"the changes to choose α on are at most {largest:.2g}, and do not differ from their reference",
+            remedy="choose it on readings of a load, or give the hyperparameter itself",
+        )
+    if evidence.variance <= (np.finfo(float).eps * largest) ** 2:
+        raise NumericsError(
+            "the changes to choose α on have no noise: readings that are there twice are the same to the last digit",
+            remedy="choose it on readings as they were measured, or give the hyperparameter itself",
+        )
     white = WhiteReadings.of(problem)
-    search = _Search(
-        TotalVariation(problem.mesh, white.rows), white.white(evidence.changes[:_FRAMES]), evidence.variance
-    )
+    search = _Search(TotalVariation(problem.mesh, white.rows), white.white(changes), evidence.variance)
     return float(f"{search.alpha():.6g}")
 
 
@@ -159,7 +174,7 @@ class _Search:
     def excess(self, alpha: float) -> float:
         """Logarithm of the mean squared residual over the variance."""
         residuals = [self.method.image(one, alpha).residual for one in self.readings]
-        return float(np.log(sum(residuals) / self.readings.size / self.variance))
+        return float(np.log(max(sum(residuals), np.finfo(float).tiny) / self.readings.size / self.variance))
 
 
 def _noise_figure(problem: ImagingProblem, alpha: float, evidence: Evidence) -> tuple[float, float]:

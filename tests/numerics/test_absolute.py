@@ -9,7 +9,7 @@ from cbsr_qa.domain.reconstruction import ImagingProblem
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.forward.meshing import sheet_mesh
 from cbsr_qa.forward.model import ForwardModel
-from cbsr_qa.reconstruct.absolute import matern
+from cbsr_qa.reconstruct.absolute import Linearised, matern
 from cbsr_qa.reconstruct.problem import imaging_problem, target_signal
 from cbsr_qa.reconstruct.scaling import scale_of
 from cbsr_qa.reconstruct.sheet_model import SheetModel
@@ -205,12 +205,42 @@ def test_too_few_iterations_are_an_error_not_an_image(sensor):
         {"noise_figure": 1e-4},
         {"contact_spread": -1.0},
         {"mesh_size": 0.5},
+        {"mesh_size": 1e-6},
+        {"mesh_size": 0.0299},
+        {"load_spread": 1e-300},
+        {"length": 1e-310},
+        {"iterations": 1001},
         {"iterations": 0},
     ],
 )
 def test_impossible_options_are_refused(problem, options):
-    with pytest.raises(NumericsError, match=r"must be above 0|cannot be reached"):
+    with pytest.raises(NumericsError, match=r"must be (above 0|\S+ to)|cannot be reached") as refused:
         AbsoluteGaussNewton(**options).prepare(problem)
+    assert refused.value.remedy
+
+
+@pytest.mark.parametrize(
+    "name", ["noise_dB", "spread", "length", "load_length", "contact_spread", "mesh_size", "iterations"]
+)
+def test_numbers_that_are_needed_cannot_be_left_empty(name):
+    with pytest.raises(ConfigError, match=f"{name} is None"):
+        AbsoluteGaussNewton(**{name: None})
+
+
+def test_what_is_beyond_numbers_is_refused_never_imaged(problem):
+    prepared = AbsoluteGaussNewton(mesh_size=0.15).prepare(problem)
+    one = target_signal(problem, x_mm=12, y_mm=-20, radius_mm=6.5, contrast=0.2)
+    with pytest.raises(NumericsError, match=r"cannot be computed: readings of up to .*e\+29") as refused:
+        prepared.images(1e300 * one[None])
+    assert "units" in refused.value.remedy
+    extreme = replace(problem, noise_variance=np.where(np.arange(208) % 2, 1e-300, 1e300), nominal=problem)
+    with pytest.raises(NumericsError, match="absolute image") as refused:
+        AbsoluteGaussNewton(mesh_size=0.15).prepare(extreme).images(one[None])
+    assert refused.value.remedy
+    before = prepared.before_load
+    for variance in (np.inf, -1.0):
+        with pytest.raises(NumericsError, match=r"noise variances of .* leave no finite numbers"):
+            Linearised(before.solved, prepared.load, np.full(len(before.variance), variance))
 
 
 def test_options_that_contradict_or_are_no_numbers_are_refused():

@@ -333,3 +333,9 @@ def test_simulated_evidence_is_what_it_says(problem):
     scatter = evidence.changes - central_signal(problem, 0.2)
     assert scatter.std() == pytest.approx(deviation_of(problem), rel=0.05)
     assert ReadingFold.of(problem).noise(evidence.changes)[0] == pytest.approx(evidence.variance, rel=0.1)
+
+
+def test_targets_are_named_in_three_digits(pin_sensor):
+    problem = imaging_problem(pin_sensor(radius_mm=35.17), image_size_mm=5.0)
+    for criterion in ("noise-figure", "gcv"):
+        assert "central target of 9.14 mm" in GaussNewtonNoser(choose=criterion).prepare(problem).choice.how

@@ -1,3 +1,4 @@
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -171,7 +172,7 @@ def test_noisy_channels_weigh_less(problem, noisy):
         ({"hyperparameter": -1.0}, "above zero"),
         ({"hyperparameter": float("nan")}, "above zero"),
         ({"tolerance": 1e-9}, "tolerance is 1e-09"),
-        ({"iterations": 0}, "at least 1"),
+        ({"iterations": 0}, "must be 1 to 1000"),
         ({"noise_dB": float("inf")}, "noise_dB is inf"),
         ({"noise_dB": -60.0}, "noise_dB is -60"),
     ],
@@ -210,3 +211,88 @@ def test_a_frame_no_image_explains_is_refused(problem, noisy):
         prepared.images(np.stack([noisy, 20 * other]))
     assert "noise_dB" in refused.value.remedy
     TotalVariation(hyperparameter=prepared.choice.value).prepare(problem).images(20 * other[None])  # nobody said
+
+
+@pytest.mark.parametrize(
+    ("sample", "reason"),
+    [
+        (np.zeros((3, 208)), "do not differ from their reference"),
+        (np.full((3, 208), 1e-300), "at most 1e-300, and do not differ"),
+        (np.full((3, 208), 1e300), r"a change to choose λ from is 1e\+300, where readings are 1?\d"),
+        (np.ones((3, 208)), "same to the last digit"),
+    ],
+    ids=["zero", "tiny", "huge", "constant"],
+)
+def test_a_sample_that_says_nothing_is_refused_as_such(problem, noisy, sample, reason):
+    with pytest.raises(NumericsError, match=reason) as refused:
+        TotalVariation().prepare(replace(problem, sample=sample))
+    assert refused.value.remedy
+    given = TotalVariation(hyperparameter=_ALPHA).prepare(replace(problem, sample=sample))  # does not look at it
+    assert np.array_equal(
+        given.images(noisy[None]), TotalVariation(hyperparameter=_ALPHA).prepare(problem).images(noisy[None])
+    )
+
+
+@pytest.mark.parametrize(
+    "variance",
+    [np.where(np.arange(208) % 2, 1e-300, 1e300), np.full(208, 1e-310), np.full(208, 1e-320)],
+    ids=["alternating", "small", "denormal"],
+)
+def test_extreme_noise_variances_make_no_image_of_no_numbers(problem, noisy, variance):
+    chosen = TotalVariation(hyperparameter=_ALPHA).prepare(problem).choice
+    options = {"tolerance": 1e-5, "most_steps": 60}
+    with np.errstate(all="ignore"), pytest.raises(NumericsError, match="total variation") as refused:
+        TotalVariationImages.of(
+            "total-variation", replace(problem, noise_variance=variance), chosen, **options
+        ).images(noisy[None])
+    assert refused.value.remedy
+
+
+def test_readings_whose_squares_are_no_numbers_are_refused(problem, noisy):
+    prepared = TotalVariation(hyperparameter=_ALPHA).prepare(problem)
+    with pytest.raises(NumericsError, match="squares are no numbers"):
+        prepared.images(1e300 * noisy[None])
+
+
+@pytest.mark.parametrize("alpha", [1e-300, 1e-30, 1e-15])
+def test_what_is_said_not_to_have_converged_did_not(problem, noisy, alpha):
+    """A gap of zero is no reason: it is that of an image whose dual does not balance it."""
+    white = WhiteReadings.of(problem)
+    with pytest.raises(NumericsError) as refused:
+        Minimise(problem.mesh, white.rows).image(white.white(noisy[None])[0], alpha)
+    said = re.search(r"(balance by|gap is) (\S+?)[, ].* (\S+) is wanted", refused.value.reason)
+    assert said is None or float(said[2]) > float(said[3])
+    assert said or "no longer made of finite numbers" in refused.value.reason
+
+
+def test_the_steps_that_are_allowed_are_taken(problem, noisy):
+    white = WhiteReadings.of(problem)
+    readings = white.white(noisy[None])[0]
+    steps = Minimise(problem.mesh, white.rows).image(readings, _ALPHA).steps
+    assert Minimise(problem.mesh, white.rows, most_steps=steps).image(readings, _ALPHA).steps == steps
+    with pytest.raises(NumericsError, match=f"after {steps - 1} of {steps - 1} steps"):
+        Minimise(problem.mesh, white.rows, most_steps=steps - 1).image(readings, _ALPHA)
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"iterations": 0}, "iterations is 0; it must be 1 to 1000"),
+        ({"iterations": 1001}, "iterations is 1001"),
+        ({"iterations": None}, "iterations is None"),
+        ({"tolerance": None}, "tolerance is None"),
+        ({"noise_dB": None}, "noise_dB is None"),
+        ({"hyperparameter": -1.0}, "α is -1.0"),
+        ({"hyperparameter": 10**400}, "beyond 1.8e308"),
+    ],
+)
+def test_options_out_of_range_are_refused_with_what_is_allowed(options, reason):
+    with pytest.raises((ConfigError, NumericsError), match=reason) as refused:
+        TotalVariation(**options)
+    assert refused.value.remedy
+
+
+def test_how_it_was_chosen_is_said_in_one_notation_and_three_digits(pin_sensor):
+    choice = choose_alpha(imaging_problem(pin_sensor(radius_mm=35.17)), given=None, noise_dB=40.0).choice
+    assert "target of 9.14 mm and 20% contrast" in choice.how
+    assert "at 200% contrast, on elements of 4.22 mm" in choice.how

@@ -26,8 +26,9 @@ class AbsoluteGaussNewton:
         the indenter by default.
     contact_spread : how much ln z is expected to vary about the nominal contact impedance; a load is expected to
         change it as much as ln γ.
-    mesh_size : edge length of the forward mesh (second order), of the radius.
-    iterations : allowed; a state that needs more is refused.
+    mesh_size : edge length of the forward mesh (second order), of the radius, 0.03 to 0.25. At 0.03 a sheet with 16
+        pins takes 11 s to prepare, 0.8 s for each step and 0.8 GB.
+    iterations : allowed, 1 to 1000; a state that needs more is refused.
     """
 
     absolute = True

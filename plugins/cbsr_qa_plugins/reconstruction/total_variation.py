@@ -8,6 +8,7 @@ from cbsr_qa.reconstruct.total_variation_choice import choose_alpha
 from cbsr_qa.reconstruct.total_variation_images import TotalVariationImages
 
 _NAME = "total-variation"
+_MOST_ALLOWED = 1000  # steps; a frame that needs more never ends
 _EXACTEST = 1e-7  # duality gap that rounding leaves room for
 
 
@@ -24,7 +25,7 @@ class TotalVariation:
     noise_dB : how far below the mean reading that noise is, where no measured changes say it. A frame that no image
         explains to ten times the noise is refused.
     tolerance : duality gap, of the objective, at which an image counts as the minimiser.
-    iterations : allowed a frame; fifteen do it. A frame that needs more is refused.
+    iterations : allowed a frame, 1 to 1000; fifteen do it. A frame that needs more is refused.
     """
 
     def __init__(
@@ -40,9 +41,13 @@ class TotalVariation:
         if alpha is not None:
             check_alpha(alpha)
         if not _EXACTEST <= tolerance < 1:
-            raise NumericsError(f"tolerance is {tolerance}; it must be in {_EXACTEST:g} … 1")
-        if steps < 1:
-            raise NumericsError(f"iterations is {iterations}; at least 1 is needed")
+            raise NumericsError(
+                f"tolerance is {tolerance}; it must be in {_EXACTEST:g} … 1", remedy=f"{TOLERANCE:g} is usual"
+            )
+        if not 1 <= steps <= _MOST_ALLOWED:
+            raise NumericsError(
+                f"iterations is {iterations}; it must be 1 to {_MOST_ALLOWED}", remedy=f"{MOST_STEPS} is usual"
+            )
         self._alpha, self._noise_dB = alpha, number(_NAME, "noise_dB", noise_dB)
         self._tolerance, self._steps = tolerance, steps
 
