@@ -110,6 +110,18 @@ def test_a_faint_press_needs_its_wide_windows_but_is_found():
 
 
 @pytest.mark.parametrize("residue", [0.0, 0.3, 0.65])
+def test_presses_at_different_places_over_the_residue_of_earlier_ones(residue):
+    true = [Press(0.0, 0.1, 30, 75, -20, residue=residue), Press(-0.5, 0.2, 95, 135, -25, residue=residue)]
+    true.append(Press(0.3, 0.6, 155, 190, -60, residue=residue))
+    for seed in range(5):
+        found = search(recording(seed, 200, true))
+        assert len(found) == 3
+        for press, one in zip(found, true, strict=True):
+            assert abs(press.start - one.start) < 3
+            assert np.hypot(press.places[0].x - one.x, press.places[0].y - one.y) < 0.15
+            assert press.places[0].score < 0
+
+
 def test_what_is_needed_is_more_than_the_largest_step_where_none_counts():
     """A step of a wide window is held to that window's threshold, which few moments raise most."""
     noise = np.random.default_rng(8).normal(size=(60, 3))
@@ -122,18 +134,6 @@ def test_what_is_needed_is_more_than_the_largest_step_where_none_counts():
             assert step < needed
             beyond_the_narrowest |= step > threshold_for(60, 2)
     assert beyond_the_narrowest
-
-
-def test_presses_at_different_places_over_the_residue_of_earlier_ones(residue):
-    true = [Press(0.0, 0.1, 30, 75, -20, residue=residue), Press(-0.5, 0.2, 95, 135, -25, residue=residue)]
-    true.append(Press(0.3, 0.6, 155, 190, -60, residue=residue))
-    for seed in range(5):
-        found = search(recording(seed, 200, true))
-        assert len(found) == 3
-        for press, one in zip(found, true, strict=True):
-            assert abs(press.start - one.start) < 3
-            assert np.hypot(press.places[0].x - one.x, press.places[0].y - one.y) < 0.15
-            assert press.places[0].score < 0
 
 
 def test_creep_and_tremble_within_a_hold_are_no_further_presses():
