@@ -17,7 +17,7 @@ Indices = NDArray[np.int64]
 Item = TypeVar("Item")
 
 # What reaches a patch from outside is smooth there: of the fields its rim could carry, few are ever met.
-_NEGLIGIBLE: Final = 1e-14
+_NEGLIGIBLE: Final = 1e-11
 
 
 class PatchStack:
@@ -148,7 +148,7 @@ class Patches:
     def nbytes(self) -> int:
         """Memory it takes."""
         parts = sum(stack.nbytes for stack in self._stacks) + sum(matrices.nbytes for matrices in self._matrices)
-        arrays: list[NDArray[Any]] = [*self._members, *self._own, *self._met]
+        arrays: list[NDArray[Any]] = [*self._members, *self._own, *self._met, *self._linked]
         return _nbytes(self) + parts + sum(array.nbytes for array in arrays)
 
     def correction(self, change: Array, contact_change: Array | None = None) -> Array:
@@ -163,17 +163,15 @@ class Patches:
         -------
         (electrodes, electrodes) float64 [V/A].
         """
-        scattered = np.empty_like(self._linked)
-        first = 0
-        for seen, own, met in zip(self._rim_changes(change, contact_change), self._own, self._met, strict=True):
+        scattered = []
+        parts = zip(self._rim_changes(change, contact_change), self._own, self._met, self._linked, strict=True)
+        for seen, own, met, linked in parts:
             capacitance = seen @ own
             np.einsum("gii->gi", capacitance)[:] += 1
             answer = met.swapaxes(1, 2) @ np.linalg.solve(capacitance, seen @ met)  # of each patch alone
-            last = first + len(answer)
-            np.matmul(answer, self._linked[first:last], out=scattered[first:last])
-            first = last
+            scattered.append((answer @ linked).reshape(-1, linked.shape[2]))
         count = len(self._fields)
-        flat = scattered.reshape(count, -1)
+        flat = np.concatenate(scattered)
         between = flat[:, :count]
         np.einsum("ii->i", between)[:] += 1
         correction: Array = self._fields.T @ np.linalg.solve(between, flat[:, count:])
@@ -195,14 +193,20 @@ class Patches:
         ]
         for span in spans:
             between[span, span] = 0
-        bases = _bases(between, fields, spans)
-        self._met = [np.stack(part) for part in _shared_out(bases, [g for g, _ in shapes])]
-        rank = bases[0].shape[1]
-        whole = np.zeros((len(fields), rank * len(spans)))
-        for number, (span, basis) in enumerate(zip(spans, bases, strict=True)):
-            whole[span, number * rank : (number + 1) * rank] = basis
-        self._fields = whole.T @ fields  # (patches · rank, electrodes)
-        self._linked = np.hstack([whole.T @ between @ whole, self._fields]).reshape(len(spans), rank, -1)
+        shared = [list(part) for part in _shared_out(_bases(between, fields, spans), [g for g, _ in shapes])]
+        self._met = [np.stack(_filled_up(part)) for part in shared]
+        bases = [basis for part in self._met for basis in part]
+        places = _spans([basis.shape[1] for basis in bases])
+        whole = np.zeros((len(fields), places[-1].stop))
+        for place, span, basis in zip(places, spans, bases, strict=True):
+            whole[span, place] = basis
+        self._fields = whole.T @ fields  # (sum of ranks, electrodes)
+        rows = np.hstack([whole.T @ between @ whole, self._fields])
+        ends = np.cumsum([met.shape[0] * met.shape[2] for met in self._met])[:-1]
+        self._linked = [
+            part.reshape(len(met), -1, rows.shape[1])
+            for part, met in zip(np.split(rows, ends), self._met, strict=True)
+        ]
 
 
 class ElementChanges:
@@ -312,10 +316,16 @@ def _without_means(
 
 
 def _bases(between: Array, fields: Array, spans: Sequence[slice]) -> list[Array]:
-    """Orthonormal bases (b, r) of what reaches each rim from other rims and electrodes, with zeros up to one r."""
+    """Orthonormal bases (b, r) of what reaches each rim from other rims and electrodes."""
     found = []
     for span in spans:
         basis, size, _ = np.linalg.svd(np.hstack([between[span], fields[span]]), full_matrices=False)
-        found.append(basis[:, size > _NEGLIGIBLE * max(size[0], np.finfo(float).tiny)])
-    rank = max(1, *(basis.shape[1] for basis in found))
-    return [np.pad(basis, ((0, 0), (0, rank - basis.shape[1]))) for basis in found]
+        rank = max(1, int((size > _NEGLIGIBLE * max(size[0], np.finfo(float).tiny)).sum()))
+        found.append(basis[:, :rank])
+    return found
+
+
+def _filled_up(bases: Sequence[Array]) -> list[Array]:
+    """Bases of one stack, with zeros up to the largest rank."""
+    rank = max(basis.shape[1] for basis in bases)
+    return [np.pad(basis, ((0, 0), (0, rank - basis.shape[1]))) for basis in bases]
