@@ -57,7 +57,7 @@ def image_events(
     for number, one in enumerate(sightings, start=1):
         if slow:
             tell(f"imaging event {number} of {len(sightings)} with {chosen.name}")
-        made.append(_event(scene, one, images.of(one)))
+        made.append(_event(scene, one, images.of(one, _name(scene, number, one.peak_s))))
 
     def together(numbers: Sequence[int]) -> Array:
         tell(f"imaging event {numbers[0] + 1} together with those beside it with {chosen.name}")
@@ -68,8 +68,14 @@ def image_events(
     imaging = EventImaging(chosen, images.prepared.choice, len(sheet.problem.mesh.elements))
     alone = images.sequences and all(len(one.frames) == 1 for one in sightings)
     unknown = bool(getattr(reconstruction, "absolute", False)) and offset
-    said = (*images.remarks, *_limits(chosen.name, alone=alone, unknown=unknown), *_unseen(events, images))
+    said = (*images.remarks, *_limits(chosen.name, alone=alone, unknown=unknown), *_unseen(scene, events, images))
     return Imaged(events, imaging, said)
+
+
+def _name(scene: RecordedScene, number: int, peak_s: float) -> str:
+    """Name an event as the report does, with its time where there is one."""
+    untimed = scene.recording.still or scene.recording.clock == "none"
+    return f"E{number}" if untimed else f"E{number} (at {peak_s:.1f} s)"
 
 
 def _event(scene: RecordedScene, one: Sighting, values: Array) -> LoadEvent:
@@ -113,12 +119,12 @@ def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
     return said
 
 
-def _unseen(events: Sequence[LoadEvent], images: EventImages) -> list[str]:
+def _unseen(scene: RecordedScene, events: Sequence[LoadEvent], images: EventImages) -> list[str]:
     """Name events that the method's own image does not show: nobody shall look for them in what is left."""
     return [
-        f"the image of the event at {event.peak_s:.1f} s by {images.name} does not show it: there is no region near"
-        f" its place (electrode {event.electrode:.1f}, r/R {event.r_over_R:.2f}), and what is elsewhere is not this"
+        f"the image of {_name(scene, number, event.peak_s)} by {images.name} does not show it: there is no region"
+        f" near its place (electrode {event.electrode:.1f}, r/R {event.r_over_R:.2f}), and what is elsewhere is not this"
         " event; choose other options or another reconstruction"
-        for event in events
+        for number, event in enumerate(events, start=1)
         if event.imaged is None
     ]

@@ -105,15 +105,19 @@ class EventImages:
     remarks: tuple[str, ...] = ()
     _made: dict[bytes, Array] = field(default_factory=dict)
 
-    def of(self, sighting: Sighting) -> Array:
+    def of(self, sighting: Sighting, name: str = "an event") -> Array:
         """Image (e,) of an event's change.
+
+        Parameters
+        ----------
+        name : of the event, for a refusal.
 
         Raises
         ------
         NumericsError
             If the method cannot image it; names method and event.
         """
-        where = f"{self.name} cannot image the event at {sighting.peak_s:.1f} s"
+        where = f"{self.name} cannot image {name}"
         if self.sequences:
             image: Array = self._images(where, sighting.frames)[sighting.held].mean(axis=0)
         else:

@@ -66,7 +66,8 @@ def analyse(
         emit_json(documents[0] if len(documents) == 1 else {"files": documents})
     for outcome in outcomes:
         if outcome.refused is not None:
-            note(f"cbsr-qa: {outcome.path.name}: {outcome.refused}")
+            named = outcome.path.name in outcome.refused.reason
+            note(f"cbsr-qa: {'' if named else f'{outcome.path.name}: '}{outcome.refused}")
         elif not as_json:
             _show(outcome, chosen=reconstruction is not None or bool(option))
     return max(outcome.exit_code for outcome in outcomes)
@@ -91,24 +92,29 @@ def _show(outcome: "Analysed", *, chosen: bool) -> None:
         note(f"note: {remark}")
     rate = "still" if result.frame_rate_hz is None else f"{result.frame_rate_hz:.2f} frames/s"
     name = f"{outcome.path.name}:{recording.dataset}" if recording.dataset else outcome.path.name
-    say(f"{name}: {len(recording.frames)} frames, {rate}, {recording.rows_rejected} rows rejected")
+    frames, rows = _counted(len(recording.frames), "frame"), _counted(recording.rows_rejected, "row")
+    say(f"{name}: {frames}, {rate}, {rows} rejected")
     if recording.simulated:
         say(f"  simulated {'; '.join(recording.simulated)}")
     say(f"  channels  {len(channels.saturated)} saturated, {len(channels.stuck)} stuck, {channels.used} imaged")
     if result.noise.rms is not None:
-        steps = f", {len(result.noise.steps)} steps" if result.noise.steps else ""
+        steps = f", {_counted(len(result.noise.steps), 'step')}" if result.noise.steps else ""
         say(f"  noise     {result.noise.rms:.3g} {result.noise.unit} rms{steps}")
     if result.events and chosen:
         say(f"  images    {_chosen(result)}")
-    for event in result.events:
+    for number, event in enumerate(result.events, start=1):
         imaged = f", {_imaged(event)}" if chosen else ""
-        say(f"  event     {_said(event, still=result.frame_rate_hz is None)}{imaged}")
+        say(f"  {f'event E{number}':<9} {_said(event, still=result.frame_rate_hz is None)}{imaged}")
         if event.motion is not None:
             say(f"            moves: {event.motion.words}; the place above is where it is clearest")
     if not result.events:
         say(f"  no event  {result.events_why}")
     if outcome.report is not None:
         say(f"  report    {outcome.report}")
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
 def _chosen(result: "RecordingResult") -> str:
@@ -130,5 +136,9 @@ def _said(event: "LoadEvent", *, still: bool) -> str:
     when = "" if still else f"{event.start_s:.1f} to {event.end_s:.1f} s, "
     what = "conducts more" if event.sign > 0 else "conducts less"
     place = f"electrode {event.electrode:.2f}, r/R {event.r_over_R:.2f}"
-    mm = "" if event.x_mm is None else f" ({event.x_mm:.1f}, {event.y_mm:.1f} mm)"
+    mm = "" if event.x_mm is None or event.y_mm is None else f" ({_mm(event.x_mm)}, {_mm(event.y_mm)} mm)"
     return f"{when}{place}{mm}, {what}, SNR {event.snr:.1f}"
+
+
+def _mm(length: float) -> str:
+    return f"{round(length, 1) + 0.0:.1f}"  # a rounded zero has no sign

@@ -1,6 +1,7 @@
 """``cbsr-qa analyse`` from the command line, on files made here."""
 
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +80,29 @@ def test_a_reference_recording_turns_presses_into_objects(tmp_path, capsys):
     (event,) = found["events"]
     assert (event["x_over_R"], event["y_over_R"]) == pytest.approx((-0.3, 0.5), abs=0.05)
     assert (event["start_s"], event["end_s"]) == pytest.approx((25.0, 172.5))
+
+
+def test_a_rounded_zero_has_no_sign_and_one_frame_is_one(tmp_path, capsys):
+    path = exported(tmp_path, pressed_frames(-4e-4, 0.5, contrast=-0.1), sensor_type="disc-100mm")
+    out = run(capsys, path, "--no-report")[1]
+    (x_mm,) = re.findall(r"  event E1  .* \((.*), .* mm\)", out)
+    (event,) = json.loads(run(capsys, path, "--no-report", "--json")[1])["events"]
+    assert -0.05 < event["x_mm"] < 0
+    assert x_mm == "0.0"
+    tank = tmp_path / "tank.mat"
+    frames = np.abs(pressed_frames(0.4, 0.3, contrast=0.3, n=2, start=1, end=2))
+    scipy.io.savemat(tank, {"vv": frames[1:].reshape(1, 256).T, "vvRef": frames[:1].reshape(1, 256).T})
+    out = run(capsys, tank, "--dataset", "vv", "--reference", f"{tank}:vvRef", "--no-report")[1]
+    assert out.startswith("tank.mat:vv: 1 frame, still, 0 rows rejected\n")
+
+
+def test_a_refusal_names_its_file_once(tmp_path, capsys):
+    headers = BoardFile().header().save(tmp_path)
+    assert run(capsys, headers)[2].count(headers.name) == 2  # once as it is read
+    path = exported(tmp_path, pressed_frames(0, 0, contrast=0.0, n=6))
+    code, _, err = run(capsys, path, "--reconstruction", "no-such")
+    assert code == 2
+    assert err.startswith(f"cbsr-qa: {path.name}: ")
 
 
 def test_what_was_simulated_is_said_wherever_results_are(tmp_path, capsys):

@@ -16,8 +16,10 @@ from cbsr_qa.analysis.recording_places import Place
 from cbsr_qa.app.analyse import AnalyseRequest, analyse_file
 from cbsr_qa.cli.main import guarded
 from cbsr_qa.domain.errors import NumericsError, PluginError
+from cbsr_qa.domain.frames import FrameBlock, VoltageUnit
 from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.recording import ReadOptions
+from cbsr_qa.domain.reconstruction import LinearReconstruction, ParameterChoice
+from cbsr_qa.domain.recording import ReadOptions, Recording, ScanKind
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.plugins import discover
 from cbsr_qa_plugins.reconstruction.gauss_newton_noser import GaussNewtonNoser
@@ -298,7 +300,7 @@ def test_what_is_no_image_is_refused_by_name(pressed, images, error, said):
     choices = AnalysisChoices(reconstruction=PluginChoice("watched"))
     with pytest.raises(error, match=said) as raised:
         analyse_recording(read(pressed), Watched(images=images), choices)
-    assert raised.value.reason.startswith("watched cannot image the event at ")
+    assert raised.value.reason.startswith("watched cannot image E1 (at ")
     assert raised.value.remedy
 
 
@@ -306,7 +308,31 @@ def test_an_image_that_does_not_show_its_event_is_named(pressed):
     document = found_by(pressed, "total-variation", hyperparameter=1.0).document
     (event,) = document["events"]
     assert event["image"] is None
-    assert any("by total-variation does not show it" in warning for warning in document["warnings"])
+    (said,) = [warning for warning in document["warnings"] if "by total-variation does not show it" in warning]
+    assert said.startswith(f"the image of E1 (at {event['peak_s']:.1f} s) by ")
+
+
+class Blank:
+    """Images in which nothing is."""
+
+    def prepare(self, problem):
+        count = len(problem.mesh.elements)
+        matrix = np.zeros((count, len(problem.reference)))
+        return LinearReconstruction("blank", problem, matrix, ParameterChoice(1.0, "as asked", 1.0))
+
+
+def test_objects_of_a_still_image_are_named_without_a_time():
+    frames = pressed_frames(0.4, 0.3, contrast=0.0, n=2, seed=2)
+    here, there = (pressed_frames(*at, contrast=0.3, n=1, start=0, end=1) for at in ((0.5, 0.0), (-0.5, 0.1)))
+    voltages = here + there - frames[:1]
+    empty, held = (
+        FrameBlock(np.zeros(1), v, np.zeros(v.shape, np.uint8), VoltageUnit.VOLT, 0.001)
+        for v in (frames[:1], voltages)
+    )
+    recording = Recording(Path("m.txt"), "text", "", ScanKind.FULL, held, empty, True, False, "none")
+    result = analyse_recording(recording, Blank())
+    said = [warning for warning in result.warnings if "does not show it" in warning]
+    assert [warning.split(" by ")[0] for warning in said] == ["the image of E1", "the image of E2"]
 
 
 def test_the_report_names_the_method_its_options_and_why(pressed, capsys):

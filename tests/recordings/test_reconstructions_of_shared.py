@@ -35,6 +35,6 @@ def test_a_press_no_sheet_explains_is_refused_by_an_absolute_method(shared):
     request = AnalyseRequest(report=False, reconstruction="absolute-gauss-newton")
     refused = analyse_file(path, request).refused
     assert refused is not None
-    assert refused.reason.startswith("absolute-gauss-newton cannot image the event at 43.8 s")
+    assert refused.reason.startswith("absolute-gauss-newton cannot image E3 (at 43.8 s): ")
     assert "did not converge" in refused.reason
     assert "noise_dB" in refused.remedy

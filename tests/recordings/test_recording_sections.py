@@ -1,5 +1,7 @@
 """Report sections of recordings: they show what the result says, and nothing for runs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from board_files import BoardFile, counts
@@ -47,6 +49,16 @@ def test_channels_say_noise_and_reciprocity(result):
     said = list(texts(SECTIONS[1].render(result)))
     assert f"{result.channels.reciprocity_error:.3f}" in said
     assert np.isfinite(result.noise.rms)
+
+
+@pytest.mark.parametrize(
+    ("saturated", "said"),
+    [((), "Saturated: none; stuck: none."), (((0, 0), (1, 1)), "Saturated: 2; stuck: none.")],
+)
+def test_the_map_counts_what_is_marked_on_it(result, saturated, said):
+    marked = replace(result, channels=replace(result.channels, saturated=saturated, stuck=()))
+    (figure,) = [block for block in SECTIONS[1].render(marked).blocks if isinstance(block, Figure)]
+    assert figure.caption == f"Level of each channel. {said}"
 
 
 def test_rejected_rows_come_first_with_line_and_reason(result):

@@ -69,7 +69,7 @@ def _map(result: RecordingResult) -> Figure:
             ChannelMark(at(channels.saturated), "x", "saturated"),
             ChannelMark(at(channels.stuck), "o", "stuck"),
         ),
-        caption=f"Level of each channel. {plural(saturated, 'channel')} saturated, {stuck or 'none'} stuck.",
+        caption=f"Level of each channel. Saturated: {saturated or 'none'}; stuck: {stuck or 'none'}.",
         alternative=f"Map of {level.shape[0]} by {level.shape[1]} channels; {saturated} saturated, {stuck} stuck.",
     )
 
