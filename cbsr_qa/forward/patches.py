@@ -17,7 +17,8 @@ Indices = NDArray[np.int64]
 Item = TypeVar("Item")
 
 # What reaches a patch from outside is smooth there: of the fields its rim could carry, few are ever met.
-_NEGLIGIBLE: Final = 1e-11
+_NEGLIGIBLE: Final = 1e-14
+_NEGLIGIBLE_CONTACT: Final = 1e-12  # contacts are round and small: what is left out of their fields is not sent back
 
 
 class PatchStack:
@@ -193,7 +194,9 @@ class Patches:
         ]
         for span in spans:
             between[span, span] = 0
-        shared = [list(part) for part in _shared_out(_bases(between, fields, spans), [g for g, _ in shapes])]
+        of_contacts = [stack is self._contacts for stack in self._stacks for _ in stack.rims]
+        least = [_NEGLIGIBLE_CONTACT if contact else _NEGLIGIBLE for contact in of_contacts]
+        shared = [list(part) for part in _shared_out(_bases(between, fields, spans, least), [g for g, _ in shapes])]
         self._met = [np.stack(_filled_up(part)) for part in shared]
         bases = [basis for part in self._met for basis in part]
         places = _spans([basis.shape[1] for basis in bases])
@@ -315,12 +318,12 @@ def _without_means(
     return between, fields
 
 
-def _bases(between: Array, fields: Array, spans: Sequence[slice]) -> list[Array]:
-    """Orthonormal bases (b, r) of what reaches each rim from other rims and electrodes."""
+def _bases(between: Array, fields: Array, spans: Sequence[slice], least: Sequence[float]) -> list[Array]:
+    """Orthonormal bases (b, r) of what reaches each rim from other rims and electrodes, but for the least of it."""
     found = []
-    for span in spans:
+    for span, negligible in zip(spans, least, strict=True):
         basis, size, _ = np.linalg.svd(np.hstack([between[span], fields[span]]), full_matrices=False)
-        rank = max(1, int((size > _NEGLIGIBLE * max(size[0], np.finfo(float).tiny)).sum()))
+        rank = max(1, int((size > negligible * max(size[0], np.finfo(float).tiny)).sum()))
         found.append(basis[:, :rank])
     return found
 
