@@ -2,12 +2,16 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import real_numbers
 
+#: Farthest a node may be from the sheet's centre [mm]; products of lengths stay far from overflow.
+FARTHEST_MM: Final = 1e9
 _OFF_CIRCLE = 1e-6  # how far a node may be off its circle, of the radius
 
 
@@ -46,7 +50,8 @@ class Mesh:
     Raises
     ------
     RefusedError
-        If an element is turned or has no area, names a node that is not there, or an arc's node is off its circle.
+        If nodes are not finite real numbers or beyond :data:`FARTHEST_MM`, an element is turned or has no area, names
+        a node that is not there, or an arc's node is off its circle.
     """
 
     nodes_mm: NDArray[np.float64]
@@ -55,11 +60,17 @@ class Mesh:
     arcs: tuple[CircleArcs, ...] = ()
 
     def __post_init__(self) -> None:
+        check_places(real_numbers(self.nodes_mm, "nodes"))
         if self.elements.size and not 0 <= self.elements.min() <= self.elements.max() < len(self.nodes_mm):
-            raise RefusedError("a mesh element names a node that is not in the mesh")
+            raise RefusedError(
+                "a mesh element names a node that is not in the mesh", remedy="count the mesh's nodes from 0"
+            )
         flat = np.flatnonzero(self.areas_mm2 <= 0)
         if flat.size:
-            raise RefusedError(f"mesh element {flat[0]} (of {flat.size}) is turned or has no area")
+            raise RefusedError(
+                f"mesh element {flat[0]} (of {flat.size}) is turned or has no area",
+                remedy="list its nodes counterclockwise, or leave it out",
+            )
         for arcs in self.arcs:
             away = np.hypot(*(self.nodes_mm[arcs.edges.ravel()] - arcs.centre_mm).T)
             if not (np.abs(away - arcs.radius_mm) <= _OFF_CIRCLE * arcs.radius_mm).all():
@@ -116,3 +127,20 @@ class Mesh:
         keys, of_element = np.unique(pairs.min(axis=1) * count + pairs.max(axis=1), return_inverse=True)
         edges = np.column_stack([keys // count, keys % count]).astype(np.int64)
         return edges, of_element.reshape(-1, 3).astype(np.int64)
+
+
+def check_places(nodes_mm: NDArray[np.float64]) -> None:
+    """Refuse nodes (n, 2) at places that are not finite numbers, or farther away than any sheet reaches.
+
+    Raises
+    ------
+    RefusedError
+        Naming the first.
+    """
+    wrong = np.flatnonzero(~(np.abs(nodes_mm) <= FARTHEST_MM).all(axis=-1))
+    if wrong.size:
+        raise RefusedError(
+            f"mesh node {wrong[0]} (one of {wrong.size} such) is at {nodes_mm[wrong[0]].tolist()} mm; places are"
+            f" finite numbers up to {FARTHEST_MM:g} mm",
+            remedy="give nodes in millimetres from the sheet's centre",
+        )

@@ -1,6 +1,7 @@
 """Numbers as callers give them, refused by name where they are of another type."""
 
 from numbers import Integral
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,16 +25,27 @@ def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[n
     NumericsError
         Naming the type found.
     """
-    try:
-        array = np.asarray(values)
-    except (ValueError, TypeError) as error:
-        raise NumericsError(
-            f"{what} are rows of different lengths, not an array", remedy="give rows of one length"
-        ) from error
+    array = array_of(values, what)
     if array.dtype.kind not in "fiu":
         parts = "give real parts or magnitudes" if array.dtype.kind == "c" else "give integers or floats"
         raise NumericsError(f"{what} are of type {array.dtype}, not real numbers", remedy=remedy or parts)
     return np.asarray(array, dtype=np.float64)
+
+
+def array_of(values: ArrayLike, what: str) -> NDArray[Any]:
+    """Return values as an array of whatever type they are.
+
+    Raises
+    ------
+    NumericsError
+        If they are nested lists that do not make one.
+    """
+    try:
+        return np.asarray(values)
+    except (ValueError, TypeError) as error:
+        raise NumericsError(
+            f"{what} are rows of different lengths, not an array", remedy="give rows of one length"
+        ) from error
 
 
 def is_whole(value: object) -> bool:

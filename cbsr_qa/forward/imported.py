@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.numbers import array_of
 from cbsr_qa.forward.mesh_checks import (
     Indices,
     Points,
@@ -93,12 +94,12 @@ def imported_mesh(
 
 def _numbers(given: ArrayLike, number: int, first: int) -> Indices:
     """Nodes (k,) or edges (k, 2) of an electrode, counted from 0."""
-    array = np.asarray(given)
+    array = array_of(given, f"nodes of electrode {number}")
     if not array.size:
         raise NumericsError(
             f"electrode {number} has no nodes or edges", remedy="give it some, or leave it and its pairs out"
         )
-    return whole_numbers(given, f"electrode {number}:", (2,) if array.ndim == 2 else ()) - first
+    return whole_numbers(array, f"electrode {number}:", (2,) if array.ndim == 2 else ()) - first
 
 
 def _mended(

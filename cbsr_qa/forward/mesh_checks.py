@@ -8,35 +8,60 @@ from scipy import sparse
 from scipy.spatial import cKDTree
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.mesh import FARTHEST_MM, Mesh
+from cbsr_qa.domain.numbers import array_of, real_numbers
 
 Indices = NDArray[np.int64]
 Points = NDArray[np.float64]
 
 _SAME: Final = 1e-9  # of the mesh's size: nodes closer together are one
+_SMALLEST_MM: Final = 1e-9  # extent of a mesh
 _FLAT: Final = 1e-9  # area over the longest edge squared: thinner elements have no area worth the name
 
 
 def plane_points(nodes_mm: ArrayLike) -> Points:
-    """Return nodes as (n, 2) finite numbers; a third coordinate that is the same for all is left out."""
-    points = np.asarray(nodes_mm, dtype=np.float64)
+    """Return nodes as (n, 2) finite numbers; a third coordinate that is the same for all is left out.
+
+    Raises
+    ------
+    NumericsError
+        If they are of another type or shape, not finite, or of an extent that no sheet has.
+    """
+    points = real_numbers(nodes_mm, "nodes")
     if points.ndim == 2 and points.shape[1] == 3 and len(points) and np.ptp(points[:, 2]) == 0:
         points = points[:, :2]
     if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
-        raise NumericsError(f"nodes of shape {points.shape} are not at least three places (x, y) in a plane")
+        raise NumericsError(
+            f"nodes of shape {points.shape} are not at least three places (x, y) in a plane",
+            remedy="give an array (n, 2) of places in millimetres",
+        )
     wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
     if wrong.size:
-        raise NumericsError(f"node {wrong[0]} (one of {wrong.size} such) is at a place that is not a finite number")
+        raise NumericsError(
+            f"node {wrong[0]} (one of {wrong.size} such) is at a place that is not a finite number",
+            remedy="mend it, or leave it and its elements out",
+        )
+    farthest, extent = float(np.abs(points).max()), float(np.ptp(points, axis=0).max())
+    if farthest > FARTHEST_MM or extent < _SMALLEST_MM:
+        raise NumericsError(
+            f"a mesh of {extent:g} mm that reaches {farthest:g} mm from its origin is no sheet's; allowed are"
+            f" {_SMALLEST_MM:g} to {FARTHEST_MM:g} mm",
+            remedy="give places in millimetres from the sheet's centre",
+        )
     return np.ascontiguousarray(points)
 
 
 def whole_numbers(numbers: ArrayLike, what: str, tail: tuple[int, ...]) -> Indices:
     """Return rows of nodes as int64: ``tail`` is () for single ones, (2,) for edges, (3,) for triangles."""
-    array = np.asarray(numbers)
-    whole = array.dtype.kind in "iu" or (array.dtype.kind == "f" and bool((array == np.floor(array)).all()))
+    array = array_of(numbers, what)
+    counted = array.dtype.kind == "f" and bool(((array == np.floor(array)) & (np.abs(array) < 2**53)).all())
+    whole = array.dtype.kind in "iu" or counted
     if not whole or array.ndim != 1 + len(tail) or array.shape[1:] != tail or not len(array):
         wanted = {(): "a list of nodes", (2,): "rows of two nodes", (3,): "rows of three nodes"}[tail]
-        raise NumericsError(f"{what} of shape {array.shape} and type {array.dtype}; {wanted} are needed, by number")
+        raise NumericsError(
+            f"{what} of shape {array.shape} and type {array.dtype}; {wanted} are needed, by number",
+            remedy="give whole numbers, one row after another",
+        )
     return array.astype(np.int64)
 
 

@@ -36,7 +36,10 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
             arrays: dict[str, Any] = mesh_arrays(mesh)
             np.savez_compressed(file, **arrays)
     except OSError as error:
-        raise NumericsError(f"the mesh cannot be written to {path}: {error.strerror or error}") from error
+        raise NumericsError(
+            f"the mesh cannot be written to {path}: {error.strerror or error}",
+            remedy="choose a folder that is there and may be written to",
+        ) from error
 
 
 def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *, mend: bool = False) -> Mesh:
@@ -55,9 +58,14 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
         If there is no such file, it is no mesh, meshio is needed and not installed, or the mesh is refused.
     """
     if not path.is_file():
-        raise NumericsError(f"there is no mesh file {path}")
+        raise NumericsError(
+            f"there is no mesh file {path}", remedy="check its name, and the folder it is looked for in"
+        )
     if path.stat().st_size > LARGEST_BYTES:
-        raise NumericsError(f"{path} has {path.stat().st_size} bytes; a mesh file has at most {LARGEST_BYTES}")
+        raise NumericsError(
+            f"{path} has {path.stat().st_size} bytes; a mesh file has at most {LARGEST_BYTES}",
+            remedy="mesh the sheet with larger elements",
+        )
     try:
         if path.suffix == ".npz":
             return _checked(_npz(path), electrodes, mend=mend)
@@ -72,7 +80,9 @@ def _npz(path: Path) -> dict[str, NDArray[Any]]:
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
             return {name: file[name] for name in file.files}
     except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
-        raise NumericsError("it is damaged, or no .npz file of numbers") from error
+        raise NumericsError(
+            "it is damaged, or no .npz file of numbers", remedy="write it again, with write_mesh or numpy.savez"
+        ) from error
 
 
 def _checked(arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeGiven] | None, *, mend: bool) -> Mesh:

@@ -12,7 +12,8 @@ from scipy.spatial import Delaunay
 from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.config.merge import canonical_json
 from cbsr_qa.domain.electrodes import ElectrodeKind, PlacedElectrodes
-from cbsr_qa.domain.errors import ConfigError, NumericsError
+from cbsr_qa.domain.errors import ConfigError, NumericsError, RefusedError
+from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.outlines import Polygon
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.domain.sensor import polygon_sensor
@@ -233,8 +234,48 @@ def test_a_file_is_never_executed_and_must_hold_the_arrays(tmp_path):
     with pytest.raises(NumericsError, match="holds no nodes_mm") as caught:
         read_mesh(tmp_path / "other.npz")
     assert "write_mesh" in caught.value.remedy
-    with pytest.raises(NumericsError, match="there is no mesh file"):
+    with pytest.raises(NumericsError, match="there is no mesh file") as caught:
         read_mesh(tmp_path / "absent.npz")
+    assert "folder" in caught.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda nodes: nodes + 1j, "nodes are of type complex128, not real numbers"),
+        (lambda nodes: nodes.astype(str), "not real numbers"),
+        (lambda nodes: [[0.0, 1.0], [2.0]], "rows of different lengths"),
+        (lambda nodes: nodes * 1e150, "is no sheet's; allowed are 1e-09 to 1e"),
+        (lambda nodes: nodes * 1e-150, "is no sheet's; allowed are 1e-09 to 1e"),
+    ],
+)
+def test_places_that_are_no_places_are_refused_not_cast(change, said):
+    nodes, elements = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]), np.array([[0, 1, 2]])
+    assert len(imported_mesh(nodes, elements, ()).elements) == 1
+    with pytest.raises(NumericsError, match=said) as caught:
+        imported_mesh(change(nodes), elements, ())
+    assert caught.value.remedy
+
+
+@pytest.mark.parametrize("wrong", [[[0, 1, 2], [1, 2]], [[0, 1, np.inf]], [[0, 1, 2j]], [["0", "1", "2"]]])
+def test_elements_that_are_no_numbers_of_nodes_are_refused(wrong):
+    nodes = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    with pytest.raises(NumericsError, match=r"elements (are rows|of shape)") as caught:
+        imported_mesh(nodes, wrong, ())
+    assert caught.value.remedy
+    with pytest.raises(NumericsError, match=r"electrode 0.* are rows of different lengths"):
+        imported_mesh(nodes, [[0, 1, 2]], ([[0, 1], [1]],))
+
+
+@pytest.mark.parametrize(
+    ("place", "said"),
+    [(np.nan, "mesh node 1 .* finite"), (-np.inf, "finite"), (1e150, "up to 1e"), (1j, "complex128")],
+)
+def test_a_mesh_has_its_nodes_at_places(place, said):
+    nodes = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], place * np.ones(2)])[[0, 3, 1, 2]]
+    with pytest.raises(RefusedError, match=said) as caught:
+        Mesh(nodes, np.array([[0, 2, 3]]))
+    assert caught.value.remedy
 
 
 def test_other_formats_need_meshio_and_take_their_electrodes_from_named_lines(tmp_path, monkeypatch):
