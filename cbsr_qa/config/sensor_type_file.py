@@ -6,7 +6,7 @@ from functools import cached_property
 
 from pydantic import Field
 
-from cbsr_qa.config.sensor_type_tables import ElectrodesTable, PatternTable, SensorTypeTable
+from cbsr_qa.config.sensor_type_tables import SMALLEST_MM, ElectrodesTable, PatternTable, SensorTypeTable
 from cbsr_qa.config.tables import FileModel, Problem
 from cbsr_qa.domain.electrode_fit import LEAST_ROOM, placement_problems, widest_ring_mm, width_problem
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
@@ -70,6 +70,11 @@ class SensorTypeFile(FileModel[SensorType]):
             yield Problem(_OUTLINE if corner is None else (*_OUTLINE, corner), what)
         for what in () if wrong else rounding_problems(sheet.outline_mm, sheet.corner_radius_mm):
             yield Problem(("sensor_type", "corner_radius_mm"), what)
+        if self._outline is not None and self._outline.radius_mm < SMALLEST_MM:
+            what = (
+                f"has the area of a disc of {self._outline.radius_mm:g} mm; a sheet has at least {SMALLEST_MM:g} mm"
+            )
+            yield Problem(_OUTLINE, what)
 
     def _key_problems(self, electrodes: ElectrodesTable) -> Iterator[Problem]:
         if electrodes.positions_mm is not None:

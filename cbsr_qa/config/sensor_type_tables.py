@@ -1,7 +1,7 @@
 """Tables of sensor type files."""
 
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, PlainValidator
 
@@ -13,7 +13,12 @@ from cbsr_qa.domain.patterns import Pairs, is_rule, named_pairs
 
 Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
-Point = Annotated[list[float], Field(min_length=2, max_length=2)]
+#: Smallest and largest radius of a sheet, and farthest place [mm]: beyond, meshes fail by rounding.
+SMALLEST_MM: Final = 1e-3
+LARGEST_MM: Final = 1e6
+Radius = Annotated[float, Field(ge=SMALLEST_MM, le=LARGEST_MM)]
+Coordinate = Annotated[float, Field(ge=-LARGEST_MM, le=LARGEST_MM)]
+Point = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
 
 
 def _mesh(value: object) -> Mesh:
@@ -30,7 +35,7 @@ class SensorTypeTable(Table):
     """``[sensor_type]``: a disc by its radius, any other sheet by its corners, or by a mesh with electrodes."""
 
     name: Name
-    radius_mm: Positive | None = None
+    radius_mm: Radius | None = None
     outline_mm: Annotated[list[Point], Field(max_length=500)] | None = None
     corner_radius_mm: Annotated[float, Field(ge=0)] = 0.0
     mesh: Annotated[Any, PlainValidator(_mesh)] = None
