@@ -177,7 +177,9 @@ def test_options_of_single_methods_are_checked(problem, method, options, reason)
 
 
 @pytest.mark.parametrize("method", [*RIDGES, Greit, Temporal])
-@pytest.mark.parametrize("value", [-1.0, 1e200, 1.1e50, float("inf"), float("nan"), 10**400])
+@pytest.mark.parametrize(
+    "value", [-1.0, 1e200, 1.1e50, float("inf"), float("nan"), pytest.param(10**400, id="401 digits")]
+)
 def test_a_hyperparameter_beyond_what_can_be_computed_with_is_refused(problem, method, value):
     with pytest.raises((ConfigError, NumericsError), match="hyperparameter") as refused:
         method(hyperparameter=value)
