@@ -11,7 +11,7 @@ from cbsr_qa.simulate.streams import RandomStream
 
 Array = NDArray[np.float64]
 
-_LATTICE: Final = 81  # places a side
+_LATTICE: Final = 41  # places a side
 _WAVES: Final = 400  # their sum is Gaussian to a kurtosis of 3 − 1.5/400
 
 
