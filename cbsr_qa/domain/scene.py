@@ -15,6 +15,9 @@ Array = NDArray[np.float64]
 #: A factor by place: (n, 2) [mm] to (n,), above zero.
 SheetField = Callable[[Array], Array]
 
+#: (x, y, depth below the nominal surface) of the head [mm]; hovering is a negative depth.
+HeadPosition = tuple[float, float, float]
+
 #: Contact impedance over sheet resistance z γ₀ [mm]. Chosen by us, since the paper gives no contact impedance: about
 #: a tenth of the inter-electrode resistance then lies in the contacts of 0.65 mm pins.
 CONTACT_LENGTH_MM = 0.2

@@ -1,12 +1,13 @@
 """Smooth random factors by place: what is uneven about a sheet."""
 
-from typing import Final
+from typing import ClassVar, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.outlines import SheetOutline
-from cbsr_qa.domain.scene import SheetField
+from cbsr_qa.domain.scene import SceneSetting, SheetDesign, SheetField
+from cbsr_qa.simulate.parameters import number
 from cbsr_qa.simulate.streams import RandomStream
 
 Array = NDArray[np.float64]
@@ -49,3 +50,37 @@ def places_on(outline: SheetOutline) -> Array:
     places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
     on_sheet: Array = places[outline.clearance_mm(places) >= 0]
     return on_sheet
+
+
+class UnevenSheet:
+    """An effect that makes one quantity of the sheet uneven: a smooth random factor, one on average over it.
+
+    Drawn once a seed. Subclasses say which quantity.
+
+    Parameters
+    ----------
+    deviation : standard deviation of the factor over many sheets.
+    correlation_mm : length over which it stays alike (of a Gaussian covariance).
+    """
+
+    #: ``conductance``, ``response`` or ``thickness``
+    quantity: ClassVar[str]
+    needs: tuple[str, ...] = ()
+    perturbs = "sheet"
+
+    def __init__(self, setting: SceneSetting, *, deviation: float, correlation_mm: float) -> None:
+        self._deviation = number("deviation", deviation, most=1.0)
+        self._correlation_mm = number("correlation_mm", correlation_mm, above=True)
+        self._stream = RandomStream(setting.seed, f"uneven-{self.quantity}")
+
+    def design(self, design: SheetDesign) -> None:
+        """Add the factor to the sheet."""
+        factors: list[SheetField] = getattr(design, self.quantity)
+        factors.append(
+            smooth_factor(
+                self._stream,
+                deviation=self._deviation,
+                correlation_mm=self._correlation_mm,
+                over_mm=places_on(design.sensor_type.outline),
+            )
+        )

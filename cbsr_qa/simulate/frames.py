@@ -77,15 +77,16 @@ class FrameMaker:
 
     def _solved(self, moment_at: Callable[[float], Moment], moment: Moment) -> tuple[Array, Array]:
         """Transfer impedance in the frame's middle, and readings per ampere each at its own time."""
-        middle = self._impedance(moment)
         offsets = moment.reading_offsets_s
         if offsets is None or not self._changes(moment):
+            middle = self._impedance(moment)
             return middle, self._sheet.readings(middle)
         knots = _knots(moment.presses, moment.time_s + offsets.min(), moment.time_s + offsets.max())
         at = np.concatenate([knots, (knots[1:] + knots[:-1]) / 2])
-        solved = np.array([self._sheet.readings(self._impedance(moment_at(float(time_s)))) for time_s in at])
-        weights = _weights(knots, moment.time_s + offsets)
-        return middle, np.einsum("kdm,kdm->dm", weights, solved)
+        solved = np.array([self._impedance(moment_at(float(time_s))) for time_s in at])
+        middle = np.tensordot(_weights(knots, np.asarray(moment.time_s)), solved, 1)
+        readings = np.array([self._sheet.readings(impedance) for impedance in solved])
+        return middle, np.einsum("kdm,kdm->dm", _weights(knots, moment.time_s + offsets), readings)
 
     def _impedance(self, moment: Moment) -> Array:
         """Transfer impedance at a moment, after the effects on it."""

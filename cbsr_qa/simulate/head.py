@@ -16,12 +16,10 @@ from cbsr_qa.domain.kinematics import (
     SEARCH_STEP_MM,
 )
 from cbsr_qa.domain.plan import Motion
-from cbsr_qa.domain.scene import SimulatedPress, StrainStep
+from cbsr_qa.domain.scene import HeadPosition, SimulatedPress, StrainStep
 
 _CONTACT_FORCE_N: Final = 0.2  # the rig's
 _SEARCH_DEPTH_MM: Final = 1.0  # below the nominal surface; deeper than any seat is wrong
-
-HeadPosition = tuple[float, float, float]  #: (x, y, depth below the nominal surface) [mm]
 
 
 class Sheet(Protocol):
@@ -54,9 +52,10 @@ class SimulatedHead:
     sheet : what it meets; presses are appended to its list.
     motion : the station's speeds and hover height.
     role : in the station file, for messages.
+    first_index : of its movements, the addresses of their random numbers; a resumed session has others.
     """
 
-    def __init__(self, clock: Clock, sheet: Sheet, motion: Motion, *, role: str) -> None:
+    def __init__(self, clock: Clock, sheet: Sheet, motion: Motion, *, role: str, first_index: int = 0) -> None:
         self._role = role
         self._clock = clock
         self._sheet = sheet
@@ -65,7 +64,7 @@ class SimulatedHead:
         self._depth_mm = -motion.hover_mm
         #: where it is indeed
         self._true: HeadPosition = (*self._place, self._depth_mm)
-        self._movements = 0
+        self._movements = first_index
         self._speed_mm_s = motion.press_speed_mm_s
         self._found: dict[tuple[float, float], float] = {}
         self._pressing: SimulatedPress | None = None
@@ -169,6 +168,8 @@ class SimulatedHead:
     def _start(self, depth_mm: float, speed_mm_s: float) -> float:
         """Begin a movement now; write the part of it below the true surface; return when it will be over."""
         start = self._clock.now()
+        if depth_mm == self._depth_mm:
+            return start  # told to stay, it does: no new error, no ramp of no length
         x_mm, y_mm, true_mm = self._true
         surface = self._sheet.surface_mm(x_mm, y_mm, start)
         duration_s = abs(depth_mm - self._depth_mm) / speed_mm_s

@@ -65,6 +65,12 @@ def response_ramps(press: SimulatedPress, line: QuasiStatic) -> Iterator[tuple[b
             yield piece.change > 0, StrainStep(piece.start_s, piece.ramp_s, slope * piece.change + intercept * rise)
 
 
+def released(press: SimulatedPress, line: QuasiStatic, kernel: Relaxation, time_s: float) -> float:
+    """Return what has not yet relaxed of all ramps of the quasi-static change that lift."""
+    ramps = response_ramps(press, line)
+    return sum(ramp.change * transient(ramp, kernel, time_s) for loads, ramp in ramps if not loads)
+
+
 def _contact(strain: float) -> float:
     return min(max(strain / CONTACT_STRAIN, 0.0), 1.0)
 

@@ -12,14 +12,11 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.plan import Scene
-from cbsr_qa.domain.scene import CONTACT_LENGTH_MM, Moment, SceneSetting, SheetDesign, SimulatedPress
+from cbsr_qa.domain.scene import CONTACT_LENGTH_MM, HeadPosition, Moment, SceneSetting, SheetDesign, SimulatedPress
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.simulate.chain import EffectFactory, build_chain
 from cbsr_qa.simulate.frames import FrameMaker, SimulatedFrame
 from cbsr_qa.simulate.sheet import SimulatedSheet
-
-#: (x, y, depth below the nominal surface) of the head [mm].
-HeadPosition = tuple[float, float, float]
 
 _TOUCHING: Final = 1e-9  # strain that is more than rounding
 

@@ -8,7 +8,7 @@ from effect_setting import STEP_S, history, moment, setting
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.errors import ConfigError, RefusedError
 from cbsr_qa.domain.plan import PluginChoice, Scene
 from cbsr_qa.domain.scene import SheetDesign
 from cbsr_qa.simulate.chain import build_chain
@@ -197,3 +197,11 @@ def test_what_acts_on_others_comes_after_those_that_are_on():
 def test_parameters_that_make_no_sense_are_named(made, said):
     with pytest.raises(ConfigError, match=said):
         made()
+
+
+def test_a_temperature_that_leaves_no_conductance_is_refused():
+    drift = TemperatureDrift(OF, coefficient_per_K=-0.05, rate_K_per_h=20.0)
+    at = moment(OF, 2 * 3600.0)
+    at.impedance_ohm = np.eye(16)
+    with pytest.raises(RefusedError, match="no conductance at 7200 s"):
+        drift.apply(at)

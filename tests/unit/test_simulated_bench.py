@@ -356,3 +356,30 @@ def test_an_option_out_of_range_is_refused(value: object):
 def test_without_a_scene_it_cannot_open():
     with pytest.raises(ConfigError, match="no scene"):
         open_bench(context(None))
+
+
+def test_a_head_told_to_stay_stays_whatever_its_position_errors():
+    of = scene(
+        "elastic-stress",
+        "applicator-position-error",
+        applicator_position_error={"error_mm": 0.1, "depth_error_mm": 0.05},
+    )
+    clock = VirtualClock()
+    bench = open_bench(context(of, clock=clock))
+    bench.press(0.8, 0.5)
+    before = [list(press.steps) for press in bench.world.presses]
+    bench.press(0.8, 0.5)
+    assert [list(press.steps) for press in bench.world.presses] == before
+    assert np.isfinite(bench.world.force_N(clock.now(), 0))
+
+
+def test_a_resumed_session_has_position_errors_of_its_own():
+    def place(resumed_at_s):
+        of = scene("applicator-position-error", applicator_position_error={"error_mm": 0.5})
+        bench = open_bench(context(of, resumed_at_s=resumed_at_s))
+        bench.move_to(10.0, 0.0)
+        bench.press(0.8, 0.5)
+        return bench.world.presses[0].x_mm, bench.world.presses[0].y_mm
+
+    assert place(0.0) == place(0.0)
+    assert place(0.0) != place(120.0)

@@ -4,6 +4,7 @@ import numpy as np
 
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.simulate.parameters import number
+from cbsr_qa_plugins.effects._converter import BEFORE_CONVERSION
 
 
 class Quantisation:
@@ -16,13 +17,7 @@ class Quantisation:
     """
 
     needs: tuple[str, ...] = ()
-    after: tuple[str, ...] = (
-        "measurement-noise",
-        "johnson-noise",
-        "mains-hum",
-        "reading-memory",
-        "reading-offset",
-    )
+    after: tuple[str, ...] = BEFORE_CONVERSION
     perturbs = "voltages"
 
     def __init__(self, setting: SceneSetting, *, range_V: float, bits: int) -> None:

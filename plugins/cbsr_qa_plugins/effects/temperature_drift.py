@@ -2,6 +2,7 @@
 
 import math
 
+from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.simulate.parameters import number
 
@@ -38,4 +39,10 @@ class TemperatureDrift:
         if moment.impedance_ohm is not None:
             warmer_K = self._rate_K_per_s * moment.time_s
             warmer_K += self._swing_K * math.sin(2 * math.pi * moment.time_s / self._period_s)
-            moment.impedance_ohm = moment.impedance_ohm / max(1 + self._coefficient * warmer_K, 0.05)
+            factor = 1 + self._coefficient * warmer_K
+            if factor <= 0:
+                raise RefusedError(
+                    f"temperature-drift leaves no conductance at {moment.time_s:g} s, {warmer_K:g} K from the start",
+                    remedy="take a smaller coefficient_per_K, rate_K_per_h or swing_K",
+                )
+            moment.impedance_ohm = moment.impedance_ohm / factor

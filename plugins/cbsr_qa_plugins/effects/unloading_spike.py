@@ -3,7 +3,7 @@
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.domain.sensor import Relaxation
 from cbsr_qa.simulate.parameters import number
-from cbsr_qa.simulate.ramps import response_ramps, transient
+from cbsr_qa.simulate.ramps import released
 
 
 class UnloadingSpike:
@@ -29,8 +29,4 @@ class UnloadingSpike:
     def apply(self, moment: Moment) -> None:
         """Add the spikes of every press that is being lifted, or was."""
         for index, press in enumerate(moment.presses):
-            moment.response[index] += sum(
-                ramp.change * transient(ramp, self._kernel, moment.time_s)
-                for loads, ramp in response_ramps(press, self._line)
-                if not loads
-            )
+            moment.response[index] += released(press, self._line, self._kernel, moment.time_s)

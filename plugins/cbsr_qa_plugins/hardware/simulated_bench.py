@@ -69,14 +69,15 @@ class SimulatedBench:
             effect_factory=context.effect_factory,
             contact_length_mm=options.get("contact_length_mm", CONTACT_LENGTH_MM),
         )
+        # A resumed session has addresses of its own: a block of 2³² for each millisecond it may have begun at.
+        self._first_index = math.ceil(1e3 * context.resumed_at_s) << 32
         self._head = SimulatedHead(
             context.clock,
             self.world,
             _motion(context, options),
             role=context.role,
+            first_index=self._first_index,
         )
-        # A resumed session has addresses of its own: a block of 2³² for each millisecond it may have begun at.
-        self._first_index = math.ceil(1e3 * context.resumed_at_s) << 32
         self._open = True
 
     # --- instrument ---

@@ -1,0 +1,6 @@
+"""What a converter acts on."""
+
+from typing import Final
+
+#: Effects on readings before they are converted.
+BEFORE_CONVERSION: Final = ("measurement-noise", "johnson-noise", "mains-hum", "reading-memory", "reading-offset")
