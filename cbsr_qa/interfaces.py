@@ -20,7 +20,7 @@ from cbsr_qa.domain.reconstruction import ImagingProblem, PreparedReconstruction
 from cbsr_qa.domain.recording import ReadOptions, Recording
 from cbsr_qa.domain.report import RunResult, Section
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.domain.scene import Moment, SheetDesign
+from cbsr_qa.domain.scene import Moment, SheetDesign, Transcript
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.domain.steps import Step
 
@@ -219,6 +219,7 @@ class RunMetric(Protocol):
 # --- the simulated world ---------------------------------------------------------------------------------
 
 
+@runtime_checkable
 class Effect(Protocol):
     """One physical effect of a scene. An effect that is off is not imported."""
 
@@ -256,6 +257,29 @@ class SheetEffect(Protocol):
         ...
 
 
+@runtime_checkable
+class RecordingEffect(Protocol):
+    """An effect on how a scene's frames are written down (stage ``recording``)."""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Effects that must be on and come before this one."""
+        ...
+
+    @property
+    def perturbs(self) -> str:
+        """The stage ``recording``."""
+        ...
+
+    def record(self, transcript: Transcript) -> None:
+        """Change the transcript. Random numbers come from the stream of (seed, own name, frame)."""
+        ...
+
+
+#: What a scene's effects may be.
+AnyEffect = Effect | SheetEffect | RecordingEffect
+
+
 # --- recordings and reports ------------------------------------------------------------------------------
 
 
@@ -272,6 +296,26 @@ class RecordingFormat(Protocol):
 
     def read(self, path: Path, options: ReadOptions) -> Recording:
         """Read it whole. RecordingError if nothing in it can be used; single bad rows are problems, not errors."""
+        ...
+
+
+@runtime_checkable
+class RecordingWriter(Protocol):
+    """What a :class:`RecordingFormat` has besides where simulated scenes can be written in it."""
+
+    def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
+        """Write a file as this format's rig would have, and return what it cannot say, in words.
+
+        Parameters
+        ----------
+        recording : all frames, also those of which rows are lost.
+        transcript : which rows are lost, and where a board dumps its log.
+
+        Raises
+        ------
+        RefusedError
+            If the format cannot hold such a recording, or the file exists already.
+        """
         ...
 
 

@@ -136,6 +136,52 @@ def _product(factors: list[SheetField], places_mm: Array) -> Array:
     return total
 
 
+@dataclass(frozen=True, slots=True)
+class Dump:
+    """A board's watchdog dump in the middle of a frame: the board prints its log, and reads on later.
+
+    Parameters
+    ----------
+    frame, row : before which row of which frame.
+    pause_s : how much later the rest of the frame, and all that follow, are read.
+    """
+
+    frame: int
+    row: int
+    pause_s: float
+
+
+@dataclass(slots=True, eq=False)
+class Transcript:
+    """How frames come to be written down. Effects of the stage ``recording`` change it, once, before the first frame.
+
+    Parameters
+    ----------
+    setting : the constants of the scene.
+    time_s : (frames,) middles of the frames, on the station's clock, without pauses.
+    lost : (frames, drives) rows that never arrive.
+    dumps : of the board's watchdog, by frame and row.
+    """
+
+    setting: SceneSetting
+    time_s: Array
+    lost: NDArray[np.bool_]
+    dumps: list[Dump] = field(default_factory=list)
+
+    @classmethod
+    def complete(cls, setting: SceneSetting, time_s: Array) -> Self:
+        """Nothing lost, no dumps."""
+        rows = setting.sensor_type.pattern.shape[0]
+        return cls(setting, time_s, np.zeros((len(time_s), rows), dtype=np.bool_))
+
+    def pauses_s(self) -> Array:
+        """How much later than without dumps each row is read, (frames, drives)."""
+        late = np.zeros(self.lost.size)
+        for dump in self.dumps:
+            late[dump.frame * self.lost.shape[1] + dump.row :] += dump.pause_s
+        return late.reshape(self.lost.shape)
+
+
 @dataclass(slots=True, eq=False)
 class Moment:
     """One moment of the simulated world. Effects change it in the scene's declared order.

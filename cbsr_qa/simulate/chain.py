@@ -1,14 +1,14 @@
 """The effects of a scene as an ordered list of callables; one that is off is not there."""
 
 import inspect
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from typing import Any, Final, TypeGuard
 
 from cbsr_qa.domain.errors import CbsrError, ConfigError
 from cbsr_qa.domain.plan import PluginChoice, Scene
-from cbsr_qa.domain.scene import Moment, SceneSetting, SheetDesign
-from cbsr_qa.interfaces import Effect, SheetEffect
+from cbsr_qa.domain.scene import Moment, SceneSetting, SheetDesign, Transcript
+from cbsr_qa.interfaces import AnyEffect, Effect, RecordingEffect, SheetEffect
 
 #: ``effect_factory(name)`` returns what makes the effect: ``factory(setting, **parameters)``.
 EffectFactory = Callable[[str], Callable[..., Any]]
@@ -26,16 +26,24 @@ STAGES: Final = (
     "source",
     "voltages",
     "force",
+    "recording",
 )
+
+#: Stages whose effects have a method of their own instead of ``apply``: the method, and what has it.
+_OWN_METHODS: Final[Mapping[str, tuple[str, type]]] = {
+    "sheet": ("design(design)", SheetEffect),
+    "recording": ("record(transcript)", RecordingEffect),
+}
 
 
 class Chain:
     """The effects that are on, by stage, each stage in the scene's order."""
 
-    def __init__(self, effects: Iterable[tuple[str, Effect | SheetEffect]]) -> None:
+    def __init__(self, effects: Iterable[tuple[str, AnyEffect]]) -> None:
         named = tuple(effects)
         self.names = tuple(name for name, _ in named)
         self._sheet = tuple(e for _, e in named if isinstance(e, SheetEffect))
+        self._recording = tuple(e for _, e in named if isinstance(e, RecordingEffect))
         self._stages = {stage: tuple(e for _, e in named if _applies(e, stage)) for stage in STAGES}
 
     def has(self, stage: str) -> bool:
@@ -47,14 +55,19 @@ class Chain:
         for effect in self._sheet:
             effect.design(design)
 
+    def record(self, transcript: Transcript) -> None:
+        """Let the effects of the stage ``recording`` change how frames are written down."""
+        for effect in self._recording:
+            effect.record(transcript)
+
     def apply(self, stage: str, moment: Moment) -> None:
         """Let the effects of a stage change a moment, one after the other."""
         for effect in self._stages[stage]:
             effect.apply(moment)
 
 
-def _applies(effect: "Effect | SheetEffect", stage: str) -> TypeGuard[Effect]:
-    return effect.perturbs == stage and stage != "sheet"
+def _applies(effect: AnyEffect, stage: str) -> TypeGuard[Effect]:
+    return effect.perturbs == stage and stage not in _OWN_METHODS
 
 
 def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFactory) -> Chain:
@@ -74,7 +87,7 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
     PluginError
         If there is no such effect (raised by ``effect_factory``).
     """
-    made: dict[str, Effect | SheetEffect] = {}
+    made: dict[str, AnyEffect] = {}
     for choice in scene.effects:
         if choice.name in made:
             raise ConfigError(f"scene {scene.name!r} has effect {choice.name!r} twice", remedy="keep one of them")
@@ -84,12 +97,10 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
     return Chain(made.items())
 
 
-def _make(
-    scene: str, choice: PluginChoice, setting: SceneSetting, factory: Callable[..., Any]
-) -> Effect | SheetEffect:
+def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Callable[..., Any]) -> AnyEffect:
     _check_parameters(scene, choice, factory)
     try:
-        effect: Effect | SheetEffect = factory(setting, **choice.options)
+        effect: AnyEffect = factory(setting, **choice.options)
     except CbsrError as error:
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r}: {error.reason}", remedy=error.remedy) from error
     except (TypeError, ValueError) as error:
@@ -99,10 +110,11 @@ def _make(
             f"effect {choice.name!r} perturbs {effect.perturbs!r}",
             remedy=f"an effect perturbs one of {', '.join(STAGES)}",
         )
-    if (effect.perturbs == "sheet") != isinstance(effect, SheetEffect):
+    method, protocol = _OWN_METHODS.get(effect.perturbs, ("apply(moment)", Effect))
+    if not isinstance(effect, protocol):
         raise ConfigError(
             f"effect {choice.name!r} perturbs {effect.perturbs!r} and lacks the method for it",
-            remedy="an effect that perturbs 'sheet' has design(design), every other apply(moment)",
+            remedy=f"an effect that perturbs {effect.perturbs!r} has {method}",
         )
     return effect
 
@@ -124,7 +136,7 @@ def _check_parameters(scene: str, choice: PluginChoice, factory: Callable[..., A
             raise ConfigError(f"{where} lacks its parameter {name!r}", remedy=allowed)
 
 
-def _check_needs(scene: Scene, name: str, effect: Effect | SheetEffect, before: Iterable[str]) -> None:
+def _check_needs(scene: Scene, name: str, effect: AnyEffect, before: Iterable[str]) -> None:
     on = {choice.name for choice in scene.effects}
     for need in effect.needs:
         if need not in on:

@@ -54,16 +54,21 @@ class FrameMaker:
         self._chain = chain
         self._pattern = sheet.sensor_type.pattern
 
-    def frame(self, moment_at: Callable[[float], Moment], time_s: float) -> SimulatedFrame:
+    def frame(
+        self, moment_at: Callable[[float], Moment], time_s: float, pauses_s: Array | None = None
+    ) -> SimulatedFrame:
         """Take a frame about a time.
 
         Parameters
         ----------
         moment_at : makes the moment of a time, always with the frame's own index.
         time_s : of the frame's middle.
+        pauses_s : (drives,) how much later each row is read, where readings are not all taken at once.
         """
         moment = moment_at(time_s)
         self._chain.apply("times", moment)
+        if pauses_s is not None and moment.reading_offsets_s is not None:
+            moment.reading_offsets_s = moment.reading_offsets_s + pauses_s[:, None]
         offsets = moment.reading_offsets_s
         moment.impedance_ohm, per_ampere = self._solved(moment_at, moment)
         driven = self._pattern.drive_currents()

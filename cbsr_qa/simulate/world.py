@@ -12,11 +12,21 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.plan import Scene
-from cbsr_qa.domain.scene import CONTACT_LENGTH_MM, HeadPosition, Moment, SceneSetting, SheetDesign, SimulatedPress
+from cbsr_qa.domain.scene import (
+    CONTACT_LENGTH_MM,
+    HeadPosition,
+    Moment,
+    SceneSetting,
+    SheetDesign,
+    SimulatedPress,
+    Transcript,
+)
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.simulate.chain import EffectFactory, build_chain
 from cbsr_qa.simulate.frames import FrameMaker, SimulatedFrame
 from cbsr_qa.simulate.sheet import SimulatedSheet
+
+Array = NDArray[np.float64]
 
 _TOUCHING: Final = 1e-9  # strain that is more than rounding
 
@@ -85,20 +95,27 @@ class SimulatedWorld:
         self._frames = FrameMaker(self.sheet, self.chain)
         self.presses: list[SimulatedPress] = []
 
-    def frame(self, time_s: float, index: int) -> SimulatedFrame:
+    def frame(self, time_s: float, index: int, pauses_s: Array | None = None) -> SimulatedFrame:
         """Take one frame.
 
         Parameters
         ----------
         time_s : of its middle, on the station's clock.
         index : of the frame, the address of its random numbers.
+        pauses_s : (drives,) how much later each of its rows is read, where readings are not all taken at once.
 
         Raises
         ------
         RefusedError
             If a press lies outside the sheet, or a change leaves an element without conductance.
         """
-        return self._frames.frame(lambda at_s: self._moment(at_s, index, self.presses), time_s)
+        return self._frames.frame(lambda at_s: self._moment(at_s, index, self.presses), time_s, pauses_s)
+
+    def transcript(self, time_s: Array) -> Transcript:
+        """How frames at these times (frames,) [s] come to be written down: what is lost, where a board pauses."""
+        transcript = Transcript.complete(self.setting, time_s)
+        self.chain.record(transcript)
+        return transcript
 
     def voltages_V(self, time_s: float, index: int) -> NDArray[np.float64]:
         """Readings of one frame, (drives, measures) [V]; parameters and errors as of :meth:`frame`."""
