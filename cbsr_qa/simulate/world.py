@@ -61,6 +61,7 @@ class SimulatedWorld:
     seed : of the run.
     effect_factory : finds an effect's factory by name; see :func:`cbsr_qa.simulate.chain.build_chain`.
     contact_length_mm : contact impedance over sheet resistance, where no effect says otherwise.
+    sheet : made already for another scene with the same effects on the sheet; by default it is made.
 
     Raises
     ------
@@ -80,20 +81,24 @@ class SimulatedWorld:
         seed: int,
         effect_factory: EffectFactory,
         contact_length_mm: float = CONTACT_LENGTH_MM,
+        sheet: SimulatedSheet | None = None,
     ) -> None:
         self.setting = SceneSetting(sensor_type, material, indenter, seed, scene.current_A, scene.frame_period_s)
         self.chain = build_chain(scene, self.setting, effect_factory)
-        design = SheetDesign.plain(sensor_type, indenter, contact_length_mm)
-        self.chain.design(design)
-        self.sheet = SimulatedSheet(
-            design,
-            size_mm=scene.sheet_mesh_size_mm,
-            interelectrode_resistance_ohm=material.interelectrode_resistance_ohm.value,
-        )
+        self.sheet = self._made(scene, contact_length_mm) if sheet is None else sheet
         used = np.abs(self.sheet.unloaded[sensor_type.pattern.usable()])
         self._scale_V = float(used.mean()) * scene.current_A if used.size else 0.0
         self._frames = FrameMaker(self.sheet, self.chain)
         self.presses: list[SimulatedPress] = []
+
+    def _made(self, scene: Scene, contact_length_mm: float) -> SimulatedSheet:
+        design = SheetDesign.plain(self.setting.sensor_type, self.setting.indenter, contact_length_mm)
+        self.chain.design(design)
+        return SimulatedSheet(
+            design,
+            size_mm=scene.sheet_mesh_size_mm,
+            interelectrode_resistance_ohm=self.setting.material.interelectrode_resistance_ohm.value,
+        )
 
     def frame(self, time_s: float, index: int, pauses_s: Array | None = None) -> SimulatedFrame:
         """Take one frame.
