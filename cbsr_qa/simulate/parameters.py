@@ -28,6 +28,19 @@ def number(name: str, value: Any, *, least: float = 0.0, most: float = math.inf,
     raise ConfigError(f"{name} is {value!r}", remedy=f"it is a finite number {low}{high}")
 
 
+def whole(name: str, value: Any, *, least: int, most: int) -> int:
+    """A whole number in a range.
+
+    Raises
+    ------
+    ConfigError
+        Naming the parameter, what was given and what is allowed.
+    """
+    if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most:
+        return value
+    raise ConfigError(f"{name} is {value!r}", remedy=f"it is a whole number from {least} to {most}")
+
+
 def electrode(name: str, value: Any, count: int) -> int:
     """Number of an electrode.
 

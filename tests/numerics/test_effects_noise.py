@@ -57,6 +57,43 @@ def test_a_frames_noise_is_its_address_in_the_effects_own_stream():
     np.testing.assert_allclose(noise, RandomStream(9, "measurement-noise").normal(3, (16, 16)), rtol=0, atol=1e-15)
 
 
+def _rms(**parameters: float) -> float:
+    """Over the stated scale, from 400 frames."""
+    return float(_frames(setting(), 400, **parameters).std()) / READING_SCALE_V
+
+
+def test_at_the_rigs_integration_time_noise_is_the_stated_number_bit_for_bit():
+    of = setting()
+    plain = _frames(of, 2, relative_noise=0.013)
+    for same in ({"nplc": 0.01}, {"nplc": 1.0, "measured_at_nplc": 1.0}):
+        np.testing.assert_array_equal(_frames(of, 2, relative_noise=0.013, **same), plain)
+    floored = _frames(of, 2, relative_noise=0.013, relative_floor=0.004)
+    np.testing.assert_allclose(floored, plain, rtol=1e-12, atol=1e-15)
+
+
+@pytest.mark.parametrize("nplc", [0.001, 0.01, 0.1, 1.0, 10.0])
+@pytest.mark.parametrize("floor", [0.0, 0.02, 0.1])
+def test_white_noise_falls_with_the_root_of_the_integration_time_down_to_the_floor(nplc: float, floor: float):
+    expected = np.sqrt(floor**2 + (0.1**2 - floor**2) * 0.01 / nplc)
+    found = _rms(relative_noise=0.1, nplc=nplc, relative_floor=floor)
+    assert found == pytest.approx(expected, rel=5 / np.sqrt(2 * 400 * 256))
+    assert found > 0.99 * floor
+
+
+def test_a_longer_reading_is_as_noisy_as_the_mean_of_as_many_short_ones():
+    """White samples averaged in a rectangular window, 25 to a reading."""
+    short = _frames(setting(), 2500, relative_noise=0.1)
+    means = short.reshape(100, 25, 16, 16).mean(axis=1)
+    found = _frames(setting(seed=2), 100, relative_noise=0.1, nplc=0.25)
+    assert found.std() == pytest.approx(means.std(), rel=5 / np.sqrt(100 * 256))
+
+
+def test_a_floor_above_the_noise_it_is_part_of_is_refused():
+    with pytest.raises(ConfigError, match=r"relative_floor is 0\.2") as refused:
+        MeasurementNoise(setting(), relative_noise=0.1, relative_floor=0.2)
+    assert "at most relative_noise, 0.1" in refused.value.remedy
+
+
 def test_load_cell_noise_is_as_strong_as_stated():
     of = setting()
     effect, forces = LoadCellNoise(of, rms_N=0.03), []

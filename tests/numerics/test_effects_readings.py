@@ -1,9 +1,14 @@
 """Effects on readings and electrodes: each alone against its closed form."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from effect_setting import moment, setting
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.constants import Boltzmann
+from scipy.signal import lfilter
 
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.frames import ReadingFlag
@@ -22,6 +27,7 @@ from cbsr_qa_plugins.effects.source_compliance import SourceCompliance
 from cbsr_qa_plugins.effects.time_skew import TimeSkew
 
 OF = setting()
+INNER = ["measure", "drive"]
 RANDOM = np.random.default_rng(4)
 
 
@@ -66,6 +72,36 @@ def test_memory_of_what_does_not_change_is_itself():
     at = read(np.full((16, 16), 0.7))
     ReadingMemory(OF, share=0.13).apply(at)
     assert at.voltages == pytest.approx(0.7, abs=1e-14)
+
+
+def remembered(frame, share, inner):
+    """Readings of one frame in the order they are taken in."""
+    at = read(frame)
+    ReadingMemory(OF, share=share, inner=inner).apply(at)
+    return at.voltages.ravel() if inner == "measure" else at.voltages.T.ravel()
+
+
+@given(seed=st.integers(0, 2**32 - 1), share=st.floats(0, 0.9), step=st.floats(0, 10), inner=st.sampled_from(INNER))
+def test_what_a_frame_does_not_remember_of_the_one_before_is_bounded_as_documented(seed, share, step, inner):
+    """Against one converter that remembers through frame after frame: reading n is off by m^(n + 1) d at most."""
+    random = np.random.default_rng(seed)
+    frames = [random.standard_normal((16, 16))]
+    for _ in range(2):
+        frames.append(frames[-1] + step * random.uniform(-1, 1, (16, 16)))
+    largest = max(np.abs(after - before).max() for before, after in pairwise(frames))
+    stream = np.concatenate([frame.ravel() if inner == "measure" else frame.T.ravel() for frame in frames])
+    first = remembered(frames[0], share, inner)  # where the world begins
+    through = lfilter([1 - share], [1, -share], stream, zi=[share * first[-1]])[0].reshape(3, 256)
+    for frame, expected in zip(frames, through, strict=True):
+        error = np.abs(remembered(frame, share, inner) - expected)
+        assert (error <= share ** np.arange(1, 257) * largest + 1e-13 * (1 + step)).all()
+
+
+def test_the_first_reading_after_a_step_is_off_by_the_whole_bound():
+    plain = RANDOM.standard_normal((16, 16))
+    before, after = remembered(plain, 0.13, "measure"), remembered(plain + 0.7, 0.13, "measure")
+    through = 0.87 * (plain[0, 0] + 0.7) + 0.13 * before[-1]
+    assert after[0] - through == pytest.approx(0.13 * 0.7)
 
 
 @pytest.mark.parametrize("nplc", [0.01, 0.3, 1.5])

@@ -3,4 +3,12 @@
 from typing import Final
 
 #: Effects on readings before they are converted.
-BEFORE_CONVERSION: Final = ("measurement-noise", "johnson-noise", "mains-hum", "reading-memory", "reading-offset")
+BEFORE_CONVERSION: Final = (
+    "voltmeter-input",
+    "measurement-noise",
+    "electrode-noise",
+    "johnson-noise",
+    "mains-hum",
+    "reading-memory",
+    "reading-offset",
+)

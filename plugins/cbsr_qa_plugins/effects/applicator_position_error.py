@@ -6,7 +6,7 @@ from cbsr_qa.simulate.streams import RandomStream
 
 
 class ApplicatorPositionError:
-    """Gaussian errors of place and depth, fresh with every movement.
+    """The head gets beside its target by Gaussian errors of place and depth, fresh with every movement.
 
     Parameters
     ----------

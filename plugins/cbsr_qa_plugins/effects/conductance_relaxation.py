@@ -5,13 +5,13 @@ from cbsr_qa.simulate.ramps import response_ramps, transient
 
 
 class ConductanceRelaxation:
-    """The change approaches its quasi-static value by two exponentials (paper Eq 3), superposed over all ramps.
+    """The conductance change nears its held value by two exponentials after every press and every release.
 
-    Every ramp of the quasi-static change q(t) is answered with K(t) = 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂), by the
-    material's loading kernel where the head presses harder and by its unloading kernel where it lifts:
-    Δρ/ρ₀(t) = Σ over ramps ∫ K(t − s) q̇(s) ds. Piezoresistivity is the 1 of K; this effect adds the rest.
-    Negative weights creep towards the steady state. After a release they leave a residue that fades, which later
-    loads meet (paper 4.2).
+    Paper Eq 3, superposed over all ramps. Every ramp of the quasi-static change q(t) is answered with K(t) = 1 + w₁
+    e^(−t/τ₁) + w₂ e^(−t/τ₂), by the material's loading kernel where the head presses harder and by its unloading
+    kernel where it lifts: Δρ/ρ₀(t) = Σ over ramps ∫ K(t − s) q̇(s) ds. Piezoresistivity is the 1 of K; this effect
+    adds the rest. Negative weights creep towards the steady state. After a release they leave a residue that fades,
+    which later loads meet (paper 4.2).
 
     Departure from linear viscoelasticity: two kernels, since the paper finds unloading slower than loading.
     """

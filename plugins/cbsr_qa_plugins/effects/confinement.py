@@ -5,9 +5,9 @@ from cbsr_qa.simulate.parameters import number
 
 
 class Confinement:
-    """All stress is 1 + 2 S² times as large, S = r/(2 t): a bonded layer that cannot bulge (Gent & Lindley 1959).
+    """A thin sheet that cannot bulge under a wide head is stiffer: all stress is larger by a factor.
 
-    For 13 mm on 4 mm that is 2.3.
+    1 + 2 S² with S = r/(2 t) for a bonded layer (Gent & Lindley 1959): 2.3 for 13 mm on 4 mm.
 
     Parameters
     ----------

@@ -4,7 +4,10 @@ from cbsr_qa.domain.scene import Moment, SceneSetting
 
 
 class ElasticStress:
-    """σ = E ε with the material's relaxed modulus E (uniaxial compression; no confinement under the head)."""
+    """The sheet resists the head with a stress in proportion to the strain, by the material's relaxed modulus.
+
+    σ = E ε: uniaxial compression, no confinement under the head.
+    """
 
     needs: tuple[str, ...] = ()
     perturbs = "stress"

@@ -8,7 +8,7 @@ from cbsr_qa.simulate.parameters import electrode, number
 
 
 class ElectrodeShort:
-    """A resistance between two electrodes, beside the sheet.
+    """Two electrodes touch: there is a resistance between them, beside the sheet.
 
     Exact: with Z the sheet's transfer impedance and a = e_i − e_j, the short takes Z a aᵀ Z/(r + aᵀ Z a) from it.
 

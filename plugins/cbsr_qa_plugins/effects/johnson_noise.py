@@ -9,9 +9,9 @@ from cbsr_qa.simulate.streams import RandomStream
 
 
 class JohnsonNoise:
-    """√(4 k T R Δf) of the resistance that each measured pair sees, independent between readings (Nyquist 1928).
+    """Thermal noise of the resistance that each measured pair sees, independent between readings.
 
-    Readings average over N power line cycles, Δf = 1/(2 T_int) of a rectangular window.
+    √(4 k T R Δf) (Nyquist 1928). Readings average over N power line cycles, Δf = 1/(2 T_int) of a rectangular window.
 
     Parameters
     ----------

@@ -1,16 +1,16 @@
 """A lead or a contact in series with an electrode that went bad."""
 
-import numpy as np
-
 from cbsr_qa.domain.scene import Moment, SceneSetting
-from cbsr_qa.simulate.parameters import electrode, number
+from cbsr_qa.simulate import parameters
+from cbsr_qa.simulate.parameters import number
+from cbsr_qa_plugins.effects._leads import in_series
 
 
 class LeadResistance:
-    """A resistance between an electrode and the multiplexer, from a time on.
+    """A lead is bad: there is a resistance between an electrode and the multiplexer, from one time to another.
 
-    A voltmeter draws no current: only the driven pairs of this electrode show it, as more resistance. An open
-    electrode is a large one with ``source-compliance``: its drive pairs then carry next to nothing.
+    A voltmeter draws no current: only the driven pairs of this electrode show it, as more resistance. A lead that
+    is open is ``electrode-open``.
 
     Parameters
     ----------
@@ -31,17 +31,12 @@ class LeadResistance:
         from_s: float = 0.0,
         to_s: float = 1e12,
     ) -> None:
-        self._electrode = _electrode(electrode, setting)
+        self._electrode = parameters.electrode("electrode", electrode, setting.sensor_type.electrodes.count)
         self._ohm = number("resistance_ohm", resistance_ohm, most=1e12)
-        self._from_s, self._to_s = number("from_s", from_s), number("to_s", to_s)
+        self._from_s = number("from_s", from_s)
+        self._to_s = number("to_s", to_s, least=self._from_s, above=True)
 
     def apply(self, moment: Moment) -> None:
-        """Add it to the electrode's own potential."""
-        if moment.impedance_ohm is not None and self._from_s <= moment.time_s < self._to_s:
-            own = np.zeros(len(moment.impedance_ohm))
-            own[self._electrode] = self._ohm
-            moment.impedance_ohm = moment.impedance_ohm + np.diag(own)
-
-
-def _electrode(value: int, setting: SceneSetting) -> int:
-    return electrode("electrode", value, setting.sensor_type.electrodes.count)
+        """Put it in series."""
+        if self._from_s <= moment.time_s < self._to_s:
+            in_series(moment, self._electrode, self._ohm)

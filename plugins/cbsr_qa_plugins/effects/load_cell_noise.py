@@ -1,7 +1,7 @@
 """Noise of the load cell."""
 
-from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.scene import Moment, SceneSetting
+from cbsr_qa.simulate.parameters import number
 from cbsr_qa.simulate.streams import RandomStream
 
 
@@ -17,9 +17,7 @@ class LoadCellNoise:
     perturbs = "force"
 
     def __init__(self, setting: SceneSetting, *, rms_N: float) -> None:
-        if not 0 <= rms_N < float("inf"):
-            raise ConfigError(f"rms_N is {rms_N}", remedy="it is a finite number of at least 0")
-        self._rms_N = rms_N
+        self._rms_N = number("rms_N", rms_N)
         self._stream = RandomStream(setting.seed, "load-cell-noise")
 
     def apply(self, moment: Moment) -> None:

@@ -5,10 +5,11 @@ from cbsr_qa.simulate.ramps import done, response_ramps
 
 
 class Piezoresistivity:
-    """Δρ/ρ₀ = α_ε ε + β_ε under the head (paper Eq 2), with the material's α_ε and β_ε.
+    """The sheet's conductance under the head follows the strain along the material's quasi-static line.
 
-    The paper fits the line to held loads; β_ε is the line's value where nothing presses, which cannot be. Here it
-    fades in over the first contact (:data:`cbsr_qa.simulate.ramps.CONTACT_STRAIN`) and goes with it.
+    Δρ/ρ₀ = α_ε ε + β_ε (paper Eq 2), with the material's α_ε and β_ε. The paper fits the line to held loads; β_ε is
+    the line's value where nothing presses, which cannot be. Here it fades in over the first contact
+    (:data:`cbsr_qa.simulate.ramps.CONTACT_STRAIN`) and goes with it.
     """
 
     needs: tuple[str, ...] = ()

@@ -9,10 +9,10 @@ _RINGS = 10
 
 
 class PressureProfile:
-    """Response in proportion to a pressure that depends on the distance from the head's axis, 1 on average.
+    """The head presses unevenly: the response follows a pressure that depends on the distance from its axis.
 
-    ``punch``: p = ½ (1 − ρ²)^(−½), of a rigid punch on an elastic half-space (Boussinesq); ``parabola``:
-    p = 2 (1 − ρ²), of a domed one. In ten annuli of equal width with the exact mean pressure of each.
+    1 on average. ``punch``: p = ½ (1 − ρ²)^(−½), of a rigid punch on an elastic half-space (Boussinesq);
+    ``parabola``: p = 2 (1 − ρ²), of a domed one. In ten annuli of equal width with the exact mean pressure of each.
 
     Parameters
     ----------

@@ -3,12 +3,14 @@
 import numpy as np
 
 from cbsr_qa.domain.scene import Moment, SceneSetting
-from cbsr_qa.simulate.parameters import number
+from cbsr_qa.simulate.parameters import number, whole
 from cbsr_qa_plugins.effects._converter import BEFORE_CONVERSION
 
 
 class Quantisation:
-    """Every reading is rounded to the nearest step, 2 × range / 2^bits.
+    """Every reading is rounded to the nearest step of a converter.
+
+    A step is 2 × range / 2^bits.
 
     Parameters
     ----------
@@ -21,7 +23,7 @@ class Quantisation:
     perturbs = "voltages"
 
     def __init__(self, setting: SceneSetting, *, range_V: float, bits: int) -> None:
-        self._step_V = 2 * number("range_V", range_V, above=True) / 2.0 ** number("bits", bits, least=4, most=32)
+        self._step_V = 2 * number("range_V", range_V, above=True) / 2 ** whole("bits", bits, least=4, most=32)
 
     def apply(self, moment: Moment) -> None:
         """Round."""

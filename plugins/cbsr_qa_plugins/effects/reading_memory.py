@@ -9,10 +9,11 @@ from cbsr_qa.simulate.parameters import number
 
 
 class ReadingMemory:
-    """Multiplexer and converter that do not settle: s[n] = (1 − m) x[n] + m s[n−1].
+    """Each reading keeps a share of the one before it, as of a multiplexer and converter that do not settle.
 
-    A frame begins with the memory of its own last reading, as if the one before had been the same: frames do not
-    depend on each other. Between frames that differ by d the first reading is wrong by m d.
+    s[n] = (1 − m) x[n] + m s[n−1]. A frame begins with the memory of its own last reading, as if the one before had
+    been the same: frames do not depend on each other. Where no reading differs by more than d from that of the frame
+    before, reading n (from 0) is wrong by m^(n + 1) d at most.
 
     Parameters
     ----------
@@ -21,6 +22,7 @@ class ReadingMemory:
     """
 
     needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ("voltmeter-input",)
     perturbs = "voltages"
 
     def __init__(self, setting: SceneSetting, *, share: float, inner: str = "measure") -> None:

@@ -5,7 +5,7 @@ from cbsr_qa.simulate.parameters import number
 
 
 class ReadingOffset:
-    """The converter's zero is off.
+    """The converter's zero is off: a constant is on every reading.
 
     Parameters
     ----------
@@ -13,6 +13,7 @@ class ReadingOffset:
     """
 
     needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ("voltmeter-input",)
     perturbs = "voltages"
 
     def __init__(self, setting: SceneSetting, *, offset_V: float) -> None:

@@ -1,12 +1,12 @@
 """How the sheet lies on the station: not quite level, not quite at its nominal height."""
 
-from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.scene import Moment, SceneSetting
+from cbsr_qa.simulate.parameters import number
 from cbsr_qa.simulate.streams import RandomStream
 
 
 class SheetSeat:
-    """Level and tilt of the sheet off nominal, drawn once per seed: Gaussian, independent, fixed for the run.
+    """The sheet lies off nominal in level and tilt: Gaussian, independent, drawn once per seed, fixed for the run.
 
     Parameters
     ----------
@@ -17,9 +17,8 @@ class SheetSeat:
     perturbs = "geometry"
 
     def __init__(self, setting: SceneSetting, *, error_mm: float) -> None:
-        if not 0 <= error_mm < float("inf"):
-            raise ConfigError(f"error_mm is {error_mm}", remedy="it is a finite number of at least 0")
-        level, along_x, along_y = error_mm * RandomStream(setting.seed, "sheet-seat").normal(0, (3,))
+        deviation_mm = number("error_mm", error_mm)
+        level, along_x, along_y = deviation_mm * RandomStream(setting.seed, "sheet-seat").normal(0, (3,))
         radius_mm = setting.sensor_type.radius_mm
         self._level_mm = float(level)
         self._slope = float(along_x) / radius_mm, float(along_y) / radius_mm

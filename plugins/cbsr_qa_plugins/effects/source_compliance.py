@@ -8,7 +8,9 @@ from cbsr_qa.simulate.parameters import number
 
 
 class SourceCompliance:
-    """Where a driven pair asks for more than the limit, the limit is all it gets: I = V_limit/R, readings flagged.
+    """A driven pair that asks for more than the source's voltage limit gets what the limit drives, and is flagged.
+
+    I = V_limit/R.
 
     Parameters
     ----------

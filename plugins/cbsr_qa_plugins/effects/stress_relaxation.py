@@ -5,10 +5,11 @@ from cbsr_qa.simulate.ramps import transient
 
 
 class StressRelaxation:
-    """σ(t) = E ∫ (1 + w₁ e^(−(t−s)/τ₁) + w₂ e^(−(t−s)/τ₂)) ε̇(s) ds (paper Eq 3 over its steady state).
+    """The stress under a held head relaxes by two exponentials: a generalised Maxwell body.
 
-    The elastic effect is the 1 of the kernel; this effect adds the rest. Right after a release the sheet would pull
-    on a head that stuck to it; the head does not stick, so the world reads no negative stress.
+    σ(t) = E ∫ (1 + w₁ e^(−(t−s)/τ₁) + w₂ e^(−(t−s)/τ₂)) ε̇(s) ds (paper Eq 3 over its steady state). The elastic
+    effect is the 1 of the kernel; this effect adds the rest. Right after a release the sheet would pull on a head
+    that stuck to it; the head does not stick, so the world reads no negative stress.
     """
 
     needs: tuple[str, ...] = ("elastic-stress",)

@@ -8,7 +8,9 @@ from cbsr_qa.simulate.parameters import number
 
 
 class TemperatureDrift:
-    """Sheet and contacts conduct 1 + c ΔT times as well, with ΔT(t) = rate t + swing sin(2π t/period).
+    """The room warms steadily and swings, and sheet and contacts conduct better or worse with it.
+
+    By 1 + c ΔT, ΔT(t) = rate t + swing sin(2π t/period).
 
     Parameters
     ----------

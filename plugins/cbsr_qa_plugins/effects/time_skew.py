@@ -8,7 +8,9 @@ from cbsr_qa.simulate.parameters import number
 
 
 class TimeSkew:
-    """Reading n of N is taken at (n + ½)/N of the part of the frame that is spent reading, about its middle.
+    """The readings of a frame are taken one after the other instead of all at once.
+
+    Reading n of N at (n + ½)/N of the part of the frame that is spent reading, about its middle.
 
     Parameters
     ----------
