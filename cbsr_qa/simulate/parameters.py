@@ -1,9 +1,12 @@
 """What parameters of effects may be, said in one way."""
 
 import math
-from typing import Any
+import sys
+from typing import Any, Final
 
 from cbsr_qa.domain.errors import ConfigError
+
+_LARGEST: Final = sys.float_info.max
 
 
 def number(name: str, value: Any, *, least: float = 0.0, most: float = math.inf, above: bool = False) -> float:
@@ -20,12 +23,20 @@ def number(name: str, value: Any, *, least: float = 0.0, most: float = math.inf,
     ConfigError
         Naming the parameter, what was given and what is allowed.
     """
-    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= _LARGEST
     if good and (least < value if above else least <= value) and value <= most:
         return float(value)
     low = f"above {least:g}" if above else f"of at least {least:g}"
     high = f" and at most {most:g}" if math.isfinite(most) else ""
-    raise ConfigError(f"{name} is {value!r}", remedy=f"it is a finite number {low}{high}")
+    raise ConfigError(f"{name} is {shown(value)}", remedy=f"it is a finite number {low}{high}")
+
+
+def shown(value: Any) -> str:
+    """What was given, as short as a message needs it: whole numbers may have thousands of digits."""
+    if isinstance(value, int) and abs(value) > _LARGEST:
+        return "a whole number beyond 1.8e308"
+    said = repr(value)
+    return said if len(said) <= 60 else f"{said[:57]}..."
 
 
 def whole(name: str, value: Any, *, least: int, most: int) -> int:
@@ -38,7 +49,7 @@ def whole(name: str, value: Any, *, least: int, most: int) -> int:
     """
     if isinstance(value, int) and not isinstance(value, bool) and least <= value <= most:
         return value
-    raise ConfigError(f"{name} is {value!r}", remedy=f"it is a whole number from {least} to {most}")
+    raise ConfigError(f"{name} is {shown(value)}", remedy=f"it is a whole number from {least} to {most}")
 
 
 def electrode(name: str, value: Any, count: int) -> int:
@@ -51,4 +62,4 @@ def electrode(name: str, value: Any, count: int) -> int:
     """
     if isinstance(value, int) and not isinstance(value, bool) and 0 <= value < count:
         return value
-    raise ConfigError(f"{name} is {value!r}", remedy=f"electrodes are counted from 0 to {count - 1}")
+    raise ConfigError(f"{name} is {shown(value)}", remedy=f"electrodes are counted from 0 to {count - 1}")

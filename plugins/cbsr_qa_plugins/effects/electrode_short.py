@@ -4,7 +4,7 @@ import numpy as np
 
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.scene import Moment, SceneSetting
-from cbsr_qa.simulate.parameters import electrode, number
+from cbsr_qa.simulate.parameters import electrode, number, shown
 
 
 class ElectrodeShort:
@@ -24,7 +24,7 @@ class ElectrodeShort:
     def __init__(self, setting: SceneSetting, *, electrodes: list[int], resistance_ohm: float = 0.0) -> None:
         count = setting.sensor_type.electrodes.count
         if not isinstance(electrodes, list | tuple) or len(electrodes) != 2 or electrodes[0] == electrodes[1]:
-            raise ConfigError(f"electrodes is {electrodes!r}", remedy="it is a list of two different electrodes")
+            raise ConfigError(f"electrodes is {shown(electrodes)}", remedy="it is a list of two different electrodes")
         self._between = np.zeros(count)
         for number_, sign in zip(electrodes, (1.0, -1.0), strict=True):
             self._between[electrode("electrodes", number_, count)] = sign

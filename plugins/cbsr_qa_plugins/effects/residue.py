@@ -7,9 +7,10 @@ from cbsr_qa.simulate.ramps import released
 
 
 class Residue:
-    """A share of every change stays when it is released, and fades slowly (paper 4.2: residues of earlier loads).
+    """A share of every change stays when it is released, and fades slowly.
 
-    Beside the relaxation of the material itself: ramps that lift are answered with −share e^(−t/τ) more.
+    Residues of earlier loads (paper 4.2), beside the relaxation of the material itself: ramps that lift are answered
+    with −share e^(−t/τ) more.
 
     Parameters
     ----------

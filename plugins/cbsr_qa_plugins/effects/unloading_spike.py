@@ -7,10 +7,11 @@ from cbsr_qa.simulate.ramps import released
 
 
 class UnloadingSpike:
-    """A release first raises the change by some share of what it will take away (paper 3.1.2), and that fades.
+    """A release first raises the change by some share of what it will take away, and that fades.
 
-    Every ramp that lifts is answered with −(1 + size) e^(−t/τ) beside its quasi-static change: at once the change is
-    `size` of the ramp beyond where it was, and comes back with τ. The paper prints neither: both are to be chosen.
+    Paper 3.1.2. Every ramp that lifts is answered with −(1 + size) e^(−t/τ) beside its quasi-static change: at once
+    the change is `size` of the ramp beyond where it was, and comes back with τ. The paper prints neither: both are to
+    be chosen.
 
     Parameters
     ----------
