@@ -78,6 +78,8 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.EFFECT, "electrode-intermittent", "effects.electrode_intermittent:ElectrodeIntermittent"),
     (Kind.EFFECT, "electrode-noise", "effects.electrode_noise:ElectrodeNoise"),
     (Kind.EFFECT, "voltmeter-input", "effects.voltmeter_input:VoltmeterInput"),
+    (Kind.EFFECT, "frame-loss", "effects.frame_loss:FrameLoss"),
+    (Kind.EFFECT, "watchdog-dump", "effects.watchdog_dump:WatchdogDump"),
     (Kind.RECORDING, "cbsr-recording", "recordings.cbsr_recording:CbsrRecording"),
     (Kind.RECORDING, "ert-board-csv", "recordings.ert_board_csv:ErtBoardCsv"),
     (Kind.RECORDING, "smu-rig-csv", "recordings.smu_rig_csv:SmuRigCsv"),

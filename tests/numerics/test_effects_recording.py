@@ -1,0 +1,137 @@
+"""Effects on how frames are written down, held to the distributions they state."""
+
+import numpy as np
+import pytest
+from effect_setting import setting
+from scipy.stats import binom, chi2, poisson
+
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.scene import Transcript
+from cbsr_qa_plugins.effects.frame_loss import FrameLoss
+from cbsr_qa_plugins.effects.watchdog_dump import WatchdogDump
+
+FRAMES = 4000
+ROWS = 16
+ONE_IN_A_MILLION = 1e-6
+
+
+def recorded(effect, frames=FRAMES, *, of=None):
+    transcript = Transcript.complete(of or setting(), 2.5 * np.arange(frames))
+    effect.record(transcript)
+    return transcript
+
+
+def alike(counts):
+    """Whether counts are those of one uniform distribution, but for one sample in a million."""
+    expected = np.sum(counts) / len(counts)
+    return np.sum((counts - expected) ** 2) / expected < chi2.isf(ONE_IN_A_MILLION, len(counts) - 1)
+
+
+def within(count, law):
+    low, high = law.ppf(ONE_IN_A_MILLION / 2), law.isf(ONE_IN_A_MILLION / 2)
+    return low <= count <= high
+
+
+def runs(lost):
+    """First row and length of the run of every frame that lost rows; each must be one run."""
+    out = []
+    for frame in lost[lost.any(axis=1)]:
+        rows = np.flatnonzero(frame)
+        assert rows[-1] - rows[0] + 1 == len(rows)
+        out.append((rows[0], len(rows)))
+    return np.array(out)
+
+
+# --- frame-loss ---
+
+
+@pytest.mark.parametrize("share", [0.02, 0.3])
+def test_the_share_of_frames_that_lose_rows_is_binomial(share):
+    lost = recorded(FrameLoss(setting(), share=share)).lost
+    assert within(lost.any(axis=1).sum(), binom(FRAMES, share))
+
+
+def test_runs_begin_at_any_row_alike_and_are_of_any_length_alike():
+    found = runs(recorded(FrameLoss(setting(), share=1.0, most_rows=4)).lost)
+    assert len(found) == FRAMES
+    assert alike(np.bincount(found[:, 0], minlength=ROWS))
+    uncut = found[found[:, 0] <= ROWS - 4, 1]
+    assert alike(np.bincount(uncut, minlength=5)[1:])
+    assert set(found[found[:, 0] == ROWS - 1, 1]) == {1}  # the end of the frame cuts the run
+
+
+def test_no_frame_is_lost_at_a_share_of_zero_and_every_one_at_one():
+    assert not recorded(FrameLoss(setting(), share=0)).lost.any()
+    assert recorded(FrameLoss(setting(), share=1, most_rows=1)).lost.sum(axis=1).tolist() == [1] * FRAMES
+
+
+# --- watchdog-dump ---
+
+
+@pytest.mark.parametrize("per_minute", [12.0, 120.0])
+def test_the_number_of_dumps_is_poisson(per_minute):
+    of = setting()
+    dumps = recorded(WatchdogDump(of, per_minute=per_minute)).dumps
+    mean = per_minute / 60 * of.frame_period_s
+    assert within(len(dumps), poisson(FRAMES * mean))
+    frames = np.bincount([dump.frame for dump in dumps], minlength=FRAMES)
+    spread = (FRAMES - 1) * frames.var(ddof=1) / mean  # index of dispersion, χ² of FRAMES − 1
+    assert within(spread, chi2(FRAMES - 1))
+
+
+def test_dumps_stand_before_any_row_alike_in_order_of_time():
+    dumps = recorded(WatchdogDump(setting(), per_minute=60)).dumps
+    assert alike(np.bincount([dump.row for dump in dumps], minlength=ROWS))
+    at = [(dump.frame, dump.row) for dump in dumps]
+    assert at == sorted(at)
+
+
+def test_a_dump_makes_the_rest_of_the_recording_later_by_its_pause():
+    transcript = recorded(WatchdogDump(setting(), per_minute=12), 200)
+    assert len(transcript.dumps) > 10
+    late_s = transcript.pauses_s().ravel()
+    assert late_s[-1] == pytest.approx(0.075 * len(transcript.dumps))
+    steps = np.flatnonzero(np.diff(late_s, prepend=0.0))
+    assert set(steps) == {dump.frame * ROWS + dump.row for dump in transcript.dumps}
+
+
+# --- both ---
+
+BOTH = [lambda of: FrameLoss(of, share=0.2), lambda of: WatchdogDump(of, per_minute=20)]
+
+
+@pytest.mark.parametrize("effect", BOTH)
+def test_a_longer_recording_repeats_the_beginning_of_a_shorter_one(effect):
+    short, long = recorded(effect(setting()), 150), recorded(effect(setting()), 400)
+    np.testing.assert_array_equal(short.lost, long.lost[:150])
+    assert short.dumps == [dump for dump in long.dumps if dump.frame < 150]
+    assert short.dumps or short.lost.any()
+
+
+@pytest.mark.parametrize("effect", BOTH)
+def test_the_seed_says_what_happens(effect):
+    def told(seed):
+        transcript = recorded(effect(setting(seed=seed)), 400)
+        return transcript.lost.tobytes(), tuple(transcript.dumps)
+
+    assert told(1) == told(1)
+    assert told(1) != told(2)
+
+
+@pytest.mark.parametrize(
+    ("make", "named", "allowed"),
+    [
+        (lambda: FrameLoss(setting(), share=1.5), "share is 1.5", "at most 1"),
+        (lambda: FrameLoss(setting(), share=-0.1), "share is -0.1", "at least 0"),
+        (lambda: FrameLoss(setting(), share=0.1, most_rows=0), "most_rows is 0", "at least 1 and at most 16"),
+        (lambda: FrameLoss(setting(), share=0.1, most_rows=17), "most_rows is 17", "at most 16"),
+        (lambda: FrameLoss(setting(), share=0.1, most_rows=2.5), "most_rows is 2.5", "whole"),
+        (lambda: WatchdogDump(setting(), per_minute=float("nan")), "per_minute is nan", "at most 600"),
+        (lambda: WatchdogDump(setting(), per_minute=1, pause_ms=-1), "pause_ms is -1", "at least 0"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_what_can(make, named, allowed):
+    with pytest.raises(ConfigError) as said:
+        make()
+    assert named in said.value.reason
+    assert allowed in said.value.remedy
