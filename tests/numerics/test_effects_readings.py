@@ -5,12 +5,12 @@ from itertools import pairwise
 import numpy as np
 import pytest
 from effect_setting import moment, setting
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.constants import Boltzmann
 from scipy.signal import lfilter
 
-from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.errors import ConfigError, RefusedError
 from cbsr_qa.domain.frames import ReadingFlag
 from cbsr_qa.domain.scene import SheetDesign
 from cbsr_qa.simulate.sheet import SimulatedSheet
@@ -81,6 +81,7 @@ def remembered(frame, share, inner):
     return at.voltages.ravel() if inner == "measure" else at.voltages.T.ravel()
 
 
+@settings(max_examples=30, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0, 0.9), step=st.floats(0, 10), inner=st.sampled_from(INNER))
 def test_what_a_frame_does_not_remember_of_the_one_before_is_bounded_as_documented(seed, share, step, inner):
     """Against one converter that remembers through frame after frame: reading n is off by m^(n + 1) d at most."""
@@ -225,6 +226,14 @@ def test_contacts_drift_exponentially_each_at_its_own_rate():
     assert found[0] == pytest.approx(0)
     assert found[2] == pytest.approx(2 * found[1])
     assert 0.1 < found[2].std() < 0.6
+
+
+def test_contacts_that_drift_out_of_all_bounds_are_refused():
+    at = moment(OF, 100 * 3600.0)
+    at.contact_mm = np.full(16, 0.2)
+    with pytest.raises(RefusedError, match=r"contact \d+ e\^-?\d+ of what it was at 360000 s") as refused:
+        ContactDrift(OF, deviation_per_hour=10.0).apply(at)
+    assert "deviation_per_hour" in refused.value.remedy
 
 
 @pytest.mark.parametrize(

@@ -1,10 +1,15 @@
 """Contacts that change in the course of a run."""
 
+from typing import Final
+
 import numpy as np
 
+from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.simulate.parameters import number
 from cbsr_qa.simulate.streams import RandomStream
+
+_MOST: Final = 50.0  # change of ln z; no sheet can be solved with contacts that far off
 
 
 class ContactDrift:
@@ -25,5 +30,13 @@ class ContactDrift:
 
     def apply(self, moment: Moment) -> None:
         """Change the contacts by what has passed since the run began."""
-        if moment.contact_mm is not None:
-            moment.contact_mm = moment.contact_mm * np.exp(self._rate_per_s * moment.time_s)
+        if moment.contact_mm is None:
+            return
+        grown = self._rate_per_s * moment.time_s
+        worst = int(np.abs(grown).argmax())
+        if abs(grown[worst]) > _MOST:
+            raise RefusedError(
+                f"contact-drift makes contact {worst} e^{grown[worst]:.0f} of what it was at {moment.time_s:g} s",
+                remedy="take a smaller deviation_per_hour",
+            )
+        moment.contact_mm = moment.contact_mm * np.exp(grown)
