@@ -1,5 +1,7 @@
 """Electrodes that fail: open, open now and then, noisy, and a voltmeter that loads them; against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from effect_setting import READING_SCALE_V, moment, setting
@@ -103,7 +105,7 @@ def open_at(effect, times_s, index=0):
 
 
 def intermittent(open_s=2.0, closed_s=6.0, seed=1):
-    return ElectrodeIntermittent(setting(seed=seed), electrode=5, mean_open_s=open_s, mean_closed_s=closed_s)
+    return ElectrodeIntermittent(replace(OF, seed=seed), electrode=5, mean_open_s=open_s, mean_closed_s=closed_s)
 
 
 def runs_s(effect, end_s):
