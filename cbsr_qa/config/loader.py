@@ -9,11 +9,12 @@ from cbsr_qa.config.documents import Document, DocumentKind, open_document
 from cbsr_qa.config.material_file import MaterialFile
 from cbsr_qa.config.mesh_reference import with_mesh
 from cbsr_qa.config.recipe_file import RecipeFile
-from cbsr_qa.config.scene_file import SceneFile
+from cbsr_qa.config.scene_file import STATION_TABLES, SceneFile
 from cbsr_qa.config.sensor_type_file import SensorTypeFile
 from cbsr_qa.config.station_file import StationFile, resolved_options
 from cbsr_qa.config.tables import FileModel, validated
 from cbsr_qa.domain.plan import Recipe, Scene, Station
+from cbsr_qa.domain.scene_plan import ScenePlan
 from cbsr_qa.domain.sensor import Material, SensorType
 
 T = TypeVar("T")
@@ -70,7 +71,17 @@ def load_material(source: Source, *, near: Path | None = None) -> Loaded[Materia
 
 
 def load_scene(source: Source, *, near: Path | None = None) -> Loaded[Scene]:
-    """Load a scene, looked for in the folder ``near`` first. See :func:`load_station` for what is raised."""
+    """Load what a station needs of a scene, looked for in the folder ``near`` first; raises as :func:`load_station`.
+
+    The document holds only that too: what a station's run does not use is no part of its configuration.
+    """
+    plan = load_scene_plan(source, near=near)
+    used = {key: value for key, value in plan.document.data.items() if key in STATION_TABLES}
+    return Loaded(plan.value.scene, replace(plan.document, data=used))
+
+
+def load_scene_plan(source: Source, *, near: Path | None = None) -> Loaded[ScenePlan]:
+    """Load all of a scene, its recording and its loads too. See :func:`load_station` for what is raised."""
     return _load(DocumentKind.SCENE, SceneFile, source, near)
 
 

@@ -31,6 +31,11 @@ def calibrations_folder(environment: Mapping[str, str] = os.environ) -> Path:
     return var_folder(environment) / "calibrations"
 
 
+def scenes_folder(environment: Mapping[str, str] = os.environ) -> Path:
+    """Folder for recordings of simulated scenes, below :func:`var_folder`."""
+    return var_folder(environment) / "scenes"
+
+
 def writable_folder(folder: Path) -> Path:
     """Create a folder if need be and make sure that files can be written there, before anything is moved.
 

@@ -1,15 +1,24 @@
-"""Scene files: what the simulated world contains."""
+"""Scene files: what the simulated world contains, and what is recorded of it."""
 
 from collections.abc import Iterator
 from typing import Annotated
 
 from pydantic import Field
 
+from cbsr_qa.config.station_file import IndenterTable
 from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table
-from cbsr_qa.domain.plan import PluginChoice, Scene
+from cbsr_qa.domain.kinematics import CLEARANCE_MM
+from cbsr_qa.domain.plan import Motion, PluginChoice, Scene
+from cbsr_qa.domain.scene_plan import MOST_FRAMES, SceneLoad, ScenePlan
 
 Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
+NameOrPath = Annotated[str, Field(min_length=1, max_length=255)]
+
+#: Largest seed: what every tool that reads a recording can hold as an integer.
+MOST_SEED = 2**31 - 1
+#: Tables that a station's run uses; all others are for ``cbsr-qa scene``.
+STATION_TABLES = ("scene", "effects")
 
 
 class SceneTable(Table):
@@ -22,28 +31,100 @@ class SceneTable(Table):
     not_modelled: list[str] = Field(default_factory=list)
 
 
+class SensorTable(Table):
+    """``[sensor]``: what is simulated where no station says so."""
+
+    sensor_type: NameOrPath
+    material: NameOrPath
+
+
+class HeadTable(IndenterTable):
+    """``[head]``: outline and motion of every head that presses; the rig's by default."""
+
+    press_speed_mm_per_min: Positive = 40.0
+    travel_speed_mm_per_min: Positive = 600.0
+    hover_mm: Annotated[float, Field(ge=CLEARANCE_MM)] = 25.0
+
+    def motion(self) -> Motion:
+        """Speeds become mm/s."""
+        return Motion(
+            press_speed_mm_s=self.press_speed_mm_per_min / 60,
+            travel_speed_mm_s=self.travel_speed_mm_per_min / 60,
+            hover_mm=self.hover_mm,
+        )
+
+
+class RecordingTable(Table):
+    """``[recording]``: what ``cbsr-qa scene run`` records."""
+
+    seed: Annotated[int, Field(ge=0, le=MOST_SEED)]
+    duration_s: Positive
+
+
+class LoadTable(Table):
+    """``[[loads]]``: one press."""
+
+    x_mm: float
+    y_mm: float
+    strain_percent: Annotated[float, Field(gt=0, lt=100)]
+    start_s: Annotated[float, Field(ge=0)]
+    hold_s: Positive
+    head: Annotated[int, Field(ge=1, le=64)] = 1
+
+
 class EffectTable(OpenTable):
     """``[[effects]]``: an effect that is on, and its parameters beside its name."""
 
     name: Name
 
 
-class SceneFile(FileModel[Scene]):
-    """A scene file."""
+class SceneFile(FileModel[ScenePlan]):
+    """A scene file. What needs the sensor's size is checked in :mod:`cbsr_qa.config.scene_checks`."""
 
     scene: SceneTable
+    sensor: SensorTable | None = None
+    head: HeadTable = Field(default_factory=HeadTable)
+    recording: RecordingTable | None = None
+    loads: list[LoadTable] = Field(default_factory=list)
     effects: list[EffectTable] = Field(default_factory=list)
 
     def problems(self) -> Iterator[Problem]:
-        """An effect is on once or not at all."""
+        """An effect is on once or not at all; a recording has frames, and not too many."""
         seen: set[str] = set()
         for index, effect in enumerate(self.effects):
             if effect.name in seen:
                 yield Problem(("effects", index, "name"), f"is {effect.name!r}, which is already on")
             seen.add(effect.name)
+        yield from self.head.problems("head")
+        yield from self._length_problems()
 
-    def to_domain(self) -> Scene:
-        """Milliampere become ampere."""
+    def _length_problems(self) -> Iterator[Problem]:
+        if self.recording is None:
+            return
+        period_s, duration_s = self.scene.frame_period_s, self.recording.duration_s
+        if duration_s < period_s * (1 - 1e-9):
+            yield Problem(("recording", "duration_s"), f"is {duration_s:g}; one frame takes {period_s:g} s")
+        if duration_s / period_s > MOST_FRAMES * (1 + 1e-9):
+            what = f"is {duration_s:g}, {duration_s / period_s:.0f} frames of {period_s:g} s"
+            longest = f"at most {MOST_FRAMES} frames are recorded, {MOST_FRAMES * period_s:g} s"
+            yield Problem(("recording", "duration_s"), f"{what}; {longest}")
+
+    def to_domain(self) -> ScenePlan:
+        """Percent become fractions, milliampere ampere."""
+        return ScenePlan(
+            scene=self._scene(),
+            sensor_type=None if self.sensor is None else self.sensor.sensor_type,
+            material=None if self.sensor is None else self.sensor.material,
+            indenter=self.head.to_domain(),
+            motion=self.head.motion(),
+            seed=None if self.recording is None else self.recording.seed,
+            duration_s=None if self.recording is None else self.recording.duration_s,
+            loads=tuple(
+                SceneLoad(t.x_mm, t.y_mm, t.strain_percent / 100, t.start_s, t.hold_s, t.head) for t in self.loads
+            ),
+        )
+
+    def _scene(self) -> Scene:
         return Scene(
             name=self.scene.name,
             effects=tuple(PluginChoice(e.name, e.options) for e in self.effects),

@@ -50,16 +50,16 @@ class IndenterTable(Table):
     diameter_mm: Positive | None = None
     outline_mm: Annotated[list[Corner], Field(min_length=3)] | None = None
 
-    def problems(self) -> Iterator[Problem]:
-        """Yield what does not fit together within the table."""
+    def problems(self, table: str = "indenter") -> Iterator[Problem]:
+        """Yield what does not fit together within the table of this name."""
         if self.outline_mm is None:
             return
         if self.diameter_mm is not None:
-            yield Problem(("indenter", "diameter_mm"), "is given beside outline_mm; a head has one or the other")
+            yield Problem((table, "diameter_mm"), "is given beside outline_mm; a head has one or the other")
         try:
             self.to_domain()
         except NumericsError as error:
-            yield Problem(("indenter", "outline_mm"), f"is no outline: {error.reason}. {error.remedy}".strip())
+            yield Problem((table, "outline_mm"), f"is no outline: {error.reason}. {error.remedy}".strip())
 
     def to_domain(self) -> Indenter:
         """Return the head."""

@@ -95,7 +95,7 @@ def validated(model: type[FileModel[T]], document: Document) -> T:
     if parsed is not None:
         problems += parsed.problems()
     if problems or parsed is None:
-        raise _refusal(document, problems)
+        raise refusal(document, problems)
     try:
         return parsed.to_domain()
     except RefusedError as error:  # a rule the domain keeps itself
@@ -126,7 +126,8 @@ def _copied(data: Any) -> Any:
     return [_copied(value) for value in data] if isinstance(data, list) else data
 
 
-def _refusal(document: Document, problems: list[Problem]) -> ConfigError:
+def refusal(document: Document, problems: list[Problem]) -> ConfigError:
+    """Return the error that lists all that is wrong with a file, each with its line."""
     lines = [f"{document.label} has {len(problems)} problem{'s' if len(problems) > 1 else ''}:"]
     for problem in problems:
         line = line_of(document.text, problem.path)

@@ -11,6 +11,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from command import cbsr_qa
 
 from cbsr_qa.domain.frames import SampleBlock
 
@@ -58,6 +59,20 @@ def test_the_page_on_ones_own_sensor_runs_as_printed(tmp_path):
     assert "polygon of 6 corners rounded with 4 mm, 80 mm × 80 mm" in report.read_text()
 
 
+def test_the_page_on_scenes_runs_as_printed(tmp_path):
+    page = _TOP / "docs" / "how-to" / "simulate-a-scene.md"
+    ((name, content),) = re.findall(r"`([\w-]+\.toml)`:\n\n```toml\n(.*?)^```", page.read_text(), re.M | re.S)
+    (tmp_path / name).write_text(content)
+    for command in _commands(page):
+        done = cbsr_qa(tmp_path, *shlex.split(command)[1:])
+        assert done.stdout.strip(), command
+    assert {path.name for path in (tmp_path / "var" / "scenes").iterdir()} == {
+        "faulty-electrode-seed3.h5",
+        "two-heads-seed7.h5",
+        "two-heads-seed7.ert-board-csv.csv",
+    }
+
+
 @pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
 def test_links_between_pages_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
@@ -80,7 +95,7 @@ def test_commands_that_are_shown_exist(page):
         if words[0] != "cbsr-qa":
             continue
         group = [word for word in words[1:3] if re.fullmatch(r"[a-z]+", word)]
-        known = group[:2] if group[0] in ("calibration", "plugins", "db") else group[:1]
+        known = group[:2] if group[0] in ("calibration", "plugins", "db", "scene") else group[:1]
         assert guarded([*known, "--help"]) == 0, command
 
 

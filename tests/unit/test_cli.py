@@ -58,7 +58,7 @@ def test_a_misused_command_line_ends_with_2_and_says_so_on_stderr(capsys, argume
     assert said.err.strip() or "Usage" in said.out
 
 
-@pytest.mark.parametrize("command", ["run", "analyse", "report", "export", "calibration", "plugins", "db"])
+@pytest.mark.parametrize("command", ["run", "analyse", "report", "export", "scene", "calibration", "plugins", "db"])
 def test_every_command_has_help(capsys, command):
     assert main.guarded([command, "--help"]) == 0
     assert "Usage" in capsys.readouterr().out

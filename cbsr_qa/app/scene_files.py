@@ -1,0 +1,133 @@
+"""The files that a simulated scene is written to."""
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from cbsr_qa.app.setup import made
+from cbsr_qa.config.paths import scenes_folder, writable_folder
+from cbsr_qa.domain.errors import CbsrError, ConfigError, PluginError, RefusedError
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.interfaces import RecordingWriter
+from cbsr_qa.plugins import Plugins
+from cbsr_qa.simulate.scene_recording import RecordedScene
+
+#: Format every scene is written in.
+OWN_FORMAT = "cbsr-recording"
+#: Last word of a format's name → suffix of its files.
+_SUFFIXES = {"csv": ".csv", "mat": ".mat", "text": ".txt", "txt": ".txt", "json": ".json", "recording": ".h5"}
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A file to write, and what writes it."""
+
+    format: str
+    path: Path
+    writer: RecordingWriter
+
+
+@dataclass(frozen=True, slots=True)
+class Written:
+    """A file that was written.
+
+    Parameters
+    ----------
+    notes : what the format cannot say, in words.
+    """
+
+    format: str
+    path: Path
+    notes: tuple[str, ...]
+
+
+def checked_targets(
+    scene: str, seed: int, output: Path | None, formats: tuple[str, ...], plugins: Plugins
+) -> tuple[Target, ...]:
+    """Say where a scene goes in each format, our own first; nothing of it exists yet, and the folder is there.
+
+    Raises
+    ------
+    PluginError
+        If a format is unknown or cannot be written.
+    RefusedError
+        If a file exists already.
+    ConfigError
+        If the folder cannot be written to.
+    """
+    own = scenes_folder() / f"{_file_name(scene)}-seed{seed}.h5" if output is None else output
+    targets = [Target(OWN_FORMAT, own, _writer(OWN_FORMAT, plugins))]
+    for name in dict.fromkeys(formats):
+        if name != OWN_FORMAT:
+            beside = own.with_name(f"{own.stem}.{name}{_SUFFIXES.get(name.rpartition('-')[2], '')}")
+            targets.append(Target(name, beside, _writer(name, plugins)))
+    for target in targets:
+        if target.path.exists():
+            other = "another seed, or another file with --output" if output is None else "another file"
+            raise RefusedError(f"{target.path} exists already", remedy=f"remove it first, or name {other}")
+    _make_folder(own.parent, output)
+    return tuple(targets)
+
+
+def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Written, ...]:
+    """Write every file or, where one is refused, none.
+
+    Raises
+    ------
+    RefusedError
+        If a format cannot hold such a recording.
+    """
+    written: list[Written] = []
+    try:
+        for target in targets:
+            written.append(_written(recorded, target))
+    except BaseException:
+        for file in written:
+            file.path.unlink(missing_ok=True)
+        raise
+    return tuple(written)
+
+
+def _written(recorded: RecordedScene, target: Target) -> Written:
+    recording = replace(recorded.recording, path=target.path)
+    try:
+        notes = target.writer.write(target.path, recording, recorded.transcript)
+    except CbsrError as error:
+        reason = f"the scene cannot be written as {target.format}: {error.reason}"
+        raise RefusedError(reason, remedy=error.remedy) from error
+    except OSError as error:
+        raise RefusedError(f"{target.path} cannot be written: {error.strerror or error}") from error
+    return Written(target.format, target.path, notes)
+
+
+def _writer(name: str, plugins: Plugins) -> RecordingWriter:
+    format_: Any = made(plugins, Kind.RECORDING, PluginChoice(name), "--format")
+    if not isinstance(format_, RecordingWriter):
+        raise PluginError(f"format {name!r} is read only", remedy=f"can be written: {', '.join(_writable(plugins))}")
+    return format_
+
+
+def _writable(plugins: Plugins) -> list[str]:
+    found = []
+    for name in plugins.in_order(Kind.RECORDING):
+        try:
+            if isinstance(made(plugins, Kind.RECORDING, PluginChoice(name), "--format"), RecordingWriter):
+                found.append(name)
+        except Exception:  # noqa: BLE001 - a stranger's code may raise anything; it is no help here
+            continue
+    return found
+
+
+def _file_name(scene: str) -> str:
+    """A scene's name as part of a file's: other signs than letters, digits, . _ - become a dash."""
+    return re.sub(r"[^\w.-]+", "-", scene).strip(".-") or "scene"
+
+
+def _make_folder(folder: Path, output: Path | None) -> None:
+    try:
+        writable_folder(folder)
+    except ConfigError as error:
+        remedy = error.remedy if output is None else "name a file in another folder with --output"
+        raise ConfigError(error.reason, remedy=remedy) from error

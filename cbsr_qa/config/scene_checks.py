@@ -1,0 +1,139 @@
+"""What a scene's loads must keep to, once the size of the sheet is known."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from cbsr_qa.config.loader import Loaded
+from cbsr_qa.config.tables import Problem, refusal
+from cbsr_qa.domain.kinematics import distance_mm, travel_s
+from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.scene_plan import PressTimes, SceneLoad, ScenePlan, approach_s, press_times
+from cbsr_qa.domain.sensor import SensorType
+
+_ROUNDING_S = 1e-9  # of times that are sums of others
+_PER_SIDE = 16  # points of a head's side that are held against the sheet's edge
+
+#: A load, its place in the file's list, and when it is pressed.
+_Timed = tuple[int, SceneLoad, PressTimes]
+
+
+def check_loads(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
+    """Check where and when a scene's loads are pressed.
+
+    Raises
+    ------
+    ConfigError
+        Listing every load whose centre is off the sheet, that its head cannot press in time, or that meets another
+        head, each with what is allowed.
+    """
+    plan = loaded.value
+    timed = [
+        (index, load, press_times(load, load.strain * sensor_type.thickness_mm, plan.motion))
+        for index, load in enumerate(plan.loads)
+    ]
+    problems = [*_off_the_sheet(plan, sensor_type), *_too_soon(plan, timed), *_too_late(plan, timed)]
+    problems += _meeting_heads(plan.indenter, timed)
+    if problems:
+        raise refusal(loaded.document, sorted(problems, key=lambda problem: problem.path[1]))
+
+
+def edge_remarks(plan: ScenePlan, sensor_type: SensorType) -> dict[int, str]:
+    """Say of which loads, by their place in the list from 0, the head is partly over the sheet's edge."""
+    return {
+        index: f"loads[{index + 1}]: the head ({plan.indenter.words()}) at {_at(load)} is partly over the sheet's"
+        " edge; only what lies on the sheet is pressed"
+        for index, load in enumerate(plan.loads)
+        if _over_the_edge(plan.indenter, load, sensor_type)
+    }
+
+
+def _over_the_edge(head: Indenter, load: SceneLoad, sensor_type: SensorType) -> bool:
+    if not head.outline_mm:
+        return _clearance_mm(sensor_type, load) < head.radius_mm
+    corners = head.at(*load.place_mm).drawn_mm()
+    along = np.linspace(0, 1, _PER_SIDE)[:, None, None]
+    outline = (corners + along * (np.roll(corners, -1, axis=0) - corners)).reshape(-1, 2)
+    return bool((sensor_type.outline.clearance_mm(outline) < 0).any())
+
+
+def _clearance_mm(sensor_type: SensorType, load: SceneLoad) -> float:
+    return float(sensor_type.outline.clearance_mm(np.array([load.place_mm]))[0])
+
+
+def _off_the_sheet(plan: ScenePlan, sensor_type: SensorType) -> Iterator[Problem]:
+    for index, load in enumerate(plan.loads):
+        if _clearance_mm(sensor_type, load) < 0:
+            what = f"is {load.x_mm:g} with y_mm = {load.y_mm:g}, off the sheet"
+            yield Problem(("loads", index, "x_mm"), f"{what}; the sheet {sensor_type.outline.words()}")
+
+
+def _too_soon(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
+    """Loads that begin before their head can be there; every head waits over the centre at first."""
+    busy: dict[int, _Timed] = {}
+    for one in sorted(timed, key=lambda each: each[1].start_s):
+        index, load, times = one
+        before = busy.get(load.head)
+        place, free_s = ((0.0, 0.0), 0.0) if before is None else (before[1].place_mm, before[2].up_s)
+        way_s = travel_s(plan.motion, distance_mm(place, load.place_mm)) + approach_s(plan.motion)
+        if load.start_s < free_s + way_s - _ROUNDING_S:
+            why = _why_too_soon(load, before, free_s, way_s)
+            yield Problem(("loads", index, "start_s"), f"is {load.start_s:g}; {why}")
+        if before is None or times.up_s > before[2].up_s:
+            busy[load.head] = one
+
+
+def _why_too_soon(load: SceneLoad, before: _Timed | None, free_s: float, way_s: float) -> str:
+    earliest = f"the earliest start that works is {_up(free_s + way_s)}"
+    if before is None:
+        return f"head {load.head} needs {_up(way_s)} s from over the centre to the surface here: {earliest}"
+    busy = f"head {load.head} is busy with loads[{before[0] + 1}] until {free_s:.2f} s"
+    return f"{busy} and needs {way_s:.2f} s from there to the surface here: {earliest}"
+
+
+def _too_late(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
+    if plan.duration_s is None:
+        return
+    for index, load, times in timed:
+        if times.up_s > plan.duration_s + _ROUNDING_S:
+            what = f"is {load.hold_s:g}; after it the head is up at {times.up_s:.2f} s"
+            allowed = f"recording.duration_s is {plan.duration_s:g}, it must be at least {_up(times.up_s)}"
+            yield Problem(("loads", index, "hold_s"), f"{what}, when the recording is over: {allowed}")
+
+
+def _meeting_heads(head: Indenter, timed: list[_Timed]) -> Iterator[Problem]:
+    """Presses of two heads that are below the hover height at one time and would stand in each other."""
+    down: list[_Timed] = []
+    for one in sorted(timed, key=lambda each: each[2].leaves_s):
+        index, load, times = one
+        down = [other for other in down if other[2].up_s > times.leaves_s + _ROUNDING_S]
+        for other in down:
+            if other[1].head != load.head and _overlap(head, load, other[1]):
+                yield Problem(("loads", index), _why_meeting(head, one, other))
+        down.append(one)
+
+
+def _why_meeting(head: Indenter, one: _Timed, other: _Timed) -> str:
+    (_, load, times), (number, standing, others) = one, other
+    apart = f"{distance_mm(load.place_mm, standing.place_mm):.3g} mm from loads[{number + 1}]"
+    where = f"puts head {load.head} {apart}, where head {standing.head} is down until {others.up_s:.2f} s"
+    moved = f"move one of them, or start this one at {_up(others.up_s + times.touches_s - times.leaves_s)}"
+    return f"{where}: two heads ({head.words()}) would overlap; {moved}"
+
+
+def _overlap(head: Indenter, load: SceneLoad, other: SceneLoad) -> bool:
+    if not head.outline_mm:
+        return distance_mm(load.place_mm, other.place_mm) < head.diameter_mm
+    corners = head.at(*other.place_mm).drawn_mm()
+    shared = head.at(*load.place_mm).area_under_edges_mm2(corners, np.roll(corners, -1, axis=0)).sum()
+    return bool(shared > 1e-9 * head.area_mm2)
+
+
+def _at(load: SceneLoad) -> str:
+    return f"({load.x_mm:g}, {load.y_mm:g}) mm"
+
+
+def _up(time_s: float) -> str:
+    """A time, rounded up so that what is printed works."""
+    return f"{math.ceil(100 * time_s - 1e-6) / 100:.2f}"
