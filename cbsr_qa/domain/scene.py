@@ -50,6 +50,11 @@ class SimulatedPress:
 
     def strain_at(self, time_s: float) -> float:
         """Strain under the head at a time."""
+        if not self.steps or time_s <= self.steps[0].start_s:
+            return 0.0
+        last = self.steps[-1]
+        if time_s >= last.start_s + last.ramp_s:  # as most presses of a run are
+            return sum([step.change for step in self.steps])
         return sum(s.change * min(max((time_s - s.start_s) / s.ramp_s, 0.0), 1.0) for s in self.steps)
 
 

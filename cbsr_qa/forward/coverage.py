@@ -15,7 +15,8 @@ from cbsr_qa.forward.elements import FiniteElements
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-_WHOLE = 1 - 1e-12  # a share above this is all of the element
+#: A share above this is all of the element.
+WHOLE: Final = 1 - 1e-12
 _LEVELS: Final = 5  # integration points, for where in a cut element the covered part lies
 _STEP = 1e-4  # of an element's size, for the derivative of the distance from an outline
 
@@ -87,7 +88,7 @@ class Cover:
         relative = relative[:, None]
         along = 1 + part * relative
         across = 1 / (1 - part * relative / (1 + relative))
-        lower = np.where(self.share[:, None] < _WHOLE, across - along, 0.0)[..., None, None]
+        lower = np.where(self.share[:, None] < WHOLE, across - along, 0.0)[..., None, None]
         turned = lower * self.across[..., :, None] * self.across[..., None, :]
         change: Array = (along - 1)[..., None, None] * np.eye(2) + turned
         return change * conductance[self.elements, None, None, None]
@@ -111,22 +112,29 @@ def cover(elements: FiniteElements, footprint: Footprint) -> Cover:
     footprint : of the load.
     """
     mesh = elements.mesh
-    near = _near(elements, footprint)
-    share = overlap_mm2(footprint, mesh.corners_mm[near]) / mesh.areas_mm2[near]
+    near = elements_near(elements, footprint)
+    share = shares(footprint, mesh.corners_mm[near])
     touched = near[share > 1e-12]
     share = np.minimum(share[share > 1e-12], 1.0)
     points = elements.shapes.points
     spread = np.repeat(share[:, None], len(points), axis=1)
     across = np.zeros((*spread.shape, 2))
-    cut = np.flatnonzero(share < _WHOLE)
+    cut = np.flatnonzero(share < WHOLE)
     corners = mesh.corners_mm[touched[cut]]
-    across[cut] = _normals(footprint, corners, points)
+    across[cut] = outline_normals(footprint, corners, points)
     if elements.order == 2:
-        spread[cut] += _slopes(footprint, corners, share[cut]) @ (points - 1 / 3).T
+        spread[cut] += slopes(footprint, corners, share[cut]) @ (points - 1 / 3).T
     return Cover(touched, share, spread, across)
 
 
-def _near(elements: FiniteElements, footprint: Footprint) -> Indices:
+def shares(footprint: Footprint, corners: Array) -> Array:
+    """Share of each triangle's area that a footprint covers, exactly: (k, 3, 2) to (k,)."""
+    (ax, ay), (bx, by) = (np.moveaxis(corners[:, corner] - corners[:, 0], -1, 0) for corner in (1, 2))
+    covered: Array = overlap_mm2(footprint, corners) / (0.5 * np.abs(ax * by - ay * bx))
+    return covered
+
+
+def elements_near(elements: FiniteElements, footprint: Footprint) -> Indices:
     """Elements about whose bounding circle the footprint's box comes."""
     drawn = footprint.drawn_mm()
     middle, half = (
@@ -137,7 +145,7 @@ def _near(elements: FiniteElements, footprint: Footprint) -> Indices:
     return np.flatnonzero((beside <= elements.reaches_mm[:, None]).all(axis=1))
 
 
-def _slopes(footprint: Footprint, corners: Array, share: Array) -> Array:
+def slopes(footprint: Footprint, corners: Array, share: Array) -> Array:
     """Linear function whose moments over the element are those of its covered part, less the mean: (k, 3).
 
     The moment of a barycentric coordinate is the integral over s of the covered area where it is above s, and that is
@@ -162,7 +170,7 @@ def _corners(levels: Array) -> Array:
     return parts
 
 
-def _normals(footprint: Footprint, corners: Array, points: Array) -> Array:
+def outline_normals(footprint: Footprint, corners: Array, points: Array) -> Array:
     """Gradient of the signed distance from the outline at points of triangles: (k, 3, 2), (q, 3) to (k, q, 2)."""
     places = points @ corners
     size = np.sqrt(np.ptp(corners, axis=1).prod(axis=1))

@@ -29,8 +29,8 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.forward.inverse import InverseEntries
-from cbsr_qa.forward.model import ForwardModel, check_values, conducts
-from cbsr_qa.forward.patches import Patches, dense_work
+from cbsr_qa.forward.model import ForwardModel, check_values
+from cbsr_qa.forward.patches import Patches, check_change, dense_work
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -99,7 +99,7 @@ class LocalUpdate:
     def _loss(self, elements: Indices, change: Array, contact_impedance: Array | None) -> Array:
         """What the transfer impedance loses."""
         elements, change = self._checked(elements, change)
-        contact_change, own = self._checked_contacts(contact_impedance)
+        contact_change, own = self.contact_change(contact_impedance)
         if not elements.size and contact_change is None:
             return np.zeros_like(self.model.transfer_impedance)
         patches = self._patches(elements, contact_change is not None)
@@ -108,8 +108,14 @@ class LocalUpdate:
             return self.model.transfer_impedance - again.transfer_impedance
         return patches.correction(change, contact_change) - own
 
-    def _checked_contacts(self, impedance: Array | None) -> tuple[Array | None, Array]:
-        """Change of 1/z [S/mm], None where there is none, and of what each electrode adds to its own potential."""
+    def contact_change(self, impedance: Array | None) -> tuple[Array | None, Array]:
+        """Change of 1/z [S/mm], None where there is none, and of what each electrode adds to its own potential.
+
+        Raises
+        ------
+        NumericsError
+            If a contact impedance is not a positive finite number.
+        """
         before = self.model.contact_impedance
         if impedance is None or np.array_equal(impedance, before):
             return None, np.zeros((1, 1))
@@ -129,13 +135,7 @@ class LocalUpdate:
             unique, place = np.unique(elements, return_inverse=True)
             total = np.zeros((len(unique), *change.shape[1:]))
             np.add.at(total, place, change)
-        new = model.changed_conductance(unique, total)
-        wrong = np.flatnonzero(~conducts(new))
-        if wrong.size:
-            raise NumericsError(
-                f"the change of element {unique[wrong[0]]} leaves it with a conductance of {new[wrong[0]].tolist()}"
-                " S; it must stay a positive finite number, in every direction"
-            )
+        check_change(model, unique, total)
         return unique.astype(np.int64), total
 
     def _patches(self, elements: Indices, contacts: bool) -> Patches | None:
@@ -143,14 +143,14 @@ class LocalUpdate:
         key = elements.tobytes() + b"contacts" * contacts
         if key not in self._kept:
             short = dense_work(self.model, elements) < _MOST_WORK
-            short = short and (not contacts or self._contacts_can_be_patches(elements))
+            short = short and (not contacts or self.contacts_can_be_patches(elements))
             self._kept[key] = Patches(self.model, elements, self._inverse, contacts=contacts) if short else None
             while len(self._kept) > 1 and self._kept_now() > self._kept_bytes:
                 self._kept.popitem(last=False)
         self._kept.move_to_end(key)
         return self._kept[key]
 
-    def _contacts_can_be_patches(self, elements: Indices) -> bool:
+    def contacts_can_be_patches(self, elements: Indices) -> bool:
         """Whether no element touches an electrode, and contacts are not so good that their own part is all rounding.
 
         What K₀⁻¹ has of a contact is some z γ/|E| of the whole, twice: an error of rounding over its square.

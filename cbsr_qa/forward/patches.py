@@ -6,11 +6,11 @@ from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import sparse
-from scipy.sparse.csgraph import connected_components
 
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.forward.inverse import InverseEntries
-from cbsr_qa.forward.model import ForwardModel
+from cbsr_qa.forward.model import ForwardModel, conducts
+from cbsr_qa.forward.rims import between_rims, connected_parts, filled_up, met_bases, seen_outside, spans_of
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -132,8 +132,8 @@ class Patches:
     def __init__(
         self, model: ForwardModel, elements: Indices, inverse: InverseEntries, *, contacts: bool = False
     ) -> None:
-        members = list(_connected(model.elements.cells[elements]))
-        rims = [_seen_outside(model, elements[part]) for part in members]
+        members = list(connected_parts(model.elements.cells[elements]))
+        rims = [seen_outside(model, elements[part]) for part in members]
         groups = list(_alike([(int(rim.sum()), int((~rim).sum())) for rim in rims]))
         patches = [
             PatchStack(model, [elements[members[k]] for k in group], [rims[k] for k in group]) for group in groups
@@ -187,8 +187,8 @@ class Patches:
     def _link(self, model: ForwardModel, inverse: InverseEntries) -> None:
         """Describe what each patch meets, and how patches and electrodes meet each other."""
         shapes = [stack.rims.shape for stack in self._stacks]
-        spans = _spans([b for g, b in shapes for _ in range(g)])
-        between, fields = _without_means(model, inverse, [row for stack in self._stacks for row in stack.rims], spans)
+        spans = spans_of([b for g, b in shapes for _ in range(g)])
+        between, fields = between_rims(model, inverse, [row for stack in self._stacks for row in stack.rims], spans)
         self._own = [
             np.stack([between[span, span] for span in part]) for part in _shared_out(spans, [g for g, _ in shapes])
         ]
@@ -196,10 +196,12 @@ class Patches:
             between[span, span] = 0
         of_contacts = [stack is self._contacts for stack in self._stacks for _ in stack.rims]
         least = [_NEGLIGIBLE_CONTACT if contact else _NEGLIGIBLE for contact in of_contacts]
-        shared = [list(part) for part in _shared_out(_bases(between, fields, spans, least), [g for g, _ in shapes])]
-        self._met = [np.stack(_filled_up(part)) for part in shared]
+        shared = [
+            list(part) for part in _shared_out(met_bases(between, fields, spans, least), [g for g, _ in shapes])
+        ]
+        self._met = [np.stack(filled_up(part)) for part in shared]
         bases = [basis for part in self._met for basis in part]
-        places = _spans([basis.shape[1] for basis in bases])
+        places = spans_of([basis.shape[1] for basis in bases])
         whole = np.zeros((len(fields), places[-1].stop))
         for place, span, basis in zip(places, spans, bases, strict=True):
             whole[span, place] = basis
@@ -246,34 +248,36 @@ class ElementChanges:
         return np.asarray(flat.reshape(self._stiffness.shape), dtype=np.float64)
 
 
+def check_change(model: ForwardModel, elements: Indices, change: Array) -> None:
+    """Refuse a change of conductance that leaves an element without any.
+
+    Parameters
+    ----------
+    elements : (k,) int64, each once.
+    change : (k,) or (k, q, 2, 2) [S].
+
+    Raises
+    ------
+    NumericsError
+        Naming the first such element.
+    """
+    new = model.changed_conductance(elements, change)
+    wrong = np.flatnonzero(~conducts(new))
+    if wrong.size:
+        raise NumericsError(
+            f"the change of element {elements[wrong[0]]} leaves it with a conductance of {new[wrong[0]].tolist()}"
+            " S; it must stay a positive finite number, in every direction"
+        )
+
+
 def dense_work(model: ForwardModel, elements: Indices) -> float:
     """Sum of the cubed numbers of nodes of patches that elements (k,) form."""
     cells = model.elements.cells[elements]
-    return float(sum(len(np.unique(cells[part])) ** 3 for part in _connected(cells)))
+    return float(sum(len(np.unique(cells[part])) ** 3 for part in connected_parts(cells)))
 
 
 def _nbytes(of: object) -> int:
     return sum(value.nbytes for value in vars(of).values() if isinstance(value, np.ndarray))
-
-
-def _seen_outside(model: ForwardModel, elements: Indices) -> NDArray[np.bool_]:
-    """Whether each of a patch's sorted nodes belongs to an element that does not change, or to an electrode."""
-    nodes, corner = np.unique(model.elements.cells[elements], return_inverse=True)
-    contacts = np.concatenate(model.prepared.contacts.nodes)
-    everywhere = model.elements.elements_per_node[nodes]
-    seen: NDArray[np.bool_] = (np.bincount(corner.ravel()) < everywhere) | np.isin(nodes, contacts)
-    return seen
-
-
-def _connected(corners: Indices) -> Iterator[Indices]:
-    """Indices of the elements of each patch."""
-    nodes, local = np.unique(corners[:, :3], return_inverse=True)
-    local = local.reshape(-1, 3)
-    pairs = local[:, :2].ravel(), local[:, 1:].ravel()
-    graph = sparse.coo_array((np.ones(len(pairs[0])), pairs), shape=(len(nodes), len(nodes)))
-    count, patch = connected_components(graph, directed=False)
-    for number in range(count):
-        yield np.flatnonzero(patch[local[:, 0]] == number)
 
 
 def _alike(sizes: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
@@ -288,47 +292,7 @@ def _alike(sizes: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
         yield group
 
 
-def _spans(lengths: Sequence[int]) -> list[slice]:
-    ends = np.cumsum(lengths).tolist()
-    return [slice(end - length, end) for end, length in zip(ends, lengths, strict=True)]
-
-
 def _shared_out(items: Sequence[Item], counts: Sequence[int]) -> Iterator[Sequence[Item]]:
     """Successive parts of a sequence."""
-    for span in _spans(counts):
+    for span in spans_of(counts):
         yield items[span]
-
-
-def _without_means(
-    model: ForwardModel, inverse: InverseEntries, rims: Sequence[Indices], spans: Sequence[slice]
-) -> tuple[Array, Array]:
-    """K₀⁻¹ between all rims and the electrodes' fields there, without their means on each rim; 0 where filled up."""
-    nodes = np.concatenate(rims)
-    real = nodes >= 0
-    between = np.zeros((len(nodes), len(nodes)))
-    between[np.ix_(real, real)] = inverse.between(nodes[real])
-    fields = np.zeros((len(nodes), len(model.contact_impedance)))
-    fields[real] = model.electrode_fields[nodes[real]]
-    for span in spans:
-        use = real[span].astype(np.float64)
-        mean = use / use.sum()
-        fields[span] -= np.outer(use, mean @ fields[span])
-        between[span] -= np.outer(use, mean @ between[span])
-        between[:, span] -= np.outer(between[:, span] @ mean, use)
-    return between, fields
-
-
-def _bases(between: Array, fields: Array, spans: Sequence[slice], least: Sequence[float]) -> list[Array]:
-    """Orthonormal bases (b, r) of what reaches each rim from other rims and electrodes, but for the least of it."""
-    found = []
-    for span, negligible in zip(spans, least, strict=True):
-        basis, size, _ = np.linalg.svd(np.hstack([between[span], fields[span]]), full_matrices=False)
-        rank = max(1, int((size > negligible * max(size[0], np.finfo(float).tiny)).sum()))
-        found.append(basis[:, :rank])
-    return found
-
-
-def _filled_up(bases: Sequence[Array]) -> list[Array]:
-    """Bases of one stack, with zeros up to the largest rank."""
-    rank = max(basis.shape[1] for basis in bases)
-    return [np.pad(basis, ((0, 0), (0, rank - basis.shape[1]))) for basis in bases]

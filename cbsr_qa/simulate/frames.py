@@ -83,25 +83,37 @@ class FrameMaker:
     def _solved(self, moment_at: Callable[[float], Moment], moment: Moment) -> tuple[Array, Array]:
         """Transfer impedance in the frame's middle, and readings per ampere each at its own time."""
         offsets = moment.reading_offsets_s
+        contact_mm = self._contacts(moment)
         if offsets is None or not self._changes(moment):
-            middle = self._impedance(moment)
+            (middle,) = self._impedances([moment], contact_mm)
             return middle, self._sheet.readings(middle)
         knots = _knots(moment.presses, moment.time_s + offsets.min(), moment.time_s + offsets.max())
         at = np.concatenate([knots, (knots[1:] + knots[:-1]) / 2])
-        solved = np.array([self._impedance(moment_at(float(time_s))) for time_s in at])
-        middle = np.tensordot(_weights(knots, np.asarray(moment.time_s)), solved, 1)
+        others = at[np.abs(at - moment.time_s) > _SHORTEST_S]
+        middle, *solved = self._impedances([moment, *(moment_at(float(time_s)) for time_s in others)], contact_mm)
+        if len(others) < len(at):
+            solved.append(middle)  # the last is the middle of a frame in which nothing has a corner
         readings = np.array([self._sheet.readings(impedance) for impedance in solved])
         return middle, np.einsum("kdm,kdm->dm", _weights(knots, moment.time_s + offsets), readings)
 
-    def _impedance(self, moment: Moment) -> Array:
-        """Transfer impedance at a moment, after the effects on it."""
-        self._chain.apply("response", moment)
-        if self._chain.has("contacts"):
-            moment.contact_mm = self._sheet.design.contact_mm.copy()
-            self._chain.apply("contacts", moment)
-        moment.impedance_ohm = self._sheet.impedance(_by_place(moment), moment.contact_mm)
-        self._chain.apply("impedance", moment)
-        return moment.impedance_ohm
+    def _contacts(self, moment: Moment) -> Array | None:
+        """Contacts in the frame's middle, after the effects on them; None where there are none."""
+        if not self._chain.has("contacts"):
+            return None
+        moment.contact_mm = self._sheet.design.contact_mm.copy()
+        self._chain.apply("contacts", moment)
+        return moment.contact_mm
+
+    def _impedances(self, moments: Sequence[Moment], contact_mm: Array | None) -> list[Array]:
+        """Transfer impedances at moments, the frame's middle first, after the effects on them."""
+        for moment in moments:
+            moment.contact_mm = contact_mm
+            self._chain.apply("response", moment)
+        solved = self._sheet.impedances([_by_place(moment) for moment in moments], contact_mm)
+        for moment, impedance in zip(moments, solved, strict=True):
+            moment.impedance_ohm = impedance
+            self._chain.apply("impedance", moment)
+        return [moment.impedance_ohm for moment in moments if moment.impedance_ohm is not None]
 
     def _changes(self, moment: Moment) -> bool:
         """Whether anything can change within a frame."""

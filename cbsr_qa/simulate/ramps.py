@@ -7,6 +7,7 @@ no memory between frames, and any moment can be asked for in any order.
 
 import math
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Final
 
 from cbsr_qa.domain.scene import SimulatedPress, StrainStep
@@ -36,10 +37,7 @@ def transient(ramp: StrainStep, relaxation: Relaxation, time_s: float) -> float:
     past = since - min(since, ramp.ramp_s)  # since the ramp's end
     total = 0.0
     for weight, tau in zip(relaxation.weights, relaxation.time_constants_s, strict=True):
-        length = (since - past) / tau
-        # expm1 keeps a ramp of no length a step: (1 − e^(−x))/x → 1.
-        share = -math.expm1(-length) / length if length > 0 else 1.0
-        total += weight * math.exp(-past / tau) * share
+        total += weight * math.exp(-past / tau) * _share((since - past) / tau)
     return total * done(ramp, time_s)
 
 
@@ -65,10 +63,70 @@ def response_ramps(press: SimulatedPress, line: QuasiStatic) -> Iterator[tuple[b
             yield piece.change > 0, StrainStep(piece.start_s, piece.ramp_s, slope * piece.change + intercept * rise)
 
 
-def released(press: SimulatedPress, line: QuasiStatic, kernel: Relaxation, time_s: float) -> float:
-    """Return what has not yet relaxed of all ramps of the quasi-static change that lift."""
-    ramps = response_ramps(press, line)
-    return sum(ramp.change * transient(ramp, kernel, time_s) for loads, ramp in ramps if not loads)
+def quasi_static(line: QuasiStatic, strain: float) -> float:
+    """Return α ε + β with the intercept faded in, see :func:`response_ramps`."""
+    return line.slope.value * strain + line.intercept.value * _contact(strain)
+
+
+class Transients:
+    """What has not yet relaxed of presses.
+
+    While a press moves its ramps are added up one by one; once it is over they are one exponential for each time
+    constant, and what that begins with is kept: a run's presses are over most of the time.
+
+    Parameters
+    ----------
+    loading, lifting : kernels that answer ramps on which the head presses harder, and on which it lifts; None for
+        none.
+    line : turns ramps of strain into ramps of the quasi-static change; None to take those of strain.
+    """
+
+    def __init__(
+        self, loading: Relaxation | None, lifting: Relaxation | None, line: QuasiStatic | None = None
+    ) -> None:
+        self._kernels = {True: loading, False: lifting}
+        self._line = line
+        self._known: dict[int, _Over] = {}
+
+    def of(self, press: SimulatedPress, time_s: float) -> float:
+        """Return what has not yet relaxed of a press at a time."""
+        if not press.steps or time_s <= press.steps[0].start_s:
+            return 0.0
+        over = self._known.get(press.index)
+        if over is None or over.press is not press or over.steps != len(press.steps):
+            over = self._known[press.index] = self._summed(press)
+        since = time_s - over.end_s
+        if since >= 0:
+            return sum([begun * math.exp(-since / tau) for begun, tau in over.terms])
+        return sum([ramp.change * transient(ramp, kernel, time_s) for ramp, kernel in over.ramps])
+
+    def _summed(self, press: SimulatedPress) -> "_Over":
+        ramps = response_ramps(press, self._line) if self._line else ((s.change > 0, s) for s in press.steps)
+        answered = [(ramp, kernel) for loads, ramp in ramps if (kernel := self._kernels[loads])]
+        end_s = max(step.start_s + step.ramp_s for step in press.steps)
+        begun: dict[float, float] = {}
+        for ramp, kernel in answered:
+            past = end_s - (ramp.start_s + ramp.ramp_s)
+            for weight, tau in zip(kernel.weights, kernel.time_constants_s, strict=True):
+                left = weight * math.exp(-past / tau) * _share(ramp.ramp_s / tau)
+                begun[tau] = begun.get(tau, 0.0) + ramp.change * left
+        return _Over(press, len(press.steps), end_s, answered, [(start, tau) for tau, start in begun.items()])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Over:
+    """A press with so many steps: its ramps with their kernels, and what is left of them from its end on."""
+
+    press: SimulatedPress
+    steps: int
+    end_s: float
+    ramps: list[tuple[StrainStep, Relaxation]]
+    terms: list[tuple[float, float]]
+
+
+def _share(length: float) -> float:
+    """Return (1 − e^(−x))/x, which keeps a ramp of no length a step."""
+    return -math.expm1(-length) / length if length > 0 else 1.0
 
 
 def _contact(strain: float) -> float:

@@ -1,6 +1,7 @@
 """The simulated sheet: a forward model whose conductance changes under the head."""
 
-from collections.abc import Mapping
+from collections import OrderedDict
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Final
@@ -13,9 +14,11 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.scene import SheetDesign
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.forward.coverage import Cover, cover
-from cbsr_qa.forward.local import LocalUpdate
+from cbsr_qa.forward.load_family import LoadFamily
+from cbsr_qa.forward.loaded_sheet import LoadedSheet
 from cbsr_qa.forward.meshing import sheet_mesh
 from cbsr_qa.forward.model import ForwardModel
+from cbsr_qa.forward.nested_cover import NestedCover, nested_cover
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -51,8 +54,8 @@ class SimulatedSheet:
         self.unit_model = ForwardModel(
             self.mesh, self.sensor_type.pattern, conductance, design.contact_mm, order=_ORDER
         )
-        self._update = LocalUpdate(self.unit_model)
-        self._covers: dict[Place, list[tuple[float, Cover, Array]]] = {}
+        self._loaded = LoadedSheet(self.unit_model)
+        self._loads: OrderedDict[Place, LoadFamily] = OrderedDict()
         #: mean sheet conductance γ₀ [S]
         self.conductance_S = _neighbour_resistance(self.unit_model) / interelectrode_resistance_ohm
         #: readings of the unloaded sheet, (drives, measures) [V/A]
@@ -84,21 +87,29 @@ class SimulatedSheet:
             If a head lies wholly outside the sheet.
         NumericsError
             If a change would leave an element without conductance.
+
+        Places that are changed together are right to 1e-8 of the mean reading, single ones to rounding.
         """
-        return self._update.transfer_impedance(*self.change(changes), contact_mm) / self.conductance_S
+        impedance: Array = self.impedances([changes], contact_mm)[0]
+        return impedance
+
+    def impedances(self, changes: Sequence[Mapping[Place, float]], contact_mm: Array | None = None) -> Array:
+        """The same at moments within a frame, to second order in what has changed since the first.
+
+        Parameters and errors as of :meth:`impedance`; a place that has not changed at a moment may be left out there.
+
+        Returns
+        -------
+        (moments, electrodes, electrodes) float64 [V/A].
+        """
+        places = {place: self.load_at(place) for moment in changes for place in moment}
+        loads = [{load: moment.get(place, 0.0) for place, load in places.items()} for moment in changes]
+        impedances: Array = self._loaded.transfer_impedances(loads, contact_mm) / self.conductance_S
+        return impedances
 
     def readings(self, impedance_ohm: Array) -> Array:
         """Readings per ampere of a transfer impedance: (drives, measures) [V/A]."""
         return self.unit_model.readings(impedance_ohm)
-
-    def change(self, changes: Mapping[Place, float]) -> tuple[Indices, Array]:
-        """Elements that change, (k,), and by what, (k, q, 2, 2), on a mean of 1 S; repeated ones add up."""
-        elements, conductance = [np.zeros(0, dtype=np.int64)], [np.zeros((0, *self._point_shape))]
-        for place, relative in changes.items():
-            for weight, covered, response in self._covers.get(place) or self._cover(place):
-                elements.append(covered.elements)
-                conductance.append(covered.change(self.unit_model.conductance, relative * weight * response))
-        return np.concatenate(elements), np.concatenate(conductance)
 
     @cached_property
     def contact_share(self) -> float:
@@ -111,27 +122,39 @@ class SimulatedSheet:
         driven = np.array([[pair == other for other in pattern.measure] for pair in pattern.drive])
         return float(part[driven].sum() / self.unit_model.voltages()[driven].sum())
 
-    @property
-    def _point_shape(self) -> tuple[int, int, int]:
-        return (len(self.unit_model.elements.shapes.points), 2, 2)
+    def load_at(self, place: Place) -> LoadFamily:
+        """What a head at a place does to the sheet, for any relative change under it.
 
-    def _cover(self, place: Place) -> list[tuple[float, Cover, Array]]:
-        """Each ring's weight, what it covers at a place, and how strongly those elements respond."""
-        found = []
-        head = self.design.indenter
-        for ring in self.design.rings:
-            covered = cover(self.unit_model.elements, head.scaled(ring.size).at(*place))
-            response = self.design.response_at(self.mesh.centroids_mm[covered.elements])
-            found.append((ring.weight, covered, response))
-        if not any(covered.elements.size for _, covered, _ in found):
+        Raises
+        ------
+        RefusedError
+            If the head lies wholly outside the sheet.
+        """
+        if place not in self._loads:
+            while len(self._loads) >= _PLACES:
+                self._loads.popitem(last=False)
+            self._loads[place] = self._made(place)
+        self._loads.move_to_end(place)
+        return self._loads[place]
+
+    def _made(self, place: Place) -> LoadFamily:
+        head, elements, conductance = self.design.indenter, self.unit_model.elements, self.unit_model.conductance
+        rings = sorted(self.design.rings, key=lambda ring: -ring.size)
+        largest = head.scaled(rings[0].size).at(*place)
+        covered: Cover | NestedCover
+        if len(rings) == 1:
+            covered = cover(elements, largest)
+            weight = rings[0].weight
+        else:
+            sizes, weights = np.array([(ring.size / rings[0].size, ring.weight) for ring in rings]).T
+            covered, weight = nested_cover(elements, largest, place, sizes, weights), 1.0
+        if not covered.elements.size:
             raise RefusedError(
                 f"a head of radius {head.reach_mm:g} mm at ({place[0]:g}, {place[1]:g}) mm is outside the sheet",
                 remedy=f"the sheet {self.sensor_type.outline.words()}",
             )
-        if len(self._covers) >= _PLACES:
-            self._covers.clear()
-        self._covers[place] = found
-        return found
+        response = weight * self.design.response_at(self.mesh.centroids_mm[covered.elements])
+        return LoadFamily(covered.elements, lambda relative: covered.change(conductance, relative * response))
 
 
 def _moved(sensor_type: SensorType, shift_mm: Array) -> SensorType:

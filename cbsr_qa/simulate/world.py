@@ -128,7 +128,7 @@ class SimulatedWorld:
 
     def force_N(self, time_s: float, index: int) -> float:
         """What the load cell reads at a time; the index is the address of the sample's random numbers."""
-        touching = [press for press in self.presses if _strain(press, time_s) > _TOUCHING]
+        touching = [press for press in self.presses if press.strain_at(time_s) > _TOUCHING]
         moment = self._moment(time_s, index, touching)
         self.chain.apply("stress", moment)
         pressed_kPa = sum(max(stress, 0.0) for stress in moment.stress_kPa)
@@ -170,16 +170,6 @@ class SimulatedWorld:
         return Moment(
             self.setting, time_s, index, presses, response=none.copy(), stress_kPa=none, reading_scale_V=self._scale_V
         )
-
-
-def _strain(press: SimulatedPress, time_s: float) -> float:
-    """Strain under the head; most presses are over, which a run's many force samples find out cheaply."""
-    if not press.steps or time_s <= press.steps[0].start_s:
-        return 0.0
-    last = press.steps[-1]
-    if time_s >= last.start_s + last.ramp_s:
-        return sum([step.change for step in press.steps])
-    return press.strain_at(time_s)
 
 
 def _truth(press: SimulatedPress, time_s: float, change: float, stress_kPa: float) -> PressTruth:

@@ -87,7 +87,7 @@ def test_contacts_that_drift_are_solved_for():
     contacts = 0.2 * np.linspace(1, 3, 16) * 8.0
     model = drifting.sheet.unit_model.changed(contact_impedance=contacts)
     expected = model.voltages() / drifting.sheet.conductance_S * drifting.setting.current_A
-    assert drifting.frame(7.0, 0).voltages == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert drifting.frame(7.0, 0).voltages == pytest.approx(expected, rel=1e-8, abs=1e-12)
 
 
 def test_the_source_sees_the_driven_pairs_and_scales_its_rows():

@@ -1,7 +1,7 @@
 """Relaxation of the conductance after each press and each release."""
 
 from cbsr_qa.domain.scene import Moment, SceneSetting
-from cbsr_qa.simulate.ramps import response_ramps, transient
+from cbsr_qa.simulate.ramps import Transients
 
 
 class ConductanceRelaxation:
@@ -20,13 +20,12 @@ class ConductanceRelaxation:
     perturbs = "response"
 
     def __init__(self, setting: SceneSetting) -> None:
-        self._line = setting.material.against_strain
-        self._kernels = {True: setting.material.loading_relaxation, False: setting.material.unloading_relaxation}
+        material = setting.material
+        self._transients = Transients(
+            material.loading_relaxation, material.unloading_relaxation, material.against_strain
+        )
 
     def apply(self, moment: Moment) -> None:
         """Add what has not yet relaxed of every press."""
         for number, press in enumerate(moment.presses):
-            moment.response[number] += sum(
-                ramp.change * transient(ramp, self._kernels[loads], moment.time_s)
-                for loads, ramp in response_ramps(press, self._line)
-            )
+            moment.response[number] += self._transients.of(press, moment.time_s)

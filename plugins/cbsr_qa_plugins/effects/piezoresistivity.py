@@ -1,7 +1,7 @@
 """Quasi-static piezoresistivity: the sheet's conductance follows the strain under the head."""
 
 from cbsr_qa.domain.scene import Moment, SceneSetting
-from cbsr_qa.simulate.ramps import done, response_ramps
+from cbsr_qa.simulate.ramps import quasi_static
 
 
 class Piezoresistivity:
@@ -21,5 +21,4 @@ class Piezoresistivity:
     def apply(self, moment: Moment) -> None:
         """Add the quasi-static change of every press."""
         for number, press in enumerate(moment.presses):
-            ramps = response_ramps(press, self._line)
-            moment.response[number] += sum(ramp.change * done(ramp, moment.time_s) for _, ramp in ramps)
+            moment.response[number] += quasi_static(self._line, press.strain_at(moment.time_s))

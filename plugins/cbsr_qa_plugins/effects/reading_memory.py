@@ -1,7 +1,7 @@
 """Each reading keeps a share of the one before."""
 
 import numpy as np
-from scipy.signal import lfilter
+from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.scene import Moment, SceneSetting
@@ -30,17 +30,19 @@ class ReadingMemory:
             raise ConfigError(f"inner is {inner!r}", remedy="it is 'measure' or 'drive'")
         self._share = number("share", share, most=0.9)
         self._turned = inner == "drive"
+        self._shares: NDArray[np.float64] | None = None
 
     def apply(self, moment: Moment) -> None:
         """Mix the readings in their order."""
         if moment.voltages is None:
             return
         frame = moment.voltages.T if self._turned else moment.voltages
-        plain = frame.ravel()
-        kept = self._share
-        mixed = lfilter([1 - kept], [1, -kept], plain)
-        # What the filter, begun at zero, lacks: the memory of its own end, m^(n+1) s[−1].
-        before = mixed[-1] / (1 - kept**plain.size)
-        mixed = mixed + before * kept ** np.arange(1, plain.size + 1)
-        mixed = mixed.reshape(frame.shape)
+        mixed = (self._mixed(frame.size) @ frame.ravel()).reshape(frame.shape)
         moment.voltages = mixed.T if self._turned else mixed
+
+    def _mixed(self, count: int) -> NDArray[np.float64]:
+        """Shares of the readings x in the readings s, (n, n): the inverse of 1 − m (one back, the first the last)."""
+        if self._shares is None or len(self._shares) != count:
+            kept, back = self._share, np.subtract.outer(np.arange(count), np.arange(count)) % count
+            self._shares = (1 - kept) * kept**back / (1 - kept**count)
+        return self._shares

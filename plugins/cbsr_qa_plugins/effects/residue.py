@@ -3,7 +3,7 @@
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.domain.sensor import Relaxation
 from cbsr_qa.simulate.parameters import number
-from cbsr_qa.simulate.ramps import released
+from cbsr_qa.simulate.ramps import Transients
 
 
 class Residue:
@@ -22,11 +22,11 @@ class Residue:
     perturbs = "response"
 
     def __init__(self, setting: SceneSetting, *, share: float, decay_s: float) -> None:
-        self._line = setting.material.against_strain
         decay_s = number("decay_s", decay_s, above=True)
-        self._kernel = Relaxation((-number("share", share, most=1.0), 0.0), (decay_s, decay_s), "scene")
+        kernel = Relaxation((-number("share", share, most=1.0), 0.0), (decay_s, decay_s), "scene")
+        self._transients = Transients(None, kernel, setting.material.against_strain)
 
     def apply(self, moment: Moment) -> None:
         """Add what is left of every press."""
         for index, press in enumerate(moment.presses):
-            moment.response[index] += released(press, self._line, self._kernel, moment.time_s)
+            moment.response[index] += self._transients.of(press, moment.time_s)

@@ -1,7 +1,7 @@
 """Stress relaxation of the sheet: a generalised Maxwell body with two terms."""
 
 from cbsr_qa.domain.scene import Moment, SceneSetting
-from cbsr_qa.simulate.ramps import transient
+from cbsr_qa.simulate.ramps import Transients
 
 
 class StressRelaxation:
@@ -17,11 +17,10 @@ class StressRelaxation:
 
     def __init__(self, setting: SceneSetting) -> None:
         self._modulus_kPa = setting.material.modulus_kPa.value
-        self._kernel = setting.material.stress_relaxation
+        kernel = setting.material.stress_relaxation
+        self._transients = Transients(kernel, kernel)
 
     def apply(self, moment: Moment) -> None:
         """Add what has not yet relaxed of every press."""
         for number, press in enumerate(moment.presses):
-            moment.stress_kPa[number] += self._modulus_kPa * sum(
-                step.change * transient(step, self._kernel, moment.time_s) for step in press.steps
-            )
+            moment.stress_kPa[number] += self._modulus_kPa * self._transients.of(press, moment.time_s)

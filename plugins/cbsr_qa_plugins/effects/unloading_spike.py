@@ -3,7 +3,7 @@
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.domain.sensor import Relaxation
 from cbsr_qa.simulate.parameters import number
-from cbsr_qa.simulate.ramps import released
+from cbsr_qa.simulate.ramps import Transients
 
 
 class UnloadingSpike:
@@ -23,11 +23,11 @@ class UnloadingSpike:
     perturbs = "response"
 
     def __init__(self, setting: SceneSetting, *, size: float, decay_s: float) -> None:
-        self._line = setting.material.against_strain
         decay_s = number("decay_s", decay_s, above=True)
-        self._kernel = Relaxation((-1 - number("size", size, most=2.0), 0.0), (decay_s, decay_s), "scene")
+        kernel = Relaxation((-1 - number("size", size, most=2.0), 0.0), (decay_s, decay_s), "scene")
+        self._transients = Transients(None, kernel, setting.material.against_strain)
 
     def apply(self, moment: Moment) -> None:
         """Add the spikes of every press that is being lifted, or was."""
         for index, press in enumerate(moment.presses):
-            moment.response[index] += released(press, self._line, self._kernel, moment.time_s)
+            moment.response[index] += self._transients.of(press, moment.time_s)

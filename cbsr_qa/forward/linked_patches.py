@@ -1,0 +1,155 @@
+"""A set of loads and contacts that feel each other, whatever their strengths."""
+
+from collections.abc import Mapping, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.forward.inverse import InverseEntries
+from cbsr_qa.forward.load_family import TERMS, LoadFamily, Patch, polynomials
+from cbsr_qa.forward.model import ForwardModel
+from cbsr_qa.forward.patches import ContactStack
+from cbsr_qa.forward.rims import between_rims, filled_up, met_bases, spans_of
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# What of the fields at a rim is left out, over the largest. What a patch sends back of a field that it hardly meets
+# is hardly met elsewhere: readings feel the square of it.
+_NEGLIGIBLE: Final = 1e-7
+_NEGLIGIBLE_CONTACT: Final = 1e-5
+
+
+class LinkedPatches:
+    """What a sheet loses by loads on patches that share no node, and by changed contacts.
+
+    With B = K₀⁻¹ between the patches and F the electrodes' fields there, both in the few fields that are ever met,
+    and A the patches' answers, the transfer impedance loses Fᵀ (I + A B)⁻¹ A F. Contacts come first: with G what they
+    lose in themselves, B − B G B and F − B G F serve all strengths of the loads until the contacts change again.
+
+    Parameters
+    ----------
+    model : the unchanged sheet.
+    inverse : gives K₀⁻¹ between nodes of the rims.
+    patches : of the loads.
+    contacts : where contacts change too; no load may then touch one.
+    """
+
+    def __init__(
+        self, model: ForwardModel, inverse: InverseEntries, patches: Sequence[Patch], contacts: ContactStack | None
+    ) -> None:
+        self._patches = tuple(patches)
+        self._contacts = contacts
+        rims = [patch.rim for patch in patches] + ([] if contacts is None else list(contacts.rims))
+        spans = spans_of([len(rim) for rim in rims])
+        between, fields = between_rims(model, inverse, rims, spans)
+        own = [between[span, span].copy() for span in spans]
+        for span in spans:
+            between[span, span] = 0
+        count = len(patches)
+        least = [_NEGLIGIBLE if k < count else _NEGLIGIBLE_CONTACT for k in range(len(rims))]
+        found = met_bases(between, fields, spans, least)
+        bases = filled_up(found[:count]) + filled_up(found[count:])
+        self._bases, self._contact_bases = bases[:count], bases[count:]
+        self._contact_own = np.stack(own[count:]) if contacts is not None else np.zeros((0, 0, 0))
+        whole = _block_diagonal(spans, bases)
+        self._between = whole.T @ between @ whole
+        self._fields = whole.T @ fields  # (sum of ranks, electrodes)
+        self._loads = sum(basis.shape[1] for basis in self._bases)
+        self._series, self._reach = self._projected()
+        self._eliminated: tuple[bytes, tuple[Array, Array, Array]] | None = None
+
+    def corrections(self, loads: Sequence[Mapping[LoadFamily, float]], contact_change: Array | None) -> Array:
+        """What the transfer impedance loses, at several moments.
+
+        Parameters
+        ----------
+        loads : strength of every load of the patches, at each moment.
+        contact_change : (electrodes,) of 1/z [S/mm], where contacts change too, at all moments alike.
+
+        Returns
+        -------
+        (moments, electrodes, electrodes) float64 [V/A]. The first moment's is exact. With φ = (I + B A)⁻¹ F what the
+        patches meet then and D what their answers have changed by since, the others' are the first's and
+        φᵀ D φ − φᵀ D B D φ: what is left out is of third order in D and A, and of second in what links patches.
+        """
+        between, fields, lost = self._without_contacts(contact_change)
+        if not self._patches:
+            return np.repeat(lost[None], len(loads), axis=0)
+        answers = np.array([self._answers(moment) for moment in loads])
+        system = _times(answers[0], between)
+        np.einsum("ii->i", system)[:] += 1
+        sent = np.linalg.solve(system, _times(answers[0], fields))
+        met = fields - between @ sent
+        corrections = [lost + fields.T @ sent]
+        for more in answers[1:] - answers[0]:
+            added = _times(more, met)
+            corrections.append(corrections[0] + met.T @ added - added.T @ between @ added)
+        return np.array(corrections)
+
+    def _answers(self, loads: Mapping[LoadFamily, float]) -> Array:
+        """What each patch sends back of the fields it meets: (patches, rank, rank)."""
+        single = np.array([loads[patch.families[0]] if patch.series else np.inf for patch in self._patches])
+        within = np.abs(single) <= self._reach
+        strengths = np.where(within, single, 0.0)
+        terms = polynomials(strengths / np.where(self._reach > 0, self._reach, 1.0)) * strengths[:, None]
+        rank = self._bases[0].shape[1]
+        answers: Array = (terms[:, None, :] @ self._series).reshape(-1, rank, rank)
+        for number in np.flatnonzero(~within):
+            patch, basis = self._patches[number], self._bases[number]
+            answers[number] = basis.T @ patch.answer([loads[family] for family in patch.families]) @ basis
+        return answers
+
+    def _projected(self) -> tuple[Array, Array]:
+        """Series of the answers (patches, terms, rank · rank) in the fields that are met, and how far they reach."""
+        rank = self._bases[0].shape[1] if self._bases else 0
+        series = np.zeros((len(self._patches), TERMS, rank * rank))
+        reach = np.zeros(len(self._patches))
+        for number, (patch, basis) in enumerate(zip(self._patches, self._bases, strict=True)):
+            if patch.series is not None:
+                projected = basis.T @ patch.series.coefficients @ basis
+                series[number] = projected.reshape(TERMS, -1)
+                reach[number] = patch.series.reach
+        return series, reach
+
+    def _without_contacts(self, change: Array | None) -> tuple[Array, Array, Array]:
+        """B and F between loads with the contacts changed, and what the contacts lose by themselves."""
+        loads = slice(0, self._loads)
+        if change is None or self._contacts is None:
+            return self._between[loads, loads], self._fields[loads], np.zeros((self._fields.shape[1],) * 2)
+        key = change.tobytes()
+        if self._eliminated is None or self._eliminated[0] != key:
+            self._eliminated = key, self._eliminate(self._contacts.rim_changes(change))
+        return self._eliminated[1]
+
+    def _eliminate(self, seen: Array) -> tuple[Array, Array, Array]:
+        loads, contacts = slice(0, self._loads), slice(self._loads, None)
+        capacitance = np.eye(seen.shape[1]) + seen @ self._contact_own
+        met = np.stack(self._contact_bases)
+        answers = met.swapaxes(1, 2) @ np.linalg.solve(capacitance, seen @ met)
+        rows = np.hstack([self._between[contacts], self._fields[contacts]])
+        answered = _times(answers, rows)
+        system = answered[:, contacts.start : len(self._between)]
+        solved = np.linalg.solve(np.eye(len(system)) + system, answered)  # G times all rows
+        into = solved[:, loads], solved[:, len(self._between) :]
+        towards = self._between[loads, contacts]
+        return (
+            self._between[loads, loads] - towards @ into[0],
+            self._fields[loads] - towards @ into[1],
+            self._fields[contacts].T @ into[1],
+        )
+
+
+def _times(blocks: Array, rows: Array) -> Array:
+    """Blocks (g, r, r) on a diagonal, times rows (g · r, n)."""
+    product: Array = (blocks @ rows.reshape(len(blocks), blocks.shape[2], -1)).reshape(rows.shape)
+    return product
+
+
+def _block_diagonal(spans: Sequence[slice], bases: Sequence[Array]) -> Array:
+    places = spans_of([basis.shape[1] for basis in bases])
+    whole = np.zeros((spans[-1].stop, places[-1].stop))
+    for span, place, basis in zip(spans, places, bases, strict=True):
+        whole[span, place] = basis
+    return whole

@@ -1,0 +1,140 @@
+"""Loads that keep their shape while their strength changes: what each sends back to its rim, tabulated.
+
+Everything about such a load is a smooth function of one number. With X = (I + ΔΛ W)⁻¹ ΔΛ what a patch answers to the
+fields that reach its rim (:mod:`cbsr_qa.forward.local`), X/s is analytic in the strength s wherever all elements
+still conduct, and so is the change of the elements over s: a Chebyshev series of a few terms is exact to rounding
+(Trefethen 2013, theorem 8.2). It is summed where the exact way would be to assemble and to solve.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.forward.inverse import InverseEntries
+from cbsr_qa.forward.model import ForwardModel
+from cbsr_qa.forward.patches import ElementChanges, PatchStack, check_change
+from cbsr_qa.forward.rims import between_rims, seen_outside
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Terms of a series, and what its last ones may be of its largest.
+TERMS: Final = 24
+_ROUNDING: Final = 1e-13
+_REACH: Final = 0.3  # a head that presses by half on the shipped materials
+_HALVINGS: Final = 8
+
+
+class Series:
+    """f(s)/s as a Chebyshev series where |s| is at most ``reach``; f itself beyond.
+
+    Parameters
+    ----------
+    exact : f, arrays of one shape, zero at zero.
+    reach : tried first; halved until the series has converged.
+
+    Raises
+    ------
+    NumericsError
+        If f cannot be had even for small s.
+    """
+
+    def __init__(self, exact: Callable[[float], Array], *, reach: float = _REACH) -> None:
+        self._exact = exact
+        places = np.cos(np.pi * (np.arange(TERMS) + 0.5) / TERMS)
+        self.coefficients: Array = np.zeros((TERMS, 1))
+        for halving in range(_HALVINGS if reach else 0):
+            self.reach = reach * 0.5**halving
+            try:
+                values = np.array([exact(float(s)) / s for s in self.reach * places])
+            except NumericsError:
+                if halving == _HALVINGS - 1:
+                    raise
+                continue
+            #: (terms, …)
+            self.coefficients = _transformed(values)
+            size = np.abs(self.coefficients).reshape(TERMS, -1).max(axis=1)
+            if size[-2:].max() <= _ROUNDING * size.max():
+                return
+        self.reach = 0.0  # not smooth: always the exact way
+
+    def __call__(self, strength: float) -> Array:
+        """Return f(s)."""
+        if not abs(strength) <= self.reach or not strength:
+            return self._exact(strength)
+        value: Array = strength * np.tensordot(polynomials(strength / self.reach), self.coefficients, 1)
+        return value
+
+
+def polynomials(x: float | Array) -> Array:
+    """Chebyshev polynomials T₀ … at x in [−1, 1]: (…) to (…, terms)."""
+    values: Array = np.cos(np.arange(TERMS) * np.arccos(np.clip(np.asarray(x), -1, 1))[..., None])
+    return values
+
+
+def _transformed(values: Array) -> Array:
+    order = np.arange(TERMS)
+    matrix = 2 / TERMS * np.cos(np.pi * np.outer(order, order + 0.5) / TERMS)
+    matrix[0] /= 2
+    transformed: Array = np.tensordot(matrix, values, 1)
+    return transformed
+
+
+class LoadFamily:
+    """A load of one shape at one place, for any strength.
+
+    Parameters
+    ----------
+    elements : (k,) int64, rising.
+    change : of their conductance, by strength: (k, q, 2, 2) [S], zero without strength.
+    """
+
+    def __init__(self, elements: Indices, change: Callable[[float], Array]) -> None:
+        self.elements = elements
+        self.change = Series(change)
+
+
+class Patch:
+    """The elements of one load, or of several that overlap, seen from their rim.
+
+    Parameters
+    ----------
+    model : the unchanged sheet.
+    inverse : gives K₀⁻¹ between its nodes.
+    families : the loads.
+    """
+
+    def __init__(self, model: ForwardModel, inverse: InverseEntries, families: Sequence[LoadFamily]) -> None:
+        self.families = tuple(families)
+        self._elements = np.unique(np.concatenate([family.elements for family in families]))
+        self._places = [np.searchsorted(self._elements, family.elements) for family in families]
+        self._model = model
+        self._stack = PatchStack(model, [self._elements], [seen_outside(model, self._elements)])
+        self._matrices = ElementChanges(model, self._elements)
+        #: (b,) nodes of its rim
+        self.rim: Indices = self._stack.rims[0]
+        between, _ = between_rims(model, inverse, [self.rim], [slice(0, len(self.rim))])
+        self._own = between
+        #: of X by the strength of a single load; None where there are several
+        self.series = (
+            Series(lambda s: self.answer([s]), reach=families[0].change.reach) if len(families) == 1 else None
+        )
+
+    def answer(self, strengths: Sequence[float]) -> Array:
+        """X for the strengths of its loads, without a series: (b, b) [S].
+
+        Raises
+        ------
+        NumericsError
+            If an element is left without conductance.
+        """
+        change = np.zeros((len(self._elements), len(self._model.elements.shapes.points), 2, 2))
+        for place, family, strength in zip(self._places, self.families, strengths, strict=True):
+            change[place] += family.change(strength)
+        check_change(self._model, self._elements, change)
+        seen = self._stack.rim_changes(self._matrices.of(change))[0]
+        answer: Array = np.linalg.solve(np.eye(len(seen)) + seen @ self._own, seen)
+        return answer
