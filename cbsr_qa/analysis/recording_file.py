@@ -116,7 +116,7 @@ def _check(path: Path, file: h5py.File) -> None:
 def _write(file: h5py.File, recording: Recording) -> None:
     file.attrs["format"] = FORMAT
     file.attrs["schema_version"] = SCHEMA_VERSION
-    described = {
+    described: dict[str, Any] = {
         "dataset": recording.dataset,
         "scan": recording.scan.value,
         "still": recording.still,
@@ -127,6 +127,8 @@ def _write(file: h5py.File, recording: Recording) -> None:
         "notes": list(recording.notes),
         "simulated": list(recording.simulated),
     }
+    if recording.frames_dropped:
+        described["frames_dropped"] = recording.frames_dropped
     file.attrs["description"] = json.dumps(described, ensure_ascii=False, sort_keys=True)
     _write_frames(file.create_group("frames"), recording.frames)
     if recording.reference is not None:
@@ -189,6 +191,7 @@ def _read(path: Path, file: h5py.File) -> Recording:
         layout=None if layout is None else _read_layout(layout),
         sensor_type=said["sensor_type"],
         notes=notes,
+        frames_dropped=int(said.get("frames_dropped", 0)),
         simulated=simulated,
     )
 

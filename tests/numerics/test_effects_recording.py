@@ -1,5 +1,8 @@
 """Effects on how frames are written down, held to the distributions they state."""
 
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 from effect_setting import setting
@@ -7,6 +10,7 @@ from scipy.stats import binom, chi2, poisson
 
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.scene import Transcript
+from cbsr_qa.interfaces import RecordingEffect
 from cbsr_qa_plugins.effects.frame_loss import FrameLoss
 from cbsr_qa_plugins.effects.watchdog_dump import WatchdogDump
 
@@ -135,3 +139,15 @@ def test_what_cannot_be_is_refused_with_what_can(make, named, allowed):
         make()
     assert named in said.value.reason
     assert allowed in said.value.remedy
+
+
+def test_the_effect_of_the_plugin_page_is_one():
+    page = (Path(__file__).parents[2] / "docs" / "how-to" / "write-a-plugin.md").read_text(encoding="utf-8")
+    (block,) = [part for part in re.findall(r"```python\n(.*?)```", page, re.DOTALL) if "def record(" in part]
+    namespace = {}
+    exec(block, namespace)
+    effect = namespace["FirstRowLoss"](setting(), share=0.3)
+    assert isinstance(effect, RecordingEffect)
+    lost = recorded(effect).lost
+    assert within(lost[:, 0].sum(), binom(FRAMES, 0.3))
+    assert not lost[:, 1:].any()

@@ -3,15 +3,20 @@
 from dataclasses import replace
 from pathlib import Path
 
-from cbsr_qa.analysis.recording_file import SIGNATURE, read_recording
-from cbsr_qa.domain.errors import RecordingError
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording_file import FORMAT, SIGNATURE, read_recording, write_recording
+from cbsr_qa.domain.errors import RecordingError, RefusedError
 from cbsr_qa.domain.loads import LoadRecord
 from cbsr_qa.domain.recording import ReadOptions, Recording
+from cbsr_qa.domain.scene import Transcript
+from cbsr_qa_plugins.recordings.lab_files import refuse_existing
 from cbsr_qa_plugins.recordings.text_lines import refuse_dataset
 
 
 class CbsrRecording:
-    """Reads what ``cbsr-qa export`` writes."""
+    """Reads what ``cbsr-qa export`` writes, and writes simulated scenes."""
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """Tell by HDF5's own signature; an HDF5 file of another kind is refused by name when read."""
@@ -25,6 +30,30 @@ class CbsrRecording:
         """Read a file; RecordingError where it is damaged, edited, or of a later version."""
         refuse_dataset(path, options)
         return _from_first_frame(read_recording(path))
+
+    def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
+        """Write the whole frames of a simulated recording, to the bit.
+
+        Raises
+        ------
+        RefusedError
+            If the file exists, the transcript is of another number of frames, or no frame is whole.
+        """
+        refuse_existing(path)
+        lost: NDArray[np.bool_] = np.any(transcript.lost, axis=1)
+        if len(lost) != len(recording.frames) or lost.all():
+            raise RefusedError(
+                f"of {len(recording.frames)} frames and a transcript of {len(lost)} none is whole",
+                remedy="write all frames with the transcript they were taken with, and lose fewer rows",
+            )
+        kept = replace(recording, path=path, format=FORMAT, frames=recording.frames.select(~lost))
+        write_recording(path, replace(kept, frames_dropped=recording.frames_dropped + int(lost.sum())))
+        said = []
+        if lost.any():
+            said.append(f"{int(lost.sum())} of {len(lost)} frames lost rows and are left out; the file says how many")
+        if transcript.dumps:
+            said.append(f"{len(transcript.dumps)} watchdog dumps are not written; their pauses are in the times")
+        return tuple(said)
 
 
 def _from_first_frame(recording: Recording) -> Recording:

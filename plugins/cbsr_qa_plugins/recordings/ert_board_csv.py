@@ -13,9 +13,12 @@ import numpy as np
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.frames import FrameBlock, VoltageUnit
 from cbsr_qa.domain.recording import ReadOptions, Recording, RowProblem, ScanKind
+from cbsr_qa.domain.scene import Transcript
 from cbsr_qa_plugins.recordings.ert_board_clock import board_clock, force_samples, frame_times
 from cbsr_qa_plugins.recordings.ert_board_frames import Assembly, assemble
 from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Line, LineKind, complaint, parse_line
+from cbsr_qa_plugins.recordings.ert_board_writer import write_ert_board
+from cbsr_qa_plugins.recordings.simulated_mark import marked
 from cbsr_qa_plugins.recordings.text_lines import MOST_BAD_IN_A_ROW, refuse_dataset, text_lines
 
 _TITLE = re.compile(rb"(?im)^\s*time(_pc)? \[s\],.*data")
@@ -27,7 +30,7 @@ _MOST_UA: Final = 1e6
 
 
 class ErtBoardCsv:
-    """Reads every variant of the ERT board's CSV files.
+    """Reads every variant of the ERT board's CSV files, and writes simulated scenes as one of them.
 
     Values are converter counts whatever the titles say (they promise mV, the firmware's conversion is commented out).
     Row i of a frame is drive pair i, column j measure pair j; the board scans a row after the other.
@@ -71,6 +74,10 @@ class ErtBoardCsv:
                 problems=sorted(_with_frames(problems, assembly), key=lambda p: p.line),
             )
         return _recording(path, lines, width, scan, assembly, problems)
+
+    def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
+        """Write a simulated recording; see :func:`~cbsr_qa_plugins.recordings.ert_board_writer.write_ert_board`."""
+        return write_ert_board(path, recording, transcript)
 
 
 def _lines(path: Path) -> tuple[list[Line], list[RowProblem]]:
@@ -210,6 +217,7 @@ def _recording(
         problems=tuple(sorted((*_with_frames(problems, assembly), *clock.problems), key=lambda p: p.line)),
         notes=tuple(notes),
         frames_dropped=len(assembly.dropped),
+        simulated=marked(line.said for line in lines if line.kind is LineKind.HEADER),
     )
 
 

@@ -24,7 +24,7 @@ _INTEGER = re.compile(r"^[+-]?\d{1,18}(\.0*)?$")
 #: A frame mark with something behind it: written twice, or joined with the end of a row.
 _SPOILT_MARK = re.compile(r"^A[A\d,.+-]+$", re.IGNORECASE)
 #: The board counts milliseconds in 32 bits.
-_LAST_BOARD_MS: Final = 2**32 - 1
+LAST_BOARD_MS: Final = 2**32 - 1
 #: Latest time of a computer that is believed [s]; Unix time will reach it in the year 5138.
 _LAST_COMPUTER_S: Final = 1e11
 #: A line with at least this many numbers is a row of readings with something wrong in it, not a log.
@@ -164,7 +164,7 @@ def complaint(numbers: tuple[int, ...], width: int) -> str:
     for value in numbers[width - PAIRS :]:
         if not LOWEST_COUNT <= value <= HIGHEST_COUNT:
             return f"absurd: {value} is not a count of a 16-bit converter"
-    if width > PAIRS and not 0 <= numbers[0] <= _LAST_BOARD_MS:
+    if width > PAIRS and not 0 <= numbers[0] <= LAST_BOARD_MS:
         return f"absurd: the board's clock says {numbers[0]} ms; it counts in 32 bits"
     return ""
 

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, SampleBlock, VoltageUnit
 from cbsr_qa.domain.recording import ReadOptions, Recording, RowProblem, ScanKind
+from cbsr_qa.domain.scene import Transcript
 from cbsr_qa_plugins.recordings.smu_rig_rows import FRAME, Reading, read_stretches
 from cbsr_qa_plugins.recordings.smu_rig_scan import frames_of
+from cbsr_qa_plugins.recordings.smu_rig_writer import write_smu_rig
 from cbsr_qa_plugins.recordings.text_lines import refuse_dataset
 
 _PAIRS: Final = 16
@@ -23,7 +25,7 @@ Frames = list[list[Reading]]
 
 
 class SmuRigCsv:
-    """Reads one line a reading, 256 a frame, scanned with the current pair as the inner loop.
+    """Reads one line a reading, 256 a frame, the current pair as the inner loop; simulated scenes are written so too.
 
     Frames are put into canonical order (row = drive pair, column = measure pair). The rig's start-up query was itself
     a step of the multiplexer, so a file may be shifted by one reading: where the scan stands is decided from where
@@ -47,7 +49,7 @@ class SmuRigCsv:
             If the file is empty, holds only headers or lacks a column, or no frame of 256 good readings is complete.
         """
         refuse_dataset(path, options)
-        stretches, problems = read_stretches(path)
+        stretches, problems, simulated = read_stretches(path)
         scans = frames_of(stretches)
         frames = scans.frames
         problems = sorted((*problems, *scans.dropped, *scans.moved), key=lambda p: p.line)
@@ -75,7 +77,12 @@ class SmuRigCsv:
             problems=tuple(problems),
             notes=(_order_note(scans.late), *notes),
             frames_dropped=len(scans.dropped),
+            simulated=simulated,
         )
+
+    def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
+        """Write a simulated recording; see :func:`~cbsr_qa_plugins.recordings.smu_rig_writer.write_smu_rig`."""
+        return write_smu_rig(path, recording, transcript)
 
 
 def _inventory(problems: list[RowProblem], readings: int) -> str:

@@ -9,6 +9,7 @@ from typing import Final
 
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.recording import RowProblem
+from cbsr_qa_plugins.recordings.simulated_mark import marked
 from cbsr_qa_plugins.recordings.text_lines import MOST_BAD_IN_A_ROW, text_lines
 
 TITLES: Final = ("time_pc [s]", "voltage [V]", "i_src [A]", "f [N]", "x [mm]", "y [mm]", "z [mm]")
@@ -20,7 +21,9 @@ FRAME: Final = 256
 
 _SATURATED = re.compile(r"^(?P<value>\S+)\s+MAX VOLTAGE ERROR$")
 #: Unix time will reach it in the year 5138; no source of this rig reaches a kilovolt or an ampere.
-_LAST_TIME_S, _MOST_V, _MOST_A = 1e11, 1e3, 1.0
+_LAST_TIME_S: Final = 1e11
+MOST_V: Final = 1e3
+MOST_A: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +66,12 @@ class Stretch:
     counted_at: int | None
 
 
-def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem]]:
+def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem], tuple[str, ...]]:
     """Read all lines; a file may have been appended to, then its headers repeat, and lines may be lost or doubled.
+
+    Returns
+    -------
+    The stretches, what is wrong with lines, and what the headers say was simulated.
 
     Raises
     ------
@@ -73,6 +80,7 @@ def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem]]:
     """
     sessions: list[list[Reading]] = [[]]
     problems: list[RowProblem] = []
+    headers: list[str] = []
     before, bad, number = "", 0, 0
     for line in text_lines(path):
         number, text = line.number, line.text
@@ -81,6 +89,7 @@ def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem]]:
             continue
         if fields[0].startswith(("UTC:", "time_pc")):
             _check_titles(path, fields)
+            headers.append(text)
             if sessions[-1]:
                 sessions.append([])
             continue
@@ -99,7 +108,7 @@ def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem]]:
             f"{path.name} holds only headers, not one reading" if number else f"{path.name} is empty",
             remedy="record again, or analyse another file",
         )
-    return stretches, problems
+    return stretches, problems, marked(headers)
 
 
 def _check_titles(path: Path, fields: list[str]) -> None:
@@ -124,9 +133,9 @@ def _reading(number: int, fields: list[str], *, copy: bool) -> Reading:
     except ValueError:
         wrong = next(text for text in texts if not _is_number(text))
         return _bad(number, f"{wrong[:40]!r} is not a number")
-    if not (abs(time_s) <= _LAST_TIME_S and abs(voltage) <= _MOST_V):
+    if not (abs(time_s) <= _LAST_TIME_S and abs(voltage) <= MOST_V):
         return _bad(number, f"time {time_s} s or voltage {voltage} V is not a possible number")
-    if abs(current) > _MOST_A:
+    if abs(current) > MOST_A:
         return _bad(number, f"current {current} A is not a possible number")
     current_A = None if math.isnan(current) else current
     return Reading(number, time_s, voltage, saturated is not None, current_A, tuple(others), copy=copy)

@@ -38,6 +38,8 @@ def frames_of(stretches: list[Stretch]) -> Scans:
     """Cut stretches into frames of 256."""
     scans = Scans()
     left: list[Reading] = []
+    broken: list[Reading] = []
+    reached = FRAME  # how far the frame dropped last is known; its end where no further stretch is of it
     for number, stretch in enumerate(stretches):
         expected = scans.late if stretch.counted_at is None else stretch.counted_at
         at = _position(stretch.readings, expected)
@@ -49,9 +51,16 @@ def frames_of(stretches: list[Stretch]) -> Scans:
             )
             scans.moved.append(RowProblem(stretch.readings[0].line, what, False))
         head = stretch.readings[: -at % FRAME]
-        if number and (broken := left + head):
+        if number and (piece := left + head):
+            if not left and at >= reached:  # several gaps in one frame
+                scans.dropped.pop()
+            else:
+                broken = []
+            broken += piece
             why = "lines are missing or too many in it" if stretch.counted_at is not None else "headers stand in it"
             scans.dropped.append(_dropped(broken, broken[-1].line, why))
+        inside = number and 0 < at + len(head) < FRAME and len(head) == len(stretch.readings)
+        reached = at + len(head) if inside else FRAME
         left = _cut(stretch.readings[len(head) :], scans)
     return scans
 

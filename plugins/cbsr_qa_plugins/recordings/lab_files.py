@@ -1,0 +1,211 @@
+"""What writing a scene in either of the lab's CSV formats has in common."""
+
+import os
+import tempfile
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final, TextIO
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import RecordingError, RefusedError
+from cbsr_qa.domain.frames import ReadingFlag, SampleBlock, VoltageUnit
+from cbsr_qa.domain.patterns import adjacent_pattern
+from cbsr_qa.domain.recording import Recording, ScanKind
+from cbsr_qa.domain.scene import Transcript
+from cbsr_qa_plugins.recordings.simulated_mark import mark
+
+#: Date of every file that is written: a clock's would make two files of one scene differ.
+WRITTEN_UTC: Final = "2000-01-01 00:00:00.000000"
+ELECTRODES: Final = 16
+#: From this share of frames that lose rows on readers cannot tell any more how the frames follow each other.
+_MOST_LOST: Final = 0.5
+_OWN_FORMAT: Final = "write cbsr-recording"
+
+
+def utc_line(recording: Recording) -> str:
+    """First line of a file, which also says what was simulated."""
+    return f"UTC:,{WRITTEN_UTC}{mark(recording.simulated)}\n"
+
+
+def refuse_existing(path: Path) -> None:
+    """Refuse to write over a file.
+
+    Raises
+    ------
+    RefusedError
+        If there is one.
+    """
+    if path.exists():
+        raise RefusedError(f"{path} exists already", remedy="name another file, or remove it first")
+
+
+def refuse_unfit(name: str, path: Path, recording: Recording, transcript: Transcript) -> None:
+    """Refuse what the lab's rigs cannot have recorded.
+
+    Parameters
+    ----------
+    name : of the format.
+
+    Raises
+    ------
+    RefusedError
+        If the file exists, or the recording is not of volts of adjacent scans of 16 electrodes, with a row of the
+        transcript for each of theirs, every reading of them there, and more than half of the frames whole.
+    """
+    refuse_existing(path)
+    _refuse_kind(name, recording)
+    pattern = transcript.setting.sensor_type.pattern
+    if pattern != adjacent_pattern(ELECTRODES):
+        raise RefusedError(
+            f"{name} holds the adjacent pattern of {ELECTRODES} electrodes; this one drives {len(pattern.drive)}"
+            f" pairs of {pattern.electrode_count} and measures {len(pattern.measure)}",
+            remedy=f"{_OWN_FORMAT}, or simulate a sensor type of {ELECTRODES} electrodes with the adjacent pattern",
+        )
+    shape = (len(recording.frames), ELECTRODES)
+    if recording.frames.voltages.shape != (*shape, ELECTRODES) or transcript.lost.shape != shape:
+        raise RefusedError(
+            f"a transcript of {transcript.lost.shape[0]} frames of {transcript.lost.shape[1]} rows is not that of"
+            f" readings of shape {recording.frames.voltages.shape}",
+            remedy="write all frames with the transcript they were taken with",
+        )
+    _refuse_missing(name, recording)
+    _refuse_lost(name, transcript)
+
+
+def _refuse_kind(name: str, recording: Recording) -> None:
+    kinds = (
+        (recording.frames.unit is not VoltageUnit.VOLT, "counts"),
+        (recording.magnitudes_only, "magnitudes"),
+        (recording.still, "still images"),
+        (recording.scan is not ScanKind.FULL, "of driven pairs alone"),
+    )
+    other = [what for is_so, what in kinds if is_so]
+    if other:
+        raise RefusedError(
+            f"{name} is written from volts with their signs, of whole scans in time; these are {', '.join(other)}",
+            remedy=_OWN_FORMAT,
+        )
+
+
+def _refuse_missing(name: str, recording: Recording) -> None:
+    missing = np.argwhere(recording.frames.flags & ReadingFlag.MISSING.value)
+    if len(missing):
+        frame, drive, measure = missing[0].tolist()
+        raise RefusedError(
+            f"{name} has no way to leave out a reading; {len(missing)} are missing, the first in frame {frame}"
+            f" (drive pair {drive}, measure pair {measure})",
+            remedy=_OWN_FORMAT,
+        )
+
+
+def _refuse_lost(name: str, transcript: Transcript) -> None:
+    count = len(transcript.lost)
+    broken = int(transcript.lost.any(axis=1).sum())
+    if not count or broken >= _MOST_LOST * count:
+        raise RefusedError(
+            f"{broken} of {count} frames lose rows; readers of {name} find frames again among whole ones",
+            remedy=f"let fewer than half of the frames lose rows, or {_OWN_FORMAT}",
+        )
+
+
+def reading_times(name: str, recording: Recording, transcript: Transcript, order: str) -> NDArray[np.float64]:
+    """When each reading was taken, (frames, 16, 16) in canonical order [s].
+
+    Where a recording has no times of readings, its frames are taken at once: each reading has its frame's time.
+
+    Parameters
+    ----------
+    name : of the format.
+    order : which pair steps faster on its rig: ``"measure"`` or ``"drive"``.
+
+    Raises
+    ------
+    RefusedError
+        If a time falls in the order in which the rig takes readings, or is no finite number.
+    """
+    frames = recording.frames
+    times_s = frames.reading_time_s
+    if times_s is None:
+        times_s = np.broadcast_to(frames.time_s[:, None, None], frames.voltages.shape)
+    scan = times_s if order == "measure" else times_s.swapaxes(1, 2)
+    step_s = np.diff(scan.reshape(-1))
+    if not np.isfinite(times_s).all() or (step_s < 0).any():
+        frame = int(np.argmax(~(step_s >= 0))) // ELECTRODES**2
+        raise RefusedError(
+            f"{name} is of a rig whose {order} pair steps faster; the times of frame {frame} fall in that order",
+            remedy=f"{_in_order(transcript, order)}, or {_OWN_FORMAT}",
+        )
+    return times_s
+
+
+def _in_order(transcript: Transcript, order: str) -> str:
+    """Say what makes readings come in an order; dumps are those of a board that reads row by row."""
+    skew = f'give time-skew inner = "{order}"'
+    return f"{skew} and take watchdog-dump out" if order == "drive" and transcript.dumps else skew
+
+
+def channel(recording: Recording, name: str, unit: str) -> SampleBlock | None:
+    """Samples of a channel; None where there are none."""
+    return next((s for s in recording.samples if (s.channel, s.unit) == (name, unit) and len(s)), None)
+
+
+def left_out(recording: Recording, transcript: Transcript, carried: Collection[str], flags: ReadingFlag) -> list[str]:
+    """Say what neither of the lab's formats holds.
+
+    Parameters
+    ----------
+    carried : channels that are written.
+    flags : of readings that the format does not hold.
+    """
+    said = []
+    channels = [s.channel for s in recording.samples if s.channel not in carried]
+    if channels:
+        said.append(f"channels that are not written: {', '.join(channels)}")
+    if recording.loads:
+        said.append(f"the {len(recording.loads)} presses are not written: the format documents none")
+    if recording.sensor_type is not None or recording.layout is not None:
+        said.append("sensor type and numbering of the electrodes are not written: name --sensor-type to analyse")
+    if recording.reference is not None:
+        said.append("the reference frames are not written")
+    if recording.notes:
+        said.append(f"what the recording notes is not written: {'; '.join(recording.notes)}")
+    flagged = int(np.count_nonzero(recording.frames.flags & flags.value))
+    if flagged:
+        said.append(f"{flagged} readings are flagged, which is not written; their values are")
+    if recording.frames.reading_time_s is None:
+        said.append("the readings of a frame are taken at once: all are written with the frame's time")
+    broken = int(transcript.lost.any(axis=1).sum())
+    if broken:
+        said.append(f"{broken} of {len(transcript.lost)} frames lost rows; what arrived of them is written")
+    return said
+
+
+@contextmanager
+def new_text_file(path: Path) -> Iterator[TextIO]:
+    """Write a text file whole or not at all: to a temporary file beside it, then renamed over it.
+
+    Raises
+    ------
+    RecordingError
+        If the folder cannot be written to.
+    """
+    temporary = ""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(prefix=".recording-", suffix=".csv", dir=path.parent)
+        os.close(handle)
+        with Path(temporary).open("w", encoding="utf-8", newline="\n") as file:
+            yield file
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except OSError as error:
+        raise RecordingError(
+            f"the recording cannot be written to {path}: {error.strerror or error}",
+            remedy="choose a folder that can be written to",
+        ) from error
+    finally:
+        if temporary:
+            Path(temporary).unlink(missing_ok=True)
