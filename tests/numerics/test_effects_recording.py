@@ -127,8 +127,8 @@ def test_the_seed_says_what_happens(effect):
     [
         (lambda: FrameLoss(setting(), share=1.5), "share is 1.5", "at most 1"),
         (lambda: FrameLoss(setting(), share=-0.1), "share is -0.1", "at least 0"),
-        (lambda: FrameLoss(setting(), share=0.1, most_rows=0), "most_rows is 0", "at least 1 and at most 16"),
-        (lambda: FrameLoss(setting(), share=0.1, most_rows=17), "most_rows is 17", "at most 16"),
+        (lambda: FrameLoss(setting(), share=0.1, most_rows=0), "most_rows is 0", "whole number from 1 to 16"),
+        (lambda: FrameLoss(setting(), share=0.1, most_rows=17), "most_rows is 17", "from 1 to 16"),
         (lambda: FrameLoss(setting(), share=0.1, most_rows=2.5), "most_rows is 2.5", "whole"),
         (lambda: WatchdogDump(setting(), per_minute=float("nan")), "per_minute is nan", "at most 600"),
         (lambda: WatchdogDump(setting(), per_minute=1, pause_ms=-1), "pause_ms is -1", "at least 0"),

@@ -1,8 +1,7 @@
 """Rows of a frame that never arrive."""
 
-from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.scene import SceneSetting, Transcript
-from cbsr_qa.simulate.parameters import number
+from cbsr_qa.simulate.parameters import number, whole
 from cbsr_qa.simulate.streams import RandomStream
 
 
@@ -23,9 +22,7 @@ class FrameLoss:
     def __init__(self, setting: SceneSetting, *, share: float, most_rows: int = 4) -> None:
         self._rows = setting.sensor_type.pattern.shape[0]
         self._share = number("share", share, most=1.0)
-        if number("most_rows", most_rows, least=1, most=self._rows) % 1:
-            raise ConfigError(f"most_rows is {most_rows!r}", remedy="it is a whole number")
-        self._most_rows = int(most_rows)
+        self._most_rows = whole("most_rows", most_rows, least=1, most=self._rows)
         self._stream = RandomStream(setting.seed, "frame-loss")
 
     def record(self, transcript: Transcript) -> None:
