@@ -125,8 +125,8 @@ def head_edge() -> Canvas:
     axes.plot(across, soft, color=BLUE, label="width_mm = 4: eight nested heads")
     axes.plot(across, linear * soft.max(), **CLOSED, label="linear fall")
     say(axes, "Strain under a head of 13 mm with a soft edge", "from the axis [mm]", "strain over nominal")
-    axes.set_ylim(0, 1.25)
-    key(axes, "upper left")
+    axes.set_ylim(0, 1.1)
+    key(axes, "lower center")
     return figure
 
 
