@@ -108,6 +108,13 @@ def test_frames_that_lost_rows_are_named_and_counted(tmp_path):
     assert any("3 of 12 frames lost rows" in note for note in notes)
 
 
+def test_a_mark_stands_before_what_arrives_of_a_frame(tmp_path):
+    recording, transcript = made_up(5, lost=[(1, 0, 2), (3, 0, 16)])
+    said = [line.split(",")[2] for line in lines_of(tmp_path, "ert-board-csv", recording, transcript)[2:]]
+    marks = [k for k, field in enumerate(said) if field == "A"]
+    assert [len(frame) for frame in np.split(said, marks)] == [0, 17, 15, 17, 17]
+
+
 def test_dumps_are_noted_cost_nothing_and_make_the_board_late(tmp_path):
     recording, transcript = made_up(12, inner="measure", dumps=DUMPS)
     read, _ = written(tmp_path, "ert-board-csv", recording, transcript)
