@@ -239,6 +239,15 @@ class Effect(Protocol):
 
 
 @runtime_checkable
+class SwitchingEffect(Protocol):
+    """What an effect of the stage ``impedance`` that changes in steps has as well."""
+
+    def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
+        """Times of its steps after the first and up to the last [s]; at such a time the step is over."""
+        ...
+
+
+@runtime_checkable
 class SheetEffect(Protocol):
     """An effect on the sheet as it is made (stage ``sheet``)."""
 

@@ -1,5 +1,6 @@
 """What the effects of a scene change in turn: the sheet as it is made, and the world at one moment."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Self
@@ -48,12 +49,16 @@ class SimulatedPress:
     y_mm: float
     steps: list[StrainStep] = field(default_factory=list)
 
+    @property
+    def end_s(self) -> float:
+        """When its last ramp so far ends."""
+        return self.steps[-1].start_s + self.steps[-1].ramp_s if self.steps else -math.inf
+
     def strain_at(self, time_s: float) -> float:
         """Strain under the head at a time."""
         if not self.steps or time_s <= self.steps[0].start_s:
             return 0.0
-        last = self.steps[-1]
-        if time_s >= last.start_s + last.ramp_s:  # as most presses of a run are
+        if time_s >= self.end_s:  # as most presses of a run are
             return sum([step.change for step in self.steps])
         return sum(s.change * min(max((time_s - s.start_s) / s.ramp_s, 0.0), 1.0) for s in self.steps)
 
@@ -211,8 +216,9 @@ class Moment:
         all are taken at once.
     contact_mm : (electrodes,) contact impedance over the sheet's mean resistance; None away from a frame.
     impedance_ohm : (electrodes, electrodes) electrode potentials per electrode current; None before it was solved.
-    current_A : (drives,) what flows while each pair is driven; None before the source is on.
-    drive_ohm : (drives,) resistance that each driven pair shows to the source; None before the sheet was solved.
+    current_A : (drives, measures) what flows while each reading is taken; None before the source is on.
+    drive_ohm : (drives, measures) resistance that its driven pair shows to the source then; None before the sheet
+        was solved.
     flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.frames.ReadingFlag`; None away from a frame.
     """
 

@@ -19,6 +19,7 @@ Indices = NDArray[np.int64]
 # is hardly met elsewhere: readings feel the square of it.
 _NEGLIGIBLE: Final = 1e-7
 _NEGLIGIBLE_CONTACT: Final = 1e-5
+_ROUNDING: Final = 1e-14  # a load by itself meets the electrodes' few fields alone
 
 
 class LinkedPatches:
@@ -49,6 +50,7 @@ class LinkedPatches:
             between[span, span] = 0
         count = len(patches)
         least = [_NEGLIGIBLE if k < count else _NEGLIGIBLE_CONTACT for k in range(len(rims))]
+        least = least if len(rims) > 1 else [_ROUNDING]
         found = met_bases(between, fields, spans, least)
         bases = filled_up(found[:count]) + filled_up(found[count:])
         self._bases, self._contact_bases = bases[:count], bases[count:]
@@ -72,7 +74,7 @@ class LinkedPatches:
         -------
         (moments, electrodes, electrodes) float64 [V/A]. The first moment's is exact. With φ = (I + B A)⁻¹ F what the
         patches meet then and D what their answers have changed by since, the others' are the first's and
-        φᵀ D φ − φᵀ D B D φ: what is left out is of third order in D and A, and of second in what links patches.
+        φᵀ (D − D (B − B A B) D) φ: what is left out is D B D B D, and D B A B A B D.
         """
         between, fields, lost = self._without_contacts(contact_change)
         if not self._patches:
@@ -85,7 +87,8 @@ class LinkedPatches:
         corrections = [lost + fields.T @ sent]
         for more in answers[1:] - answers[0]:
             added = _times(more, met)
-            corrections.append(corrections[0] + met.T @ added - added.T @ between @ added)
+            felt = between @ added
+            corrections.append(corrections[0] + met.T @ added - added.T @ felt + felt.T @ _times(answers[0], felt))
         return np.array(corrections)
 
     def _answers(self, loads: Mapping[LoadFamily, float]) -> Array:

@@ -92,7 +92,8 @@ class LoadedSheet:
         if contacts and not self._local.contacts_can_be_patches(elements):
             return None
         groups = _overlapping(families)
-        if sum(sum(len(family.elements) for family in group) ** 3 for group in groups) >= _MOST_WORK:
+        sizes = [len(np.unique(np.concatenate([family.elements for family in group]))) for group in groups]
+        if sum(size**3 for size in sizes) >= _MOST_WORK:
             return None
         patches = [self._patch(group) for group in groups]
         return LinkedPatches(self.model, self._inverse, patches, self._contacts if contacts else None)

@@ -59,18 +59,19 @@ class NestedCover:
             If the change leaves no conductance somewhere, or is not finite.
         """
         relative = np.broadcast_to(np.asarray(relative, dtype=np.float64), self.elements.shape)
-        remaining = 1 + relative[:, None] * self.levels  # (k, j + 1)
-        if not (np.isfinite(remaining).all() and (remaining > 0).all()):
-            worst = relative[int(np.argmin(np.nan_to_num(remaining.min(axis=1), nan=-np.inf)))]
+        raised = relative[:, None] * self.levels  # (k, j + 1)
+        if not (np.isfinite(raised).all() and (raised > -1).all()):
+            worst = relative[int(np.argmin(np.nan_to_num(raised.min(axis=1), nan=-np.inf)))]
             raise NumericsError(
                 f"a relative change of {worst} leaves no positive conductance where a head presses"
                 f" {self.levels.max():.3g} times as hard as on average",
                 remedy="press less deep, or take a head's pressure that is more even",
             )
-        along = (self.layers @ remaining[..., None])[..., 0]
-        across = 1 / (self.layers @ (1 / remaining)[..., None])[..., 0]
+        along = (self.layers @ raised[..., None])[..., 0]
+        less = (self.layers @ (raised / (1 + raised))[..., None])[..., 0]  # of the resistance
+        across = less / (1 - less)
         turned = (across - along)[..., None, None] * self.across[..., :, None] * self.across[..., None, :]
-        change: Array = (along - 1)[..., None, None] * np.eye(2) + turned
+        change: Array = along[..., None, None] * np.eye(2) + turned
         return change * conductance[self.elements, None, None, None]
 
 

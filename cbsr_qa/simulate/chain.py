@@ -1,6 +1,7 @@
 """The effects of a scene as an ordered list of callables; one that is off is not there."""
 
 import inspect
+import math
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from typing import Any, Final, TypeGuard
@@ -8,7 +9,7 @@ from typing import Any, Final, TypeGuard
 from cbsr_qa.domain.errors import CbsrError, ConfigError
 from cbsr_qa.domain.plan import PluginChoice, Scene
 from cbsr_qa.domain.scene import Moment, SceneSetting, SheetDesign, Transcript
-from cbsr_qa.interfaces import AnyEffect, Effect, RecordingEffect, SheetEffect
+from cbsr_qa.interfaces import AnyEffect, Effect, RecordingEffect, SheetEffect, SwitchingEffect
 
 #: ``effect_factory(name)`` returns what makes the effect: ``factory(setting, **parameters)``.
 EffectFactory = Callable[[str], Callable[..., Any]]
@@ -50,6 +51,11 @@ class Chain:
         """Whether any effect perturbs a stage."""
         return bool(self._stages[stage])
 
+    @property
+    def memory_s(self) -> float:
+        """How long after a press the response may still feel it; for ever where an effect does not say."""
+        return max((getattr(effect, "memory_s", math.inf) for effect in self._stages["response"]), default=0.0)
+
     def design(self, design: SheetDesign) -> None:
         """Let the effects of the stage ``sheet`` change a sheet before it is made."""
         for effect in self._sheet:
@@ -64,6 +70,11 @@ class Chain:
         """Let the effects of a stage change a moment, one after the other."""
         for effect in self._stages[stage]:
             effect.apply(moment)
+
+    def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
+        """Times after the first and up to the last [s] at which the impedance jumps."""
+        jumping = [effect for effect in self._stages["impedance"] if isinstance(effect, SwitchingEffect)]
+        return [at_s for effect in jumping for at_s in effect.switches(moment, first_s, last_s)]
 
 
 def _applies(effect: AnyEffect, stage: str) -> TypeGuard[Effect]:

@@ -70,31 +70,41 @@ class FrameMaker:
         if pauses_s is not None and moment.reading_offsets_s is not None:
             moment.reading_offsets_s = moment.reading_offsets_s + pauses_s[:, None]
         offsets = moment.reading_offsets_s
-        moment.impedance_ohm, per_ampere = self._solved(moment_at, moment)
-        driven = self._pattern.drive_currents()
-        moment.drive_ohm = np.einsum("ed,ef,fd->d", driven, moment.impedance_ohm, driven)
-        moment.current_A = np.full(len(moment.drive_ohm), moment.setting.current_A)
+        moment.impedance_ohm, per_ampere, moment.drive_ohm = self._solved(moment_at, moment)
+        moment.current_A = np.full(self._pattern.shape, moment.setting.current_A)
         moment.flags = np.zeros(self._pattern.shape, dtype=np.uint8)
         self._chain.apply("source", moment)
-        moment.voltages = per_ampere * moment.current_A[:, None]
+        moment.voltages = per_ampere * moment.current_A
         self._chain.apply("voltages", moment)
         return SimulatedFrame(moment.voltages, moment.flags, None if offsets is None else time_s + offsets)
 
-    def _solved(self, moment_at: Callable[[float], Moment], moment: Moment) -> tuple[Array, Array]:
-        """Transfer impedance in the frame's middle, and readings per ampere each at its own time."""
+    def _solved(self, moment_at: Callable[[float], Moment], moment: Moment) -> tuple[Array, Array, Array]:
+        """Transfer impedance in the middle; readings per ampere and the ohms their source sees, at their times."""
         offsets = moment.reading_offsets_s
         contact_mm = self._contacts(moment)
         if offsets is None or not self._changes(moment):
             (middle,) = self._impedances([moment], contact_mm)
-            return middle, self._sheet.readings(middle)
-        knots = _knots(moment.presses, moment.time_s + offsets.min(), moment.time_s + offsets.max())
+            seen = np.broadcast_to(self._drive_ohm(middle)[:, None], self._pattern.shape)
+            return middle, self._sheet.readings(middle), seen
+        first_s, last_s = float(moment.time_s + offsets.min()), float(moment.time_s + offsets.max())
+        knots = _knots(moment.presses, self._chain.switches(moment, first_s, last_s), first_s, last_s)
         at = np.concatenate([knots, (knots[1:] + knots[:-1]) / 2])
-        others = at[np.abs(at - moment.time_s) > _SHORTEST_S]
+        own = int(np.abs(at - moment.time_s).argmin())
+        among = abs(at[own] - moment.time_s) <= 4 * np.spacing(moment.time_s)
+        others = np.delete(at, own) if among else at
         middle, *solved = self._impedances([moment, *(moment_at(float(time_s)) for time_s in others)], contact_mm)
-        if len(others) < len(at):
-            solved.append(middle)  # the last is the middle of a frame in which nothing has a corner
+        if among:
+            solved.insert(own, middle)
         readings = np.array([self._sheet.readings(impedance) for impedance in solved])
-        return middle, np.einsum("kdm,kdm->dm", _weights(knots, moment.time_s + offsets), readings)
+        drive_ohm = np.array([self._drive_ohm(impedance) for impedance in solved])
+        weights = _weights(knots, moment.time_s + offsets)
+        return middle, np.einsum("kdm,kdm->dm", weights, readings), np.einsum("kdm,kd->dm", weights, drive_ohm)
+
+    def _drive_ohm(self, impedance_ohm: Array) -> Array:
+        """Resistance that each driven pair shows to the source, (drives,)."""
+        driven = self._pattern.drive_currents()
+        ohm: Array = np.einsum("ed,ef,fd->d", driven, impedance_ohm, driven)
+        return ohm
 
     def _contacts(self, moment: Moment) -> Array | None:
         """Contacts in the frame's middle, after the effects on them; None where there are none."""
@@ -129,9 +139,11 @@ def _by_place(moment: Moment) -> dict[Place, float]:
     return {place: change for place, change in total.items() if abs(change) > NEGLIGIBLE_CHANGE}
 
 
-def _knots(presses: Sequence[SimulatedPress], first_s: float, last_s: float) -> Array:
-    """Times between which nothing has a corner: the ends of a frame, and those of ramps within it, (k,) rising."""
+def _knots(presses: Sequence[SimulatedPress], switches: Sequence[float], first_s: float, last_s: float) -> Array:
+    """Times between which nothing has a corner: the ends of a frame, of ramps and steps within it, (k,) rising."""
     ends = [end for press in presses for step in press.steps for end in (step.start_s, step.start_s + step.ramp_s)]
+    # A step is a piece of its own, too short for a reading: those before it do not see what comes after.
+    ends += [end for at_s in switches for end in (at_s - 2 * _SHORTEST_S, at_s)]
     inside = sorted(end for end in ends if first_s + _SHORTEST_S < end < last_s - _SHORTEST_S)
     apart = [end for end, before in zip(inside, [first_s, *inside], strict=False) if end - before > _SHORTEST_S]
     return np.array([first_s, *apart, last_s])

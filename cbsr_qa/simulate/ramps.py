@@ -13,6 +13,9 @@ from typing import Final
 from cbsr_qa.domain.scene import SimulatedPress, StrainStep
 from cbsr_qa.domain.sensor import QuasiStatic, Relaxation
 
+#: A relative change below which a press is forgotten; a hundredth of what is solved for.
+FORGOTTEN: Final = 1e-9
+
 #: Strain over which the intercept of a quasi-static line fades in: one step of the surface search, 0.05 mm of 4 mm.
 #: Below it the fitted line says nothing, and without load there is no response.
 CONTACT_STRAIN: Final = 0.0125
@@ -87,6 +90,15 @@ class Transients:
         self._kernels = {True: loading, False: lifting}
         self._line = line
         self._known: dict[int, _Over] = {}
+
+    @property
+    def memory_s(self) -> float:
+        """How long after a press nothing of it is left, whatever its strain: less than :data:`FORGOTTEN`."""
+        largest = 1.0 if self._line is None else abs(self._line.slope.value) + abs(self._line.intercept.value)
+        kernels = [kernel for kernel in self._kernels.values() if kernel is not None]
+        parts = [part for kernel in kernels for part in zip(kernel.weights, kernel.time_constants_s, strict=True)]
+        lasts = [tau * math.log(max(abs(w) * largest * len(parts) / FORGOTTEN, 1.0)) for w, tau in parts]
+        return max(lasts, default=0.0)
 
     def of(self, press: SimulatedPress, time_s: float) -> float:
         """Return what has not yet relaxed of a press at a time."""

@@ -90,6 +90,8 @@ class SimulatedWorld:
         self._scale_V = float(used.mean()) * scene.current_A if used.size else 0.0
         self._frames = FrameMaker(self.sheet, self.chain)
         self.presses: list[SimulatedPress] = []
+        self._memory_s = self.chain.memory_s
+        self._frame_reach_s = 2 * scene.frame_period_s  # a board's pauses included
 
     def _made(self, scene: Scene, contact_length_mm: float) -> SimulatedSheet:
         design = SheetDesign.plain(self.setting.sensor_type, self.setting.indenter, contact_length_mm)
@@ -114,7 +116,8 @@ class SimulatedWorld:
         RefusedError
             If a press lies outside the sheet, or a change leaves an element without conductance.
         """
-        return self._frames.frame(lambda at_s: self._moment(at_s, index, self.presses), time_s, pauses_s)
+        felt = [press for press in self.presses if self._is_felt(press, time_s)]
+        return self._frames.frame(lambda at_s: self._moment(at_s, index, felt), time_s, pauses_s)
 
     def transcript(self, time_s: Array) -> Transcript:
         """How frames at these times (frames,) [s] come to be written down: what is lost, where a board pauses."""
@@ -164,6 +167,13 @@ class SimulatedWorld:
             _truth(press, time_s, change, stress)
             for press, change, stress in zip(self.presses, moment.response, moment.stress_kPa, strict=True)
         )
+
+    def _is_felt(self, press: SimulatedPress, time_s: float) -> bool:
+        """Whether a frame about a time can feel a press: it has begun by then, and is not forgotten."""
+        if not press.steps or press.steps[0].start_s > time_s + self._frame_reach_s:
+            return False
+        lifted = time_s - self._frame_reach_s - press.end_s
+        return lifted <= self._memory_s or press.strain_at(press.end_s) > _TOUCHING
 
     def _moment(self, time_s: float, index: int, presses: list[SimulatedPress]) -> Moment:
         none = [0.0] * len(presses)

@@ -181,6 +181,27 @@ def test_closed_frames_are_those_of_a_whole_electrode_and_open_ones_those_of_an_
     assert kinds == {True, False}
 
 
+@pytest.mark.parametrize("inner", ["measure", "drive"])
+@pytest.mark.parametrize(
+    ("effect", "options"),
+    [
+        ("electrode-open", {"electrode": 5, "from_s": 10.1, "to_s": 11.7}),
+        ("electrode-intermittent", {"electrode": 5, "mean_open_s": 0.6, "mean_closed_s": 0.4}),
+    ],
+)
+def test_readings_in_turn_see_a_lead_open_or_whole_and_nothing_between(effect, options, inner):
+    """Every reading is that of a frame in which all are taken at its own time, the source's current included."""
+    limit = ("source-compliance", {"limit_V": LIMIT_V})
+    in_turn = world(limit, ("time-skew", {"inner": inner}), (effect, options)).frame(11.25, 9)
+    at_once = world(limit, (effect, options))
+    frames = [at_once.frame(float(time_s), 9) for time_s in in_turn.time_s.ravel()]
+    expected = np.array([frame.voltages.ravel()[k] for k, frame in enumerate(frames)]).reshape(16, 16)
+    flags = np.array([frame.flags.ravel()[k] for k, frame in enumerate(frames)]).reshape(16, 16)
+    assert len({bool(frame.flags.any()) for frame in frames}) == 2
+    np.testing.assert_array_equal(in_turn.flags, flags)
+    np.testing.assert_allclose(in_turn.voltages, expected, rtol=1e-9, atol=1e-12)
+
+
 # --- noisy ---
 
 
@@ -217,7 +238,8 @@ def loaded(impedance, current_A, **parameters):
     at = moment(OF, 0.0)
     at.impedance_ohm = impedance
     drives, measures = PATTERN.drive_currents(), PATTERN.measure_matrix()
-    at.current_A, at.drive_ohm = current_A, np.einsum("ed,ef,fd->d", drives, impedance, drives)
+    at.current_A = np.tile(current_A[:, None], 16)
+    at.drive_ohm = np.tile(np.einsum("ed,ef,fd->d", drives, impedance, drives)[:, None], 16)
     plain = (drives.T @ impedance @ measures) * current_A[:, None]
     at.voltages = plain
     VoltmeterInput(OF, **parameters).apply(at)

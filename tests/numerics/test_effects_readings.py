@@ -174,11 +174,11 @@ def test_thermal_noise_is_nyquists(sheet):
 
 def test_a_source_at_its_limit_gives_what_the_limit_gives():
     at = read(np.zeros((16, 16)))
-    at.drive_ohm, at.current_A = np.linspace(1e4, 4e4, 16), np.full(16, 1e-3)
+    at.drive_ohm, at.current_A = np.tile(np.linspace(1e4, 4e4, 16)[:, None], 16), np.full((16, 16), 1e-3)
     SourceCompliance(OF, limit_V=20.0).apply(at)
     limited = at.drive_ohm > 2e4
     assert at.current_A == pytest.approx(np.where(limited, 20 / at.drive_ohm, 1e-3))
-    assert ((at.flags & ReadingFlag.COMPLIANCE) > 0).all(axis=1).tolist() == limited.tolist()
+    assert np.array_equal((at.flags & ReadingFlag.COMPLIANCE) > 0, limited)
     assert (at.current_A * at.drive_ohm <= 20 * (1 + 1e-12)).all()
 
 

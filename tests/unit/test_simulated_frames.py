@@ -4,12 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from simulated_setting import HEAD, installed, pressed, scene, sensor_type, world
+from simulated_setting import HEAD, held, installed, pressed, scene, sensor_type, world
 
 from cbsr_qa.domain.errors import ConfigError, NumericsError, RefusedError
 from cbsr_qa.domain.frames import ReadingFlag
 from cbsr_qa.domain.plan import PluginChoice
-from cbsr_qa.domain.scene import HeadRing, SceneSetting, SheetDesign
+from cbsr_qa.domain.scene import HeadRing, Moment, SceneSetting, SheetDesign
 from cbsr_qa.forward.model import ForwardModel
 from cbsr_qa.simulate.sheet import SimulatedSheet
 
@@ -59,9 +59,9 @@ def one_by_one(of, time_s):
     return np.array(frames).reshape(16, 16)
 
 
-@pytest.mark.parametrize("time_s", [10.0, 1.0, 61.3])
+@pytest.mark.parametrize("time_s", [10.0, 1.0, 61.3, 1.2, 61.2, 0.6])
 def test_readings_in_turn_are_those_of_frames_at_their_own_times(time_s):
-    """While a load relaxes, and while the head moves down and up within the frame."""
+    """While a load relaxes, while the head moves, and with a ramp that ends, begins or is half over in the middle."""
     names = ("piezoresistivity", "conductance-relaxation")
     skewed, plain = world_with("times", in_turn, *names), world(scene(*names))
     for each in (skewed, plain):
@@ -95,7 +95,7 @@ def test_the_source_sees_the_driven_pairs_and_scales_its_rows():
 
     def limited(moment):
         seen["ohm"] = moment.drive_ohm.copy()
-        moment.current_A = np.where(np.arange(16) == 3, 0.25, 1.0) * moment.current_A
+        moment.current_A = np.where(np.arange(16) == 3, 0.25, 1.0)[:, None] * moment.current_A
         moment.flags[3] |= np.uint8(ReadingFlag.COMPLIANCE)
 
     weak, plain = world_with("source", limited), world(scene())
@@ -103,7 +103,7 @@ def test_the_source_sees_the_driven_pairs_and_scales_its_rows():
     assert found.voltages[3] == pytest.approx(0.25 * whole.voltages[3])
     assert np.array_equal(np.delete(found.voltages, 3, 0), np.delete(whole.voltages, 3, 0))
     assert (found.flags == np.where(np.arange(16) == 3, ReadingFlag.COMPLIANCE, 0)[:, None]).all()
-    assert seen["ohm"] == pytest.approx(np.diag(whole.voltages) / plain.setting.current_A)
+    assert seen["ohm"] == pytest.approx(np.tile(np.diag(whole.voltages)[:, None] / plain.setting.current_A, 16))
 
 
 def test_uneven_sheets_are_forward_models_with_those_conductances():
@@ -176,3 +176,43 @@ def test_an_effect_that_lacks_the_method_of_its_stage_is_refused(claims, made_fo
     of = replace(scene(), effects=(PluginChoice("own"),))
     with pytest.raises(ConfigError, match=f"perturbs '{claims}' and lacks the method"):
         world(of, effect_factory=lambda _: Wrong)
+
+
+# --- what is over ---
+
+
+def test_forgotten_presses_change_no_reading_that_anybody_could_see():
+    effects = ("piezoresistivity", "conductance-relaxation", "residue")
+    one = world(scene(*effects, residue={"share": 0.1, "decay_s": 20.0}))
+    other = world(scene(*effects, residue={"share": 0.1, "decay_s": 20.0}), seed=1)
+    one.presses += [pressed(0, 5.0, 5.0, 0.3), pressed(1, -20.0, 0.0, 0.2, start_s=3000.0)]
+    other.presses += one.presses[1:]
+    assert one.chain.memory_s < 1000
+    np.testing.assert_array_equal(one.voltages_V(3020.0, 3), other.voltages_V(3020.0, 3))
+    assert np.abs(one.voltages_V(100.0, 3) - other.voltages_V(100.0, 3)).max() > 1e-6
+
+
+def test_a_press_that_is_held_is_never_forgotten():
+    one = world(scene("piezoresistivity"))
+    unloaded = one.voltages_V(0.0, 0)
+    one.presses.append(held(0, 5.0, 5.0, 0.3))
+    assert one.chain.memory_s == 0
+    np.testing.assert_array_equal(one.voltages_V(100.0, 0), one.voltages_V(1e6, 0))
+    assert np.abs(one.voltages_V(1e6, 0) - unloaded).max() > 1e-4
+
+
+def test_an_effect_that_does_not_say_how_long_it_remembers_remembers_for_ever():
+    class Silent:
+        needs, perturbs = (), "response"
+
+        def __init__(self, setting: SceneSetting) -> None:
+            del setting
+
+        def apply(self, moment: Moment) -> None:
+            moment.response = [change + 0.01 for change in moment.response]
+
+    one = world(scene("silent"), effect_factory=lambda name: Silent)
+    one.presses.append(pressed(0, 5.0, 5.0, 0.3))
+    assert one.chain.memory_s == np.inf
+    unloaded = world(scene()).voltages_V(1e6, 0)
+    assert np.abs(one.voltages_V(1e6, 0) - unloaded).max() > 1e-5

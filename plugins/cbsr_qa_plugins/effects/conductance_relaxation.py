@@ -24,6 +24,7 @@ class ConductanceRelaxation:
         self._transients = Transients(
             material.loading_relaxation, material.unloading_relaxation, material.against_strain
         )
+        self.memory_s = self._transients.memory_s
 
     def apply(self, moment: Moment) -> None:
         """Add what has not yet relaxed of every press."""

@@ -53,6 +53,17 @@ class ElectrodeIntermittent:
         if self._is_open(moment.time_s, moment.index // _A_SESSION):
             in_series(moment, self._electrode, self._ohm)
 
+    def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
+        """When it opens or closes."""
+        session = moment.index // _A_SESSION
+        blocks = range(math.floor(max(first_s, 0.0) / self._block_s), math.floor(last_s / self._block_s) + 1)
+        was, found = self._is_open(first_s, session), []
+        for at_s, mark in (event for block in blocks for event in self._events(block, session)):
+            if first_s < at_s <= last_s and mark != was:
+                was = mark
+                found.append(at_s)
+        return found
+
     def _is_open(self, time_s: float, session: int) -> bool:
         block = math.floor(time_s / self._block_s)
         while block >= 0:

@@ -40,3 +40,7 @@ class ElectrodeOpen:
         """Open the lead."""
         if self._from_s <= moment.time_s < self._to_s:
             in_series(moment, self._electrode, self._ohm)
+
+    def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
+        """When it begins and ends."""
+        return [at_s for at_s in (self._from_s, self._to_s) if first_s < at_s <= last_s]

@@ -17,6 +17,7 @@ class Hysteresis:
 
     needs: tuple[str, ...] = ("piezoresistivity",)
     perturbs = "response"
+    memory_s = 0.0
 
     def __init__(self, setting: SceneSetting, *, width: float) -> None:
         self._slope = setting.material.against_strain.slope.value

@@ -14,6 +14,7 @@ class Piezoresistivity:
 
     needs: tuple[str, ...] = ()
     perturbs = "response"
+    memory_s = 0.0
 
     def __init__(self, setting: SceneSetting) -> None:
         self._line = setting.material.against_strain

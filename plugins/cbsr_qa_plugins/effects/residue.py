@@ -25,6 +25,7 @@ class Residue:
         decay_s = number("decay_s", decay_s, above=True)
         kernel = Relaxation((-number("share", share, most=1.0), 0.0), (decay_s, decay_s), "scene")
         self._transients = Transients(None, kernel, setting.material.against_strain)
+        self.memory_s = self._transients.memory_s
 
     def apply(self, moment: Moment) -> None:
         """Add what is left of every press."""

@@ -30,4 +30,4 @@ class SourceCompliance:
         most_A = self._limit_V / moment.drive_ohm
         limited = moment.current_A > most_A
         moment.current_A = np.where(limited, most_A, moment.current_A)
-        moment.flags |= np.where(limited, np.uint8(ReadingFlag.COMPLIANCE), np.uint8(0))[:, None]
+        moment.flags |= np.where(limited, np.uint8(ReadingFlag.COMPLIANCE), np.uint8(0))

@@ -26,6 +26,7 @@ class UnloadingSpike:
         decay_s = number("decay_s", decay_s, above=True)
         kernel = Relaxation((-1 - number("size", size, most=2.0), 0.0), (decay_s, decay_s), "scene")
         self._transients = Transients(None, kernel, setting.material.against_strain)
+        self.memory_s = self._transients.memory_s
 
     def apply(self, moment: Moment) -> None:
         """Add the spikes of every press that is being lifted, or was."""

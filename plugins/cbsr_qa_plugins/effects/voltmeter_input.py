@@ -45,6 +45,6 @@ class VoltmeterInput:
         if moment.current_A is not None and moment.drive_ohm is not None:
             limited = moment.current_A < moment.setting.current_A
             mutual = self._driven.T @ impedance_ohm @ self._measures
-            ohm[limited] -= mutual[limited] ** 2 / moment.drive_ohm[limited, None]
+            ohm = ohm - np.where(limited, mutual**2 / moment.drive_ohm, 0.0)
         never_negative: Array = np.maximum(ohm, 0.0)
         return never_negative
