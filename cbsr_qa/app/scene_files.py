@@ -1,5 +1,6 @@
 """The files that a simulated scene is written to."""
 
+import os
 import re
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -64,7 +65,7 @@ def checked_targets(
             beside = own.with_name(f"{own.stem}.{name}{_SUFFIXES.get(name.rpartition('-')[2], '')}")
             targets.append(Target(name, beside, _writer(name, plugins)))
     for target in targets:
-        if target.path.exists():
+        if os.path.lexists(target.path):
             other = "another seed, or another file with --output" if output is None else "another file"
             raise RefusedError(f"{target.path} exists already", remedy=f"remove it first, or name {other}")
     _make_folder(own.parent, output)

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 from cbsr_qa.config.loader import Loaded, load_material, load_scene_plan, load_sensor_type
-from cbsr_qa.config.scene_checks import check_loads
+from cbsr_qa.config.scene_checks import check_plan
 from cbsr_qa.domain.errors import CbsrError, ConfigError
 from cbsr_qa.domain.scene_plan import ScenePlan
 from cbsr_qa.domain.sensor import Material, SensorType
@@ -18,10 +18,10 @@ from cbsr_qa.simulate.world import SimulatedWorld
 #: What a scene is explained with that leaves its sensor to a station.
 USUAL_SENSOR_TYPE, USUAL_MATERIAL = "disc-100mm", "cbsr-8wt"
 
-#: What a scene that is to be recorded lacks → the lines to add.
+#: What a scene that is to be recorded may lack → what it does not say then, and the lines to add.
 _LACKING = {
-    "sensor": f'[sensor]\nsensor_type = "{USUAL_SENSOR_TYPE}"\nmaterial = "{USUAL_MATERIAL}"',
-    "recording": "[recording]\nseed = 7\nduration_s = 60.0",
+    "sensor": ("what is simulated", f'[sensor]\nsensor_type = "{USUAL_SENSOR_TYPE}"\nmaterial = "{USUAL_MATERIAL}"'),
+    "recording": ("for how long", "[recording]\nseed = 7\nduration_s = 60.0"),
 }
 
 
@@ -70,7 +70,7 @@ def set_up(scene: str, *, recorded: bool) -> SceneSetup:
     with naming(loaded.document.label):
         sensor_type = load_sensor_type(plan.sensor_type or USUAL_SENSOR_TYPE, near=near)
         material = load_material(plan.material or USUAL_MATERIAL, near=near)
-    check_loads(loaded, sensor_type.value)
+    check_plan(loaded, sensor_type.value)
     return SceneSetup(loaded, sensor_type, material)
 
 
@@ -79,10 +79,11 @@ def _check_complete(loaded: Loaded[ScenePlan]) -> None:
     lacking = [table for table, there in given.items() if not there]
     if lacking:
         named = " and no ".join(f"[{table}]" for table in lacking)
-        lines = "\n".join(_LACKING[table] for table in lacking)
+        unsaid = " and ".join(_LACKING[table][0] for table in lacking)
+        lines = "\n".join(_LACKING[table][1] for table in lacking)
         raise ConfigError(
-            f"{loaded.document.label} has no {named}: it does not say what is simulated and for how long",
-            remedy=f"add what fits, before its first [[effects]] or at its end:\n{lines}",
+            f"{loaded.document.label} has no {named}: it does not say {unsaid}",
+            remedy=f"add lines like these, before or behind its other tables:\n{lines}",
         )
 
 

@@ -13,22 +13,27 @@ from cbsr_qa.domain.scene_plan import PressTimes, SceneLoad, ScenePlan, approach
 from cbsr_qa.domain.sensor import SensorType
 
 _ROUNDING_S = 1e-9  # of times that are sums of others
+_FINEST = 0.01  # mesh, of the sheet's radius: 70 000 elements of second order, a minute to prepare
 _PER_SIDE = 16  # points of a head's side that are held against the sheet's edge
 
 #: A load, its place in the file's list, and when it is pressed.
 _Timed = tuple[int, SceneLoad, PressTimes]
 
 
-def check_loads(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
-    """Check where and when a scene's loads are pressed.
+def check_plan(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
+    """Check a scene's mesh, and where and when its loads are pressed.
 
     Raises
     ------
     ConfigError
-        Listing every load whose centre is off the sheet, that its head cannot press in time, or that meets another
-        head, each with what is allowed.
+        If the mesh is too fine for the sheet; listing every load whose centre is off the sheet, that its head cannot
+        press in time, or that meets another head, each with what is allowed.
     """
     plan = loaded.value
+    finest_mm = _FINEST * sensor_type.radius_mm
+    if sensor_type.mesh is None and plan.scene.sheet_mesh_size_mm < finest_mm:
+        what = f"is {plan.scene.sheet_mesh_size_mm:g}; on this sheet it must be at least {finest_mm:g}"
+        raise refusal(loaded.document, [Problem(("scene", "sheet_mesh_size_mm"), what)])
     timed = [
         (index, load, press_times(load, load.strain * sensor_type.thickness_mm, plan.motion))
         for index, load in enumerate(plan.loads)

@@ -13,6 +13,10 @@ from cbsr_qa.domain.scene_plan import MOST_FRAMES, SceneLoad, ScenePlan
 
 Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
+#: Wider than any sheet, slower and faster than any head, longer than any recording: sums of times stay numbers.
+Length = Annotated[float, Field(ge=-1e6, le=1e6)]
+Speed = Annotated[float, Field(ge=0.01, le=1e6)]
+Moment = Annotated[float, Field(ge=0, le=1e9)]
 NameOrPath = Annotated[str, Field(min_length=1, max_length=255)]
 
 #: Largest seed: what every tool that reads a recording can hold as an integer.
@@ -41,9 +45,9 @@ class SensorTable(Table):
 class HeadTable(IndenterTable):
     """``[head]``: outline and motion of every head that presses; the rig's by default."""
 
-    press_speed_mm_per_min: Positive = 40.0
-    travel_speed_mm_per_min: Positive = 600.0
-    hover_mm: Annotated[float, Field(ge=CLEARANCE_MM)] = 25.0
+    press_speed_mm_per_min: Speed = 40.0
+    travel_speed_mm_per_min: Speed = 600.0
+    hover_mm: Annotated[float, Field(ge=CLEARANCE_MM, le=1e4)] = 25.0
 
     def motion(self) -> Motion:
         """Speeds become mm/s."""
@@ -64,11 +68,11 @@ class RecordingTable(Table):
 class LoadTable(Table):
     """``[[loads]]``: one press."""
 
-    x_mm: float
-    y_mm: float
+    x_mm: Length
+    y_mm: Length
     strain_percent: Annotated[float, Field(gt=0, lt=100)]
-    start_s: Annotated[float, Field(ge=0)]
-    hold_s: Positive
+    start_s: Moment
+    hold_s: Annotated[float, Field(gt=0, le=1e9)]
     head: Annotated[int, Field(ge=1, le=64)] = 1
 
 
