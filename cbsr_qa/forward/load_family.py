@@ -26,6 +26,7 @@ TERMS: Final = 24
 _ROUNDING: Final = 1e-13
 _REACH: Final = 0.3  # a head that presses by half on the shipped materials
 _HALVINGS: Final = 8
+_SAFE: Final = 0.5  # of an element's conductance: changes below it leave some, whatever their direction
 
 
 class Series:
@@ -83,6 +84,55 @@ def _transformed(values: Array) -> Array:
     return transformed
 
 
+class StackedSeries:
+    """Changes of elements by several loads, added up where they overlap.
+
+    Parameters
+    ----------
+    series : of the change of each load, (k, q, 2, 2) each.
+    places : (k,) int64 of each, where its elements are among all.
+    shape : (all elements, q, 2, 2).
+    """
+
+    def __init__(self, series: Sequence[Series], places: Sequence[Indices], shape: tuple[int, ...]) -> None:
+        self._series, self._places = tuple(series), places
+        self._reach = np.array([one.reach for one in series])
+        self._shape = shape
+        terms, owners, orders = [], [], []
+        for number, (one, place) in enumerate(zip(series, places, strict=True)):
+            size = np.abs(one.coefficients).reshape(TERMS, -1).max(axis=1)
+            kept = (
+                np.flatnonzero(size > np.finfo(float).eps * size.max()) if one.reach else np.zeros(0, dtype=np.int64)
+            )
+            spread = np.zeros((len(kept), *self._shape))
+            if kept.size:
+                spread[:, place] = one.coefficients[kept]
+            terms.append(spread.reshape(len(kept), -1))
+            owners.append(np.full(len(kept), number))
+            orders.append(kept)
+        self._terms = np.concatenate(terms)
+        self._owner, self._order = np.concatenate(owners), np.concatenate(orders)
+        # Largest entry by strength, of matrices of two by two.
+        self._slope = np.array([2 * np.abs(one.coefficients).sum(axis=0).max() for one in series])
+
+    def __call__(self, strengths: Array) -> Array:
+        """Return the sum of all changes for (n,) strengths: (all elements, q, 2, 2)."""
+        within = np.abs(strengths) <= self._reach
+        used = np.where(within, strengths, 0.0)
+        angle = np.arccos(np.clip(used / np.where(self._reach > 0, self._reach, 1.0), -1, 1))
+        factors = used[self._owner] * np.cos(self._order * angle[self._owner])
+        change: Array = (factors @ self._terms).reshape(self._shape)
+        for number in np.flatnonzero(~within).tolist():
+            change[self._places[number]] += self._series[number](float(strengths[number]))
+        return change
+
+    def most(self, strengths: Sequence[float]) -> float:
+        """More than any entry of the sum; infinite where a strength is beyond its series."""
+        if (np.abs(strengths) > self._reach).any():
+            return float("inf")
+        return float(np.abs(strengths) @ self._slope)
+
+
 class LoadFamily:
     """A load of one shape at one place, for any strength.
 
@@ -110,7 +160,6 @@ class Patch:
     def __init__(self, model: ForwardModel, inverse: InverseEntries, families: Sequence[LoadFamily]) -> None:
         self.families = tuple(families)
         self._elements = np.unique(np.concatenate([family.elements for family in families]))
-        self._places = [np.searchsorted(self._elements, family.elements) for family in families]
         self._model = model
         self._stack = PatchStack(model, [self._elements], [seen_outside(model, self._elements)])
         self._matrices = ElementChanges(model, self._elements)
@@ -118,10 +167,12 @@ class Patch:
         self.rim: Indices = self._stack.rims[0]
         between, _ = between_rims(model, inverse, [self.rim], [slice(0, len(self.rim))])
         self._own = between
+        shape = len(self._elements), len(model.elements.shapes.points), 2, 2
+        places = [np.searchsorted(self._elements, family.elements) for family in families]
+        self._stacked = StackedSeries([family.change for family in families], places, shape)
+        self._least = float(model.conductance[self._elements].min())
         #: of X by the strength of a single load; None where there are several
-        self.series = (
-            Series(lambda s: self.answer([s]), reach=families[0].change.reach) if len(families) == 1 else None
-        )
+        self.series = None if families[1:] else Series(lambda s: self.answer([s]), reach=families[0].change.reach)
 
     def answer(self, strengths: Sequence[float]) -> Array:
         """X for the strengths of its loads, without a series: (b, b) [S].
@@ -131,10 +182,9 @@ class Patch:
         NumericsError
             If an element is left without conductance.
         """
-        change = np.zeros((len(self._elements), len(self._model.elements.shapes.points), 2, 2))
-        for place, family, strength in zip(self._places, self.families, strengths, strict=True):
-            change[place] += family.change(strength)
-        check_change(self._model, self._elements, change)
+        change = self._stacked(np.asarray(strengths))
+        if not self._stacked.most(strengths) < _SAFE * self._least:
+            check_change(self._model, self._elements, change)
         seen = self._stack.rim_changes(self._matrices.of(change))[0]
         answer: Array = np.linalg.solve(np.eye(len(seen)) + seen @ self._own, seen)
         return answer
