@@ -100,6 +100,11 @@ def _written(recorded: RecordedScene, target: Target) -> Written:
         raise RefusedError(reason, remedy=error.remedy) from error
     except OSError as error:
         raise RefusedError(f"{target.path} cannot be written: {error.strerror or error}") from error
+    except Exception as error:
+        said = f"{type(error).__name__}: {error}"
+        raise PluginError(
+            f"format {target.format!r} failed to write the scene: {said}", remedy="tell its author, or leave it out"
+        ) from error
     return Written(target.format, target.path, notes)
 
 
