@@ -16,6 +16,7 @@ PARTS = (
     "commands",
     "forward",
     "outlines",
+    "simulated_world",
     "reconstruction",
     "metrics",
     "localisation",

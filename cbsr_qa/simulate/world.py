@@ -90,6 +90,7 @@ class SimulatedWorld:
         self._scale_V = float(used.mean()) * scene.current_A if used.size else 0.0
         self._frames = FrameMaker(self.sheet, self.chain)
         self.presses: list[SimulatedPress] = []
+        self._moving = _Moving()
         self._memory_s = self.chain.memory_s
         self._frame_reach_s = 2 * scene.frame_period_s  # a board's pauses included
 
@@ -131,7 +132,7 @@ class SimulatedWorld:
 
     def force_N(self, time_s: float, index: int) -> float:
         """What the load cell reads at a time; the index is the address of the sample's random numbers."""
-        touching = [press for press in self.presses if press.strain_at(time_s) > _TOUCHING]
+        touching = [press for press in self._moving.at(self.presses, time_s) if press.strain_at(time_s) > _TOUCHING]
         moment = self._moment(time_s, index, touching)
         self.chain.apply("stress", moment)
         pressed_kPa = sum(max(stress, 0.0) for stress in moment.stress_kPa)
@@ -180,6 +181,28 @@ class SimulatedWorld:
         return Moment(
             self.setting, time_s, index, presses, response=none.copy(), stress_kPa=none, reading_scale_V=self._scale_V
         )
+
+
+class _Moving:
+    """Finds presses that are not over: a run has many samples, and at most of them one press or none."""
+
+    def __init__(self) -> None:
+        self._count = 0
+        self._last: SimulatedPress | None = None
+        self._from_s: Array = np.zeros(0)
+        self._to_s: Array = np.zeros(0)
+
+    def at(self, presses: list[SimulatedPress], time_s: float) -> list[SimulatedPress]:
+        """Return those that may press at a time."""
+        last = presses[-1] if presses else None
+        if len(presses) != self._count or last is not self._last:
+            # One that is not lifted yet may go on; it is looked at again when the next one has come.
+            lifted = [press.strain_at(press.end_s) <= _TOUCHING for press in presses]
+            self._from_s = np.array([p.steps[0].start_s if p.steps else -np.inf for p in presses])
+            self._to_s = np.array([p.end_s if up else np.inf for p, up in zip(presses, lifted, strict=True)])
+            self._to_s[-1:] = np.inf
+            self._count, self._last = len(presses), last
+        return [presses[k] for k in np.flatnonzero((self._from_s <= time_s) & (time_s <= self._to_s)).tolist()]
 
 
 def _truth(press: SimulatedPress, time_s: float, change: float, stress_kPa: float) -> PressTruth:
