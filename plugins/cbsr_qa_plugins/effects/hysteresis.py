@@ -26,9 +26,10 @@ class Hysteresis:
     def apply(self, moment: Moment) -> None:
         """Add what the way back is higher by, of every press."""
         for index, press in enumerate(moment.presses):
-            deepest, strain = _deepest_so_far(press, moment.time_s), press.strain_at(moment.time_s)
-            if deepest > 0:
-                share = min(max(strain / deepest, 0.0), 1.0)
+            strain = press.strain_at(moment.time_s)
+            if strain > 0:  # closed at the loop's lower end
+                deepest = _deepest_so_far(press, moment.time_s)
+                share = min(strain / deepest, 1.0)
                 moment.response[index] += 4 * self._width * self._slope * deepest * share * (1 - share)
 
 
