@@ -1,5 +1,6 @@
 """Simulate a scene to a recording, in one or several formats."""
 
+import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,7 +9,6 @@ from typing import Any
 import cbsr_qa
 from cbsr_qa.app.scene_files import Written, checked_targets, write_all
 from cbsr_qa.app.scene_setting import SceneSetup, effects_of, made_world, naming, set_up
-from cbsr_qa.config.documents import DocumentKind, shipped_names
 from cbsr_qa.config.scene_checks import edge_remarks
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.plugins import Plugins, discover
@@ -72,11 +72,10 @@ class SceneRun:
 
     def analyse_command(self) -> str:
         """The command to try with the recording."""
-        sensor_type = self.setup.sensor_type
-        named = ""
-        if sensor_type.value.name not in shipped_names(DocumentKind.SENSOR_TYPE) and sensor_type.document.path:
-            named = f" --sensor-type {sensor_type.document.path}"
-        return f"cbsr-qa analyse {self.files[0].path}{named}"
+        # A recording states a sensor type by name, which stands for a shipped one.
+        own = self.setup.sensor_type.document.path
+        named = [] if own is None else ["--sensor-type", str(own)]
+        return shlex.join(["cbsr-qa", "analyse", str(self.files[0].path), *named])
 
 
 def run_scene(

@@ -1,6 +1,7 @@
 """``cbsr-qa scene``: what its two commands print and write."""
 
 import hashlib
+import shlex
 import subprocess
 import sys
 
@@ -9,7 +10,7 @@ import pytest
 from command import cbsr_qa, document
 
 from cbsr_qa.analysis.recording_file import read_recording
-from cbsr_qa.config.documents import DocumentKind, shipped_names
+from cbsr_qa.config.documents import DocumentKind, open_document, shipped_names
 from cbsr_qa.config.loader import load_scene_plan
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.plugins import discover
@@ -138,6 +139,16 @@ def test_the_words_of_a_run_end_with_what_to_try(folder):
     assert "ert-board-csv: var/scenes/short-one-seed7.ert-board-csv.csv" in lines
     assert "simulating 20 frames" in done.stderr
     assert "note: loads[2]: the head (13 mm diameter) at (-44, 0) mm is partly over the sheet's edge" in done.stderr
+
+
+def test_a_sensor_of_ones_own_is_found_beside_the_scene_and_named_to_analyse(folder):
+    shipped = open_document(DocumentKind.SENSOR_TYPE, "patch-120x80mm").text
+    (folder / "my own.toml").write_text(shipped.replace("patch-120x80mm", "disc-100mm"))  # not the shipped one
+    (folder / "short.toml").write_text(SHORT.replace('"disc-100mm"', '"my own"'))
+    said = cbsr_qa(folder, "scene", "run", "short.toml").stdout.splitlines()[-1]
+    assert said.endswith("short-one-seed7.h5 --sensor-type 'my own.toml'")
+    found = document(cbsr_qa(folder, *shlex.split(said)[2:], "--no-report", "--json"))
+    assert found["recording"]["frames"] > 0
 
 
 def test_the_document_of_a_run_has_the_truth_of_every_load(folder):
