@@ -47,7 +47,7 @@ class Written:
 def checked_targets(
     scene: str, seed: int, output: Path | None, formats: tuple[str, ...], plugins: Plugins
 ) -> tuple[Target, ...]:
-    """Say where a scene goes in each format, our own first; nothing of it exists yet, and the folder is there.
+    """Say where a scene goes in each format, our own first; nothing of it exists yet.
 
     Raises
     ------
@@ -55,8 +55,6 @@ def checked_targets(
         If a format is unknown or cannot be written.
     RefusedError
         If a file exists already.
-    ConfigError
-        If the folder cannot be written to.
     """
     own = scenes_folder() / f"{_file_name(scene)}-seed{seed}.h5" if output is None else output
     targets = [Target(OWN_FORMAT, own, _writer(OWN_FORMAT, plugins))]
@@ -68,7 +66,6 @@ def checked_targets(
         if os.path.lexists(target.path):
             other = "another seed, or another file with --output" if output is None else "another file"
             raise RefusedError(f"{target.path} exists already", remedy=f"remove it first, or name {other}")
-    _make_folder(own.parent, output)
     return tuple(targets)
 
 
@@ -131,7 +128,18 @@ def _file_name(scene: str) -> str:
     return re.sub(r"[^\w.-]+", "-", scene).strip(".-") or "scene"
 
 
-def _make_folder(folder: Path, output: Path | None) -> None:
+def make_folder(folder: Path, output: Path | None) -> None:
+    """Make the folder that a scene is written to.
+
+    Parameters
+    ----------
+    output : what the user named, if anything; the remedy depends on it.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be written to.
+    """
     try:
         writable_folder(folder)
     except ConfigError as error:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import cbsr_qa
-from cbsr_qa.app.scene_files import Written, checked_targets, write_all
+from cbsr_qa.app.scene_files import Written, checked_targets, make_folder, write_all
 from cbsr_qa.app.scene_setting import SceneSetup, effects_of, made_world, naming, set_up
 from cbsr_qa.config.scene_checks import edge_remarks
 from cbsr_qa.hookspecs import Kind
@@ -103,6 +103,7 @@ def run_scene(
     targets = checked_targets(setup.plan.scene.name, seed, request.output, request.formats, plugins)
     tell("making the sheet")
     world = made_world(setup, effects_of(plugins), seed=seed)
+    make_folder(targets[0].path.parent, request.output)  # a scene that is refused leaves nothing behind
     tell(f"simulating {setup.plan.frame_count} frames")
     with naming(setup.label):
         recorded = record_scene(world, setup.plan, progress=progress)

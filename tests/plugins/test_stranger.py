@@ -6,7 +6,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from cbsr_qa.analysis.recording_file import read_recording
 
 _HERE = Path(__file__).parent
 
@@ -43,6 +46,31 @@ provides = ["temperature"]
 calibration_due = 2027-03-01
 start_C = 21.0
 rise_C_per_h = 1.5
+"""
+
+_SCENE = """
+[scene]
+name = "draught"
+current_mA = 0.4
+frame_period_s = 1.0
+sheet_mesh_size_mm = 8.0
+
+[sensor]
+sensor_type = "disc-100mm"
+material = "cbsr-8wt"
+
+[recording]
+seed = 3
+duration_s = 6.0
+"""
+
+_DRAUGHT = """
+[[effects]]
+name = "room-draught"
+cooler_K = {cooler_K}
+resists_per_K = 0.01
+from_s = 2.0
+to_s = 4.0
 """
 
 _LIMIT = """
@@ -84,7 +112,11 @@ def test_it_is_listed_with_its_distribution(environment, tmp_path):
     done = _cbsr_qa(environment, tmp_path, "plugins", "list", "--json")
     listed = json.loads(done.stdout)["plugins"]
     theirs = [(row["kind"], row["name"]) for row in listed if row["from"] == "lab-thermometer"]
-    assert theirs == [("instrument", "lab-thermometer"), ("metric", "temperature-span")]
+    assert theirs == [
+        ("effect", "room-draught"),
+        ("instrument", "lab-thermometer"),
+        ("metric", "temperature-span"),
+    ]
 
 
 def test_it_appears_in_a_run_and_its_report(environment, tmp_path):
@@ -108,3 +140,31 @@ def test_it_appears_in_a_run_and_its_report(environment, tmp_path):
     report = (tmp_path / document["report"]).read_text()
     for text in ("temperature span", "Lab thermometer T-1", "T1-0042", "2027-03-01", "2.3.4"):
         assert text in report, text
+
+
+def test_its_effect_joins_a_scene(environment, tmp_path):
+    """Scene files take it with its parameters, `explain` lists it, recordings hold it and say whose it is."""
+    (tmp_path / "plain.toml").write_text(_SCENE)
+    (tmp_path / "draught.toml").write_text(_SCENE + _DRAUGHT.format(cooler_K=5.0))
+    for scene in ("plain", "draught"):
+        done = _cbsr_qa(environment, tmp_path, "scene", "run", f"{scene}.toml", "--output", f"{scene}.h5")
+        assert done.returncode == 0, done.stderr
+    plain, cooled = (read_recording(tmp_path / f"{scene}.h5") for scene in ("plain", "draught"))
+    ratio = cooled.frames.voltages / plain.frames.voltages
+    expected = np.where((plain.frames.time_s > 2) & (plain.frames.time_s < 4), 1.05, 1.0)
+    np.testing.assert_allclose(ratio, np.broadcast_to(expected[:, None, None], ratio.shape), rtol=1e-12)
+    assert "lab-thermometer 2.3.4" in cooled.simulated[0]
+    assert "lab-thermometer" not in plain.simulated[0]
+
+    done = _cbsr_qa(environment, tmp_path, "scene", "explain", "draught.toml", "--json")
+    (entry,) = [effect for effect in json.loads(done.stdout)["effects"] if effect["name"] == "room-draught"]
+    assert (entry["on"], entry["needs"], entry["perturbs"]) == (True, [], "impedance")
+    assert entry["cost_ms_per_frame"] >= 0
+
+
+def test_its_effect_refuses_by_name(environment, tmp_path):
+    (tmp_path / "draught.toml").write_text(_SCENE + _DRAUGHT.format(cooler_K=-5.0))
+    done = _cbsr_qa(environment, tmp_path, "scene", "run", "draught.toml")
+    assert done.returncode == 2
+    assert "'room-draught': cooler_K is -5.0" in done.stderr
+    assert not (tmp_path / "var").exists()

@@ -1,10 +1,11 @@
-"""A room thermometer, and a metric that needs it."""
+"""A room thermometer, a metric that needs it, and an effect for scenes."""
 
 from cbsr_qa.hookspecs import Kind, hookimpl
 
 
 @hookimpl
 def cbsr_register(register):
-    """Add an instrument and a metric."""
+    """Add an instrument, a metric and an effect."""
     register(Kind.INSTRUMENT, "lab-thermometer", "lab_thermometer.thermometer:open_thermometer")
     register(Kind.METRIC, "temperature-span", "lab_thermometer.span:TemperatureSpan")
+    register(Kind.EFFECT, "room-draught", "lab_thermometer.draught:RoomDraught")
