@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from effect_setting import setting
-from scipy.stats import binom, chi2, poisson
+from scipy.stats import binom, chi2
 
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.scene import Transcript
@@ -72,26 +72,30 @@ def test_no_frame_is_lost_at_a_share_of_zero_and_every_one_at_one():
 # --- watchdog-dump ---
 
 
-@pytest.mark.parametrize("per_minute", [12.0, 120.0])
-def test_the_number_of_dumps_is_poisson(per_minute):
+@pytest.mark.parametrize(("period_s", "pause_ms"), [(5.0, 75.0), (7.3, 2000.0), (0.4, 0.0)])
+def test_dumps_come_regularly_on_the_boards_own_clock(period_s, pause_ms):
+    """The n-th stands before the first row that would be read after the first one's time and n periods."""
     of = setting()
-    dumps = recorded(WatchdogDump(of, per_minute=per_minute)).dumps
-    mean = per_minute / 60 * of.frame_period_s
-    assert within(len(dumps), poisson(FRAMES * mean))
-    frames = np.bincount([dump.frame for dump in dumps], minlength=FRAMES)
-    spread = (FRAMES - 1) * frames.var(ddof=1) / mean  # index of dispersion, χ² of FRAMES − 1
-    assert within(spread, chi2(FRAMES - 1))
+    transcript = recorded(WatchdogDump(of, period_s=period_s, pause_ms=pause_ms), 400)
+    row_s = of.frame_period_s / ROWS
+    rows = np.array([dump.frame * ROWS + dump.row for dump in transcript.dumps])
+    late_s = np.concatenate([[0.0], np.cumsum([dump.pause_s for dump in transcript.dumps])[:-1]])
+    at_s = transcript.time_s[0] - of.frame_period_s / 2 + rows * row_s + late_s
+    due_s = at_s[0] + period_s * np.arange(len(rows))
+    assert (np.abs(at_s - due_s) < row_s * (1 + 1e-9)).all()
+    assert len(rows) == pytest.approx(400 * of.frame_period_s / (period_s - pause_ms / 1000), abs=1.5)
 
 
-def test_dumps_stand_before_any_row_alike_in_order_of_time():
-    dumps = recorded(WatchdogDump(setting(), per_minute=60)).dumps
-    assert alike(np.bincount([dump.row for dump in dumps], minlength=ROWS))
-    at = [(dump.frame, dump.row) for dump in dumps]
-    assert at == sorted(at)
+def test_the_first_dump_is_anywhere_in_the_first_period():
+    def first_s(seed):
+        (dump, *_) = recorded(WatchdogDump(setting(seed=seed), period_s=100.0), 200).dumps
+        return (dump.frame + dump.row / ROWS) * setting().frame_period_s
+
+    assert alike(np.histogram([first_s(seed) for seed in range(400)], 8, (0, 100))[0])
 
 
 def test_a_dump_makes_the_rest_of_the_recording_later_by_its_pause():
-    transcript = recorded(WatchdogDump(setting(), per_minute=12), 200)
+    transcript = recorded(WatchdogDump(setting()), 200)
     assert len(transcript.dumps) > 10
     late_s = transcript.pauses_s().ravel()
     assert late_s[-1] == pytest.approx(0.075 * len(transcript.dumps))
@@ -101,7 +105,7 @@ def test_a_dump_makes_the_rest_of_the_recording_later_by_its_pause():
 
 # --- both ---
 
-BOTH = [lambda of: FrameLoss(of, share=0.2), lambda of: WatchdogDump(of, per_minute=20)]
+BOTH = [lambda of: FrameLoss(of, share=0.2), lambda of: WatchdogDump(of, period_s=3.0)]
 
 
 @pytest.mark.parametrize("effect", BOTH)
@@ -130,8 +134,13 @@ def test_the_seed_says_what_happens(effect):
         (lambda: FrameLoss(setting(), share=0.1, most_rows=0), "most_rows is 0", "whole number from 1 to 16"),
         (lambda: FrameLoss(setting(), share=0.1, most_rows=17), "most_rows is 17", "from 1 to 16"),
         (lambda: FrameLoss(setting(), share=0.1, most_rows=2.5), "most_rows is 2.5", "whole"),
-        (lambda: WatchdogDump(setting(), per_minute=float("nan")), "per_minute is nan", "at most 600"),
-        (lambda: WatchdogDump(setting(), per_minute=1, pause_ms=-1), "pause_ms is -1", "at least 0"),
+        (lambda: WatchdogDump(setting(), period_s=float("nan")), "period_s is nan", "at least 0.1"),
+        (lambda: WatchdogDump(setting(), pause_ms=-1), "pause_ms is -1", "at least 0"),
+        (
+            lambda: WatchdogDump(setting(), pause_ms=5000),
+            "not over before the next dump after 5 s",
+            "longer period_s",
+        ),
     ],
 )
 def test_what_cannot_be_is_refused_with_what_can(make, named, allowed):

@@ -106,7 +106,7 @@ def simulated_press(inner, count=60, *, x_mm=20.0, y_mm=15.0, start_s=60.0, hold
         PluginChoice("frame-loss", {"share": 0.1}),
     ]
     if inner == "measure":
-        effects.append(PluginChoice("watchdog-dump", {"per_minute": 4}))
+        effects.append(PluginChoice("watchdog-dump", {"period_s": 15.0}))
     scene = replace(
         load_scene("none").value, name="test", effects=tuple(effects), current_A=CURRENT_A, sheet_mesh_size_mm=5.0
     )

@@ -72,7 +72,7 @@ RANDOM: dict[str, dict[str, Any]] = {
     "mains-hum": {"amplitude_V": 0.01},
     "load-cell-noise": {"rms_N": 0.01},
     "frame-loss": {"share": 0.5},
-    "watchdog-dump": {"per_minute": 60.0},
+    "watchdog-dump": {"period_s": 1.0},
 }
 NOT_RANDOM = ("time-skew", "source-compliance")  # needed by some of them
 INSTALLED = [name for kind, name, _ in BUILT_IN if kind is Kind.EFFECT]

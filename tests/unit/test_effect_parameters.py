@@ -47,7 +47,7 @@ REQUIRED: dict[str, dict[str, Any]] = {
     "electrode-open": {"electrode": 3},
     "electrode-intermittent": {"electrode": 3, "mean_open_s": 1.0, "mean_closed_s": 1.0},
     "frame-loss": {"share": 0.1},
-    "watchdog-dump": {"per_minute": 1.0},
+    "watchdog-dump": {"period_s": 60.0},
     "electrode-noise": {"electrode": 3, "relative_noise": 0.01},
 }
 #: What may be below zero. All else is a length, time, share, deviation, resistance, limit or count.

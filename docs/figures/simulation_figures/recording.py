@@ -26,18 +26,18 @@ def frame_loss() -> Canvas:
 def watchdog_dump() -> Canvas:
     """How late frames become, and one frame with a dump in it."""
     figure, (left, right) = panels(1.2, 1)
-    often = {"time-skew": {}, "watchdog-dump": {"per_minute": 12.0, "pause_ms": 75.0}}
+    often = {"time-skew": {}, "watchdog-dump": {"period_s": 5.0, "pause_ms": 75.0}}
     made = worlds.world(often)
     times = _frames(48)
     transcript = made.transcript(times)
     late_ms = 1e3 * transcript.pauses_s()
     left.step(times, late_ms[:, -1], where="mid", color=BLUE, label="last row of each frame")
-    left.plot([0, 120], [0, 12 * 2 * 75], **CLOSED, label="12 a minute × 75 ms")
+    left.plot([0, 120], [0, 120 / (5 - 0.075) * 75], **CLOSED, label="75 ms every 5 s")
     left.axhline(0, **WITHOUT)
     say(left, "Each dump delays all that follows", "time [s]", "late [ms]")
     left.set_ylim(-80, 2600)
     key(left, "upper left")
-    dump = next(one for one in transcript.dumps if 4 <= one.row <= 12)
+    dump = next(one for one in transcript.dumps if 2 <= one.row <= 13)
     before = late_ms[dump.frame, 0] / 1e3
     pauses = transcript.pauses_s()[dump.frame] - before
     plain, delayed = (made.frame(0.0, 0, given).time_s for given in (np.zeros(16), pauses))

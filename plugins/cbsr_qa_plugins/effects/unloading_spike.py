@@ -9,9 +9,10 @@ from cbsr_qa.simulate.ramps import Transients
 class UnloadingSpike:
     """A release first raises the change by some share of what it will take away, and that fades.
 
-    Paper 3.1.2. Every ramp that lifts is answered with −(1 + size) e^(−t/τ) beside its quasi-static change: at once
-    the change is `size` of the ramp beyond where it was, and comes back with τ. The paper prints neither: both are to
-    be chosen.
+    Paper 3.1.2. At the moment of a release the material's unloading kernel keeps −Σ w of what is released
+    (`conductance-relaxation`). Every ramp that lifts is also answered with −(1 + size + Σ w) e^(−t/τ): at once the
+    change is `size` of the ramp beyond where it was, and comes back to the material's own curve with τ. The paper
+    prints neither: both are to be chosen.
 
     Parameters
     ----------
@@ -19,12 +20,13 @@ class UnloadingSpike:
     decay_s : τ.
     """
 
-    needs: tuple[str, ...] = ("piezoresistivity",)
+    needs: tuple[str, ...] = ("piezoresistivity", "conductance-relaxation")
     perturbs = "response"
 
     def __init__(self, setting: SceneSetting, *, size: float, decay_s: float) -> None:
         decay_s = number("decay_s", decay_s, above=True)
-        kernel = Relaxation((-1 - number("size", size, most=2.0), 0.0), (decay_s, decay_s), "scene")
+        kept = -sum(setting.material.unloading_relaxation.weights)
+        kernel = Relaxation((kept - 1 - number("size", size, most=2.0), 0.0), (decay_s, decay_s), "scene")
         self._transients = Transients(None, kernel, setting.material.against_strain)
         self.memory_s = self._transients.memory_s
 
