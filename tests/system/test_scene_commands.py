@@ -118,7 +118,7 @@ def test_analyse_finds_the_loads_of_every_shipped_scene(shipped):
         middle_s = (load["hold_start_s"] + load["release_start_s"]) / 2
         assert event["start_s"] < middle_s < event["end_s"]
         assert np.hypot(event["x_mm"] - load["x_mm"], event["y_mm"] - load["y_mm"]) < 2.5, load["label"]
-    # With every effect on, a release that leaves more than usual may be found beside them, and is called a release.
+    # With every effect on, a release may be found beside them; the command warns that it may be one.
     assert len(found) == len(presses) or name == "everything"
 
 
