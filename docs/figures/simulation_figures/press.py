@@ -87,7 +87,7 @@ def unloading_spike() -> Canvas:
         times[after],
         plain[after] + lacks * 12 * np.exp(-(times[after] - 60) / 0.8),
         **CLOSED,
-        label="(1 + size + Σ w) 12 % e^(−t/τ) more",
+        label="closed form",
     )
     say(left, "Lifted at once", "time [s]", "change Δρ/ρ₀ [%]")
     times = np.linspace(58, 72, 281)
