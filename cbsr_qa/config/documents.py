@@ -1,6 +1,7 @@
 """Finding and reading configuration files: by path or by the name of a shipped one."""
 
 import math
+import re
 import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -10,11 +11,15 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from cbsr_qa.config.echo import echo
+from cbsr_qa.config.echo import echo, printable
 from cbsr_qa.domain.errors import ConfigError
 
 #: Larger than any configuration anybody writes by hand; a recording given by mistake is not read into memory.
 LARGEST_FILE_BYTES = 1_000_000
+#: Parts of a dotted key; parsing takes their number squared, and no key here has more than four.
+MOST_KEY_PARTS = 50
+
+_TOO_DEEP = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++\s*+\.\s*+){{{MOST_KEY_PARTS}}}""")
 
 
 class DocumentKind(Enum):
@@ -85,7 +90,7 @@ def open_document(kind: DocumentKind, name_or_path: str | Path, *, near: Path | 
     """
     path = _path_of(name_or_path, near)
     if path is not None:
-        return _parsed(kind, str(path), path, _read(kind, path))
+        return _parsed(kind, printable(str(path)), path, _read(kind, path))
     name = str(name_or_path)
     if name not in shipped_names(kind):
         raise _unknown(kind, name)
@@ -121,6 +126,13 @@ def _is_file(path: Path) -> bool:
         return False
 
 
+def _is_folder(path: Path) -> bool:
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
 def _unknown(kind: DocumentKind, name: str) -> ConfigError:
     known = shipped_names(kind)
     near = get_close_matches(name, known, n=1)
@@ -133,30 +145,38 @@ def _unknown(kind: DocumentKind, name: str) -> ConfigError:
 
 def _read(kind: DocumentKind, path: Path) -> str:
     if not _is_file(path):
-        found = "is a folder" if path.is_dir() else "does not exist"
+        found = "is a folder" if _is_folder(path) else "does not exist"
         raise ConfigError(
             f"{kind.noun} file {echo(str(path), 200)} {found}",
             remedy=f"shipped names that can be given instead: {', '.join(shipped_names(kind)) or 'none'}",
         )
+    label = printable(str(path))
     try:
         if (size := path.stat().st_size) > LARGEST_FILE_BYTES:
-            raise ConfigError(f"{path} has {size} bytes; a {kind.noun} file has at most {LARGEST_FILE_BYTES}")
+            raise ConfigError(f"{label} has {size} bytes; a {kind.noun} file has at most {LARGEST_FILE_BYTES}")
         return path.read_bytes().decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise ConfigError(
-            f"{path} is not a text file: byte {error.start} is not UTF-8",
+            f"{label} is not a text file: byte {error.start} is not UTF-8",
             remedy=f"give the {kind.noun}'s TOML file, saved as UTF-8",
         ) from error
     except OSError as error:
-        raise ConfigError(f"{kind.noun} file {path} cannot be read: {error.strerror}") from error
+        raise ConfigError(f"{kind.noun} file {label} cannot be read: {error.strerror}") from error
 
 
 def _parsed(kind: DocumentKind, label: str, path: Path | None, text: str) -> Document:
+    if deep := _TOO_DEEP.search(text):
+        line = text.count("\n", 0, deep.start()) + 1
+        raise ConfigError(
+            f"{label} line {line}: a key of more than {MOST_KEY_PARTS} parts",
+            remedy="docs/reference/configuration.md lists every key",
+        )
     try:
         data = tomllib.loads(text)
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    except (ValueError, RecursionError) as error:  # no TOML, or a whole number of thousands of digits
+        said = str(error).partition("; use sys.")[0]
         raise ConfigError(
-            f"{label} is not valid TOML: {error}", remedy="see https://toml.io for the syntax"
+            f"{label} is not valid TOML: {said}", remedy="see https://toml.io for the syntax"
         ) from error
     return Document(kind, label, path, text, data)
 

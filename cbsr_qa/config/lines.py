@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Iterator
+from functools import lru_cache
 
 KeyPath = tuple[str | int, ...]
 
@@ -21,21 +22,26 @@ def line_of(text: str, path: KeyPath) -> int | None:
     1-based line, or None where not even the outermost table is in the text (or it was written in a form
     this scan does not follow, such as tables inside inline arrays).
     """
-    found: dict[KeyPath, int] = {}
+    first = _first_lines(text)
+    return next((first[path[:length]] for length in range(len(path), 0, -1) if path[:length] in first), None)
+
+
+@lru_cache(maxsize=1)  # a file with a thousand problems is scanned once
+def _first_lines(text: str) -> dict[KeyPath, int]:
+    """First line of every key, and of every table by what is within it."""
+    first: dict[KeyPath, int] = {}
     for line, place in _places(text):
-        found.setdefault(place, line)
-    for length in range(len(path), 0, -1):
-        inside = [line for place, line in found.items() if place[:length] == path[:length]]
-        if inside:
-            return min(inside)
-    return None
+        for length in range(1, len(place) + 1):
+            first.setdefault(place[:length], line)
+    return first
 
 
 def _places(text: str) -> Iterator[tuple[int, KeyPath]]:
     table: KeyPath = ()
     counts: dict[KeyPath, int] = {}
     inside = ""  # the delimiter of a multi-line string that is open
-    for number, line in enumerate(text.splitlines(), start=1):
+    # Only line feeds end lines in TOML; texts and comments may hold other separators, such as U+2028.
+    for number, line in enumerate(text.split("\n"), start=1):
         opened = bool(inside)
         inside = _open_string(line, inside)
         if opened:

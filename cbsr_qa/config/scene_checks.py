@@ -5,6 +5,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from cbsr_qa.config.echo import plainly
 from cbsr_qa.config.loader import Loaded
 from cbsr_qa.config.tables import Problem, refusal
 from cbsr_qa.domain.kinematics import distance_mm, travel_s
@@ -32,7 +33,7 @@ def check_plan(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
     plan = loaded.value
     finest_mm = _FINEST * sensor_type.radius_mm
     if sensor_type.mesh is None and plan.scene.sheet_mesh_size_mm < finest_mm:
-        what = f"is {plan.scene.sheet_mesh_size_mm:g}; on this sheet it must be at least {finest_mm:g}"
+        what = f"is {plainly(plan.scene.sheet_mesh_size_mm)}; on this sheet it must be at least {finest_mm:g}"
         raise refusal(loaded.document, [Problem(("scene", "sheet_mesh_size_mm"), what)])
     timed = [
         (index, load, press_times(load, load.strain * sensor_type.thickness_mm, plan.motion))
@@ -70,7 +71,7 @@ def _clearance_mm(sensor_type: SensorType, load: SceneLoad) -> float:
 def _off_the_sheet(plan: ScenePlan, sensor_type: SensorType) -> Iterator[Problem]:
     for index, load in enumerate(plan.loads):
         if _clearance_mm(sensor_type, load) < 0:
-            what = f"is {load.x_mm:g} with y_mm = {load.y_mm:g}, off the sheet"
+            what = f"is {plainly(load.x_mm)} with y_mm = {plainly(load.y_mm)}, off the sheet"
             yield Problem(("loads", index, "x_mm"), f"{what}; the sheet {sensor_type.outline.words()}")
 
 
@@ -84,7 +85,7 @@ def _too_soon(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
         way_s = travel_s(plan.motion, distance_mm(place, load.place_mm)) + approach_s(plan.motion)
         if load.start_s < free_s + way_s - _ROUNDING_S:
             why = _why_too_soon(load, before, free_s, way_s)
-            yield Problem(("loads", index, "start_s"), f"is {load.start_s:g}; {why}")
+            yield Problem(("loads", index, "start_s"), f"is {plainly(load.start_s)}; {why}")
         if before is None or times.up_s > before[2].up_s:
             busy[load.head] = one
 
@@ -102,7 +103,7 @@ def _too_late(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
         return
     for index, load, times in timed:
         if times.up_s > plan.duration_s + _ROUNDING_S:
-            what = f"is {load.hold_s:g}; after it the head is up at {times.up_s:.2f} s"
+            what = f"is {plainly(load.hold_s)}; after it the head is up at {times.up_s:.2f} s"
             allowed = f"recording.duration_s is {plan.duration_s:g}, it must be at least {_up(times.up_s)}"
             yield Problem(("loads", index, "hold_s"), f"{what}, when the recording is over: {allowed}")
 

@@ -3,18 +3,35 @@
 from collections.abc import Iterator
 from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
+from cbsr_qa.config.echo import plainly
 from cbsr_qa.config.station_file import IndenterTable
 from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table
 from cbsr_qa.domain.kinematics import CLEARANCE_MM
 from cbsr_qa.domain.plan import Motion, PluginChoice, Scene
 from cbsr_qa.domain.scene_plan import MOST_FRAMES, SceneLoad, ScenePlan
 
+
+def _printable(text: str) -> str:
+    if text.isprintable():
+        return text
+    raise ValueError("it must be text that can be printed, in one line")
+
+
 Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
+Line = Annotated[str, AfterValidator(_printable)]
+#: From a picoampere to ten amperes: readings and their squares stay numbers.
+Current = Annotated[float, Field(ge=1e-9, le=1e4)]
+#: From a microsecond; force is sampled 8 times a second, so that a frame and a recording have a number of samples
+#: that a computer holds.
+Period = Annotated[float, Field(ge=1e-6, le=600)]
+Duration = Annotated[float, Field(gt=0, le=1e6)]
 #: Wider than any sheet, slower and faster than any head, longer than any recording: sums of times stay numbers.
 Length = Annotated[float, Field(ge=-1e6, le=1e6)]
+#: A head that covers some of the sheet's elements, and whose force is one.
+Diameter = Annotated[float, Field(ge=0.1, le=1000)]
 Speed = Annotated[float, Field(ge=0.01, le=1e6)]
 Moment = Annotated[float, Field(ge=0, le=1e9)]
 NameOrPath = Annotated[str, Field(min_length=1, max_length=255)]
@@ -28,11 +45,11 @@ STATION_TABLES = ("scene", "effects")
 class SceneTable(Table):
     """``[scene]``."""
 
-    name: Name
-    current_mA: Positive
-    frame_period_s: Positive
+    name: Annotated[Name, AfterValidator(_printable)]
+    current_mA: Current
+    frame_period_s: Period
     sheet_mesh_size_mm: Positive
-    not_modelled: list[str] = Field(default_factory=list)
+    not_modelled: list[Line] = Field(default_factory=list)
 
 
 class SensorTable(Table):
@@ -45,6 +62,7 @@ class SensorTable(Table):
 class HeadTable(IndenterTable):
     """``[head]``: outline and motion of every head that presses; the rig's by default."""
 
+    diameter_mm: Diameter | None = None
     press_speed_mm_per_min: Speed = 40.0
     travel_speed_mm_per_min: Speed = 600.0
     hover_mm: Annotated[float, Field(ge=CLEARANCE_MM, le=1e4)] = 25.0
@@ -62,7 +80,7 @@ class RecordingTable(Table):
     """``[recording]``: what ``cbsr-qa scene run`` records."""
 
     seed: Annotated[int, Field(ge=0, le=MOST_SEED)]
-    duration_s: Positive
+    duration_s: Duration
 
 
 class LoadTable(Table):
@@ -106,10 +124,11 @@ class SceneFile(FileModel[ScenePlan]):
         if self.recording is None:
             return
         period_s, duration_s = self.scene.frame_period_s, self.recording.duration_s
+        said = plainly(duration_s)
         if duration_s < period_s * (1 - 1e-9):
-            yield Problem(("recording", "duration_s"), f"is {duration_s:g}; one frame takes {period_s:g} s")
+            yield Problem(("recording", "duration_s"), f"is {said}; one frame takes {plainly(period_s)} s")
         if duration_s / period_s > MOST_FRAMES * (1 + 1e-9):
-            what = f"is {duration_s:g}, {duration_s / period_s:.0f} frames of {period_s:g} s"
+            what = f"is {said}, {duration_s / period_s:.10g} frames of {plainly(period_s)} s"
             longest = f"at most {MOST_FRAMES} frames are recorded, {MOST_FRAMES * period_s:g} s"
             yield Problem(("recording", "duration_s"), f"{what}; {longest}")
 

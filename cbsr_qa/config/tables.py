@@ -12,11 +12,15 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from cbsr_qa.config.documents import Document, not_finite
-from cbsr_qa.config.echo import echo
+from cbsr_qa.config.echo import echo, printable
 from cbsr_qa.config.lines import KeyPath, line_of
 from cbsr_qa.domain.errors import ConfigError, RefusedError
 
 T = TypeVar("T")
+
+#: Problems of a file that are listed, and characters of a key that are shown.
+MOST_LISTED = 50
+_LONGEST_KEY = 60
 
 #: What pydantic calls things → what TOML calls them.
 _IN_TOML = {
@@ -127,9 +131,10 @@ def _copied(data: Any) -> Any:
 
 
 def refusal(document: Document, problems: list[Problem]) -> ConfigError:
-    """Return the error that lists all that is wrong with a file, each with its line."""
-    lines = [f"{document.label} has {len(problems)} problem{'s' if len(problems) > 1 else ''}:"]
-    for problem in problems:
+    """Return the error that lists what is wrong with a file, each with its line; of very many the first ones."""
+    some = "" if len(problems) <= MOST_LISTED else f", of which these are the first {MOST_LISTED}"
+    lines = [f"{document.label} has {len(problems)} problem{'s' if len(problems) > 1 else ''}{some}:"]
+    for problem in problems[:MOST_LISTED]:
         line = line_of(document.text, problem.path)
         where = f"line {line}: " if line else ""
         lines.append(f"  {where}{dotted(problem.path)} {problem.what}")
@@ -143,7 +148,11 @@ def dotted(path: KeyPath) -> str:
     """Write a key path as a reader would: ``phases[2].options`` (positions count from 1, like the reader)."""
     text = ""
     for part in path:
-        text += f"[{part + 1}]" if isinstance(part, int) else f".{part}" if text else part
+        if isinstance(part, int):
+            text += f"[{part + 1}]"
+        else:
+            key = echo(part, _LONGEST_KEY) if len(part) > _LONGEST_KEY else printable(part)
+            text += f".{key}" if text else key
     return text
 
 
