@@ -1,5 +1,6 @@
 """What the effects of a scene cost, measured on frames of its own recording."""
 
+import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
@@ -21,7 +22,10 @@ from cbsr_qa.simulate.world import SimulatedWorld
 #: Stages that change how much is solved: their effects cost more than the time within them.
 SOLVED_STAGES: Final = ("sheet", "times", "response", "contacts")
 _FRAMES: Final = 5  # of which the median is taken
-_REPEATS: Final = 2
+_REPEATS: Final = 4
+#: Time of this process alone, so that what else the computer does is no effect's cost; on Windows that is counted in
+#: steps of 15.6 ms, which is longer than a frame takes.
+_clock_s: Final = time.perf_counter if sys.platform == "win32" else time.process_time
 _STAND_IN: Final = SceneLoad(0.0, 0.0, 0.2, 0.0, 30.0)  # for scenes that are made for a station
 
 
@@ -31,12 +35,16 @@ class Costs:
 
     Parameters
     ----------
-    effect_ms : of each effect that is on, a frame.
+    effect_ms : of each effect that is on, a frame, with its share of what happens once a scene.
+    each_ms : the same without that share.
+    once_ms : what happens once a scene, in all: as the sheet is made, as heads move, before frames are written.
     frame_ms : of a whole frame during a load, with its force samples.
     compute_s : estimated, of all the recording.
     """
 
     effect_ms: dict[str, float]
+    each_ms: dict[str, float]
+    once_ms: dict[str, float]
     frame_ms: float
     compute_s: float
 
@@ -68,9 +76,9 @@ class Watched:
 
     def _timed(self, name: str, method: Callable[[Any], None]) -> Callable[[Any], None]:
         def timed(changed: Any) -> None:
-            start_s = time.perf_counter()
+            start_s = _clock_s()
             method(changed)
-            self.spent_s[name] += time.perf_counter() - start_s
+            self.spent_s[name] += _clock_s() - start_s
 
         return timed
 
@@ -102,12 +110,15 @@ def measured_costs(
     watched = Watched(effect_factory)
     with naming(setup.label):
         bench = _Bench(setup, plan, watched, effect_factory)
-        own_ms = bench.own_ms()
+        each_ms, once_ms = bench.within_ms(), bench.once_ms()
+        shared_ms = {name: each_ms[name] + once_ms[name] / max(plan.frame_count, 1) for name in each_ms}
         names = [name for name, effect in watched.effects.items() if effect.perturbs in SOLVED_STAGES]
         for count, name in enumerate(names, start=1):
-            own_ms[name] = max(own_ms[name], bench.difference_ms(name))
+            difference_ms = bench.difference_ms(name)
+            each_ms[name] = max(each_ms[name], difference_ms)
+            shared_ms[name] = max(shared_ms[name], difference_ms)
             progress(count, len(names))
-        return Costs(own_ms, bench.frame_ms(), bench.compute_s())
+        return Costs(shared_ms, each_ms, once_ms, bench.frame_ms(), bench.compute_s())
 
 
 def recorded_plan(setup: SceneSetup) -> ScenePlan:
@@ -129,13 +140,13 @@ class _Bench:
         self._setup, self._plan, self._watched = setup, plan, watched
         self._factory = effect_factory
         self._once: list[dict[str, float]] = []
-        begun_s = time.perf_counter()
+        begun_s = _clock_s()
         self._seen = self._world(plan, watched)
         self._once.append(dict(watched.spent_s))  # while the sheet was made
         self._once.append(watched.within(lambda: self._seen.transcript(planned_middles_s(plan))))
         end_s = plan.frame_count * plan.scene.frame_period_s
         self._once.append(watched.within(lambda: press_loads(self._seen, plan, end_s)))
-        self._setup_s = time.perf_counter() - begun_s
+        self._setup_s = _clock_s() - begun_s
         self._plain = self._world(plan, effect_factory, like=self._seen)
         self._loaded = _loaded_frames(plan, setup.sensor_type.value.thickness_mm)
 
@@ -148,26 +159,24 @@ class _Bench:
             world.presses = like.presses
         return world
 
-    def own_ms(self) -> dict[str, float]:
+    def within_ms(self) -> dict[str, float]:
         """Time within each effect a frame."""
         frames = [self._watched.within(partial(self._taken, self._seen, index)) for index in self._loaded]
-        return {
-            name: 1e3 * median(each[name] for each in frames)
-            + 1e3 * sum(once.get(name, 0.0) for once in self._once) / max(self._plan.frame_count, 1)
-            for name in self._watched.effects
-        }
+        return {name: 1e3 * median(each[name] for each in frames) for name in self._watched.effects}
+
+    def once_ms(self) -> dict[str, float]:
+        """Time within each effect outside of frames, in all."""
+        return {name: 1e3 * sum(once.get(name, 0.0) for once in self._once) for name in self._watched.effects}
 
     def difference_ms(self, name: str) -> float:
-        """How much longer frames take with an effect than without it and those that need it."""
+        """How much longer frames take with an effect than without it and those that need it; 0 where unclear."""
         effects = self._watched.effects
         without = _with_dependents(name, effects)
         kept = tuple(choice for choice in self._plan.scene.effects if choice.name not in without)
         plan = replace(self._plan, scene=replace(self._plan.scene, effects=kept))
         same_sheet = not any(effects[each].perturbs == "sheet" for each in without)
         other = self._world(plan, self._factory, self._plain, same_sheet=same_sheet)
-        return 1e3 * median(
-            _time_s(self._plain, self._times(i)) - _time_s(other, self._times(i)) for i in self._loaded
-        )
+        return 1e3 * _clear([_longer_s(self._plain, other, self._times(index)) for index in self._loaded])
 
     def frame_ms(self) -> float:
         """A whole frame during a load, and its force samples."""
@@ -184,9 +193,9 @@ class _Bench:
 
     def _whole_s(self, index: int) -> float:
         self._plain.frame(*self._times(index))  # what is kept between frames of one place is there
-        start_s = time.perf_counter()
+        start_s = _clock_s()
         self._taken(self._plain, index)
-        return time.perf_counter() - start_s
+        return _clock_s() - start_s
 
     def _taken(self, world: SimulatedWorld, index: int) -> None:
         """Take a frame, and the force samples of its time."""
@@ -197,15 +206,28 @@ class _Bench:
             world.force_N(number / SAMPLE_RATE_HZ, number)
 
 
-def _time_s(world: SimulatedWorld, at: tuple[float, int]) -> float:
-    """Shortest of a few tries, after one that is not counted."""
-    world.frame(*at)
-    tries = []
-    for _ in range(_REPEATS):
-        start_s = time.perf_counter()
-        world.frame(*at)
-        tries.append(time.perf_counter() - start_s)
-    return min(tries)
+def _clear(differences_s: list[float]) -> float:
+    """The middle one of differences between frames, or none where they are noise.
+
+    No frame is shorter for something that is done more: what is below zero shows how large the noise is.
+    """
+    middle_s, noise_s = median(differences_s), -min(differences_s)
+    return middle_s if middle_s > 2 * noise_s else 0.0
+
+
+def _longer_s(world: SimulatedWorld, other: SimulatedWorld, at: tuple[float, int]) -> float:
+    """How much longer a frame takes in one world than in another.
+
+    Tries alternate, so that a computer that becomes slower does so for both; the shortest of each count, after one
+    that does not.
+    """
+    tries_s: dict[bool, list[float]] = {True: [], False: []}
+    for _ in range(1 + _REPEATS):
+        for ours in (True, False):
+            start_s = _clock_s()
+            (world if ours else other).frame(*at)
+            tries_s[ours].append(_clock_s() - start_s)
+    return min(tries_s[True][1:]) - min(tries_s[False][1:])
 
 
 def _with_dependents(name: str, effects: dict[str, AnyEffect]) -> set[str]:

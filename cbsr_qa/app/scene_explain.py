@@ -21,9 +21,10 @@ class ExplainedEffect:
 
     Parameters
     ----------
-    cost_ms : a frame; 0 of one that is off, None where it was not measured.
+    cost_ms : a frame, with its share of what happens once a scene; 0 of one that is off, None where not measured.
     parameters : as the scene gives them.
     does : first line of what its author says of it.
+    each_ms, once_ms : what a frame costs without that share, and what happens once a scene, in all.
     """
 
     name: str
@@ -33,6 +34,8 @@ class ExplainedEffect:
     cost_ms: float | None
     parameters: Mapping[str, Any]
     does: str
+    each_ms: float | None = None
+    once_ms: float | None = None
 
     def document(self) -> dict[str, Any]:
         """Return its part of what ``--json`` prints."""
@@ -152,6 +155,8 @@ def _on(setup: SceneSetup, watched: Watched, costs: Costs | None) -> list[Explai
             None if costs is None else costs.effect_ms[choice.name],
             choice.options,
             _does(type(watched.effects[choice.name])),
+            None if costs is None else costs.each_ms[choice.name],
+            None if costs is None else costs.once_ms[choice.name],
         )
         for choice in setup.plan.scene.effects
     ]

@@ -7,9 +7,9 @@ import typer
 
 from cbsr_qa.cli.counting import Counting
 from cbsr_qa.cli.output import emit_json, note, say
+from cbsr_qa.cli.scene_table import counted, lines
 
 if TYPE_CHECKING:
-    from cbsr_qa.app.scene_explain import Explained, ExplainedEffect
     from cbsr_qa.app.scene_run import SceneRun
 
 app = typer.Typer(help="What a simulated world contains, and a recording of it.", no_args_is_help=True)
@@ -62,12 +62,12 @@ def run(
 
 def _show_run(done: "SceneRun") -> None:
     document = done.document()
-    simulated = f"{document['sensor_type']} of {document['material']}, {_counted(len(document['effects']), 'effect')}"
+    simulated = f"{document['sensor_type']} of {document['material']}, {counted(len(document['effects']), 'effect')}"
     say(f"scene {document['scene']}, seed {done.seed}: {simulated}")
-    frames = f"{_counted(document['frames'], 'frame')} in {document['duration_s']:g} s"
-    dumps = f", {_counted(document['dumps'], 'watchdog dump')}" if document["dumps"] else ""
+    frames = f"{counted(document['frames'], 'frame')} in {document['duration_s']:g} s"
+    dumps = f", {counted(document['dumps'], 'watchdog dump')}" if document["dumps"] else ""
     lost = f", {document['frames_lost']} of them cut" if document["frames_lost"] else ""
-    say(f"{frames}{lost}{dumps}; {_counted(len(document['loads']), 'load')}")
+    say(f"{frames}{lost}{dumps}; {counted(len(document['loads']), 'load')}")
     for file in done.files:
         say(f"{file.format}: {file.path}")
         for what in file.notes:
@@ -95,44 +95,5 @@ def explain(
     if as_json:
         emit_json(explained.document())
     else:
-        _show_explained(explained)
-
-
-def _show_explained(explained: "Explained") -> None:
-    on = [effect for effect in explained.effects if effect.on]
-    off = [effect for effect in explained.effects if not effect.on]
-    say(f"scene {explained.scene}: {len(on)} of {_counted(len(on) + len(off), 'effect')} on")
-    say(f"measured with {explained.measured_with}" if explained.frame_ms is not None else "costs not measured")
-    for effect in on:
-        _show_effect(effect)
-    if explained.frame_ms is not None:
-        say(f"a frame takes {explained.frame_ms:.3g} ms{_estimate(explained)}")
-    if off:
-        say("off:")
-    for effect in off:
-        _show_effect(effect)
-    say("not modelled:")
-    for what in explained.not_modelled:
-        say(f"  {what}")
-
-
-def _show_effect(effect: "ExplainedEffect") -> None:
-    cost = "" if not effect.on or effect.cost_ms is None else f"  {effect.cost_ms:.3g} ms a frame"
-    given = "".join(f"  {key} = {_plainly(value)}" for key, value in effect.parameters.items())
-    needs = f", needs {', '.join(effect.needs)}" if effect.needs else ""
-    say(f"  {effect.name}{cost}{given}")
-    say(f"      perturbs {effect.perturbs}{needs}: {effect.does}")
-
-
-def _plainly(value: object) -> str:
-    return f"{value:g}" if isinstance(value, float) else str(value)
-
-
-def _estimate(explained: "Explained") -> str:
-    if not explained.frames or explained.compute_s is None:
-        return ""
-    return f"; {explained.frames} frames of the recording take about {explained.compute_s:.3g} s to simulate"
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'' if count == 1 else 's'}"
+        for line in lines(explained):
+            say(line)

@@ -1,12 +1,13 @@
 """What effects are said to cost is what they cost."""
 
+import sys
 import time
 
 import pytest
 from scene_samples import HEAD, PIEZORESISTIVE, load_table, written
 from simulated_setting import installed, scene, world
 
-from cbsr_qa.app.scene_costs import Watched, measured_costs, recorded_plan
+from cbsr_qa.app.scene_costs import Watched, _clear, measured_costs, recorded_plan
 from cbsr_qa.app.scene_setting import set_up
 from cbsr_qa.domain.errors import ConfigError
 
@@ -18,7 +19,9 @@ def _slow(perturbs, *, needs=(), method="apply"):
     """An effect that takes its time."""
 
     def act(self, changed):
-        time.sleep(SLOW_S)
+        begun_s = time.process_time()  # sleeping costs nothing
+        while time.process_time() < begun_s + SLOW_S:
+            pass
 
     needed = tuple(needs)
     return type(
@@ -55,6 +58,41 @@ def test_what_happens_once_a_scene_is_shared_out_over_its_frames(tmp_path):
     for name in made:
         assert costs.effect_ms[name] >= 1e3 * SLOW_S / 40
     assert costs.effect_ms["write"] < 1e3 * SLOW_S / 2
+
+
+def test_what_happens_once_is_kept_apart_from_what_every_frame_costs(tmp_path):
+    made = {"plan": _slow("sheet", method="design"), "each": _slow("voltages")}
+    _, costs = _costs(tmp_path, HEAD + _effects("plan", "each"), **made)
+    assert costs.once_ms["plan"] >= 1e3 * SLOW_S
+    assert costs.each_ms["each"] >= 1e3 * SLOW_S
+    assert costs.once_ms["each"] == 0
+    for name in made:
+        assert costs.effect_ms[name] >= costs.each_ms[name]
+
+
+def test_differences_that_are_noise_are_no_cost():
+    """What is done more makes no frame shorter: differences below zero tell how large noise is."""
+    assert _clear([0.1, 0.2, 0.9, 0.4, 0.8]) == 0.4
+    assert _clear([-0.001, 0.15, 0.94, 0.17, 1.08]) == 0.17  # frames differ, and each is longer
+    assert _clear([0.47, -0.42, 0.24, 0.45, 0.45]) == 0
+    assert _clear([-0.1, -0.2, -0.3]) == 0
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="time of the processor is counted in steps of 15.6 ms")
+def test_what_else_the_computer_does_is_no_effects_cost(tmp_path):
+    """Time in which the process has no processor, as here while it sleeps, is not counted."""
+    waiting = type(
+        "Waiting",
+        (),
+        {
+            "__init__": lambda self, setting: None,
+            "needs": (),
+            "perturbs": "voltages",
+            "apply": lambda self, changed: time.sleep(0.02),
+        },
+    )
+    _, costs = _costs(tmp_path, HEAD + _effects("waiting"), waiting=waiting)
+    assert costs.effect_ms["waiting"] < 10
 
 
 def test_an_effect_that_is_needed_costs_what_needs_it_too(tmp_path):
