@@ -1,5 +1,6 @@
 """Many loads of varying strength, against factorising afresh; and heads made of nested outlines."""
 
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.footprints import RoundFootprint
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
 from cbsr_qa.forward.coverage import cover
-from cbsr_qa.forward.load_family import LoadFamily, Series
+from cbsr_qa.forward.load_family import WEAK, LoadFamily, Series
 from cbsr_qa.forward.loaded_sheet import LoadedSheet
 from cbsr_qa.forward.model import ForwardModel
 from cbsr_qa.forward.nested_cover import nested_cover
@@ -39,6 +40,12 @@ def family(model: ForwardModel, x_mm: float, y_mm: float, radius_mm: float = 6.5
 @pytest.fixture(scope="module")
 def nine(model) -> list[LoadFamily]:
     return [family(model, x, y) for x, y in NINE_LOCATIONS_MM]
+
+
+@lru_cache
+def loaded_four(model: ForwardModel) -> list[LoadFamily]:
+    """Four loads of which each shares elements with the next."""
+    return [family(model, x, y) for x, y in ((10.0, 5.0), (12.0, 5.0), (14.0, 9.0), (9.0, 4.0))]
 
 
 def afresh(model: ForwardModel, loads: dict[LoadFamily, float], contacts: np.ndarray | None = None) -> np.ndarray:
@@ -85,6 +92,16 @@ def test_loads_that_share_elements_or_only_nodes(model, loaded):
     beside = [family(model, 0, 0), family(model, 3, 1), family(model, 19, 0), family(model, 0, 21)]
     assert np.intersect1d(beside[0].elements, beside[1].elements).size
     loads = dict(zip(beside, (0.2, 0.1, -0.1, 0.3), strict=True))
+    (found,) = loaded.transfer_impedances([loads])
+    assert error(model, found, afresh(model, loads)) < TOGETHER
+
+
+@given(strengths=st.lists(st.floats(-1, 1), min_size=4, max_size=4))
+@settings(max_examples=15, deadline=None)
+def test_residues_that_overlap_are_right_to_what_is_not_solved_for(model, loaded, strengths):
+    """To second order: what is left out is less than what a change of 1e-7 does, whatever their signs."""
+    shares = np.array(strengths) * WEAK / max(1.0, np.abs(strengths).sum())
+    loads = dict(zip(loaded_four(model), shares.tolist(), strict=True))
     (found,) = loaded.transfer_impedances([loads])
     assert error(model, found, afresh(model, loads)) < TOGETHER
 
