@@ -219,6 +219,7 @@ class Moment:
     current_A : (drives, measures) what flows while each reading is taken; None before the source is on.
     drive_ohm : (drives, measures) resistance that its driven pair shows to the source then; None before the sheet
         was solved.
+    measure_ohm : (drives, measures) resistance between the electrodes of its measured pair then; None before that.
     flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.frames.ReadingFlag`; None away from a frame.
     """
 
@@ -241,4 +242,5 @@ class Moment:
     impedance_ohm: Array | None = None
     current_A: Array | None = None
     drive_ohm: Array | None = None
+    measure_ohm: Array | None = None
     flags: NDArray[np.uint8] | None = None

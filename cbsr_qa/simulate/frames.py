@@ -1,5 +1,6 @@
 """One frame of the simulated world: from what presses to readings, each taken at its own time."""
 
+from bisect import bisect
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -53,6 +54,7 @@ class FrameMaker:
         self._sheet = sheet
         self._chain = chain
         self._pattern = sheet.sensor_type.pattern
+        self._driven, self._measured = self._pattern.drive_currents(), self._pattern.measure_matrix()
 
     def frame(
         self, moment_at: Callable[[float], Moment], time_s: float, pauses_s: Array | None = None
@@ -70,7 +72,9 @@ class FrameMaker:
         if pauses_s is not None and moment.reading_offsets_s is not None:
             moment.reading_offsets_s = moment.reading_offsets_s + pauses_s[:, None]
         offsets = moment.reading_offsets_s
-        moment.impedance_ohm, per_ampere, moment.drive_ohm = self._solved(moment_at, moment)
+        moment.impedance_ohm, per_ampere, drive_ohm, measure_ohm = self._solved(moment_at, moment)
+        # A dead short is nothing but rounding, of either sign; so is a parabola at the end of one.
+        moment.drive_ohm, moment.measure_ohm = np.maximum(drive_ohm, 0.0), np.maximum(measure_ohm, 0.0)
         moment.current_A = np.full(self._pattern.shape, moment.setting.current_A)
         moment.flags = np.zeros(self._pattern.shape, dtype=np.uint8)
         self._chain.apply("source", moment)
@@ -78,14 +82,15 @@ class FrameMaker:
         self._chain.apply("voltages", moment)
         return SimulatedFrame(moment.voltages, moment.flags, None if offsets is None else time_s + offsets)
 
-    def _solved(self, moment_at: Callable[[float], Moment], moment: Moment) -> tuple[Array, Array, Array]:
-        """Transfer impedance in the middle; readings per ampere and the ohms their source sees, at their times."""
+    def _solved(self, moment_at: Callable[[float], Moment], moment: Moment) -> tuple[Array, Array, Array, Array]:
+        """Transfer impedance in the middle; readings per ampere and the ohms of their two pairs, at their times."""
         offsets = moment.reading_offsets_s
         contact_mm = self._contacts(moment)
         if offsets is None or not self._changes(moment):
             (middle,) = self._impedances([moment], contact_mm)
-            seen = np.broadcast_to(self._drive_ohm(middle)[:, None], self._pattern.shape)
-            return middle, self._sheet.readings(middle), seen
+            drive_ohm = np.broadcast_to(_between(self._driven, middle)[:, None], self._pattern.shape)
+            measure_ohm = np.broadcast_to(_between(self._measured, middle), self._pattern.shape)
+            return middle, self._sheet.readings(middle), drive_ohm, measure_ohm
         first_s, last_s = float(moment.time_s + offsets.min()), float(moment.time_s + offsets.max())
         knots = _knots(moment.presses, self._chain.switches(moment, first_s, last_s), first_s, last_s)
         at = np.concatenate([knots, (knots[1:] + knots[:-1]) / 2])
@@ -96,15 +101,16 @@ class FrameMaker:
         if among:
             solved.insert(own, middle)
         readings = np.array([self._sheet.readings(impedance) for impedance in solved])
-        drive_ohm = np.array([self._drive_ohm(impedance) for impedance in solved])
+        drive_ohm, measure_ohm = (
+            np.array([_between(pairs, impedance) for impedance in solved]) for pairs in (self._driven, self._measured)
+        )
         weights = _weights(knots, moment.time_s + offsets)
-        return middle, np.einsum("kdm,kdm->dm", weights, readings), np.einsum("kdm,kd->dm", weights, drive_ohm)
-
-    def _drive_ohm(self, impedance_ohm: Array) -> Array:
-        """Resistance that each driven pair shows to the source, (drives,)."""
-        driven = self._pattern.drive_currents()
-        ohm: Array = np.einsum("ed,ef,fd->d", driven, impedance_ohm, driven)
-        return ohm
+        return (
+            middle,
+            np.einsum("kdm,kdm->dm", weights, readings),
+            np.einsum("kdm,kd->dm", weights, drive_ohm),
+            np.einsum("kdm,km->dm", weights, measure_ohm),
+        )
 
     def _contacts(self, moment: Moment) -> Array | None:
         """Contacts in the frame's middle, after the effects on them; None where there are none."""
@@ -130,6 +136,12 @@ class FrameMaker:
         return bool(moment.presses) or self._chain.has("contacts") or self._chain.has("impedance")
 
 
+def _between(pairs: Array, impedance_ohm: Array) -> Array:
+    """Resistance that each of some pairs (electrodes, pairs) shows: (pairs,)."""
+    ohm: Array = np.einsum("ep,ep->p", pairs, impedance_ohm @ pairs)
+    return ohm
+
+
 def _by_place(moment: Moment) -> dict[Place, float]:
     """Sum the changes of presses at one place; what has faded away is left out."""
     total: dict[Place, float] = {}
@@ -141,12 +153,14 @@ def _by_place(moment: Moment) -> dict[Place, float]:
 
 def _knots(presses: Sequence[SimulatedPress], switches: Sequence[float], first_s: float, last_s: float) -> Array:
     """Times between which nothing has a corner: the ends of a frame, of ramps and steps within it, (k,) rising."""
-    ends = [end for press in presses for step in press.steps for end in (step.start_s, step.start_s + step.ramp_s)]
     # A step is a piece of its own, too short for a reading: those before it do not see what comes after.
-    ends += [end for at_s in switches for end in (at_s - 2 * _SHORTEST_S, at_s)]
-    inside = sorted(end for end in ends if first_s + _SHORTEST_S < end < last_s - _SHORTEST_S)
-    apart = [end for end, before in zip(inside, [first_s, *inside], strict=False) if end - before > _SHORTEST_S]
-    return np.array([first_s, *apart, last_s])
+    steps = {end for at_s in switches for end in (at_s - 2 * _SHORTEST_S, at_s) if first_s < end < last_s}
+    knots = sorted({first_s, last_s} | steps)
+    for end in [end for p in presses for step in p.steps for end in (step.start_s, step.start_s + step.ramp_s)]:
+        place = bisect(knots, end)
+        if 0 < place < len(knots) and min(end - knots[place - 1], knots[place] - end) > _SHORTEST_S:
+            knots.insert(place, end)
+    return np.array(knots if len(knots) > 1 else [first_s, last_s])
 
 
 def _weights(knots: Array, times_s: Array) -> Array:

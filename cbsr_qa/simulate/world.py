@@ -92,7 +92,7 @@ class SimulatedWorld:
         self.presses: list[SimulatedPress] = []
         self._moving = _Moving()
         self._memory_s = self.chain.memory_s
-        self._frame_reach_s = 2 * scene.frame_period_s  # a board's pauses included
+        self._frame_reach_s = 2 * scene.frame_period_s  # beside a board's pauses
 
     def _made(self, scene: Scene, contact_length_mm: float) -> SimulatedSheet:
         design = SheetDesign.plain(self.setting.sensor_type, self.setting.indenter, contact_length_mm)
@@ -117,7 +117,8 @@ class SimulatedWorld:
         RefusedError
             If a press lies outside the sheet, or a change leaves an element without conductance.
         """
-        felt = [press for press in self.presses if self._is_felt(press, time_s)]
+        reach_s = self._frame_reach_s + (float(np.abs(pauses_s).max()) if pauses_s is not None else 0.0)
+        felt = [press for press in self.presses if self._is_felt(press, time_s, reach_s)]
         return self._frames.frame(lambda at_s: self._moment(at_s, index, felt), time_s, pauses_s)
 
     def transcript(self, time_s: Array) -> Transcript:
@@ -169,11 +170,11 @@ class SimulatedWorld:
             for press, change, stress in zip(self.presses, moment.response, moment.stress_kPa, strict=True)
         )
 
-    def _is_felt(self, press: SimulatedPress, time_s: float) -> bool:
-        """Whether a frame about a time can feel a press: it has begun by then, and is not forgotten."""
-        if not press.steps or press.steps[0].start_s > time_s + self._frame_reach_s:
+    def _is_felt(self, press: SimulatedPress, time_s: float, reach_s: float) -> bool:
+        """Whether a frame that reaches so far about a time can feel a press: it has begun, and is not forgotten."""
+        if not press.steps or press.steps[0].start_s > time_s + reach_s:
             return False
-        lifted = time_s - self._frame_reach_s - press.end_s
+        lifted = time_s - reach_s - press.end_s
         return lifted <= self._memory_s or press.strain_at(press.end_s) > _TOUCHING
 
     def _moment(self, time_s: float, index: int, presses: list[SimulatedPress]) -> Moment:

@@ -12,8 +12,12 @@ from scipy.signal import lfilter
 
 from cbsr_qa.domain.errors import ConfigError, RefusedError
 from cbsr_qa.domain.frames import ReadingFlag
+from cbsr_qa.domain.plan import PluginChoice, Scene
 from cbsr_qa.domain.scene import SheetDesign
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.plugins import discover
 from cbsr_qa.simulate.sheet import SimulatedSheet
+from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa_plugins.effects.contact_drift import ContactDrift
 from cbsr_qa_plugins.effects.converter_saturation import ConverterSaturation
 from cbsr_qa_plugins.effects.electrode_short import ElectrodeShort
@@ -159,14 +163,13 @@ def test_an_offset_is_on_every_reading():
 
 def test_thermal_noise_is_nyquists(sheet):
     effect, drawn = JohnsonNoise(OF, nplc=0.01, temperature_C=23.0), []
-    impedance = sheet.impedance({})
+    impedance, pairs = sheet.impedance({}), OF.sensor_type.pattern.measure_matrix()
+    ohm = np.diag(pairs.T @ impedance @ pairs)
     for index in range(300):
         at = read(np.zeros((16, 16)), index=index)
-        at.impedance_ohm = impedance
+        at.measure_ohm = np.tile(ohm, (16, 1))
         effect.apply(at)
         drawn.append(at.voltages)
-    pairs = OF.sensor_type.pattern.measure_matrix()
-    ohm = np.diag(pairs.T @ impedance @ pairs)
     expected = np.sqrt(4 * Boltzmann * 296.15 * ohm / (2 * 0.01 / 50))
     assert np.std(drawn, axis=(0, 1)) == pytest.approx(expected, rel=5 / np.sqrt(2 * 4800))
     assert ohm.mean() == pytest.approx(1e4)
@@ -213,6 +216,35 @@ def test_a_short_is_a_conductor_beside_the_sheet(sheet, ohm):
         assert at.impedance_ohm @ current == pytest.approx(solved, abs=1e-8)
         if not ohm:
             assert between @ at.impedance_ohm @ current == pytest.approx(0, abs=1e-8)
+
+
+@pytest.mark.parametrize("pair", [(3, 4), (0, 15), (7, 8), (10, 11)])
+def test_a_driven_pair_that_is_shorted_is_at_no_limit_and_has_no_noise(pair):
+    """What rounding leaves of its resistance, of either sign, is none: |R i| is far below every limit."""
+    plugins = discover()
+    names = ("source-compliance", "electrode-short", "voltmeter-input", "johnson-noise")
+    options = {"electrode-short": {"electrodes": list(pair)}}
+    of = Scene("t", tuple(PluginChoice(name, options.get(name, {})) for name in names), 4e-4, 2.5, 8.0, ())
+    for seed in range(3):
+        world = SimulatedWorld(
+            of, OF.sensor_type, OF.material, OF.indenter, seed=seed, contact_length_mm=0.2 + 0.01 * seed,
+            effect_factory=lambda n: plugins.factory(Kind.EFFECT, n),
+        )  # fmt: skip
+        frame = world.frame(1.0, 0)
+        shorted = np.array([set(pair) == set(driven) for driven in OF.sensor_type.pattern.drive])
+        assert not frame.flags.any()
+        assert np.abs(frame.voltages[shorted][:, shorted]).max() < 1e-9
+        assert np.abs(frame.voltages).max() < 20.0
+
+
+def test_what_lies_outside_the_sheet_does_not_warm_with_it():
+    plugins = discover()
+    warm, lead = ("temperature-drift", {"coefficient_per_K": 0.02}), ("lead-resistance", {"electrode": 5})
+    of = Scene("t", (PluginChoice(*lead), PluginChoice(*warm)), 4e-4, 2.5, 8.0, ())
+    made = {"effect_factory": lambda name: plugins.factory(Kind.EFFECT, name), "seed": 1}
+    lead[1]["resistance_ohm"] = 100.0
+    with pytest.raises(ConfigError, match="'lead-resistance' before 'temperature-drift'"):
+        SimulatedWorld(of, OF.sensor_type, OF.material, OF.indenter, **made)
 
 
 def test_contacts_drift_exponentially_each_at_its_own_rate():

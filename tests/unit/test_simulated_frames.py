@@ -192,6 +192,17 @@ def test_forgotten_presses_change_no_reading_that_anybody_could_see():
     assert np.abs(one.voltages_V(100.0, 3) - other.voltages_V(100.0, 3)).max() > 1e-6
 
 
+def test_a_press_in_a_boards_pause_is_felt_by_the_rows_after_it():
+    """However long the pause is: rows see the presses of their own time."""
+    skewed, plain = world_with("times", in_turn, "piezoresistivity"), world(scene("piezoresistivity"))
+    late = np.where(np.arange(16) < 9, 0.0, 20.0)
+    for each in (skewed, plain):
+        each.presses.append(pressed(0, 12.0, -5.0, 0.2, start_s=15.0))
+    found, unloaded = skewed.frame(0.0, 0, late).voltages, plain.frame(0.0, 0).voltages
+    np.testing.assert_allclose(found[:9], unloaded[:9], rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose(found[9:], plain.frame(20.0, 0).voltages[9:], rtol=1e-9, atol=1e-12)
+
+
 def test_a_press_that_is_held_is_never_forgotten():
     one = world(scene("piezoresistivity"))
     unloaded = one.voltages_V(0.0, 0)

@@ -1,6 +1,11 @@
-"""What is in series with an electrode."""
+"""What lies outside the sheet: in series with an electrode, or between two."""
+
+from typing import Final
 
 from cbsr_qa.domain.scene import Moment
+
+#: Effects on sheet and contacts, which leave what is outside as it is.
+BESIDE_THE_SHEET: Final = ("temperature-drift",)
 
 
 def in_series(moment: Moment, electrode: int, resistance_ohm: float) -> None:

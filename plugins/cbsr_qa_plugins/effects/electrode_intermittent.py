@@ -7,7 +7,7 @@ from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.simulate import parameters
 from cbsr_qa.simulate.parameters import number
 from cbsr_qa.simulate.streams import RandomStream
-from cbsr_qa_plugins.effects._leads import in_series
+from cbsr_qa_plugins.effects._leads import BESIDE_THE_SHEET, in_series
 
 _A_BLOCK: Final = 16.0  # events on average; one of e^16 blocks is empty
 _A_SESSION: Final = 1 << 32  # indices, as the simulated bench counts them
@@ -29,6 +29,7 @@ class ElectrodeIntermittent:
     """
 
     needs: tuple[str, ...] = ("source-compliance",)
+    after: tuple[str, ...] = BESIDE_THE_SHEET
     perturbs = "impedance"
 
     def __init__(

@@ -5,6 +5,7 @@ import numpy as np
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.simulate.parameters import electrode, number, shown
+from cbsr_qa_plugins.effects._leads import BESIDE_THE_SHEET
 
 
 class ElectrodeShort:
@@ -19,6 +20,7 @@ class ElectrodeShort:
     """
 
     needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = BESIDE_THE_SHEET
     perturbs = "impedance"
 
     def __init__(self, setting: SceneSetting, *, electrodes: list[int], resistance_ohm: float = 0.0) -> None:

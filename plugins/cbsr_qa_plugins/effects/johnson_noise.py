@@ -9,7 +9,7 @@ from cbsr_qa.simulate.streams import RandomStream
 
 
 class JohnsonNoise:
-    """Thermal noise of the resistance that each measured pair sees, independent between readings.
+    """Thermal noise of the resistance that each measured pair sees as it is read, independent between readings.
 
     √(4 k T R Δf) (Nyquist 1928). Readings average over N power line cycles, Δf = 1/(2 T_int) of a rectangular window.
 
@@ -29,13 +29,10 @@ class JohnsonNoise:
         integration_s = number("nplc", nplc, above=True, most=25.0) / number("mains_Hz", mains_Hz, above=True)
         kelvin = zero_Celsius + number("temperature_C", temperature_C, least=-zero_Celsius, most=300.0)
         self._per_ohm = 4 * Boltzmann * kelvin / (2 * integration_s)
-        self._measures = setting.sensor_type.pattern.measure_matrix()
         self._stream = RandomStream(setting.seed, "johnson-noise")
 
     def apply(self, moment: Moment) -> None:
         """Add the frame's noise."""
-        if moment.voltages is None or moment.impedance_ohm is None:
-            return
-        ohm = np.einsum("em,ef,fm->m", self._measures, moment.impedance_ohm, self._measures)
-        drawn = self._stream.normal(moment.index, moment.voltages.shape)
-        moment.voltages = moment.voltages + np.sqrt(self._per_ohm * ohm) * drawn
+        if moment.voltages is not None and moment.measure_ohm is not None:
+            drawn = self._stream.normal(moment.index, moment.voltages.shape)
+            moment.voltages = moment.voltages + np.sqrt(self._per_ohm * moment.measure_ohm) * drawn

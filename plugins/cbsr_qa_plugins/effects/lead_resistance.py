@@ -3,7 +3,7 @@
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.simulate import parameters
 from cbsr_qa.simulate.parameters import number
-from cbsr_qa_plugins.effects._leads import in_series
+from cbsr_qa_plugins.effects._leads import BESIDE_THE_SHEET, in_series
 
 
 class LeadResistance:
@@ -20,6 +20,7 @@ class LeadResistance:
     """
 
     needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = BESIDE_THE_SHEET
     perturbs = "impedance"
 
     def __init__(

@@ -27,7 +27,6 @@ class SourceCompliance:
         """Lower the current of those pairs."""
         if moment.current_A is None or moment.drive_ohm is None or moment.flags is None:
             return
-        most_A = self._limit_V / moment.drive_ohm
-        limited = moment.current_A > most_A
-        moment.current_A = np.where(limited, most_A, moment.current_A)
+        limited = moment.current_A * moment.drive_ohm > self._limit_V
+        moment.current_A = np.divide(self._limit_V, moment.drive_ohm, out=moment.current_A.copy(), where=limited)
         moment.flags |= np.where(limited, np.uint8(ReadingFlag.COMPLIANCE), np.uint8(0))
