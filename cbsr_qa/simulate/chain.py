@@ -2,14 +2,19 @@
 
 import inspect
 import math
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from difflib import get_close_matches
-from typing import Any, Final, TypeGuard
+from typing import Any, Final
 
-from cbsr_qa.domain.errors import CbsrError, ConfigError
+import numpy as np
+
+from cbsr_qa.domain.errors import CbsrError, ConfigError, PluginError
+from cbsr_qa.domain.frames import ReadingFlag
 from cbsr_qa.domain.plan import PluginChoice, Scene
 from cbsr_qa.domain.scene import Moment, SceneSetting, SheetDesign, Transcript
 from cbsr_qa.interfaces import AnyEffect, Effect, RecordingEffect, SheetEffect, SwitchingEffect
+from cbsr_qa.simulate.parameters import shown
 
 #: ``effect_factory(name)`` returns what makes the effect: ``factory(setting, **parameters)``.
 EffectFactory = Callable[[str], Callable[..., Any]]
@@ -36,6 +41,20 @@ _OWN_METHODS: Final[Mapping[str, tuple[str, type]]] = {
     "recording": ("record(transcript)", RecordingEffect),
 }
 
+#: What effects of a stage change of a moment, and must leave finite.
+_CHANGED: Final[Mapping[str, tuple[str, ...]]] = {
+    "position": ("place_mm", "depth_mm"),
+    "geometry": ("surface_mm",),
+    "times": ("reading_offsets_s",),
+    "response": ("response",),
+    "stress": ("stress_kPa",),
+    "contacts": ("contact_mm",),
+    "impedance": ("impedance_ohm",),
+    "source": ("current_A",),
+    "voltages": ("voltages",),
+    "force": ("force_N",),
+}
+
 
 class Chain:
     """The effects that are on, by stage, each stage in the scene's order."""
@@ -43,9 +62,9 @@ class Chain:
     def __init__(self, effects: Iterable[tuple[str, AnyEffect]]) -> None:
         named = tuple(effects)
         self.names = tuple(name for name, _ in named)
-        self._sheet = tuple(e for _, e in named if isinstance(e, SheetEffect))
-        self._recording = tuple(e for _, e in named if isinstance(e, RecordingEffect))
-        self._stages = {stage: tuple(e for _, e in named if _applies(e, stage)) for stage in STAGES}
+        self._sheet = tuple((name, e) for name, e in named if isinstance(e, SheetEffect))
+        self._recording = tuple((name, e) for name, e in named if isinstance(e, RecordingEffect))
+        self._stages = {stage: tuple(_applied(named, stage)) for stage in STAGES}
 
     def has(self, stage: str) -> bool:
         """Whether any effect perturbs a stage."""
@@ -54,31 +73,89 @@ class Chain:
     @property
     def memory_s(self) -> float:
         """How long after a press the response may still feel it; for ever where an effect does not say."""
-        return max((getattr(effect, "memory_s", math.inf) for effect in self._stages["response"]), default=0.0)
+        return max((getattr(effect, "memory_s", math.inf) for _, effect in self._stages["response"]), default=0.0)
 
     def design(self, design: SheetDesign) -> None:
         """Let the effects of the stage ``sheet`` change a sheet before it is made."""
-        for effect in self._sheet:
-            effect.design(design)
+        for name, effect in self._sheet:
+            with _blaming(name):
+                effect.design(design)
 
     def record(self, transcript: Transcript) -> None:
         """Let the effects of the stage ``recording`` change how frames are written down."""
-        for effect in self._recording:
-            effect.record(transcript)
+        for name, effect in self._recording:
+            with _blaming(name):
+                effect.record(transcript)
 
     def apply(self, stage: str, moment: Moment) -> None:
-        """Let the effects of a stage change a moment, one after the other."""
-        for effect in self._stages[stage]:
-            effect.apply(moment)
+        """Let the effects of a stage change a moment, one after the other.
+
+        Raises
+        ------
+        PluginError
+            If one fails, or leaves what is no finite number.
+        """
+        for name, effect in self._stages[stage]:
+            try:  # not _blaming: this is most of what is called
+                effect.apply(moment)
+                finite = _finite(stage, moment)
+            except CbsrError:
+                raise
+            except Exception as error:
+                raise _failed(name, error, f" at {moment.time_s:.6g} s") from error
+            if not finite:
+                what = f"effect {name!r} leaves {' or '.join(_CHANGED[stage])} that is no finite number"
+                raise PluginError(f"{what} at {moment.time_s:.6g} s", remedy="give it smaller parameters")
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
         """Times after the first and up to the last [s] at which the impedance jumps."""
-        jumping = [effect for effect in self._stages["impedance"] if isinstance(effect, SwitchingEffect)]
-        return [at_s for effect in jumping for at_s in effect.switches(moment, first_s, last_s)]
+        found: list[float] = []
+        for name, effect in self._stages["impedance"]:
+            if isinstance(effect, SwitchingEffect):
+                with _blaming(name):
+                    found += effect.switches(moment, first_s, last_s)
+        return found
 
 
-def _applies(effect: AnyEffect, stage: str) -> TypeGuard[Effect]:
-    return effect.perturbs == stage and stage not in _OWN_METHODS
+def _applied(named: Iterable[tuple[str, AnyEffect]], stage: str) -> Iterator[tuple[str, Effect]]:
+    for name, effect in named:
+        if effect.perturbs == stage and stage not in _OWN_METHODS and isinstance(effect, Effect):
+            yield name, effect
+
+
+def _finite(stage: str, moment: Moment) -> bool:
+    """Whether what a stage may change is finite, or flagged as missing."""
+    for attribute in _CHANGED[stage]:
+        value = getattr(moment, attribute)
+        if attribute == "voltages" and value is not None and moment.flags is not None:
+            value = value[(moment.flags & ReadingFlag.MISSING.value) == 0]
+        if not (value is None or _all_finite(value)):
+            return False
+    return True
+
+
+def _all_finite(value: Any) -> bool:
+    if isinstance(value, np.ndarray):
+        return bool(np.isfinite(value).all())
+    return all(map(math.isfinite, value)) if isinstance(value, list | tuple) else math.isfinite(value)
+
+
+@contextmanager
+def _blaming(name: str) -> Iterator[None]:
+    """Name the effect whose code fails."""
+    try:
+        yield
+    except CbsrError:
+        raise
+    except Exception as error:
+        raise _failed(name, error) from error
+
+
+def _failed(name: str, error: Exception, when: str = "") -> PluginError:
+    return PluginError(
+        f"effect {name!r} failed{when}: {type(error).__name__}: {error}",
+        remedy="tell its author, or take it out of the scene",
+    )
 
 
 def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFactory) -> Chain:
@@ -114,8 +191,10 @@ def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Call
         effect: AnyEffect = factory(setting, **choice.options)
     except CbsrError as error:
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r}: {error.reason}", remedy=error.remedy) from error
-    except (TypeError, ValueError) as error:
-        raise ConfigError(f"scene {scene!r}, effect {choice.name!r} cannot be made: {error}") from error
+    except Exception as error:
+        what = str(error) if isinstance(error, TypeError | ValueError) else f"{type(error).__name__}: {error}"
+        raise ConfigError(f"scene {scene!r}, effect {choice.name!r} cannot be made: {what}") from error
+    _check_names(choice.name, effect)
     if effect.perturbs not in STAGES:
         raise ConfigError(
             f"effect {choice.name!r} perturbs {effect.perturbs!r}",
@@ -130,8 +209,26 @@ def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Call
     return effect
 
 
+def _check_names(name: str, effect: Any) -> None:
+    """Refuse an effect that does not say in text what it perturbs, needs and acts after."""
+    perturbs = getattr(effect, "perturbs", None)
+    if not isinstance(perturbs, str):
+        raise ConfigError(
+            f"effect {name!r} perturbs {shown(perturbs)}",
+            remedy=f"an effect perturbs one of {', '.join(STAGES)}",
+        )
+    for which, names in (("needs", getattr(effect, "needs", None)), ("after", getattr(effect, "after", ()))):
+        if not isinstance(names, tuple | list) or not all(isinstance(each, str) for each in names):
+            raise ConfigError(
+                f"effect {name!r} has {which} = {shown(names)}", remedy="it is a tuple of effects' names"
+            )
+
+
 def _check_parameters(scene: str, choice: PluginChoice, factory: Callable[..., Any]) -> None:
-    parameters = list(inspect.signature(factory).parameters.values())[1:]
+    try:
+        parameters = list(inspect.signature(factory).parameters.values())[1:]
+    except (TypeError, ValueError) as error:
+        raise PluginError(f"effect {choice.name!r} has a factory that cannot be called: {error}") from error
     if any(p.kind is p.VAR_KEYWORD for p in parameters):
         return
     known = {p.name: p for p in parameters}
@@ -141,7 +238,7 @@ def _check_parameters(scene: str, choice: PluginChoice, factory: Callable[..., A
         if key not in known:
             near = get_close_matches(key, known, n=1)
             meant = f"did you mean {near[0]!r}? " if near else ""
-            raise ConfigError(f"{where} has no parameter {key!r}", remedy=meant + allowed)
+            raise ConfigError(f"{where} has no parameter {shown(key)}", remedy=meant + allowed)
     for name, parameter in known.items():
         if parameter.default is parameter.empty and name not in choice.options:
             raise ConfigError(f"{where} lacks its parameter {name!r}", remedy=allowed)

@@ -1,15 +1,16 @@
 """What parameters of effects may be, said in one way."""
 
-import math
 import sys
 from typing import Any, Final
 
 from cbsr_qa.domain.errors import ConfigError
 
 _LARGEST: Final = sys.float_info.max
+#: Beyond any quantity of a scene: its square is still a number, and so is its ratio to the smallest that counts.
+_BEYOND: Final = 1e15
 
 
-def number(name: str, value: Any, *, least: float = 0.0, most: float = math.inf, above: bool = False) -> float:
+def number(name: str, value: Any, *, least: float = 0.0, most: float = _BEYOND, above: bool = False) -> float:
     """A finite number in a range.
 
     Parameters
@@ -27,8 +28,7 @@ def number(name: str, value: Any, *, least: float = 0.0, most: float = math.inf,
     if good and (least < value if above else least <= value) and value <= most:
         return float(value)
     low = f"above {least:g}" if above else f"of at least {least:g}"
-    high = f" and at most {most:g}" if math.isfinite(most) else ""
-    raise ConfigError(f"{name} is {shown(value)}", remedy=f"it is a finite number {low}{high}")
+    raise ConfigError(f"{name} is {shown(value)}", remedy=f"it is a finite number {low} and at most {most:g}")
 
 
 def shown(value: Any) -> str:
