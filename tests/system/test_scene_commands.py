@@ -1,14 +1,17 @@
 """``cbsr-qa scene``: what its two commands print and write."""
 
 import hashlib
+import os
 import re
 import shlex
+import signal
 import subprocess
 import sys
+from functools import partial
 
 import numpy as np
 import pytest
-from command import cbsr_qa, document
+from command import PROGRAM, cbsr_qa, document
 
 from cbsr_qa.analysis.recording_file import read_recording
 from cbsr_qa.config.documents import DocumentKind, open_document, shipped_names
@@ -224,6 +227,27 @@ def test_a_format_that_cannot_hold_the_scene_leaves_no_file(folder):
     done = cbsr_qa(folder, "scene", "run", "turned.toml", "--format", "ert-board-csv", check=False)
     assert done.returncode == 2
     assert "cannot be written as ert-board-csv" in done.stderr
+    assert list((folder / "var" / "scenes").iterdir()) == []
+
+
+@pytest.mark.parametrize("stage", ["simulating", "writing"])
+def test_ctrl_c_is_said_and_leaves_no_file(folder, stage):
+    """The signal comes as the stage begins; the program's last word is that it was aborted (exit code 3)."""
+    long = SHORT.replace("duration_s = 50.0", "duration_s = 10000.0").replace("2.5", "1.0")
+    (folder / "long.toml").write_text(long.split("[[effects]]")[0])
+    command = [PROGRAM, "scene", "run", "long.toml", "--format", "ert-board-csv"]
+    environment = {**os.environ, "CBSR_QA_VAR": "var"}
+    pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
+    # A shell's background jobs, as these tests may be, hand it down that Ctrl-C is ignored.
+    listening = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
+    with subprocess.Popen(command, cwd=folder, env=environment, preexec_fn=listening, **pipes) as process:
+        for line in process.stderr:
+            if line.startswith(stage):
+                break
+        process.send_signal(signal.SIGINT)
+        said, last = process.communicate(timeout=60)
+    assert (process.returncode, said) == (3, "")
+    assert last.endswith("cbsr-qa: aborted\n")
     assert list((folder / "var" / "scenes").iterdir()) == []
 
 
