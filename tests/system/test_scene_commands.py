@@ -240,7 +240,7 @@ def test_ctrl_c_is_said_and_leaves_no_file(folder, stage):
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     # A shell's background jobs, as these tests may be, hand it down that Ctrl-C is ignored.
     listening = partial(signal.signal, signal.SIGINT, signal.default_int_handler)
-    with subprocess.Popen(command, cwd=folder, env=environment, preexec_fn=listening, **pipes) as process:
+    with subprocess.Popen(command, cwd=folder, env=environment, preexec_fn=listening, **pipes) as process:  # noqa: PLW1509
         for line in process.stderr:
             if line.startswith(stage):
                 break
