@@ -17,8 +17,8 @@ Indices = NDArray[np.int64]
 
 # What of the fields at a rim is left out, over the largest. What a patch sends back of a field that it hardly meets
 # is hardly met elsewhere: readings feel the square of it.
-_NEGLIGIBLE: Final = 1e-7
-_NEGLIGIBLE_CONTACT: Final = 1e-5
+_NEGLIGIBLE: Final = 1e-8
+_NEGLIGIBLE_CONTACT: Final = 3e-6
 _ROUNDING: Final = 1e-14  # a load by itself meets the electrodes' few fields alone
 
 
@@ -61,6 +61,13 @@ class LinkedPatches:
         self._loads = sum(basis.shape[1] for basis in self._bases)
         self._series, self._reach = self._projected()
         self._eliminated: tuple[bytes, tuple[Array, Array, Array]] | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes beside its patches."""
+        eliminated = self._eliminated[1] if self._eliminated else ()
+        kept = [*self._bases, *self._contact_bases, self._between, self._fields, self._series, self._contact_own]
+        return sum(array.nbytes for array in [*kept, *eliminated])
 
     def corrections(self, loads: Sequence[Mapping[LoadFamily, float]], contact_change: Array | None) -> Array:
         """What the transfer impedance loses, at several moments.

@@ -130,6 +130,11 @@ class StackedSeries:
             change[self._places[number]] += self._series[number](float(strengths[number]))
         return change
 
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes."""
+        return self._terms.nbytes
+
     def most(self, strengths: Sequence[float]) -> float:
         """More than any entry of the sum; infinite where a strength is beyond its series."""
         if (np.abs(strengths) > self._reach).any():
@@ -177,6 +182,13 @@ class Patch:
         self._least = float(model.conductance[self._elements].min())
         #: of X by the strength of a single load; None where there are several
         self.series = None if families[1:] else Series(lambda s: self.answer([s]), reach=families[0].change.reach)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes beside its loads: most of it for what is tabulated."""
+        tables = [self._own, *vars(self).get("_weak", ()), *([self.series.coefficients] if self.series else [])]
+        parts = self._stack.nbytes + self._matrices.nbytes + self._stacked.nbytes
+        return parts + sum(int(table.nbytes) for table in tables)
 
     def answer(self, strengths: Sequence[float]) -> Array:
         """X for the strengths of its loads, without a series: (b, b) [S].

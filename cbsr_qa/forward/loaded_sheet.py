@@ -1,9 +1,9 @@
 """Voltages of a sheet under many loads of known shapes, whose strengths change all the time.
 
-As :class:`~cbsr_qa.forward.local.LocalUpdate`, with which it agrees to ten digits, for sequences of frames: what a
+As :class:`~cbsr_qa.forward.local.LocalUpdate`, with which it agrees to eight digits, for sequences of frames: what a
 load answers to the fields about it is tabulated over its strength (:mod:`cbsr_qa.forward.load_family`), contacts are
-eliminated once for many strengths, and of the fields that reach a rim those below a part in 10¹¹ are left out. A
-frame of nine loads and sixteen contacts is then a system of about a hundred.
+eliminated once for many strengths, and of the fields that reach a rim those below a part in 10⁸ are left out. A
+frame of nine loads is then a system of some two hundred.
 """
 
 from collections import OrderedDict
@@ -22,10 +22,11 @@ from cbsr_qa.forward.patches import ContactStack
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-Kept = TypeVar("Kept")
+Kept = TypeVar("Kept", Patch, LinkedPatches | None)
 
-_MOST_PATCHES: Final = 192  # some 0.3 MB each
+_MOST_PATCHES: Final = 192  # some 0.3 MB each; of many loads that overlap tens of times that
 _MOST_LINKS: Final = 24
+_MOST_BYTES: Final = 96 << 20  # of either
 _MOST_WORK: Final = 2e7  # cubes of the patches' elements, which have some two nodes each of their own
 
 
@@ -108,8 +109,14 @@ class LoadedSheet:
 
 
 def _make_room(kept: "OrderedDict[Hashable, Kept]", most: int) -> None:
-    while len(kept) >= most:
+    """Drop those unused for longest, until there are fewer and they take less memory than is allowed."""
+    sizes = [one.nbytes if one is not None else 0 for one in kept.values()]
+    used = sum(sizes)
+    for size in sizes:
+        if len(kept) < most and used < _MOST_BYTES:
+            break
         kept.popitem(last=False)
+        used -= size
 
 
 def _overlapping(families: Sequence[LoadFamily]) -> list[tuple[LoadFamily, ...]]:

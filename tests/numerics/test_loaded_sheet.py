@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.footprints import RoundFootprint
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
+from cbsr_qa.forward import loaded_sheet
 from cbsr_qa.forward.coverage import cover
 from cbsr_qa.forward.load_family import WEAK, LoadFamily, Series
 from cbsr_qa.forward.loaded_sheet import LoadedSheet
@@ -94,6 +95,35 @@ def test_loads_that_share_elements_or_only_nodes(model, loaded):
     loads = dict(zip(beside, (0.2, 0.1, -0.1, 0.3), strict=True))
     (found,) = loaded.transfer_impedances([loads])
     assert error(model, found, afresh(model, loads)) < TOGETHER
+
+
+@pytest.mark.parametrize(("weakest", "strongest"), [(0.05, 0.3), (-0.8, -0.3), (1.0, 5.0)])
+def test_loads_close_beside_each_other(model, weakest, strongest):
+    """What they send each other is hardly smooth on their rims: the worst case for what is left out there."""
+    draw, sheet, worst = np.random.default_rng(5), LoadedSheet(model), 0.0
+    for _ in range(8):
+        turns, first = draw.uniform(0, 2 * np.pi) + np.arange(4) * np.pi / 2, draw.uniform(-8, 8, 2)
+        places = [first, *(first + draw.uniform(15.5, 19) * np.array([np.cos(t), np.sin(t)]) for t in turns)]
+        loads = {family(model, *place): float(draw.uniform(weakest, strongest)) for place in places}
+        (found,) = sheet.transfer_impedances([loads])
+        worst = max(worst, error(model, found, afresh(model, loads)))
+    assert worst < TOGETHER
+
+
+def test_memory_is_bounded_however_many_loads_overlap(model, monkeypatch):
+    most = 2 << 20
+    monkeypatch.setattr(loaded_sheet, "_MOST_BYTES", most)
+    draw, sheet, seen = np.random.default_rng(5), LoadedSheet(model), set()
+    for _ in range(30):
+        loads = {family(model, *draw.uniform(-9, 9, 2)): 1e-4 for _ in range(4)}
+        sheet.transfer_impedances([loads])
+        seen.add(len(sheet._patches))
+        for kept in (sheet._patches, sheet._links):
+            # The newest is kept whatever it takes, and had been made room for before it was made.
+            sizes = [one.nbytes for one in kept.values()]
+            assert sum(sizes[:-1]) < most + max(sizes)
+    assert len(sheet._patches) < 30
+    assert max(seen) > 1
 
 
 @given(strengths=st.lists(st.floats(-1, 1), min_size=4, max_size=4))
