@@ -58,19 +58,27 @@ def write_recording(path: Path, recording: Recording) -> None:
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, temporary = tempfile.mkstemp(prefix=".recording-", suffix=".h5", dir=path.parent)
-        os.close(handle)
-        with h5py.File(temporary, "w") as file:
-            _write(file, recording)
-            file.attrs["sha256"] = _digest(file)
+        with os.fdopen(handle, "wb") as file:
+            file.write(_image(recording))
         Path(temporary).chmod(0o644)
         Path(temporary).replace(path)
     except OSError as error:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
         raise RecordingError(
             f"the recording cannot be written to {path}: {error.strerror or error}",
             remedy="choose a folder that can be written to",
         ) from error
+    finally:
+        if temporary:
+            Path(temporary).unlink(missing_ok=True)
+
+
+def _image(recording: Recording) -> bytes:
+    """What the file holds. Made in memory: HDF5 prints tracebacks when a disk is full, and cannot close its file."""
+    with h5py.File("recording.h5", "w", driver="core", backing_store=False) as file:
+        _write(file, recording)
+        file.attrs["sha256"] = _digest(file)
+        file.flush()
+        return bytes(file.id.get_file_image())
 
 
 def read_recording(path: Path) -> Recording:

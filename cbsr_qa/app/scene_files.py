@@ -2,6 +2,7 @@
 
 import os
 import re
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -60,8 +61,9 @@ def checked_targets(
     targets = [Target(OWN_FORMAT, own, _writer(OWN_FORMAT, plugins))]
     for name in dict.fromkeys(formats):
         if name != OWN_FORMAT:
+            writer = _writer(name, plugins)  # first: an unknown name may be no part of a file's
             beside = own.with_name(f"{own.stem}.{name}{_SUFFIXES.get(name.rpartition('-')[2], '')}")
-            targets.append(Target(name, beside, _writer(name, plugins)))
+            targets.append(Target(name, beside, writer))
     for target in targets:
         if os.path.lexists(target.path):
             other = "another seed, or another file with --output" if output is None else "another file"
@@ -77,13 +79,16 @@ def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Wri
     RefusedError
         If a format cannot hold such a recording.
     """
-    written: list[Written] = []
+    begun: list[Path] = []
     try:
+        written: list[Written] = []
         for target in targets:
+            begun.append(target.path)
             written.append(_written(recorded, target))
     except BaseException:
-        for file in written:
-            file.path.unlink(missing_ok=True)
+        for path in begun:
+            with suppress(OSError):  # a folder, or a name that no file can have
+                path.unlink()
         raise
     return tuple(written)
 
@@ -98,11 +103,18 @@ def _written(recorded: RecordedScene, target: Target) -> Written:
     except OSError as error:
         raise RefusedError(f"{target.path} cannot be written: {error.strerror or error}") from error
     except Exception as error:
-        said = f"{type(error).__name__}: {error}"
-        raise PluginError(
-            f"format {target.format!r} failed to write the scene: {said}", remedy="tell its author, or leave it out"
-        ) from error
+        raise _failed(target, f"{type(error).__name__}: {error}") from error
+    if not isinstance(notes, tuple) or not all(isinstance(note, str) for note in notes):
+        raise _failed(target, f"it returned {type(notes).__name__} instead of a tuple of texts")
+    if not target.path.is_file():
+        raise _failed(target, f"there is no {target.path}")
     return Written(target.format, target.path, notes)
+
+
+def _failed(target: Target, said: str) -> PluginError:
+    return PluginError(
+        f"format {target.format!r} failed to write the scene: {said}", remedy="tell its author, or leave it out"
+    )
 
 
 def _writer(name: str, plugins: Plugins) -> RecordingWriter:

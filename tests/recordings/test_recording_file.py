@@ -1,4 +1,6 @@
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -181,3 +183,29 @@ def test_a_lost_sample_is_no_sample(tmp_path):
     force.values[3] = np.nan
     write_recording(path, before)
     np.testing.assert_array_equal(read_recording(path).samples[0].time_s, np.delete(force.time_s, 3))
+
+
+def test_a_full_disk_is_refused_in_one_message_and_leaves_nothing(tmp_path):
+    code = (
+        "import resource, sys; sys.path.insert(0, 'tests/recordings')\n"
+        "from pathlib import Path; from test_recording_file import sample, write_recording\n"
+        "from cbsr_qa.domain.errors import RecordingError\n"
+        "resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))  # a disk that ends within the file\n"
+        "try: write_recording(Path(sys.argv[1]), sample())\n"
+        "except RecordingError as error: print(error.reason)"
+    )
+    done = subprocess.run([sys.executable, "-c", code, tmp_path / "x.h5"], capture_output=True, text=True, check=True)
+    assert "cannot be written to" in done.stdout
+    assert done.stderr == ""
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, RuntimeError])
+def test_an_interruption_while_writing_leaves_nothing(tmp_path, monkeypatch, error):
+    def interrupted(file):
+        raise error
+
+    monkeypatch.setattr(recording_file, "_digest", interrupted)
+    with pytest.raises(error):
+        write_recording(tmp_path / "x.h5", sample())
+    assert list(tmp_path.iterdir()) == []
