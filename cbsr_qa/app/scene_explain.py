@@ -3,6 +3,7 @@
 import inspect
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from datetime import date, time
 from typing import Any
 
 from cbsr_qa.app.scene_costs import Costs, Watched, measured_costs
@@ -45,7 +46,7 @@ class ExplainedEffect:
             "needs": list(self.needs),
             "perturbs": self.perturbs,
             "cost_ms_per_frame": self.cost_ms,
-            "parameters": dict(self.parameters),
+            "parameters": _in_json(self.parameters),
             "does": self.does,
         }
 
@@ -179,6 +180,15 @@ def _off(setup: SceneSetup, plugins: Plugins) -> list[ExplainedEffect]:
         stage = perturbs if isinstance(perturbs, str) else ""
         found.append(ExplainedEffect(name, False, known, stage, 0.0, {}, _does(factory)))
     return found
+
+
+def _in_json(value: Any) -> Any:
+    """What TOML holds, as JSON holds it: dates and times become texts as they stand in the file."""
+    if isinstance(value, Mapping):
+        return {key: _in_json(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_in_json(each) for each in value]
+    return value.isoformat() if isinstance(value, date | time) else value
 
 
 def _does(of: object) -> str:

@@ -1,9 +1,12 @@
 """The words of ``cbsr-qa scene explain``: a table of effects that fits a page of a hundred columns."""
 
+import json
 import re
 import textwrap
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any
+
+from cbsr_qa.config import echo
 
 if TYPE_CHECKING:
     from cbsr_qa.app.scene_explain import Explained, ExplainedEffect
@@ -77,7 +80,7 @@ def _settings(effect: "ExplainedEffect") -> list[str]:
 
 
 def plainly(value: Any) -> str:
-    """A parameter as people write it."""
+    """A parameter as people write it in a scene file."""
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{key} = {plainly(each)}" for key, each in value.items()) + "}"
     if isinstance(value, list | tuple):
@@ -85,9 +88,8 @@ def plainly(value: Any) -> str:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, float):
-        short = f"{value:g}"
-        return re.sub(r"e\+?(-?)0*", r"e\1", short if float(short) == value else repr(value))
-    return str(value)
+        return re.sub(r"e\+?(-?)0*", r"e\1", echo.plainly(value))
+    return json.dumps(value, ensure_ascii=not value.isprintable()) if isinstance(value, str) else str(value)
 
 
 def _off_words(effect: "ExplainedEffect") -> str:
@@ -107,11 +109,16 @@ def _totals(explained: "Explained", *, once: bool) -> Iterator[str]:
         yield "  once: in all, as the sheet is made, as heads move or before frames are written"
 
 
+def _printable(words: str) -> str:
+    """Words that may be anybody's, without what a terminal takes for commands."""
+    return "".join(sign if sign.isprintable() else "\N{REPLACEMENT CHARACTER}" for sign in words.expandtabs(1))
+
+
 def _hanging(head: str, parts: Iterable[str]) -> Iterator[str]:
     """A head with parts behind it, two spaces apart, and what does not fit below them."""
     rows: list[str] = []
     room = max(WIDTH - len(head), 20)
-    for part in parts:
+    for part in map(_printable, parts):
         if rows and len(rows[-1]) + 2 + len(part) <= room:
             rows[-1] += f"  {part}"
         else:

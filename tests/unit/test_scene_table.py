@@ -1,5 +1,8 @@
 """The table of ``cbsr-qa scene explain``: aligned, within a page, and without numbers that mislead."""
 
+import json
+from datetime import date, datetime, time
+
 import pytest
 
 from cbsr_qa.app.scene_explain import Explained, ExplainedEffect
@@ -83,6 +86,23 @@ def test_effects_that_are_off_have_their_names_and_what_they_do():
     assert table.index("off") < table.index("not modelled")
 
 
+def test_words_of_strangers_do_not_reach_the_terminal_as_commands():
+    table = _table(_explained(_effect("odd", "voltages", on=False, does="red \x1b[31m\tand\x07")))
+    assert any(line.startswith("  odd  red \ufffd[31m and\ufffd") for line in table)
+    assert all(line.isprintable() for line in table)
+
+
+def test_parameters_of_any_kind_that_toml_has_are_json():
+    given = {"since": date(2026, 11, 21), "at": [time(8, 30)], "inner": {"when": datetime(2026, 1, 2, 3, 4)}, "n": 1}
+    document = _effect("odd", "voltages", **given).document()
+    assert json.loads(json.dumps(document))["parameters"] == {
+        "since": "2026-11-21",
+        "at": ["08:30:00"],
+        "inner": {"when": "2026-01-02T03:04:00"},
+        "n": 1,
+    }
+
+
 def test_costs_that_are_not_measured_are_not_printed():
     table = _table(_explained(_effect("noise", "voltages"), _effect("seat", "geometry"), frame_ms=None))
     assert "costs not measured" in table
@@ -113,7 +133,10 @@ def test_shipped_scenes_fit_a_hundred_columns(name):
         (100.0, "100"),
         (0.123456789, "0.123456789"),
         (True, "true"),
-        ("punch", "punch"),
+        ("punch", '"punch"'),
+        ("größer", '"größer"'),
+        ("a\x1b[31m\nb", r'"a\u001b[31m\nb"'),
+        (date(2026, 11, 21), "2026-11-21"),
         ([9, 10], "[9, 10]"),
         ([0.5, 1e-6], "[0.5, 1e-6]"),
         ({"a": 1.0}, "{a = 1}"),
