@@ -55,7 +55,7 @@ def checked_targets(
     PluginError
         If a format is unknown or cannot be written.
     RefusedError
-        If a file exists already.
+        If a file exists already, or the output's name is that of another format.
     """
     own = scenes_folder() / f"{_file_name(scene)}-seed{seed}.h5" if output is None else output
     targets = [Target(OWN_FORMAT, own, _writer(OWN_FORMAT, plugins))]
@@ -64,11 +64,21 @@ def checked_targets(
             writer = _writer(name, plugins)  # first: an unknown name may be no part of a file's
             beside = own.with_name(f"{own.stem}.{name}{_SUFFIXES.get(name.rpartition('-')[2], '')}")
             targets.append(Target(name, beside, writer))
+    _check_suffix(own)
     for target in targets:
         if os.path.lexists(target.path):
             other = "another seed, or another file with --output" if output is None else "another file"
             raise RefusedError(f"{target.path} exists already", remedy=f"remove it first, or name {other}")
     return tuple(targets)
+
+
+def _check_suffix(own: Path) -> None:
+    """Refuse to write HDF5 under a name that promises, to people and to other programs, something else."""
+    if own.suffix.lower() in set(_SUFFIXES.values()) - {_SUFFIXES["recording"]}:
+        raise RefusedError(
+            f"{own} is to be an HDF5 file, and its name says {own.suffix}",
+            remedy=f"name a .h5 file, e.g. {own.with_suffix('.h5')}; --format writes other files beside it",
+        )
 
 
 def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Written, ...]:
@@ -77,12 +87,14 @@ def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Wri
     Raises
     ------
     RefusedError
-        If a format cannot hold such a recording.
+        If a format cannot hold such a recording, or a file is there by now.
     """
     begun: list[Path] = []
     try:
         written: list[Written] = []
         for target in targets:
+            if os.path.lexists(target.path):  # simulating takes a while; what came meanwhile is somebody's
+                raise RefusedError(f"{target.path} has come to exist meanwhile", remedy="name another file")
             begun.append(target.path)
             written.append(_written(recorded, target))
     except BaseException:

@@ -60,6 +60,24 @@ def returning(value):
     return write
 
 
+def test_a_file_that_came_while_the_scene_was_simulated_is_kept(tmp_path):
+    (tmp_path / "second.txt").write_text("somebody's")
+    targets = (target(tmp_path, "first", good), target(tmp_path, "second", good))
+    with pytest.raises(RefusedError, match=r"second\.txt has come to exist meanwhile"):
+        write_all(recorded(), targets)
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("second.txt", "somebody's")]
+
+
+@pytest.mark.parametrize("name", ["mine.csv", "mine.CSV", "mine.mat"])
+def test_our_own_format_is_not_written_under_the_name_of_another(tmp_path, name):
+    with pytest.raises(RefusedError, match="is to be an HDF5 file") as refused:
+        checked_targets("mine", 7, tmp_path / name, (), discover())
+    assert str(tmp_path / "mine.h5") in refused.value.remedy
+    for allowed in ("mine.h5", "mine.hdf5", "mine"):
+        (one,) = checked_targets("mine", 7, tmp_path / allowed, (), discover())
+        assert one.path.name == allowed
+
+
 def test_what_writers_say_is_handed_on(tmp_path):
     (one,) = write_all(recorded(), (target(tmp_path, "theirs", good),))
     assert (one.format, one.path.read_text(), one.notes) == ("theirs", "whole", ("a note",))
