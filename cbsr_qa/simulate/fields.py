@@ -25,7 +25,7 @@ def smooth_factor(stream: RandomStream, *, deviation: float, correlation_mm: flo
     Parameters
     ----------
     stream : its numbers of index 0 are used.
-    deviation : standard deviation of the factor.
+    deviation : standard deviation of the factor over its mean, before it is divided by what is alike over all places.
     correlation_mm : ℓ.
     over_mm : (n, 2) places, evenly spread over the sheet, whose mean factor is one.
     """
@@ -59,7 +59,8 @@ class UnevenSheet:
 
     Parameters
     ----------
-    deviation : standard deviation of the factor over many sheets.
+    deviation : standard deviation of the factor over its mean, as if the sheet went on for ever. What is alike
+        all over the sheet is divided out: of 0.1 on a disc of 100 mm 0.088 are left at 20 mm, 0.052 at 60 mm.
     correlation_mm : length over which it stays alike (of a Gaussian covariance).
     """
 

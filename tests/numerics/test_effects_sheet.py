@@ -45,6 +45,19 @@ def test_deviation_and_correlation_over_many_sheets_are_those_stated():
     assert covariance == pytest.approx(np.exp(-(places[:, 0] ** 2) / (2 * 8.0**2)), abs=0.15)
 
 
+@pytest.mark.parametrize(
+    ("correlation_mm", "documented"), [(10.0, 0.096), (20.0, 0.088), (30.0, 0.078), (60.0, 0.052)]
+)
+def test_what_is_alike_all_over_the_sheet_is_divided_out(correlation_mm, documented):
+    """Of a variance of 1 is left 1 less the mean covariance between two places of the sheet; 250 sheets."""
+    places = places_on(OUTLINE)[::3]
+    apart = np.linalg.norm(places[:, None] - places[None], axis=2)
+    left = 0.1 * np.sqrt(1 - np.exp(-(apart**2) / (2 * correlation_mm**2)).mean())
+    assert left == pytest.approx(documented, abs=1.5e-3)
+    factors = [factor_of(seed, deviation=0.1, correlation_mm=correlation_mm)(places[::4]) for seed in range(250)]
+    assert np.sqrt(np.mean((np.array(factors) - 1) ** 2)) == pytest.approx(left, rel=0.08)
+
+
 def test_each_kind_has_numbers_of_its_own_and_a_seed_repeats_them():
     places = places_on(OUTLINE)
     found = {}

@@ -11,7 +11,8 @@ _RINGS = 8
 class HeadEdge:
     """The strain falls from full to none over a band about the head's edge, linearly; what presses in all is kept.
 
-    Made of eight nested heads of equal weight, whose sizes are the middles of eight parts of the band.
+    Made of eight nested heads of equal weight, whose sizes are the middles of eight parts of the band. The band of a
+    head that is not round is so wide where its edge is as far from the axis as that of the disc of equal area.
 
     Parameters
     ----------
