@@ -115,7 +115,7 @@ def gone_through(names: list[str]) -> None:
         moment = Moment(SETTING, 2.5 * (index % 32), index, [], [], [], reading_scale_V=1.0)
         moment.voltages, moment.flags = np.zeros(PATTERN.shape), np.zeros(PATTERN.shape, dtype=np.uint8)
         moment.impedance_ohm, moment.contact_mm = 1e4 * np.eye(16), np.full(16, 0.2)
-        moment.current_A, moment.drive_ohm = np.full(16, 4e-4), np.full(16, 2e4)
+        moment.current_A, moment.drive_ohm, moment.measure_ohm = (np.full(PATTERN.shape, x) for x in (4e-4, 2e4, 2e4))
         for stage in STAGES[1:-1]:
             chain.apply(stage, moment)
 
