@@ -73,6 +73,21 @@ def test_readings_in_turn_are_those_of_frames_at_their_own_times(time_s):
     assert np.array_equal(found.time_s, time_s + np.linspace(-1.2, 1.2, 256).reshape(16, 16))
 
 
+@pytest.mark.parametrize(("frames", "most"), [(8, 4e-3), (24, 2e-4), (480, 1e-6)])
+def test_a_swing_is_followed_to_what_a_parabola_leaves_of_a_sine(frames, most):
+    """(π T/P)³/9√3 of a swing with the period P, in the worst phase, over the 2.4 s of a frame."""
+    assert (np.pi * 2.4 / (2.5 * frames)) ** 3 / (9 * np.sqrt(3)) < most
+    swing = {"coefficient_per_K": 1e-3, "swing_K": 1.0, "period_s": 2.5 * frames}
+    extra, of = effect("times", in_turn), scene("temperature-drift", temperature_drift=swing)
+    of = replace(of, effects=(*of.effects, PluginChoice("own")))
+    swinging = world(of, effect_factory=lambda name: extra if name == "own" else installed(name))
+    cold = swinging.sheet.unloaded * swinging.setting.current_A
+    for time_s in (100.0, 103.0, 110.0):
+        frame = swinging.frame(time_s, 0)
+        warmer = 1e-3 * np.sin(2 * np.pi * frame.time_s / (2.5 * frames))
+        assert np.abs(frame.voltages / cold - 1 / (1 + warmer)).max() < 1e-3 * most
+
+
 def test_readings_in_turn_of_a_sheet_at_rest_are_those_at_once():
     skewed, plain = world_with("times", in_turn), world(scene())
     assert np.array_equal(skewed.frame(5.0, 0).voltages, plain.frame(5.0, 0).voltages)
