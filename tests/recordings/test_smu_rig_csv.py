@@ -194,3 +194,30 @@ def test_garbage_behind_good_frames_is_given_up_on(tmp_path):
     np.testing.assert_array_equal(recording.frames.voltages, voltages)
     assert recording.rows_rejected == MOST_BAD_IN_A_ROW
     assert any("rest of the file was not read" in p.what for p in recording.problems)
+
+
+def test_shuffled_lines_are_no_recording(tmp_path):
+    lines = lines_of(frames())
+    order = np.random.default_rng(1).permutation(len(lines))
+    body = [",".join([*lines[k].split(",")[:2], line.split(",", 2)[2]]) for k, line in zip(order, lines, strict=True)]
+    with pytest.raises(RecordingError, match="time steps back in it") as refused:
+        read(tmp_path, HEADER + body)
+    assert len(refused.value.problems) == 4
+
+
+def test_two_lines_that_changed_places_cost_their_frame(tmp_path):
+    lines = lines_of(frames())
+    lines[300], lines[301] = lines[301], lines[300]
+    recording = read(tmp_path, HEADER + lines)
+    assert (len(recording.frames), recording.frames_dropped) == (3, 1)
+    (problem,) = recording.problems
+    assert "frame of lines 259 to 514 dropped: time steps back in it 1×, first in line 304" in problem.what
+
+
+def test_a_step_back_of_the_clock_between_frames_is_listed(tmp_path):
+    once = lines_of(frames())
+    recording = read(tmp_path, HEADER + once + once)
+    assert len(recording.frames) == 8
+    (problem,) = recording.problems
+    assert (problem.line, problem.rejected) == (1027, False)
+    assert problem.what == "time steps back by 10.23 s from the frame before"

@@ -88,6 +88,8 @@ class SmuRigCsv:
 def _inventory(problems: list[RowProblem], readings: int) -> str:
     bad = [problem for problem in problems if problem.rejected]
     first = f" (the first in line {bad[0].line}: {bad[0].what})" if bad else ""
+    if problems and not bad:
+        first = f" (but line {problems[0].line}: {problems[0].what})"
     return f"{readings} lines, {len(bad)} of them bad{first}"
 
 

@@ -1,6 +1,8 @@
 """Whole frames out of the SMU rig's readings, and where in the scan each stretch of them stands."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -62,7 +64,14 @@ def frames_of(stretches: list[Stretch]) -> Scans:
         inside = number and 0 < at + len(head) < FRAME and len(head) == len(stretch.readings)
         reached = at + len(head) if inside else FRAME
         left = _cut(stretch.readings[len(head) :], scans)
+    scans.moved += _steps_back(scans.frames)
     return scans
+
+
+def _steps_back(frames: list[list[Reading]]) -> Iterator[RowProblem]:
+    for before, after in pairwise(frames):
+        if (back_s := before[-1].time_s - after[0].time_s) > 0:
+            yield RowProblem(after[0].line, f"time steps back by {back_s:.6g} s from the frame before", False)
 
 
 def _cut(readings: list[Reading], scans: Scans) -> list[Reading]:
@@ -73,6 +82,9 @@ def _cut(readings: list[Reading], scans: Scans) -> list[Reading]:
         bad = [reading.line for reading in frame if reading.bad]
         if bad:
             scans.dropped.append(_dropped(frame, bad[0], f"{len(bad)} readings in it are bad"))
+        elif backwards := [later for before, later in pairwise(frame) if later.time_s < before.time_s]:
+            why = f"time steps back in it {len(backwards)}×, first in line {backwards[0].line}"
+            scans.dropped.append(_dropped(frame, backwards[0].line, why))
         else:
             scans.frames.append(frame)
     return readings[count * FRAME :]
