@@ -14,7 +14,7 @@ from cbsr_qa.domain.scene_plan import PressTimes, SceneLoad, ScenePlan, approach
 from cbsr_qa.domain.sensor import SensorType
 
 _ROUNDING_S = 1e-9  # of times that are sums of others
-_FINEST = 0.01  # mesh, of the sheet's radius: 70 000 elements of second order, a minute to prepare
+_FINEST = 0.02  # mesh, of the sheet's radius: a minute to prepare; 0.01 has more points than the mesher makes
 _PER_SIDE = 16  # points of a head's side that are held against the sheet's edge
 
 #: A load, its place in the file's list, and when it is pressed.

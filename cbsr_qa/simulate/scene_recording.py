@@ -1,5 +1,6 @@
 """A scene's frames and samples, one after the other, as a recording."""
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -88,8 +89,14 @@ def record_scene(
     paused_s = sum(dump.pause_s for dump in transcript.dumps)
     end_s = plan.frame_count * plan.scene.frame_period_s + paused_s
     pressed = press_loads(world, plan, end_s)
-    frames = _frames(world, transcript, progress)
-    samples = _samples(world, plan, end_s)
+    cell = _LoadCell(world, end_s)
+
+    def taken(done: int, of: int) -> None:
+        cell.read_up_to(done / of)  # along with the frames: of slow frames they take most of the time
+        progress(done, of)
+
+    frames = _frames(world, transcript, taken)
+    samples = cell.samples(plan)
     recording = Recording(
         path=Path(),
         format="cbsr-recording",
@@ -125,10 +132,23 @@ def _frames(world: SimulatedWorld, transcript: Transcript, progress: Callable[[i
     )
 
 
-def _samples(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[SampleBlock, ...]:
-    """Force on the load cell, which all heads share, and the way of head 1, from zero to the end."""
-    numbers = np.arange(int(end_s * SAMPLE_RATE_HZ + 1e-9) + 1)
-    time_s = numbers / SAMPLE_RATE_HZ
-    force = [world.force_N(at_s, number) for at_s, number in zip(time_s.tolist(), numbers.tolist(), strict=True)]
-    cell = SampleBlock("force", "N", time_s, np.array(force, dtype=np.float64))
-    return (cell, *head_path(plan, world.setting.sensor_type.thickness_mm, time_s))
+class _LoadCell:
+    """Force on the load cell, which all heads share, from zero to the end."""
+
+    def __init__(self, world: SimulatedWorld, end_s: float) -> None:
+        self._world = world
+        self._time_s = np.arange(int(end_s * SAMPLE_RATE_HZ + 1e-9) + 1) / SAMPLE_RATE_HZ
+        self._force_N = np.empty_like(self._time_s)
+        self._count = 0
+
+    def read_up_to(self, share: float) -> None:
+        """Take the samples of a share of the recording that are not taken yet."""
+        end = math.ceil(share * len(self._time_s))
+        for number in range(self._count, end):
+            self._force_N[number] = self._world.force_N(float(self._time_s[number]), number)
+        self._count = end
+
+    def samples(self, plan: ScenePlan) -> tuple[SampleBlock, ...]:
+        """All of them, and the way of head 1."""
+        cell = SampleBlock("force", "N", self._time_s, self._force_N)
+        return (cell, *head_path(plan, self._world.setting.sensor_type.thickness_mm, self._time_s))

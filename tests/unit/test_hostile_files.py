@@ -90,6 +90,7 @@ def test_only_line_feeds_end_lines():
         ),
         ("[sensor]", "[head]\ndiameter_mm = 0.001\n[sensor]", "head.diameter_mm is 0.001; it must be greater than"),
         ("[sensor]", "[head]\ndiameter_mm = 1e6\n[sensor]", "head.diameter_mm is 1000000.0; it must be less than"),
+        ("size_mm = 8.0", "size_mm = 0.9", "scene.sheet_mesh_size_mm is 0.9; on this sheet it must be at least 1"),
         ('name = "mine"', 'name = "a\\nb"', r"scene.name is 'a\nb'; it must be"),
         ('name = "mine"', 'name = "\\u001b[31m"', r"scene.name is '\x1b[31m'; it must be"),
         ("[sensor]", 'not_modelled = ["\\u001b[31m"]\n[sensor]', r"scene.not_modelled[1] is '\x1b[31m'; it must be"),

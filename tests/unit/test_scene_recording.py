@@ -194,3 +194,19 @@ def test_readings_behind_a_pause_are_taken_late_and_the_recording_ends_later():
     np.testing.assert_allclose(frames.reading_time_s, expected, atol=1e-12)
     force = done.recording.samples[0]
     assert force.time_s[-1] == pytest.approx(10.75)  # 4 frames of 2.5 s and both pauses
+
+
+def test_samples_are_taken_along_with_the_frames_so_that_progress_is_true():
+    asked: list[str] = []
+
+    def sampled(moment):
+        asked.append("sample")
+
+    plan = plan_of(duration_s=50.0, effects=("sampled",))
+    here = world(plan.scene, effect_factory=lambda name: _effect("force", apply=lambda self, moment: sampled(moment)))
+    counts: list[int] = []
+    done = record_scene(here, plan, progress=lambda done, of: counts.append(len(asked)))
+    (force,) = (block for block in done.recording.samples if block.channel == "force")
+    assert len(asked) == len(force) == 8 * 50 + 1
+    assert max(np.diff([0, *counts])) <= 8 * 2.5 + 1
+    assert counts[-1] == len(asked)
