@@ -1,6 +1,7 @@
 """Effects on what a press does, and on the head and cell that press: each against its closed form."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.plan import PluginChoice, Scene
 from cbsr_qa.domain.scene import SheetDesign
 from cbsr_qa.simulate.chain import build_chain
@@ -113,6 +115,28 @@ def test_edges_and_profiles_combine():
     HeadEdge(OF, width_mm=1.0).design(design)
     assert len(design.rings) == 80
     assert sum(ring.weight * ring.size**2 for ring in design.rings) == pytest.approx(1)
+
+
+@pytest.mark.parametrize(
+    "make", [lambda of: HeadEdge(of, width_mm=1.0), lambda of: PressureProfile(of, shape="punch")]
+)
+def test_a_head_whose_smaller_outlines_leave_it_is_refused(make):
+    """What presses in all would depend on the mesh, and be less by a fifth at the sheet's edge."""
+    round_about = [(-6, -6), (6, -6), (6, 0), (0, 0), (0, 6), (-6, 6)]  # the axis in its inner corner
+    for corners, good in (
+        (round_about, True),
+        ([(x + 1, y - 1) for x, y in round_about], False),
+        ([(-8, 0), (8, 0), (8, 5), (-8, 5)], True),
+        ([(-8, 2), (8, 2), (8, 5), (-8, 5)], False),
+    ):
+        head = Indenter.with_outline(corners)
+        if good:
+            design = SheetDesign.plain(OF.sensor_type, head)
+            make(replace(OF, indenter=head)).design(design)
+            assert sum(ring.weight * ring.size**2 for ring in design.rings) == pytest.approx(1)
+        else:
+            with pytest.raises(ConfigError, match="seen from behind by its axis"):
+                make(replace(OF, indenter=head))
 
 
 def test_a_confined_layer_is_stiffer_relaxation_and_all():

@@ -4,6 +4,7 @@ import numpy as np
 
 from cbsr_qa.domain.scene import HeadRing, SceneSetting, SheetDesign
 from cbsr_qa.simulate.parameters import number
+from cbsr_qa_plugins.effects._heads import check_nested
 
 _RINGS = 8
 
@@ -23,6 +24,7 @@ class HeadEdge:
     perturbs = "sheet"
 
     def __init__(self, setting: SceneSetting, *, width_mm: float) -> None:
+        check_nested(setting.indenter)
         radius_mm = setting.indenter.radius_mm
         self._share = number("width_mm", width_mm, most=1.9 * radius_mm) / radius_mm
 

@@ -4,6 +4,7 @@ import numpy as np
 
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.scene import HeadRing, SceneSetting, SheetDesign
+from cbsr_qa_plugins.effects._heads import check_nested
 
 _RINGS = 10
 
@@ -25,6 +26,7 @@ class PressureProfile:
     def __init__(self, setting: SceneSetting, *, shape: str) -> None:
         if shape not in ("punch", "parabola"):
             raise ConfigError(f"shape is {shape!r}", remedy="it is 'punch' or 'parabola'")
+        check_nested(setting.indenter)
         self._shape = shape
 
     def design(self, design: SheetDesign) -> None:
