@@ -31,7 +31,7 @@ Duration = Annotated[float, Field(gt=0, le=1e6)]
 #: Wider than any sheet, slower and faster than any head, longer than any recording: sums of times stay numbers.
 Length = Annotated[float, Field(ge=-1e6, le=1e6)]
 #: A head that covers some of the sheet's elements, and whose force is one.
-Diameter = Annotated[float, Field(ge=0.1, le=1000)]
+Diameter = Annotated[float, Field(ge=1, le=1000)]
 Speed = Annotated[float, Field(ge=0.01, le=1e6)]
 Moment = Annotated[float, Field(ge=0, le=1e9)]
 NameOrPath = Annotated[str, Field(min_length=1, max_length=255)]

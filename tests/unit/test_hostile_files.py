@@ -88,7 +88,7 @@ def test_only_line_feeds_end_lines():
             "current_mA = 1e-300",
             "scene.current_mA is 1e-300; it must be greater than or equal to",
         ),
-        ("[sensor]", "[head]\ndiameter_mm = 0.001\n[sensor]", "head.diameter_mm is 0.001; it must be greater than"),
+        ("[sensor]", "[head]\ndiameter_mm = 0.2\n[sensor]", "head.diameter_mm is 0.2; it must be greater than"),
         ("[sensor]", "[head]\ndiameter_mm = 1e6\n[sensor]", "head.diameter_mm is 1000000.0; it must be less than"),
         ("size_mm = 8.0", "size_mm = 0.9", "scene.sheet_mesh_size_mm is 0.9; on this sheet it must be at least 1"),
         ('name = "mine"', 'name = "a\\nb"', r"scene.name is 'a\nb'; it must be"),
