@@ -72,6 +72,20 @@ def test_memory_is_the_recursion_it_says(inner, share):
     assert found == pytest.approx((1 - share) * order + share * np.roll(found, 1), abs=1e-14)
 
 
+def test_memory_follows_the_order_in_which_readings_are_taken():
+    """With `time-skew` on, its order; another one is refused."""
+    voltages = np.random.default_rng(3).normal(size=(16, 16))
+    for inner in ("measure", "drive"):
+        skewed, plain = read(voltages), read(voltages)
+        TimeSkew(OF, inner=inner).apply(skewed)
+        ReadingMemory(OF, share=0.2).apply(skewed)
+        ReadingMemory(OF, share=0.2, inner=inner).apply(plain)
+        assert np.array_equal(skewed.voltages, plain.voltages)
+        other = "drive" if inner == "measure" else "measure"
+        with pytest.raises(RefusedError, match=f"inner = '{other}', while time-skew steps the '{inner}' pair"):
+            ReadingMemory(OF, share=0.2, inner=other).apply(skewed)
+
+
 def test_memory_of_what_does_not_change_is_itself():
     at = read(np.full((16, 16), 0.7))
     ReadingMemory(OF, share=0.13).apply(at)

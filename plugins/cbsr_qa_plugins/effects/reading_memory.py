@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.errors import ConfigError, RefusedError
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.simulate.parameters import number
 
@@ -18,27 +18,42 @@ class ReadingMemory:
     Parameters
     ----------
     share : m; recordings of the authors' board show 0.11 to 0.14.
-    inner : which pair steps faster, ``"measure"`` or ``"drive"``; as of ``time-skew`` where that is on.
+    inner : which pair steps faster, ``"measure"`` or ``"drive"``. Where ``time-skew`` is on its order holds, which
+        this may only repeat; by default that, or ``"measure"`` where all readings are taken at once.
     """
 
     needs: tuple[str, ...] = ()
     after: tuple[str, ...] = ("voltmeter-input",)
     perturbs = "voltages"
 
-    def __init__(self, setting: SceneSetting, *, share: float, inner: str = "measure") -> None:
-        if inner not in ("measure", "drive"):
+    def __init__(self, setting: SceneSetting, *, share: float, inner: str | None = None) -> None:
+        if inner not in ("measure", "drive", None):
             raise ConfigError(f"inner is {inner!r}", remedy="it is 'measure' or 'drive'")
         self._share = number("share", share, most=0.9)
-        self._turned = inner == "drive"
+        self._inner = inner
         self._shares: NDArray[np.float64] | None = None
 
     def apply(self, moment: Moment) -> None:
         """Mix the readings in their order."""
         if moment.voltages is None:
             return
-        frame = moment.voltages.T if self._turned else moment.voltages
+        turned = self._order(moment) == "drive"
+        frame = moment.voltages.T if turned else moment.voltages
         mixed = (self._mixed(frame.size) @ frame.ravel()).reshape(frame.shape)
-        moment.voltages = mixed.T if self._turned else mixed
+        moment.voltages = mixed.T if turned else mixed
+
+    def _order(self, moment: Moment) -> str:
+        """Which pair steps faster."""
+        at_s = moment.reading_offsets_s
+        if at_s is None or min(at_s.shape) < 2:
+            return self._inner or "measure"
+        told = "drive" if at_s[1, 0] < at_s[0, 1] else "measure"
+        if self._inner not in (told, None) and at_s[1, 0] != at_s[0, 1]:
+            raise RefusedError(
+                f"effect 'reading-memory' has inner = {self._inner!r}, while time-skew steps the {told!r} pair faster",
+                remedy="give both the same inner, or leave it out of reading-memory",
+            )
+        return told if at_s[1, 0] != at_s[0, 1] else self._inner or "measure"
 
     def _mixed(self, count: int) -> NDArray[np.float64]:
         """Shares of the readings x in the readings s, (n, n): the inverse of 1 − m (one back, the first the last)."""
