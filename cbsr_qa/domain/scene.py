@@ -208,7 +208,7 @@ class Moment:
     force_N : what the load cell reads.
     place_mm : where the head is, from the sheet's centre. In stage ``position`` where it was told to go.
     depth_mm : how deep below the nominal surface it was told to go; hovering is a negative depth.
-    from_mm, from_depth_mm : where it was told to go before that.
+    from_mm, from_depth_mm : where it is before it moves there.
     surface_mm : how far the sheet's surface there lies below nominal.
     reading_scale_V : mean magnitude of the used readings of the unloaded sheet [V], for effects that are stated
         relative to it.

@@ -36,7 +36,7 @@ class Sheet(Protocol):
         ...
 
     def head_at(self, to: HeadPosition, before: HeadPosition, time_s: float, index: int) -> HeadPosition:
-        """Where the head gets to when it is told to go somewhere; the index counts its movements."""
+        """Where the head gets to from where it was, told to go somewhere; the index counts its movements."""
         ...
 
 
@@ -79,8 +79,8 @@ class SimulatedHead:
         """Go to a place at the hover height, lifting first if need be."""
         self.lift()
         self._clock.sleep(math.dist(self._place, (x_mm, y_mm)) / self._motion.travel_speed_mm_s)
-        before, self._place = self._place, (x_mm, y_mm)
-        self._true = self._arrival(before, self._depth_mm)
+        self._place = (x_mm, y_mm)
+        self._true = self._arrival()
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
         """Go this far below the surface found here (or else found nearest, or else nominal)."""
@@ -173,8 +173,8 @@ class SimulatedHead:
         x_mm, y_mm, true_mm = self._true
         surface = self._sheet.surface_mm(x_mm, y_mm, start)
         duration_s = abs(depth_mm - self._depth_mm) / speed_mm_s
-        before_mm, self._depth_mm = self._depth_mm, depth_mm
-        self._true = (x_mm, y_mm, self._arrival(self._place, before_mm)[2])
+        self._depth_mm = depth_mm
+        self._true = (x_mm, y_mm, self._arrival()[2])
         before, after = max(true_mm - surface, 0.0), max(self._true[2] - surface, 0.0)
         if before != after:
             ramp_s = min(abs(after - before) / speed_mm_s, duration_s)
@@ -184,11 +184,11 @@ class SimulatedHead:
             self._pressing = None
         return start + duration_s
 
-    def _arrival(self, from_place: tuple[float, float], from_depth_mm: float) -> HeadPosition:
-        """Where the head gets to on its way to where it is told to be."""
+    def _arrival(self) -> HeadPosition:
+        """Where the head gets to from where it is, told to be where it now is told to be."""
         self._movements += 1
-        to, before = (*self._place, self._depth_mm), (*from_place, from_depth_mm)
-        return self._sheet.head_at(to, before, self._clock.now(), self._movements)
+        to = (*self._place, self._depth_mm)
+        return self._sheet.head_at(to, self._true, self._clock.now(), self._movements)
 
     def _write(self, step: StrainStep) -> None:
         if self._pressing is None:

@@ -153,7 +153,7 @@ class SimulatedWorld:
         return float(self.sheet.design.thickness_mm_at(np.array([[x_mm, y_mm]]))[0])
 
     def head_at(self, to: HeadPosition, before: HeadPosition, time_s: float, index: int) -> HeadPosition:
-        """Where the head gets to when it is told to go somewhere; the index counts its movements."""
+        """Where the head gets to from where it was, told to go somewhere; the index counts its movements."""
         moment = self._moment(time_s, index, [])
         moment.place_mm, moment.from_mm = (to[0], to[1]), (before[0], before[1])
         moment.depth_mm, moment.from_depth_mm = to[2], before[2]

@@ -186,6 +186,21 @@ def test_an_axis_stops_short_on_the_side_it_came_from():
     assert at.depth_mm == pytest.approx(-24.98)
 
 
+@given(st.lists(st.floats(-3, 3), min_size=1, max_size=12), st.floats(0, 1))
+def test_play_is_used_up_before_an_axis_follows(told, play):
+    """It is never further off than half of its play, never moves away from where it is told, and may stay."""
+    effect, here = Backlash(OF, play_mm=0.1, depth_play_mm=play), 0.0
+    for depth in told:
+        at = moment(OF, 0.0)
+        at.from_depth_mm, at.depth_mm = here, depth
+        effect.apply(at)
+        assert abs(at.depth_mm - depth) <= play / 2 + 1e-12
+        assert abs(at.depth_mm - depth) <= max(abs(here - depth), 0.0)
+        if abs(here - depth) <= play / 2:
+            assert at.depth_mm == here
+        here = at.depth_mm
+
+
 def chain(*effects):
     classes = {
         "elastic-stress": ElasticStress,

@@ -25,7 +25,7 @@ from cbsr_qa.domain.scene import Dump
 from cbsr_qa.interfaces import RecordingWriter
 from cbsr_qa_plugins.recordings.ert_board_clock import NEWTON_PER_GRAM
 from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
-from cbsr_qa_plugins.recordings.ert_board_writer import MOST_COUNTS, counts_per_volt
+from cbsr_qa_plugins.recordings.ert_board_writer import END_COUNTS, MOST_COUNTS, counts_per_volt, scale_of
 
 LOST = [(3, 5, 9), (7, 0, 2), (8, 15, 16)]
 WHOLE = [k for k in range(12) if k not in {3, 7, 8}]
@@ -52,15 +52,33 @@ def at(samples, name):
     return next(block for block in samples if block.channel == name)
 
 
+def cut(voltages, gain):
+    return np.clip(voltages, -END_COUNTS / gain, END_COUNTS / gain)
+
+
 # --- ert-board-csv ---
+
+
+def test_the_boards_scale_is_that_of_used_readings_and_driven_pairs_are_cut(tmp_path):
+    """Readings of 0.1 V away from the driven electrodes, of 7 V at them, and one of 3 V in one frame, a fault."""
+    apart = np.subtract.outer(np.arange(16), np.arange(16)) % 16
+    voltages = np.where((apart > 1) & (apart < 15), 0.1, 7.0) * np.ones((9, 1, 1))
+    voltages[4, 2, 9] = 3.0
+    recording, transcript = made_up(9, inner="measure", readings=voltages)
+    read, notes = written(tmp_path, "ert-board-csv", recording, transcript)
+    counts = read.frames.voltages
+    assert 0.1 <= 0.1 * 2e5 / END_COUNTS <= 1  # 200 000 counts a volt: 1.5 × 0.1 V fill 30 000
+    assert (counts[0][(apart > 1) & (apart < 15)] == 20_000).all()
+    assert set(counts[:, apart < 2].ravel()) == {END_COUNTS} == {counts[4, 2, 9]}
+    assert any("49 of the 256 readings" in note and "cut at 0.164 V" in note for note in notes)
 
 
 def test_the_board_file_holds_counts_and_times_of_the_whole_frames(tmp_path):
     recording, transcript = made_up(12, inner="measure", lost=LOST)
     read, notes = written(tmp_path, "ert-board-csv", recording, transcript)
-    gain = counts_per_volt(np.abs(recording.frames.voltages).max())
+    gain = scale_of(recording.frames.voltages)
     assert read.frames.unit is VoltageUnit.COUNT
-    off = read.frames.voltages / gain - recording.frames.voltages[WHOLE]
+    off = read.frames.voltages / gain - cut(recording.frames.voltages[WHOLE], gain)
     assert np.abs(off).max() <= 0.5 / gain * (1 + 1e-9)
     assert any(f"{gain:g} counts per volt" in note for note in notes)
     np.testing.assert_allclose(read.frames.time_s, PERIOD_S * np.array(WHOLE), rtol=0, atol=1.1e-3)
@@ -263,8 +281,9 @@ def test_whatever_rows_are_lost_the_whole_frames_are_read(tmp_path, name, seed):
     read, _ = written(tmp_path, name, recording, transcript)
     assert len(read.frames) == np.sum(~any_)
     assert read.frames_dropped == np.sum(any_ & ~all_)
-    gain = counts_per_volt(np.abs(recording.frames.voltages).max()) if name == "ert-board-csv" else 1
-    np.testing.assert_allclose(read.frames.voltages / gain, recording.frames.voltages[~any_], rtol=0, atol=0.5 / 2e3)
+    gain = scale_of(recording.frames.voltages) if name == "ert-board-csv" else 1
+    expected = recording.frames.voltages[~any_] if gain == 1 else cut(recording.frames.voltages[~any_], gain)
+    np.testing.assert_allclose(read.frames.voltages / gain, expected, rtol=0, atol=0.5 / 1e3)
 
 
 @pytest.mark.parametrize("name", FORMATS)

@@ -109,7 +109,7 @@ def test_what_cannot_be_negative_is_refused_below_zero(name: str, parameter: str
 
 @pytest.mark.parametrize(("name", "parameter"), [(n, p) for n, p in ALL if p in WORDS])
 def test_a_word_that_is_none_of_the_known_is_refused(name: str, parameter: str):
-    for value in ("outer", "", 3, True, ["punch"], None):
+    for value in ("outer", "", 3, True, ["punch"]):
         error = refused(name, **{parameter: value})
         assert f"{parameter} is {value!r}" in error.reason
         assert "'" in error.remedy

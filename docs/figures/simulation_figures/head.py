@@ -1,6 +1,5 @@
 """Effects on where the head gets to, and on where it meets the sheet."""
 
-from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -40,7 +39,10 @@ def backlash() -> Canvas:
     figure, (axes,) = panels(1)
     made = worlds.world({"backlash": {"play_mm": 0.2}})
     way = [*np.arange(0.0, 41.0, 5.0), *np.arange(35.0, -1.0, -5.0)]
-    off = [made.head_at((to, 0.0, -25.0), (before, 0.0, -25.0), 0.0, 0)[0] - to for before, to in pairwise(way)]
+    at = [0.0]
+    for to in way[1:]:
+        at.append(made.head_at((to, 0.0, -25.0), (at[-1], 0.0, -25.0), 0.0, 0)[0])
+    off = [reached - to for reached, to in zip(at[1:], way[1:], strict=True)]
     out = len(way) // 2
     axes.axhline(0, **WITHOUT)
     axes.plot(way[1 : out + 1], off[:out], ">", color=BLUE, markersize=4, label="going to +x")

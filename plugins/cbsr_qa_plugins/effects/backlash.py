@@ -1,15 +1,14 @@
 """Play in the applicator's drives."""
 
-import math
-
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.simulate.parameters import number
 
 
 class Backlash:
-    """Every axis stops half of its play short of where it is told, on the side it came from.
+    """Every axis has play: it follows what it is told only when its play is used up, on the side it came from.
 
-    An axis that did not move is in the middle of its play: what it did before is not remembered.
+    The play operator (Visintin 1994): the axis stays where it is as long as that is within half of its play from
+    where it is told to be; else it stops half of its play short of it.
 
     Parameters
     ----------
@@ -27,9 +26,9 @@ class Backlash:
     def apply(self, moment: Moment) -> None:
         """Hold the head back."""
         (x, y), (from_x, from_y) = moment.place_mm, moment.from_mm
-        moment.place_mm = (_short(x, from_x, self._play_mm), _short(y, from_y, self._play_mm))
-        moment.depth_mm = _short(moment.depth_mm, moment.from_depth_mm, self._depth_play_mm)
+        moment.place_mm = (_played(x, from_x, self._play_mm), _played(y, from_y, self._play_mm))
+        moment.depth_mm = _played(moment.depth_mm, moment.from_depth_mm, self._depth_play_mm)
 
 
-def _short(to_mm: float, from_mm: float, play_mm: float) -> float:
-    return to_mm if to_mm == from_mm else to_mm - math.copysign(play_mm / 2, to_mm - from_mm)
+def _played(to_mm: float, from_mm: float, play_mm: float) -> float:
+    return min(max(from_mm, to_mm - play_mm / 2), to_mm + play_mm / 2)

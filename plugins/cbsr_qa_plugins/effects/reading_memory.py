@@ -27,7 +27,7 @@ class ReadingMemory:
     perturbs = "voltages"
 
     def __init__(self, setting: SceneSetting, *, share: float, inner: str | None = None) -> None:
-        if inner not in ("measure", "drive", None):
+        if inner is not None and inner not in ("measure", "drive"):
             raise ConfigError(f"inner is {inner!r}", remedy="it is 'measure' or 'drive'")
         self._share = number("share", share, most=0.9)
         self._inner = inner
@@ -50,7 +50,7 @@ class ReadingMemory:
         told = "drive" if at_s[1, 0] < at_s[0, 1] else "measure"
         if self._inner not in (told, None) and at_s[1, 0] != at_s[0, 1]:
             raise RefusedError(
-                f"effect 'reading-memory' has inner = {self._inner!r}, while time-skew steps the {told!r} pair faster",
+                f"reading-memory has inner = {self._inner!r}, while time-skew steps the {told!r} pair faster",
                 remedy="give both the same inner, or leave it out of reading-memory",
             )
         return told if at_s[1, 0] != at_s[0, 1] else self._inner or "measure"

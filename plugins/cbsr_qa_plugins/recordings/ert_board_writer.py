@@ -29,8 +29,11 @@ from cbsr_qa_plugins.recordings.lab_files import (
 
 NAME: Final = "ert-board-csv"
 TITLES: Final = "time_pc [s],Mass [g],time_mcu[ms],data [mV]:"
-#: Largest magnitude of a reading in counts: a little below the end of 16 bits, so that none looks saturated.
+#: Largest usual magnitude of a used reading in counts, with its headroom: below the end of 16 bits.
 MOST_COUNTS: Final = 32_000
+#: The end of 16 bits: driven pairs are cut there, as in the lab's recordings.
+END_COUNTS: Final = 32_767
+_HEADROOM: Final = 1.5  # for readings under loads; what a fault makes larger yet is cut
 #: What the board's clock says when the computer's begins: the board was switched on first.
 FIRST_BOARD_MS: Final = 1000
 
@@ -60,7 +63,8 @@ def write_ert_board(path: Path, recording: Recording, transcript: Transcript) ->
 
     A row's time, on either clock, is the mean of its readings' times, so that the middle of the first and the last
     row is the frame's. The computer reads each line when it is sent; the mass beside it is interpolated at that time
-    and keeps its first and last value outside the samples.
+    and keeps its first and last value outside the samples. The scale is that of readings away from the driven
+    electrodes, which are a tenth of the others: driven pairs are cut.
 
     Returns
     -------
@@ -74,15 +78,28 @@ def write_ert_board(path: Path, recording: Recording, transcript: Transcript) ->
     refuse_unfit(NAME, path, recording, transcript)
     row_s: NDArray[np.float64] = reading_times(NAME, recording, transcript, "measure").mean(axis=2)
     _refuse_too_long(float(row_s[-1, -1] - row_s[0, 0]))
-    gain = counts_per_volt(float(np.abs(recording.frames.voltages).max()))
+    gain = scale_of(recording.frames.voltages)
     with new_text_file(path) as file:
         file.write(utc_line(recording) + TITLES + "\n")
         port = _Port(file, channel(recording, "force", "N"), float(row_s[0, 0]))
         dumps = _by_place(transcript.dumps)
         for frame, volts in enumerate(recording.frames.voltages):
-            counts = np.rint(volts * gain).astype(np.int64).tolist()
+            counts = np.rint(np.clip(volts * gain, -END_COUNTS, END_COUNTS)).astype(np.int64).tolist()
             _write_frame(port, row_s[frame].tolist(), counts, transcript.lost[frame], dumps[frame])
     return (*_converted(recording, gain), *left_out(recording, transcript, ("force",), ~ReadingFlag.NONE))
+
+
+def scale_of(voltages_V: NDArray[np.float64]) -> float:
+    """Counts per volt for frames (n, 16, 16): so that what their used readings usually are fills the 16 bits."""
+    usual = np.median(np.abs(voltages_V), axis=0)
+    return counts_per_volt(_HEADROOM * float(usual[_away()].max() or usual.max()))
+
+
+def _away() -> NDArray[np.bool_]:
+    """Readings that touch no driven electrode, (16, 16)."""
+    apart = np.subtract.outer(np.arange(16), np.arange(16)) % 16
+    away: NDArray[np.bool_] = (apart > 1) & (apart < 15)
+    return away
 
 
 def counts_per_volt(largest_V: float) -> float:
@@ -165,6 +182,11 @@ def _converted(recording: Recording, gain: float) -> list[str]:
         f"{gain:g} counts per volt: readings are rounded to {1e6 / gain:g} µV; the file does not state the scale",
         "rows carry the mean time of their readings, in whole milliseconds",
     ]
+    cut = int((np.abs(recording.frames.voltages * gain) > END_COUNTS).any(axis=0).sum())
+    if cut:
+        said.append(
+            f"{cut} of the 256 readings, most of them at driven electrodes, are cut at {END_COUNTS / gain:.3g} V"
+        )
     if recording.frames.current_A is not None:
         said.append(f"the drive current of {1e3 * recording.frames.current_A:g} mA is not written")
     return said
