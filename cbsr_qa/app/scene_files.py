@@ -2,7 +2,8 @@
 
 import os
 import re
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -152,8 +153,9 @@ def _file_name(scene: str) -> str:
     return re.sub(r"[^\w.-]+", "-", scene).strip(".-") or "scene"
 
 
-def make_folder(folder: Path, output: Path | None) -> None:
-    """Make the folder that a scene is written to.
+@contextmanager
+def made_folder(folder: Path, output: Path | None) -> Iterator[None]:
+    """Make the folder that a scene is written to, and take away what of it is new and empty if it fails.
 
     Parameters
     ----------
@@ -164,6 +166,18 @@ def make_folder(folder: Path, output: Path | None) -> None:
     ConfigError
         If it cannot be written to.
     """
+    new = [above for above in (folder, *folder.parents) if not above.exists()]
+    try:
+        _check_writable(folder, output)
+        yield
+    except BaseException:
+        for above in new:
+            with suppress(OSError):  # somebody's files are in it
+                above.rmdir()
+        raise
+
+
+def _check_writable(folder: Path, output: Path | None) -> None:
     try:
         writable_folder(folder)
     except ConfigError as error:

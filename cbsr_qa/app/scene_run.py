@@ -4,17 +4,21 @@ import shlex
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
+
 import cbsr_qa
-from cbsr_qa.app.scene_files import Written, checked_targets, make_folder, write_all
+from cbsr_qa.app.scene_files import Target, Written, checked_targets, made_folder, write_all
 from cbsr_qa.app.scene_setting import SceneSetup, effects_of, made_world, naming, set_up
 from cbsr_qa.config.scene_checks import edge_remarks
+from cbsr_qa.domain.scene import Dump
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.plugins import Plugins, discover
 from cbsr_qa.simulate.limits import NOT_MODELLED
 from cbsr_qa.simulate.scene_heads import PressedLoad
-from cbsr_qa.simulate.scene_recording import RecordedScene, record_scene
+from cbsr_qa.simulate.scene_recording import RecordedScene, planned_middles_s, record_scene
 from cbsr_qa.simulate.world import SimulatedWorld
 
 
@@ -103,14 +107,30 @@ def run_scene(
     targets = checked_targets(setup.plan.scene.name, seed, request.output, request.formats, plugins)
     tell("making the sheet")
     world = made_world(setup, effects_of(plugins), seed=seed)
-    make_folder(targets[0].path.parent, request.output)  # a scene that is refused leaves nothing behind
-    tell(f"simulating {setup.plan.frame_count} frames")
     with naming(setup.label):
-        recorded = record_scene(world, setup.plan, progress=progress)
+        _rehearse(world, setup, targets)
     remarks = edge_remarks(setup.plan, setup.sensor_type.value)
-    recorded = _labelled(recorded, world, setup, plugins, tuple(remarks.values()))
-    tell("writing")
-    return SceneRun(setup, seed, recorded, write_all(recorded, targets), remarks)
+    with made_folder(targets[0].path.parent, request.output):
+        tell(f"simulating {setup.plan.frame_count} frames")
+        with naming(setup.label):
+            recorded = record_scene(world, setup.plan, progress=progress)
+        recorded = _labelled(recorded, world, setup, plugins, tuple(remarks.values()))
+        tell("writing")
+        return SceneRun(setup, seed, recorded, write_all(recorded, targets), remarks)
+
+
+def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, ...]) -> None:
+    """Write one unloaded frame in every format: what cannot be written is refused before anybody has waited."""
+    if len(targets) == 1 or not setup.plan.frame_count:
+        return
+    plan = replace(setup.plan, loads=(), duration_s=setup.plan.scene.frame_period_s)
+    recorded = record_scene(world, plan)
+    whole = replace(recorded.transcript, lost=np.zeros_like(recorded.transcript.lost))
+    if world.transcript(planned_middles_s(setup.plan)).dumps:
+        whole.dumps = [Dump(0, 0, 0.0)]
+    with TemporaryDirectory() as folder:
+        there = tuple(replace(target, path=Path(folder) / target.path.name) for target in targets)
+        write_all(replace(recorded, transcript=whole), there)
 
 
 def _labelled(

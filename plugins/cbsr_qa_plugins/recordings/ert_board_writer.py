@@ -184,9 +184,8 @@ def _converted(recording: Recording, gain: float) -> list[str]:
     ]
     cut = int((np.abs(recording.frames.voltages * gain) > END_COUNTS).any(axis=0).sum())
     if cut:
-        said.append(
-            f"{cut} of the 256 readings, most of them at driven electrodes, are cut at {END_COUNTS / gain:.3g} V"
-        )
+        at_V = END_COUNTS / gain
+        said.append(f"{cut} of the 256 readings, most of them at driven electrodes, are cut at {at_V:.3g} V")
     if recording.frames.current_A is not None:
         said.append(f"the drive current of {1e3 * recording.frames.current_A:g} mA is not written")
     return said
