@@ -13,13 +13,14 @@ import cbsr_qa
 from cbsr_qa.app.scene_files import Target, Written, checked_targets, made_folder, write_all
 from cbsr_qa.app.scene_setting import SceneSetup, effects_of, made_world, naming, set_up
 from cbsr_qa.config.scene_checks import edge_remarks
-from cbsr_qa.domain.scene import Dump
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.plugins import Plugins, discover
 from cbsr_qa.simulate.limits import NOT_MODELLED
 from cbsr_qa.simulate.scene_heads import PressedLoad
 from cbsr_qa.simulate.scene_recording import RecordedScene, planned_middles_s, record_scene
 from cbsr_qa.simulate.world import SimulatedWorld
+
+_MOST_REHEARSED = 200  # frames
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,14 +121,17 @@ def run_scene(
 
 
 def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, ...]) -> None:
-    """Write one unloaded frame in every format: what cannot be written is refused before anybody has waited."""
+    """Write unloaded frames in every format: what cannot be written is refused before anybody has waited.
+
+    One frame, or those up to the first in which a board pauses.
+    """
     if len(targets) == 1 or not setup.plan.frame_count:
         return
-    plan = replace(setup.plan, loads=(), duration_s=setup.plan.scene.frame_period_s)
+    dumps = world.transcript(planned_middles_s(setup.plan)).dumps
+    frames = 1 + min(dumps[0].frame, _MOST_REHEARSED) if dumps else 1
+    plan = replace(setup.plan, loads=(), duration_s=frames * setup.plan.scene.frame_period_s)
     recorded = record_scene(world, plan)
     whole = replace(recorded.transcript, lost=np.zeros_like(recorded.transcript.lost))
-    if world.transcript(planned_middles_s(setup.plan)).dumps:
-        whole.dumps = [Dump(0, 0, 0.0)]
     with TemporaryDirectory() as folder:
         there = tuple(replace(target, path=Path(folder) / target.path.name) for target in targets)
         write_all(replace(recorded, transcript=whole), there)

@@ -12,9 +12,9 @@ from cbsr_qa.domain.kinematics import distance_mm, travel_s
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.scene_plan import PressTimes, SceneLoad, ScenePlan, approach_s, press_times
 from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.simulate.sheet import finest_mesh_mm
 
 _ROUNDING_S = 1e-9  # of times that are sums of others
-_FINEST = 0.02  # mesh, of the sheet's radius: a minute to prepare; 0.01 has more points than the mesher makes
 _PER_SIDE = 16  # points of a head's side that are held against the sheet's edge
 
 #: A load, its place in the file's list, and when it is pressed.
@@ -31,8 +31,8 @@ def check_plan(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
         press in time, or that meets another head, each with what is allowed.
     """
     plan = loaded.value
-    finest_mm = _FINEST * sensor_type.radius_mm
-    if sensor_type.mesh is None and plan.scene.sheet_mesh_size_mm < finest_mm:
+    finest_mm = finest_mesh_mm(sensor_type)
+    if plan.scene.sheet_mesh_size_mm < finest_mm:
         what = f"is {plainly(plan.scene.sheet_mesh_size_mm)}; on this sheet it must be at least {finest_mm:g}"
         raise refusal(loaded.document, [Problem(("scene", "sheet_mesh_size_mm"), what)])
     timed = [

@@ -28,6 +28,15 @@ _ORDER: Final = 2  # of the elements; the image's Jacobian is another mesh's
 _PLACES: Final = 512  # whose covers are kept
 
 
+#: Finest mesh, of the sheet's radius: a minute to prepare; half of it has more points than the mesher makes.
+_FINEST: Final = 0.02
+
+
+def finest_mesh_mm(sensor_type: SensorType) -> float:
+    """Smallest element size a scene may ask for; 0 where the sensor type brings its mesh."""
+    return _FINEST * sensor_type.radius_mm if sensor_type.mesh is None else 0.0
+
+
 class SimulatedSheet:
     """A sheet whose mean inter-electrode resistance is the material's.
 
@@ -110,6 +119,14 @@ class SimulatedSheet:
     def readings(self, impedance_ohm: Array) -> Array:
         """Readings per ampere of a transfer impedance: (drives, measures) [V/A]."""
         return self.unit_model.readings(impedance_ohm)
+
+    def pressed_mm2(self, place: Place) -> float:
+        """How much of a head at a place is on the sheet."""
+        head, outline = self.design.indenter, self.sensor_type.outline
+        if outline.clearance_mm(np.array([place]))[0] >= head.reach_mm:
+            return head.area_mm2
+        covered = cover(self.unit_model.elements, head.at(*place))
+        return float(covered.share @ self.mesh.areas_mm2[covered.elements])
 
     @cached_property
     def contact_share(self) -> float:

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.plan import Scene
 from cbsr_qa.domain.scene import (
@@ -24,7 +25,7 @@ from cbsr_qa.domain.scene import (
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.simulate.chain import EffectFactory, build_chain
 from cbsr_qa.simulate.frames import FrameMaker, SimulatedFrame
-from cbsr_qa.simulate.sheet import SimulatedSheet
+from cbsr_qa.simulate.sheet import SimulatedSheet, finest_mesh_mm
 
 Array = NDArray[np.float64]
 
@@ -95,6 +96,12 @@ class SimulatedWorld:
         self._frame_reach_s = 2 * scene.frame_period_s  # beside a board's pauses
 
     def _made(self, scene: Scene, contact_length_mm: float) -> SimulatedSheet:
+        finest_mm = finest_mesh_mm(self.setting.sensor_type)
+        if scene.sheet_mesh_size_mm < finest_mm:
+            raise ConfigError(
+                f"scene {scene.name!r}: sheet_mesh_size_mm is {scene.sheet_mesh_size_mm:g}",
+                remedy=f"on this sheet it is at least {finest_mm:g}",
+            )
         design = SheetDesign.plain(self.setting.sensor_type, self.setting.indenter, contact_length_mm)
         self.chain.design(design)
         return SimulatedSheet(
@@ -136,8 +143,10 @@ class SimulatedWorld:
         touching = [press for press in self._moving.at(self.presses, time_s) if press.strain_at(time_s) > _TOUCHING]
         moment = self._moment(time_s, index, touching)
         self.chain.apply("stress", moment)
-        pressed_kPa = sum(max(stress, 0.0) for stress in moment.stress_kPa)
-        moment.force_N = pressed_kPa * self.setting.indenter.area_mm2 * 1e-3
+        moment.force_N = 1e-3 * sum(
+            max(stress, 0.0) * self.sheet.pressed_mm2((press.x_mm, press.y_mm))
+            for press, stress in zip(touching, moment.stress_kPa, strict=True)
+        )
         self.chain.apply("force", moment)
         return moment.force_N
 

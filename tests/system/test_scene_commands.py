@@ -227,7 +227,7 @@ def test_a_format_that_cannot_hold_the_scene_leaves_no_file(folder):
     done = cbsr_qa(folder, "scene", "run", "turned.toml", "--format", "ert-board-csv", check=False)
     assert done.returncode == 2
     assert "cannot be written as ert-board-csv" in done.stderr
-    assert list((folder / "var" / "scenes").iterdir()) == []
+    assert not (folder / "var").exists()
 
 
 @pytest.mark.parametrize("stage", ["simulating", "writing"])
@@ -248,7 +248,7 @@ def test_ctrl_c_is_said_and_leaves_no_file(folder, stage):
         said, last = process.communicate(timeout=60)
     assert (process.returncode, said) == (3, "")
     assert last.endswith("cbsr-qa: aborted\n")
-    assert list((folder / "var" / "scenes").iterdir()) == []
+    assert not (folder / "var").exists()
 
 
 # --- explain ---

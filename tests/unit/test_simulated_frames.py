@@ -242,3 +242,25 @@ def test_an_effect_that_does_not_say_how_long_it_remembers_remembers_for_ever():
     assert one.chain.memory_s == np.inf
     unloaded = world(scene()).voltages_V(1e6, 0)
     assert np.abs(one.voltages_V(1e6, 0) - unloaded).max() > 1e-5
+
+
+# --- the sheet's edge ---
+
+
+def test_only_what_lies_on_the_sheet_is_pressed():
+    """A head with its axis on a round sheet's edge, between two pins: two circles' lens, of radii 6.5 and 50 mm."""
+    one, between = world(scene("elastic-stress")), np.pi / 16
+    one.presses.append(held(0, 50.0 * np.cos(between), 50.0 * np.sin(between), 0.2))
+    inside = world(scene("elastic-stress"))
+    inside.presses.append(held(0, 43.0, 0.0, 0.2))
+    r, R = 6.5, 50.0
+    lens = r**2 * np.arccos(r / (2 * R)) + R**2 * np.arccos(1 - r**2 / (2 * R**2))
+    lens -= 0.5 * np.sqrt((2 * R - r) * r * r * (2 * R + r))
+    assert inside.force_N(10.0, 0) == pytest.approx(132.5 * 0.2 * np.pi * r**2 * 1e-3)
+    assert one.force_N(10.0, 0) / inside.force_N(10.0, 0) == pytest.approx(lens / (np.pi * r**2), rel=2e-3)
+
+
+def test_a_mesh_that_nobody_waits_for_is_refused():
+    with pytest.raises(ConfigError, match=r"sheet_mesh_size_mm is 0\.01") as said:
+        world(replace(scene(), sheet_mesh_size_mm=0.01))
+    assert "at least 1" in said.value.remedy
