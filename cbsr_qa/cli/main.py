@@ -50,6 +50,9 @@ _REPORT_IT = "what was stored is kept; please report this with the output of CBS
 #: What typer raises for a misused command line. It brings its own copy of click, or uses the installed one.
 _UsageError = cast(type[Exception], typer.BadParameter.__mro__[1])
 
+#: What typer makes of Ctrl-C where it is not the one to end the program.
+_INTERRUPTED = 130
+
 #: Numerical libraries take their number of threads from these when they are loaded.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -68,6 +71,8 @@ def guarded(arguments: list[str]) -> int:
     """Run one command and return its exit code; every expected error becomes one clear message."""
     try:
         result = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
+        if result == _INTERRUPTED:
+            raise KeyboardInterrupt
     except CbsrError as error:
         if "--json" in arguments:
             emit_json(error.document())
@@ -76,8 +81,7 @@ def guarded(arguments: list[str]) -> int:
     except _UsageError as error:
         return _misused(error, arguments)
     except (typer.Abort, KeyboardInterrupt):
-        note("cbsr-qa: aborted")
-        return 3
+        return _aborted(arguments)
     except BrokenPipeError:
         # Whoever read our output has gone (head, a pager): not an error of ours.
         sys.stderr.close()
@@ -85,6 +89,14 @@ def guarded(arguments: list[str]) -> int:
     except Exception as error:  # noqa: BLE001 - exit code 1 means that a sensor failed, and nothing else
         return _unexpected(error, arguments)
     return result if isinstance(result, int) else 0
+
+
+def _aborted(arguments: list[str]) -> int:
+    """Say that somebody stopped a command that has no end of its own for that, as a run has."""
+    if "--json" in arguments:
+        emit_json({"aborted": {"reason": "stopped from the keyboard", "remedy": "start it again"}})
+    note("cbsr-qa: aborted")
+    return 3
 
 
 def _unexpected(error: Exception, arguments: list[str]) -> int:

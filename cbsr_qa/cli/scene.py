@@ -1,7 +1,5 @@
 """``cbsr-qa scene``: what a simulated world contains, and a recording of it."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -52,7 +50,7 @@ def run(
     from cbsr_qa.app.scene_run import SceneRunRequest, run_scene
 
     request = SceneRunRequest(scene, output, tuple(format_ or ()), seed)
-    with _stoppable(), Counting("frames") as counting:
+    with Counting("frames") as counting:
         done = run_scene(request, tell=counting.stage, progress=counting.count)
     for remark in done.remarks.values():
         note(f"note: {remark}")
@@ -60,15 +58,6 @@ def run(
         emit_json(done.document())
     else:
         _show_run(done)
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    """Let Ctrl-C end the command as the others' aborts do; typer alone would end it without a word."""
-    try:
-        yield
-    except KeyboardInterrupt as stopped:
-        raise typer.Abort from stopped
 
 
 def _show_run(done: "SceneRun") -> None:
@@ -101,7 +90,7 @@ def explain(
     """
     from cbsr_qa.app.scene_explain import explain_scene
 
-    with _stoppable(), Counting("measurements") as counting:
+    with Counting("measurements") as counting:
         explained = explain_scene(scene, measure=not no_measure, tell=counting.stage, progress=counting.count)
     if as_json:
         emit_json(explained.document())

@@ -62,3 +62,15 @@ def test_a_misused_command_line_ends_with_2_and_says_so_on_stderr(capsys, argume
 def test_every_command_has_help(capsys, command):
     assert main.guarded([command, "--help"]) == 0
     assert "Usage" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_ctrl_c_in_any_command_is_said(monkeypatch, capsys, as_json):
+    """typer makes an exit code of it, without a word."""
+    monkeypatch.setattr(main, "app", lambda *_, **__: 130)
+    assert main.guarded(["analyse", "x.csv", *["--json"] * as_json]) == 3
+    out, err = capsys.readouterr()
+    assert err == "cbsr-qa: aborted\n"
+    assert bool(out) == as_json
+    if as_json:
+        assert json.loads(out)["aborted"]["reason"] == "stopped from the keyboard"
