@@ -22,6 +22,7 @@ from cbsr_qa_plugins.metrics.contact_resistance import ContactResistance
 from cbsr_qa_plugins.metrics.image_noise import ImageNoise
 from cbsr_qa_plugins.metrics.noise_figure import NoiseFigure
 from cbsr_qa_plugins.metrics.reciprocity import ReciprocityError
+from cbsr_qa_plugins.metrics.registration import RegistrationOfPlaces
 from cbsr_qa_plugins.metrics.settling_time import SettlingTimes
 from cbsr_qa_plugins.metrics.shape_deviation import ShapeDeviation
 from cbsr_qa_plugins.registry import BUILT_IN
@@ -367,3 +368,33 @@ def test_the_stated_error_of_the_noise_figure_is_that_seen():
         found.append(NoiseFigure().measure_run(sample_run(unloaded=unloaded))[0])
     values = [m.value for m in found]
     assert np.std(values, ddof=1) == pytest.approx(np.mean([m.uncertainty for m in found]), rel=0.3)
+
+
+# --- of the grid as a whole --------------------------------------------------------------------------------------
+
+
+def test_a_grid_that_is_seen_off_is_the_stations_and_the_rest_the_sensors():
+    """Every place is seen 2 mm to the right, one of them 1 mm further up."""
+    places = [(0.0, 0.0), (30.0, 0.0), (-30.0, 0.0), (0.0, 30.0), (0.0, -30.0)]
+    loads = tuple(
+        sample_load(f"L{k}", place, blob_mm=(place[0] + 2.0, place[1] + (k == 0), 6.5), index=k)
+        for k, place in enumerate(places)
+    )
+    unseen = sample_load("L5", (15.0, 15.0), blob_mm=None, index=5)
+    shift, rotation, scale, *each = RegistrationOfPlaces().measure_run(sample_run((*loads, unseen)))
+    assert (shift.name, rotation.name, scale.name) == tuple(list(RegistrationOfPlaces.measures)[:3])
+    assert shift.value == pytest.approx(np.hypot(2.0, 0.2), abs=1e-9)  # the one's millimetre is a fifth of all
+    assert shift.uncertainty > 0
+    assert (rotation.value, scale.value) == (pytest.approx(0, abs=1e-9), pytest.approx(1, abs=1e-9))
+    assert [one.location for one in each] == ["L0", "L1", "L2", "L3", "L4"]
+    assert [one.value for one in each] == pytest.approx([0.8, 0.2, 0.2, 0.2, 0.2], abs=1e-9)
+
+
+def test_too_few_places_are_not_registered_with_the_reason():
+    found = RegistrationOfPlaces().measure_run(sample_run((sample_load(),)))
+    assert [(one.name, one.value) for one in found] == [
+        ("registration_shift", None),
+        ("registration_rotation", None),
+        ("registration_scale", None),
+    ]
+    assert all("1 place says nothing" in one.how for one in found)

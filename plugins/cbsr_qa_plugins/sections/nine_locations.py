@@ -41,7 +41,8 @@ class NineLocations:
             f"{plural(len(loads), 'press', 'presses')} at {plural(len(by_label(loads)), 'location')};"
             f" {_in_words(loads, measured)}"
         )
-        return Section("Locations", (words, figure, _table(loads, result, measured)))
+        registered = _registration(result, measured.values("registered_centre_of_mass_error", loads))
+        return Section("Locations", (words, *registered, figure, _table(loads, result, measured)))
 
 
 def _in_words(loads: Sequence[LoadObservation], measured: Measured) -> str:
@@ -52,6 +53,23 @@ def _in_words(loads: Sequence[LoadObservation], measured: Measured) -> str:
     lost = len(loads) - len(errors)
     unseen = "" if not lost else f" {plural(lost, 'press was', 'presses were')} not detected."
     return f"mean error {number(fmean(errors), 2)} mm, largest {number(largest, 2)} mm.{unseen}"
+
+
+def _registration(result: RunResult, left_mm: Sequence[float]) -> tuple[Paragraph, ...]:
+    """What all places share, and what is left without it; nothing where it was not measured."""
+    whole = {m.name: m for m in result.measurements if m.name.startswith("registration_")}
+    shift, rotation, scale = (whole.get(f"registration_{part}") for part in ("shift", "rotation", "scale"))
+    if shift is None or rotation is None or scale is None or not left_mm:
+        return ()
+    if shift.value is None or rotation.value is None or scale.value is None:
+        return ()
+    moved = (
+        f"shifted by {with_uncertainty(shift.value, shift.uncertainty)} mm, turned by"
+        f" {with_uncertainty(rotation.value, rotation.uncertainty)}° and scaled by"
+        f" {with_uncertainty(scale.value, scale.uncertainty)}"
+    )
+    left = f"mean error {number(fmean(left_mm), 2)} mm, largest {number(max(left_mm), 2)} mm"
+    return (Paragraph(f"All locations together are seen {moved}: the station's part. Without it: {left}."),)
 
 
 def _table(loads: Sequence[LoadObservation], result: RunResult, measured: Measured) -> Table:

@@ -1,0 +1,65 @@
+"""Registration of places: exact similarities, errors that are honest, and what says nothing."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
+from cbsr_qa.imaging.registration import register
+
+NINE = np.array(NINE_LOCATIONS_MM)
+
+
+def moved(places, shift_mm, rotation_deg, scale):
+    turn = np.radians(rotation_deg)
+    matrix = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    return places @ matrix.T + shift_mm
+
+
+@given(shift=st.tuples(st.floats(-9, 9), st.floats(-9, 9)), rotation=st.floats(-170, 170), scale=st.floats(0.5, 1.6))
+def test_a_similarity_is_found_exactly(shift, rotation, scale):
+    found = register(NINE + 3.0, moved(NINE + 3.0, shift, rotation, scale))
+    np.testing.assert_allclose(found.shift_mm, shift, rtol=0, atol=1e-10)
+    assert found.rotation_deg == pytest.approx(rotation, abs=1e-9)
+    assert found.scale == pytest.approx(scale, rel=1e-11)
+    assert found.errors_mm.max() < 1e-10
+    assert max(found.shift_stderr_mm, found.rotation_stderr_deg, found.scale_stderr) < 1e-9
+
+
+def test_what_is_left_is_what_no_similarity_explains():
+    """Alternating radial errors on the ring of four at 30 mm: no shift, turn or scale has any of it."""
+    ring = 30.0 * np.array([[1, 0], [0, 1], [-1, 0], [0, -1]])
+    errors = np.array([[1.0, 0], [0, -1.0], [-1.0, 0], [0, 1.0]])
+    found = register(ring, ring + errors)
+    np.testing.assert_allclose(found.residuals_mm, errors, atol=1e-12)
+    assert found.scale == pytest.approx(1.0)
+    np.testing.assert_allclose(found.shift_mm, 0, atol=1e-12)
+
+
+def test_standard_errors_are_those_of_the_scatter():
+    draw, found = np.random.default_rng(4), []
+    for _ in range(2000):
+        one = register(NINE, moved(NINE, (0.4, -0.2), 1.5, 1.02) + 0.3 * draw.standard_normal(NINE.shape))
+        found.append((one.shift_mm[0], one.rotation_deg, one.scale, one.shift_stderr_mm, one.rotation_stderr_deg,
+                      one.scale_stderr))  # fmt: skip
+    values = np.array(found)
+    assert values[:, :3].mean(axis=0) == pytest.approx([0.4, 1.5, 1.02], abs=0.02)
+    stated = np.sqrt((values[:, 3:] ** 2).mean(axis=0))
+    assert stated / values[:, :3].std(axis=0) == pytest.approx(1.0, abs=0.06)
+
+
+@pytest.mark.parametrize(
+    ("nominal", "seen", "said"),
+    [
+        (NINE[:2], NINE[:2], "2 places say nothing"),
+        (np.zeros((4, 2)), NINE[:4], "pressed at one place"),
+        (NINE, np.ones((9, 2)), "seen at one place"),
+        (NINE, np.full((9, 2), np.nan), "not finite"),
+        (NINE, NINE[:5], "do not fit together"),
+    ],
+)
+def test_what_says_nothing_is_refused(nominal, seen, said):
+    with pytest.raises(NumericsError, match=said):
+        register(nominal, seen)
