@@ -57,6 +57,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.EFFECT, "confinement", "effects.confinement:Confinement"),
     (Kind.EFFECT, "temperature-drift", "effects.temperature_drift:TemperatureDrift"),
     (Kind.EFFECT, "load-cell-saturation", "effects.load_cell_saturation:LoadCellSaturation"),
+    (Kind.EFFECT, "misplaced-sheet", "effects.misplaced_sheet:MisplacedSheet"),
     (Kind.EFFECT, "applicator-position-error", "effects.applicator_position_error:ApplicatorPositionError"),
     (Kind.EFFECT, "backlash", "effects.backlash:Backlash"),
     (Kind.EFFECT, "uneven-conductance", "effects.uneven_conductance:UnevenConductance"),

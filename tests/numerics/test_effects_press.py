@@ -23,6 +23,7 @@ from cbsr_qa_plugins.effects.head_edge import HeadEdge
 from cbsr_qa_plugins.effects.hysteresis import Hysteresis
 from cbsr_qa_plugins.effects.load_cell_noise import LoadCellNoise
 from cbsr_qa_plugins.effects.load_cell_saturation import LoadCellSaturation
+from cbsr_qa_plugins.effects.misplaced_sheet import MisplacedSheet
 from cbsr_qa_plugins.effects.piezoresistivity import Piezoresistivity
 from cbsr_qa_plugins.effects.pressure_profile import PressureProfile
 from cbsr_qa_plugins.effects.residue import Residue
@@ -176,6 +177,25 @@ def test_the_head_is_off_as_stated_and_differently_each_time():
         found.append((*at.place_mm, at.depth_mm))
     assert np.mean(found, axis=0) == pytest.approx([10, -5, 0.8], abs=0.02)
     assert np.std(found, axis=0) == pytest.approx([0.2, 0.2, 0.01], rel=0.08)
+
+
+@given(st.floats(-40, 40), st.floats(-40, 40), st.floats(-180, 180))
+def test_a_misplaced_sheet_moves_all_places_by_one_motion(x_mm, y_mm, rotation_deg):
+    """What lies at the sheet's centre is where the station calls (3, −2); distances stay."""
+    effect = MisplacedSheet(OF, x_mm=3.0, y_mm=-2.0, rotation_deg=rotation_deg)
+    found = []
+    for told in ((3.0, -2.0), (x_mm, y_mm), (x_mm + 1.0, y_mm)):
+        at = moment(OF, 0.0)
+        at.place_mm, at.depth_mm = told, 0.8
+        effect.apply(at)
+        assert at.depth_mm == 0.8
+        found.append(complex(*at.place_mm))
+    assert abs(found[0]) < 1e-12
+    assert abs(found[1]) == pytest.approx(math.hypot(x_mm - 3.0, y_mm + 2.0), abs=1e-9)
+    along = found[2] - found[1]
+    assert along == pytest.approx(
+        complex(math.cos(math.radians(rotation_deg)), -math.sin(math.radians(rotation_deg)))
+    )
 
 
 def test_an_axis_stops_short_on_the_side_it_came_from():

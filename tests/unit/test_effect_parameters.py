@@ -51,7 +51,7 @@ REQUIRED: dict[str, dict[str, Any]] = {
     "electrode-noise": {"electrode": 3, "relative_noise": 0.01},
 }
 #: What may be below zero. All else is a length, time, share, deviation, resistance, limit or count.
-SIGNED = {"offset_V", "coefficient_per_K", "rate_K_per_h", "temperature_C", "bias_A"}
+SIGNED = {"offset_V", "x_mm", "y_mm", "rotation_deg", "coefficient_per_K", "rate_K_per_h", "temperature_C", "bias_A"}
 WORDS = {"inner", "shape"}
 NO_NUMBERS = [math.nan, math.inf, -math.inf, "5 s", "5", True, [1.0], {}, 1j]
 

@@ -6,11 +6,36 @@ import numpy as np
 from matplotlib.figure import Figure as Canvas
 
 from cbsr_qa.clock import VirtualClock
+from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
 from cbsr_qa.report.style import BLUE, QUIET, VERMILION
 from cbsr_qa_plugins.hardware.simulated_bench import open_bench
 from simulation_figures import worlds
 from simulation_figures.look import CLOSED, WITHOUT, Draw, key, panels, say
 from simulation_figures.worlds import MOTION
+
+
+def misplaced_sheet() -> Canvas:
+    """Where on the sheet the nine places are, and how far off."""
+    figure, (left, right) = panels(1, 1.3, height_in=2.4)
+    made = worlds.world({"misplaced-sheet": {"x_mm": 3.0, "y_mm": -2.0, "rotation_deg": 6.0}})
+    told = np.array(NINE_LOCATIONS_MM)
+    there = np.array([made.head_at((x, y, -25.0), (0.0, 0.0, -25.0), 0.0, 0)[:2] for x, y in told])
+    turn = np.linspace(0, 2 * np.pi, 121)
+    left.plot(50 * np.cos(turn), 50 * np.sin(turn), **WITHOUT)
+    left.plot(*told.T, "o", color=QUIET, markersize=4, fillstyle="none", label="told")
+    left.plot(*there.T, "o", color=BLUE, markersize=3, label="on the sheet")
+    left.set(aspect="equal", xlim=(-53, 53), ylim=(-53, 53), xticks=(-50, 0, 50), yticks=(-50, 0, 50))
+    say(left, "3, −2 mm, 6°", "x [mm]", "y [mm]", grid="")
+    angle = np.radians(6.0)
+    back = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    closed = np.hypot(*((told - (3.0, -2.0)) @ back.T - told).T)
+    right.plot(np.hypot(*(there - told).T), "o", color=BLUE, markersize=4, label="on the sheet")
+    right.plot(closed, **CLOSED, label="R(−θ) (p − p₀) − p")
+    right.set_ylim(0, 9)
+    right.set_xticks(range(9), [f"L{k}" for k in range(9)])
+    key(right, "upper right", ncols=2)
+    say(right, "All are off, not alike in mm", "", "off by [mm]")
+    return figure
 
 
 def applicator_position_error() -> Canvas:
@@ -80,6 +105,7 @@ def sheet_seat() -> Canvas:
 
 
 FIGURES: Final[dict[str, Draw]] = {
+    "misplaced-sheet": misplaced_sheet,
     "applicator-position-error": applicator_position_error,
     "backlash": backlash,
     "sheet-seat": sheet_seat,

@@ -15,6 +15,7 @@ class ApplicatorPositionError:
     """
 
     needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ("misplaced-sheet",)
     perturbs = "position"
 
     def __init__(self, setting: SceneSetting, *, error_mm: float, depth_error_mm: float = 0.0) -> None:

@@ -17,6 +17,7 @@ class Backlash:
     """
 
     needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ("misplaced-sheet",)
     perturbs = "position"
 
     def __init__(self, setting: SceneSetting, *, play_mm: float, depth_play_mm: float = 0.0) -> None:
