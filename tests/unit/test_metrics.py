@@ -386,8 +386,9 @@ def test_a_grid_that_is_seen_off_is_the_stations_and_the_rest_the_sensors():
     assert shift.value == pytest.approx(np.hypot(2.0, 0.2), abs=1e-9)  # the one's millimetre is a fifth of all
     assert shift.uncertainty > 0
     assert (rotation.value, scale.value) == (pytest.approx(0, abs=1e-9), pytest.approx(1, abs=1e-9))
-    assert [one.location for one in each] == ["L0", "L1", "L2", "L3", "L4"]
-    assert [one.value for one in each] == pytest.approx([0.8, 0.2, 0.2, 0.2, 0.2], abs=1e-9)
+    assert [one.location for one in each] == ["L0", "L1", "L2", "L3", "L4", "L5"]
+    assert [one.value for one in each[:5]] == pytest.approx([0.8, 0.2, 0.2, 0.2, 0.2], abs=1e-9)
+    assert (each[5].value, each[5].how) == (None, "not detected")
 
 
 def test_too_few_places_are_not_registered_with_the_reason():
@@ -396,5 +397,6 @@ def test_too_few_places_are_not_registered_with_the_reason():
         ("registration_shift", None),
         ("registration_rotation", None),
         ("registration_scale", None),
+        ("registered_centre_of_mass_error", None),
     ]
     assert all("1 place says nothing" in one.how for one in found)

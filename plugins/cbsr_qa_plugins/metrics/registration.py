@@ -1,6 +1,5 @@
 """How the grid of places as a whole is seen shifted, turned and scaled, and what errors are left without that."""
 
-from collections.abc import Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,6 +11,7 @@ from cbsr_qa.domain.steps import Role
 from cbsr_qa.imaging.registration import Registration, register
 from cbsr_qa_plugins.metrics._shared import at_load, refuse_unknown
 
+_HOW = "centre of mass, less what all places share"
 _WHOLE = {"registration_shift": "mm", "registration_rotation": "°", "registration_scale": "1"}
 
 
@@ -32,14 +32,19 @@ class RegistrationOfPlaces:
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Register the loads that were seen."""
         grids = {phase.name for phase in run.record.phases if phase.role is Role.GRID}
-        seen = [(load, place) for load in run.loads if load.phase in grids and (place := _seen(load, run))]
+        loads = [load for load in run.loads if load.phase in grids]
+        seen = [(load, place) for load in loads if (place := _seen(load, run))]
         nominal = np.array([(load.record.load.x_mm, load.record.load.y_mm) for load, _ in seen]).reshape(-1, 2)
         try:
             found = register(nominal, np.array([place for _, place in seen]).reshape(-1, 2))
         except NumericsError as error:
             why = f"not registered: {error.reason}"
-            return tuple(Measurement(name, None, unit, how=why) for name, unit in _WHOLE.items())
-        return (*_whole(found, len(seen)), *_each([load for load, _ in seen], found))
+            names = _WHOLE if loads else self.measures  # what nothing is left of is still a number that is lacking
+            none = tuple(Measurement(name, None, unit, how=why) for name, unit in names.items())
+            return (*none, *(_left(load, None, why) for load in loads))
+        errors = {id(load): float(error) for (load, _), error in zip(seen, found.errors_mm, strict=True)}
+        each = (_left(load, errors.get(id(load)), _HOW if id(load) in errors else "not detected") for load in loads)
+        return (*_whole(found, len(seen)), *each)
 
 
 def _seen(load: LoadObservation, run: RunObservation) -> tuple[float, float] | None:
@@ -64,9 +69,5 @@ def _whole(found: Registration, count: int) -> tuple[Measurement, ...]:
     )
 
 
-def _each(loads: Sequence[LoadObservation], found: Registration) -> tuple[Measurement, ...]:
-    how = "centre of mass, less what all places share"
-    return tuple(
-        at_load(load, "registered_centre_of_mass_error", float(error), "mm", how=how)
-        for load, error in zip(loads, found.errors_mm, strict=True)
-    )
+def _left(load: LoadObservation, error_mm: float | None, how: str) -> Measurement:
+    return at_load(load, "registered_centre_of_mass_error", error_mm, "mm", how=how)
