@@ -8,6 +8,8 @@ import hashlib
 import json
 import os
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
@@ -54,12 +56,25 @@ def write_recording(path: Path, recording: Recording) -> None:
     RecordingError
         If the folder cannot be written to.
     """
+    with written_whole(path) as temporary:
+        temporary.write_bytes(_image(recording))
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Give a temporary file beside a recording's, which takes its place when all of it is written.
+
+    Raises
+    ------
+    RecordingError
+        If the folder cannot be written to.
+    """
     temporary = ""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=".recording-", suffix=".h5", dir=path.parent)
-        with os.fdopen(handle, "wb") as file:
-            file.write(_image(recording))
+        handle, temporary = tempfile.mkstemp(prefix=".recording-", suffix=path.suffix, dir=path.parent)
+        os.close(handle)
+        yield Path(temporary)
         Path(temporary).chmod(0o644)
         Path(temporary).replace(path)
     except OSError as error:

@@ -23,7 +23,9 @@ _ROUNDING: Final = 1e-14  # a load by itself meets the electrodes' few fields al
 
 
 class LinkedPatches:
-    """What a sheet loses by loads on patches that share no node, and by changed contacts.
+    """What a sheet loses by loads on patches that share no element, and by changed contacts.
+
+    Patches side by side share nodes: these are on both rims, for each has elements that do not belong to the other.
 
     With B = K₀⁻¹ between the patches and F the electrodes' fields there, both in the few fields that are ever met,
     and A the patches' answers, the transfer impedance loses Fᵀ (I + A B)⁻¹ A F. Contacts come first: with G what they

@@ -51,7 +51,7 @@ class LoadedSheet:
     ) -> Array:
         """Electrode potentials per electrode current at moments that follow each other closely.
 
-        The first moment's are exact, the others' of second order in what has changed since, see
+        The first moment's are exact; the others' lack what is of third order in what has changed since, see
         :meth:`LinkedPatches.corrections <cbsr_qa.forward.linked_patches.LinkedPatches.corrections>`.
 
         Parameters

@@ -65,6 +65,7 @@ class SimulatedSheet:
         )
         self._loaded = LoadedSheet(self.unit_model)
         self._loads: OrderedDict[Place, LoadFamily] = OrderedDict()
+        self._pressed_mm2: dict[Place, float] = {}
         #: mean sheet conductance γ₀ [S]
         self.conductance_S = _neighbour_resistance(self.unit_model) / interelectrode_resistance_ohm
         #: readings of the unloaded sheet, (drives, measures) [V/A]
@@ -103,7 +104,7 @@ class SimulatedSheet:
         return impedance
 
     def impedances(self, changes: Sequence[Mapping[Place, float]], contact_mm: Array | None = None) -> Array:
-        """The same at moments within a frame, to second order in what has changed since the first.
+        """The same at moments within a frame, but for what is of third order in what has changed since the first.
 
         Parameters and errors as of :meth:`impedance`; a place that has not changed at a moment may be left out there.
 
@@ -122,6 +123,13 @@ class SimulatedSheet:
 
     def pressed_mm2(self, place: Place) -> float:
         """How much of a head at a place is on the sheet."""
+        if place not in self._pressed_mm2:
+            if len(self._pressed_mm2) >= _PLACES:
+                self._pressed_mm2.clear()
+            self._pressed_mm2[place] = self._overlap_mm2(place)
+        return self._pressed_mm2[place]
+
+    def _overlap_mm2(self, place: Place) -> float:
         head, outline = self.design.indenter, self.sensor_type.outline
         if outline.clearance_mm(np.array([place]))[0] >= head.reach_mm:
             return head.area_mm2

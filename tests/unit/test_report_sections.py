@@ -109,6 +109,26 @@ def test_the_location_table_holds_the_measured_values(result):
     assert all(row[3].outcome is Outcome.PASS for row in table.rows)
 
 
+@pytest.mark.parametrize(
+    ("shift_mm", "said"), [(1.14, "the station's part"), (0.2, "no more than their own scatter")]
+)
+def test_what_all_locations_share_is_the_stations_where_it_is_more_than_scatter(result, shift_mm, said):
+    whole = (
+        Measurement("registration_shift", shift_mm, "mm", 0.11),
+        Measurement("registration_rotation", 0.3, "°", 0.26),
+        Measurement("registration_scale", 0.99, "1", 0.005),
+    )
+    left = tuple(
+        Measurement("registered_centre_of_mass_error", 0.1 * k, "mm", phase=load.phase, load=load.record.index)
+        for k, load in enumerate(loads_of(result.observation, Role.GRID))
+    )
+    section = NineLocations().render(replace(result, measurements=(*whole, *left)))
+    (words,) = [part.text for part in section.blocks if getattr(part, "text", "").startswith("All locations")]
+    assert said in words
+    assert f"{shift_mm:.2f} ± 0.11 mm" in words
+    assert "mean error 0.4 mm, largest 0.8 mm" in words.replace("0.40", "0.4").replace("0.80", "0.8")
+
+
 def test_trials_are_averaged_and_the_worst_outcome_shown(result):
     limit = Limit("centre_of_mass_error", "mm", None, 2.0)
     loads = [load for load in result.observation.loads if load.phase == "noise"]

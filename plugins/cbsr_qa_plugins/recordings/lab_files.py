@@ -1,7 +1,5 @@
 """What writing a scene in either of the lab's CSV formats has in common."""
 
-import os
-import tempfile
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,7 +8,8 @@ from typing import Final, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import RecordingError, RefusedError
+from cbsr_qa.analysis.recording_file import written_whole
+from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.frames import ReadingFlag, SampleBlock, VoltageUnit
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.domain.recording import Recording, ScanKind
@@ -192,20 +191,5 @@ def new_text_file(path: Path) -> Iterator[TextIO]:
     RecordingError
         If the folder cannot be written to.
     """
-    temporary = ""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=".recording-", suffix=".csv", dir=path.parent)
-        os.close(handle)
-        with Path(temporary).open("w", encoding="utf-8", newline="\n") as file:
-            yield file
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
-    except OSError as error:
-        raise RecordingError(
-            f"the recording cannot be written to {path}: {error.strerror or error}",
-            remedy="choose a folder that can be written to",
-        ) from error
-    finally:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
+    with written_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
+        yield file
