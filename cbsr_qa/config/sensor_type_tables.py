@@ -53,7 +53,7 @@ class ElectrodesTable(Table):
     length_mm: Positive | None = None
     first_angle_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
     direction: Literal["counterclockwise", "clockwise"] = "counterclockwise"
-    positions_mm: Annotated[list[Point], Field(min_length=3, max_length=256)] | None = None
+    positions_mm: Annotated[list[Point], Field(min_length=2, max_length=256)] | None = None
 
     @property
     def width_key(self) -> str:

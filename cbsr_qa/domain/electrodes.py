@@ -86,7 +86,7 @@ class ElectrodeLayout:
 
 @dataclass(frozen=True, slots=True)
 class PlacedElectrodes:
-    """Electrodes one by one, wherever they are.
+    """Electrodes one by one, wherever they are. Two make a strip for characterising a material, not for images.
 
     Parameters
     ----------
@@ -100,8 +100,8 @@ class PlacedElectrodes:
     width_mm: float
 
     def __post_init__(self) -> None:
-        if self.count < 3:
-            raise RefusedError(f"electrodes.positions_mm has {self.count} electrodes; at least 3 are needed")
+        if self.count < 2:
+            raise RefusedError(f"electrodes.positions_mm has {self.count} electrodes; at least 2 are needed")
         if not 0 < self.width_mm < float("inf"):
             raise RefusedError(f"the width of electrodes is {self.width_mm} mm; it must be a positive number")
         if not np.isfinite(self.places_mm).all():

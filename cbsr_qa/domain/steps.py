@@ -13,6 +13,8 @@ class Role(StrEnum):
     GRID = "grid"  #: fixed places at common strains
     RANDOM = "random"  #: places and strains drawn at random
     RELAXATION = "relaxation"  #: long holds for relaxation fits
+    PRECONDITIONING = "preconditioning"  #: presses that work the sheet in before anything is measured
+    CHARACTERISATION = "characterisation"  #: press cycles on a strip of the material
     OTHER = "other"
 
 

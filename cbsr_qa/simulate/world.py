@@ -87,8 +87,7 @@ class SimulatedWorld:
         self.setting = SceneSetting(sensor_type, material, indenter, seed, scene.current_A, scene.frame_period_s)
         self.chain = build_chain(scene, self.setting, effect_factory)
         self.sheet = self._made(scene, contact_length_mm) if sheet is None else sheet
-        used = np.abs(self.sheet.unloaded[sensor_type.pattern.usable()])
-        self._scale_V = float(used.mean()) * scene.current_A if used.size else 0.0
+        self._scale_V = _mean_reading_ohm(self.sheet, sensor_type) * scene.current_A
         self._frames = FrameMaker(self.sheet, self.chain)
         self.presses: list[SimulatedPress] = []
         self._moving = _Moving()
@@ -213,6 +212,12 @@ class _Moving:
             self._to_s[-1:] = np.inf
             self._count, self._last = len(presses), last
         return [presses[k] for k in np.flatnonzero((self._from_s <= time_s) & (time_s <= self._to_s)).tolist()]
+
+
+def _mean_reading_ohm(sheet: SimulatedSheet, sensor_type: SensorType) -> float:
+    """Mean magnitude of the used readings per ampere; of all of them on a strip, whose two pins do everything."""
+    usable = sensor_type.pattern.usable()
+    return float(np.abs(sheet.unloaded[usable] if usable.any() else sheet.unloaded).mean())
 
 
 def _truth(press: SimulatedPress, time_s: float, change: float, stress_kPa: float) -> PressTruth:

@@ -99,13 +99,14 @@ def test_every_shipped_scene_runs(shipped):
     plan = load_scene_plan(name).value
     (file,) = said["files"]
     assert (file["format"], file["path"]) == ("cbsr-recording", f"var/scenes/{name}-seed7.h5")
-    assert (said["scene"], said["seed"], said["sensor_type"], said["material"]) == (name, 7, "disc-100mm", "cbsr-8wt")
+    sensor_type = "strip-40x20mm" if name == "strip" else "disc-100mm"
+    assert (said["scene"], said["seed"], said["sensor_type"], said["material"]) == (name, 7, sensor_type, "cbsr-8wt")
     assert said["frames"] == plan.frame_count
     assert said["effects"] == [choice.name for choice in plan.scene.effects]
     assert set(plan.scene.not_modelled) < set(said["not_modelled"])
     recording = read_recording(folder / file["path"])
     assert len(recording.frames) == said["frames"] - said["frames_lost"]
-    assert recording.sensor_type == "disc-100mm"
+    assert recording.sensor_type == sensor_type
     assert recording.simulated[0].startswith(f"scene {name}, seed 7, cbsr-qa ")
     assert {block.channel for block in recording.samples} == {"force", "x", "y", "z"}
     assert [(load.load.x_mm, load.load.y_mm) for load in recording.loads] == [load.place_mm for load in plan.loads]
@@ -115,6 +116,8 @@ def test_every_shipped_scene_runs(shipped):
 def test_analyse_finds_the_loads_of_every_shipped_scene(shipped):
     """Without being told where or when: each load has its event, at its time and at its place."""
     name, folder, said = shipped
+    if name == "strip":
+        pytest.skip("two pins make no images to find loads in")
     found = document(cbsr_qa(folder, "analyse", said["files"][0]["path"], "--no-report", "--json"))["events"]
     presses = [event for event in found if event["sign"] == 1]
     assert len(presses) == len(said["loads"])

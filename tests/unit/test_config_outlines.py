@@ -120,7 +120,7 @@ def test_an_outline_that_is_none_is_refused_with_its_line(refused, sheet, said):
             'kind = "pin"\ncount = 8\nring_radius_mm = 45.0\ndiameter_mm = 1.0',
             "electrodes.ring_radius_mm does not fit: electrode 2 lies 5 mm outside the sheet",
         ),
-        ('kind = "pin"\ndiameter_mm = 1.0\npositions_mm = [[0, 0], [1, 1]]', "must have at least 3 items"),
+        ('kind = "pin"\ndiameter_mm = 1.0\npositions_mm = [[0, 0]]', "must have at least 2 items"),
     ],
 )
 def test_electrodes_that_do_not_fit_are_refused_with_their_key(refused, electrodes, said):
