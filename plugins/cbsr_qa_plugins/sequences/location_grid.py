@@ -18,6 +18,7 @@ _KNOWN = (
     "initial_rest_s",
     "find_surface",
     "unloaded_frames",
+    "label",
 )
 
 
@@ -33,6 +34,7 @@ class LocationGridSequence:
     trials : of each location and strain; default 1 (the paper's campaign: 3).
     hold_s, rest_s : default 60 and 60.
     locations_mm : [x, y] each, labelled L0, L1, … in order; default the paper's nine.
+    label : what labels begin with; default L. Two grids of one recipe tell their places apart by it.
     initial_rest_s : rest after surface finding; default 240.
     find_surface : whether the surface is found at every location first; default true.
     unloaded_frames : before the first press; default and least 16.
@@ -55,6 +57,7 @@ class LocationGridSequence:
         self._initial_rest_s = given.duration_s("initial_rest_s", 240.0)
         self._find_surface = given.flag("find_surface", True)
         self._unloaded_frames = given.whole("unloaded_frames", UNLOADED_FRAMES, UNLOADED_FRAMES, 100_000)
+        self._label = given.word("label", "L")
         given.refuse_repeats("strains_percent", self._strains)
         given.refuse_repeats("locations_mm", self._places_mm)
 
@@ -70,4 +73,4 @@ class LocationGridSequence:
         for strain in self._strains:
             for trial in range(self._trials):
                 for number, (x_mm, y_mm) in enumerate(self._places_mm):
-                    yield Load(f"L{number}", x_mm, y_mm, strain, trial)
+                    yield Load(f"{self._label}{number}", x_mm, y_mm, strain, trial)
