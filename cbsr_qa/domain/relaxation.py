@@ -3,6 +3,9 @@
 from dataclasses import dataclass
 from enum import StrEnum
 
+import numpy as np
+from numpy.typing import NDArray
+
 
 class FitStatus(StrEnum):
     """What became of a relaxation fit."""
@@ -56,3 +59,63 @@ class SettlingTime:
     censored: bool
     band: float
     why: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelaxationKernel:
+    """What a sensor's own relaxations have in common: how its next load will relax, and how sure that is.
+
+    The change after a step is A K(t), K(t) = 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂), A the steady change. After a release it
+    is R + D (w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂)), D the change that was released and R what is left at the end.
+
+    Parameters
+    ----------
+    loading : True after a press, False after a release.
+    weights : (k,) w, relative to the steady or the released change; none where nothing relaxes.
+    time_constants_s : (k,) τ rising [s].
+    covariance : (2 k, 2 k) of (w, log τ): how well their means are known.
+    scatter : (k,) standard deviation of each weight from load to load, beyond what noise explains.
+    scatter_freedom : degrees of freedom of these: how well the scatter itself is known.
+    loads : how many the kernel was learned from.
+    start_s : frames before this are not described by it (an unloading spike) [s].
+    why : there is none, for this reason; empty where there is one.
+    """
+
+    loading: bool
+    weights: NDArray[np.float64]
+    time_constants_s: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    scatter: NDArray[np.float64]
+    scatter_freedom: float
+    loads: int
+    start_s: float = 0.0
+    why: str = ""
+
+    @property
+    def new_load_covariance(self) -> NDArray[np.float64]:
+        """Covariance (2 k, 2 k) of (w, log τ) of a load not seen yet: of their means and between loads."""
+        between = np.concatenate([self.scatter**2, np.zeros_like(self.scatter)])
+        covariance: NDArray[np.float64] = self.covariance + np.diag(between)
+        return covariance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SteadyPrediction:
+    """Where holds (or releases) end, as predicted from what was seen of them.
+
+    Parameters
+    ----------
+    values : (m,) steady change A, or what a release leaves R, in the traces' unit.
+    stderr : (m,) one standard error.
+    freedom : (m,) degrees of freedom of Student's t that makes intervals honest; infinite where the noise, which is
+        given, decides.
+    misfit : (m,) χ² of what was seen against the kernel, over its ``spare`` degrees of freedom: well above 1 the
+        load is no plain hold. 0 where nothing is to spare.
+    spare : (m,) frames − 1.
+    """
+
+    values: NDArray[np.float64]
+    stderr: NDArray[np.float64]
+    freedom: NDArray[np.float64]
+    misfit: NDArray[np.float64]
+    spare: NDArray[np.int64]

@@ -1,0 +1,54 @@
+"""Exponentials of a relaxation as frames see them: after a ramp instead of a step, averaged over a frame."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def exponentials(
+    time_s: Array, time_constants_s: Array, *, ramp_s: float | Array = 0.0, frame_s: float = 0.0
+) -> tuple[Array, Array]:
+    """Return e^(−t/τ) as seen, and its derivatives with respect to log τ.
+
+    A linear ramp of length T answers with ∫ e^(−(t + s)/τ) ds/T over 0 … T, that is e^(−t/τ) (1 − e^(−T/τ)) τ/T at t
+    after its end. The mean over a frame of length P about its middle is sinh(x)/x times that, x = P/2τ.
+
+    Parameters
+    ----------
+    time_s : (...,) from the end of the ramp.
+    time_constants_s : (k,).
+    ramp_s : of the ramp, broadcast against ``time_s``.
+    frame_s : P; 0 for values of the frame's middle.
+
+    Returns
+    -------
+    (..., k) each.
+    """
+    tau = time_constants_s
+    late = np.asarray(time_s, dtype=np.float64)[..., None] / tau
+    long = np.asarray(ramp_s, dtype=np.float64)[..., None] / tau
+    half = frame_s / 2 / tau
+    ramp, ramp_slope = _mean_decay(long)
+    frame, frame_slope = _mean_about(half)
+    values = np.exp(-late) * ramp * frame
+    # d/d log τ of f(c/τ) is −x f'(x).
+    return values, values * (late - long * ramp_slope / ramp - half * frame_slope / frame)
+
+
+def _mean_decay(x: Array) -> tuple[Array, Array]:
+    """(1 − e^(−x))/x and its derivative."""
+    small = x < 1e-4
+    safe = np.where(small, 1.0, x)
+    value = -np.expm1(-safe) / safe
+    slope = (np.exp(-safe) - value) / safe
+    return np.where(small, 1 - x / 2, value), np.where(small, -0.5 + x / 3, slope)
+
+
+def _mean_about(x: Array) -> tuple[Array, Array]:
+    """The mean of e^s over −x … x, sinh(x)/x, and its derivative."""
+    small = x < 1e-4
+    safe = np.where(small, 1.0, x)
+    value = np.sinh(safe) / safe
+    slope = (np.cosh(safe) - value) / safe
+    return np.where(small, 1.0, value), np.where(small, x / 3, slope)

@@ -1,0 +1,251 @@
+"""Transient compensation: where a hold or a release ends, from its first part and the sensor's own relaxations."""
+
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from cbsr_qa.calibrate._kernel_basis import exponentials
+from cbsr_qa.calibrate.relaxation_kernel import learn_kernel
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.relaxation import RelaxationKernel, SteadyPrediction
+
+__all__ = ["HoldsSoFar", "event_rate_per_min", "interval", "learn_kernel", "predict_steady"]
+
+Array = NDArray[np.float64]
+
+#: Times the scatter's share of the covariance is worked out again with the predicted size.
+_ROUNDS: Final = 4
+
+
+def predict_steady(
+    time_s: Array,
+    values: Array,
+    noise: float | Array,
+    kernel: RelaxationKernel,
+    *,
+    ramp_s: float | Array = 0.0,
+    frame_s: float = 0.0,
+    released: float | Array | None = None,
+    released_stderr: float | Array = 0.0,
+    at_s: float = np.inf,
+) -> SteadyPrediction:
+    """Predict where holds or releases end from whatever part of them was seen.
+
+    Bayesian linear regression of the steady change A and its weights A w, with the kernel as prior of the weights and
+    none of A; the kernel's own uncertainty enters to first order. Of a release it is what is left, R, that has no
+    prior. Where everything has settled it is the mean weighted by the noise.
+
+    Parameters
+    ----------
+    time_s : (n,) or (m, n) from the end of the ramp [s]; frames before ``kernel.start_s`` do not count.
+    values : (n,) or (m, n) of m traces.
+    noise : standard deviation of a value; broadcast against ``values``.
+    ramp_s, frame_s : as in :func:`learn_kernel`; ``ramp_s`` may be (m,).
+    released, released_stderr : D and its standard error, for a kernel of unloadings; may be (m,).
+    at_s : predict the change at this time after the ramp's end instead, e.g. when a rest is over.
+
+    Returns
+    -------
+    SteadyPrediction of m traces.
+
+    Raises
+    ------
+    NumericsError
+        If there is no kernel or no frame, a number is not finite, the noise is not positive, or ``released`` is
+        missing or not for this kernel.
+    """
+    values = np.atleast_2d(np.asarray(values, dtype=np.float64))
+    time_s = np.broadcast_to(np.asarray(time_s, dtype=np.float64), values.shape)
+    noise = np.broadcast_to(np.asarray(noise, dtype=np.float64), values.shape)
+    seen = HoldsSoFar(kernel, len(values), ramp_s=ramp_s, frame_s=frame_s)
+    for frame in range(values.shape[1]):
+        seen.add(time_s[:, frame], values[:, frame], noise[:, frame])
+    return seen.predict(released=released, released_stderr=released_stderr, at_s=at_s)
+
+
+def interval(prediction: SteadyPrediction, level: float) -> tuple[Array, Array]:
+    """Return the lower and upper ends (m,) of the central intervals of a level such as 0.95."""
+    if not 0 < level < 1:
+        raise NumericsError(f"an interval of level {level} is none", remedy="levels lie between 0 and 1")
+    reach = student.ppf((1 + level) / 2, np.minimum(prediction.freedom, 1e9)) * prediction.stderr
+    return prediction.values - reach, prediction.values + reach
+
+
+def event_rate_per_min(
+    loading_s: float, unloading_s: float, *, held: float = 1.5, rested: float = 1.5, ramp_s: float = 0.0
+) -> float:
+    """Return how many presses a minute can be told apart and measured.
+
+    Parameters
+    ----------
+    loading_s, unloading_s : settling times.
+    held, rested : how much of them is waited for; 1.5 each without transient compensation (paper 4.3.2), less with.
+    ramp_s : of one press, and of one release.
+
+    Raises
+    ------
+    NumericsError
+        If a time is negative or not finite, or nothing takes any time.
+    """
+    parts = (loading_s, unloading_s, held, rested, ramp_s)
+    period_s = held * loading_s + rested * unloading_s + 2 * ramp_s
+    if not (all(np.isfinite(part) and part >= 0 for part in parts) and period_s > 0):
+        raise NumericsError(f"no rate of events follows from {', '.join(f'{part:g}' for part in parts)}")
+    return 60 / period_s
+
+
+class HoldsSoFar:
+    """What was seen of m holds (or releases), frame by frame: each costs the same, and none is kept.
+
+    Parameters
+    ----------
+    kernel, ramp_s, frame_s : as in :func:`predict_steady`.
+    count : m.
+
+    Raises
+    ------
+    NumericsError
+        If there is no kernel.
+    """
+
+    def __init__(
+        self, kernel: RelaxationKernel, count: int = 1, *, ramp_s: float | Array = 0.0, frame_s: float = 0.0
+    ) -> None:
+        if kernel.why:
+            raise NumericsError(
+                f"no steady state can be predicted: {kernel.why}", remedy="calibrate with longer holds, or wait"
+            )
+        self._kernel, self._frame_s = kernel, frame_s
+        self._ramp_s = np.broadcast_to(np.asarray(ramp_s, dtype=np.float64), (count,))
+        size = 2 + 2 * len(kernel.weights)
+        self._information = np.zeros((count, size, size))
+        self._pull = np.zeros((count, size))
+        self._squares = np.zeros(count)
+        self._frames = np.zeros(count, dtype=np.int64)
+
+    def add(self, time_s: float | Array, values: float | Array, noise: float | Array) -> Self:
+        """Take in one frame of each hold: times [s], values and their standard deviations, (m,) or alike for all.
+
+        Raises
+        ------
+        NumericsError
+            If a number is not finite or the noise is not positive.
+        """
+        shape = self._frames.shape
+        time, value, stderr = (
+            np.broadcast_to(np.asarray(one, dtype=np.float64), shape) for one in (time_s, values, noise)
+        )
+        if not (np.isfinite(time).all() and np.isfinite(value).all() and np.isfinite(stderr).all()):
+            raise NumericsError("a frame holds a time, a value or a noise that is not a finite number")
+        if not (stderr > 0).all():
+            raise NumericsError(
+                "the noise of a frame is not positive", remedy="give the standard deviation of a value"
+            )
+        counts = time >= self._kernel.start_s
+        rows = self._rows(np.where(counts, time, 0.0)) / stderr[:, None] * counts[:, None]
+        scaled = value / stderr * counts
+        self._information += rows[:, :, None] * rows[:, None, :]
+        self._pull += rows * scaled[:, None]
+        self._squares += scaled**2
+        self._frames += counts
+        return self
+
+    def predict(
+        self,
+        *,
+        released: float | Array | None = None,
+        released_stderr: float | Array = 0.0,
+        at_s: float = np.inf,
+    ) -> SteadyPrediction:
+        """Predict where the holds end from what was seen so far; arguments and errors of :func:`predict_steady`."""
+        if not (self._frames > 0).all():
+            raise NumericsError("no frame was seen of a hold", remedy="predict after its first frame")
+        if self._kernel.loading != (released is None):
+            raise NumericsError(
+                f"a kernel of {'loadings' if self._kernel.loading else 'unloadings'} was given"
+                f" {'no' if released is None else 'a'} released change"
+            )
+        if not at_s >= 0:
+            raise NumericsError(f"there is no change at {at_s} s", remedy="it is at least 0 after the ramp's end")
+        if released is None:
+            return self._of_holds(at_s)
+        shape = self._frames.shape
+        change, stderr = (
+            np.broadcast_to(np.asarray(one, dtype=np.float64), shape) for one in (released, released_stderr)
+        )
+        if not (np.isfinite(change).all() and np.isfinite(stderr).all()):
+            raise NumericsError("a released change or its standard error is not a finite number")
+        unknown = self._unknown(0.0, change, stderr)
+        return self._regressed(unknown, change, self._rows(np.full(shape, at_s)))
+
+    def _of_holds(self, at_s: float) -> SteadyPrediction:
+        """The prior of A w scales with A, so that A is predicted a few times over."""
+        shape = self._frames.shape
+        none, end = np.zeros(shape), self._rows(np.full(shape, np.inf))
+        size = self._pull[:, :2].sum(axis=1) / self._information[:, :2, :2].sum(axis=(1, 2))
+        for _ in range(_ROUNDS):
+            unknown = self._unknown(1.0, size, none)
+            size = self._regressed(unknown, none, end).values
+        return self._regressed(unknown, none, self._rows(np.full(shape, at_s)))
+
+    def _rows(self, time_s: Array) -> Array:
+        """(m, 2 + 2 k): one, the kernel's transient, and its derivatives with respect to w and log τ."""
+        ended = np.isinf(time_s)
+        parts, slopes = exponentials(
+            np.where(ended, 0.0, time_s), self._kernel.time_constants_s, ramp_s=self._ramp_s, frame_s=self._frame_s
+        )
+        weights = self._kernel.weights
+        moving = np.concatenate([(parts @ weights)[:, None], parts, slopes * weights], axis=1)
+        return np.concatenate([np.ones((len(time_s), 1)), moving * ~ended[:, None]], axis=1)
+
+    def _unknown(self, transient: float, size: Array, stderr: Array) -> Array:
+        """What each unknown adds to the coefficients of the rows, (m, 2 + 2 k, unknowns).
+
+        First the level, which has no prior and brings so much of the transient with it; then unit normals: the
+        kernel's mean, its scatter, and the transient's size as far as it is uncertain.
+
+        Parameters
+        ----------
+        size, stderr : of the transient.
+        """
+        root = _root(self._kernel)
+        unknown = np.zeros((len(size), self._pull.shape[1], root.shape[1] + 2))
+        unknown[:, 0, 0], unknown[:, 1, 0] = 1.0, transient
+        unknown[:, 2:, 1:-1] = size[:, None, None] * root
+        unknown[:, 1, -1] = stderr
+        return unknown
+
+    def _regressed(self, unknown: Array, known: Array, wanted: Array) -> SteadyPrediction:
+        """Regress on the unknowns, with so much of the transient known, and predict the rows that are wanted."""
+        pull = self._pull - known[:, None] * self._information[:, 1]
+        squares = self._squares - known * (2 * self._pull[:, 1] - known * self._information[:, 1, 1])
+        prior = np.diag(np.concatenate([[0.0], np.ones(unknown.shape[2] - 1)]))
+        covariance = np.linalg.inv(unknown.transpose(0, 2, 1) @ self._information @ unknown + prior)
+        drawn = np.einsum("mij,mi->mj", unknown, pull)
+        found = np.einsum("mij,mj->mi", covariance, drawn)
+        along = np.einsum("mi,mij->mj", wanted, unknown)
+        errors = np.einsum("mi,mij->mj", along, covariance)
+        variance = np.maximum((errors * along).sum(axis=1), np.finfo(np.float64).tiny)
+        # The error is −errors · (unit normals) + noise; a mean over so many loads is as uncertain as their scatter.
+        scatter = slice(1 + 2 * len(self._kernel.weights), -1)
+        of_scatter = (errors[:, scatter] ** 2).sum(axis=1) * (1 + 1 / self._kernel.loads)
+        share = np.clip(of_scatter / variance, 1e-6, 1.0)
+        left = np.maximum(squares - (found * drawn).sum(axis=1), 0.0)
+        spare = self._frames - 1
+        return SteadyPrediction(
+            (along * found).sum(axis=1) + known * wanted[:, 1],
+            np.sqrt(variance),
+            self._kernel.scatter_freedom / share**2,
+            np.where(spare > 0, left / np.maximum(spare, 1), 0.0),
+            spare,
+        )
+
+
+def _root(kernel: RelaxationKernel) -> Array:
+    """A factor L (2 k, 3 k) of a new load's covariance L Lᵀ; its last k columns are the scatter's."""
+    values, vectors = np.linalg.eigh(kernel.covariance)
+    between = np.vstack([np.diag(kernel.scatter), np.zeros((len(kernel.weights),) * 2)])
+    root: Array = np.concatenate([vectors * np.sqrt(np.maximum(values, 0.0)), between], axis=1)
+    return root
