@@ -1,0 +1,1 @@
+"""Statistics of lots: pure functions of numbers, each checked against certified or printed values."""

@@ -1,0 +1,83 @@
+"""Guard bands inside a limit, and the risks that remain with them (JCGM 106:2012, clauses 8.3 and 9)."""
+
+from dataclasses import dataclass
+from math import exp, sqrt
+
+from scipy import stats
+
+from cbsr_qa.stats.lot_limits import Bound, Distribution
+from cbsr_qa.stats.risk import Risks, risks_of_bound
+from cbsr_qa.stats.worst_value import FloatArray, worst_of
+
+#: Fewer repeated runs than this say too little of repeatability (t = 2.9 instead of 2).
+FEWEST_REPEATS = 4
+#: An expanded uncertainty covers what ± 2 standard deviations of a normal distribution do.
+EXPANDED_SHARE = 0.9545
+#: Spread of true values, in standard uncertainties, below which the lot says nothing about them.
+_LEAST_SPREAD = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """How well one run measures.
+
+    Parameters
+    ----------
+    standard : u, one standard deviation in the measurement's unit; above 0.
+    freedom : degrees of freedom; None where it was stated and not found from repeats.
+    source : in words.
+    """
+
+    standard: float
+    freedom: int | None
+    source: str
+
+    @property
+    def coverage_factor(self) -> float:
+        """K of the expanded uncertainty U = K u: 2, or Student's t where u comes from few repeats (GUM, G.4)."""
+        if self.freedom is None:
+            return 2.0
+        return float(stats.t.ppf((1 + EXPANDED_SHARE) / 2, self.freedom))
+
+    @property
+    def expanded(self) -> float:
+        """U, for about 95 %."""
+        return self.coverage_factor * self.standard
+
+
+def repeatability_counts(bound: Bound) -> bool:
+    """Whether a lot's repeated runs say enough of how well one run measures."""
+    return bound.parts.repeats >= FEWEST_REPEATS and bool(bound.parts.within)
+
+
+def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
+    """Return consumer's and producer's risk of one bound; None where the lot cannot tell them.
+
+    Parameters
+    ----------
+    guard : width of the band inside the bound that is not accepted; 0 where marginal passes are accepted.
+
+    Notes
+    -----
+    The density of true worst values has the shape that was fitted, and the variance of the lot without that of the
+    measurement. On a logarithmic scale the uncertainty is taken relative to the geometric mean. None for order
+    statistics (no density), and where the uncertainty explains all of the lot's spread.
+    """
+    if bound.distribution is Distribution.ANY:
+        return None
+    parts, scale = bound.parts, bound.scale
+    u = uncertainty.standard
+    if uncertainty.freedom is not None:
+        u = sqrt(parts.within or 0.0)
+    elif scale.logarithmic:
+        u /= exp(scale.sign * parts.mean)
+    remaining = parts.deviation**2 - u**2
+    inside = bound.limit - scale.sign * guard
+    if not u or remaining < (_LEAST_SPREAD * u) ** 2 or (scale.logarithmic and min(inside, bound.limit) <= 0):
+        return None
+    true, shape, limit = sqrt(remaining), worst_of(bound.independent), scale.forward(bound.limit)
+
+    def density(y: FloatArray) -> FloatArray:
+        return shape.density((y - parts.mean) / true) / true
+
+    return risks_of_bound(density, limit, limit - scale.forward(inside), u)

@@ -1,0 +1,93 @@
+"""The largest of m normal values: what a sensor's worst value is where every sensor is measured m times.
+
+A run fails when one of its m values is outside a limit, so it is the worst value of a sensor that a limit has to
+hold. Where single values are normal the worst of them is not: its upper tail is longer (the 99 % point of the
+largest of nine is 2.63 of its own standard deviations above its mean, not 2.33). Values of one sensor that go
+together, or places that differ, make the tail shorter again, up to the normal one: m independent values are the
+cautious end.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import special, stats
+from scipy.integrate import trapezoid
+
+from cbsr_qa.stats.tolerance import factor_of_quantile
+
+FloatArray = NDArray[np.float64]
+
+_GRID = np.linspace(-9.0, 12.0, 8401)
+_DRAWS = 40_000
+_MOST_DRAWN = 200  #: sensors; with more the sampling error of skewness no longer matters
+
+
+@dataclass(frozen=True, slots=True)
+class WorstOf:
+    """Distribution of the largest of ``values`` normal numbers, shifted and scaled to mean 0 and deviation 1."""
+
+    values: int
+    raw_mean: float
+    raw_deviation: float
+
+    def quantile(self, share: float) -> float:
+        """Return the point below which this share lies."""
+        return (float(special.ndtri(share ** (1 / self.values))) - self.raw_mean) / self.raw_deviation
+
+    def density(self, x: FloatArray) -> FloatArray:
+        """Return the probability density at ``x``, any shape."""
+        raw = self.raw_mean + self.raw_deviation * x
+        power = (self.values - 1) * special.log_ndtr(raw)
+        dense: FloatArray = self.values * self.raw_deviation * stats.norm.pdf(raw) * np.exp(power)
+        return dense
+
+    def normal_scores(self, x: FloatArray) -> FloatArray:
+        """Return what ``x`` would be as standard normal numbers of the same ranks; keeps far tails finite."""
+        log_share = self.values * special.log_ndtr(self.raw_mean + self.raw_deviation * x)
+        scores: FloatArray = np.clip(special.ndtri_exp(log_share), -_GRID[-1], _GRID[-1])
+        return scores
+
+
+@lru_cache(maxsize=64)
+def worst_of(values: int) -> WorstOf:
+    """Return the distribution of the worst of this many values (at least 1)."""
+    if values == 1:
+        return WorstOf(1, 0.0, 1.0)
+    dense = values * stats.norm.pdf(_GRID) * np.exp((values - 1) * special.log_ndtr(_GRID))
+    mean = float(trapezoid(_GRID * dense, _GRID))
+    return WorstOf(values, mean, float(np.sqrt(trapezoid((_GRID - mean) ** 2 * dense, _GRID))))
+
+
+@lru_cache(maxsize=64)
+def raised_for_skewness(coverage: float, confidence: float, values: int, sensors: int) -> float:
+    """Return what the factor of a normal sample must be raised by for worst values; 1 for one value.
+
+    Parameters
+    ----------
+    coverage, confidence : of the bound mean + k s.
+    values : of each sensor.
+    sensors : that mean and s are taken over.
+
+    Notes
+    -----
+    The noncentral t with the right quantile still knows nothing of skewness and would hold the share in 91 to 94 %
+    of lots instead of 95 % (9 to 27 values, 5 to 100 sensors). The ratio is that of 40 000 simulated lots, from a
+    fixed seed, so that the same lot gives the same limit.
+    """
+    if values == 1:
+        return 1.0
+    shape, drawn = worst_of(values), min(sensors, _MOST_DRAWN)
+    random = np.random.default_rng(20090101)
+    pivots = np.concatenate([_pivots(random, shape, coverage, drawn) for _ in range(10)])
+    needed = float(np.quantile(pivots, confidence))
+    return max(needed / factor_of_quantile(shape.quantile(coverage), confidence, drawn, drawn - 1), 1.0)
+
+
+def _pivots(random: np.random.Generator, shape: WorstOf, coverage: float, sensors: int) -> FloatArray:
+    """(quantile − mean) / s of simulated lots: what k must exceed for a lot's bound to hold the share."""
+    largest = special.ndtri(random.random((_DRAWS // 10, sensors)) ** (1 / shape.values))
+    lots = (largest - shape.raw_mean) / shape.raw_deviation
+    pivots: FloatArray = (shape.quantile(coverage) - lots.mean(axis=1)) / lots.std(axis=1, ddof=1)
+    return pivots
