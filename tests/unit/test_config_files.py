@@ -78,7 +78,7 @@ def test_units_are_converted_at_the_edge():
     thickness_mm = load_sensor_type("disc-100mm").value.thickness_mm
     assert station.motion.press_speed_mm_s / thickness_mm == pytest.approx(0.1667, abs=5e-5)
     assert station.safety.strain == pytest.approx(0.35)
-    assert station.safety.duration_s == 3 * 3600
+    assert station.safety.duration_s == 12 * 3600
     assert load_scene("base").value.current_A == pytest.approx(4e-4)
     analysis = load_recipe("nine-locations").value.analysis
     assert analysis.masks == (0.25, 0.5, 0.75, 0.85)

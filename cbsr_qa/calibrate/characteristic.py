@@ -1,0 +1,156 @@
+"""The characteristic of each location: sensed change against stress, strain by strain."""
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibrate.baseline import sensed_change
+from cbsr_qa.calibrate.data_sheet import Estimate, pooled_deviation
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.steps import Role
+
+#: Phases whose loads a data sheet is taken from: nominal places and strains, held alike.
+_ROLES: Final = frozenset({Role.GRID, Role.NOISE})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Characteristic:
+    """What a location answered at each strain, averaged over its trials.
+
+    Parameters
+    ----------
+    location, x_mm, y_mm : of the loads; ``"mean"`` and the sheet's centre for a mean over locations.
+    strain : (n,) float64 fractions, rising.
+    stress_kPa : (n,) float64 mean relaxed stress under the head; None where no force was recorded.
+    change : (n,) float64 mean sensed change, relative, positive.
+    loads : (n,) whole numbers, how many presses each mean is of.
+    """
+
+    location: str
+    x_mm: float
+    y_mm: float
+    strain: NDArray[np.float64]
+    stress_kPa: NDArray[np.float64] | None
+    change: NDArray[np.float64]
+    loads: NDArray[np.int64]
+
+    @property
+    def span(self) -> float:
+        """Output at the highest strain; the lower range value is the unloaded sheet, zero by its reference."""
+        return float(self.change[-1])
+
+
+def data_sheet_loads(run: RunObservation) -> tuple[LoadObservation, ...]:
+    """Loads a data sheet is taken from: single ones of the phases that press nominal places and strains."""
+    phases = {phase.name for phase in run.record.phases if phase.role in _ROLES}
+    return tuple(load for load in run.loads if load.phase in phases and load.together == 1)
+
+
+def load_change(load: LoadObservation, main_mask: float) -> float | None:
+    """Sensed change of a load's steady image: Δρ of Eq 7, un-subtracted, positive; None where nothing was sensed."""
+    view = load.mask(main_mask)
+    if view is None or view.sensed is None:
+        return None
+    return float(sensed_change(load.image.values, view.sensed, load.response))
+
+
+def characteristics(loads: Iterable[LoadObservation], main_mask: float) -> tuple[Characteristic, ...]:
+    """Average the loads of each location strain by strain, in the order of their first press.
+
+    Loads in which nothing was sensed are left out. A location has stresses where every one of its loads has.
+    """
+    places: dict[tuple[str, float, float], list[tuple[LoadObservation, float]]] = defaultdict(list)
+    for load in loads:
+        change, wanted = load_change(load, main_mask), load.record.load
+        if change is not None:
+            places[(wanted.label, wanted.x_mm, wanted.y_mm)].append((load, change))
+    return tuple(_characteristic(place, members) for place, members in places.items())
+
+
+def mean_characteristic(curves: Sequence[Characteristic]) -> Characteristic:
+    """Average over the locations that were pressed at as many strains as any, at the same ones.
+
+    Each location's change counts in shares of its own span, so that the mean's span is 1: one and the same change
+    is imaged stronger where the electrodes see better.
+
+    Raises
+    ------
+    NumericsError
+        If there is no such location with a positive span.
+    """
+    fullest = max((curve.strain for curve in curves), key=len, default=np.empty(0))
+    alike = [c for c in curves if len(c.strain) == len(fullest) and np.allclose(c.strain, fullest) and c.span > 0]
+    if not alike:
+        raise NumericsError("nothing was sensed at any location")
+    stresses = [c.stress_kPa for c in alike if c.stress_kPa is not None]
+    return Characteristic(
+        "mean",
+        0.0,
+        0.0,
+        fullest,
+        np.mean(stresses, axis=0) if len(stresses) == len(alike) else None,
+        np.mean([c.change / c.span for c in alike], axis=0),
+        np.sum([c.loads for c in alike], axis=0),
+    )
+
+
+def repeated_changes(loads: Sequence[LoadObservation], main_mask: float) -> dict[float, list[list[float]]]:
+    """Sensed changes of places that were pressed again, by strain: the cells repeatability is taken within.
+
+    A cell is a phase, place and strain. Its values are shares of the place's own span, its mean change at the highest
+    strain of all these loads; places that were not pressed at that strain are left out, and so are single presses.
+    """
+    highest = max((round(load.record.load.strain, 9) for load in loads), default=0.0)
+    spans: dict[tuple[float, float], list[float]] = defaultdict(list)
+    cells: dict[float, dict[tuple[str, float, float], list[float]]] = defaultdict(lambda: defaultdict(list))
+    for load in loads:
+        change, wanted = load_change(load, main_mask), load.record.load
+        if change is None:
+            continue
+        cells[round(wanted.strain, 9)][(load.phase, wanted.x_mm, wanted.y_mm)].append(change)
+        if round(wanted.strain, 9) == highest:
+            spans[(wanted.x_mm, wanted.y_mm)].append(change)
+    mean = {place: float(np.mean(changes)) for place, changes in spans.items() if np.mean(changes) > 0}
+    found = {
+        strain: [
+            [value / mean[place] for value in values]
+            for (_, *where), values in by_place.items()
+            if (place := (where[0], where[1])) in mean and len(values) > 1
+        ]
+        for strain, by_place in sorted(cells.items())
+    }
+    return {strain: values for strain, values in found.items() if values}
+
+
+def repeatability(loads: Sequence[LoadObservation], main_mask: float) -> Estimate:
+    """Pooled deviation of the sensed change within phase, place and strain, in shares of the place's span.
+
+    Raises
+    ------
+    NumericsError
+        If nothing was pressed twice at the same place and strain.
+    """
+    by_strain = repeated_changes(loads, main_mask)
+    return pooled_deviation([cell for cells in by_strain.values() for cell in cells])
+
+
+def _characteristic(
+    place: tuple[str, float, float], members: Sequence[tuple[LoadObservation, float]]
+) -> Characteristic:
+    strain = np.array([round(load.record.load.strain, 9) for load, _ in members])
+    change = np.array([value for _, value in members])
+    levels, which, counts = np.unique(strain, return_inverse=True, return_counts=True)
+    stresses = [load.stress_kPa for load, _ in members]
+    known = [stress for stress in stresses if stress is not None]
+    return Characteristic(
+        *place,
+        levels,
+        np.bincount(which, known) / counts if len(known) == len(stresses) else None,
+        np.bincount(which, change) / counts,
+        counts.astype(np.int64),
+    )

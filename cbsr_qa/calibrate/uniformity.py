@@ -1,0 +1,90 @@
+"""How evenly a sheet responds from place to place, with and without what the imaging makes of it."""
+
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cbsr_qa.calibrate.baseline import load_baseline, sensed_change
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.footprints import overlap_mm2
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
+
+
+@dataclass(frozen=True, slots=True)
+class PlaceResponse:
+    """How a location responds to one strain.
+
+    Parameters
+    ----------
+    location, x_mm, y_mm : of its loads.
+    baseline : ρ₀ of Eq 7, mean over the loads, relative image units.
+    response : the same over what the linearised model of an even sheet images there, 1 where the sheet answers as
+        that model with the material's α.
+    loads : how many.
+    """
+
+    location: str
+    x_mm: float
+    y_mm: float
+    baseline: float
+    response: float
+    loads: int
+
+
+def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tuple[tuple[PlaceResponse, ...], float]:
+    """Response of every location at the strain most locations were pressed at, the highest of several such.
+
+    The image of one and the same change of conductance is larger where the electrodes see better, and so is ρ₀: on
+    an even sheet of 100 mm it doubles from the centre to 30 mm. That much is the imaging's, and the linearised model
+    of an even sheet says how much: the image of the head there with a contrast of one, R J s for the share s of each
+    element it covers, averaged over the very elements in which the load was sensed.
+
+    Returns
+    -------
+    Locations in the order of their first press, and the strain. One without a ρ₀ is left out.
+
+    Raises
+    ------
+    NumericsError
+        If no load gave a ρ₀.
+    """
+    found: dict[float, dict[tuple[str, float, float], list[tuple[float, float]]]] = defaultdict(
+        lambda: defaultdict(list)
+    )
+    why = "no location was pressed at a nominal strain by itself"
+    modelled: dict[tuple[float, float], np.ndarray] = {}
+    for load in loads:
+        stress = run.record.material.against_stress
+        baseline = load_baseline(load, stress, run.noise_images, run.main_mask)
+        view, place = load.mask(run.main_mask), load.record.load
+        if baseline.value is None or view is None or view.sensed is None:
+            why = baseline.why
+            continue
+        where = (place.x_mm, place.y_mm)
+        if where not in modelled:
+            modelled[where] = _image_of_head(run, load)
+        gain = float(sensed_change(modelled[where], view.sensed, load.response))
+        if not gain > 0:
+            why = f"the model images a head at {place.label} with the wrong sign"
+            continue
+        found[round(place.strain, 9)][(place.label, *where)].append((baseline.value, baseline.value / gain))
+    if not found:
+        raise NumericsError(f"no location gave a baseline conductance: {why}")
+    strain = max(found, key=lambda level: (len(found[level]), level))
+    return tuple(_place(place, values) for place, values in found[strain].items()), strain
+
+
+def _image_of_head(run: RunObservation, load: LoadObservation) -> np.ndarray:
+    """Image of the head at a load's place with a contrast of one, of the sign of the response, (e,)."""
+    problem, place = run.reconstruction.problem, load.record.load
+    mesh = problem.mesh
+    share = overlap_mm2(load.indenter.at(place.x_mm, place.y_mm), mesh.corners_mm) / mesh.areas_mm2
+    sign = -1.0 if load.response == "decrease" else 1.0
+    return np.asarray(sign * (run.reconstruction.matrix @ (problem.jacobian @ share)))
+
+
+def _place(place: tuple[str, float, float], values: Sequence[tuple[float, float]]) -> PlaceResponse:
+    baseline, response = np.mean(values, axis=0)
+    return PlaceResponse(*place, float(baseline), float(response), len(values))

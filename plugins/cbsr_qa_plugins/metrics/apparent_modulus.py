@@ -1,0 +1,97 @@
+"""How stiff the sheet is under the head."""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from cbsr_qa.calibrate.characteristic import data_sheet_loads
+from cbsr_qa.calibrate.data_sheet import Estimate, slope
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa_plugins.metrics._run_figure import refused
+from cbsr_qa_plugins.metrics._shared import refuse_unknown
+
+_NAME, _UNIT, _SLOPE = "apparent_modulus", "kPa", "slope"
+
+
+class ApparentModulus:
+    """``apparent_modulus`` [kPa] of each location and of the run: relaxed stress under the head over nominal strain.
+
+    With the qualifier ``slope`` it is the slope of stress against strain by least squares, which an error of the
+    contact height does not touch; it needs two strains. Apparent: a flat head on a thin sheet is stiffer than the
+    material (confinement), and the strain is that which was asked for. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {_NAME: _UNIT}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("apparent-modulus", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure every location, then put them together."""
+        places: dict[str, list[tuple[float, float]]] = {}
+        for load in data_sheet_loads(run):
+            if load.stress_kPa is not None:
+                places.setdefault(load.record.load.label, []).append(_point(load, load.stress_kPa))
+        if not places:
+            return (refused(_NAME, _UNIT, NumericsError("no force was recorded under a nominal strain")),)
+        ratios = {place: _ratio(points) for place, points in places.items()}
+        slopes = {place: found for place, points in places.items() if (found := _slope(points)) is not None}
+        each = [_one(found, f"{len(places[place])} presses", "", place) for place, found in ratios.items()]
+        each += [_one(found, f"{len(places[place])} presses", _SLOPE, place) for place, found in slopes.items()]
+        whole = _one(_mean(ratios), _spread(ratios), "")
+        if not slopes:
+            why = NumericsError(
+                "no location was pressed at two strains", remedy="give the recipe two strains or more"
+            )
+            return (whole, refused(_NAME, _UNIT, why, qualifier=_SLOPE), *each)
+        return (whole, _one(_mean(slopes), _spread(slopes), _SLOPE), *each)
+
+
+def _point(load: LoadObservation, stress_kPa: float) -> tuple[float, float]:
+    return load.record.load.strain, stress_kPa
+
+
+def _ratio(points: Sequence[tuple[float, float]]) -> Estimate:
+    values = np.array([stress / strain for strain, stress in points])
+    return _mean_of(values)
+
+
+def _slope(points: Sequence[tuple[float, float]]) -> Estimate | None:
+    strain, stress = zip(*points, strict=True)
+    try:
+        return slope(strain, stress)
+    except NumericsError:
+        return None
+
+
+def _mean(places: dict[str, Estimate]) -> Estimate:
+    return _mean_of(np.array([found.value for found in places.values()]))
+
+
+def _mean_of(values: np.ndarray) -> Estimate:
+    count = len(values)
+    stderr = float(values.std(ddof=1) / np.sqrt(count)) if count > 1 else None
+    return Estimate(float(values.mean()), stderr, count - 1)
+
+
+def _spread(places: dict[str, Estimate]) -> str:
+    values = [found.value for found in places.values()]
+    if len(values) < 2:
+        return "one location"
+    return f"{len(values)} locations, standard deviation between them {np.std(values, ddof=1):.3g} kPa"
+
+
+def _one(found: Estimate, how: str, qualifier: str, location: str = "") -> Measurement:
+    words = "slope of relaxed stress against strain" if qualifier else "relaxed stress over nominal strain"
+    return Measurement(
+        _NAME,
+        found.value,
+        _UNIT,
+        uncertainty=found.stderr,
+        location=location,
+        qualifier=qualifier,
+        how=f"{words}; {how}",
+    )

@@ -1,0 +1,165 @@
+"""The data sheet of this sensor: repeatability, nonlinearity, creep and the like, with how each was found."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from cbsr_qa.calibrate.characteristic import (
+    Characteristic,
+    characteristics,
+    data_sheet_loads,
+    mean_characteristic,
+    repeatability,
+)
+from cbsr_qa.calibrate.data_sheet import FEWEST_POINTS, best_straight_line
+from cbsr_qa.calibrate.uniformity import place_responses
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.observation import RunObservation
+from cbsr_qa.domain.report import Block, Cell, Figure, RunResult, Section, Table
+from cbsr_qa.report.figures_data_sheet import PlaceMap, PlaceValue, characteristic_figure, place_maps_figure
+from cbsr_qa.report.numbers import number, plural
+from cbsr_qa.report.select import observed
+from cbsr_qa.report.tables import text_table, value_cell
+
+#: Measurement, its qualifier, and what the data sheet calls it.
+_ROWS: Final = (
+    ("repeatability", "", "Repeatability"),
+    ("nonlinearity", "", "Nonlinearity"),
+    ("nonlinearity", "terminal-based", "– terminal-based"),
+    ("creep", "", "Creep"),
+    ("creep", "conductance", "– of the conductance"),
+    ("creep", "stress", "– of the stress"),
+    ("zero_return", "", "Zero return"),
+    ("uniformity", "", "Uniformity"),
+    ("uniformity", "baseline conductance", "– of ρ̄₀ as imaged"),
+    ("apparent_modulus", "", "Apparent modulus"),
+    ("apparent_modulus", "slope", "– slope over strains"),
+    ("preconditioning_cycles", "", "Preconditioning cycles"),
+    ("preconditioning_change", "", "Change in the last cycle"),
+    ("preconditioning_change", "stress", "– of the stress"),
+)
+_NO_HYSTERESIS: Final = (
+    "it needs one strain reached from below and from above without lifting the head between, which no step of a"
+    " sequence asks for"
+)
+
+
+class DataSheet:
+    """Section of the figures a sensor's data sheet states; only where the recipe measures any of them."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where none of its figures was measured."""
+        run = observed(result)
+        if run is None or not isinstance(result, RunResult):
+            return None
+        whole = {(m.name, m.qualifier): m for m in result.measurements if not m.location and m.load is None}
+        if not any((name, qualifier) in whole for name, qualifier, _ in _ROWS):
+            return None
+        blocks: list[Block] = [_table(whole), *_by_strain(result.measurements)]
+        blocks += [*_characteristic(run), *_maps(run, result.measurements)]
+        return Section("Data sheet of this sensor", tuple(blocks))
+
+
+def _table(whole: dict[tuple[str, str], Measurement]) -> Table:
+    rows: list[list[str | Cell]] = []
+    for name, qualifier, title in _ROWS:
+        found = whole.get((name, qualifier))
+        if found is not None:
+            value = Cell("not determined") if found.value is None else value_cell(found, unit=True)
+            rows.append([title, value, found.how])
+    rows.append(["Hysteresis", "not determined", _NO_HYSTERESIS])
+    caption = (
+        "Figures of the sensor at its nominal places and strains, value ± one standard deviation. Span: a location's"
+        " change at the highest strain. Amplitudes are taken without subtracting the noise floor."
+    )
+    return text_table(caption, ("Figure", "Value", "How"), rows, (1,))
+
+
+def _by_strain(measurements: Sequence[Measurement]) -> list[Block]:
+    found = [m for m in measurements if m.name == "repeatability" and m.qualifier.endswith("strain")]
+    if not found:
+        return []
+    cells: list[str | Cell] = [value_cell(m) for m in found]
+    columns = ("Strain", *(m.qualifier.removesuffix(" strain") for m in found))
+    caption = "Repeatability by strain, % of the span."
+    return [text_table(caption, columns, [["Repeatability [%]", *cells]], tuple(range(1, len(columns))))]
+
+
+def _characteristic(run: RunObservation) -> list[Block]:
+    """Figure of change against stress; nothing where there are too few strains, or no force."""
+    loads = data_sheet_loads(run)
+    curves = [c for c in characteristics(loads, run.main_mask) if _drawable(c)]
+    try:
+        mean = mean_characteristic(curves)
+        assert mean.stress_kPa is not None
+        line = best_straight_line(mean.stress_kPa.tolist(), mean.change.tolist())
+    except NumericsError:
+        return []
+    try:
+        scatter: float | None = repeatability(loads, run.main_mask).value
+    except NumericsError:
+        scatter = None
+    bars = "" if scatter is None else "; bars: repeatability over the root of the number of presses"
+    return [
+        characteristic_figure(
+            curves,
+            mean,
+            line,
+            scatter,
+            caption="Sensed change against relaxed stress. Grey: each location, in % of its own span. Blue: their"
+            " mean. Red: its best straight line. Right: what is left over from that line; shaded: the largest"
+            f" deviation of the mean, which is the nonlinearity{bars}.",
+            alternative=f"Change against stress at {plural(len(curves), 'location')}; the mean leaves its best"
+            f" straight line by at most {number(100 * line.largest, 2)} % of the span.",
+        )
+    ]
+
+
+def _drawable(curve: Characteristic) -> bool:
+    return len(curve.strain) >= FEWEST_POINTS and curve.stress_kPa is not None and curve.span > 0
+
+
+def _maps(run: RunObservation, measurements: Sequence[Measurement]) -> list[Block]:
+    maps = [found for found in (_response_map(run), _modulus_map(run, measurements)) if found is not None]
+    return [_maps_figure(maps, run)] if maps else []
+
+
+def _maps_figure(maps: Sequence[PlaceMap], run: RunObservation) -> Figure:
+    words = "; ".join(
+        f"{one.title} {number(min(p.value for p in one.places))} to {number(max(p.value for p in one.places))}"
+        f" {one.unit}"
+        for one in maps
+    )
+    return place_maps_figure(
+        maps,
+        run.record.sensor_type,
+        caption="By location. Response: ρ₀ over what the imaging makes of an even sheet there, against its mean."
+        " Modulus: relaxed stress over strain, against strain and place as they were asked for.",
+        alternative=f"Maps of the sheet: {words}.",
+    )
+
+
+def _response_map(run: RunObservation) -> PlaceMap | None:
+    try:
+        places, strain = place_responses(run, data_sheet_loads(run))
+    except NumericsError:
+        return None
+    mean = sum(place.response for place in places) / len(places)
+    if not mean > 0:
+        return None
+    shown = tuple(PlaceValue(p.location, p.x_mm, p.y_mm, 100 * (p.response / mean - 1)) for p in places)
+    return PlaceMap(f"response at {100 * strain:g} % strain", "% off the mean", shown, about=0.0)
+
+
+def _modulus_map(run: RunObservation, measurements: Sequence[Measurement]) -> PlaceMap | None:
+    values = {
+        m.location: m.value
+        for m in measurements
+        if m.name == "apparent_modulus" and m.location and not m.qualifier and m.value is not None
+    }
+    at = {load.record.load.label: load.record.load for load in data_sheet_loads(run)}
+    shown = tuple(
+        PlaceValue(label, at[label].x_mm, at[label].y_mm, value) for label, value in values.items() if label in at
+    )
+    return PlaceMap("apparent modulus", "kPa", shown) if shown else None
