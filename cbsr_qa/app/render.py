@@ -1,7 +1,7 @@
 """Reports rendered again from the store."""
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cbsr_qa.analysis.observe import observe_run
@@ -14,6 +14,7 @@ from cbsr_qa.config.merge import restore
 from cbsr_qa.config.paths import database_url, reports_folder
 from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.errors import NumericsError, StoreError
+from cbsr_qa.domain.measurement import Limit, Measurement
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.plan import Recipe
@@ -108,12 +109,13 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
     result = RunResult(
         record=record,
         observation=observation,
-        measurements=stored.measurements,
+        measurements=with_versions(stored.measurements, recipe.limits),
         verdict=stored.verdict,
         calibration=calibration,
         calibration_why=unseen or stored.calibration_why,
         compute_s=stored.compute_s,
         warnings=_warnings(stored, why),
+        limits_version=recipe.limits_version,
     )
     return result, recipe.sections
 
@@ -152,7 +154,17 @@ def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins) -> RunRes
         verdict=found.verdict,
         calibration=None,
         calibration_why="this run was never concluded at the station",
+        limits_version=recipe.limits_version,
         warnings=(*found.warnings, "this run was analysed for this report alone; no analysis of it is stored"),
+    )
+
+
+def with_versions(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple[Measurement, ...]:
+    """Give the limits of stored measurements their version back, which is stored with the recipe alone."""
+    versions = {replace(limit, version=""): limit.version for limit in limits}
+    return tuple(
+        m if m.limit is None else replace(m, limit=replace(m.limit, version=versions.get(m.limit, "")))
+        for m in measurements
     )
 
 

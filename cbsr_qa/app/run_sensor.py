@@ -213,6 +213,7 @@ class _Session:
             calibration_why=why,
             compute_s=self._stages.table(),
             warnings=(*conclusion.warnings, *self._warnings),
+            limits_version=recipe.limits_version,
         )
         store.save_result(result)
         return write_outputs(result, recipe, self._plugins, self._stages, self._plan.seed)

@@ -30,6 +30,7 @@ class DocumentKind(Enum):
     SENSOR_TYPE = ("sensor type", "sensor_types")
     MATERIAL = ("material", "materials")
     SCENE = ("scene", "scenes")
+    LIMITS = ("limits", "limits")
 
     @property
     def noun(self) -> str:

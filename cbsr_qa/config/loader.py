@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from cbsr_qa.config.documents import Document, DocumentKind, open_document
+from cbsr_qa.config.limits_reference import with_limits
 from cbsr_qa.config.material_file import MaterialFile
 from cbsr_qa.config.mesh_reference import with_mesh
 from cbsr_qa.config.recipe_file import RecipeFile
@@ -92,4 +93,6 @@ def _load(kind: DocumentKind, model: type[FileModel[T]], source: Source, near: P
         document = open_document(kind, source, near=near)
         if kind is DocumentKind.SENSOR_TYPE:
             document = with_mesh(document)
+        elif kind is DocumentKind.RECIPE:
+            document = with_limits(document)
     return Loaded(validated(model, document), document)

@@ -2,13 +2,14 @@
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table, Word
+from cbsr_qa.config.limit_tables import LimitsVersionTable, LimitTable, version_problems
+from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table
 from cbsr_qa.domain.calibration import OverlapBand
-from cbsr_qa.domain.measurement import Limit
 from cbsr_qa.domain.plan import AnalysisSettings, PhaseSpec, PluginChoice, Recipe
 
 Name = Annotated[str, Field(min_length=1, max_length=64)]
@@ -17,10 +18,14 @@ Count = Annotated[int, Field(ge=1)]
 
 
 class RecipeTable(Table):
-    """``[recipe]``. ``calibrate_phases`` are the phases whose loads the calibration is taken from."""
+    """``[recipe]``. ``calibrate_phases`` are the phases whose loads the calibration is taken from.
+
+    ``limits_from`` is replaced by what that file says before the recipe is checked.
+    """
 
     name: Name
     calibrate_phases: list[Name]
+    limits_from: Name | None = None
 
 
 class PhaseTable(OpenTable):
@@ -135,37 +140,6 @@ class AnalysisTable(Table):
         )
 
 
-class LimitTable(Table):
-    """``[[limits]]``: inclusive bounds of one measurement in its own unit, with an optional guard band inside."""
-
-    measurement: Word
-    unit: Annotated[str, Field(min_length=1, max_length=16)]
-    lower: float | None = None
-    upper: float | None = None
-    marginal: Annotated[float, Field(ge=0)] = 0.0
-    phase: str = ""
-    qualifier: str = ""
-
-    def problems(self, index: int, phases: list[str]) -> Iterator[Problem]:
-        """Yield what does not fit together within the table."""
-        where = ("limits", index)
-        if self.lower is None and self.upper is None:
-            yield Problem(where, f"({self.measurement}) has neither lower nor upper; give one of them")
-        if self.lower is not None and self.upper is not None and self.lower > self.upper:
-            yield Problem((*where, "lower"), f"is {self.lower:g}, above upper = {self.upper:g}")
-        if self.phase and self.phase not in phases:
-            yield Problem((*where, "phase"), f"is {self.phase!r}; allowed: {', '.join(phases)}")
-
-    def bounds_size_of(self, overlap: "LimitTable", phase: str) -> bool:
-        """Whether this limit bounds, from both sides, the size of the blob whose overlap another limit judges."""
-        fits = self.phase in ("", phase) and self.qualifier == overlap.qualifier
-        return self.measurement == "area_ratio" and fits and None not in (self.lower, self.upper)
-
-    def to_domain(self) -> Limit:
-        """Return the limit."""
-        return Limit(self.measurement, self.unit, self.lower, self.upper, self.marginal, self.phase, self.qualifier)
-
-
 class ReportTable(Table):
     """``[report]``: sections in order; none named means every installed one."""
 
@@ -180,6 +154,7 @@ class RecipeFile(FileModel[Recipe]):
     reconstruction: ReconstructionTable
     analysis: AnalysisTable = Field(default_factory=AnalysisTable)
     metrics: dict[Name, dict[str, Any]] = Field(default_factory=dict)
+    limits_version: LimitsVersionTable | None = None
     limits: list[LimitTable] = Field(default_factory=list)
     report: ReportTable = Field(default_factory=ReportTable)
 
@@ -198,6 +173,7 @@ class RecipeFile(FileModel[Recipe]):
         yield from self.analysis.problems()
         for index, limit in enumerate(self.limits):
             yield from limit.problems(index, names)
+        yield from version_problems(self.limits_version, self.limits)
         yield from self._size_problems(names)
 
     def _size_problems(self, phases: list[str]) -> Iterator[Problem]:
@@ -223,8 +199,9 @@ class RecipeFile(FileModel[Recipe]):
             reconstruction=PluginChoice(self.reconstruction.method, self.reconstruction.options),
             # Tables have no order in TOML: sorted, so that a restored recipe is the one that was read.
             metrics=tuple(PluginChoice(name, options) for name, options in sorted(self.metrics.items())),
-            analysis=self.analysis.to_domain(),
+            analysis=replace(self.analysis.to_domain(), calibrate_phases=tuple(self.recipe.calibrate_phases)),
             limits=tuple(limit.to_domain() for limit in self.limits),
             calibrate_phases=tuple(self.recipe.calibrate_phases),
             sections=tuple(self.report.sections),
+            limits_version=None if self.limits_version is None else self.limits_version.to_domain(),
         )

@@ -27,6 +27,7 @@ class Limit:
     marginal : width of the guard band inside each bound, in the same unit; a value in it passes marginally.
     phase : judges only measurements of this phase; empty for every phase.
     qualifier : judges only measurements with exactly this qualifier (empty: only those without one).
+    version : of the limits it belongs to, see :class:`~cbsr_qa.domain.limits_version.LimitsVersion`; may be empty.
     """
 
     measurement: str
@@ -36,6 +37,7 @@ class Limit:
     marginal: float = 0.0
     phase: str = ""
     qualifier: str = ""
+    version: str = ""
 
     def __post_init__(self) -> None:
         if self.lower is None and self.upper is None:

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cbsr_qa.domain.calibration import OverlapBand
+from cbsr_qa.domain.limits_version import LimitsVersion
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.measurement import Limit
 
@@ -123,6 +124,7 @@ class AnalysisSettings:
     perimeter : ``"length"`` or ``"nodes"``.
     outline : of a sensed region: ``"contour"`` (inside the elements) or ``"elements"`` (whole ones, the paper's).
     noise_weighting : ``"equal"`` (all readings count alike) or ``"measured"`` (by their noise when unloaded).
+    calibrate_phases : names of the phases whose loads the calibration is taken from; loads of others test it.
     """
 
     masks: tuple[float, ...]
@@ -141,6 +143,7 @@ class AnalysisSettings:
     perimeter: str
     outline: str
     noise_weighting: str = "equal"
+    calibrate_phases: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,6 +154,7 @@ class Recipe:
     ----------
     sections : report sections in order; empty for every installed one.
     calibrate_phases : names of the phases whose loads the calibration is taken from.
+    limits_version : of those limits that carry one; None where none does.
     """
 
     name: str
@@ -161,6 +165,7 @@ class Recipe:
     limits: tuple[Limit, ...]
     calibrate_phases: tuple[str, ...]
     sections: tuple[str, ...] = ()
+    limits_version: LimitsVersion | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.limits_version import LimitsVersion
 from cbsr_qa.domain.measurement import Measurement, Verdict
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.outcome import Outcome
@@ -75,6 +76,7 @@ class RunResult:
     observation : None where the run ended before anything could be analysed.
     calibration : None where none was issued; ``calibration_why`` then says why.
     compute_s : seconds of computing by stage.
+    limits_version : of those limits that carry one.
     """
 
     record: RunRecord
@@ -85,3 +87,4 @@ class RunResult:
     calibration_why: str
     compute_s: tuple[tuple[str, float], ...] = ()
     warnings: tuple[str, ...] = field(default=())
+    limits_version: LimitsVersion | None = None

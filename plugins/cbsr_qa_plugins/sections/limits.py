@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from typing import Final
 
+from cbsr_qa.domain.limits_version import LimitsVersion
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.measurement import Measurement, relative_margin
 from cbsr_qa.domain.outcome import SEVERITY, Outcome
@@ -25,6 +26,8 @@ class Limits:
         judged = [m for m in result.measurements if m.limit is not None]
         others = [m for m in result.measurements if m.limit is None]
         blocks: list[Block] = [Paragraph(_in_words(judged))]
+        if result.limits_version is not None:
+            blocks.append(Paragraph(_version_words(result.limits_version, judged)))
         if judged:
             blocks.append(_judged(judged))
         determined = [m for m in others if m.value is not None]
@@ -46,8 +49,22 @@ def _in_words(judged: Sequence[Measurement]) -> str:
     return f"{plural(len(judged), 'limit')} judged: {words}. The closest to failing comes first."
 
 
+def _version_words(version: LimitsVersion, judged: Sequence[Measurement]) -> str:
+    """Say where the limits come from that carry a version, and what they promise."""
+    members = sum(m.limit is not None and m.limit.version == version.version for m in judged)
+    lot = f" from the golden lot {version.lot}" if version.lot else ""
+    words = f"{plural(members, 'limit')} of version {version.version}, made {version.date}{lot}."
+    if version.coverage_percent is not None and version.confidence_percent is not None:
+        share = f"{version.coverage_percent:g} % of good sensors with {version.confidence_percent:g} % confidence"
+        words += f" Each by itself was made to pass {share}."
+    if version.rule:
+        words += f" Decision rule: {version.rule}."
+    return words if version.sealed else f"{words} Nothing vouches that they are still as they were made."
+
+
 def _judged(judged: Sequence[Measurement]) -> Table:
     order = sorted(judged, key=lambda m: (SEVERITY.index(m.outcome), relative_margin(m)))
+    versioned = ("Version",) if any(m.limit and m.limit.version for m in judged) else ()
     rows: list[list[str | Cell]] = []
     for m in order:
         assert m.limit is not None
@@ -56,8 +73,9 @@ def _judged(judged: Sequence[Measurement]) -> Table:
         value = Cell(value_cell(m, unit=True).text)
         why = m.how if m.outcome is Outcome.NOT_MEASURED else ""
         name = f"{m.label}: {why}" if why else m.label
-        rows.append([name, m.phase or "whole run", value, limit_text(m.limit), margin_text(m), outcome])
-    columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome")
+        row: list[str | Cell] = [name, m.phase or "whole run", value, limit_text(m.limit), margin_text(m), outcome]
+        rows.append([*row, m.limit.version or "–"] if versioned else row)
+    columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome", *versioned)
     return text_table("Limits. Margin: distance from the nearer bound, negative outside.", columns, rows, (2, 3, 4))
 
 
