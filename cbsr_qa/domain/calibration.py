@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.force_model import ForceModel
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.domain.relaxation import RelaxationFit, SettlingTime
@@ -133,6 +134,8 @@ class Calibration:
     relaxations : every fit the summaries were taken from.
     noise_figure : measured on this sensor with its own matrix; None where it was not. That of the matrix on the
         nominal model is in ``reconstruction.choice``.
+    force : what turns readings into newtons; None where the run's loads gave none.
+    no_force : why there is none; empty where there is one.
     digest : SHA-256 of everything above, as :mod:`cbsr_qa.calibrate.digests` describes it; empty before it is issued.
     record_digest : the same without what is prepared again from the rest: mesh, Jacobian, model frame and matrix.
     """
@@ -162,5 +165,7 @@ class Calibration:
     relaxations: tuple[LoadRelaxation, ...] = ()
     size_ratio: tuple[float, float] | None = None
     noise_figure: float | None = None
+    force: ForceModel | None = None
+    no_force: str = ""
     digest: str = ""
     record_digest: str = ""

@@ -46,6 +46,17 @@ class Indenter:
         return float(np.pi * self.radius_mm**2)
 
     @property
+    def squared_radius_mm2(self) -> float:
+        """Squared radius of the disc with the head's second moment, 2⟨r²⟩ about its axis [mm²]; r² of a round one."""
+        if not self.outline_mm:
+            return self.radius_mm**2
+        here = np.array(self.outline_mm)
+        there = np.roll(here, -1, axis=0)
+        cross = here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]
+        moment = cross @ (here**2 + here * there + there**2).sum(axis=1) / 12
+        return 2 * float(moment) / self.area_mm2
+
+    @property
     def reach_mm(self) -> float:
         """Furthest point of the head from its axis."""
         return max((float(np.hypot(*corner)) for corner in self.outline_mm), default=self.radius_mm)

@@ -1,0 +1,219 @@
+"""The force model of a run's sensor, and what it says of loads it was not learned from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run_estimates import model_scale, reading_variance
+from cbsr_qa.analysis.run_loads import load_window
+from cbsr_qa.calibrate.force import ForceInverse, map_gradient
+from cbsr_qa.calibrate.force_learning import CalibrationLoads, LearnedForce, learn_force
+from cbsr_qa.calibrate.matched import Matches, TemplateFilter
+from cbsr_qa.calibrate.templates import TemplateBank, template_bank
+from cbsr_qa.domain.errors import CbsrError, NumericsError
+from cbsr_qa.domain.force_model import ForceModel
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.reconstruct.load_model import load_model
+from cbsr_qa.reconstruct.load_readings import merged_readings
+
+Array = NDArray[np.float64]
+
+#: What is said of loads held beside others.
+_TOGETHER: Final = "several loads were held at once"
+
+
+@dataclass(frozen=True, slots=True)
+class ForceTest:
+    """One load's force as estimated by a model that has not seen it, beside what the load cell read.
+
+    Parameters
+    ----------
+    load : of the run.
+    how : ``"held out"`` (a phase that does not calibrate) or ``"trial left out"``.
+    measured_N : by the load cell.
+    known_N, known_stderr_N : with the place of the head given.
+    found_N, found_stderr_N : with the place estimated; None where no load was detected.
+    place_error_mm : of that place; None where there is none.
+    global_N : with the place given and one response for the whole sheet, the paper's way.
+    """
+
+    load: LoadObservation
+    how: str
+    measured_N: float
+    known_N: float
+    known_stderr_N: float
+    found_N: float | None
+    found_stderr_N: float | None
+    place_error_mm: float | None
+    global_N: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunForce:
+    """What a run's loads say about force.
+
+    Parameters
+    ----------
+    learned : None where nothing could be learned; ``why`` then says why.
+    used : loads it was learned from, in order of ``learned.refused``.
+    tests : of loads that were not used.
+    """
+
+    learned: LearnedForce | None
+    used: tuple[LoadObservation, ...]
+    tests: tuple[ForceTest, ...]
+    why: str = ""
+
+
+@lru_cache(maxsize=2)
+def run_force(run: RunObservation) -> RunForce:
+    """Learn the force model from the phases that calibrate, and test it on all other loads.
+
+    Loads of phases that do not calibrate are held out. Where places were pressed in several trials, each trial is
+    besides left out in turn. The last two answers are kept, since metrics, report and calibration all ask.
+
+    Returns
+    -------
+    RunForce, without a model and with the reason where there is none.
+    """
+    try:
+        return _RunForce(run).result()
+    except CbsrError as error:
+        return RunForce(None, (), (), error.reason)
+
+
+class _RunForce:
+    """One run's loads with all they are compared with."""
+
+    def __init__(self, run: RunObservation) -> None:
+        sensor_type = run.record.sensor_type
+        model = load_model(sensor_type)
+        scale = model_scale(model, run.reference, run.usable)
+        readings = merged_readings(
+            sensor_type.pattern, run.usable, reading_variance(run.unloaded, run.usable) / scale**2
+        )
+        self.run = run
+        self.head = run.record.indenter
+        self.line = run.record.material.against_stress
+        self.merging = readings.merging / scale
+        self.bank: TemplateBank = template_bank(model, readings, self.head)
+        pressed = [load for load in run.loads if load.force_N is not None and load.together == 1]
+        self.loads = tuple(pressed)
+        self.data = self._data()
+
+    def _data(self) -> CalibrationLoads:
+        if not self.loads:
+            raise NumericsError(f"no load was pressed alone with its force recorded ({_TOGETHER}, or no load cell)")
+        record, settings = self.run.record, self.run.settings
+        windows = [load_window(record.phase(one.phase), one.record, settings) for one in self.loads]
+        steady = [self._rows(window.steady.voltages) for window in windows]
+        before = [self._rows(window.before.voltages) for window in windows]
+        nothing = np.zeros(self.merging.shape[0])
+        return CalibrationLoads(
+            place_mm=np.array([(one.record.load.x_mm, one.record.load.y_mm) for one in self.loads]),
+            rows=np.array([rows.mean(axis=0) for rows in steady]),
+            frames=np.array([len(rows) for rows in steady]),
+            before=np.array([rows.mean(axis=0) if len(rows) else nothing for rows in before]),
+            frames_before=np.array([len(rows) for rows in before]),
+            force_N=np.array([one.force_N for one in self.loads], dtype=np.float64),
+            force_stderr_N=np.array([one.force_stderr_N or 0.0 for one in self.loads]),
+        )
+
+    def _rows(self, voltages: Array) -> Array:
+        rows: Array = (voltages - self.run.reference)[:, self.run.usable] @ self.merging.T
+        return rows
+
+    def result(self) -> RunForce:
+        """Learn and test."""
+        calibrating = np.array([load.phase in self.run.settings.calibrate_phases for load in self.loads])
+        learned = self.learn(calibrating)
+        tests = self.tests(learned, ~calibrating, "held out")
+        trials = np.array([load.record.load.trial for load in self.loads])
+        for trial in sorted(set(trials[calibrating].tolist())):
+            left_out = calibrating & (trials == trial)
+            others = calibrating & ~left_out
+            if self._repeated(left_out, others):
+                tests += self.tests(self.learn(others), left_out, "trial left out")
+        used = tuple(load for load, yes in zip(self.loads, calibrating, strict=True) if yes)
+        return RunForce(learned, used, tuple(tests))
+
+    def learn(self, which: NDArray[np.bool_]) -> LearnedForce:
+        """Learn from some loads."""
+        return learn_force(
+            self.bank,
+            self.merging,
+            self.data.select(which),
+            self.line,
+            self.head,
+            radius_mm=self.run.record.sensor_type.radius_mm,
+        )
+
+    def _repeated(self, left_out: NDArray[np.bool_], others: NDArray[np.bool_]) -> bool:
+        """Whether loads that are left out were pressed in another trial too."""
+        places = {tuple(place) for place in self.data.place_mm[others].tolist()}
+        return any(tuple(place) in places for place in self.data.place_mm[left_out].tolist())
+
+    def tests(self, learned: LearnedForce, which: NDArray[np.bool_], how: str) -> list[ForceTest]:
+        """Test a model on some loads; those where the head does not fit the map are left out."""
+        if not which.any():
+            return []
+        loads = [load for load, yes in zip(self.loads, which, strict=True) if yes]
+        data = self.data.select(which)
+        filter_ = TemplateFilter(learned.model)
+        inverse = ForceInverse(learned.model, learned.line, self.head.area_mm2, map_gradient(learned.model))
+        everywhere = _global(learned)
+        flat = ForceInverse(everywhere, learned.line, self.head.area_mm2, map_gradient(everywhere))
+        rows, noise = data.changed()
+        left = filter_.at(data.before, data.place_mm).strength
+        given = _noisy(filter_.at(rows, data.place_mm), noise, left * learned.model.residue_stderr)
+        found = _noisy(filter_.search(rows), noise, left * learned.model.residue_stderr)
+        known, known_stderr = inverse.force(given)
+        one, _ = flat.force(given)
+        seen, seen_stderr = inverse.force(found)
+        detected = np.sqrt(found.gain / noise) >= learned.model.threshold
+        apart = np.hypot(*(found.place_mm - data.place_mm).T)
+        return [
+            ForceTest(
+                load=loads[k],
+                how=how,
+                measured_N=float(data.force_N[k]),
+                known_N=float(known[k]),
+                known_stderr_N=float(np.hypot(known_stderr[k], data.force_stderr_N[k])),
+                found_N=float(seen[k]) if detected[k] and np.isfinite(seen[k]) else None,
+                found_stderr_N=float(seen_stderr[k]) if detected[k] and np.isfinite(seen[k]) else None,
+                place_error_mm=float(apart[k]) if detected[k] else None,
+                global_N=float(one[k]),
+            )
+            for k in range(len(loads))
+            if np.isfinite(known[k])
+        ]
+
+
+def _noisy(matches: Matches, noise: Array, residue: Array) -> Matches:
+    """Matches of rows whose noise is not one, with what earlier loads may have left in the strength."""
+    covariance = matches.covariance * noise[:, None, None]
+    covariance[:, 0, 0] += residue**2
+    return replace(matches, covariance=covariance)
+
+
+def _global(learned: LearnedForce) -> ForceModel:
+    """The model with one response for the whole sheet: the mean of the loads' (the paper's ρ̄₀)."""
+    ratio, error = learned.ratio, learned.ratio_stderr
+    used = np.isfinite(ratio)
+    mean = float(np.mean(ratio[used]))
+    spread = float(np.std(ratio[used]) / mean)
+    count = len(learned.model.log_response)
+    return replace(
+        learned.model,
+        log_response=np.full(count, np.log(mean)),
+        log_response_stderr=np.full(count, max(spread, float(np.mean(error[used])))),
+    )
+
+
+def known_errors(tests: Sequence[ForceTest]) -> Array:
+    """Errors with the place known (n,) [N]."""
+    return np.array([test.known_N - test.measured_N for test in tests])

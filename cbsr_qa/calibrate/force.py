@@ -1,0 +1,141 @@
+"""From the strength of a head to newtons, with the error of the result. Numpy alone.
+
+κ = 2a/(2 − a) is the relative change of conductance under the head, a its strength; with S the response of the place,
+σ = (κ/S − β_σ)/α_σ and F = σ A (paper Eqs 1 and 7, solved for the force of a known head). The variance is that of
+four independent causes: noise of the readings (with the place's, where the place was estimated), the map, what single
+loads scatter by, and the line.
+"""
+
+from dataclasses import dataclass
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibrate.matched import Matches, interpolated
+from cbsr_qa.domain.calibration import Validity
+from cbsr_qa.domain.force_model import ForceModel
+from cbsr_qa.domain.sensor import QuasiStatic
+
+Array = NDArray[np.float64]
+
+
+class Flag(IntFlag):
+    """What is to be said of one frame's force; 0 is nothing."""
+
+    NOT_DETECTED = 1  #: no load stands out of the noise; the force is 0 where the place was not given
+    OUTSIDE = 2  #: the place lies outside what was calibrated
+    BELOW_RANGE = 4  #: the force is below the lightest load that was calibrated
+    ABOVE_RANGE = 8  #: the force is above the heaviest load that was calibrated
+    WRONG_SIGN = 16  #: the place changes the other way than under a load (an unloading spike, or a residue)
+    MORE_THAN_ONE = 32  #: the frame is not that of one head of the given size
+    UNREADABLE = 64  #: a used reading is not a finite number; there is no force
+    OTHER_SENSOR = 128  #: the readings as a whole are not those of the calibrated sensor; there is no force
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forces:
+    """One load's force in each of n frames.
+
+    Parameters
+    ----------
+    force_N, stderr_N : (n,) estimate and its standard error; NaN in frames flagged UNREADABLE or OTHER_SENSOR.
+    place_mm, place_stderr_mm : (n, 2) where, and (n,) how sure, root mean square over two axes; 0 where it was given.
+    detectability : (n,) d′, the load's signal over the noise of the readings.
+    flags : (n,) int64 of :class:`Flag`.
+    """
+
+    force_N: Array
+    stderr_N: Array
+    place_mm: Array
+    place_stderr_mm: Array
+    detectability: Array
+    flags: NDArray[np.int64]
+
+    def interval_N(self, coverage: float = 0.95) -> tuple[Array, Array]:
+        """Lowest and highest force (n,) of a central interval, normal about the estimate.
+
+        Raises
+        ------
+        ValueError
+            If the coverage is not between 0 and 1.
+        """
+        from scipy.special import ndtri
+
+        if not 0 < coverage < 1:
+            raise ValueError(f"a coverage of {coverage} is not between 0 and 1")
+        half = float(ndtri((1 + coverage) / 2)) * self.stderr_N
+        return self.force_N - half, self.force_N + half
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceInverse:
+    """The inverse of one sensor and head.
+
+    Parameters
+    ----------
+    model : of the sensor.
+    line : α_σ [1/kPa] and β_σ with their covariance, that of the line through the calibrated stresses: errors the map
+        shares are in the map.
+    area_mm2 : of the head.
+    gradient : (nodes, 2) of the map [1/mm], see :func:`map_gradient`.
+    """
+
+    model: ForceModel
+    line: QuasiStatic
+    area_mm2: float
+    gradient: Array
+
+    def force(self, matches: Matches) -> tuple[Array, Array]:
+        """Force and standard error (n,) [N]; NaN where the place has no map."""
+        strength, place = matches.strength, matches.place_mm
+        response = np.exp(-interpolated(self.model, self.model.log_response, place))
+        relative = 2 * strength / (2 - strength) * response
+        alpha, beta = self.line.slope.value, self.line.intercept.value
+        stress = (relative - beta) / alpha
+        per_strength = 4 / (2 - strength) ** 2 * response
+        variance = self._variance(matches, relative, per_strength) + self._of_line(stress)
+        scale = self.area_mm2 / 1e3
+        return stress * scale, np.sqrt(variance) / abs(alpha) * scale
+
+    def _variance(self, matches: Matches, relative: Array, per_strength: Array) -> Array:
+        """Variance (n,) of κ/S by the readings, the place and the map."""
+        model = self.model
+        mapped = interpolated(model, model.log_response_stderr, matches.place_mm) ** 2 + model.scatter**2
+        slope = np.column_stack([interpolated(model, self.gradient[:, k], matches.place_mm) for k in (0, 1)])
+        towards = np.column_stack([per_strength, -relative[:, None] * slope])
+        by_readings = np.einsum("ni,nij,nj->n", towards, matches.covariance, towards)
+        variance: Array = np.maximum(by_readings, 0.0) + relative**2 * mapped
+        return variance
+
+    def _of_line(self, stress: Array) -> Array:
+        slope, intercept = self.line.slope.stderr or 0.0, self.line.intercept.stderr or 0.0
+        variance = (slope * stress) ** 2 + intercept**2 + 2 * stress * (self.line.covariance or 0.0)
+        return np.maximum(variance, 0.0)
+
+
+def map_gradient(model: ForceModel) -> Array:
+    """Gradient (nodes, 2) of the map by differences between neighbours [1/mm]; 0 where there are none."""
+    node, values = model.node, model.log_response
+    padded = np.pad(node, 1, constant_values=-1)
+    row, column = np.nonzero(node >= 0)
+    here = padded[row + 1, column + 1]
+    found = np.zeros((len(values), 2))
+    for axis, (down, across) in enumerate(((0, 1), (1, 0))):
+        ahead, behind = padded[row + 1 + down, column + 1 + across], padded[row + 1 - down, column + 1 - across]
+        both = (ahead >= 0) & (behind >= 0)
+        difference = values[ahead] - values[behind]
+        found[here, axis] = np.where(both, difference / (2 * model.lattice.spacing_mm), 0.0)
+    return found
+
+
+def range_flags(force_N: Array, stderr_N: Array, place_mm: Array, validity: Validity) -> NDArray[np.int64]:
+    """Flags (n,) of forces and places outside what was calibrated; a force counts as outside by a standard error."""
+    flags = np.zeros(len(force_N), dtype=np.int64)
+    distance = np.hypot(place_mm[:, 0], place_mm[:, 1])
+    flags[~(distance <= validity.radius_mm)] |= Flag.OUTSIDE
+    if validity.force_N is not None:
+        lowest, highest = validity.force_N
+        flags[force_N + stderr_N < lowest] |= Flag.BELOW_RANGE
+        flags[force_N - stderr_N > highest] |= Flag.ABOVE_RANGE
+    return flags

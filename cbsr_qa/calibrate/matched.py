@@ -1,0 +1,273 @@
+"""Frames against the bank of templates: how strong a head presses at a place, where it presses, how sure that is.
+
+Numpy alone, for whoever builds the sensor into a robot. Between the nodes of the lattice everything is interpolated
+by cubic convolution (Keys 1981). With t(p) the template of place p and y a frame's rows of unit noise, b = t·y and
+g = t·t, the strength at a known place is a = b/g with variance 1/g; the most likely place is where b²/g is largest,
+found on the lattice and from there by Fisher scoring.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.force_model import ForceModel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_STEPS: Final = 3  # of Fisher scoring: from a cell's middle the third is below 0.01 mm
+_FURTHEST: Final = 0.25  # cells that scoring may leave its cell by
+_NOTHING: Final = 1e-30  # least squared score: a frame without any change has no place
+_MOVES: Final = 4  # to a neighbouring cell
+_STRIDE: Final = 2  # nodes between those that are searched
+_AT_ONCE: Final = 512  # frames compared with the bank together: what is held stays in the processor's cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """One head in each of n frames.
+
+    Parameters
+    ----------
+    place_mm : (n, 2); NaN where there is no node about it.
+    strength : (n,) a = 2κ/(2 + κ).
+    covariance : (n, 3, 3) of (strength, x, y); zero for the place where it was given.
+    gain : (n,) b²/g, by which the head lowers the squared residuals.
+    energy : (n,) y·y.
+    """
+
+    place_mm: Array
+    strength: Array
+    covariance: Array
+    gain: Array
+    energy: Array
+
+
+class TemplateFilter:
+    """Compares frames with the templates of a force model.
+
+    Parameters
+    ----------
+    model : of the sensor.
+    size : q, the head's squared radius over that of the calibrated one.
+    """
+
+    def __init__(self, model: ForceModel, *, size: float = 1.0) -> None:
+        self.lattice = model.lattice
+        grown = model.templates + (size - 1) * model.size_slope
+        length = np.linalg.norm(grown, axis=1)
+        self.templates: Array = np.ascontiguousarray(grown / length[:, None])
+        self._tables = np.column_stack([model.log_size + np.log(length), model.slopes])
+        self._stencil = _stencils(model.node)
+        self._node_of = model.node.ravel()
+        self._coarse = np.flatnonzero(_pressable(model.node, model.fits) & _every(_STRIDE, model.node))
+        self._bank = np.ascontiguousarray(self.templates[self._node_of[self._coarse]].T)
+        self._number = np.full(model.node.size, -1)
+        self._number[self._coarse] = np.arange(len(self._coarse))
+
+    def at(self, rows: Array, place_mm: Array) -> Matches:
+        """Strength of a head at given places: (n, r) rows, places (2,) or (n, 2)."""
+        given = np.asarray(place_mm, dtype=np.float64)
+        places = np.broadcast_to(given, (len(rows), 2))
+        template = self.template(given[None] if given.ndim == 1 else given)
+        number = rows @ template[0] if given.ndim == 1 else (rows * template).sum(axis=1)
+        gram = np.broadcast_to((template**2).sum(axis=1), len(rows))
+        covariance = np.zeros((len(rows), 3, 3))
+        covariance[:, 0, 0] = 1 / gram
+        energy = np.einsum("nr,nr->n", rows, rows)
+        return Matches(places.copy(), number / gram, covariance, number**2 / gram, energy)
+
+    def template(self, places_mm: Array) -> Array:
+        """Changes per strength (n, r) at places (n, 2); NaN where there is no node about a place."""
+        nodes, offset = self._cells(places_mm)
+        (weight_x, _), (weight_y, _) = _weights(offset[:, 0]), _weights(offset[:, 1])
+        weights = (weight_y[:, :, None] * weight_x[:, None, :]).reshape(len(nodes), 16)
+        found: Array = np.einsum("nk,nkr->nr", weights, self.templates[nodes])
+        found *= np.exp(np.einsum("nk,nk->n", weights, self._tables[nodes, 0]))[:, None]
+        found[(nodes < 0).any(axis=1)] = np.nan
+        return found
+
+    def search(self, rows: Array) -> Matches:
+        """Find one head in each of n frames (n, r)."""
+        parts = [self._search(rows[first : first + _AT_ONCE]) for first in range(0, len(rows), _AT_ONCE)]
+        if not parts:
+            return Matches(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0))
+        return Matches(
+            *(
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in ("place_mm", "strength", "covariance", "gain", "energy")
+            )
+        )
+
+    def _search(self, rows: Array) -> Matches:
+        cell, offset = self._cell_of_best(rows @ self._bank)
+        local = self._local(cell, rows)
+        offset = self._scored(cell, local, offset)
+        for _ in range(_MOVES):
+            moved, aim = self._neighbours(cell, offset)
+            if not moved.any():
+                break
+            cell[moved] = aim[moved]
+            local[moved] = self._local(cell[moved], rows[moved])
+            offset[moved] = self._scored(cell[moved], local[moved], np.full((int(moved.sum()), 2), 0.5))
+        strength, covariance, gain = self._result(cell, local, offset)
+        j, i = np.divmod(cell, self.lattice.columns)
+        h = self.lattice.spacing_mm
+        place = np.column_stack(
+            [self.lattice.x_mm + h * (i + offset[:, 0]), self.lattice.y_mm + h * (j + offset[:, 1])]
+        )
+        return Matches(place, strength, covariance, gain, np.einsum("nr,nr->n", rows, rows))
+
+    def _local(self, cell: Indices, rows: Array) -> Array:
+        """Scores (n, 16) about cells."""
+        found: Array = np.einsum("nkr,nr->nk", self.templates[self._stencil[cell]], rows)
+        return found
+
+    def _neighbours(self, cell: Indices, offset: Array) -> tuple[Mask, Indices]:
+        """Which frames want to leave their cell for a neighbour that can be interpolated in, and for which."""
+        step: Indices = (offset >= 1 + _FURTHEST).astype(np.int64) - (offset <= -_FURTHEST)
+        aim = cell + step[:, 0] + self.lattice.columns * step[:, 1]
+        there: Mask = step.any(axis=1) & (self._stencil[aim] >= 0).all(axis=1)
+        return there, aim
+
+    def _cell_of_best(self, score: Array) -> tuple[Indices, Array]:
+        """Lower left corner of the cell each head is in, and where in it, by a parabola through neighbours."""
+        score = np.abs(score)
+        best = score.argmax(axis=1)
+        place = self._coarse[best]
+        peak = score[np.arange(len(best)), best]
+        columns = self.lattice.columns
+        shift = np.column_stack([self._vertex(score, place, peak, step) for step in (1, columns)])
+        down = np.floor(shift).astype(np.int64)
+        cell = place + down[:, 0] + columns * down[:, 1]
+        whole: Mask = (self._stencil[cell] >= 0).all(axis=1)
+        return np.where(whole, cell, place), np.where(whole[:, None], shift - down, 0.0)
+
+    def _vertex(self, score: Array, place: Indices, peak: Array, step: int) -> Array:
+        """Where between its neighbours along an axis the score is largest [nodes of the lattice]."""
+        behind, ahead = (self._number[place + sign * _STRIDE * step] for sign in (-1, 1))
+        frames = np.arange(len(place))
+        low = np.where(behind >= 0, score[frames, behind], -np.inf)
+        high = np.where(ahead >= 0, score[frames, ahead], -np.inf)
+        both = np.isfinite(low + high)
+        bend = np.where(both, 2 * peak - low - high, 1.0)
+        part = np.where(both, (high - low) / np.maximum(2 * bend, _NOTHING), 0.0)
+        found: Array = _STRIDE * np.clip(part, -0.5, 0.5)
+        return found
+
+    def _scored(self, cell: Indices, local: Array, offset: Array) -> Array:
+        """Offset (n, 2) from the cell's corner, in cells, where the score is largest, by Fisher scoring."""
+        h, tables = self.lattice.spacing_mm, self._tables[self._stencil[cell]]
+        for _ in range(_STEPS):
+            score, by_x, by_y = _values(local, offset)
+            xx, xy, yy = _interpolated(tables, offset)[:, 3:].T
+            determinant = xx * yy - xy**2
+            scale = 1 / (score * determinant * h**2)
+            step = np.column_stack([yy * by_x - xy * by_y, xx * by_y - xy * by_x]) * scale[:, None]
+            offset = np.clip(offset + np.clip(step, -0.5, 0.5), -_FURTHEST, 1 + _FURTHEST)
+        return offset
+
+    def _result(self, cell: Indices, local: Array, offset: Array) -> tuple[Array, Array, Array]:
+        score = _values(local, offset)[0]
+        values = _interpolated(self._tables[self._stencil[cell]], offset)
+        size = np.exp(values[:, 0])
+        strength = score / size
+        along, (xx, xy, yy) = values[:, 1:3], values[:, 3:].T
+        squared = np.maximum(score**2, _NOTHING)
+        place = np.empty((len(local), 2, 2))
+        place[:, 0, 0], place[:, 1, 1] = yy, xx
+        place[:, 0, 1] = place[:, 1, 0] = -xy
+        place /= ((xx * yy - xy**2) * squared)[:, None, None]
+        shared = -np.einsum("nij,nj->ni", place, along)  # of ln strength with the place
+        covariance = np.empty((len(local), 3, 3))
+        covariance[:, 0, 0] = strength**2 * (1 / squared - np.einsum("ni,ni->n", shared, along))
+        covariance[:, 0, 1:] = covariance[:, 1:, 0] = strength[:, None] * shared
+        covariance[:, 1:, 1:] = place
+        return strength, covariance, score**2
+
+    def _cells(self, places_mm: Array) -> tuple[Indices, Array]:
+        """Nodes (n, 16) about places, and the places' offsets from the cells' corners, in cells."""
+        h = self.lattice.spacing_mm
+        at = np.column_stack([(places_mm[:, 0] - self.lattice.x_mm) / h, (places_mm[:, 1] - self.lattice.y_mm) / h])
+        last = np.array([self.lattice.columns - 2, self.lattice.rows - 2])
+        inside: Mask = np.asarray(np.isfinite(at) & (at >= 0) & (at <= last + 1)).all(axis=1)
+        at = np.where(inside[:, None], at, 0)
+        cell = np.clip(np.floor(at), 0, last).astype(np.int64)
+        nodes = self._stencil[cell[:, 1] * self.lattice.columns + cell[:, 0]].copy()
+        nodes[np.logical_not(inside)] = -1
+        return nodes, at - cell
+
+
+def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
+    """Values (n,) of a quantity (nodes,) at places (n, 2), linear between nodes; NaN where a node is missing."""
+    lattice = model.lattice
+    i, j = (
+        (places_mm[:, 0] - lattice.x_mm) / lattice.spacing_mm,
+        (places_mm[:, 1] - lattice.y_mm) / lattice.spacing_mm,
+    )
+    inside = np.isfinite(i + j) & (i >= 0) & (j >= 0) & (i <= lattice.columns - 1) & (j <= lattice.rows - 1)
+    column = np.clip(np.where(inside, i, 0).astype(np.int64), 0, lattice.columns - 2)
+    row = np.clip(np.where(inside, j, 0).astype(np.int64), 0, lattice.rows - 2)
+    u, v = i - column, j - row
+    found = np.zeros(len(places_mm))
+    for down, across, weight in (
+        (0, 0, (1 - u) * (1 - v)),
+        (0, 1, u * (1 - v)),
+        (1, 0, (1 - u) * v),
+        (1, 1, u * v),
+    ):
+        node = model.node[row + down, column + across]
+        found += np.where(weight != 0, weight * np.where(node >= 0, values[node], np.nan), 0.0)
+    return np.where(inside, found, np.nan)
+
+
+def _stencils(node: Indices) -> Indices:
+    """Nodes (rows · columns, 16) about the cell whose lower left corner each place is; −1 where one is missing."""
+    padded = np.pad(node, ((1, 2), (1, 2)), constant_values=-1)
+    rows, columns = node.shape
+    parts = [padded[b : b + rows, a : a + columns] for b in range(4) for a in range(4)]
+    return np.stack(parts, axis=-1).reshape(-1, 16)
+
+
+def _every(stride: int, node: Indices) -> Mask:
+    """Which places (rows · columns,) are of a coarser lattice about the same middle."""
+    rows, columns = (np.asarray(np.abs(np.arange(count) - count // 2) % stride == 0) for count in node.shape)
+    chosen: Mask = np.logical_and.outer(rows, columns).ravel()
+    return chosen
+
+
+def _pressable(node: Indices, fits: Mask) -> Mask:
+    """Which places (rows · columns,) a head fits on, with neighbours to interpolate from."""
+    fitting = np.where(node >= 0, fits[node], False)
+    pressable: Mask = (_stencils(node) >= 0).all(axis=1) & fitting.ravel()
+    return pressable
+
+
+def _weights(part: Array) -> tuple[Array, Array]:
+    """Weights (n, 4) of cubic convolution at a part of a cell, and their slopes per cell."""
+    f, f2, f3 = part, part**2, part**3
+    value = np.column_stack([-f + 2 * f2 - f3, 2 - 5 * f2 + 3 * f3, f + 4 * f2 - 3 * f3, -f2 + f3]) / 2
+    slope = np.column_stack([-1 + 4 * f - 3 * f2, -10 * f + 9 * f2, 1 + 8 * f - 9 * f2, -2 * f + 3 * f2]) / 2
+    return value, slope
+
+
+def _values(local: Array, offset: Array) -> tuple[Array, Array, Array]:
+    """Interpolate (n, 16) values about cells; value, and slopes along x and y per cell, (n,) each."""
+    (along_x, slope_x), (along_y, slope_y) = _weights(offset[:, 0]), _weights(offset[:, 1])
+    rows = local.reshape(-1, 4, 4)
+    by_row = np.einsum("nba,na->nb", rows, along_x)
+    value = np.einsum("nb,nb->n", by_row, along_y)
+    by_y = np.einsum("nb,nb->n", by_row, slope_y)
+    by_x = np.einsum("nba,na,nb->n", rows, slope_x, along_y)
+    return value, by_x, by_y
+
+
+def _interpolated(tables: Array, offset: Array) -> Array:
+    """Interpolate tables (n, 16, k) about cells: (n, k)."""
+    (along_x, _), (along_y, _) = _weights(offset[:, 0]), _weights(offset[:, 1])
+    weights = (along_y[:, :, None] * along_x[:, None, :]).reshape(len(offset), 1, 16)
+    found: Array = (weights @ tables)[:, 0]
+    return found

@@ -1,0 +1,208 @@
+"""How strongly each place of a sheet answers: loads at some places, a Gaussian process in between.
+
+The logarithm of the response is taken for a Gaussian process over the sheet with an unknown mean. How far it reaches,
+how much it varies and what single loads scatter by are not chosen: all of a grid of them are weighed by how well they
+explain the loads (Rasmussen & Williams 2006, 5.2 and 2.7), so that few loads give wide intervals instead of
+confident ones. Where data end the map goes back to the mean response, which, since responses are counted against the
+field of the head itself, is the forward model's own sensitivity.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from cbsr_qa.domain.errors import CalibrationError
+
+Array = NDArray[np.float64]
+
+#: Lengths over which the response may stay alike, over the sheet's radius.
+_LENGTHS: Final = np.array([0.16, 0.22, 0.3, 0.4, 0.54, 0.72, 1.0, 1.4])
+#: Relative deviations of the response over the sheet.
+_DEVIATIONS: Final = np.array([0.01, 0.02, 0.035, 0.06, 0.1, 0.15, 0.22, 0.32, 0.45])
+#: Relative scatter of single loads beyond their noise.
+_SCATTERS: Final = np.array([0.0, 0.005, 0.01, 0.02, 0.04])
+#: Scale of the prior of the scatter (exponential), and of the deviation (half Cauchy): what presses repeat to, and
+#: what moulded sheets vary by. Chosen by us.
+_USUAL_SCATTER: Final = 0.02
+_USUAL_DEVIATION: Final = 0.2
+#: Members that weigh less than this are dropped.
+_NEGLIGIBLE: Final = 1e-4
+#: Loads whose amplitude is known worse than this say nothing about a logarithm.
+LARGEST_ERROR: Final = 0.3
+#: Keeps the covariance of loads at one place, without noise, invertible.
+_ROUNDING: Final = 1e-12
+#: Fewest loads a map can be learned from: with fewer not even the mean has an honest error.
+FEWEST: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Data:
+    """Loads (n) with the columns (n, k) of their mean, and what is known of its coefficients (k, k)."""
+
+    places_mm: Array
+    values: Array
+    variance: Array
+    columns: Array
+    known: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Member:
+    """The process with one choice of its hyperparameters.
+
+    Parameters
+    ----------
+    smooth : whether its covariance is Gaussian; else Matérn 5/2.
+    root : (n, n) Cholesky factor of the data's covariance.
+    data, drift : (n,), (n, k) data and columns of the mean, solved with ``root``.
+    mean, mean_root : (k,) coefficients of the mean and the Cholesky factor (k, k) of their precision.
+    """
+
+    smooth: bool
+    length_mm: float
+    deviation: float
+    scatter: float
+    root: Array
+    data: Array
+    drift: Array
+    mean: Array
+    mean_root: Array
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseMap:
+    """A learned map.
+
+    Parameters
+    ----------
+    places_mm : (n, 2) of the loads.
+    members, weights : the processes and how well they explain the loads, adding to one.
+    """
+
+    places_mm: Array
+    members: tuple[_Member, ...]
+    weights: Array
+
+    def predict(self, places_mm: Array) -> tuple[Array, Array]:
+        """Mean and variance (n,) of the logarithm of the response at places (n, 2), scatter of loads left out."""
+        means, variances = [], []
+        for member in self.members:
+            kernel = _covariance(self.places_mm, places_mm, member.length_mm, member.smooth) * member.deviation**2
+            seen = solve_triangular(member.root, kernel, lower=True)
+            columns = np.zeros((member.drift.shape[1], len(places_mm)))
+            columns[0] = 1
+            left = columns - member.drift.T @ seen
+            means.append(columns.T @ member.mean + seen.T @ (member.data - member.drift @ member.mean))
+            spread = solve_triangular(member.mean_root, left, lower=True)
+            variances.append(member.deviation**2 - (seen**2).sum(axis=0) + (spread**2).sum(axis=0))
+        mean: Array = self.weights @ np.array(means)
+        variance: Array = self.weights @ (np.array(variances) + (np.array(means) - mean) ** 2)
+        return mean, np.maximum(variance, 0.0)
+
+    @cached_property
+    def scatter(self) -> float:
+        """Relative scatter of single loads, root mean square over the members."""
+        return float(np.sqrt(self.weights @ np.array([member.scatter**2 for member in self.members])))
+
+    @cached_property
+    def bend(self) -> tuple[float, float]:
+        """Coefficient of the second column of the mean and its variance; zeros where there is none."""
+        if self.members[0].drift.shape[1] < 2:
+            return 0.0, 0.0
+        values = np.array([member.mean[1] for member in self.members])
+        own = np.array([_variances(member)[1] for member in self.members])
+        mean = float(self.weights @ values)
+        return mean, float(self.weights @ (own + (values - mean) ** 2))
+
+
+def learn_response(
+    places_mm: Array,
+    log_response: Array,
+    variance: Array,
+    *,
+    radius_mm: float,
+    bend: Array | None = None,
+    bend_stderr: float = 1.0,
+) -> ResponseMap:
+    """Learn the map from single loads.
+
+    Parameters
+    ----------
+    places_mm : (n, 2).
+    log_response : (n,) logarithm of what was seen over what the quasi-static line predicts.
+    variance : (n,) of it, by the readings' and the force's noise.
+    radius_mm : of the sheet, the unit of the lengths that are tried.
+    bend : (n,) a column of which an unknown multiple is in the logarithm, what a wrong intercept of the line does;
+        None where there is none.
+    bend_stderr : standard deviation of that multiple before any load was seen.
+
+    Raises
+    ------
+    CalibrationError
+        If there are fewer than 3 loads.
+    """
+    if len(log_response) < FEWEST:
+        raise CalibrationError(
+            f"{len(log_response)} loads say how strongly the sheet answers; at least {FEWEST} are needed for a map",
+            remedy="press more places, or press harder: loads must stand out of the noise",
+        )
+    columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])
+    known = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
+    data = _Data(places_mm, log_response, variance, columns, np.diag(known))
+    found = [_member(data, *choice) for choice in _choices(radius_mm)]
+    score = np.array([one for one, _ in found])
+    weights = np.exp(score - score.max())
+    kept = weights > _NEGLIGIBLE * weights.sum()
+    members = tuple(member for (_, member), keep in zip(found, kept, strict=True) if keep)
+    return ResponseMap(places_mm, members, weights[kept] / weights[kept].sum())
+
+
+def _choices(radius_mm: float) -> list[tuple[bool, float, float, float]]:
+    return [
+        (smooth, float(length * radius_mm), float(deviation), float(scatter))
+        for smooth in (True, False)
+        for length in _LENGTHS
+        for deviation in _DEVIATIONS
+        for scatter in _SCATTERS
+    ]
+
+
+def _member(data: _Data, smooth: bool, length_mm: float, deviation: float, scatter: float) -> tuple[float, _Member]:
+    """One process and the logarithm of its weight: marginal likelihood times prior, the mean integrated out."""
+    kernel = deviation**2 * _covariance(data.places_mm, data.places_mm, length_mm, smooth)
+    root = _root(kernel + np.diag(data.variance + scatter**2 + _ROUNDING))
+    solved = solve_triangular(root, np.column_stack([data.columns, data.values]), lower=True)
+    drift, seen = solved[:, :-1], solved[:, -1]
+    mean_root = _root(drift.T @ drift + data.known)
+    pull = solve_triangular(mean_root, drift.T @ seen, lower=True)
+    mean = solve_triangular(mean_root.T, pull, lower=False)
+    misfit = float(seen @ seen - pull @ pull)
+    likelihood = -misfit / 2 - float(np.log(np.diag(root)).sum()) - float(np.log(np.diag(mean_root)).sum())
+    # The grid is even in the logarithm of the deviation: its density there has the deviation as a factor.
+    prior = np.log(deviation) - np.log1p((deviation / _USUAL_DEVIATION) ** 2) - scatter / _USUAL_SCATTER
+    member = _Member(smooth, length_mm, deviation, scatter, root, seen, drift, mean, mean_root)
+    return likelihood + float(prior), member
+
+
+def _root(matrix: Array) -> Array:
+    return np.asarray(np.linalg.cholesky(matrix), dtype=np.float64)
+
+
+def _variances(member: _Member) -> Array:
+    inverse = solve_triangular(member.mean_root, np.eye(len(member.mean_root)), lower=True)
+    variances: Array = (inverse**2).sum(axis=0)
+    return variances
+
+
+def _covariance(one_mm: Array, other_mm: Array, length_mm: float, smooth: bool) -> Array:
+    apart = np.sqrt(((one_mm[:, None] - other_mm[None]) ** 2).sum(axis=2)) / length_mm
+    if smooth:
+        gaussian: Array = np.exp(-(apart**2) / 2)
+        return gaussian
+    far = np.sqrt(5) * apart
+    matern: Array = (1 + far + far**2 / 3) * np.exp(-far)
+    return matern

@@ -1,0 +1,188 @@
+"""A sensor's calibration in use: frames in, newtons out. Needs numpy, scipy and h5py, and nothing of a station."""
+
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cbsr_qa.calibrate.file import read_calibration
+from cbsr_qa.calibrate.force import Flag, ForceInverse, Forces, map_gradient, range_flags
+from cbsr_qa.calibrate.matched import Matches, TemplateFilter
+from cbsr_qa.domain import calibration as record
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.force_model import ForceModel
+from cbsr_qa.domain.loads import Indenter
+
+Array = NDArray[np.float64]
+
+#: A frame whose readings, as a whole, are further than this from the reference's (relative) is another sensor's.
+_FOREIGN: Final = 0.5
+#: Detectability from which a load at a given place counts as one.
+_CLEAR: Final = 3.0
+#: Standard deviations of χ² that noise may leave besides a template.
+_ROOM: Final = 4.0
+
+
+class Calibration:
+    """One sensor's calibration, ready to be applied.
+
+    Parameters
+    ----------
+    issued : what was issued; with a force model.
+
+    Raises
+    ------
+    CalibrationError
+        If it has no force model: it was issued before there were any, or no load of its run gave one.
+    """
+
+    def __init__(self, issued: record.Calibration) -> None:
+        if issued.force is None:
+            raise CalibrationError(
+                f"calibration {issued.calibration} of sensor {issued.sensor.serial} holds no force model",
+                remedy="calibrate the sensor again: run a recipe whose calibration phases press three places or more",
+            )
+        self.issued = issued
+        self.model: ForceModel = issued.force
+        self._used = issued.reconstruction.problem.used
+        self._reference: Array = issued.reference[self._used]
+        self._merging: Array = np.ascontiguousarray(self.model.merging.T)
+        self._gradient = map_gradient(self.model)
+        self._filters: dict[float, TemplateFilter] = {}
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a calibration file.
+
+        Raises
+        ------
+        CalibrationError
+            If it is not there, truncated, edited since it was issued, of a later version, not a calibration, or
+            without a force model.
+        """
+        return cls(read_calibration(Path(path)))
+
+    def force(
+        self,
+        frames: ArrayLike,
+        *,
+        place_mm: ArrayLike | None = None,
+        indenter: Indenter | None = None,
+        current_A: float | None = None,
+    ) -> Forces:
+        """Force of one head in each frame.
+
+        Parameters
+        ----------
+        frames : (n, drives, measures) or (drives, measures) [V], in the order of the sensor type's pattern. Each
+            is looked at by itself: a sheet that is still settling, or remembers earlier loads, shows what it shows.
+        place_mm : (2,) or (n, 2) where the head presses, from the sheet's centre; by default it is found.
+        indenter : another head than the one that calibrated.
+        current_A : drive current of the frames, where it is not the calibration's.
+
+        Returns
+        -------
+        Forces of n frames; n is 1 for a single frame.
+
+        Raises
+        ------
+        CalibrationError
+            If the frames are not of this sensor's shape, the places are not theirs, or the current is not positive.
+        """
+        rows, bad = self.rows(frames, current_A=current_A)
+        head = self.issued.indenter if indenter is None else indenter
+        if place_mm is None:
+            matches = self._filter(head).search(rows)
+        else:
+            matches = self._filter(head).at(rows, self._places(place_mm, len(rows)))
+        return self._forces(self._of_area(matches, head), bad, head, searched=place_mm is None)
+
+    def rows(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, NDArray[np.int64]]:
+        """Changes of frames as rows (n, r) of unit noise, and flags (n,) of frames that cannot be used.
+
+        Rows of such frames are zero. Parameters and errors as of :meth:`force`.
+        """
+        voltages = np.asarray(frames, dtype=np.float64)
+        shape = self.issued.reference.shape
+        if voltages.shape[-2:] != shape or voltages.ndim not in (2, 3):
+            raise CalibrationError(
+                f"frames of shape {voltages.shape} are not of sensor {self.issued.sensor.serial}",
+                remedy=f"its frames are (drives, measures) = {shape}, one or many",
+            )
+        readings = voltages.reshape(-1, *shape)[:, self._used]
+        if current_A is not None:
+            if not (np.isfinite(current_A) and current_A > 0):
+                raise CalibrationError(f"a drive current of {current_A} A is not a positive number")
+            readings = readings * (self.issued.current_A / current_A)
+        return self._rows(readings)
+
+    def _rows(self, readings: Array) -> tuple[Array, NDArray[np.int64]]:
+        changes = readings - self._reference
+        flags = np.zeros(len(changes), dtype=np.int64)
+        squares = np.einsum("nm,nm->n", changes, changes)
+        whole = np.isfinite(squares)
+        flags[~whole] |= Flag.UNREADABLE
+        foreign = whole & (squares > _FOREIGN**2 * float(self._reference @ self._reference))
+        flags[foreign] |= Flag.OTHER_SENSOR
+        if flags.any():
+            changes[flags != 0] = 0
+        rows: Array = changes @ self._merging
+        return rows, flags
+
+    def _filter(self, head: Indenter) -> TemplateFilter:
+        size = head.squared_radius_mm2 / self.issued.indenter.squared_radius_mm2
+        if size not in self._filters:
+            self._filters[size] = TemplateFilter(self.model, size=size)
+        return self._filters[size]
+
+    def _of_area(self, matches: Matches, head: Indenter) -> Matches:
+        """Strength of another head: templates are per strength of the calibrated head's area."""
+        factor = self.issued.indenter.area_mm2 / head.area_mm2
+        if factor == 1:
+            return matches
+        scale = np.array([factor, 1, 1])
+        return Matches(
+            matches.place_mm,
+            matches.strength * factor,
+            matches.covariance * scale[:, None] * scale,
+            matches.gain,
+            matches.energy,
+        )
+
+    def _places(self, place_mm: ArrayLike, count: int) -> Array:
+        places = np.asarray(place_mm, dtype=np.float64)
+        if places.shape not in ((2,), (count, 2)) or not np.isfinite(places).all():
+            raise CalibrationError(
+                f"places of shape {places.shape} do not fit {count} frames, or are not finite",
+                remedy="give (x, y) in mm from the sheet's centre, once or for every frame",
+            )
+        return places
+
+    def _forces(self, matches: Matches, bad: NDArray[np.int64], head: Indenter, *, searched: bool) -> Forces:
+        inverse = ForceInverse(self.model, self.issued.against_stress, head.area_mm2, self._gradient)
+        force, stderr = inverse.force(matches)
+        detectability = np.sqrt(matches.gain)
+        flags = bad | self._flags(matches, detectability, searched=searched)
+        silent = (flags & Flag.NOT_DETECTED) != 0
+        if searched:
+            force[silent] = 0.0
+        loaded = ~silent & (bad == 0)
+        flags[loaded] |= range_flags(force, stderr, matches.place_mm, self.issued.validity)[loaded]
+        force[bad != 0] = np.nan
+        stderr[bad != 0] = np.nan
+        place = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1)
+        return Forces(force, stderr, matches.place_mm, np.sqrt(place), detectability, flags)
+
+    def _flags(self, matches: Matches, detectability: Array, *, searched: bool) -> NDArray[np.int64]:
+        flags = np.zeros(len(detectability), dtype=np.int64)
+        level = self.model.threshold if searched else _CLEAR
+        flags[~(detectability >= level)] |= Flag.NOT_DETECTED
+        there = detectability >= level
+        sign = np.sign(self.issued.against_stress.slope.value)
+        flags[there & (matches.strength * sign < 0)] |= Flag.WRONG_SIGN
+        # What the template leaves beyond noise, over what it explains.
+        freedom = self.model.templates.shape[1]
+        left = matches.energy - matches.gain - freedom - _ROOM * np.sqrt(2 * freedom)
+        flags[there & (left > self.model.misfit * matches.gain)] |= Flag.MORE_THAN_ONE
+        return flags

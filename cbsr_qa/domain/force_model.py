@@ -1,0 +1,84 @@
+"""What turns a sensor's readings into newtons: fields of its head by place, and how strongly each place answers."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True)
+class Lattice:
+    """Places on a square lattice, x = x₀ + i h and y = y₀ + j h.
+
+    Parameters
+    ----------
+    x_mm, y_mm : x₀ and y₀, from the sheet's centre.
+    spacing_mm : h.
+    columns, rows : how many along x and y.
+    """
+
+    x_mm: float
+    y_mm: float
+    spacing_mm: float
+    columns: int
+    rows: int
+
+    def places_mm(self) -> Array:
+        """All places, (rows · columns, 2), a row after the other [mm]."""
+        x = self.x_mm + self.spacing_mm * np.arange(self.columns)
+        y = self.y_mm + self.spacing_mm * np.arange(self.rows)
+        return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceModel:
+    """How readings become the contrast under a head, and contrast becomes stress.
+
+    A head that changes the conductance under it by κ = Δγ/γ changes the readings in proportion to its *strength*
+    a = 2κ/(2 + κ), but for some 0.2 %. At node k of the lattice the readings' change per strength, in standard
+    errors of one frame, is row k of ``templates``. Relative response: κ = S (α_σ σ + β_σ) with S = ρ̄₀ over its
+    nominal value, 1 for a sheet that answers as its material (paper Eqs 1 and 7).
+
+    Parameters
+    ----------
+    lattice : of the places.
+    node : (rows, columns) int64 index of each place into the arrays below; −1 where no head can be.
+    merging : (r, m) [1/V] turns changes of the m used readings into r rows of unit noise.
+    templates : (n, r) rows of unit length: the readings' change under the calibrated head is strength × e^log_size ×
+        template.
+    log_size : (n,) logarithm of a change per strength, in standard errors of one frame.
+    size_slope : (n, r) by which a template grows with q − 1, q the head's squared radius over that of the calibrated
+        one, at the same strength × area.
+    slopes : (n, 5) of ``log_size`` along x and y [1/mm], and products xx, xy, yy of the slopes of a template of unit
+        length, how fast it turns with place [1/mm²].
+    fits : (n,) whether the head is clear of edge and electrodes there; other nodes are there to interpolate from.
+    log_response : (n,) ln S, the map.
+    log_response_stderr : (n,) its standard error, without ``scatter``.
+    scatter : relative deviation of single loads about the map that noise does not explain.
+    stress_kPa : (lowest, highest) of the loads the map was learned from.
+    threshold : least detectability d′ (signal over noise of the readings) that counts as a load.
+    misfit : largest share of a load's signal, as energy, that its template may leave unexplained before the frame
+        counts as something else than one such head.
+    residue_share, residue_stderr : share of what earlier loads left just before a press that is still there at its
+        steady frames, as the calibration took it.
+    """
+
+    lattice: Lattice
+    node: Indices
+    merging: Array
+    templates: Array
+    log_size: Array
+    size_slope: Array
+    slopes: Array
+    fits: NDArray[np.bool_]
+    log_response: Array
+    log_response_stderr: Array
+    scatter: float
+    stress_kPa: tuple[float, float]
+    threshold: float
+    misfit: float
+    residue_share: float
+    residue_stderr: float
