@@ -14,7 +14,7 @@ from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.domain.report import RunResult
-from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.domain.run import RunIdentity, RunRecord
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.store import analyses, calibrations, incomplete, runs, schema
 from cbsr_qa.store.analyses import StoredAnalysis
@@ -106,6 +106,10 @@ class Repository:
     def load_run(self, run: str) -> RunRecord:
         """Load a run with every frame, digests checked. StoreError if it is not there or not what was measured."""
         return runs.load_run(self._engine, run)
+
+    def identity(self, run: str) -> RunIdentity:
+        """Return what traces a run, without its frames. StoreError if it is not there."""
+        return runs.identity(self._engine, run)
 
     def configuration(self, run: str) -> str:
         """Return the canonical JSON a run was configured with."""

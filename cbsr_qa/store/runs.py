@@ -13,7 +13,7 @@ from cbsr_qa.domain.errors import RefusedError, StoreError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, join_frames, join_samples
 from cbsr_qa.domain.loads import Load, LoadRecord
 from cbsr_qa.domain.outcome import EndReason, Outcome
-from cbsr_qa.domain.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.run import PhaseRecord, RunIdentity, RunRecord
 from cbsr_qa.domain.steps import Role
 from cbsr_qa.store.blocks import frame_block, sample_block
 from cbsr_qa.store.codec import decoded_indenter, decoded_material, decoded_sensor_type
@@ -82,6 +82,12 @@ def load_run(engine: Engine, run: str) -> RunRecord:
             if isinstance(error, StoreError):
                 raise
             raise StoreError(f"run {run} cannot be read: {type(error).__name__}: {error}") from error
+
+
+def identity(engine: Engine, run: str) -> RunIdentity:
+    """Return what traces a run, without its frames. StoreError if it is not there."""
+    with reading(engine) as connection:
+        return identity_of(connection, _known(connection, run))
 
 
 def configuration_of(engine: Engine, run: str) -> str:
