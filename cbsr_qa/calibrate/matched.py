@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 Mask = NDArray[np.bool_]
 
-_STEPS: Final = 3  # of Fisher scoring: from a cell's middle the third is below 0.01 mm
+_STEPS: Final = 4  # of Fisher scoring: the last is below 0.01 mm
 _FURTHEST: Final = 0.25  # cells that scoring may leave its cell by
 _NOTHING: Final = 1e-30  # least squared score: a frame without any change has no place
 _MOVES: Final = 4  # to a neighbouring cell
@@ -159,15 +159,24 @@ class TemplateFilter:
         return found
 
     def _scored(self, cell: Indices, local: Array, offset: Array) -> Array:
-        """Offset (n, 2) from the cell's corner, in cells, where the score is largest, by Fisher scoring."""
+        """Offset (n, 2) from the cell's corner, in cells, where the score is largest, by Fisher scoring.
+
+        A step that lowers the score is taken again, a quarter as long: beside a pin templates turn too unevenly for
+        full steps.
+        """
         h, tables = self.lattice.spacing_mm, self._tables[self._stencil[cell]]
+        at = np.column_stack(_values(local, offset))  # score, and its slopes along x and y
+        damping = np.ones(len(local))
         for _ in range(_STEPS):
-            score, by_x, by_y = _values(local, offset)
             xx, xy, yy = _interpolated(tables, offset)[:, 3:].T
-            determinant = xx * yy - xy**2
-            scale = 1 / (score * determinant * h**2)
+            score, by_x, by_y = at.T
+            scale = damping / (score * (xx * yy - xy**2) * h**2)
             step = np.column_stack([yy * by_x - xy * by_y, xx * by_y - xy * by_x]) * scale[:, None]
-            offset = np.clip(offset + np.clip(step, -0.5, 0.5), -_FURTHEST, 1 + _FURTHEST)
+            aim = np.clip(offset + np.clip(step, -0.5, 0.5), -_FURTHEST, 1 + _FURTHEST)
+            there = np.column_stack(_values(local, aim))
+            better = np.abs(there[:, 0]) > np.abs(score)
+            offset, at = np.where(better[:, None], aim, offset), np.where(better[:, None], there, at)
+            damping = np.where(better, 1.0, damping / 4)
         return offset
 
     def _result(self, cell: Indices, local: Array, offset: Array) -> tuple[Array, Array, Array]:
@@ -193,7 +202,7 @@ class TemplateFilter:
         h = self.lattice.spacing_mm
         at = np.column_stack([(places_mm[:, 0] - self.lattice.x_mm) / h, (places_mm[:, 1] - self.lattice.y_mm) / h])
         last = np.array([self.lattice.columns - 2, self.lattice.rows - 2])
-        inside: Mask = np.asarray(np.isfinite(at) & (at >= 0) & (at <= last + 1)).all(axis=1)
+        inside = np.logical_and.reduce(np.isfinite(at) & (at >= 0) & (at <= last + 1), axis=1)
         at = np.where(inside[:, None], at, 0)
         cell = np.clip(np.floor(at), 0, last).astype(np.int64)
         nodes = self._stencil[cell[:, 1] * self.lattice.columns + cell[:, 0]].copy()
