@@ -6,8 +6,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import brentq
-from scipy.special import digamma, polygamma
 
 from cbsr_qa.calibrate._kernel_basis import exponentials
 
@@ -15,10 +13,10 @@ Array = NDArray[np.float64]
 
 #: Relative scatters tried; every one up to 1 is as likely before anything was seen.
 _SCATTERS: Final = np.linspace(0.0, 1.0, 61) ** 2
-#: A relative scatter of less is of no consequence.
-_NO_SCATTER: Final = 0.002
 #: Residual degrees of freedom from which on a load's own noise is used, not that of all loads.
 _OWN_NOISE: Final = 8
+#: No value is taken to be better than this share of its load: the covariances stay invertible.
+_LEAST_NOISE: Final = 1e-6
 #: Times the exponentials are expanded about new time constants.
 _ROUNDS: Final = 3
 
@@ -117,7 +115,8 @@ class _Reduced:
         pooled = squares.sum() / max(float(spare.sum()), 1.0)
         own = np.where(spare >= _OWN_NOISE, squares / np.maximum(spare, 1), pooled)
         given = own if noise is None else np.asarray(noise, dtype=np.float64) ** 2
-        self.variance = np.maximum(given, 1e-24 * (self.data**2).sum(axis=1) + np.finfo(np.float64).tiny)
+        least = (_LEAST_NOISE * self.size) ** 2 + np.finfo(np.float64).tiny
+        self.variance = np.maximum(given, least)
 
     def searched(self, free: NDArray[np.bool_], precision: Array, back: Array) -> tuple[Array, Array, Array]:
         """Steps (g, f), covariances (g, f, f) and likelihoods (g,) at each relative scatter of the grid.
@@ -168,9 +167,9 @@ def _projected(
 
 
 def _as_variance(likely: Array) -> tuple[float, float]:
-    """The scaled inverse χ² with the mean and variance of log s²: its scale's root and degrees of freedom."""
-    logs = np.log(_SCATTERS**2 + _NO_SCATTER**2)
-    mean = float(likely @ logs)
-    spread = max(float(likely @ (logs - mean) ** 2), 1e-4)
-    half = float(brentq(lambda h: float(polygamma(1, h)) - spread, 1e-2, 1e5))
-    return float(np.sqrt(np.exp(mean + digamma(half)) / half)), 2 * half
+    """The scaled inverse χ² with the mean and variance of s²: its scale's root and degrees of freedom."""
+    square = _SCATTERS**2
+    mean = float(likely @ square)
+    spread = max(float(likely @ (square - mean) ** 2), 1e-9 * mean**2)
+    freedom = 4 + 2 * mean**2 / spread
+    return float(np.sqrt(mean * (freedom - 2) / freedom)), freedom
