@@ -45,7 +45,8 @@ class StraightLine:
     ----------
     deviations : (n,) float64, points minus line, in the unit of y.
     largest : of their absolute values.
-    stderr : of ``largest``, with the points that decide it held fixed; None where the points' errors are not known.
+    stderr : of ``largest``, with the points that decide it held fixed: too large where several compete, never too
+        small. None where the points' errors are not known.
     """
 
     slope: float

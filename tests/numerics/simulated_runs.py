@@ -79,8 +79,13 @@ class MemoryJournal:
         )
 
 
-def simulated_run(places_mm, *, strain=0.2, hold_s=60.0, rest_s=60.0, scene="base", gauge=1.0, seed=1, noise=None):
-    """Run presses on the simulated bench; ``gauge`` scales the material's response, ``noise`` replaces its own."""
+def simulated_run(
+    places_mm, *, strain=0.2, hold_s=60.0, rest_s=60.0, scene="base", gauge=1.0, seed=1, noise=None, loads=None
+):
+    """Run presses on the simulated bench; ``gauge`` scales the material's response, ``noise`` replaces its own.
+
+    ``loads`` are pressed instead of ``places_mm`` once at ``strain``.
+    """
     material = load_material("cbsr-8wt").value
     against = material.against_strain
     slope = replace(against.slope, value=gauge * against.slope.value)
@@ -96,7 +101,8 @@ def simulated_run(places_mm, *, strain=0.2, hold_s=60.0, rest_s=60.0, scene="bas
     spec = InstrumentSpec("bench", "simulated-bench", ("frame_source", "force_applicator", "force"), {}, None)
     factory = plugins.factory(Kind.INSTRUMENT, "simulated-bench")
     bench = open_bench([spec], lambda _: factory(context))
-    loads = tuple(Load(f"L{i}", x, y, strain, 0) for i, (x, y) in enumerate(places_mm))
+    if loads is None:
+        loads = tuple(Load(f"L{i}", x, y, strain, 0) for i, (x, y) in enumerate(places_mm))
     phase = PlannedPhase("grid", "presses", Presses(loads, hold_s, rest_s))
     plan = Plan((phase,), sensor, material, HEAD, _MOTION, _SAFETY, seed)
     identity = RunIdentity(

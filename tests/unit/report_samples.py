@@ -246,6 +246,11 @@ def sample_measurements(loads):
             for diameter, area in ((8, 131.0), (13, 133.0), (20, 142.0))
         ),
     ]
+    found += [
+        Measurement("repeatability", 1.4, "%", 0.3, how="of the place's span"),
+        Measurement("apparent_modulus", 132.0, "kPa", 0.5, how="9 locations"),
+        *(Measurement("apparent_modulus", 130.0 + k, "kPa", location=f"L{k}") for k in range(9)),
+    ]
     limit = Limit("centre_of_mass_error", "mm", None, 5.0, marginal=0.5, phase="nine")
     judged = [
         m.judged(limit) if (m.name, m.phase, m.qualifier) == ("centre_of_mass_error", "nine", "") else m

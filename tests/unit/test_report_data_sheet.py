@@ -1,0 +1,102 @@
+"""Section of the data sheet: what was measured, what was not and why, and figures where a picture says more."""
+
+import re
+from dataclasses import replace
+
+import pytest
+from report_samples import Sampler, sample_run
+
+from cbsr_qa.domain.loads import Load
+from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.report import Figure, Table
+from cbsr_qa.domain.steps import Role
+from cbsr_qa.report.svg import checked_svg
+from cbsr_qa_plugins.metrics.apparent_modulus import ApparentModulus
+from cbsr_qa_plugins.metrics.nonlinearity import Nonlinearity
+from cbsr_qa_plugins.metrics.repeatability import Repeatability
+from cbsr_qa_plugins.sections.data_sheet import DataSheet
+
+_STRAINS = (0.1, 0.2, 0.3)
+
+
+@pytest.fixture(scope="module")
+def result():
+    """The sample run with a grid of three places, three strains and two trials."""
+    plain = sample_run(size_mm=6.0)
+    sampler, wanted = (
+        Sampler(size_mm=6.0),
+        [Load(f"L{k}", 15.0 * k, 0.0, strain, trial) for strain in _STRAINS for trial in range(2) for k in range(3)],
+    )
+    loads = tuple(sampler.load("nine", index, load, 124.0 * index) for index, load in enumerate(wanted))
+    observation = replace(plain.observation, loads=loads)
+    metrics = (Repeatability(), Nonlinearity(), ApparentModulus())
+    measured = tuple(m for metric in metrics for m in metric.measure_run(observation))
+    return replace(plain, observation=observation, measurements=measured)
+
+
+def blocks(section, kind):
+    return [block for block in section.blocks if isinstance(block, kind)]
+
+
+def rows(section):
+    table, *_ = blocks(section, Table)
+    return {row[0].text: [cell.text for cell in row[1:]] for row in table.rows}
+
+
+def test_the_table_holds_what_was_measured_with_unit_and_uncertainty(result):
+    found = rows(DataSheet().render(result))
+    whole = {(m.name, m.qualifier): m for m in result.measurements if not m.location}
+    for title, name in (("Repeatability", "repeatability"), ("Nonlinearity", "nonlinearity")):
+        value, how = found[title]
+        measured = whole[(name, "")]
+        number, _, error = value.removesuffix("\N{NO-BREAK SPACE}%").partition(" ± ")
+        assert float(number) == pytest.approx(measured.value, abs=float(error))
+        assert float(error) == pytest.approx(measured.uncertainty, rel=0.2)
+        assert how == measured.how
+    assert found["Apparent modulus"][0].endswith("kPa")
+    assert "Creep" not in found  # the recipe does not measure it
+
+
+def test_hysteresis_is_said_to_be_missing_with_the_reason(result):
+    value, why = rows(DataSheet().render(result))["Hysteresis"]
+    assert value == "not determined"
+    assert "from below and from above" in why
+
+
+def test_what_could_not_be_determined_says_why(result):
+    lost = Measurement("creep", None, "%", how="no force was recorded under a hold")
+    found = rows(DataSheet().render(replace(result, measurements=(*result.measurements, lost))))
+    assert found["Creep"] == ["not determined", "no force was recorded under a hold"]
+
+
+def test_repeatability_by_strain_is_one_row(result):
+    _, table = blocks(DataSheet().render(result), Table)
+    assert table.columns == ("Strain", "10 %", "20 %", "30 %")
+    assert len(table.rows) == 1
+
+
+def test_the_figures_show_every_place(result):
+    characteristic, maps = blocks(DataSheet().render(result), Figure)
+    for figure in (characteristic, maps):
+        checked_svg(figure.svg)
+    measured = next(m for m in result.measurements if m.name == "nonlinearity" and not m.qualifier and not m.location)
+    said = float(re.search(r"by at most ([\d.]+) %", characteristic.alternative)[1])
+    assert said == pytest.approx(measured.value, rel=0.02)
+    assert "3 locations" in characteristic.alternative
+    for label in ("L0", "L1", "L2"):
+        assert f">{label}<" in maps.svg
+    assert "apparent modulus 132 to 132 kPa" in maps.alternative
+
+
+def test_one_strain_has_no_curve_but_a_map(result):
+    loads = tuple(load for load in result.observation.loads if load.record.load.strain == 0.2)
+    one = replace(result, observation=replace(result.observation, loads=loads))
+    assert len(blocks(DataSheet().render(one), Figure)) == 1
+
+
+def test_a_recipe_without_these_metrics_has_no_such_section(result):
+    assert DataSheet().render(replace(result, measurements=())) is None
+    random = tuple(replace(phase, role=Role.RANDOM) for phase in result.observation.record.phases)
+    record = replace(result.observation.record, phases=random)
+    shown = DataSheet().render(replace(result, observation=replace(result.observation, record=record)))
+    assert blocks(shown, Figure) == []
