@@ -4,12 +4,15 @@ from dataclasses import dataclass
 
 from cbsr_qa.analysis.measure import judge, measure_run
 from cbsr_qa.analysis.observe import observe_run
+from cbsr_qa.analysis.strip_cycles import characterise_run
+from cbsr_qa.analysis.strip_measurements import measure_characterisation
 from cbsr_qa.app.setup import made
 from cbsr_qa.app.stages import Stages
 from cbsr_qa.calibrate.issue import issue_calibration
 from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.characterisation import Characterisation, CharacterisationSettings
 from cbsr_qa.domain.errors import CalibrationError, CbsrError, NumericsError
-from cbsr_qa.domain.measurement import Measurement, Verdict, decide
+from cbsr_qa.domain.measurement import Limit, Measurement, Verdict, decide
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.domain.plan import Recipe
@@ -27,12 +30,14 @@ class Conclusion:
     observation : None where the run could not be analysed; the verdict then says why.
     measurements : judged.
     warnings : in plain words, those of the observation included.
+    characterisation : of a material, where the recipe is for that: nothing was imaged then.
     """
 
     observation: RunObservation | None
     measurements: tuple[Measurement, ...]
     verdict: Verdict
     warnings: tuple[str, ...]
+    characterisation: Characterisation | None = None
 
 
 def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages) -> Conclusion:
@@ -56,6 +61,8 @@ def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages
     if record.end is not EndReason.FINISHED:
         why = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
         return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), ())
+    if recipe.characterisation is not None:
+        return _characterised(record, recipe.characterisation, recipe.limits, stages)
     reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     metrics = {choice.name: made(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics}
     try:
@@ -71,6 +78,20 @@ def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages
     return Conclusion(observation, judged, decide(judged), (*observation.warnings, *failed))
 
 
+def _characterised(
+    record: RunRecord, settings: CharacterisationSettings, limits: tuple[Limit, ...], stages: Stages
+) -> Conclusion:
+    """Conclude a run on a strip: from press cycles to its material, without an image."""
+    try:
+        with stages.stage("characterising the material"):
+            found = characterise_run(record, settings)
+    except NumericsError as error:
+        why = f"the material cannot be characterised: {error.reason}"
+        return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), (error.remedy,) if error.remedy else ())
+    judged = judge(measure_characterisation(found), limits)
+    return Conclusion(None, judged, decide(judged), (*found.refused, *found.reduced), found)
+
+
 def calibrated(
     conclusion: Conclusion, recipe: Recipe, *, calibration: str, issued_at: str
 ) -> tuple[Calibration | None, str]:
@@ -84,6 +105,8 @@ def calibrated(
     -------
     The calibration and an empty reason, or None and why there is none.
     """
+    if recipe.characterisation is not None:
+        return None, "a strip of the material gets no calibration"
     if conclusion.observation is None:
         return None, conclusion.verdict.reason
     try:

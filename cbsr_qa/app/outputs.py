@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cbsr_qa.app.material_output import why_no_material, write_material
 from cbsr_qa.app.stages import Stages
 from cbsr_qa.calibrate.file import write_calibration
 from cbsr_qa.config.paths import calibrations_folder, reports_folder
@@ -37,7 +38,8 @@ class RunOutcome:
     Parameters
     ----------
     result : everything concluded.
-    report, calibration : files; None where none was issued, or it could not be written (a warning says so).
+    report, calibration, material : files; None where none was issued, or it could not be written (a warning says so).
+    material_why : why there is no material file; empty where the recipe characterises none.
     warnings : those of the result and of writing the files.
     """
 
@@ -47,6 +49,8 @@ class RunOutcome:
     warnings: tuple[str, ...]
     compute_s: float
     seed: int
+    material: Path | None = None
+    material_why: str = ""
 
     @property
     def run(self) -> str:
@@ -84,6 +88,7 @@ class RunOutcome:
         """0 passed, 1 failed, 3 aborted, broken, not measured, or a file could not be written."""
         finished = self.result.record.end is EndReason.FINISHED
         unwritten = self.report is None or (self.result.calibration is not None and self.calibration is None)
+        unwritten |= self.result.characterisation is not None and self.material is None and not self.material_why
         return self.result.verdict.outcome.exit_code if finished and not unwritten else 3
 
     def document(self) -> dict[str, Any]:
@@ -99,6 +104,8 @@ class RunOutcome:
             "report": None if self.report is None else str(self.report),
             "calibration": None if self.calibration is None else str(self.calibration),
             "calibration_why": self.calibration_why,
+            "material": None if self.material is None else str(self.material),
+            "material_why": self.material_why,
             "measurements": [measurement_row(m) for m in self.result.measurements],
             "warnings": list(self.warnings),
             "simulated": list(self.simulated),
@@ -145,6 +152,7 @@ def write_outputs(result: RunResult, recipe: Recipe, plugins: Plugins, stages: S
         with stages.stage("writing the calibration file"):
             calibration = _exported(result.calibration, calibration, failed)
         plugins.tell("cbsr_calibration_issued", failed.append, calibration=result.calibration)
+    material, material_why = _material(result, failed)
     report = reports_folder() / report_name(identity.sensor.serial, identity.run)
     sections, missing = report_sections(recipe.sections, plugins)
     html = ""
@@ -152,7 +160,23 @@ def write_outputs(result: RunResult, recipe: Recipe, plugins: Plugins, stages: S
         html = render_run(result, sections, warnings=(*missing, *failed))
     written = _written(report, html, failed)
     warnings = (*result.warnings, *missing, *failed)
-    return RunOutcome(result, written, calibration, warnings, stages.total_s(), seed)
+    return RunOutcome(
+        result, written, calibration, warnings, stages.total_s(), seed, material=material, material_why=material_why
+    )
+
+
+def _material(result: RunResult, failed: list[str]) -> tuple[Path | None, str]:
+    """Write the material file of a characterisation that passed."""
+    if result.characterisation is None:
+        return None, ""
+    why = why_no_material(result)
+    if why:
+        return None, why
+    try:
+        return write_material(result), ""
+    except CbsrError as error:
+        failed.append(f"the material file could not be written: {error.reason}; {_AGAIN}")
+        return None, ""
 
 
 def calibration_path(identity: RunIdentity) -> Path:

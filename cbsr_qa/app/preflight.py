@@ -1,11 +1,12 @@
 """What can be known to be wrong before anything moves: a typo must not cost an hour of the station."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import date
 from difflib import get_close_matches
 from typing import Final
 
 from cbsr_qa.analysis.run_weights import check_weighing
+from cbsr_qa.analysis.strip_measurements import MEASURES
 from cbsr_qa.app.setup import made
 from cbsr_qa.domain.errors import CbsrError, ConfigError
 from cbsr_qa.domain.measurement import Limit
@@ -14,6 +15,7 @@ from cbsr_qa.domain.reconstruction import linear
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.domain.steps import AcquireFrames, MarkUnloaded, Press
+from cbsr_qa.forward.strip import check_strip
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.plugins import Plugins
 from cbsr_qa.reconstruct.noise_weights import FEWEST_FRAMES
@@ -34,11 +36,15 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
         Naming the recipe, what is wrong in it, and what is allowed.
     """
     try:
+        for name in recipe.sections:
+            plugins.factory(Kind.SECTION, name)
+        if recipe.characterisation is not None:
+            check_strip(sensor_type)
+            _check_named(recipe.limits, MEASURES)
+            return
         reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
         check_weighing(reconstruction, recipe.reconstruction.name, recipe.analysis)
         metrics = [made(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics]
-        for name in recipe.sections:
-            plugins.factory(Kind.SECTION, name)
         _check_limits(recipe.limits, metrics)
         linear(reconstruction.prepare(imaging_problem(sensor_type)))
     except CbsrError as error:
@@ -82,7 +88,10 @@ def _check_limits(limits: Iterable[Limit], metrics: Iterable[object]) -> None:
     declared = [getattr(metric, "measures", None) for metric in metrics]
     if any(units is None for units in declared):
         return  # a metric that does not say what it measures may measure anything
-    measured = {name: unit for units in declared if units for name, unit in units.items()}
+    _check_named(limits, {name: unit for units in declared if units for name, unit in units.items()})
+
+
+def _check_named(limits: Iterable[Limit], measured: Mapping[str, str]) -> None:
     for limit in limits:
         if limit.measurement not in measured:
             near = get_close_matches(limit.measurement, measured, n=1)

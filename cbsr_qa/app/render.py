@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cbsr_qa.analysis.observe import observe_run
+from cbsr_qa.analysis.strip_cycles import characterise_run
 from cbsr_qa.app.conclude import conclude
+from cbsr_qa.app.material_output import material_path, why_no_material, write_material
 from cbsr_qa.app.outputs import calibration_path, report_sections
 from cbsr_qa.app.setup import made
 from cbsr_qa.app.stages import Stages
@@ -13,6 +15,7 @@ from cbsr_qa.calibrate.file import write_calibration
 from cbsr_qa.config.merge import restore
 from cbsr_qa.config.paths import database_url, reports_folder
 from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.characterisation import Characterisation
 from cbsr_qa.domain.errors import NumericsError, StoreError
 from cbsr_qa.domain.measurement import Limit, Measurement
 from cbsr_qa.domain.observation import RunObservation
@@ -63,6 +66,7 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
         run = store.resolve(run_or_serial)
         result, names = rebuilt(run, store, plugins)
     _calibration_again(result)
+    _material_again(result)
     return render_again(run, lambda _: (result, names), plugins, folder or reports_folder())
 
 
@@ -71,6 +75,12 @@ def _calibration_again(result: RunResult) -> None:
     path = calibration_path(result.record.identity)
     if result.calibration is not None and not path.exists():
         write_calibration(path, result.calibration)
+
+
+def _material_again(result: RunResult) -> None:
+    """Write the material file of a characterisation where it is not there."""
+    if not why_no_material(result) and not material_path(result).exists():
+        write_material(result)
 
 
 def render_again(run: str, rebuild: Rebuild, plugins: Plugins, folder: Path) -> Rendered:
@@ -105,6 +115,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
     if stored is None:
         return _analysed_now(record, recipe, plugins), recipe.sections
     observation, why = _observed(record, recipe, plugins)
+    characterisation, why = _characterised(record, recipe) if recipe.characterisation else (None, why)
     calibration, unseen = _calibration(store, stored, observation)
     result = RunResult(
         record=record,
@@ -116,18 +127,29 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
         compute_s=stored.compute_s,
         warnings=_warnings(stored, why),
         limits_version=recipe.limits_version,
+        characterisation=characterisation,
     )
     return result, recipe.sections
 
 
 def _observed(record: RunRecord, recipe: Recipe, plugins: Plugins) -> tuple[RunObservation | None, str]:
-    if record.end is not EndReason.FINISHED:
+    if record.end is not EndReason.FINISHED or recipe.characterisation is not None:
         return None, ""
     reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     try:
         return observe_run(record, reconstruction, recipe.analysis), ""
     except NumericsError as error:
         return None, f"the frames cannot be imaged: {error.reason}"
+
+
+def _characterised(record: RunRecord, recipe: Recipe) -> tuple[Characterisation | None, str]:
+    """What the stored cycles of a strip come to; its measurements are those that were stored."""
+    if record.end is not EndReason.FINISHED or recipe.characterisation is None:
+        return None, ""
+    try:
+        return characterise_run(record, recipe.characterisation), ""
+    except NumericsError as error:
+        return None, f"the material cannot be characterised: {error.reason}"
 
 
 def _calibration(
@@ -155,6 +177,7 @@ def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins) -> RunRes
         calibration=None,
         calibration_why="this run was never concluded at the station",
         limits_version=recipe.limits_version,
+        characterisation=found.characterisation,
         warnings=(*found.warnings, "this run was analysed for this report alone; no analysis of it is stored"),
     )
 

@@ -214,6 +214,7 @@ class _Session:
             compute_s=self._stages.table(),
             warnings=(*conclusion.warnings, *self._warnings),
             limits_version=recipe.limits_version,
+            characterisation=conclusion.characterisation,
         )
         store.save_result(result)
         return write_outputs(result, recipe, self._plugins, self._stages, self._plan.seed)

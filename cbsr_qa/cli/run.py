@@ -58,6 +58,8 @@ def _show(outcome: "RunOutcome") -> None:
     say(f"run          {outcome.run}")
     say(f"report       {outcome.report or 'none'}")
     say(f"calibration  {outcome.calibration or 'none: ' + (outcome.calibration_why or 'not written')}")
+    if outcome.material or outcome.material_why:
+        say(f"material     {outcome.material or 'none: ' + outcome.material_why}")
     say(f"time         {outcome.station_s / 60:.1f} min of station time, {outcome.compute_s:.1f} s of computing")
     if outcome.simulated:
         say(f"simulated    {'; '.join(outcome.simulated)}")

@@ -37,6 +37,11 @@ class StressTable(Table):
 
     slope_per_kPa: ParameterTable
     intercept: ParameterTable
+    covariance: float | None = None
+
+    def to_domain(self) -> QuasiStatic:
+        """Return the line."""
+        return QuasiStatic(self.slope_per_kPa.to_domain(), self.intercept.to_domain(), self.covariance)
 
 
 class StrainTable(Table):
@@ -44,6 +49,11 @@ class StrainTable(Table):
 
     slope: ParameterTable
     intercept: ParameterTable
+    covariance: float | None = None
+
+    def to_domain(self) -> QuasiStatic:
+        """Return the line."""
+        return QuasiStatic(self.slope.to_domain(), self.intercept.to_domain(), self.covariance)
 
 
 class RelaxationTable(Table):
@@ -88,12 +98,8 @@ class MaterialTable(Table):
             name=self.name,
             interelectrode_resistance_ohm=self.interelectrode_resistance_ohm.to_domain(),
             modulus_kPa=self.modulus_kPa.to_domain(),
-            against_stress=QuasiStatic(
-                self.against_stress.slope_per_kPa.to_domain(), self.against_stress.intercept.to_domain()
-            ),
-            against_strain=QuasiStatic(
-                self.against_strain.slope.to_domain(), self.against_strain.intercept.to_domain()
-            ),
+            against_stress=self.against_stress.to_domain(),
+            against_strain=self.against_strain.to_domain(),
             stress_relaxation=self.stress_relaxation.to_domain(),
             loading_relaxation=self.loading_relaxation.to_domain(),
             unloading_relaxation=self.unloading_relaxation.to_domain(),

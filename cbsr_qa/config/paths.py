@@ -36,6 +36,11 @@ def scenes_folder(environment: Mapping[str, str] = os.environ) -> Path:
     return var_folder(environment) / "scenes"
 
 
+def materials_folder(environment: Mapping[str, str] = os.environ) -> Path:
+    """Folder for material files of characterised materials, below :func:`var_folder`."""
+    return var_folder(environment) / "materials"
+
+
 def writable_folder(folder: Path) -> Path:
     """Create a folder if need be and make sure that files can be written there, before anything is moved.
 

@@ -10,7 +10,8 @@ from pydantic import Field
 from cbsr_qa.config.limit_tables import LimitsVersionTable, LimitTable, version_problems
 from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table
 from cbsr_qa.domain.calibration import OverlapBand
-from cbsr_qa.domain.plan import AnalysisSettings, PhaseSpec, PluginChoice, Recipe
+from cbsr_qa.domain.characterisation import CharacterisationSettings
+from cbsr_qa.domain.plan import NO_RECONSTRUCTION, AnalysisSettings, PhaseSpec, PluginChoice, Recipe
 
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 Percent = Annotated[float, Field(gt=0, le=100)]
@@ -140,6 +141,26 @@ class AnalysisTable(Table):
         )
 
 
+class CharacterisationTable(Table):
+    """``[characterisation]``: press cycles on a strip become a material's parameters, and nothing is imaged."""
+
+    contact_length_mm: Annotated[float, Field(gt=0)] = 0.2
+    contact_length_stderr_mm: Annotated[float, Field(gt=0)] = 0.1
+    settling_tolerance_percent: Annotated[float, Field(gt=0, lt=100)] = 15.0
+    settling_band: Literal["steady", "step"] = "steady"
+    end_s: Annotated[float, Field(gt=0)] = 10.0
+
+    def to_domain(self) -> CharacterisationSettings:
+        """Percent become fractions."""
+        return CharacterisationSettings(
+            contact_length_mm=self.contact_length_mm,
+            contact_length_stderr_mm=self.contact_length_stderr_mm,
+            settling_tolerance=self.settling_tolerance_percent / 100,
+            settling_band=self.settling_band,
+            end_s=self.end_s,
+        )
+
+
 class ReportTable(Table):
     """``[report]``: sections in order; none named means every installed one."""
 
@@ -151,7 +172,8 @@ class RecipeFile(FileModel[Recipe]):
 
     recipe: RecipeTable
     phases: Annotated[list[PhaseTable], Field(min_length=1)]
-    reconstruction: ReconstructionTable
+    reconstruction: ReconstructionTable | None = None
+    characterisation: CharacterisationTable | None = None
     analysis: AnalysisTable = Field(default_factory=AnalysisTable)
     metrics: dict[Name, dict[str, Any]] = Field(default_factory=dict)
     limits_version: LimitsVersionTable | None = None
@@ -170,11 +192,26 @@ class RecipeFile(FileModel[Recipe]):
             if name not in names:
                 what = f"names {name!r}; allowed: {', '.join(names)}"
                 yield Problem(("recipe", "calibrate_phases"), what)
+        yield from self._way_problems()
         yield from self.analysis.problems()
         for index, limit in enumerate(self.limits):
             yield from limit.problems(index, names)
         yield from version_problems(self.limits_version, self.limits)
         yield from self._size_problems(names)
+
+    def _way_problems(self) -> Iterator[Problem]:
+        """A recipe images sensors, or characterises a material on a strip."""
+        if self.characterisation is None:
+            if self.reconstruction is None:
+                what = "is missing; only a recipe with [characterisation] images nothing"
+                yield Problem(("reconstruction",), what)
+            return
+        for name in ("reconstruction", "analysis", "metrics"):
+            if name in self.model_fields_set:
+                yield Problem((name,), "does not apply where [characterisation] is given: nothing is imaged")
+        if self.recipe.calibrate_phases:
+            what = "does not apply where [characterisation] is given: a strip gets no calibration; give []"
+            yield Problem(("recipe", "calibrate_phases"), what)
 
     def _size_problems(self, phases: list[str]) -> Iterator[Problem]:
         """A blob over the whole sheet and one speck both overlap by half: size must be limited with the overlap."""
@@ -196,7 +233,7 @@ class RecipeFile(FileModel[Recipe]):
         return Recipe(
             name=self.recipe.name,
             phases=tuple(PhaseSpec(p.name, p.sequence, p.options) for p in self.phases),
-            reconstruction=PluginChoice(self.reconstruction.method, self.reconstruction.options),
+            reconstruction=self._reconstruction(),
             # Tables have no order in TOML: sorted, so that a restored recipe is the one that was read.
             metrics=tuple(PluginChoice(name, options) for name, options in sorted(self.metrics.items())),
             analysis=replace(self.analysis.to_domain(), calibrate_phases=tuple(self.recipe.calibrate_phases)),
@@ -204,4 +241,9 @@ class RecipeFile(FileModel[Recipe]):
             calibrate_phases=tuple(self.recipe.calibrate_phases),
             sections=tuple(self.report.sections),
             limits_version=None if self.limits_version is None else self.limits_version.to_domain(),
+            characterisation=None if self.characterisation is None else self.characterisation.to_domain(),
         )
+
+    def _reconstruction(self) -> PluginChoice:
+        table = self.reconstruction
+        return NO_RECONSTRUCTION if table is None else PluginChoice(table.method, table.options)

@@ -5,6 +5,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from cbsr_qa.domain.calibration import OverlapBand
+from cbsr_qa.domain.characterisation import CharacterisationSettings
 from cbsr_qa.domain.limits_version import LimitsVersion
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.measurement import Limit
@@ -16,6 +17,10 @@ class PluginChoice:
 
     name: str
     options: Mapping[str, Any] = field(default_factory=dict)
+
+
+#: Of recipes that image nothing; no plugin has this name.
+NO_RECONSTRUCTION = PluginChoice("none")
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,6 +160,8 @@ class Recipe:
     sections : report sections in order; empty for every installed one.
     calibrate_phases : names of the phases whose loads the calibration is taken from.
     limits_version : of those limits that carry one; None where none does.
+    characterisation : how press cycles on a strip become a material's parameters; None where sensors are imaged.
+        Where it is there, ``reconstruction`` is NO_RECONSTRUCTION and of ``analysis`` nothing is used.
     """
 
     name: str
@@ -166,6 +173,7 @@ class Recipe:
     calibrate_phases: tuple[str, ...]
     sections: tuple[str, ...] = ()
     limits_version: LimitsVersion | None = None
+    characterisation: CharacterisationSettings | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.characterisation import Characterisation
 from cbsr_qa.domain.limits_version import LimitsVersion
 from cbsr_qa.domain.measurement import Measurement, Verdict
 from cbsr_qa.domain.observation import RunObservation
@@ -33,12 +34,14 @@ class Table:
     Parameters
     ----------
     numeric : indices of columns that hold numbers (set to the right).
+    folded : long and rarely read: shown as its caption until it is unfolded, and not printed while it is folded.
     """
 
     caption: str
     columns: tuple[str, ...]
     rows: tuple[tuple[Cell, ...], ...]
     numeric: tuple[int, ...] = ()
+    folded: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,6 +80,7 @@ class RunResult:
     calibration : None where none was issued; ``calibration_why`` then says why.
     compute_s : seconds of computing by stage.
     limits_version : of those limits that carry one.
+    characterisation : of the material, where the recipe is for that; there is no observation then.
     """
 
     record: RunRecord
@@ -88,3 +92,4 @@ class RunResult:
     compute_s: tuple[tuple[str, float], ...] = ()
     warnings: tuple[str, ...] = field(default=())
     limits_version: LimitsVersion | None = None
+    characterisation: Characterisation | None = None

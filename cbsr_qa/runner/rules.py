@@ -50,11 +50,26 @@ def _off_disc(radius_mm: float, plan: Plan) -> Iterator[Violation]:
 def _off_polygon(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
     head_mm = plan.indenter.reach_mm
     room_mm = float(plan.sensor_type.outline.clearance_mm(np.array([[x_mm, y_mm]]))[0])
-    if not room_mm >= head_mm:
+    if not room_mm >= head_mm and not _stands_on(x_mm, y_mm, plan):
         where = f"{room_mm:.4g} mm from the sheet's edge" if room_mm >= 0 else f"{-room_mm:.4g} mm outside the sheet"
         yield Violation(
             "travel", f"the head of {2 * head_mm:g} mm would stand {where}; it needs {head_mm:g} mm inside it"
         )
+
+
+def _stands_on(x_mm: float, y_mm: float, plan: Plan) -> bool:
+    """Whether a head with corners stands on the sheet with all of its outline, its edge included.
+
+    A head may be as wide as a strip, and be turned as the strip is. The outline is looked at every 0.25 mm.
+    """
+    corners = np.array(plan.indenter.outline_mm)
+    if not len(corners):
+        return False
+    ahead = np.roll(corners, -1, axis=0)
+    steps = [max(math.ceil(math.dist(a, b) / 0.25), 1) for a, b in zip(corners, ahead, strict=True)]
+    edges = [np.linspace(a, b, count, endpoint=False) for a, b, count in zip(corners, ahead, steps, strict=True)]
+    clearance_mm = plan.sensor_type.outline.clearance_mm(np.vstack(edges) + np.array([x_mm, y_mm]))
+    return bool((clearance_mm >= -1e-9).all())
 
 
 def load_violations(load: Load, plan: Plan) -> Iterator[Violation]:

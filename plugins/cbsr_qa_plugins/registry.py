@@ -14,6 +14,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.SEQUENCE, "location-grid", "sequences.location_grid:LocationGridSequence"),
     (Kind.SEQUENCE, "random-loads", "sequences.random_loads:RandomLoadsSequence"),
     (Kind.SEQUENCE, "relaxation", "sequences.relaxation:RelaxationSequence"),
+    (Kind.SEQUENCE, "characterisation", "sequences.characterisation:CharacterisationSequence"),
     (Kind.RECONSTRUCTION, "gauss-newton-noser", "reconstruction.gauss_newton_noser:GaussNewtonNoser"),
     (Kind.RECONSTRUCTION, "gauss-newton-tikhonov", "reconstruction.gauss_newton_tikhonov:GaussNewtonTikhonov"),
     (Kind.RECONSTRUCTION, "gauss-newton-laplace", "reconstruction.gauss_newton_laplace:GaussNewtonLaplace"),

@@ -1,0 +1,184 @@
+"""A stored run on a strip to press cycles: resistance between the pins, stress, and what cannot be used of them."""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run_reference import unloaded_frames
+from cbsr_qa.analysis.strip_force import StripForce, strip_force
+from cbsr_qa.calibrate.characterise import Specimen, characterise
+from cbsr_qa.domain.characterisation import Characterisation, CharacterisationSettings, CycleReadings
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
+from cbsr_qa.domain.loads import Indenter, LoadRecord
+from cbsr_qa.domain.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.sensor import Parameter, SensorType
+from cbsr_qa.domain.steps import Role
+from cbsr_qa.forward.strip import StripModel
+
+Array = NDArray[np.float64]
+
+_UNUSABLE: Final = ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING
+_FEWEST: Final = 8  # readings of a hold, and of a rest
+_BEFORE: Final = 4  # readings before a press
+_DEAD_SHARE: Final = 0.5  # of all readings; a pin without contact shows in most of them
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pins:
+    """What was read between the pins, without what cannot be used: times and resistances, (n,)."""
+
+    time_s: Array
+    ohm: Array
+
+    def between(self, start_s: float, end_s: float) -> "_Pins":
+        inside = (self.time_s >= start_s) & (self.time_s < end_s)
+        return _Pins(self.time_s[inside], self.ohm[inside])
+
+
+@lru_cache(maxsize=8)
+def strip_model(
+    sensor_type: SensorType, indenter: Indenter, contact_length_mm: float, place_mm: tuple[float, float]
+) -> StripModel:
+    """Model of a strip under a head; made once per process."""
+    return StripModel(sensor_type, indenter, contact_length_mm, place_mm=place_mm)
+
+
+def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> Characterisation:
+    """Characterise the material of a run's strip.
+
+    Parameters
+    ----------
+    record : the run as stored; nothing else is looked at. Cycles are taken from its phases whose role is
+        CHARACTERISATION.
+
+    Raises
+    ------
+    NumericsError
+        If the sensor type is no strip, there are no cycles or no readings of the rested strip, or the pins do not
+        carry the current.
+    """
+    phases = [phase for phase in record.phases if phase.role is Role.CHARACTERISATION and phase.loads]
+    if not phases:
+        raise NumericsError(
+            "the run has no press cycles to characterise from",
+            remedy="give the recipe a phase whose sequence is characterisation",
+        )
+    contact_mm, error_mm = settings.contact_length_mm, settings.contact_length_stderr_mm
+    strip, other = (
+        strip_model(record.sensor_type, record.indenter, length_mm, _place_mm(phases))
+        for length_mm in (contact_mm, contact_mm + error_mm)
+    )
+    rested = _pins(unloaded_frames(record))
+    _check_contact(phases)
+    resistance_ohm = float(rested.ohm.mean())
+    notes: list[str] = []
+    readings = [one for phase in phases for one in _phase_cycles(phase, record, resistance_ohm, strip, notes)]
+    count = len(rested.ohm)
+    deviation = float(rested.ohm.std(ddof=1)) if count > 1 else 0.0
+    identity = record.identity
+    source = f"characterised in run {identity.run} on strip {identity.sensor.serial}"
+    specimen = Specimen(
+        strip=strip,
+        other_contacts=other,
+        resistance_ohm=Parameter(resistance_ohm, deviation / count**0.5, source),
+        relative_noise=deviation / resistance_ohm,
+        declared=record.sensor_type.response,
+        source=source,
+    )
+    return characterise(readings, specimen, settings, notes=notes)
+
+
+def _place_mm(phases: list[PhaseRecord]) -> tuple[float, float]:
+    """The one place that was pressed."""
+    places = {(load.load.x_mm, load.load.y_mm) for phase in phases for load in phase.loads}
+    if len(places) > 1:
+        raise NumericsError(
+            f"the strip was pressed at {len(places)} places; cycles add up at one place only",
+            remedy="press one place in a run",
+        )
+    return places.pop()
+
+
+def _pins(frames: FrameBlock | None) -> _Pins:
+    """Resistances between the pins that can be used."""
+    if frames is None:
+        return _Pins(np.zeros(0), np.zeros(0))
+    if frames.unit is not VoltageUnit.VOLT or not frames.current_A:
+        raise NumericsError("the readings are not volts at a known current: they make no resistance")
+    good = (frames.flags[:, 0, 0] & _UNUSABLE) == 0
+    return _Pins(frames.time_s[good], frames.voltages[good, 0, 0] / frames.current_A)
+
+
+def _check_contact(phases: list[PhaseRecord]) -> None:
+    """Refuse pins that do not carry the current, and readings that never move."""
+    taken = [phase.frames for phase in phases if phase.frames is not None]
+    flags = np.concatenate([frames.flags[:, 0, 0] for frames in taken])
+    flagged = int(((flags & _UNUSABLE) != 0).sum())
+    if flagged > _DEAD_SHARE * len(flags):
+        raise NumericsError(
+            f"{flagged} of {len(flags)} readings are missing, or the source or the voltmeter was at its limit: a pin"
+            " does not carry the current",
+            remedy="check both pins and their leads, or lower the current",
+        )
+    ohm = np.concatenate([_pins(frames).ohm for frames in taken])
+    if not (ohm > 0).all():
+        raise NumericsError(
+            f"{int((ohm <= 0).sum())} of {len(ohm)} resistances between the pins are not positive",
+            remedy="check how the pins are connected",
+        )
+    if np.ptp(ohm) == 0:
+        raise NumericsError(
+            f"all readings between the pins are stuck at {ohm[0]:.6g} Ω", remedy="check the voltmeter and the pins"
+        )
+
+
+def _phase_cycles(
+    phase: PhaseRecord, record: RunRecord, resistance_ohm: float, strip: StripModel, notes: list[str]
+) -> list[CycleReadings]:
+    pins = _pins(phase.frames)
+    force = strip_force(phase, strip.pressed_mm2)
+    notes += force.notes
+    counts: dict[float, int] = {}
+    cycles = []
+    for load in phase.loads:
+        strain = round(load.load.strain, 9)
+        number = counts.get(strain, 0)
+        counts[strain] = number + 1
+        one = _cycle(load, number, pins, resistance_ohm, force)
+        if min(len(one.held), len(one.rested)) < _FEWEST:
+            notes.append(
+                f"left out: cycle {number + 1} of {100 * strain:g} % strain has {len(one.held)} usable readings of"
+                f" its hold and {len(one.rested)} of its rest; {_FEWEST} of each are needed"
+            )
+            continue
+        cycles.append(one)
+    return cycles
+
+
+def _cycle(load: LoadRecord, number: int, pins: _Pins, resistance_ohm: float, force: StripForce) -> CycleReadings:
+    held = pins.between(load.hold_start_s, load.release_start_s)
+    rested = pins.between(load.unloaded_s, load.rest_end_s)
+    before = pins.between(-np.inf, load.press_start_s).ohm[-_BEFORE:]
+    ramp_s = 0.0 if load.clear_s is None else load.clear_s - load.release_start_s
+    stress = force.stress(load)
+    return CycleReadings(
+        load=load.index,
+        strain=round(load.load.strain, 9),
+        cycle=number,
+        hold_start_s=load.hold_start_s,
+        rest_start_s=load.unloaded_s,
+        press_ramp_s=ramp_s,  # the head goes down as fast as it comes up
+        release_ramp_s=ramp_s,
+        held_s=held.time_s - load.hold_start_s,
+        held=resistance_ohm / held.ohm - 1,
+        rested_s=rested.time_s - load.unloaded_s,
+        rested=resistance_ohm / rested.ohm - 1,
+        before=resistance_ohm / before - 1 if len(before) else np.zeros(1),
+        stress_s=stress.time_s,
+        stress_kPa=stress.stress_kPa,
+        stress_why=stress.why,
+    )
