@@ -190,8 +190,9 @@ def _scale(shown: PlaceMap) -> tuple[Normalize, Colormap]:
 
 
 def _disc_mm(shown: PlaceMap, sensor: SensorType) -> float:
-    """Radius that lets neighbours stand clear of each other."""
+    """Radius that lets most neighbours stand clear of each other."""
     at = np.array([(place.x_mm, place.y_mm) for place in shown.places])
     apart = np.hypot(*(at[:, None, :] - at[None, :, :]).transpose(2, 0, 1))
-    nearest = float(np.min(apart, where=apart > 1e-9, initial=0.3 * sensor.radius_mm))
+    apart[apart < 1e-9] = np.inf
+    nearest = min(float(np.median(apart.min(axis=1))), sensor.radius_mm)
     return float(np.clip(0.45 * nearest, 0.03 * sensor.radius_mm, 0.13 * sensor.radius_mm))

@@ -131,6 +131,23 @@ def test_the_page_loads_nothing_and_runs_nothing(result):
     assert addresses <= {"http://www.w3.org/2000/svg", "http://www.w3.org/1999/xlink"}
 
 
+def test_a_folded_table_unfolds_without_a_script_and_says_how_long_it_is(result):
+    rows = tuple((Cell(f"{HOSTILE} {k}"),) for k in range(3))
+    html = render_run(
+        result, [Says(Table(f"all {HOSTILE}", ("x",), rows, folded=True), Table("short", ("x",), rows))]
+    )
+    page = Structure(html)
+    assert [tag for tag, _ in page.elements if tag in ("details", "summary", "table", "caption")] == [
+        "details",
+        "summary",
+        "table",
+        "table",
+        "caption",
+    ]
+    assert "(3 rows)" in page.words()
+    assert "script" not in [tag for tag, _ in page.elements]
+
+
 def test_every_entry_of_the_contents_leads_somewhere(result):
     page = Structure(render_run(result, [NineLocations(), Limits(), Traceability()]))
     anchors = {a["id"] for _, a in page.elements if "id" in a}

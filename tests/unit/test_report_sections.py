@@ -105,8 +105,8 @@ def test_the_location_table_holds_the_measured_values(result):
     (table,) = tables(NineLocations().render(result))
     errors = Measured(result.measurements).values("centre_of_mass_error", loads_of(run, Role.GRID))
     assert [row[0] for row in texts(table)] == [f"L{k}" for k in range(9)]
-    assert [float(row[3]) for row in texts(table)] == pytest.approx(errors, abs=0.006)
-    assert all(row[3].outcome is Outcome.PASS for row in table.rows)
+    assert [float(row[2]) for row in texts(table)] == pytest.approx(errors, abs=0.006)
+    assert all(row[2].outcome is Outcome.PASS for row in table.rows)
 
 
 @pytest.mark.parametrize(
@@ -145,6 +145,52 @@ def test_trials_are_averaged_and_the_worst_outcome_shown(result):
     assert row[2].text == "3"
     assert float(row[3].text.partition(" ±")[0]) == pytest.approx(fmean(values), abs=0.05)
     assert row[3].outcome is Outcome.FAIL
+
+
+def test_two_grids_stand_apart_and_strains_have_rows_of_their_own(result):
+    """The second grid repeats labels of the first, at other places and a second strain."""
+    run, phases = result.observation, result.record.phases
+    phases = tuple(
+        replace(phase, role=Role.GRID if phase.name in ("nine", "random") else phase.role) for phase in phases
+    )
+    observation = replace(run, record=replace(run.record, phases=phases))
+    other = replace(result, observation=observation)
+    section = NineLocations().render(other)
+    captions = [block.caption for block in section.blocks if isinstance(block, Figure)]
+    assert [caption.partition(".")[0] for caption in captions] == ["Phase nine", "Phase random"]
+    nine, strains, random = tables(section)
+    assert "Presses" not in nine.columns
+    assert len(nine.rows) == 9
+    assert len(random.rows) == 10
+    wanted = sorted(100 * load.record.load.strain for load in run.loads if load.phase == "random")
+    assert [float(row[0]) for row in texts(strains)] == pytest.approx(wanted, rel=1e-4)
+    assert {row[-1] for row in texts(strains)} == {"1 of 1"}
+
+
+def test_of_many_limits_the_closest_are_shown_and_the_others_folded(result):
+    limit = Limit("e", "mm", None, 5.0)
+    judged = tuple(
+        Measurement("e", 0.05 * k, "mm", phase="nine", location="L0", load=k, strain=0.05 * (1 + k % 6)).judged(limit)
+        for k in range(110)
+    )
+    closest, others = tables(Limits().render(replace(result, measurements=judged)))
+    assert (closest.folded, others.folded) == (False, True)
+    assert len(closest.rows) + len(others.rows) == 110
+    failed = sum(m.outcome is Outcome.FAIL for m in judged)
+    assert failed == 9
+    assert [row[-1].outcome for row in closest.rows].count(Outcome.FAIL) == failed
+    assert len(closest.rows) == 24
+    assert texts(closest)[0][0] == "e (L0) at 10 % strain"  # the name alone would not say which press
+
+
+def test_more_phases_than_fit_a_page_are_told_in_several_tables(result):
+    measured = tuple(Measurement("e", float(k), "mm", phase=f"phase {k}") for k in range(9))
+    parts = tables(Limits().render(replace(result, measurements=measured)))
+    assert [part.columns[1:] for part in parts] == [
+        tuple(f"phase {k}" for k in range(0, 3)),
+        tuple(f"phase {k}" for k in range(3, 6)),
+        tuple(f"phase {k}" for k in range(6, 9)),
+    ]
 
 
 def test_loads_of_one_name_and_trial_are_told_apart_by_their_index_in_whatever_order(result):

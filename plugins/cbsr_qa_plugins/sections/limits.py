@@ -1,6 +1,7 @@
 """Every limit with its value, margin and outcome, and every other measurement."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 from cbsr_qa.domain.limits_version import LimitsVersion
@@ -14,6 +15,11 @@ from cbsr_qa.report.tables import bound_sign, limit_text, margin_text, text_tabl
 
 #: A measurement with more qualifiers than this gets one row for all of them.
 _MOST_QUALIFIERS: Final = 8
+#: Of more limits than this only the closest ones, and all that were not passed, are shown unfolded.
+_MOST_LIMITS: Final = 60
+_CLOSEST: Final = 24
+#: Phases that fit a page beside each other.
+_MOST_PHASES: Final = 4
 
 
 class Limits:
@@ -29,12 +35,11 @@ class Limits:
         if result.limits_version is not None:
             blocks.append(Paragraph(_version_words(result.limits_version, judged)))
         if judged:
-            blocks.append(_judged(judged))
+            blocks += _judged(judged)
         determined = [m for m in others if m.value is not None]
         # Apart: as columns beside each other they do not fit a page.
         for part in ([m for m in determined if m.phase], [m for m in determined if not m.phase]):
-            if part:
-                blocks.append(_others(part))
+            blocks += _others(part)
         refused = [m for m in others if m.value is None]
         if refused:
             blocks.append(_refused(refused))
@@ -62,25 +67,49 @@ def _version_words(version: LimitsVersion, judged: Sequence[Measurement]) -> str
     return words if version.sealed else f"{words} Nothing vouches that they are still as they were made."
 
 
-def _judged(judged: Sequence[Measurement]) -> Table:
+def _judged(judged: Sequence[Measurement]) -> list[Table]:
     order = sorted(judged, key=lambda m: (SEVERITY.index(m.outcome), relative_margin(m)))
-    versioned = ("Version",) if any(m.limit and m.limit.version for m in judged) else ()
-    rows: list[list[str | Cell]] = []
-    for m in order:
-        assert m.limit is not None
-        signs = {Outcome.PASS: "✓ ", Outcome.FAIL: "✗ ", Outcome.MARGINAL: "≈ ", Outcome.NOT_MEASURED: "? "}
-        outcome = Cell(f"{signs.get(m.outcome, '')}{m.outcome.value}", m.outcome)
-        value = Cell(value_cell(m, unit=True).text)
-        why = m.how if m.outcome is Outcome.NOT_MEASURED else ""
-        name = f"{m.label}: {why}" if why else m.label
-        row: list[str | Cell] = [name, m.phase or "whole run", value, limit_text(m.limit), margin_text(m), outcome]
-        rows.append([*row, m.limit.version or "–"] if versioned else row)
-    columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome", *versioned)
-    return text_table("Limits. Margin: distance from the nearer bound, negative outside.", columns, rows, (2, 3, 4))
+    versioned = any(m.limit and m.limit.version for m in judged)
+    strains = _with_strains(judged)
+    rows = [_judged_row(m, m.phase in strains, versioned) for m in order]
+    columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome", *(("Version",) if versioned else ()))
+    caption = "Limits. Margin: distance from the nearer bound, negative outside."
+    if len(rows) <= _MOST_LIMITS:
+        return [text_table(caption, columns, rows, (2, 3, 4))]
+    first = max(_CLOSEST, sum(m.outcome is not Outcome.PASS for m in order))
+    rest = text_table("The other limits, all further from failing.", columns, rows[first:], (2, 3, 4))
+    return [text_table(caption, columns, rows[:first], (2, 3, 4)), replace(rest, folded=True)]
 
 
-def _others(measurements: Sequence[Measurement]) -> Table:
+def _with_strains(measurements: Sequence[Measurement]) -> frozenset[str]:
+    """Phases in which loads of one name were pressed at several strains: their name alone says too little."""
+    found: dict[tuple[str, str], set[float]] = {}
+    for m in measurements:
+        if m.strain is not None:
+            found.setdefault((m.phase, m.location), set()).add(m.strain)
+    return frozenset(phase for (phase, _), strains in found.items() if len(strains) > 1)
+
+
+def _judged_row(m: Measurement, strains: bool, versioned: bool) -> list[str | Cell]:
+    assert m.limit is not None
+    signs = {Outcome.PASS: "✓ ", Outcome.FAIL: "✗ ", Outcome.MARGINAL: "≈ ", Outcome.NOT_MEASURED: "? "}
+    outcome = Cell(f"{signs.get(m.outcome, '')}{m.outcome.value}", m.outcome)
+    value = Cell(value_cell(m, unit=True).text)
+    name = f"{m.label} at {100 * m.strain:.3g} % strain" if strains and m.strain is not None else m.label
+    name += f": {m.how}" if m.outcome is Outcome.NOT_MEASURED and m.how else ""
+    row: list[str | Cell] = [name, m.phase or "whole run", value, limit_text(m.limit), margin_text(m), outcome]
+    return [*row, m.limit.version or "–"] if versioned else row
+
+
+def _others(measurements: Sequence[Measurement]) -> list[Table]:
+    """Tables of what no limit judges, a few phases a table: more columns do not fit a page."""
     phases = list(dict.fromkeys(m.phase for m in measurements))
+    count = -(-len(phases) // _MOST_PHASES)
+    parts = [phases[k * len(phases) // count : (k + 1) * len(phases) // count] for k in range(count)]
+    return [_others_of([m for m in measurements if m.phase in part], part) for part in parts]
+
+
+def _others_of(measurements: Sequence[Measurement], phases: Sequence[str]) -> Table:
     rows = [_row(name, members, phases) for name, members in _grouped(measurements).items()]
     columns = ("Measurement", *(phase or "whole run" for phase in phases))
     where = "in a phase" if any(phases) else "of the whole run"

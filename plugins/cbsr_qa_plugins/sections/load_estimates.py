@@ -1,6 +1,8 @@
 """Loads estimated from their readings, beside where their images show them."""
 
 from collections.abc import Sequence
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
@@ -15,6 +17,8 @@ from cbsr_qa.report.numbers import number, plural, with_uncertainty
 from cbsr_qa.report.select import Measured, loads_of, observed
 from cbsr_qa.report.tables import text_table, value_cell
 
+#: A longer table is folded.
+_MOST_ROWS: Final = 60
 _COLUMNS = (
     "Load", "Strain [%]", "Image [mm]", "Readings [mm]", "Contrast c [%]", "Radius [mm]", "A·c [mm²]", "d′",
 )  # fmt: skip
@@ -113,4 +117,5 @@ def _table(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], measured: Mea
         " the head's radius given; radius and area × contrast A·c (against the mean of both conductances) without."
         " A dash for the radius: the readings do not determine it at this place and strength. d′: detectability."
     )
-    return text_table(caption, _COLUMNS, rows, tuple(range(1, len(_COLUMNS))))
+    table = text_table(caption, _COLUMNS, rows, tuple(range(1, len(_COLUMNS))))
+    return replace(table, folded=len(rows) > _MOST_ROWS)

@@ -4,15 +4,15 @@ from collections.abc import Sequence
 from statistics import fmean
 
 from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.observation import LoadObservation
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.outcome import worst
-from cbsr_qa.domain.report import Cell, Paragraph, RunResult, Section, Table
+from cbsr_qa.domain.report import Block, Cell, Figure, Paragraph, RunResult, Section, Table
 from cbsr_qa.domain.steps import Role
 from cbsr_qa.report.figures_loads import arrow_scale, location_map_figure
 from cbsr_qa.report.loads import seen_loads
 from cbsr_qa.report.numbers import number, plural, with_uncertainty
 from cbsr_qa.report.select import SPATIAL, Measured, by_label, loads_of, observed, spread_text
-from cbsr_qa.report.tables import value_cell
+from cbsr_qa.report.tables import text_table, unit_column, value_cell
 
 #: Standard errors from which on a shift, a turn or a scale of all locations is more than scatter. In 5 % of the runs
 #: of nine presses in which there is none one of them is beyond it.
@@ -29,24 +29,52 @@ class NineLocations:
         if run is None or not loads or not isinstance(result, RunResult):
             return None
         measured = Measured(result.measurements)
-        seen = seen_loads(loads, run, measured)
-        scale = arrow_scale(seen)
-        longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
-        figure = location_map_figure(
-            seen,
-            run.record.sensor_type,
-            caption=f"Where the loads were and where they were seen (mask {100 * run.main_mask:g} %). Dashed: the"
-            f" indenter. Blue: outline of the sensed blob. Arrows: error from the indenter's centre to the blob's"
-            f" centre of mass, {longer}. Right: every press; a diamond is outside its limit, a cross was not"
-            " detected.",
-            alternative=_in_words(loads, measured),
-        )
         words = Paragraph(
             f"{plural(len(loads), 'press', 'presses')} at {plural(len(by_label(loads)), 'location')};"
             f" {_in_words(loads, measured)}"
         )
-        registered = _registration(result, measured.values("registered_centre_of_mass_error", loads))
-        return Section("Locations", (words, *registered, figure, _table(loads, result, measured)))
+        blocks: list[Block] = [
+            words,
+            *_registration(result, measured.values("registered_centre_of_mass_error", loads)),
+        ]
+        phases = list(dict.fromkeys(load.phase for load in loads))
+        for phase in phases:
+            members = [load for load in loads if load.phase == phase]
+            blocks.append(_figure(members, run, measured, f"Phase {phase}. " if len(phases) > 1 else ""))
+            blocks += _by_strain(members, measured)
+            blocks.append(_table(members, result, measured))
+        return Section("Locations", tuple(blocks))
+
+
+def _figure(loads: Sequence[LoadObservation], run: RunObservation, measured: Measured, phase: str) -> Figure:
+    seen = seen_loads(loads, run, measured)
+    scale = arrow_scale(seen)
+    longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
+    return location_map_figure(
+        seen,
+        run.record.sensor_type,
+        caption=f"{phase}Where the loads were and where they were seen (mask {100 * run.main_mask:g} %). Dashed: the"
+        f" indenter. Blue: outline of the sensed blob. Arrows: error from the indenter's centre to the blob's"
+        f" centre of mass, {longer}. Right: every press; a diamond is outside its limit, a cross was not"
+        " detected.",
+        alternative=_in_words(loads, measured),
+    )
+
+
+def _by_strain(loads: Sequence[LoadObservation], measured: Measured) -> list[Block]:
+    """One row a strain over all locations; nothing where there is one strain."""
+    strains = sorted({round(load.record.load.strain, 9) for load in loads})
+    if len(strains) < 2:
+        return []
+    rows: list[list[str]] = []
+    for strain in strains:
+        members = [load for load in loads if round(load.record.load.strain, 9) == strain]
+        values = [measured.values(name, members) for name, _, _ in SPATIAL]
+        spreads = [spread_text(found, unit) for found, (_, _, unit) in zip(values, SPATIAL, strict=True)]
+        rows.append([f"{100 * strain:g}", *spreads, _force(members), f"{len(values[0])} of {len(members)}"])
+    columns = ("Strain [%]", *(unit_column(name, unit) for _, name, unit in SPATIAL), "Force [N]", "Loads seen")
+    caption = "Each strain: mean ± standard deviation over all locations and trials."
+    return [text_table(caption, columns, rows, tuple(range(len(columns))))]
 
 
 def _in_words(loads: Sequence[LoadObservation], measured: Measured) -> str:
@@ -81,12 +109,19 @@ def _registration(result: RunResult, left_mm: Sequence[float]) -> tuple[Paragrap
 
 def _table(loads: Sequence[LoadObservation], result: RunResult, measured: Measured) -> Table:
     baseline = {b.location: b for b in result.calibration.baseline} if result.calibration else {}
-    columns = ["Location", "x, y [mm]", "Trials", "E_CoM [mm]", "A_OL [%]", "Band", "SD [mm²]", "Force [N]"]
-    columns += ["ρ̄₀"] if baseline else []
+    places = by_label(loads)
+    several = any(len(members) > 1 for members in places.values())
+    columns = ["Location", "x, y [mm]", *(["Presses"] if several else [])]
+    numeric = [*range(1, len(columns) + 2), len(columns) + 3, len(columns) + 4]
+    columns += ["E_CoM [mm]", "A_OL [%]", "Band", "SD [mm²]", "Force [N]"]
+    if baseline:
+        numeric.append(len(columns))
+        columns.append("ρ̄₀")
     rows = []
-    for label, members in by_label(loads).items():
+    for label, members in places.items():
         place = members[0].record.load
-        row = [Cell(label), Cell(f"{place.x_mm:g}, {place.y_mm:g}".replace("-", "−")), Cell(str(len(members)))]
+        row = [Cell(label), Cell(f"{place.x_mm:g}, {place.y_mm:g}".replace("-", "−"))]
+        row += [Cell(str(len(members)))] if several else []
         error, overlap, deviation = (_cell(name, members, measured) for name, _, _ in SPATIAL)
         row += [error, overlap, Cell(_bands(members, measured)), deviation, Cell(_force(members))]
         if baseline:
@@ -97,10 +132,9 @@ def _table(loads: Sequence[LoadObservation], result: RunResult, measured: Measur
         rows.append(tuple(row))
     caption = (
         "Each location: error of the centre of mass, mutual overlap with its band, deviation of the outline, force."
-        " Over several trials: mean ± standard deviation; a single press stands without one."
+        " Over several presses: mean ± standard deviation; a single press stands without one."
     )
-    numeric = (1, 2, 3, 4, 6, 7, 8) if baseline else (1, 2, 3, 4, 6, 7)
-    return Table(caption, tuple(columns), tuple(rows), numeric)
+    return Table(caption, tuple(columns), tuple(rows), tuple(numeric))
 
 
 def _cell(name: str, members: Sequence[LoadObservation], measured: Measured) -> Cell:
