@@ -14,6 +14,7 @@ from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.domain.relaxation import RelaxationFit, SettlingTime
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.domain.sensor import Response
+from cbsr_qa.domain.steps import Role
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -188,6 +189,12 @@ class RunObservation:
     settings: AnalysisSettings
     warnings: tuple[str, ...] = ()
     timelines: tuple[MetricTimeline, ...] = ()
+
+    @property
+    def tested(self) -> tuple[LoadObservation, ...]:
+        """Loads that test the sheet: all but those that only work it in."""
+        worked_in = {phase.name for phase in self.record.phases if phase.role is Role.PRECONDITIONING}
+        return tuple(load for load in self.loads if load.phase not in worked_in)
 
     @property
     def weight_ratio(self) -> float:

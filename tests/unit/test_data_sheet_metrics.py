@@ -14,6 +14,7 @@ from cbsr_qa_plugins.metrics.creep import Creep
 from cbsr_qa_plugins.metrics.nonlinearity import Nonlinearity
 from cbsr_qa_plugins.metrics.preconditioning_change import PreconditioningChange
 from cbsr_qa_plugins.metrics.repeatability import Repeatability
+from cbsr_qa_plugins.metrics.settling_time import SettlingTimes
 from cbsr_qa_plugins.metrics.uniformity import Uniformity
 from cbsr_qa_plugins.metrics.zero_return import ZeroReturn
 
@@ -286,3 +287,13 @@ def test_a_run_in_which_nothing_was_sensed_is_refused_with_the_reason(metric):
     found = metric().measure_run(sample_run(loads))
     assert found
     assert all(m.value is None and len(m.how) > 10 for m in found)
+
+
+def test_what_works_the_sheet_in_says_nothing_about_settling():
+    long = replace(sample_load(), relaxations=(sample_relaxation(30.0),))
+    short = replace(sample_load(phase="worked in"), relaxations=(sample_relaxation(2.0),))
+    run = sample_run((short, long))
+    first, second = run.record.phases
+    record = replace(run.record, phases=(replace(first, role=Role.PRECONDITIONING), second))
+    found = SettlingTimes().measure_run(replace(run, record=record))
+    assert found[0].value == pytest.approx(30.0)

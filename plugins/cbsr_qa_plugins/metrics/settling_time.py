@@ -48,7 +48,7 @@ class SettlingTimes:
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Put the loads together, by signal and direction."""
         groups: dict[str, list[_Member]] = {}
-        for load in run.loads:
+        for load in run.tested:
             for seen in load.relaxations:
                 groups.setdefault(_qualifier(seen), []).append((load, seen))
         means = [_mean(qualifier, [seen for _, seen in members]) for qualifier, members in groups.items()]
