@@ -10,6 +10,10 @@ from scipy import stats
 from cbsr_qa.stats.tolerance import factor_of_quantile, two_sided_factor
 from cbsr_qa.stats.worst_value import FloatArray, raised_for_skewness, worst_of
 
+#: Fewer repeated runs say too little of how runs of one sensor differ: allowing for that doubt would widen limits
+#: (by half for one repeat) more than the repeats tell.
+FEWEST_REPEATS = 4
+
 _DRAWS = 20_000
 _NODES = 257
 
@@ -81,6 +85,12 @@ class Components:
         within = self.repeats * (self.within or 0.0) / random.chisquare(self.repeats, _DRAWS)
         offset = random.standard_normal(_DRAWS) * np.sqrt(between / self.sensors)
         return offset, np.sqrt(between + self.share * within)
+
+
+def telling_runs(runs: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:
+    """Return the runs statistics are made of: all, or the first of each sensor where few were repeated."""
+    repeats = sum(len(values) - 1 for values in runs)
+    return runs if repeats >= FEWEST_REPEATS else [values[:1] for values in runs]
 
 
 def components(runs: Sequence[Sequence[float]]) -> Components:

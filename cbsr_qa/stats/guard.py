@@ -5,12 +5,11 @@ from math import exp, sqrt
 
 from scipy import stats
 
-from cbsr_qa.stats.lot_limits import Bound, Distribution
+from cbsr_qa.stats.components import FEWEST_REPEATS, components
+from cbsr_qa.stats.lot_limits import Bound, Distribution, Runs
 from cbsr_qa.stats.risk import Risks, risks_of_bound
 from cbsr_qa.stats.worst_value import FloatArray, worst_of
 
-#: Fewer repeated runs than this say too little of repeatability (t = 2.9 instead of 2).
-FEWEST_REPEATS = 4
 #: An expanded uncertainty covers what ± 2 standard deviations of a normal distribution do.
 EXPANDED_SHARE = 0.9545
 #: Spread of true values, in standard uncertainties, below which the lot says nothing about them.
@@ -45,9 +44,18 @@ class Uncertainty:
         return self.coverage_factor * self.standard
 
 
-def repeatability_counts(bound: Bound) -> bool:
-    """Whether a lot's repeated runs say enough of how well one run measures."""
-    return bound.parts.repeats >= FEWEST_REPEATS and bool(bound.parts.within)
+def repeatability(runs: Runs, source: str) -> Uncertainty | None:
+    """Return how well one run measures, from runs of the same sensors; None where there are too few repeats.
+
+    Parameters
+    ----------
+    runs : one sequence of values per sensor.
+    source : in words.
+    """
+    parts = components(runs)
+    if parts.repeats < FEWEST_REPEATS or not parts.within:
+        return None
+    return Uncertainty(sqrt(parts.within), parts.repeats, source)
 
 
 def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:

@@ -13,7 +13,7 @@ from math import ceil, exp, floor, log, log10
 
 import numpy as np
 
-from cbsr_qa.stats.components import Components, components
+from cbsr_qa.stats.components import Components, components, telling_runs
 from cbsr_qa.stats.shape import Fit, far_out, fits_worst_of
 from cbsr_qa.stats.tolerance import count_needed, spacings_outside
 
@@ -132,10 +132,11 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
 
     Notes
     -----
-    Two bounds of one value a run are mean ± k s. Of several values they are two one-sided bounds, each with half of
-    what may lie outside and half of the doubt (Bonferroni), which is cautious.
+    Where fewer than four runs repeat a sensor only first runs count. Two bounds of one value a run are mean ± k s. Of
+    several values they are two one-sided bounds, each with half of what may lie outside and half of the doubt
+    (Bonferroni), which is cautious.
     """
-    count = len(largest)
+    smallest, largest, count = telling_runs(smallest), telling_runs(largest), len(largest)
     if count < FEWEST_SENSORS:
         return LotLimits(why=f"{count} sensors are too few: at least {FEWEST_SENSORS} are needed")
     for runs in ([smallest] if ask.lower else []) + ([largest] if ask.upper else []):

@@ -5,6 +5,7 @@ chapters 2 (two-sided, exact) and 8 (order statistics), Wilks 1941. Factors take
 and the degrees of freedom of the standard deviation apart; of a plain sample of n they are n and n − 1.
 """
 
+from functools import lru_cache
 from math import ceil, log, sqrt
 
 import numpy as np
@@ -33,6 +34,7 @@ def factor_of_quantile(quantile: float, confidence: float, mean_size: float, fre
     return float(stats.nct.ppf(confidence, freedom, quantile * root)) / root
 
 
+@lru_cache(maxsize=64)
 def two_sided_factor(coverage: float, confidence: float, mean_size: float, freedom: float) -> float:
     """Return k of mean ± k s that holds the middle of a normal population; exact, by quadrature over the mean.
 
