@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cbsr_qa.calibrate.baseline import load_baseline, sensed_change
+from cbsr_qa.calibrate.data_sheet import pooled_deviation
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.footprints import overlap_mm2
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
@@ -20,17 +21,20 @@ class PlaceResponse:
     ----------
     location, x_mm, y_mm : of its loads.
     baseline : ρ₀ of Eq 7, mean over the loads, relative image units.
-    response : the same over what the linearised model of an even sheet images there, 1 where the sheet answers as
-        that model with the material's α.
-    loads : how many.
+    responses : of each load, the same over what the linearised model of an even sheet images there: 1 where the sheet
+        answers as that model with the material's α.
     """
 
     location: str
     x_mm: float
     y_mm: float
     baseline: float
-    response: float
-    loads: int
+    responses: tuple[float, ...]
+
+    @property
+    def response(self) -> float:
+        """Mean over the loads."""
+        return float(np.mean(self.responses))
 
 
 def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tuple[tuple[PlaceResponse, ...], float]:
@@ -85,6 +89,19 @@ def _image_of_head(run: RunObservation, load: LoadObservation) -> np.ndarray:
     return np.asarray(sign * (run.reconstruction.matrix @ (problem.jacobian @ share)))
 
 
+def scatter_of_presses(places: Sequence[PlaceResponse]) -> float | None:
+    """Spread that the scatter of single presses alone makes over an even sheet, over its mean; None if unknown.
+
+    Each place is a mean over its presses; their scatter is pooled over the places that were pressed again.
+    """
+    mean = float(np.mean([place.response for place in places]))
+    try:
+        single = pooled_deviation([place.responses for place in places]).value
+    except NumericsError:
+        return None
+    return single / mean * float(np.sqrt(np.mean([1 / len(place.responses) for place in places])))
+
+
 def _place(place: tuple[str, float, float], values: Sequence[tuple[float, float]]) -> PlaceResponse:
-    baseline, response = np.mean(values, axis=0)
-    return PlaceResponse(*place, float(baseline), float(response), len(values))
+    baseline = float(np.mean([one for one, _ in values]))
+    return PlaceResponse(*place, baseline, tuple(response for _, response in values))

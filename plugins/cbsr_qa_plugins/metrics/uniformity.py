@@ -4,7 +4,7 @@ from typing import Any, ClassVar
 
 from cbsr_qa.calibrate.characteristic import data_sheet_loads
 from cbsr_qa.calibrate.data_sheet import relative_spread
-from cbsr_qa.calibrate.uniformity import place_responses
+from cbsr_qa.calibrate.uniformity import place_responses, scatter_of_presses
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import RunObservation
@@ -36,8 +36,11 @@ class Uniformity:
             imaged = relative_spread([place.baseline for place in places])
         except NumericsError as error:
             return (refused("uniformity", "%", error),)
-        how = f"{len(places)} locations at {100 * strain:g} % strain, {sum(p.loads for p in places)} presses"
+        presses = sum(len(place.responses) for place in places)
+        how = f"{len(places)} locations at {100 * strain:g} % strain, {presses} presses"
+        scatter = scatter_of_presses(places)
+        alone = "" if scatter is None else f"; the scatter of presses alone would make {100 * scatter:.2g} %"
         return (
-            percent("uniformity", own, f"ρ₀ over what an even sheet images there; {how}"),
+            percent("uniformity", own, f"ρ₀ over what an even sheet images there; {how}{alone}"),
             percent("uniformity", imaged, f"ρ₀ as imaged; {how}", qualifier=AS_IMAGED),
         )
