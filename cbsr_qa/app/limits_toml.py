@@ -1,0 +1,88 @@
+"""Proposed limits as a file that a recipe takes in by ``limits_from``, or that is pasted into one."""
+
+import json
+import os
+import tempfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from cbsr_qa.config.limit_tables import limits_digest
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.measurement import Limit
+
+
+def limit_table(limit: Limit) -> dict[str, Any]:
+    """Return a limit as a recipe's table; what it does not have is left out."""
+    table = {
+        "measurement": limit.measurement,
+        "unit": limit.unit,
+        "lower": limit.lower,
+        "upper": limit.upper,
+        "marginal": limit.marginal or None,
+        "phase": limit.phase or None,
+        "qualifier": limit.qualifier or None,
+        "version": limit.version or None,
+    }
+    return {key: value for key, value in table.items() if value is not None}
+
+
+def limits_toml(header: Mapping[str, Any], limits: Sequence[Limit], remarks: Iterable[str]) -> str:
+    """Write a file of limits.
+
+    Parameters
+    ----------
+    header : keys of ``[limits_version]``; the limits' own digest is added.
+    remarks : comments at the top, one a line.
+    """
+    tables = [limit_table(limit) for limit in limits]
+    sealed = {**header, "limits_sha256": limits_digest(tables)}
+    lines = [f"# {_one_line(remark)}" for remark in remarks]
+    lines += ["", "[limits_version]", *_keys(sealed)]
+    for table in tables:
+        lines += ["", "[[limits]]", *_keys(table)]
+    return "\n".join(lines) + "\n"
+
+
+def write_new(path: Path, text: str) -> None:
+    """Write a file that is not there yet, whole or not at all.
+
+    Raises
+    ------
+    RefusedError
+        If it exists, or its folder cannot be written to.
+    """
+    refuse_existing(path)
+    temporary = ""
+    try:
+        handle, temporary = tempfile.mkstemp(prefix=".limits-", dir=path.parent)
+        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
+            file.write(text)
+        Path(temporary).chmod(0o644)
+        Path(temporary).replace(path)
+    except OSError as error:
+        if temporary:
+            Path(temporary).unlink(missing_ok=True)
+        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def refuse_existing(path: Path) -> None:
+    """Refuse to write over a file: limits that runs were judged by stay as they were."""
+    if path.exists():
+        raise RefusedError(f"{path} exists already", remedy="name another file: versions of limits are kept")
+
+
+def _keys(table: Mapping[str, Any]) -> Iterator[str]:
+    for key, value in table.items():
+        yield f"{key} = {_value(value)}"
+
+
+def _value(value: Any) -> str:
+    """Write a value as TOML: JSON's texts and arrays are TOML's too, but for one control character."""
+    if isinstance(value, float):
+        return repr(value)
+    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+
+
+def _one_line(text: str) -> str:
+    return "".join(character if character.isprintable() else " " for character in text)

@@ -1,0 +1,85 @@
+"""``cbsr-qa limits``: limits and guard bands from a golden lot."""
+
+from datetime import date, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cbsr_qa.cli.output import emit_json, note, say
+
+app = typer.Typer(help="Propose limits from sensors known to be good.", no_args_is_help=True)
+
+_DAY = ["%Y-%m-%d"]
+
+
+@app.callback()
+def _group() -> None:
+    """Propose limits from sensors known to be good."""
+
+
+@app.command("propose")
+def propose(
+    serial: Annotated[list[str] | None, typer.Option(help="A sensor of the golden lot; may be repeated.")] = None,
+    serials: Annotated[Path | None, typer.Option(help="File with one serial number a line.")] = None,
+    batch: Annotated[str | None, typer.Option(help="Runs of this batch.")] = None,
+    recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
+    since: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs from this day on (UTC).")] = None,
+    until: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs to the end of this day (UTC).")] = None,
+    without: Annotated[list[str] | None, typer.Option(help="Leave this sensor out; may be repeated.")] = None,
+    measurement: Annotated[
+        list[str] | None, typer.Option(help="What to limit; may be repeated. By default what the recipe limits now.")
+    ] = None,
+    everything: Annotated[bool, typer.Option("--all", help="Limit everything that was measured.")] = False,
+    coverage: Annotated[float, typer.Option(help="Per cent of good sensors that each limit holds.")] = 99.0,
+    confidence: Annotated[float, typer.Option(help="How sure that is to be, in per cent.")] = 95.0,
+    guard_factor: Annotated[float, typer.Option(help="Guard band over expanded uncertainty.")] = 1.0,
+    distribution: Annotated[
+        str, typer.Option(help="Of single values: normal, log-normal, any, or auto (the widest not refuted).")
+    ] = "auto",
+    include_failed: Annotated[bool, typer.Option(help="Take runs in that failed.")] = False,
+    allow_mixed: Annotated[bool, typer.Option(help="Take runs of several recipes or software versions.")] = False,
+    name: Annotated[str | None, typer.Option("--limits-version", help="Name of this version of limits.")] = None,
+    output: Annotated[Path | None, typer.Option(help="TOML file to write; must not exist yet.")] = None,
+    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+) -> None:
+    """Propose limits and guard bands from stored runs of sensors known to be good, a golden lot."""
+    from cbsr_qa.app.golden_lot import LotChoice, read_serials
+    from cbsr_qa.app.limit_proposals import Terms
+    from cbsr_qa.app.propose_limits import propose_limits
+    from cbsr_qa.cli.limits_table import lines
+    from cbsr_qa.clock import RealClock
+
+    named = (*(serial or ()), *(read_serials(serials) if serials else ()))
+    choice = LotChoice(
+        serials=tuple(dict.fromkeys(named)),
+        batch=batch,
+        recipe=recipe,
+        since=_day(since),
+        until=_day(until),
+        without=tuple(without or ()),
+        include_failed=include_failed,
+        allow_mixed=allow_mixed,
+    )
+    found = propose_limits(
+        choice,
+        Terms.of_words(coverage, confidence, guard_factor, distribution),
+        names=tuple(measurement or ()),
+        everything=everything,
+        version=name,
+        output=output,
+        database=database,
+        made=RealClock().wall().date(),
+    )
+    if as_json:
+        emit_json(found.document())
+    else:
+        for line in lines(found):
+            say(line)
+    if output is not None:
+        note(f"{output}: {len(found.proposed)} limits, version {found.version}")
+
+
+def _day(moment: datetime | None) -> date | None:
+    return None if moment is None else moment.date()

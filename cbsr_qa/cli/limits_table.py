@@ -1,0 +1,161 @@
+"""The words of ``cbsr-qa limits propose``: a table, with what each number rests on below it."""
+
+import textwrap
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from cbsr_qa.config.echo import printable
+
+if TYPE_CHECKING:
+    from cbsr_qa.app.limit_proposals import Proposal
+    from cbsr_qa.app.propose_limits import ProposedLimits
+    from cbsr_qa.domain.measurement import Limit
+    from cbsr_qa.stats.lot_limits import Bound, LotLimits
+    from cbsr_qa.stats.risk import Risks
+
+WIDTH = 100
+_COLUMNS = "  {:<8}{:>9}{:>9}  {:<11}{:>9}{:>9}{:>9}  {:<15}{}"
+
+
+def lines(found: "ProposedLimits") -> Iterator[str]:
+    """Lay out what a golden lot says, one line after another."""
+    yield from _wrapped("golden lot  ", printable(found.lot_words()))
+    yield from _wrapped("version     ", f"{found.version}, data SHA-256 {found.data_sha256[:16]}…")
+    yield from _wrapped("each limit  ", _promise(found))
+    yield from _wrapped("rule        ", found.rule)
+    yield from _remarks(found)
+    yield ""
+    yield _COLUMNS.format(
+        "sensors", "mean", "spread", "taken for", "lower", "upper", "guard", "present", "fails"
+    ).rstrip()
+    for proposal in found.proposed:
+        yield from _proposal(proposal, found.terms.guard_factor)
+    if found.refused:
+        yield ""
+        yield "no limit is proposed for"
+    for proposal in found.refused:
+        far = f" ({', '.join(proposal.far_out)} far from the others)" if proposal.far_out else ""
+        yield from _wrapped("  ", printable(f"{proposal.group.label}: {proposal.found.why}{far}"))
+
+
+def _promise(found: "ProposedLimits") -> str:
+    """Say what the limits hold, each by itself and together."""
+    terms, count = found.terms, len(found.proposed)
+    share = f"holds {100 * terms.coverage:g} % of good sensors, with {100 * terms.confidence:g} % confidence"
+    together = min(100 * count * (1 - terms.coverage), 100.0)
+    all_of_them = f"; one of all {count} may fail up to {together:.3g} %" if count > 1 else ""
+    names = f": {', '.join(found.failing[:6])}{' …' if len(found.failing) > 6 else ''}" if found.failing else ""
+    return f"{share}{all_of_them}; of this lot {len(found.failing)} of {len(found.lot.sensors)} sensors fail{names}"
+
+
+def _remarks(found: "ProposedLimits") -> Iterator[str]:
+    lot = found.lot
+    if lot.left_out:
+        yield from _wrapped("left out    ", ", ".join(lot.left_out))
+    for words in lot.not_good:
+        yield from _wrapped("not good    ", printable(words))
+    for words in lot.mixed:
+        yield from _wrapped("mixed       ", printable(words))
+
+
+def _proposal(proposal: "Proposal", guard_factor: float) -> Iterator[str]:
+    group, limit = proposal.group, proposal.limit
+    assert limit is not None
+    bounds = proposal.bounds
+    widest = max(bounds, key=lambda bound: bound.deviation)
+    count = len(group.sensors)
+    yield printable(f"{group.label}, {group.unit}" if group.unit != "1" else group.label)
+    yield _COLUMNS.format(
+        f"{count} × {group.values}" if group.values > 1 else count,
+        _number(proposal.mean),
+        _number(widest.deviation),
+        _taken_for(bounds),
+        _number(limit.lower, 5),
+        _number(limit.upper, 5),
+        _number(limit.marginal) if limit.marginal else "none",
+        _limit_words(group.present),
+        _fails(proposal, count),
+    ).rstrip()
+    for bound in bounds:
+        yield from _wrapped("    ", _bound_words(bound, group.values))
+    yield from _wrapped("    ", _guard_words(proposal, guard_factor))
+    if proposal.risks is not None:
+        accepted, refused = proposal.risks
+        words = f"marginal accepted: {_risk_words(accepted)}; marginal refused: {_risk_words(refused)}"
+        yield from _wrapped("    ", f"risks, {words}")
+    if group.present is None:
+        yield "    limited on both sides, because the recipe sets no limit"
+    if proposal.far_out:
+        without = _bare(proposal.without_far_out)
+        yield from _wrapped(
+            "    ", f"far from the others, and in the lot: {', '.join(proposal.far_out)}; without: {without}"
+        )
+
+
+def _taken_for(bounds: "tuple[Bound, ...]") -> str:
+    names = dict.fromkeys(str(bound.distribution).partition(" ")[0] for bound in bounds)
+    return next(iter(names)) if len(names) == 1 else "see below"
+
+
+def _bound_words(bound: "Bound", values: int) -> str:
+    """Say what a bound rests on: ``upper: largest of 9 values, normal (p = 0.4): mean 2.1 + 3.5 × 0.3``."""
+    side, worst = ("upper", "largest") if bound.scale.sign > 0 else ("lower", "smallest")
+    what = f"{worst} of the {values} values of a run" if values > 1 else "one value a run"
+    if bound.factor is None:
+        return f"{side}: {what}, by order: {_tests(bound)}, and the lot is large enough to do without"
+    logs = " of logarithms" if bound.scale.logarithmic else ""
+    shape = "" if bound.independent == values else ", values of a sensor go together"
+    words = f"{side}: {what}, {bound.distribution} ({_tests(bound)}{shape}), k = {bound.factor:.3f}{logs}"
+    words += f"; their mean {_number(bound.mean)}, deviation {_number(bound.deviation)}"
+    others = ", ".join(f"{name} would give {_number(limit)}" for name, limit in bound.narrower)
+    return f"{words}; not refuted either: {others}" if others else words
+
+
+def _tests(bound: "Bound") -> str:
+    return ", ".join(f"{name} {'refuted, ' if fit.refuted else ''}p = {fit.p_value:.2g}" for name, fit in bound.fits)
+
+
+def _guard_words(proposal: "Proposal", guard_factor: float) -> str:
+    found = proposal.uncertainty
+    if found is None:
+        return f"no guard band: {proposal.no_guard}"
+    unit = "" if proposal.group.unit == "1" else f" {proposal.group.unit}"
+    freedom = "" if found.freedom is None else f", {found.freedom} degrees of freedom"
+    factors = f"{guard_factor:g} × {found.coverage_factor:.2f} × {_number(found.standard)}{unit}"
+    marginal = f"; {len(proposal.marginal)} of the lot would pass marginally" if proposal.marginal else ""
+    return f"guard band {factors} ({found.source}{freedom}){marginal}"
+
+
+def _risk_words(risks: "Risks") -> str:
+    return f"consumer's {100 * risks.consumer:.2g} %, producer's {100 * risks.producer:.2g} %"
+
+
+def _limit_words(limit: "Limit | None") -> str:
+    if limit is None:
+        return "none"
+    if limit.lower is not None and limit.upper is not None:
+        return f"{_number(limit.lower)} to {_number(limit.upper)}"
+    return f"≥ {_number(limit.lower)}" if limit.lower is not None else f"≤ {_number(limit.upper)}"
+
+
+def _fails(proposal: "Proposal", count: int) -> str:
+    now = "–" if proposal.group.present is None else str(len(proposal.failed_now))
+    return f"{now} → {len(proposal.failed)} of {count}"
+
+
+def _bare(found: "LotLimits | None") -> str:
+    if found is None or found.why:
+        return "none" if found is None else found.why
+    lower, upper = (None if bound is None else bound.limit for bound in (found.lower, found.upper))
+    return " ".join(f"{sign} {_number(b)}" for sign, b in (("≥", lower), ("≤", upper)) if b is not None)
+
+
+def _number(value: float | None, digits: int = 4) -> str:
+    return "–" if value is None else f"{value:.{digits}g}"
+
+
+def _wrapped(start: str, text: str) -> Iterator[str]:
+    indent = " " * len(start) if start.strip() else f"{start}  "
+    yield from textwrap.wrap(
+        text, WIDTH, initial_indent=start, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )
