@@ -31,7 +31,9 @@ from cbsr_qa_plugins.sections.time_and_accuracy import TimeAndAccuracy
 from cbsr_qa_plugins.sections.traceability import Traceability
 
 OF_A_RUN = {
-    name: target for kind, name, target in BUILT_IN if kind is Kind.SECTION and not name.startswith("recording")
+    name: target
+    for kind, name, target in BUILT_IN
+    if kind is Kind.SECTION and not name.startswith(("recording", "characterisation"))
 }
 
 

@@ -1,0 +1,220 @@
+"""What press cycles on a strip tell about its material (paper 2.2 and 3.1)."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain.characterisation import Characterisation, FittedLine, StrainLevel, StrainSettling
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.observation import Trace
+from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
+from cbsr_qa.domain.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation
+from cbsr_qa.domain.steps import Role
+from cbsr_qa.report.figures_characterisation import lines_figure, relaxations_figure, settling_by_strain_figure
+from cbsr_qa.report.figures_time import timeline_figure
+from cbsr_qa.report.numbers import number, plural, quantity, with_uncertainty
+from cbsr_qa.report.tables import text_table
+
+_SHOWN_STRAIN: Final = 0.25  # whose cycles the paper's Fig 6 shows
+
+
+class MaterialCharacterisation:
+    """Section of a material's lines, kernels and settling times (paper: Figs 5 to 8, D.19)."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where the recipe characterises no material."""
+        if not isinstance(result, RunResult) or result.characterisation is None:
+            return None
+        found = result.characterisation
+        blocks: list[Block] = [Paragraph(_in_words(found))]
+        blocks += [Paragraph(f"No material file may be issued: {why}.", "warning") for why in found.refused]
+        blocks += [
+            lines_figure(
+                found,
+                caption="Steady change of conductance of every cycle (dots), mean and standard deviation by strain,"
+                " line and its 95 % band. Open: left out of the line. Above: between the pins, as the paper has it"
+                " (its Fig 5). Below: under the head alone; its band has what is assumed of the pins' contacts.",
+                alternative=_in_words(found),
+            ),
+            _parameters(found),
+            _strains(found.levels),
+            *_cycles(result.record),
+            relaxations_figure(
+                found,
+                caption="Mean trace of every strain (dots) and its fit (line), from the level before the press and"
+                " without what earlier presses left. Red tick: settled.",
+                alternative="Relaxation after press and release at every strain, with fits.",
+            ),
+            settling_by_strain_figure(
+                found,
+                caption="Settling time by strain with its standard error: after the press (filled) and after the"
+                " release (open). Line and band: one fit to all strains. Triangle: a lower bound.",
+                alternative=_settled_in_words(found.settlings),
+            ),
+            _settlings(found),
+            _kernels(found),
+            Paragraph(_assumed(found), "note"),
+        ]
+        return Section("Characterisation of the material", tuple(blocks))
+
+
+def _in_words(found: Characterisation) -> str:
+    apparent, local = found.against_strain.line, found.local_against_strain.line
+    used = sum(level.cycles for level in found.levels if not level.why)
+    said = [f"{plural(used, 'cycle')} at {plural(sum(not level.why for level in found.levels), 'strain')} were used."]
+    if apparent is not None and local is not None:
+        said.append(
+            f"The gauge factor is {_text(apparent.slope)} between the pins and {_text(local.slope)} under the head."
+        )
+    if found.modulus_kPa is not None:
+        said.append(f"The relaxed modulus is {quantity(found.modulus_kPa.value, 'kPa', found.modulus_kPa.stderr)}.")
+    left_out = [level.why for level in found.levels if level.why]
+    return " ".join([*said, *(f"Left out: {why}." for why in left_out)])
+
+
+def _text(parameter: Parameter | None) -> str:
+    return "–" if parameter is None else with_uncertainty(parameter.value, parameter.stderr)
+
+
+def _parameters(found: Characterisation) -> Table:
+    rows = [
+        ["α against strain (gauge factor)", *_both(found.against_strain, found.local_against_strain, "slope")],
+        ["β against strain", *_both(found.against_strain, found.local_against_strain, "intercept")],
+        ["α against stress [1/kPa]", *_both(found.against_stress, found.local_against_stress, "slope")],
+        ["β against stress", *_both(found.against_stress, found.local_against_stress, "intercept")],
+    ]
+    before, rested = (_slope(line) for line in found.end_of_hold)
+    rows.append(["gauge factor as read at the end of holds, from before the press", before, "–"])
+    rows.append(["the same, from the rested strip", rested, "–"])
+    caption = "Δρ/ρ₀ = α x + β (paper Eqs 1 and 2), one standard error."
+    return text_table(caption, ("Parameter", "Between the pins", "Under the head"), rows, (1, 2))
+
+
+def _both(apparent: FittedLine, local: FittedLine, which: str) -> list[str]:
+    return [_of(apparent.line, which), _of(local.line, which)]
+
+
+def _of(line: QuasiStatic | None, which: str) -> str:
+    return "–" if line is None else _text(line.slope if which == "slope" else line.intercept)
+
+
+def _slope(line: FittedLine) -> str:
+    return _of(line.line, "slope")
+
+
+def _strains(levels: Sequence[StrainLevel]) -> Table:
+    rows = [
+        [
+            f"{100 * level.strain:g}",
+            str(level.cycles),
+            "–" if level.stress_kPa is None else number(level.stress_kPa, 4),
+            with_uncertainty(100 * level.mean, 100 * level.deviation),
+            with_uncertainty(100 * level.local_mean, 100 * level.local_deviation),
+            level.why or "used",
+        ]
+        for level in levels
+    ]
+    columns = ("Strain [%]", "Cycles", "Stress [kPa]", "Between the pins [%]", "Under the head [%]", "Line")
+    caption = "Steady change of conductance by strain: mean ± standard deviation over the cycles."
+    return text_table(caption, columns, rows, (0, 1, 2, 3, 4))
+
+
+def _cycles(record: RunRecord) -> list[Figure]:
+    """Cycles of one strain as they were read (paper: Fig 6)."""
+    phase = next((p for p in record.phases if p.role is Role.CHARACTERISATION and p.loads), None)
+    if phase is None or phase.frames is None or not phase.frames.current_A:
+        return []
+    strains = sorted({load.load.strain for load in phase.loads})
+    strain = min(strains, key=lambda one: abs(one - _SHOWN_STRAIN))
+    loads = [load for load in phase.loads if load.load.strain == strain]
+    start_s, end_s = loads[0].press_start_s - 5.0, loads[-1].rest_end_s
+    traces = [*_resistance(phase, start_s, end_s), *_force(phase, record.indenter.area_mm2, start_s, end_s)]
+    said = f"{plural(len(loads), 'cycle')} of {100 * strain:g} % strain, as they were read."
+    return [
+        timeline_figure(traces, [], caption=said, alternative=said, time_label="time since their first press [s]")
+    ]
+
+
+def _resistance(phase: PhaseRecord, start_s: float, end_s: float) -> list[Trace]:
+    assert phase.frames is not None
+    frames = phase.frames.between(start_s, end_s)
+    time_s = np.array(frames.time_s) - start_s - 5.0
+    return [Trace("resistance", "kΩ", time_s, 1e-3 * frames.voltages[:, 0, 0] / (frames.current_A or 1.0))]
+
+
+def _force(phase: PhaseRecord, area_mm2: float, start_s: float, end_s: float) -> list[Trace]:
+    force = phase.channel("force")
+    if force is None:
+        return []
+    taken = force.between(start_s, end_s)
+    return [Trace("stress", "kPa", taken.time_s - start_s - 5.0, 1e3 * taken.values / area_mm2)]
+
+
+def _settlings(found: Characterisation) -> Table:
+    strains = [level.strain for level in found.levels]
+    columns = ("Strain [%]", "Conductance, press [s]", "Conductance, release [s]", "Stress, press [s]")
+    groups = (("conductance", True), ("conductance", False), ("stress", True))
+    rows = [
+        [
+            "all" if strain is None else f"{100 * strain:g}",
+            *(_time(found, signal, way, strain) for signal, way in groups),
+        ]
+        for strain in (*strains, None)
+    ]
+    caption = (
+        f"Settling to ± {100 * found.settings.settling_tolerance:g} %, of one fit to the cycles of a strain;"
+        " ≥: a lower bound."
+    )
+    return text_table(caption, columns, rows, (0, 1, 2, 3))
+
+
+def _time(found: Characterisation, signal: str, loading: bool, strain: float | None) -> str:
+    one = next((o for o in found.settlings if (o.signal, o.loading, o.strain) == (signal, loading, strain)), None)
+    if one is None or one.settling.value_s is None:
+        return "–"
+    return f"{'≥ ' if one.settling.censored else ''}{with_uncertainty(one.settling.value_s, one.stderr_s)}"
+
+
+def _settled_in_words(settlings: Sequence[StrainSettling]) -> str:
+    common = [one for one in settlings if one.strain is None and one.settling.value_s is not None]
+    said = [
+        f"{one.words} {'at least ' if one.settling.censored else ''}{one.settling.value_s:.3g} s" for one in common
+    ]
+    return f"All strains together: {'; '.join(said)}." if said else "No settling time could be told."
+
+
+def _kernels(found: Characterisation) -> Table:
+    rows = [
+        [name, *_kernel(kernel)]
+        for name, kernel in (
+            ("conductance after a press", found.loading),
+            ("conductance after a release", found.unloading),
+            ("stress", found.stress),
+        )
+    ]
+    columns = ("Answer to a unit step", "w₁", "τ₁ [s]", "w₂", "τ₂ [s]")
+    return text_table("1 + w₁ exp(−t/τ₁) + w₂ exp(−t/τ₂), corrected for the ramps.", columns, rows, (1, 2, 3, 4))
+
+
+def _kernel(kernel: Relaxation | None) -> list[str]:
+    if kernel is None:
+        return ["–"] * 4
+    pairs = zip(kernel.weights, kernel.time_constants_s, strict=True)
+    return [text for weight, tau in pairs for text in (number(weight), number(tau))]
+
+
+def _assumed(found: Characterisation) -> str:
+    strip, settings = found.strip, found.settings
+    parts = dict(found.local_against_strain.parts)
+    contacts = parts.get("contacts of the pins")
+    said = (
+        f"A small change under the head shows between the pins as {100 * strip.head_share:.3g} % of itself: the rest"
+        " of the strip and the pins' contacts lie in series. That share is the forward model's. Of the contacts two"
+        f" pins tell nothing: {settings.contact_length_mm:g} ± {settings.contact_length_stderr_mm:g} mm times the"
+        f" sheet resistance is assumed, {100 * strip.contact_share:.2g} % of the resistance between the pins."
+    )
+    if contacts is not None:
+        said += f" Of the standard error of the gauge factor under the head, {contacts:.2g} come from there."
+    return f"{said} Errors of the load cell, of the strain and of the strip's dimensions are not in any of them."
