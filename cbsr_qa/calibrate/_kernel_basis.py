@@ -25,15 +25,20 @@ def exponentials(
     -------
     (..., k) each.
     """
-    tau = time_constants_s
-    late = np.asarray(time_s, dtype=np.float64)[..., None] / tau
-    long = np.asarray(ramp_s, dtype=np.float64)[..., None] / tau
-    half = frame_s / 2 / tau
+    late = np.asarray(time_s, dtype=np.float64)[..., None] / time_constants_s
+    factor, slope = seen_share(time_constants_s, ramp_s=ramp_s, frame_s=frame_s)
+    values = np.exp(-late) * factor
+    return values, values * (late - slope)
+
+
+def seen_share(time_constants_s: Array, *, ramp_s: float | Array = 0.0, frame_s: float = 0.0) -> tuple[Array, Array]:
+    """What ramp and frame multiply e^(−t/τ) with, and minus its logarithm's derivative by log τ, (..., k)."""
+    long = np.asarray(ramp_s, dtype=np.float64)[..., None] / time_constants_s
+    half = frame_s / 2 / time_constants_s
     ramp, ramp_slope = _mean_decay(long)
     frame, frame_slope = _mean_about(half)
-    values = np.exp(-late) * ramp * frame
     # d/d log τ of f(c/τ) is −x f'(x).
-    return values, values * (late - long * ramp_slope / ramp - half * frame_slope / frame)
+    return ramp * frame, long * ramp_slope / ramp + half * frame_slope / frame
 
 
 def _mean_decay(x: Array) -> tuple[Array, Array]:

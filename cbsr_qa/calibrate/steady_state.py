@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import t as student
 
-from cbsr_qa.calibrate._kernel_basis import exponentials
+from cbsr_qa.calibrate._kernel_basis import seen_share
 from cbsr_qa.calibrate.relaxation_kernel import learn_kernel
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.relaxation import RelaxationKernel, SteadyPrediction
@@ -16,7 +16,9 @@ __all__ = ["HoldsSoFar", "event_rate_per_min", "interval", "learn_kernel", "pred
 Array = NDArray[np.float64]
 
 #: Times the scatter's share of the covariance is worked out again with the predicted size.
-_ROUNDS: Final = 4
+_ROUNDS: Final = 3
+#: Time constants after which nothing is left.
+_OVER: Final = 700.0
 
 
 def predict_steady(
@@ -117,9 +119,11 @@ class HoldsSoFar:
             raise NumericsError(
                 f"no steady state can be predicted: {kernel.why}", remedy="calibrate with longer holds, or wait"
             )
-        self._kernel, self._frame_s = kernel, frame_s
-        self._ramp_s = np.broadcast_to(np.asarray(ramp_s, dtype=np.float64), (count,))
-        size = 2 + 2 * len(kernel.weights)
+        self._kernel = kernel
+        ramps = np.broadcast_to(np.asarray(ramp_s, dtype=np.float64), (count,))
+        self._share, self._slope = seen_share(kernel.time_constants_s, ramp_s=ramps, frame_s=frame_s)
+        self._root = _root(kernel)
+        size = 2 + self._root.shape[1]
         self._information = np.zeros((count, size, size))
         self._pull = np.zeros((count, size))
         self._squares = np.zeros(count)
@@ -178,60 +182,68 @@ class HoldsSoFar:
         if not (np.isfinite(change).all() and np.isfinite(stderr).all()):
             raise NumericsError("a released change or its standard error is not a finite number")
         unknown = self._unknown(0.0, change, stderr)
-        return self._regressed(unknown, change, self._rows(np.full(shape, at_s)))
+        return self._predicted(unknown, change, self._rows(np.full(shape, at_s)))
 
     def _of_holds(self, at_s: float) -> SteadyPrediction:
         """The prior of A w scales with A, so that A is predicted a few times over."""
-        shape = self._frames.shape
-        none, end = np.zeros(shape), self._rows(np.full(shape, np.inf))
+        none = np.zeros(self._frames.shape)
         size = self._pull[:, :2].sum(axis=1) / self._information[:, :2, :2].sum(axis=(1, 2))
         for _ in range(_ROUNDS):
             unknown = self._unknown(1.0, size, none)
-            size = self._regressed(unknown, none, end).values
-        return self._regressed(unknown, none, self._rows(np.full(shape, at_s)))
+            size = self._regressed(unknown, none)[1][:, 0]
+        return self._predicted(unknown, none, self._rows(np.full(none.shape, at_s)))
 
     def _rows(self, time_s: Array) -> Array:
-        """(m, 2 + 2 k): one, the kernel's transient, and its derivatives with respect to w and log τ."""
-        ended = np.isinf(time_s)
-        parts, slopes = exponentials(
-            np.where(ended, 0.0, time_s), self._kernel.time_constants_s, ramp_s=self._ramp_s, frame_s=self._frame_s
-        )
-        weights = self._kernel.weights
-        moving = np.concatenate([(parts @ weights)[:, None], parts, slopes * weights], axis=1)
-        return np.concatenate([np.ones((len(time_s), 1)), moving * ~ended[:, None]], axis=1)
+        """(m, 2 + 3 k): one, the kernel's transient, and what unit normals of its uncertainty add to it."""
+        if not len(self._kernel.weights):
+            return np.concatenate([np.ones((len(time_s), 1)), np.zeros((len(time_s), 1))], axis=1)
+        late = np.minimum(time_s[:, None] / self._kernel.time_constants_s, _OVER)
+        parts = np.where(late < _OVER, np.exp(-late) * self._share, 0.0)
+        weighted = parts * self._kernel.weights
+        slopes = np.concatenate([parts, weighted * (late - self._slope)], axis=1)
+        level = np.ones((len(time_s), 1))
+        return np.concatenate([level, weighted.sum(axis=1, keepdims=True), slopes @ self._root], axis=1)
 
     def _unknown(self, transient: float, size: Array, stderr: Array) -> Array:
-        """What each unknown adds to the coefficients of the rows, (m, 2 + 2 k, unknowns).
+        """What each unknown adds to the coefficients of the rows, (m, 2 + 3 k, unknowns).
 
-        First the level, which has no prior and brings so much of the transient with it; then unit normals: the
-        kernel's mean, its scatter, and the transient's size as far as it is uncertain.
+        First the level, which has no prior and brings so much of the transient with it; then unit normals: of the
+        kernel's mean, of its scatter, and of the transient's size as far as it is uncertain.
 
         Parameters
         ----------
         size, stderr : of the transient.
         """
-        root = _root(self._kernel)
-        unknown = np.zeros((len(size), self._pull.shape[1], root.shape[1] + 2))
+        count = self._root.shape[1]
+        unknown = np.zeros((len(size), 2 + count, 2 + count))
         unknown[:, 0, 0], unknown[:, 1, 0] = 1.0, transient
-        unknown[:, 2:, 1:-1] = size[:, None, None] * root
+        every = np.arange(count)
+        unknown[:, 2 + every, 1 + every] = size[:, None]
         unknown[:, 1, -1] = stderr
         return unknown
 
-    def _regressed(self, unknown: Array, known: Array, wanted: Array) -> SteadyPrediction:
-        """Regress on the unknowns, with so much of the transient known, and predict the rows that are wanted."""
+    def _regressed(self, unknown: Array, known: Array) -> tuple[Array, Array, Array]:
+        """Covariance (m, u, u) and values (m, u) of the unknowns, and what they were found from (m, u)."""
+        across = unknown.transpose(0, 2, 1)
         pull = self._pull - known[:, None] * self._information[:, 1]
-        squares = self._squares - known * (2 * self._pull[:, 1] - known * self._information[:, 1, 1])
-        prior = np.diag(np.concatenate([[0.0], np.ones(unknown.shape[2] - 1)]))
-        covariance = np.linalg.inv(unknown.transpose(0, 2, 1) @ self._information @ unknown + prior)
-        drawn = np.einsum("mij,mi->mj", unknown, pull)
-        found = np.einsum("mij,mj->mi", covariance, drawn)
-        along = np.einsum("mi,mij->mj", wanted, unknown)
-        errors = np.einsum("mi,mij->mj", along, covariance)
+        precision = across @ self._information @ unknown
+        every = np.arange(1, unknown.shape[2])
+        precision[:, every, every] += 1.0
+        covariance: Array = np.asarray(np.linalg.inv(precision), dtype=np.float64)
+        drawn = (across @ pull[:, :, None])[:, :, 0]
+        return covariance, (covariance @ drawn[:, :, None])[:, :, 0], drawn
+
+    def _predicted(self, unknown: Array, known: Array, wanted: Array) -> SteadyPrediction:
+        """Predict the rows that are wanted, with so much of the transient known."""
+        covariance, found, drawn = self._regressed(unknown, known)
+        along = (wanted[:, None, :] @ unknown)[:, 0]
+        errors = (along[:, None, :] @ covariance)[:, 0]
         variance = np.maximum((errors * along).sum(axis=1), np.finfo(np.float64).tiny)
         # The error is −errors · (unit normals) + noise; a mean over so many loads is as uncertain as their scatter.
         scatter = slice(1 + 2 * len(self._kernel.weights), -1)
         of_scatter = (errors[:, scatter] ** 2).sum(axis=1) * (1 + 1 / self._kernel.loads)
         share = np.clip(of_scatter / variance, 1e-6, 1.0)
+        squares = self._squares - known * (2 * self._pull[:, 1] - known * self._information[:, 1, 1])
         left = np.maximum(squares - (found * drawn).sum(axis=1), 0.0)
         spare = self._frames - 1
         return SteadyPrediction(
