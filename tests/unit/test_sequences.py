@@ -15,6 +15,7 @@ from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded,
 from cbsr_qa.testing.bench import example_plan
 from cbsr_qa_plugins.sequences.location_grid import LocationGridSequence
 from cbsr_qa_plugins.sequences.noise_figure import NoiseFigureSequence
+from cbsr_qa_plugins.sequences.preconditioning import PreconditioningSequence
 from cbsr_qa_plugins.sequences.random_loads import RandomLoadsSequence
 from cbsr_qa_plugins.sequences.relaxation import RelaxationSequence
 
@@ -87,6 +88,26 @@ def test_grid_presses_every_location_strain_and_trial_once():
     assert [load.label for load in loads[:10]] == [f"L{i}" for i in range(9)] + ["L0"]
 
 
+def test_preconditioning_works_in_one_place_after_the_other_and_leaves_the_reference_to_others():
+    sequence = PreconditioningSequence(cycles=3, strain_percent=25, locations_mm=[[0, 0], [10, -5.0]])
+    assert sequence.role is Role.PRECONDITIONING
+    steps = steps_of(sequence)
+    assert steps == steps_of(sequence)
+    loads = loads_of(sequence)
+    assert [(load.label, load.trial) for load in loads] == [(f"L{k}", cycle) for k in range(2) for cycle in range(3)]
+    assert {load.strain for load in loads} == {0.25}
+    assert steps[:2] == [FindSurface(0.0, 0.0), FindSurface(10.0, -5.0)]
+    assert not any(isinstance(step, MarkUnloaded | AcquireFrames) for step in steps)
+    for i, step in enumerate(steps):
+        if isinstance(step, Press):
+            assert steps[i + 1 : i + 4] == [Hold(10.0, acquire=True), Release(), Hold(10.0, acquire=True)]
+    assert len(loads_of(PreconditioningSequence())) == 5 * 9
+
+
+def test_grids_name_their_places_as_they_are_told():
+    assert [load.label for load in loads_of(LocationGridSequence(label="C"))] == [f"C{k}" for k in range(9)]
+
+
 def test_nine_locations_hold_and_rest_for_eighteen_minutes():
     held = [s.hold_s for s in steps_of(LocationGridSequence()) if isinstance(s, Hold) and s.acquire]
     assert sum(held) == 18 * 60
@@ -150,7 +171,7 @@ def test_relaxation_is_labelled_by_its_place(x, label):
     assert loads_of(RelaxationSequence(x_mm=x))[0].label == label
 
 
-@pytest.mark.parametrize("sequence", ALL)
+@pytest.mark.parametrize("sequence", [*ALL, PreconditioningSequence])
 def test_unknown_options_are_refused_with_the_nearest(sequence):
     with pytest.raises(ConfigError, match="no option 'hold'") as refused:
         sequence(hold=60)
@@ -174,6 +195,10 @@ def test_unknown_options_are_refused_with_the_nearest(sequence):
         (LocationGridSequence, {"locations_mm": [[0, 0, 0]]}, "locations_mm is"),
         (LocationGridSequence, {"locations_mm": [[0, float("inf")]]}, "locations_mm is inf"),
         (LocationGridSequence, {"find_surface": 1}, "find_surface is 1"),
+        (LocationGridSequence, {"label": ""}, "label is ''"),
+        (PreconditioningSequence, {"cycles": 1}, "cycles is 1"),
+        (PreconditioningSequence, {"rest_s": 0}, "rest_s is 0"),
+        (PreconditioningSequence, {"locations_mm": [[1, 1], [1, 1]]}, "locations_mm is"),
         (LocationGridSequence, {"unloaded_frames": 15}, "unloaded_frames is 15"),
         (NoiseFigureSequence, {"frames": 15}, "frames is 15"),
         (RandomLoadsSequence, {"radius_mm": [10]}, "radius_mm is"),
