@@ -37,8 +37,10 @@ def propose(
     distribution: Annotated[
         str, typer.Option(help="Of single values: normal, log-normal, any, or auto (the widest not refuted).")
     ] = "auto",
-    include_failed: Annotated[bool, typer.Option(help="Take runs in that failed.")] = False,
-    allow_mixed: Annotated[bool, typer.Option(help="Take runs of several recipes or software versions.")] = False,
+    include_failed: Annotated[bool, typer.Option("--include-failed", help="Take runs in that failed.")] = False,
+    allow_mixed: Annotated[
+        bool, typer.Option("--allow-mixed", help="Take runs of mixed recipes or software.")
+    ] = False,
     name: Annotated[str | None, typer.Option("--limits-version", help="Name of this version of limits.")] = None,
     output: Annotated[Path | None, typer.Option(help="TOML file to write; must not exist yet.")] = None,
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,

@@ -98,21 +98,23 @@ def _taken_for(bounds: "tuple[Bound, ...]") -> str:
 
 
 def _bound_words(bound: "Bound", values: int) -> str:
-    """Say what a bound rests on: ``upper: largest of 9 values, normal (p = 0.4): mean 2.1 + 3.5 × 0.3``."""
+    """Say what a bound rests on: ``upper: largest of the 9 values of a run, each normal (p = 0.4), k = 3.6 …``."""
     side, worst = ("upper", "largest") if bound.scale.sign > 0 else ("lower", "smallest")
     what = f"{worst} of the {values} values of a run" if values > 1 else "one value a run"
+    best: dict[str, float] = {}
+    for name, fit in bound.fits:
+        best[str(name)] = max(fit.p_value, best.get(str(name), 0.0))
+    possible = {str(name) for name, fit in bound.fits if not fit.refuted}
+    refuted = ", ".join(f"{name} (p = {p_value:.2g})" for name, p_value in best.items() if name not in possible)
     if bound.factor is None:
-        return f"{side}: {what}, by order: {_tests(bound)}, and the lot is large enough to do without"
+        return f"{side}: {what}, by their order alone{f'; refuted: {refuted}' if refuted else ''}"
+    each = "" if values == 1 else "each " if bound.independent == values else "itself "
     logs = " of logarithms" if bound.scale.logarithmic else ""
-    shape = "" if bound.independent == values else ", values of a sensor go together"
-    words = f"{side}: {what}, {bound.distribution} ({_tests(bound)}{shape}), k = {bound.factor:.3f}{logs}"
-    words += f"; their mean {_number(bound.mean)}, deviation {_number(bound.deviation)}"
+    words = f"{side}: {what}, {each}{bound.distribution} (p = {best[str(bound.distribution)]:.2g})"
+    words += f", k = {bound.factor:.3f}{logs}; mean {_number(bound.mean)}, deviation {_number(bound.deviation)}"
     others = ", ".join(f"{name} would give {_number(limit)}" for name, limit in bound.narrower)
-    return f"{words}; not refuted either: {others}" if others else words
-
-
-def _tests(bound: "Bound") -> str:
-    return ", ".join(f"{name} {'refuted, ' if fit.refuted else ''}p = {fit.p_value:.2g}" for name, fit in bound.fits)
+    words += f"; not refuted either: {others}" if others else ""
+    return f"{words}; refuted: {refuted}" if refuted else words
 
 
 def _guard_words(proposal: "Proposal", guard_factor: float) -> str:
