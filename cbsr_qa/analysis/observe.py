@@ -49,7 +49,7 @@ def observe_run(record: RunRecord, reconstruction: Reconstruction, settings: Ana
     response, how, doubts = decide_response(record.sensor_type.response, signals, floor)
     setting = replace(undecided, response=response)
     loads = tuple(observe_load(setting, phase, load, window) for phase, load, window in cut)
-    return RunObservation(
+    observation = RunObservation(
         record=record,
         reconstruction=imager.reconstruction,
         scale=imager.scale,
@@ -63,9 +63,10 @@ def observe_run(record: RunRecord, reconstruction: Reconstruction, settings: Ana
         loads=loads,
         usable=data.readings,
         settings=settings,
-        warnings=(*data.warnings, *silent, *doubts, *_remarks(loads, settings.settling_multiple)),
         timelines=metric_timelines(setting, data.record),
     )
+    remarks = _remarks(observation.tested, settings.settling_multiple)
+    return replace(observation, warnings=(*data.warnings, *silent, *doubts, *remarks))
 
 
 def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: Reconstruction) -> Imager:

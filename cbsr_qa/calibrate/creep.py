@@ -163,7 +163,7 @@ def change_between(levels: Iterable[tuple[float, float]]) -> Estimate:
 def _creep(load: LoadObservation, signal: str, from_s: float, frames: int) -> tuple[float, float] | None:
     """Change of a signal from a time to the end of the hold, and its level there; None without a trace over it."""
     trace, framed = (trace_of(load, name, loading=True) for name in (signal, SIGNAL))
-    if trace is None:
+    if trace is None or (signal == STRESS and load.force_N is None):  # a cell at its limit records, and knows nothing
         return None
     early = level_at(trace, from_s)
     last_from_s = trace.time_s[-frames:][0] if framed is None else framed.time_s[-frames:][0]
@@ -174,7 +174,7 @@ def _creep(load: LoadObservation, signal: str, from_s: float, frames: int) -> tu
 
 
 def _no_trace(signal: str, from_s: float) -> str:
-    what = "no force was recorded under a hold" if signal == STRESS else "nothing was sensed under a hold"
+    what = "no force is known under a hold" if signal == STRESS else "nothing was sensed under a hold"
     return f"{what} that begins before {from_s:g} s and lasts clearly longer"
 
 

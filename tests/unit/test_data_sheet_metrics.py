@@ -130,7 +130,7 @@ def test_the_scatter_of_trials_is_the_nonlinearitys_uncertainty():
     [
         ((0.2,), 132.5, "this one has 1"),
         ((0.1, 0.2), 132.5, "this one has 2"),
-        (STRAINS, None, "no force was recorded"),
+        (STRAINS, None, "force of some loads is not known"),
     ],
 )
 def test_without_strains_or_force_there_is_no_nonlinearity(strains, kPa, said):
@@ -181,7 +181,15 @@ def test_creep_without_force_is_of_the_conductance_alone():
     run = sample_run((creeping(0.03, stress=False),))
     assert one(Creep(), run, "conductance").value > 0
     assert [one(Creep(), run, q).value for q in ("", "stress")] == [None, None]
-    assert "no force was recorded under a hold" in one(Creep(), run).how
+    assert "no force is known under a hold" in one(Creep(), run).how
+
+
+def test_a_cell_at_its_limit_says_nothing_about_the_stress():
+    """Its samples are there, flat; the load's force is not known."""
+    load = replace(creeping(0.03), force_N=None, force_stderr_N=None)
+    assert one(Creep(), sample_run((load,)), "stress").value is None
+    both = one(Creep(), sample_run((load, creeping(0.06))), "stress")
+    assert both.value == one(Creep(), sample_run((creeping(0.06),)), "stress").value
 
 
 def test_creep_needs_a_hold_longer_than_its_beginning():
@@ -240,7 +248,7 @@ def test_a_contact_height_that_is_off_moves_the_ratio_and_not_the_slope():
 def test_the_modulus_is_refused_without_force_and_its_slope_with_one_strain():
     none = one(ApparentModulus(), sample_run((pressed("L0", 0.2, 0.03, kPa=None),)))
     assert (none.value, none.unit) == (None, "kPa")
-    assert "no force was recorded" in none.how
+    assert "no force is known" in none.how
     single = sample_run((pressed("L0", 0.2, 0.03),))
     assert one(ApparentModulus(), single).value == pytest.approx(132.5)
     assert one(ApparentModulus(), single).uncertainty is None
@@ -262,7 +270,7 @@ def test_preconditioning_says_what_its_last_cycle_changed():
     before, after = (0.04 - 0.01 * 0.5**t for t in (2, 3))
     found = next(m for m in PreconditioningChange().measure_run(run) if m.unit == "%" and not m.qualifier)
     assert found.value == pytest.approx(100 * (after - before) / after)
-    assert found.how == "cycle 3 to cycle 4 at 30 % strain; 1 locations"
+    assert found.how == "cycle 3 to cycle 4 at 30 % strain; 1 location"
     assert one(PreconditioningChange(), run, "stress").value == pytest.approx(-100 / 137)
     # What works the sheet in is no part of its data sheet.
     assert data_sheet_loads(run) == ()

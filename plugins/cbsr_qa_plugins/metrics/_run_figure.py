@@ -17,3 +17,8 @@ def refused(name: str, unit: str, error: NumericsError, *, qualifier: str = "") 
     """Make a measurement without a value that says why, and what would help."""
     how = f"{error.reason}; {error.remedy}" if error.remedy else error.reason
     return Measurement(name, None, unit, qualifier=qualifier, how=how)
+
+
+def counted(count: int, one: str, many: str = "") -> str:
+    """Write a count with its noun: ``1 press``, ``3 presses``."""
+    return f"{count} {one if count == 1 else many or f'{one}s'}"

@@ -10,7 +10,7 @@ from cbsr_qa.calibrate.data_sheet import Estimate, slope
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
-from cbsr_qa_plugins.metrics._run_figure import refused
+from cbsr_qa_plugins.metrics._run_figure import counted, refused
 from cbsr_qa_plugins.metrics._shared import refuse_unknown
 
 _NAME, _UNIT, _SLOPE = "apparent_modulus", "kPa", "slope"
@@ -36,11 +36,16 @@ class ApparentModulus:
             if load.stress_kPa is not None:
                 places.setdefault(load.record.load.label, []).append(_point(load, load.stress_kPa))
         if not places:
-            return (refused(_NAME, _UNIT, NumericsError("no force was recorded under a nominal strain")),)
+            return (refused(_NAME, _UNIT, NumericsError("no force is known under a nominal strain")),)
         ratios = {place: _ratio(points) for place, points in places.items()}
         slopes = {place: found for place, points in places.items() if (found := _slope(points)) is not None}
-        each = [_one(found, f"{len(places[place])} presses", "", place) for place, found in ratios.items()]
-        each += [_one(found, f"{len(places[place])} presses", _SLOPE, place) for place, found in slopes.items()]
+        each = [
+            _one(found, counted(len(places[place]), "press", "presses"), "", place) for place, found in ratios.items()
+        ]
+        each += [
+            _one(found, counted(len(places[place]), "press", "presses"), _SLOPE, place)
+            for place, found in slopes.items()
+        ]
         whole = _one(_mean(ratios), _spread(ratios), "")
         if not slopes:
             why = NumericsError(

@@ -8,7 +8,7 @@ from cbsr_qa.calibrate.data_sheet import Estimate
 from cbsr_qa.domain.errors import ConfigError, NumericsError
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
-from cbsr_qa_plugins.metrics._run_figure import percent, refused
+from cbsr_qa_plugins.metrics._run_figure import counted, percent, refused
 from cbsr_qa_plugins.metrics._shared import refuse_unknown
 
 _KINDS = ("", SIGNAL, STRESS)
@@ -41,7 +41,7 @@ class Creep:
             loads, hold_s = held_alike(data_sheet_loads(run), _hold_s)
         except NumericsError as error:
             return (refused("creep", "%", error),)
-        how = f"from {self._from_s:g} s after the ramp to the end of {hold_s:g} s; {len(loads)} holds"
+        how = f"from {self._from_s:g} s after the ramp to the end of {hold_s:g} s; {counted(len(loads), 'hold')}"
         return tuple(self._one(kind, loads, run.settings.steady_frames, how) for kind in _KINDS)
 
     def _one(self, kind: str, loads: tuple[LoadObservation, ...], frames: int, how: str) -> Measurement:

@@ -15,7 +15,7 @@ from cbsr_qa.calibrate.data_sheet import FEWEST_POINTS, Estimate, best_straight_
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import RunObservation
-from cbsr_qa_plugins.metrics._run_figure import percent, refused
+from cbsr_qa_plugins.metrics._run_figure import counted, percent, refused
 from cbsr_qa_plugins.metrics._shared import refuse_unknown
 
 _LINES = (("", "best straight line", best_straight_line), ("terminal-based", "line between the ends", terminal_line))
@@ -53,15 +53,16 @@ class Nonlinearity:
 
 def _of(curve: Characteristic, scatter: float | None, line: int) -> Measurement:
     if curve.stress_kPa is None:
-        raise NumericsError("no force was recorded: there is no stress to draw the change against")
+        raise NumericsError("the force of some loads is not known: there is no stress to draw the change against")
     if not curve.span > 0:
         raise NumericsError(f"the change at the highest strain is {curve.span:.3g}: there is no span")
     qualifier, words, draw = _LINES[line]
     errors = None if scatter is None else (scatter / np.sqrt(curve.loads)).tolist()
     drawn = draw(curve.stress_kPa.tolist(), (curve.change / curve.span).tolist(), errors)
+    presses = counted(int(curve.loads.sum()), "press", "presses")
     how = (
         f"from the {words} through {len(curve.strain)} strains from {100 * curve.strain[0]:g} to"
-        f" {100 * curve.strain[-1]:g} %, of the change at the highest; {int(curve.loads.sum())} presses"
+        f" {100 * curve.strain[-1]:g} %, of the change at the highest; {presses}"
     )
     location = "" if curve.location == "mean" else curve.location
     return percent(

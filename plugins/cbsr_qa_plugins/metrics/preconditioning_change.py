@@ -8,7 +8,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.steps import Role
-from cbsr_qa_plugins.metrics._run_figure import percent, refused
+from cbsr_qa_plugins.metrics._run_figure import counted, percent, refused
 from cbsr_qa_plugins.metrics._shared import refuse_unknown
 
 _NAME = "preconditioning_change"
@@ -57,4 +57,4 @@ def _of(levels: Mapping[str, tuple[float, float]], qualifier: str, how: str) -> 
         for place, (before, after) in levels.items()
         if after > 0
     ]
-    return (percent(_NAME, change, f"{how}; {len(levels)} locations", qualifier=qualifier), *each)
+    return (percent(_NAME, change, f"{how}; {counted(len(levels), 'location')}", qualifier=qualifier), *each)

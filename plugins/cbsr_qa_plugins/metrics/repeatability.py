@@ -7,7 +7,7 @@ from cbsr_qa.calibrate.data_sheet import Estimate, pooled_deviation
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import RunObservation
-from cbsr_qa_plugins.metrics._run_figure import percent, refused
+from cbsr_qa_plugins.metrics._run_figure import counted, percent, refused
 from cbsr_qa_plugins.metrics._shared import refuse_unknown
 
 
@@ -42,8 +42,9 @@ class Repeatability:
 
 
 def _one(scatter: Estimate, highest: float, cells: int, qualifier: str = "") -> Measurement:
+    again = counted(cells, "place and strain", "places and strains")
     how = (
-        f"of the place's span, its mean change at {100 * highest:g} % strain; {cells} places and strains pressed"
-        f" again, {scatter.degrees} degrees of freedom"
+        f"of the place's span, its mean change at {100 * highest:g} % strain; {again} pressed again,"
+        f" {counted(scatter.degrees, 'degree')} of freedom"
     )
     return percent("repeatability", scatter, how, qualifier=qualifier)

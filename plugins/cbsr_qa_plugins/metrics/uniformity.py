@@ -8,7 +8,7 @@ from cbsr_qa.calibrate.uniformity import place_responses, scatter_of_presses
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import RunObservation
-from cbsr_qa_plugins.metrics._run_figure import percent, refused
+from cbsr_qa_plugins.metrics._run_figure import counted, percent, refused
 from cbsr_qa_plugins.metrics._shared import refuse_unknown
 
 #: With this qualifier the spread is that of ρ̄₀ as it is, imaging included.
@@ -37,7 +37,7 @@ class Uniformity:
         except NumericsError as error:
             return (refused("uniformity", "%", error),)
         presses = sum(len(place.responses) for place in places)
-        how = f"{len(places)} locations at {100 * strain:g} % strain, {presses} presses"
+        how = f"{len(places)} locations at {100 * strain:g} % strain, {counted(presses, 'press', 'presses')}"
         scatter = scatter_of_presses(places)
         alone = "" if scatter is None else f"; the scatter of presses alone would make {100 * scatter:.2g} %"
         return (

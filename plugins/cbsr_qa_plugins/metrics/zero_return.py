@@ -7,7 +7,7 @@ from cbsr_qa.calibrate.creep import held_alike, zero_return
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
-from cbsr_qa_plugins.metrics._run_figure import percent, refused
+from cbsr_qa_plugins.metrics._run_figure import counted, percent, refused
 from cbsr_qa_plugins.metrics._shared import refuse_unknown
 
 
@@ -30,7 +30,8 @@ class ZeroReturn:
             found = zero_return(loads, frames=run.settings.steady_frames)
         except NumericsError as error:
             return (refused("zero_return", "%", error),)
-        how = f"last frames of {rest_s:g} s of rest over the last ones of the hold; {len(loads)} presses"
+        presses = counted(len(loads), "press", "presses")
+        how = f"last frames of {rest_s:g} s of rest over the last ones of the hold; {presses}"
         return (percent("zero_return", found, how),)
 
 

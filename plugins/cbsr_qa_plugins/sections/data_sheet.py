@@ -66,14 +66,21 @@ def _table(whole: dict[tuple[str, str], Measurement]) -> Table:
     for name, qualifier, title in _ROWS:
         found = whole.get((name, qualifier))
         if found is not None:
-            value = Cell("not determined") if found.value is None else value_cell(found, unit=True)
-            rows.append([title, value, found.how])
+            rows.append([title, _value(found), found.how])
     rows.append(["Hysteresis", "not determined", _NO_HYSTERESIS])
     caption = (
         "Figures of the sensor at its nominal places and strains, value ± one standard deviation. Span: a location's"
         " change at the highest strain. Amplitudes are taken without subtracting the noise floor."
     )
     return text_table(caption, ("Figure", "Value", "How"), rows, (1,))
+
+
+def _value(found: Measurement) -> Cell:
+    if found.value is None:
+        return Cell("not determined")
+    if found.name == "preconditioning_cycles":
+        return Cell(f"{found.value:.0f}")
+    return value_cell(found, unit=True)
 
 
 def _by_strain(measurements: Sequence[Measurement]) -> list[Block]:
