@@ -203,14 +203,15 @@ def test_what_the_analysis_would_refuse_is_refused_before_anything_moves(tmp_pat
     assert not (tmp_path / "var").exists()
 
 
-def test_every_built_in_metric_measures_what_it_declares(finished):
+def test_every_metric_of_the_shipped_recipe_measures_what_it_declares(finished):
+    from cbsr_qa.config.loader import load_recipe
     from cbsr_qa.hookspecs import Kind
     from cbsr_qa.plugins import discover
 
     plugins = discover()
     declared = {}
-    for name in plugins.names(Kind.METRIC):
-        declared |= plugins.factory(Kind.METRIC, name)().measures
+    for choice in load_recipe("nine-locations").value.metrics:
+        declared |= plugins.factory(Kind.METRIC, choice.name)().measures
     measured = {m["name"]: m["unit"] for m in finished[1]["measurements"]}
     assert measured == declared
 
