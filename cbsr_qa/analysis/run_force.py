@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.force_kernels import force_kernels
 from cbsr_qa.analysis.run_estimates import model_scale, reading_variance
 from cbsr_qa.analysis.run_loads import load_window
 from cbsr_qa.calibrate.force import ForceInverse, map_gradient
@@ -130,7 +131,7 @@ class _RunForce:
     def result(self) -> RunForce:
         """Learn and test."""
         calibrating = np.array([load.phase in self.run.settings.calibrate_phases for load in self.loads])
-        learned = self.learn(calibrating)
+        learned = self.timed(self.learn(calibrating), calibrating)
         tests = self.tests(learned, ~calibrating, "held out")
         trials = np.array([load.record.load.trial for load in self.loads])
         for trial in sorted(set(trials[calibrating].tolist())):
@@ -140,6 +141,19 @@ class _RunForce:
                 tests += self.tests(self.learn(others), left_out, "trial left out")
         used = tuple(load for load, yes in zip(self.loads, calibrating, strict=True) if yes)
         return RunForce(learned, used, tuple(tests))
+
+    def timed(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
+        """Add when the loads were looked at, and how they get there and fade."""
+        loads = [load for load, yes in zip(self.loads, which, strict=True) if yes]
+        model, settings = learned.model, self.run.settings
+        held = [
+            float(load_window(self.run.record.phase(load.phase), load.record, settings).steady.time_s.mean())
+            - load.record.hold_start_s
+            for load in loads
+        ]
+        loading, unloading = force_kernels(self.run, loads, self.merging, TemplateFilter(model), model.residue_share)
+        timed = replace(model, steady_s=float(np.mean(held)), loading=loading, unloading=unloading)
+        return replace(learned, model=timed)
 
     def learn(self, which: NDArray[np.bool_]) -> LearnedForce:
         """Learn from some loads."""

@@ -29,6 +29,8 @@ _SPREAD: Final = 2.0
 _UNKNOWN_INTERCEPT: Final = 0.02
 #: Chance of taking noise for a load, a frame.
 _FALSE_ALARMS: Final = 1e-4
+#: Median of a mean of two squared normals.
+_MEDIAN: Final = 0.693
 #: A frame is another than one head's if its template leaves this many times more than calibrating loads did at most.
 _MISFIT_ROOM: Final = 2.0
 _LEAST_MISFIT: Final = 0.02
@@ -157,6 +159,8 @@ def learn_force(
         scatter=response.scatter,
         stress_kPa=(float(stress[used].min()), float(stress[used].max())),
         misfit=_MISFIT_ROOM * max(float(seen.misfit[used].max()), _LEAST_MISFIT),
+        place_scatter_mm=_place_scatter_mm(filter_, loads, used),
+        residue_strength=_residue_strength(filter_, loads, used),
     )
     return LearnedForce(
         model, fitted, response, refused, ratio, np.where(used, error * ratio, np.nan), bend is not None
@@ -186,6 +190,25 @@ def _seen(filter_: TemplateFilter, loads: CalibrationLoads) -> _Seen:
         np.sqrt(matches.gain / noise),
         np.maximum(extra, 0.0) / np.maximum(matches.gain, np.finfo(np.float64).tiny),
     )
+
+
+def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:
+    """How far loads are found from where they were pressed, beyond noise; a load out of all reach does not count."""
+    rows, noise = loads.changed()
+    found = filter_.search(rows[used])
+    error = ((found.place_mm - loads.place_mm[used]) ** 2).mean(axis=1)
+    expected = found.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise[used]
+    return float(np.sqrt(max(float(np.median(error - expected)) / _MEDIAN, 0.0)))
+
+
+def _residue_strength(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:
+    """Strength at the places of loads just before them, root mean square, without what noise makes of it."""
+    there = used & (loads.frames_before > 0)
+    if not there.any():
+        return 0.0
+    left = filter_.at(loads.before[there], loads.place_mm[there])
+    squared = left.strength**2 - left.covariance[:, 0, 0] / loads.frames_before[there]
+    return float(np.sqrt(max(float(squared.mean()), 0.0)))
 
 
 def _relative_error(
@@ -255,6 +278,8 @@ def _unlearned(
     scatter: float = 0.0,
     stress_kPa: tuple[float, float] = (0.0, 0.0),
     misfit: float = _LEAST_MISFIT,
+    place_scatter_mm: float = 0.0,
+    residue_strength: float = 0.0,
 ) -> ForceModel:
     nothing = np.zeros(len(bank.templates))
     return ForceModel(
@@ -274,6 +299,8 @@ def _unlearned(
         misfit=misfit,
         residue_share=RESIDUE_SHARE,
         residue_stderr=RESIDUE_STDERR,
+        place_scatter_mm=place_scatter_mm,
+        residue_strength=residue_strength,
     )
 
 

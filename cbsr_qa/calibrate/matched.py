@@ -90,6 +90,13 @@ class TemplateFilter:
         found[(nodes < 0).any(axis=1)] = np.nan
         return found
 
+    def size_slope(self, places_mm: Array) -> Array:
+        """Slope (n, 2) of the logarithm of a change's size at places (n, 2) [1/mm]; 0 where there is no node."""
+        nodes, offset = self._cells(places_mm)
+        slope = _interpolated(self._tables[nodes], offset)[:, 1:3]
+        slope[np.logical_or.reduce(nodes < 0, axis=1)] = 0.0
+        return slope
+
     def search(self, rows: Array) -> Matches:
         """Find one head in each of n frames (n, r)."""
         parts = [self._search(rows[first : first + _AT_ONCE]) for first in range(0, len(rows), _AT_ONCE)]

@@ -50,6 +50,9 @@ class Calibration:
         self._merging: Array = np.ascontiguousarray(self.model.merging.T)
         self._gradient = map_gradient(self.model)
         self._filters: dict[float, TemplateFilter] = {}
+        self.filter: TemplateFilter = self._filter(issued.indenter)
+        self.inverse = ForceInverse(self.model, issued.against_stress, issued.indenter.area_mm2, self._gradient)
+        self.sign = float(np.sign(issued.against_stress.slope.value))
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -172,7 +175,8 @@ class Calibration:
         force[bad != 0] = np.nan
         stderr[bad != 0] = np.nan
         place = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1)
-        return Forces(force, stderr, matches.place_mm, np.sqrt(place), detectability, flags)
+        place_stderr = np.sqrt(np.where(place >= 0, place, np.nan))
+        return Forces(force, stderr, matches.place_mm, place_stderr, detectability, flags)
 
     def _flags(self, matches: Matches, detectability: Array, *, searched: bool) -> NDArray[np.int64]:
         flags = np.zeros(len(detectability), dtype=np.int64)

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.relaxation import RelaxationKernel
+
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
@@ -64,6 +66,10 @@ class ForceModel:
         counts as something else than one such head.
     residue_share, residue_stderr : share of what earlier loads left just before a press that is still there at its
         steady frames, as the calibration took it.
+    residue_strength : root mean square of the strength that earlier loads had left where a load was then pressed.
+    steady_s : how long after the ramp's end the map's loads were looked at; forces are of loads held so long [s].
+    place_scatter_mm : standard deviation of a found place about the true one, along an axis, beyond noise.
+    loading, unloading : how loads get there, and how they fade; None where it was not learned.
     """
 
     lattice: Lattice
@@ -82,3 +88,8 @@ class ForceModel:
     misfit: float
     residue_share: float
     residue_stderr: float
+    residue_strength: float = 0.0
+    steady_s: float = 0.0
+    place_scatter_mm: float = 0.0
+    loading: RelaxationKernel | None = None
+    unloading: RelaxationKernel | None = None

@@ -1,0 +1,134 @@
+"""How the strength of a sensor's loads rises under a hold and fades after a release: kernels for its runtime."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibrate.matched import TemplateFilter
+from cbsr_qa.calibrate.relaxation_kernel import learn_kernel
+from cbsr_qa.calibrate.unloading import relaxation_start
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.frames import FrameBlock
+from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.relaxation import RelaxationKernel
+
+Array = NDArray[np.float64]
+
+#: Loads that stand out less say little about a shape and cost as much time.
+_LEAST_DETECTABILITY: Final = 15.0
+_MOST: Final = 60
+#: What earlier loads left at a place fades to its share at the steady frames with this time constant: of the order of
+#: the material's own (chosen by us).
+_FADING_S: Final = 25.0
+
+
+def force_kernels(
+    run: RunObservation,
+    loads: Sequence[LoadObservation],
+    merging: Array,
+    filter_: TemplateFilter,
+    residue_share: float,
+) -> tuple[RelaxationKernel | None, RelaxationKernel | None]:
+    """Learn the kernels of loading and unloading from the strength at the places of loads.
+
+    Returns
+    -------
+    Both; None where there is none (short holds, weak loads, no relaxation that can be told from drift).
+    """
+    traces = _Traces(run, merging, filter_, residue_share)
+    clear = sorted(loads, key=traces.detectability, reverse=True)[:_MOST]
+    clear = [load for load in clear if traces.detectability(load) >= _LEAST_DETECTABILITY]
+    if not clear:
+        return None, None
+    return traces.loading(clear), traces.unloading(clear)
+
+
+def frames_of(run: RunObservation, load: LoadObservation, from_s: float, to_s: float) -> FrameBlock | None:
+    """Frames of a load's phase between two times."""
+    frames = run.record.phase(load.phase).frames
+    return None if frames is None else frames.between(from_s, to_s)
+
+
+class _Traces:
+    """Strengths over time at the places of loads."""
+
+    def __init__(self, run: RunObservation, merging: Array, filter_: TemplateFilter, residue_share: float) -> None:
+        self._run, self._merging, self._filter, self._share = run, merging, filter_, residue_share
+        self._known: dict[int, float] = {}
+
+    def detectability(self, load: LoadObservation) -> float:
+        """Of the end of the hold, in the noise of one frame."""
+        if id(load) not in self._known:
+            _, strength, noise = self._trace(load, load.record.hold_start_s, load.record.release_start_s)
+            self._known[id(load)] = abs(float(strength[-4:].mean())) / noise if len(strength) else 0.0
+        return self._known[id(load)]
+
+    def loading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
+        """The kernel of presses."""
+        traces, ramps, noises = [], [], []
+        for load in loads:
+            record = load.record
+            time_s, strength, noise = self._trace(load, record.hold_start_s, record.release_start_s)
+            fading = self._share + (1 - self._share) * np.exp(-time_s / _FADING_S)
+            traces.append((time_s, strength - self._left(load) * fading))
+            ramps.append(_ramp_s(load))
+            noises.append(noise)
+        return _usable(traces, ramps, noises, None, 0.0)
+
+    def unloading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
+        """The kernel of releases."""
+        traces, ramps, noises, released = [], [], [], []
+        for load in loads:
+            record = load.record
+            _, held, _ = self._trace(load, record.hold_start_s, record.release_start_s)
+            time_s, strength, noise = self._trace(load, record.unloaded_s, record.rest_end_s)
+            if len(time_s) < 6:
+                continue
+            traces.append((time_s, strength))
+            ramps.append(_ramp_s(load))
+            noises.append(noise)
+            released.append(float(held[-4:].mean()))
+        if not traces:
+            return None
+        sign = np.sign(np.mean(released))
+        starts = [float(times[relaxation_start(sign * values)]) for times, values in traces]
+        return _usable(traces, ramps, noises, released, float(np.median(starts)))
+
+    def _trace(self, load: LoadObservation, from_s: float, to_s: float) -> tuple[Array, Array, float]:
+        frames = frames_of(self._run, load, from_s, to_s)
+        place = np.array([load.record.load.x_mm, load.record.load.y_mm])
+        if frames is None or not len(frames):
+            return np.zeros(0), np.zeros(0), 1.0
+        matches = self._filter.at(self._rows(frames), place)
+        return frames.time_s - from_s, matches.strength, float(np.sqrt(matches.covariance[0, 0, 0]))
+
+    def _left(self, load: LoadObservation) -> float:
+        """Strength at the place just before the press."""
+        phase = self._run.record.phase(load.phase)
+        _, before, _ = self._trace(load, phase.started_s, load.record.press_start_s)
+        return float(before[-4:].mean()) if len(before) else 0.0
+
+    def _rows(self, frames: FrameBlock) -> Array:
+        rows: Array = (frames.voltages - self._run.reference)[:, self._run.usable] @ self._merging.T
+        return rows
+
+
+def _ramp_s(load: LoadObservation) -> float:
+    """How long the head moved in the sheet: as long down as up."""
+    return max(load.record.unloaded_s - load.record.release_start_s, 0.0)
+
+
+def _usable(
+    traces: Sequence[tuple[Array, Array]],
+    ramps: Sequence[float],
+    noises: Sequence[float],
+    released: Sequence[float] | None,
+    start_s: float,
+) -> RelaxationKernel | None:
+    try:
+        kernel = learn_kernel(traces, ramp_s=ramps, noise=noises, released=released, start_s=start_s)
+    except NumericsError:
+        return None
+    return None if kernel.why else kernel

@@ -1,0 +1,194 @@
+"""One load of a stream: its place, its strength so far, and what is expected of it."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibrate.steady_state import HoldsSoFar
+from cbsr_qa.domain.force_model import ForceModel
+from cbsr_qa.domain.relaxation import RelaxationKernel
+
+Array = NDArray[np.float64]
+
+#: Frames that tell what a new load's place showed before it.
+KEPT: Final = 8
+#: A load is released where its strength falls by this share of its largest, and by so many standard errors.
+_DROP: Final = 0.2
+_CLEAR: Final = 5.0
+#: A first frame that shows less than this share of what follows from the second was taken while the head still moved.
+_PARTIAL: Final = 0.75
+#: Half of what a press takes, roughly: nobody tells a stream how fast the head went down.
+_RAMP_S: Final = 0.5
+#: How sure the strength of what fades is, from frame to frame.
+_FADING_ERROR: Final = 0.1
+_FADING_NOISE: Final = 0.1  # of a frame's own
+#: Share of a released change that may stay for minutes: an order of magnitude (paper 4.2), so that it is looked for.
+_RESIDUE: Final = 0.02
+#: Where no kernel is known: how long a load takes, and what its strength may still change by.
+_PATIENCE_S: Final = 60.0
+_UNKNOWN_CHANGE: Final = 0.3
+#: Frames that no place is learned from any more: it stays what it is.
+_PLACED: Final = 40
+
+
+class Track:
+    """One load.
+
+    Parameters
+    ----------
+    number, place_mm, template : which, where, and its change per strength there.
+    since_s : when it appeared.
+    base : strength its place showed before.
+    sign : of the response.
+    """
+
+    def __init__(
+        self, number: int, place_mm: Array, template: Array, since_s: float, base: float, sign: float
+    ) -> None:
+        self.number = number
+        self.place_mm = np.array(place_mm)
+        self.template = template
+        self.since_s = since_s
+        self.base = base
+        self.sign = sign
+        self.state = "loading"
+        self.strength = 0.0
+        self.noise = 1.0
+        self.expected = 0.0
+        self.precision = 0.0
+        self.unseen = 0
+        self.base_now = base
+        self._information = np.zeros((2, 2))
+        self._weighed = np.zeros(2)
+        self._frames = 0
+        self._largest = 0.0
+        self._released = 0.0
+        self._first: tuple[float, float, float] | None = None
+        self._hold: HoldsSoFar | None = None
+        self._held_s = self._late_s = 0.0
+
+    @property
+    def pressing(self) -> bool:
+        """Whether a head is there."""
+        return self.state in ("loading", "steady")
+
+    @property
+    def place_covariance(self) -> Array:
+        """Of the place by noise, (2, 2) [mm²]."""
+        if self._frames == 0:
+            return np.zeros((2, 2))
+        return np.asarray(np.linalg.inv(self._information), dtype=np.float64)
+
+    def distance_mm(self, place_mm: Array) -> float:
+        """How far a place is."""
+        return float(np.hypot(*(self.place_mm - place_mm)))
+
+    def add_place(self, place_mm: Array, covariance: Array) -> None:
+        """Take in another estimate of the place."""
+        if self._frames >= _PLACED or not np.isfinite(covariance).all():
+            return
+        information = np.linalg.inv(covariance)
+        self._information = self._information + information
+        self._weighed = self._weighed + information @ place_mm
+        self._frames += 1
+        self.place_mm = np.asarray(np.linalg.solve(self._information, self._weighed), dtype=np.float64)
+
+    def advance(self, time_s: float, frame_s: float, since_last_s: float, model: ForceModel) -> None:
+        """Take in the strength that was found in a frame, which took a time and came some time after the last."""
+        if self.pressing:
+            self._press(time_s, frame_s, model)
+        if not self.pressing:
+            self._fade(time_s, since_last_s, model)
+
+    def steady(self, model: ForceModel) -> tuple[float, float]:
+        """Strength the load will have after the calibrated hold, and its variance."""
+        own = self.strength - self.base_now
+        alone = 1 / float(np.linalg.norm(self.template))
+        base = (model.residue_stderr * model.residue_strength) ** 2 + (model.residue_share * alone) ** 2 / KEPT
+        if self._hold is None or model.loading is None:
+            change = 0.0 if self.state == "steady" else _UNKNOWN_CHANGE * own
+            return own, self.noise**2 + change**2 + base
+        predicted = self._hold.predict(at_s=model.steady_s)
+        value = float(predicted.values[0])
+        # The hold began somewhere within a frame, and with a ramp: all its times are off by as much.
+        slope = _slope(model.loading, self._held_s) / _kernel(model.loading, self._held_s)
+        late = value * slope * self._late_s
+        return value, float(predicted.stderr[0]) ** 2 + late**2 + base
+
+    def _press(self, time_s: float, frame_s: float, model: ForceModel) -> None:
+        towards = self.sign * self.strength
+        if self._largest - towards > max(_DROP * self._largest, _CLEAR * self.noise):
+            self._release(time_s - frame_s / 2)
+            return
+        self._largest = max(self._largest, towards)
+        share = model.residue_share
+        self.base_now = self.base * (share + (1 - share) * float(np.exp(-(time_s - self.since_s) / 25.0)))
+        self._learn(time_s, frame_s, model)
+        if time_s - self.since_s >= (model.steady_s or _PATIENCE_S):
+            self.state = "steady"
+
+    def _learn(self, time_s: float, frame_s: float, model: ForceModel) -> None:
+        """Add a frame to the hold; the first waits for the second, which tells whether the head was still moving."""
+        if model.loading is None:
+            return
+        own = self.strength - self.base_now
+        if self._hold is None and self._first is None:
+            self._first = (time_s, own, self.noise)
+            self._hold_from(self.since_s, model.loading)
+            self._add(*self._first, frame_s)
+            return
+        if self._first is not None:
+            first, self._first = self._first, None
+            expected = _kernel(model.loading, first[0] - self.since_s) / _kernel(model.loading, time_s - self.since_s)
+            if self.sign * first[1] < _PARTIAL * expected * self.sign * own:
+                self.since_s = max(first[0] + frame_s / 2, self.since_s)
+                self._hold_from(self.since_s, model.loading)
+            else:
+                self._hold_from(self.since_s, model.loading)
+                self._add(*first, frame_s)
+        self._add(time_s, own, self.noise, frame_s)
+
+    def _hold_from(self, since_s: float, kernel: RelaxationKernel) -> None:
+        self.since_s = since_s
+        self._hold = HoldsSoFar(kernel)
+
+    def _add(self, time_s: float, own: float, noise: float, frame_s: float) -> None:
+        assert self._hold is not None
+        held_s = max(time_s - self.since_s, 0.0)
+        self._held_s, self._late_s = held_s, float(np.hypot(frame_s / np.sqrt(12), _RAMP_S))
+        self._hold.add(held_s, own, noise)
+
+    def _release(self, time_s: float) -> None:
+        self.state, self.since_s = "unloading", time_s
+        self._released = self.sign * self._largest
+        self._hold = self._first = None
+
+    def _fade(self, time_s: float, since_last_s: float, model: ForceModel) -> None:
+        rate = 1.0
+        if model.unloading is not None:
+            held_s = time_s - self.since_s
+            rate = self._left(model.unloading, held_s + since_last_s) / self._left(model.unloading, held_s)
+        self.expected = self.strength * float(np.clip(rate, 0.0, 1.0))
+        alone = 1 / float(np.linalg.norm(self.template))
+        self.precision = 1 / (_FADING_ERROR * abs(self.strength) + _FADING_NOISE * alone) ** 2
+        fresh = time_s - self.since_s < (
+            3 * float(model.unloading.time_constants_s[-1]) if model.unloading else _PATIENCE_S
+        )
+        self.state = "unloading" if fresh else "residue"
+        self.unseen = 0 if abs(self.strength) > alone else self.unseen + 1
+
+    def _left(self, kernel: RelaxationKernel, time_s: float) -> float:
+        """Share of a released change that is left after a time."""
+        return _RESIDUE + float(np.sum(np.abs(kernel.weights) * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
+
+
+def _kernel(kernel: RelaxationKernel, time_s: float) -> float:
+    """K(t), not below a twentieth: a strength over it stays a strength."""
+    value = 1 + float(np.sum(kernel.weights * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
+    return max(value, 0.05)
+
+
+def _slope(kernel: RelaxationKernel, time_s: float) -> float:
+    """Slope of K(t) [1/s]."""
+    return -float(np.sum(kernel.weights / kernel.time_constants_s * np.exp(-time_s / kernel.time_constants_s)))
