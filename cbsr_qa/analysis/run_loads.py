@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.imager import Imager
+from cbsr_qa.analysis.load_cell import stood_at_limit
 from cbsr_qa.analysis.run_masks import mask_views
 from cbsr_qa.analysis.run_relaxation import relaxations_of
 from cbsr_qa.analysis.run_response import mean_under
@@ -106,7 +107,8 @@ def _observe(
     values: NDArray[np.float64],
     residue: float,
 ) -> LoadObservation:
-    force, stderr = _mean_force(phase.channel("force"), window.steady, record)
+    no_force = stood_at_limit(phase.channel("force"), record)
+    force, stderr = (None, None) if no_force else _mean_force(phase.channel("force"), window.steady, record)
     mesh, pressed = setting.imager.mesh, setting.indenter.at(record.load.x_mm, record.load.y_mm)
     others = held_beside(setting.indenter, phase, record, float(window.steady.time_s[-1]))
     return LoadObservation(
@@ -123,6 +125,7 @@ def _observe(
         force_stderr_N=stderr,
         residue=residue,
         together=1 + len(others),
+        no_force=no_force,
     )
 
 

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from cbsr_qa.analysis.measure import judge, measure_run
 from cbsr_qa.analysis.observe import observe_run
+from cbsr_qa.analysis.run_force import run_force
 from cbsr_qa.analysis.strip_cycles import characterise_run
 from cbsr_qa.analysis.strip_measurements import measure_characterisation
 from cbsr_qa.app.setup import made
@@ -109,6 +110,7 @@ def calibrated(
         return None, "a strip of the material gets no calibration"
     if conclusion.observation is None:
         return None, conclusion.verdict.reason
+    force = run_force(conclusion.observation)
     try:
         issued = issue_calibration(
             conclusion.observation,
@@ -118,6 +120,9 @@ def calibrated(
             phases=recipe.calibrate_phases,
             overlap_threshold=_overlap_threshold(recipe),
             noise_figure=_measured(conclusion, "noise_figure"),
+            learned=force.learned,
+            learned_from=force.used,
+            no_force=force.why,
         )
     except (CalibrationError, NumericsError) as error:
         return None, error.reason

@@ -12,11 +12,12 @@ from cbsr_qa.app.outputs import calibration_path, report_sections
 from cbsr_qa.app.setup import made
 from cbsr_qa.app.stages import Stages
 from cbsr_qa.calibrate.file import write_calibration
+from cbsr_qa.calibrate.prepared_force import prepared_force
 from cbsr_qa.config.merge import restore
 from cbsr_qa.config.paths import database_url, reports_folder
 from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.characterisation import Characterisation
-from cbsr_qa.domain.errors import NumericsError, StoreError
+from cbsr_qa.domain.errors import CalibrationError, NumericsError, StoreError
 from cbsr_qa.domain.measurement import Limit, Measurement
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.outcome import EndReason
@@ -161,8 +162,8 @@ def _calibration(
     if observation is None:
         return None, f"{stored.calibration} was issued, but cannot be shown without images"
     try:
-        return store.load_calibration(stored.calibration, observation.reconstruction), ""
-    except StoreError as error:
+        return store.load_calibration(stored.calibration, observation.reconstruction, prepared_force), ""
+    except (StoreError, CalibrationError) as error:
         return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"
 
 

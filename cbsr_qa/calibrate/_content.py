@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import CalibrationError
 
-#: What a value may be: float64, int64 or bool arrays of any shape, one text, or a list of texts.
-Value = NDArray[np.float64] | NDArray[np.int64] | NDArray[np.bool_] | str | tuple[str, ...]
+#: What a value may be: float64, float32, int64 or bool arrays of any shape, one text, or a list of texts.
+Value = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.int64] | NDArray[np.bool_] | str | tuple[str, ...]
 
 #: Units of values that have none.
 PURE: Final = "1"
@@ -42,6 +42,10 @@ class Writing:
         if not isinstance(values, np.ndarray):
             values = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
         self.entries[path] = Entry(units, np.ascontiguousarray(values, dtype=np.float64) + 0.0)
+
+    def singles(self, path: str, values: NDArray[np.float64], units: str = PURE) -> None:
+        """Keep numbers in single precision."""
+        self.entries[path] = Entry(units, (np.ascontiguousarray(values) + 0.0).astype(np.float32))
 
     def optional(self, path: str, values: Sequence[float] | NDArray[np.float64] | None, units: str = PURE) -> None:
         """Keep numbers that may be absent: an empty array then."""
@@ -90,6 +94,10 @@ class Reading:
         """Return an array of numbers."""
         array: NDArray[np.float64] = self._array(path, np.float64)
         return array
+
+    def singles(self, path: str) -> NDArray[np.float64]:
+        """Return an array of numbers that are kept in single precision."""
+        return self._array(path, np.float32).astype(np.float64)
 
     def maybes(self, path: str) -> list[float | None]:
         """Return a list of numbers with None where there is none."""

@@ -1,4 +1,4 @@
-"""From the entries of a calibration file (schema version 1) back to the calibration."""
+"""From the entries of a calibration file (schema versions 1 and 2) back to the calibration."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibrate._content import Entry, Reading
+from cbsr_qa.calibrate._force import check_usable, read_force
 from cbsr_qa.calibrate._parameter import read_choice
 from cbsr_qa.domain.calibration import (
     BaselineConductance,
@@ -48,7 +49,8 @@ def decode(entries: Mapping[str, Entry]) -> Calibration:
 
 def _calibration(read: Reading) -> Calibration:
     sensor_type = _sensor_type(read)
-    return Calibration(
+    force, no_force = read_force(read)
+    calibration = Calibration(
         calibration=read.text("identity/calibration"),
         run=read.text("identity/run"),
         issued_at=read.text("identity/issued_at"),
@@ -76,7 +78,11 @@ def _calibration(read: Reading) -> Calibration:
         relaxations=_relaxations(read),
         size_ratio=read.pair("area_overlap/size_ratio"),
         noise_figure=read.maybe("image/measured_noise_figure"),
+        force=force,
+        no_force=no_force,
     )
+    check_usable(calibration)
+    return calibration
 
 
 def _indenter(read: Reading) -> Indenter:

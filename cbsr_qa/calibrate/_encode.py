@@ -1,10 +1,11 @@
-"""From a calibration to the entries of its file (schema version 1)."""
+"""From a calibration to the entries of its file (schema version 2; 1 where nothing is said about force)."""
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from cbsr_qa.calibrate._content import Entry, Writing
+from cbsr_qa.calibrate._force import write_force
 from cbsr_qa.calibrate._parameter import write_choice
 from cbsr_qa.domain.calibration import Calibration, LoadRelaxation
 from cbsr_qa.domain.electrodes import Electrodes, PlacedElectrodes
@@ -41,6 +42,7 @@ def encode(calibration: Calibration) -> Mapping[str, Entry]:
     _settling(out, calibration)
     _relaxations(out, calibration.relaxations)
     _use(out, calibration)
+    write_force(out, calibration.force, calibration.no_force)
     return out.entries
 
 

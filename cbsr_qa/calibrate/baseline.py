@@ -77,7 +77,7 @@ def load_baseline(
         return LoadBaseline(None, None, "no blob was sensed")
     stress_kPa = load.stress_kPa
     if stress_kPa is None:
-        return LoadBaseline(None, None, "no force was recorded")
+        return LoadBaseline(None, None, load.no_force or "no force was recorded")
     predicted, why_not = _signed_prediction(against_stress, stress_kPa, load.response)
     if why_not:
         return LoadBaseline(None, None, why_not)

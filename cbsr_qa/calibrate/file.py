@@ -4,6 +4,7 @@ Every value is a dataset with an attribute ``units``. Texts are UTF-8 strings, y
 a number that does not exist is NaN, an index that does not exist is −1, an optional array that does not exist is
 empty. Attributes of the root say ``format``, ``schema_version`` and ``digest``, which is of the content, not of the
 file's bytes (see :mod:`cbsr_qa.calibrate.digests`): copying or repacking a file with another HDF5 library keeps it.
+Schema version 1 had no group ``force``; a calibration that says nothing about force is still written so.
 Large arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
 
 The Jacobian is kept beside the matrix: it is the physical prior for places and reading sets no load has calibrated,
@@ -24,11 +25,11 @@ import numpy as np
 from cbsr_qa.calibrate._content import Entry
 from cbsr_qa.calibrate._decode import decode
 from cbsr_qa.calibrate._encode import encode
-from cbsr_qa.calibrate.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest
+from cbsr_qa.calibrate.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest, schema_version
 from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
 
-#: More than any calibration holds; a file that claims more is refused before memory is taken for it.
+#: More than any calibration holds, all in all; a file that claims more is refused before memory is taken for it.
 _LARGEST_BYTES: Final = 2**30
 #: Arrays from this size on are compressed; below it a chunk costs more than it saves.
 _COMPRESSED_BYTES: Final = 2**13
@@ -105,7 +106,7 @@ def verify_calibration(path: Path) -> VerifiedFile:
     with _naming(path):
         entries, digest = _read(path)
         decode(entries)
-        return VerifiedFile(path, SCHEMA_VERSION, digest, record_digest(entries), len(entries))
+        return VerifiedFile(path, schema_version(entries), digest, record_digest(entries), len(entries))
 
 
 def _as_issued(calibration: Calibration) -> Mapping[str, Entry]:
@@ -121,7 +122,7 @@ def _as_issued(calibration: Calibration) -> Mapping[str, Entry]:
 
 def _write(file: h5py.File, entries: Mapping[str, Entry], digest: str) -> None:
     file.attrs["format"] = FORMAT
-    file.attrs["schema_version"] = np.int64(SCHEMA_VERSION)
+    file.attrs["schema_version"] = np.int64(schema_version(entries))
     file.attrs["digest"] = digest
     for path, entry in entries.items():
         if isinstance(entry.value, np.ndarray):
@@ -140,7 +141,7 @@ def _read(path: Path) -> tuple[dict[str, Entry], str]:
     try:
         with h5py.File(path, "r") as file:
             version = _version(file)
-            entries = dict(_entries(file, ""))
+            entries = dict(_entries(file, "", _Room(_LARGEST_BYTES)))
             stated = str(file.attrs.get("digest", ""))
     except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
         raise CalibrationError(
@@ -153,6 +154,10 @@ def _read(path: Path) -> tuple[dict[str, Entry], str]:
             f"the content was changed after it was issued: its SHA-256 is {digest},"
             f" the file states {stated or 'none'}",
             remedy="use the file as it was issued; a sensor's values are changed by calibrating it again",
+        )
+    if version != schema_version(entries):
+        raise CalibrationError(
+            f"written to schema version {version}, but what it says of force is that of {schema_version(entries)}"
         )
     return entries, digest
 
@@ -173,7 +178,19 @@ def _version(file: h5py.File) -> int:
     return int(version)
 
 
-def _entries(group: h5py.Group, prefix: str) -> Iterator[tuple[str, Entry]]:
+class _Room:
+    """What a file may still claim."""
+
+    def __init__(self, left: int) -> None:
+        self._left = left
+
+    def take(self, path: str, dataset: Any) -> None:
+        if dataset.size is None or dataset.nbytes > self._left:
+            raise CalibrationError(f"{path} is empty or too large for a calibration")
+        self._left -= dataset.nbytes
+
+
+def _entries(group: h5py.Group, prefix: str, room: _Room) -> Iterator[tuple[str, Entry]]:
     for name in group:
         path = f"{prefix}{name}"
         # Links could lead out of the file, or around in circles; nothing we write has any.
@@ -181,16 +198,15 @@ def _entries(group: h5py.Group, prefix: str) -> Iterator[tuple[str, Entry]]:
             raise CalibrationError(f"{path} is a link, not content")
         item = group[name]
         if isinstance(item, h5py.Group):
-            yield from _entries(item, f"{path}/")
+            yield from _entries(item, f"{path}/", room)
         else:
-            yield path, _entry(path, item)
+            yield path, _entry(path, item, room)
 
 
-def _entry(path: str, dataset: Any) -> Entry:
+def _entry(path: str, dataset: Any, room: _Room) -> Entry:
     if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual:
         raise CalibrationError(f"{path} does not hold its own data")
-    if dataset.size is None or dataset.nbytes > _LARGEST_BYTES:
-        raise CalibrationError(f"{path} is empty or too large for a calibration")
+    room.take(path, dataset)
     units = dataset.attrs.get("units")
     if not isinstance(units, str):
         raise CalibrationError(f"{path} states no units")
@@ -200,6 +216,8 @@ def _entry(path: str, dataset: Any) -> Entry:
     values = np.asarray(dataset[()])
     if values.dtype == np.float64:
         return Entry(units, values.astype(np.float64))
+    if values.dtype == np.float32:
+        return Entry(units, values.astype(np.float32))
     if values.dtype == np.int64:
         return Entry(units, values.astype(np.int64))
     if values.dtype == np.uint8 and values.max(initial=0) <= 1:

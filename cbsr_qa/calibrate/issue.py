@@ -6,8 +6,11 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from cbsr_qa.calibrate._force import as_filed
 from cbsr_qa.calibrate.baseline import baseline_conductance, load_baseline
 from cbsr_qa.calibrate.digests import stamped
+from cbsr_qa.calibrate.force_learning import LearnedForce
+from cbsr_qa.calibrate.force_validity import force_reductions, reading_reductions
 from cbsr_qa.calibrate.settling import restricted_mean
 from cbsr_qa.domain.calibration import (
     BaselineConductance,
@@ -17,6 +20,7 @@ from cbsr_qa.domain.calibration import (
     Validity,
 )
 from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.force_model import ForceModel
 from cbsr_qa.domain.measurement import Verdict
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.outcome import EndReason, Outcome
@@ -34,6 +38,9 @@ def issue_calibration(
     measured_stress: QuasiStatic | None = None,
     measured_strain: QuasiStatic | None = None,
     noise_figure: float | None = None,
+    learned: LearnedForce | None = None,
+    learned_from: Sequence[LoadObservation] = (),
+    no_force: str = "",
 ) -> Calibration:
     """Issue a calibration.
 
@@ -47,6 +54,9 @@ def issue_calibration(
     measured_stress, measured_strain : α, β where this sensor was characterised; else the material's are used and
         named in ``assumed``.
     noise_figure : measured on this sensor; None where the recipe did not ask for it.
+    learned : force model of the sensor; its line takes the place of α, β against stress, since its map was learned
+        with it. None where there is none: ``no_force`` then says why.
+    learned_from : the loads it was learned from or that it refused, in the order of ``learned.refused``.
 
     Returns
     -------
@@ -62,10 +72,14 @@ def issue_calibration(
     _check_passed(observation, verdict)
     material = observation.record.material
     identity = _Issue(calibration, _utc(issued_at), overlap_threshold, noise_figure)
+    of_sensor = measured_stress or material.against_stress
     fits = _Fits(
-        measured_stress or material.against_stress,
+        of_sensor if learned is None else learned.line,
         measured_strain or material.against_strain,
-        _assumed(measured_stress, measured_strain),
+        _assumed(measured_stress, measured_strain, learned),
+        learned,
+        tuple(learned_from),
+        "" if learned else no_force or "nobody asked for a force model",
     )
     return stamped(_calibration(observation, _loads_of(observation, phases), fits, identity))
 
@@ -82,11 +96,25 @@ class _Issue:
 
 @dataclass(frozen=True, slots=True)
 class _Fits:
-    """α and β that are used, and which of them nobody measured on this sensor."""
+    """α and β that are used, which of them nobody measured on this sensor, and what was learned of force."""
 
     against_stress: QuasiStatic
     against_strain: QuasiStatic
     assumed: tuple[str, ...]
+    learned: LearnedForce | None
+    learned_from: tuple[LoadObservation, ...]
+    no_force: str
+
+    @property
+    def model(self) -> ForceModel | None:
+        """The force model as its file holds it."""
+        return None if self.learned is None else as_filed(self.learned.model)
+
+    def used(self) -> list[LoadObservation] | None:
+        """The loads force was learned from; None where it was not."""
+        if self.learned is None:
+            return None
+        return [load for load, why in zip(self.learned_from, self.learned.refused, strict=True) if not why]
 
 
 def _calibration(
@@ -94,7 +122,7 @@ def _calibration(
 ) -> Calibration:
     record, settings = observation.record, observation.settings
     baseline, used = _baseline(observation, loads, fits.against_stress)
-    relaxations = tuple(_relaxations(observation.loads))
+    relaxations = tuple(_relaxations(observation.tested))
     return Calibration(
         calibration=issue.calibration,
         run=record.identity.run,
@@ -116,11 +144,13 @@ def _calibration(
         settling=summarise_settling(relaxations),
         overlap_bands=settings.overlap_bands,
         overlap_threshold=issue.overlap_threshold,
-        validity=_validity(observation, used, baseline),
+        validity=_validity(observation, fits, fits.used() or used, baseline),
         simulated=record.identity.simulated,
         relaxations=relaxations,
         size_ratio=settings.size_ratio,
         noise_figure=issue.noise_figure,
+        force=fits.model,
+        no_force=fits.no_force,
     )
 
 
@@ -211,14 +241,20 @@ def _relaxations(loads: Sequence[LoadObservation]) -> Iterator[LoadRelaxation]:
             )
 
 
-def _assumed(stress: QuasiStatic | None, strain: QuasiStatic | None) -> tuple[str, ...]:
-    names = [] if stress else ["α against stress", "β against stress"]
-    return (*names, *([] if strain else ["α against strain", "β against strain"]))
+def _assumed(stress: QuasiStatic | None, strain: QuasiStatic | None, learned: LearnedForce | None) -> tuple[str, ...]:
+    """What was taken from the material: an intercept that loads of this sensor were fitted with was not."""
+    fitted = learned is not None and learned.fitted_intercept
+    of_stress = ["α against stress", *([] if fitted else ["β against stress"])]
+    return (*([] if stress else of_stress), *([] if strain else ["α against strain", "β against strain"]))
 
 
 def _validity(
-    observation: RunObservation, used: Sequence[LoadObservation], baseline: Sequence[BaselineConductance]
+    observation: RunObservation,
+    fits: _Fits,
+    used: Sequence[LoadObservation],
+    baseline: Sequence[BaselineConductance],
 ) -> Validity:
+    """Range of the loads that force was learned from, or, without such, of those with a baseline conductance."""
     forces = [load.force_N for load in used if load.force_N is not None]
     strains = [load.record.load.strain for load in used]
     radii = [float(np.hypot(load.record.load.x_mm, load.record.load.y_mm)) for load in used]
@@ -227,7 +263,7 @@ def _validity(
         strain=(min(strains), max(strains)),
         temperature_C=_temperature_C(observation),
         radius_mm=max(radii),
-        reduced=tuple(_reductions(observation, baseline)),
+        reduced=tuple(_reductions(observation, fits, baseline)),
     )
 
 
@@ -240,10 +276,12 @@ def _temperature_C(observation: RunObservation) -> tuple[float, float] | None:
     return float(joined.min()), float(joined.max())
 
 
-def _reductions(observation: RunObservation, baseline: Sequence[BaselineConductance]) -> Iterator[str]:
+def _reductions(observation: RunObservation, fits: _Fits, baseline: Sequence[BaselineConductance]) -> Iterator[str]:
     for place in baseline:
         if place.value is None:
             yield f"{place.location} at ({place.x_mm:g}, {place.y_mm:g}) mm is left out: {place.why}"
-    missing = int((observation.record.sensor_type.pattern.usable() & ~observation.usable).sum())
-    if missing:
-        yield f"{missing} readings were not imaged: saturated, constant or not connected"
+    if fits.learned is None:
+        yield f"no force can be told: {fits.no_force}"
+    else:
+        yield from force_reductions(fits.learned, fits.learned_from)
+    yield from reading_reductions(observation.record.sensor_type.pattern, observation.usable)

@@ -101,6 +101,7 @@ class LoadObservation:
         either sign (an unloading spike goes the other way).
     alternate : the same load against the other reference (``settings.reference``), given where the residue
         exceeds the noise floor; None elsewhere.
+    no_force : why there is no force although a load cell recorded one; empty elsewhere.
     """
 
     phase: str
@@ -118,6 +119,7 @@ class LoadObservation:
     residue: float = 0.0
     together: int = 1
     alternate: Self | None = None
+    no_force: str = ""
 
     @property
     def stress_kPa(self) -> float | None:

@@ -1,7 +1,8 @@
-"""Issued calibrations as rows: everything but the imaging matrix, which sensor type and readings determine.
+"""Issued calibrations as rows: all but imaging matrix and templates, which sensor type, head and readings determine.
 
 The calibration file is an export of these rows: a calibration loaded from them has the ``record_digest`` it was
-issued with, and with a matrix prepared on the same computer the ``digest`` too (:mod:`cbsr_qa.calibrate.digests`).
+issued with, and with a matrix and templates prepared on the same computer the ``digest`` too
+(:mod:`cbsr_qa.calibrate.digests`).
 """
 
 import math
@@ -20,9 +21,10 @@ from cbsr_qa.domain.reconstruction import LinearReconstruction, ParameterChoice
 from cbsr_qa.domain.sensor import QuasiStatic, Response, SensorIdentity
 from cbsr_qa.store import calibration_rows as lists
 from cbsr_qa.store.arrays import digest, packed, packed_flags, unpacked, unpacked_flags
+from cbsr_qa.store.calibration_forces import PrepareForce, force_values, stored_force
 from cbsr_qa.store.codec import decoded_indenter, decoded_sensor_type, encoded
 from cbsr_qa.store.engine import reading
-from cbsr_qa.store.result_tables import AnalysisRow, CalibrationRow
+from cbsr_qa.store.result_tables import AnalysisRow, CalibrationRow, ForceRow
 from cbsr_qa.store.run_tables import RunRow
 
 #: A parameter found again for the same sensor type agrees to the tolerance of its search, not to the last digit.
@@ -57,6 +59,9 @@ def insert_calibration(connection: Connection, calibration: Calibration, analysi
     for table, rows in lists.list_rows(calibration):
         if rows:
             connection.execute(insert(table), [{"calibration": calibration.calibration, **row} for row in rows])
+    if calibration.force is not None:
+        row = {"calibration": calibration.calibration, **force_values(calibration.force)}
+        connection.execute(insert(ForceRow), row)
     earlier = update(CalibrationRow).where(
         CalibrationRow.serial == calibration.sensor.serial,
         CalibrationRow.calibration != calibration.calibration,
@@ -81,23 +86,30 @@ def used_readings(engine: Engine, calibration: str) -> NDArray[np.bool_]:
         return unpacked_flags(row.used, (row.drives, row.measures)).astype(np.bool_)
 
 
-def load_calibration(engine: Engine, calibration: str, reconstruction: LinearReconstruction) -> Calibration:
+def load_calibration(
+    engine: Engine,
+    calibration: str,
+    reconstruction: LinearReconstruction,
+    prepare_force: PrepareForce | None = None,
+) -> Calibration:
     """Load a calibration.
 
     Parameters
     ----------
     reconstruction : its imaging matrix, prepared again by the same method for the same readings.
+    prepare_force : prepares the templates of its force model; needed where it has one.
 
     Raises
     ------
     StoreError
-        If there is no such calibration, its reference frame is not what was stored, or the matrix is not its own.
+        If there is no such calibration, its reference frame or force model is not what was stored, the matrix is not
+        its own, or nobody prepares its templates.
     """
     with reading(engine) as connection, Session(bind=connection) as session:
         row = _known(session, calibration)
         _check_matrix(row, reconstruction)
         _check_weighting(session.get_one(AnalysisRow, row.analysis), row, reconstruction)
-        return _calibration(session, row, replace(reconstruction, choice=_choice(row)))
+        return _calibration(session, row, replace(reconstruction, choice=_choice(row)), prepare_force)
 
 
 def _choice(row: CalibrationRow) -> ParameterChoice:
@@ -167,6 +179,7 @@ def _values(calibration: Calibration, analysis: str) -> dict[str, Any]:
         "mask": calibration.mask,
         "measured_noise_figure": calibration.noise_figure,
         **_imaging_values(calibration.reconstruction, calibration.reference),
+        "no_force": calibration.no_force,
         "overlap_threshold": calibration.overlap_threshold,
         "size_ratio_low": size_ratio[0],
         "size_ratio_high": size_ratio[1],
@@ -213,17 +226,22 @@ def _validity_values(validity: Validity) -> dict[str, Any]:
     }
 
 
-def _calibration(session: Session, row: CalibrationRow, reconstruction: LinearReconstruction) -> Calibration:
+def _calibration(
+    session: Session, row: CalibrationRow, reconstruction: LinearReconstruction, prepare: PrepareForce | None
+) -> Calibration:
     run = session.get_one(RunRow, row.run)
     fits = _fits(session, row)
+    sensor_type, head = decoded_sensor_type(row.setting), decoded_indenter(row.setting)
+    reference = unpacked(row.reference, (row.drives, row.measures))
+    used = reconstruction.problem.used
     return Calibration(
         calibration=row.calibration,
         run=row.run,
         issued_at=row.issued_at.isoformat(),
         sensor=SensorIdentity(row.serial, run.batch, run.sensor_type),
-        sensor_type=decoded_sensor_type(row.setting),
-        indenter=decoded_indenter(row.setting),
-        reference=unpacked(row.reference, (row.drives, row.measures)),
+        sensor_type=sensor_type,
+        indenter=head,
+        reference=reference,
         current_A=row.current_a,
         scale=row.scale,
         reconstruction=reconstruction,
@@ -242,6 +260,8 @@ def _calibration(session: Session, row: CalibrationRow, reconstruction: LinearRe
         relaxations=tuple(lists.relaxations(session, row.calibration)),
         size_ratio=_pair(row.size_ratio_low, row.size_ratio_high),
         noise_figure=row.measured_noise_figure,
+        force=stored_force(session, row.calibration, prepare, sensor_type, used, reference, head),
+        no_force=row.no_force,
         digest=row.content_sha256,
         record_digest=row.record_sha256,
     )

@@ -18,6 +18,7 @@ from cbsr_qa.domain.run import RunIdentity, RunRecord
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.store import analyses, calibrations, incomplete, runs, schema
 from cbsr_qa.store.analyses import StoredAnalysis
+from cbsr_qa.store.calibration_forces import PrepareForce
 from cbsr_qa.store.calibrations import CalibrationSummary
 from cbsr_qa.store.engine import open_engine, parsed_url
 from cbsr_qa.store.failures import shown
@@ -165,6 +166,11 @@ class Repository:
         """Return which readings a calibration images, (drives, measures) bool."""
         return calibrations.used_readings(self._engine, calibration)
 
-    def load_calibration(self, calibration: str, reconstruction: LinearReconstruction) -> Calibration:
-        """Load a calibration from its rows; its matrix is prepared by the caller for :meth:`used_readings`."""
-        return calibrations.load_calibration(self._engine, calibration, reconstruction)
+    def load_calibration(
+        self, calibration: str, reconstruction: LinearReconstruction, prepare_force: PrepareForce | None = None
+    ) -> Calibration:
+        """Load a calibration from its rows; its matrix is prepared by the caller for :meth:`used_readings`.
+
+        ``prepare_force`` prepares the templates of its force model, where it has one.
+        """
+        return calibrations.load_calibration(self._engine, calibration, reconstruction, prepare_force)

@@ -73,7 +73,7 @@ class MeasurementRow(Base):
 class CalibrationRow(Base):
     """What a passed run issued for its sensor.
 
-    The HDF5 file is an export of it and its lists, with the imaging matrix added.
+    The HDF5 file is an export of it and its lists, with the imaging matrix and the head's templates added.
     """
 
     __tablename__ = "calibrations"
@@ -102,6 +102,7 @@ class CalibrationRow(Base):
     reference: Mapped[bytes]  #: float64 little-endian (drives, measures) [V]
     used: Mapped[bytes]  #: uint8 (drives, measures), readings that are imaged
     reference_sha256: Mapped[str] = mapped_column(String(64))
+    no_force: Mapped[str]  #: why there is no force model; empty where there is one, or nobody said
     overlap_threshold: Mapped[float]
     size_ratio_low: Mapped[float | None]
     size_ratio_high: Mapped[float | None]
@@ -120,6 +121,35 @@ class CalibrationRow(Base):
     setting: Mapped[dict[str, Any]]  #: sensor type and indenter, see codec.py
     content_sha256: Mapped[str] = mapped_column(String(64))  #: of the issued file's content, as the file states it
     record_sha256: Mapped[str] = mapped_column(String(64))  #: the same without what is prepared again: the matrix
+
+
+class ForceRow(Base):
+    """How readings become newtons: what was learned of the sensor, on the lattice of the head's templates.
+
+    The templates themselves follow from sensor type, head, reference and merging.
+    """
+
+    __tablename__ = "calibration_forces"
+
+    calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"), primary_key=True)
+    merged: Mapped[int]  #: rows the used readings become
+    readings: Mapped[int]
+    merging: Mapped[bytes]  #: float64 little-endian (merged, readings) [1/V]
+    nodes: Mapped[int]  #: of the lattice, where a head may be
+    log_response: Mapped[bytes]  #: float64 little-endian (nodes): the map
+    log_response_stderr: Mapped[bytes]  #: float64 little-endian (nodes)
+    force_sha256: Mapped[str] = mapped_column(String(64))  #: of these three
+    scatter: Mapped[float]
+    stress_low_kpa: Mapped[float]
+    stress_high_kpa: Mapped[float]
+    threshold: Mapped[float]
+    misfit: Mapped[float]
+    residue_share: Mapped[float]
+    residue_stderr: Mapped[float]
+    residue_strength: Mapped[float]
+    steady_s: Mapped[float]
+    place_scatter_mm: Mapped[float]
+    kernels: Mapped[dict[str, Any]]  #: "loading" and "unloading" where they were learned
 
 
 class BaselineRow(Base):

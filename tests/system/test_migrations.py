@@ -105,6 +105,7 @@ def test_data_survive_every_step_up_and_down(engine):
     schema.downgrade(engine, "0001")
     assert content(engine) == before
     schema.upgrade(engine)
+    concluded |= {"calibration_forces"}
     assert content(engine) == before | {name: [] for name in concluded}
 
     schema.downgrade(engine, "base")
@@ -149,6 +150,23 @@ def test_an_analysis_of_before_had_equal_weights(engine):
         found = connection.execute(sa.text("SELECT noise_weighting, weight_ratio FROM analyses")).all()
     assert [tuple(row) for row in found] == [("equal", None)]
     schema.downgrade(engine, "0003")
+    assert content(engine) == before
+
+
+def test_a_calibration_of_before_says_nothing_of_force_and_one_of_now_is_lost_on_the_way_back(engine):
+    schema.upgrade(engine, "0004")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0005")
+    with reading(engine) as connection:
+        assert connection.execute(sa.text("SELECT no_force FROM calibrations")).all() == [("",)]
+    fill(engine, {"calibration_forces"})
+    full = content(engine)
+    assert len(full["calibration_forces"]) == 1
+    assert {name: full[name] for name in before if name != "calibrations"} == {
+        name: rows for name, rows in before.items() if name != "calibrations"
+    }
+    schema.downgrade(engine, "0004")
     assert content(engine) == before
 
 

@@ -14,11 +14,12 @@ from cbsr_qa.domain.calibration import (
     Validity,
 )
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
+from cbsr_qa.domain.force_model import ForceModel, Lattice
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, ParameterChoice
-from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, SettlingTime
+from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, RelaxationKernel, SettlingTime
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response, SensorIdentity, SensorType
 
 
@@ -51,6 +52,47 @@ def sample_reconstruction(sensor_type: SensorType, seed: int = 5) -> LinearRecon
     matrix = random.standard_normal((4, readings))
     choice = ParameterChoice(0.03, "chosen for a test", 1.02, "μ", criterion="l-curve")
     return LinearReconstruction("test-method", problem, matrix, choice)
+
+
+def sample_force(readings: int, merged: int = 7, seed: int = 9) -> ForceModel:
+    """A force model on a lattice of 8 × 7 places without its corners; its templates turn smoothly with the place."""
+    random = np.random.default_rng(seed)
+    lattice = Lattice(-35.0, -30.0, 10.0, 8, 7)
+    inside = np.ones(56, dtype=bool)
+    inside[[0, 7, 48, 55]] = False
+    x, y = lattice.places_mm()[inside].T / 35
+    waves = random.uniform(-0.4, 0.4, (3, merged))
+    templates = np.cos(random.uniform(0, 6, merged) + np.column_stack([x, y, x * y]) @ waves)
+    templates /= np.linalg.norm(templates, axis=1)[:, None]
+
+    def single(values: np.ndarray) -> np.ndarray:
+        return (values + 0.0).astype(np.float32).astype(np.float64)
+
+    nodes = len(templates)
+    kernel = RelaxationKernel(True, np.array([-0.2]), np.array([9.5]), np.eye(2) / 7, np.array([0.01]), 8.0, 9, 1.25)
+    return ForceModel(
+        lattice=lattice,
+        node=np.where(inside, np.cumsum(inside) - 1, -1).reshape(7, 8),
+        merging=random.standard_normal((merged, readings)),
+        templates=single(templates),
+        log_size=single(5 + 0.1 * x),
+        size_slope=single(random.standard_normal((nodes, merged)) / 50),
+        slopes=single(np.column_stack([x, y, 1 + x**2, x * y / 9, 1 + y**2]) / 100),
+        fits=x**2 + y**2 < 0.9,
+        log_response=0.1 * x - 0.05 * y + 0.0,
+        log_response_stderr=0.02 + 0.01 * y**2,
+        scatter=0.011,
+        stress_kPa=(8.25, 41.5),
+        threshold=4.96,
+        misfit=0.04,
+        residue_share=0.3,
+        residue_stderr=0.25,
+        residue_strength=0.0021,
+        steady_s=52.5,
+        place_scatter_mm=0.125,
+        loading=kernel,
+        unloading=replace(kernel, loading=False, start_s=0.0, why="a remark"),
+    )
 
 
 def sample_calibration() -> Calibration:
@@ -96,6 +138,7 @@ def sample_calibration() -> Calibration:
         ),
         size_ratio=(1 / 3, 3.0),
         noise_figure=1.17,
+        force=sample_force(int(sensor_type.pattern.usable().sum())),
     )
 
 
@@ -114,7 +157,14 @@ def sparse_calibration() -> Calibration:
         size_ratio=None,
         noise_figure=None,
         validity=Validity(None, (0.2, 0.2), (21.5, 22.0), 0.0),
+        force=None,
+        no_force="2 of 9 loads say how strongly the sheet answers; 3 are needed",
     )
+
+
+def old_calibration() -> Calibration:
+    """One of before there were force models: nobody says anything about force."""
+    return replace(sample_calibration(), force=None)
 
 
 def assert_same(one: Any, other: Any, path: str) -> None:

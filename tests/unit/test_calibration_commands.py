@@ -58,7 +58,7 @@ def test_verify_says_sound(issued):
     assert "is sound" in _run("verify", str(issued)).output
     document = json.loads(_run("verify", str(issued), "--json").stdout)
     assert document["sound"] is True
-    assert document["schema_version"] == 1
+    assert document["schema_version"] == 2
 
 
 def test_commands_refuse_with_exit_code_two(issued):

@@ -8,7 +8,13 @@ from pathlib import Path
 import h5py
 import numpy as np
 import pytest
-from calibration_samples import assert_same, sample_calibration, sample_sensor_type, sparse_calibration
+from calibration_samples import (
+    assert_same,
+    old_calibration,
+    sample_calibration,
+    sample_sensor_type,
+    sparse_calibration,
+)
 
 from cbsr_qa.calibrate.digests import stamped
 from cbsr_qa.calibrate.file import read_calibration, verify_calibration, write_calibration
@@ -23,7 +29,7 @@ def issued(tmp_path: Path) -> Path:
     return path
 
 
-@pytest.mark.parametrize("make", [sample_calibration, sparse_calibration])
+@pytest.mark.parametrize("make", [sample_calibration, sparse_calibration, old_calibration])
 def test_every_field_comes_back_exactly(tmp_path, make):
     path = tmp_path / "sensor.h5"
     write_calibration(path, make())
@@ -76,7 +82,8 @@ def test_every_dataset_states_its_units(issued):
     assert units["validity/force"] == "N"
     assert units["relaxation/conductance/amplitudes"] == "1"
     assert units["relaxation/stress/amplitudes"] == units["relaxation/stress/settling_band"] == "kPa"
-    known = {"1", "1/kPa", "A", "A.Ohm", "A.Ohm/V", "N", "V", "V/(A.Ohm)", "deg", "degC", "kPa", "mm", "s", "%"}
+    of_volts = {"1/V", "A.Ohm", "A.Ohm/V", "V", "V/(A.Ohm)"}
+    known = of_volts | {"1", "1/kPa", "1/mm", "1/mm^2", "A", "N", "deg", "degC", "kPa", "mm", "s", "%"}
     assert set(units.values()) <= known | {"flag", "index", "text"}
 
 
@@ -92,7 +99,7 @@ def _plain_digest(path: Path) -> str:
                 kind, texts = "text", np.atleast_1d(dataset[()])
                 data = b"".join(b"%d\n%s" % (len(text), text) for text in texts)
             else:
-                kind = {"f": "f8", "i": "i8", "u": "u1"}[dataset.dtype.kind]
+                kind = dataset.dtype.str[1:]
                 data = np.ascontiguousarray(dataset[()]).astype("<" + kind).tobytes()
             shape = "x".join(str(length) for length in dataset.shape)
             digest.update(f"{name}\t{dataset.attrs['units']}\t{kind}\t{shape}\n".encode())
@@ -127,11 +134,11 @@ def test_negative_zero_is_written_as_zero(tmp_path):
     """SQLite has only one zero; what is put together again from its rows must have the same digest."""
     sample = sample_calibration()
     first, second = sample.baseline
-    negative = replace(sample, current_A=-0.0, baseline=(first, replace(second, y_mm=-0.0)))
-    positive = replace(sample, current_A=0.0)
+    negative = replace(sample, scale=-0.0, baseline=(first, replace(second, y_mm=-0.0)))
+    positive = replace(sample, scale=0.0)
     assert stamped(negative).digest == stamped(positive).digest
     write_calibration(tmp_path / "x.h5", negative)
-    assert not np.signbit(read_calibration(tmp_path / "x.h5").current_A)
+    assert not np.signbit(read_calibration(tmp_path / "x.h5").scale)
 
 
 def _with_large_arrays():
@@ -266,7 +273,7 @@ def test_a_missing_digest_is_refused(issued):
 def test_a_future_version_is_refused_by_name(issued):
     with h5py.File(issued, "r+") as file:
         file.attrs["schema_version"] = np.int64(7)
-    with pytest.raises(CalibrationError, match="version 7; this program knows versions up to 1"):
+    with pytest.raises(CalibrationError, match="version 7; this program knows versions up to 2"):
         read_calibration(issued)
 
 
@@ -360,8 +367,8 @@ def test_a_dataset_of_another_type_or_of_absurd_size_is_refused(issued):
         read_calibration(issued)
     with h5py.File(issued, "r+") as file:
         del file["huge"]
-        file.create_dataset("odd", data=np.zeros(2, dtype="f4")).attrs["units"] = "1"
-    with pytest.raises(CalibrationError, match="odd is of the type float32"):
+        file.create_dataset("odd", data=np.zeros(2, dtype="f2")).attrs["units"] = "1"
+    with pytest.raises(CalibrationError, match="odd is of the type float16"):
         read_calibration(issued)
 
 

@@ -1,0 +1,84 @@
+"""Why a force model may be used in less than the range a recipe intended, in words."""
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibrate.force_learning import LearnedForce
+from cbsr_qa.domain.observation import LoadObservation
+from cbsr_qa.domain.patterns import DrivePattern
+
+#: Places fewer than these leave most of the map to its mean. Chosen by us.
+_FEW_PLACES: Final = 6
+#: Loads that are named one by one; of more the first are, and the rest are counted.
+_NAMED: Final = 6
+
+
+def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) -> Iterator[str]:
+    """Yield what the loads of a model could not say.
+
+    Parameters
+    ----------
+    loads : those that were offered, in the order of ``learned.refused``.
+    """
+    refused: dict[str, list[LoadObservation]] = {}
+    used = []
+    for load, why in zip(loads, learned.refused, strict=True):
+        if why:
+            refused.setdefault(why, []).append(load)
+        else:
+            used.append(load)
+    for why, members in refused.items():
+        yield f"no force was learned from {_names(members)}: {why}"
+    places = {(load.record.load.x_mm, load.record.load.y_mm) for load in used}
+    if len(places) < _FEW_PLACES:
+        yield (
+            f"force was learned at {len(places)} places only: elsewhere the sheet is taken to answer as they do"
+            " in the mean"
+        )
+    strains = {round(load.record.load.strain, 6) for load in used}
+    one = f"all loads were pressed at one strain ({100 * strains.pop():g} %)" if len(strains) == 1 else ""
+    if not learned.fitted_intercept:
+        lowest, highest = learned.model.stress_kPa
+        alike = f"all loads pressed alike ({lowest:.3g} to {highest:.3g} kPa)"
+        yield f"{one or alike}: the intercept of the response cannot be told from the map and is assumed"
+    elif one:
+        yield one
+
+
+def reading_reductions(pattern: DrivePattern, usable: NDArray[np.bool_]) -> Iterator[str]:
+    """Yield what readings of a sensor could not be used, and electrodes of which none could."""
+    wanted = pattern.usable()
+    missing = int((wanted & ~usable).sum())
+    if not missing:
+        return
+    yield f"{missing} readings were not imaged: saturated, constant or not connected"
+    drive, measure = np.array(pattern.drive), np.array(pattern.measure)
+    dead = [
+        electrode
+        for electrode in range(pattern.electrode_count)
+        if _all_lost(wanted, usable, (drive == electrode).any(axis=1), (measure == electrode).any(axis=1))
+    ]
+    if dead:
+        which = f"electrode {dead[0]} is" if len(dead) == 1 else f"electrodes {', '.join(map(str, dead))} are"
+        yield f"{which} dead: not one of its readings could be used, and forces beside it are less certain"
+
+
+def _all_lost(
+    wanted: NDArray[np.bool_], usable: NDArray[np.bool_], drives: NDArray[np.bool_], measures: NDArray[np.bool_]
+) -> bool:
+    touching = wanted & (drives[:, None] | measures[None, :])
+    return bool(touching.any() and not (touching & usable).any())
+
+
+def _names(loads: Sequence[LoadObservation]) -> str:
+    named = [_name(load) for load in loads[:_NAMED]]
+    more = f" and {len(loads) - _NAMED} more" if len(loads) > _NAMED else ""
+    return ", ".join(named) + more
+
+
+def _name(load: LoadObservation) -> str:
+    place = load.record.load
+    return f"{place.label} at ({place.x_mm:g}, {place.y_mm:g}) mm, trial {place.trial}"

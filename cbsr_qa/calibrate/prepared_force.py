@@ -1,0 +1,71 @@
+"""A force model's templates, worked out again from what a calibration's record holds."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibrate._force import as_filed
+from cbsr_qa.calibrate.templates import template_bank
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.force_model import ForceModel
+from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.reconstruct.load_model import load_model
+from cbsr_qa.reconstruct.load_readings import MergedReadings
+
+Array = NDArray[np.float64]
+
+
+def prepared_force(
+    sensor_type: SensorType, used: NDArray[np.bool_], merging: Array, reference: Array, head: Indenter
+) -> ForceModel:
+    """Prepare the templates of a stored calibration; its map is left empty.
+
+    Parameters
+    ----------
+    used : (drives, measures) bool with m True entries.
+    merging : (r, m) [1/V] as in :class:`~cbsr_qa.domain.force_model.ForceModel`.
+    reference : (drives, measures) [V], which gives the scale of the sensor against its model.
+
+    Returns
+    -------
+    A model with lattice, node, templates, sizes and slopes; everything that is learned is zero.
+
+    Raises
+    ------
+    CalibrationError
+        If the merging is not of these readings, or the head fits nowhere.
+    """
+    groups, _ = sensor_type.pattern.reading_groups()
+    _, first = np.unique(groups[used], return_index=True)
+    if merging.shape != (len(first), int(used.sum())):
+        raise CalibrationError(
+            f"a merging of {merging.shape} does not make {len(first)} rows of {int(used.sum())} readings"
+        )
+    model = load_model(sensor_type)
+    expected = model.unloaded()[used]
+    scale = float(reference[used] @ expected / (expected @ expected))
+    drive, measure = np.nonzero(used)
+    weight = abs(scale) * np.abs(merging).sum(axis=1)
+    readings = MergedReadings(used, merging * scale, drive[first], measure[first], weight)
+    bank = template_bank(model, readings, head)
+    nothing = np.zeros(len(bank.templates))
+    return as_filed(
+        ForceModel(
+            lattice=bank.lattice,
+            node=bank.node,
+            merging=merging,
+            templates=bank.templates,
+            log_size=bank.log_size,
+            size_slope=bank.size_slope,
+            slopes=bank.slopes,
+            fits=bank.fits,
+            log_response=nothing,
+            log_response_stderr=nothing,
+            scatter=0.0,
+            stress_kPa=(0.0, 0.0),
+            threshold=1.0,
+            misfit=1.0,
+            residue_share=0.0,
+            residue_stderr=0.0,
+        )
+    )
