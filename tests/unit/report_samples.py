@@ -247,6 +247,7 @@ def sample_measurements(loads):
         ),
     ]
     found += [
+        Measurement("force_error_sd", 0.1, "N", 0.02, qualifier="place known", how="10 loads"),
         Measurement("repeatability", 1.4, "%", 0.3, how="of the place's span"),
         Measurement("apparent_modulus", 132.0, "kPa", 0.5, how="9 locations"),
         *(Measurement("apparent_modulus", 130.0 + k, "kPa", location=f"L{k}") for k in range(9)),

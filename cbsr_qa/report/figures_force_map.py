@@ -1,0 +1,160 @@
+"""How strongly each place of the sheet answers, and how surely that is known."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.report import Figure
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.report.sheet import draw_circles, draw_electrodes, draw_sheet, fit_sheet, sheet_patch
+from cbsr_qa.report.style import AMOUNT_MAP, CHANGE_MAP, FAINT, INK, QUIET, VERMILION, bare, canvas
+from cbsr_qa.report.svg import drawn
+
+Array = NDArray[np.float64]
+
+#: Steps of a scale: as many as a reader tells apart.
+_STEPS: Final = 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetField:
+    """A quantity over the sheet, on a rectangular grid that covers it.
+
+    Parameters
+    ----------
+    title, unit : over the map and at its scale.
+    x_mm, y_mm, values : (n,), (m,) and (m, n).
+    about : centre of a scale in two colours; None for one from zero up.
+    """
+
+    title: str
+    unit: str
+    x_mm: Array
+    y_mm: Array
+    values: Array
+    about: float | None = None
+
+
+def force_map_figure(
+    fields: Sequence[SheetField],
+    sensor: SensorType,
+    *,
+    used_mm: Array,
+    refused_mm: Array,
+    radius_mm: float,
+    caption: str,
+    alternative: str,
+) -> Figure:
+    """Draw fields beside each other in steps, each step's edge a line with its value.
+
+    Parameters
+    ----------
+    fields : one or two.
+    used_mm, refused_mm : (n, 2) places of the loads.
+    radius_mm : of the calibrated area, dashed.
+    """
+
+    def build() -> Canvas:
+        figure = canvas(3.35)
+        for number, field in enumerate(fields):
+            axes = figure.add_axes((0.5 * number, 0.005, 0.42, 0.9))
+            levels, colours = _scale(field, _inside(field, sensor))
+            _draw_field(axes, field, sensor, levels, colours)
+            _draw_places(axes, used_mm, refused_mm, radius_mm)
+            fit_sheet(axes, sensor.outline)
+            axes.set_title(field.title, fontweight="normal")
+            _draw_scale(figure, axes, levels, colours, field.unit)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def _inside(field: SheetField, sensor: SensorType) -> Array:
+    """Values on the sheet: the scale covers them and nothing beyond."""
+    x, y = np.meshgrid(field.x_mm, field.y_mm)
+    on = sensor.outline.clearance_mm(np.column_stack([x.ravel(), y.ravel()])) >= 0
+    kept: Array = field.values.ravel()[on & np.isfinite(field.values.ravel())]
+    return kept if len(kept) else np.array([field.about or 0.0])
+
+
+def _scale(field: SheetField, values: Array) -> tuple[Array, Colormap]:
+    """Levels and one colour for each step between them; steps are round numbers."""
+    if field.about is None:
+        levels = round_levels(float(values.min()), float(values.max()))
+        return levels, ListedColormap(AMOUNT_MAP(np.linspace(0.0, 0.85, len(levels) - 1)))
+    reach = max(float(np.abs(values - field.about).max()), 1e-3)
+    steps = MaxNLocator(_STEPS, steps=[1, 2, 2.5, 5, 10])
+    levels = np.asarray(steps.tick_values(field.about - reach, field.about + reach), dtype=np.float64)
+    middle = (levels[:-1] + levels[1:]) / 2
+    far = max(levels[-1] - field.about, field.about - levels[0])
+    # Two thirds of the range: text and marks on it stay readable.
+    return levels, ListedColormap(CHANGE_MAP(0.5 + 0.36 * (middle - field.about) / far))
+
+
+def round_levels(least: float, most: float) -> Array:
+    """Zero and the numbers 1, 2, 5 × 10ⁿ from below the least value to above the most, at most three decades.
+
+    An error is told by its order of size: even steps would spend themselves on the sheet's rim.
+    """
+    most = max(most, 1e-9)
+    least = max(least, most / 1e3)
+    powers = range(int(np.floor(np.log10(least))) - 1, int(np.floor(np.log10(most))) + 2)
+    series = np.array([step * 10.0**power for power in powers for step in (1.0, 2.0, 5.0)])
+    first = int(np.searchsorted(series, least, side="right")) - 1
+    last = int(np.searchsorted(series, most, side="left"))
+    found: Array = np.concatenate([[0.0], series[first : last + 1]])
+    return found
+
+
+def _draw_field(axes: Axes, field: SheetField, sensor: SensorType, levels: Array, colours: Colormap) -> None:
+    bare(axes)
+    edge = sheet_patch(sensor.outline)
+    axes.add_patch(edge)
+    norm = BoundaryNorm(levels, colours.N)
+    filled = axes.contourf(field.x_mm, field.y_mm, field.values, levels, cmap=colours, norm=norm, zorder=1)
+    lines = axes.contour(
+        field.x_mm, field.y_mm, field.values, levels, colors=QUIET, linewidths=0.5, linestyles="solid", zorder=2
+    )
+    for drawn_part in (filled, lines):
+        drawn_part.set_clip_path(edge)
+    for name in axes.clabel(lines, fontsize=6, inline=True, inline_spacing=2, fmt=_level_text):
+        name.set_clip_path(edge)
+        name.set_color(INK)
+    draw_sheet(axes, sensor.outline)
+    draw_electrodes(axes, sensor.electrodes, sensor.outline)
+
+
+def _draw_places(axes: Axes, used_mm: Array, refused_mm: Array, radius_mm: float) -> None:
+    draw_circles(axes, np.zeros((1, 2)), radius_mm, color=INK, width=0.7, dashed=True)
+    axes.plot(*used_mm.T, linestyle="", marker="o", markersize=3.0, color="white", markeredgecolor=INK,
+              markeredgewidth=0.7, zorder=7)  # fmt: skip
+    axes.plot(*refused_mm.T, linestyle="", marker="x", markersize=4.5, color=VERMILION, markeredgewidth=1.2,
+              zorder=8)  # fmt: skip
+
+
+def _draw_scale(figure: Canvas, axes: Axes, levels: Array, colours: Colormap, label: str) -> None:
+    box = axes.get_position()
+    slot = figure.add_axes((box.x1 - 0.012, box.y0 + 0.15 * box.height, 0.013, 0.7 * box.height))
+    steps = np.arange(len(levels) - 1)
+    slot.imshow(steps[:, None], cmap=colours, aspect="auto", origin="lower", extent=(0, 1, 0, len(steps)),
+                vmin=-0.5, vmax=len(steps) - 0.5)  # fmt: skip
+    slot.set_xticks([])
+    slot.yaxis.tick_right()
+    slot.yaxis.set_label_position("right")
+    every = max(len(levels) // 8, 1)
+    slot.set_yticks(range(0, len(levels), every), [_level_text(level) for level in levels[::every]])
+    slot.tick_params(length=2, color=FAINT)
+    slot.set_ylabel(label)
+    for side in slot.spines.values():
+        side.set_visible(False)
+
+
+def _level_text(level: float) -> str:
+    return f"{level:.4g}".replace("-", "\N{MINUS SIGN}") if abs(level) > 1e-12 else "0"

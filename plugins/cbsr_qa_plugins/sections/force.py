@@ -1,0 +1,322 @@
+"""Force: the map of the sheet's response, and estimates of loads it was not learned from against the load cell."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.force_quality import (
+    HELD_OUT,
+    TRIAL_LEFT_OUT,
+    ForceErrors,
+    calibrated_radius_mm,
+    errors_of,
+    global_errors,
+    map_quality,
+    places_mm,
+    tests_of,
+)
+from cbsr_qa.analysis.run_force import ForceTest, RunForce, run_force
+from cbsr_qa.calibrate.force_learning import LearnedForce
+from cbsr_qa.calibrate.matched import interpolated
+from cbsr_qa.domain.load_events import RecordingResult
+from cbsr_qa.domain.observation import RunObservation
+from cbsr_qa.domain.report import Block, Cell, Figure, Paragraph, RunResult, Section, Table
+from cbsr_qa.report.figures_force import ForcePanel, RatioPoints, force_figure, ratio_figure
+from cbsr_qa.report.figures_force_map import SheetField, force_map_figure
+from cbsr_qa.report.numbers import number, plural, with_uncertainty
+from cbsr_qa.report.select import observed
+from cbsr_qa.report.tables import text_table, value_cell
+
+Array = NDArray[np.float64]
+
+_TITLE: Final = "Force"
+#: Cells of the maps across the sheet.
+_ACROSS: Final = 61
+#: Rows of the table of results: what is added to the qualifier, and how the report calls it.
+_KINDS: Final = (
+    ("place known", "place known"),
+    ("place estimated", "place estimated"),
+    ("place known, trial left out", "each trial left out, place known"),
+    ("place estimated, trial left out", "each trial left out, place estimated"),
+)
+
+
+class Force:
+    """Section of the force model; only where the recipe measures ``force-error``."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where the recipe does not ask for it."""
+        run = observed(result)
+        if run is None or not isinstance(result, RunResult):
+            return None
+        if not any(m.name == "force_error_sd" for m in result.measurements):
+            return None
+        found = run_force(run)
+        if found.learned is None:
+            return Section(_TITLE, (Paragraph(f"No force can be told with this sensor: {found.why}.", "warning"),))
+        tests = tests_of(run, found, HELD_OUT)
+        blocks: list[Block] = [Paragraph(_learned_words(run, found, found.learned))]
+        blocks += [Paragraph(words) for words in _tested_words(tests)]
+        blocks += [_map(run, found, found.learned), Paragraph(_map_words(run, found, found.learned))]
+        blocks += [*_scatter(found, tests), *_results(result)]
+        blocks += [_ratios(run, found, found.learned), Paragraph(_assumed_words(found.learned), "note")]
+        blocks += [Paragraph(words, "warning") for words in _reduced(run, found, found.learned, tests)]
+        blocks += _refused(found, found.learned)
+        return Section(_TITLE, tuple(blocks))
+
+
+def _learned_words(run: RunObservation, found: RunForce, learned: LearnedForce) -> str:
+    used = [load for load, why in zip(found.used, learned.refused, strict=True) if not why]
+    phases = " and ".join(dict.fromkeys(load.phase for load in used))
+    low, high = (stress * run.record.indenter.area_mm2 / 1e3 for stress in learned.model.stress_kPa)
+    return (
+        f"The force of a head follows from the readings, a map of how strongly each place answers, and a line from"
+        f" stress to change. Map and line were learned from {len(used)} of {plural(len(found.used), 'load')}"
+        f" ({phases}), {number(low, 2)} to {number(high, 2)} N, up to {calibrated_radius_mm(found):.0f} mm from the"
+        " centre."
+    )
+
+
+def _tested_words(tests: Sequence[ForceTest]) -> list[str]:
+    """What loads that were not used say; how few they are is part of it."""
+    if not tests:
+        return ["No load was held out: nothing here says how well the force is told."]
+    known, estimated, flat = errors_of(tests, known=True), errors_of(tests, known=False), global_errors(tests)
+    if len(known.error_N) < 2:
+        return [f"One load was held out; with its place known it is {number(known.error_N[0], 2)} N off."]
+    phases = " and ".join(dict.fromkeys(test.load.phase for test in tests))
+    words = (
+        f"On {len(tests)} loads it was not learned from ({phases}) the force errs by {_error(known)} with the place"
+    )
+    words += f" known (standard deviation σ_F; bias {_bias(known)})"
+    if len(estimated.error_N) > 1:
+        words += f" and by {_error(estimated)} with the place found from the same readings"
+    words += f"; with one response for the whole sheet by {_error(flat)}."
+    words += f" {plural(estimated.missed, 'load was', 'loads were')} not detected." if estimated.missed else ""
+    return [words, _covered(known)]
+
+
+def _error(errors: ForceErrors) -> str:
+    found = errors.deviation()
+    return f"{with_uncertainty(found.value, found.stderr)} N"
+
+
+def _bias(errors: ForceErrors) -> str:
+    found = errors.bias()
+    return f"{with_uncertainty(found.value, found.stderr)} N"
+
+
+def _covered(errors: ForceErrors) -> str:
+    count = len(errors.error_N)
+    words = (
+        f"Stated error bars: {errors.inside(1.0)} of {count} loads lie within one of them and"
+        f" {errors.inside(1.96)} within 1.96; of honest ones"
+        f" {number(0.6827 * count, 2)} and {number(0.95 * count, 2)} are expected"
+    )
+    slack = np.sqrt(0.6827 * 0.3173 * count)
+    return f"{words}, give or take {number(slack, 1)} for the first by chance alone."
+
+
+def _map(run: RunObservation, found: RunForce, learned: LearnedForce) -> Figure:
+    low_x, high_x, low_y, high_y = run.record.sensor_type.outline.extent_mm
+    x, y = np.linspace(low_x, high_x, _ACROSS), np.linspace(low_y, high_y, _ACROSS)
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    mean, variance = learned.response.predict(grid)
+    shape = (_ACROSS, _ACROSS)
+    used = np.array([not why for why in learned.refused])
+    places = places_mm(found.used)
+    return force_map_figure(
+        [
+            SheetField("relative response S", "over the nominal material", x, y, np.exp(mean).reshape(shape), 1.0),
+            SheetField("its standard error", "%", x, y, 100 * np.sqrt(variance).reshape(shape)),
+        ],
+        run.record.sensor_type,
+        used_mm=places[used],
+        refused_mm=places[~used],
+        radius_mm=calibrated_radius_mm(found),
+        caption="How strongly each place answers, over what a sheet of the nominal material would (left; brown less,"
+        " blue more), and the standard error of that (right). Dots: loads the map was learned from; red crosses:"
+        " loads that were refused. Dashed: the calibrated area; beyond it the map goes back to its mean, and its"
+        " error says so. Outside the ring of pins no head was pressed.",
+        alternative=_map_words(run, found, learned),
+    )
+
+
+def _map_words(run: RunObservation, found: RunForce, learned: LearnedForce) -> str:
+    quality = map_quality(learned, calibrated_radius_mm(found))
+    low, high = float(quality.response.min()), float(quality.response.max())
+    x_mm, y_mm = quality.least_sure_mm
+    where = f"({x_mm:.0f}, {y_mm:.0f}) mm".replace("-", "−")
+    return (
+        f"In the calibrated area the response lies between {number(low, 2)} and {number(high, 2)} of the material's"
+        f" and spreads by {number(100 * quality.spread, 2)} %. Its standard error is"
+        f" {number(100 * quality.rms_error, 2)} % (root mean square); least sure is {where} with"
+        f" {number(100 * float(quality.stderr.max()), 2)} %. Single loads scatter about it by"
+        f" {number(100 * learned.model.scatter, 2)} % more than noise explains."
+    )
+
+
+def _scatter(found: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
+    shown = [test for test in found.tests if test.how == HELD_OUT] or list(found.tests)
+    if not shown:
+        return []
+    sampled = {id(test) for test in (tests or shown)}
+    panels = [_panel("place known", shown, sampled, known=True)]
+    if any(test.found_N is not None for test in shown):
+        panels.append(_panel("place estimated", shown, sampled, known=False))
+    flat = global_errors(shown)
+    measured = _measured(flat.tests)
+    every = np.ones(len(shown), dtype=bool)
+    faint = ForcePanel("", measured, measured + flat.error_N, flat.stderr_N, every, np.zeros(0))
+    which = "held out" if shown[0].how == HELD_OUT else "of each trial in turn, left out"
+    return [
+        force_figure(
+            panels,
+            faint,
+            caption=f"Force of {plural(len(shown), 'load')} {which}, as the sensor tells it against the load cell,"
+            " bars: stated standard error. Full: loads all over the sheet; open: presses of the noise figure and"
+            " the like, at one place again and again, which the figures in the text leave out. Below: the errors,"
+            " in bands of one and two stated standard errors; small diamonds: the same loads with one response for"
+            " the whole sheet, place known (triangles: beyond the edge). A red cross on the axis was not detected.",
+            alternative=" ".join(_tested_words(tests)),
+        )
+    ]
+
+
+def _panel(title: str, tests: Sequence[ForceTest], sampled: set[int], *, known: bool) -> ForcePanel:
+    errors = errors_of(tests, known=known)
+    told = {id(test) for test in errors.tests}
+    measured = _measured(errors.tests)
+    return ForcePanel(
+        title,
+        measured,
+        measured + errors.error_N,
+        errors.stderr_N,
+        np.array([id(test) in sampled for test in errors.tests], dtype=bool),
+        _measured([test for test in tests if id(test) not in told]),
+    )
+
+
+def _measured(tests: Sequence[ForceTest]) -> Array:
+    return np.array([test.measured_N for test in tests], dtype=np.float64)
+
+
+def _results(result: RunResult) -> list[Block]:
+    """The numbers as they were measured and judged."""
+    measured = {(m.name, m.qualifier): m for m in result.measurements}
+    names = ("force_error_sd", "force_error_bias", "force_coverage_68", "force_coverage_95")
+    rows: list[list[str | Cell]] = []
+    for qualifier, title in _KINDS:
+        found = [measured.get((name, qualifier)) for name in names]
+        if any(m is not None and m.value is not None for m in found):
+            cells = [value_cell(m) if m is not None and m.value is not None else Cell("–") for m in found]
+            rows.append([title, *cells])
+    for after in ("", f", {TRIAL_LEFT_OUT}"):
+        flat = measured.get(("force_error_global_sd", f"place known{after}"))
+        if flat is not None and flat.value is not None:
+            rows.append([f"one response for the whole sheet{after}", value_cell(flat), "–", "–", "–"])
+    if not rows:
+        return []
+    columns = ("Loads not used", "σ_F [N]", "Bias [N]", "Within 68 % [%]", "Within 95 % [%]")
+    caption = (
+        "Errors of force. ± of a coverage is what chance gives honest intervals of as many loads; a dash: too few"
+        " loads to say."
+    )
+    return [text_table(caption, columns, rows, (1, 2, 3, 4))]
+
+
+def _ratios(run: RunObservation, found: RunForce, learned: LearnedForce) -> Figure:
+    used = np.isfinite(learned.ratio)
+    loads = [load for load, yes in zip(found.used, used, strict=True) if yes]
+    area = run.record.indenter.area_mm2 / 1e3
+    force = np.array([load.force_N or 0.0 for load in loads])
+    mapped = np.exp(interpolated(learned.model, learned.model.log_response, places_mm(loads)))
+    forces = np.linspace(0.97 * force.min(), 1.03 * force.max(), 40)
+    stress, given = forces / area, run.record.material.against_stress
+    nominal = given.slope.value * stress + given.intercept.value
+    alpha, beta = learned.line.slope, learned.line.intercept
+    variance = ((alpha.stderr or 0.0) * stress) ** 2 + (beta.stderr or 0.0) ** 2
+    variance += 2 * stress * (learned.line.covariance or 0.0)
+    ratio = learned.ratio[used]
+    return ratio_figure(
+        RatioPoints(
+            force,
+            ratio,
+            ratio / mapped,
+            learned.ratio_stderr[used] / mapped,
+            forces,
+            (alpha.value * stress + beta.value) / nominal,
+            np.sqrt(np.maximum(variance, 0.0)) / np.abs(nominal),
+        ),
+        caption="Change seen under the head over what the material's line predicts for its force. Diamonds: as seen;"
+        " the spread is the sheet's. Dots: with the map at their places taken out, bars: noise of readings and load"
+        " cell. Red: what the line of this sensor does to that (its intercept lifts or lowers light loads), shaded:"
+        " its standard error. Right: what map and line leave over, of single loads.",
+        alternative=_line_words(learned),
+    )
+
+
+def _line_words(learned: LearnedForce) -> str:
+    beta = learned.line.intercept
+    if not learned.fitted_intercept:
+        return f"The intercept β_σ of the line is {number(beta.value, 2)}, {beta.source}."
+    return (
+        f"The intercept β_σ of the line is {with_uncertainty(1e3 * beta.value, 1e3 * (beta.stderr or 0.0))} × 10⁻³,"
+        f" {beta.source}."
+    )
+
+
+def _assumed_words(learned: LearnedForce) -> str:
+    alpha = learned.line.slope
+    share, stderr = learned.model.residue_share, learned.model.residue_stderr
+    return (
+        f"Taken as given: the slope α_σ = {number(alpha.value)} /kPa ({alpha.source}); what is wrong with it is in"
+        f" the map. {_line_words(learned)} Of what earlier loads left behind just before a press"
+        f" {with_uncertainty(share, stderr)} is taken to be there still at its steady frames. The head is known, one"
+        " at a time, pressed flat, and steady: drift, temperature and hysteresis are in the errors above as far as"
+        " this run had them."
+    )
+
+
+def _reduced(run: RunObservation, found: RunForce, learned: LearnedForce, tests: Sequence[ForceTest]) -> list[str]:
+    """What makes less of the numbers than they look."""
+    words = []
+    radius_mm = calibrated_radius_mm(found)
+    outside = sum(float(np.hypot(t.load.record.load.x_mm, t.load.record.load.y_mm)) > radius_mm for t in tests)
+    if outside:
+        words.append(
+            f"{outside} of {plural(len(tests), 'held-out load')} lie beyond the {radius_mm:.0f} mm the map was"
+            " learned within: there the force rests on the mean response, and the errors above include them."
+        )
+    low, high = (stress * run.record.indenter.area_mm2 / 1e3 for stress in learned.model.stress_kPa)
+    beside = sum(not low <= test.measured_N <= high for test in tests)
+    if not learned.fitted_intercept:
+        words.append(
+            f"All loads of the calibration press alike ({number(low, 2)} to {number(high, 2)} N): the line's"
+            f" intercept is the material's and not this sensor's, and {beside} of the"
+            f" {plural(len(tests), 'held-out load')} press less or more. Places pressed at other strains in a"
+            " calibrating phase would tell."
+        )
+    unsettled = sum(load.settled is False for load in found.used)
+    if unsettled:
+        words.append(
+            f"{plural(unsettled, 'load')} of the calibration had not settled for 1.5 settling times: forces of loads"
+            " held longer or shorter are off by what is left of the relaxation."
+        )
+    return words
+
+
+def _refused(found: RunForce, learned: LearnedForce) -> list[Block]:
+    refused = [(load, why) for load, why in zip(found.used, learned.refused, strict=True) if why]
+    if not refused:
+        return []
+    rows = []
+    for load, why in refused:
+        place = load.record.load
+        at = f"{place.x_mm:g}, {place.y_mm:g}".replace("-", "−")
+        rows.append([load.phase, place.label, at, f"{100 * place.strain:.3g}", number(load.force_N or 0.0, 2), why])
+    columns = ("Phase", "Load", "x, y [mm]", "Strain [%]", "Force [N]", "Why")
+    table: Table = text_table("Loads of the calibration that were not used.", columns, rows, (2, 3, 4))
+    return [table]
