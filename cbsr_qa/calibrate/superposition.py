@@ -17,8 +17,8 @@ from cbsr_qa.calibrate.common_relaxation import CommonRelaxation, TimedValues, f
 
 Array = NDArray[np.float64]
 
-_PASSES: Final = 6
-_CONVERGED: Final = 1e-3  # relative change of time constants; a tenth of their standard error at best
+_PASSES: Final = 4
+_CONVERGED: Final = 3e-3  # relative change of time constants; a third of their standard error at best
 
 
 @dataclass(frozen=True, slots=True, eq=False)

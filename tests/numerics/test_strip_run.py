@@ -1,0 +1,207 @@
+"""Strips on the simulated bench, through sequence, runner and analysis: known truth, and what goes wrong."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+import pytest
+from simulated_runs import MemoryJournal
+
+from cbsr_qa.analysis.strip_cycles import characterise_run
+from cbsr_qa.analysis.strip_force import strip_force
+from cbsr_qa.analysis.strip_measurements import MEASURES, measure_characterisation
+from cbsr_qa.clock import VirtualClock
+from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type, load_station
+from cbsr_qa.domain.characterisation import CharacterisationSettings
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.frames import ReadingFlag, SampleBlock
+from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
+from cbsr_qa.domain.run import RunIdentity, RunRecord
+from cbsr_qa.domain.sensor import Response, SensorIdentity
+from cbsr_qa.domain.steps import Role
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.interfaces import StationContext
+from cbsr_qa.plugins import discover
+from cbsr_qa.runner.bench import open_bench
+from cbsr_qa.runner.execute import execute
+from cbsr_qa.runner.plan import Plan, PlannedPhase
+from cbsr_qa_plugins.sequences.characterisation import CharacterisationSequence
+
+SETTINGS = CharacterisationSettings()
+
+
+def strip_run(*, effects=(), without=(), seed=1, material="cbsr-8wt", **options):
+    """Run press cycles on the shipped strip; effects are added to those of its scene, or taken out."""
+    station, sensor = load_station("simulated-strip").value, load_sensor_type("strip-40x20mm").value
+    material, scene = load_material(material).value, load_scene("strip").value
+    kept = tuple(choice for choice in scene.effects if choice.name not in without)
+    scene = replace(scene, effects=(*kept, *(PluginChoice(name, given) for name, given in effects)))
+    plugins, clock = discover(), VirtualClock(datetime(2026, 1, 1, tzinfo=UTC))
+    context = StationContext(
+        "bench", clock, sensor, material, station.indenter, seed, {}, scene,
+        lambda name: plugins.factory(Kind.EFFECT, name), motion=station.motion,
+    )  # fmt: skip
+    spec = InstrumentSpec("bench", "simulated-bench", ("frame_source", "force_applicator", "force"), {}, None)
+    factory = plugins.factory(Kind.INSTRUMENT, "simulated-bench")
+    bench = open_bench([spec], lambda _: factory(context))
+    sequence = CharacterisationSequence(**{"strains_percent": [10.0, 20.0, 30.0], "cycles": 3, **options})
+    phase = PlannedPhase("press cycles", "characterisation", sequence)
+    plan = Plan((phase,), sensor, material, station.indenter, station.motion, station.safety, seed)
+    identity = RunIdentity(
+        "run", SensorIdentity("S", "", sensor.name), "test", "test", "", clock.wall(), "", (), bench.identities()
+    )
+    journal = MemoryJournal()
+    ended = execute(plan, identity, bench, clock, [journal])
+    assert not ended.detail, ended.detail
+    (pressed,) = journal.phases()
+    phases = (replace(pressed, role=Role.CHARACTERISATION),)
+    return RunRecord(identity, sensor, material, station.indenter, phases, ended.end, "", clock.now(), ended.spent)
+
+
+@pytest.fixture(scope="module")
+def run():
+    return strip_run()
+
+
+@pytest.fixture(scope="module")
+def found(run):
+    return characterise_run(run, SETTINGS)
+
+
+def with_frames(run, change):
+    """The run with other frames in its phase."""
+    (phase,) = run.phases
+    return replace(run, phases=(replace(phase, frames=change(phase.frames)),))
+
+
+def with_force(run, change):
+    """The run with another force in its phase."""
+    (phase,) = run.phases
+    (samples,) = phase.samples
+    return replace(run, phases=(replace(phase, samples=(replace(samples, values=change(samples.values)),)),))
+
+
+def test_the_scenes_gauge_factor_and_modulus_come_out_with_the_bench_noise_on(found):
+    """Seat, noise, relaxation and residue on; the analysis has another mesh and knows nothing of the scene."""
+    assert found.local_against_strain.line.slope.value == pytest.approx(0.6, rel=0.03)
+    assert found.local_against_stress.line.slope.value == pytest.approx(0.6 / 132.5, rel=0.03)
+    assert found.modulus_kPa.value == pytest.approx(132.5, rel=0.02)
+    assert abs(found.strain_offset.value) < 0.0125  # one step of the surface search
+    assert found.response is Response.INCREASE
+    assert found.strip.resistance_ohm.value == pytest.approx(18_100, rel=1e-3)
+    assert found.strip.relative_noise == pytest.approx(7.9e-4, rel=0.35)
+    assert [level.cycles for level in found.levels] == [3, 3, 3]
+
+
+def test_measurements_have_the_units_that_are_promised(found):
+    measured = measure_characterisation(found)
+    assert {m.name for m in measured} <= set(MEASURES)
+    assert all(m.unit == MEASURES[m.name] for m in measured)
+    assert all(m.value is not None or m.how for m in measured)
+    keys = [(m.name, m.qualifier) for m in measured]
+    assert len(set(keys)) == len(keys)
+    by_name = {(m.name, m.qualifier): m.value for m in measured}
+    assert by_name["cycles_used", ""] == 9
+    assert by_name["interelectrode_resistance", ""] / by_name["sheet_resistance", ""] == pytest.approx(
+        found.strip.squares
+    )
+    # As they were read, changes from before the press lack what had not yet come; from rest they have what was left.
+    before = by_name["gauge_factor", "end of hold, from before the press"]
+    assert before < by_name["gauge_factor", ""]
+
+
+def test_contacts_other_than_assumed_are_within_the_stated_error():
+    """Contacts half as large again are one standard error, and hide 4 % of the gauge factor."""
+    effects = [("contact-spread", {"deviation": 0.01, "contact_mm": 0.3})]
+    line = characterise_run(strip_run(effects=effects, cycles=2), SETTINGS).local_against_strain.line
+    assert 0.94 < line.slope.value / 0.6 < 0.98
+    assert abs(line.slope.value - 0.6) < 2 * line.slope.stderr
+
+
+def test_shuffled_strains_come_to_the_same():
+    run = strip_run(order="shuffled", cycles=2, seed=5)
+    pressed = [load.load.strain for load in run.phases[0].loads]
+    assert pressed != sorted(pressed)
+    assert pressed[0::2] == pressed[1::2]  # the cycles of a strain in a row
+    assert characterise_run(run, SETTINGS).local_against_strain.line.slope.value == pytest.approx(0.6, rel=0.05)
+
+
+# --- bad input ---
+
+
+def test_a_dead_pin_is_refused():
+    effects = [("source-compliance", {"limit_V": 20.0}), ("electrode-open", {"electrode": 1})]
+    run = strip_run(effects=effects, strains_percent=[10.0, 20.0], cycles=1)
+    with pytest.raises(NumericsError, match="a pin does not carry the current") as refused:
+        characterise_run(run, SETTINGS)
+    assert "check both pins" in refused.value.remedy
+
+
+def test_readings_that_never_move_are_refused(run):
+    stuck = with_frames(run, lambda frames: replace(frames, voltages=np.full_like(frames.voltages, 18.1)))
+    with pytest.raises(NumericsError, match="all readings between the pins are stuck at 18100 Ω"):
+        characterise_run(stuck, SETTINGS)
+    turned = with_frames(run, lambda frames: replace(frames, voltages=-frames.voltages))
+    with pytest.raises(NumericsError, match="resistances between the pins are not positive"):
+        characterise_run(turned, SETTINGS)
+
+
+def test_a_cycle_that_was_not_read_is_left_out_by_name(run):
+    load = run.phases[0].loads[4]
+
+    def missing(frames):
+        flags = frames.flags.copy()
+        flags[(frames.time_s > load.hold_start_s) & (frames.time_s < load.release_start_s)] = ReadingFlag.MISSING
+        return replace(frames, flags=flags)
+
+    found = characterise_run(with_frames(run, missing), SETTINGS)
+    assert sum(level.cycles for level in found.levels) == 8
+    assert "left out: cycle 2 of 20 % strain has 0 usable readings of its hold and 60 of its rest" in found.reduced[0]
+    assert found.local_against_strain.line.slope.value == pytest.approx(0.6, rel=0.04)
+
+
+def test_a_load_cell_at_its_limit_costs_the_strains_it_could_not_follow(run):
+    """At 12 N: 20 % relaxes to 10.6 N after a peak of 13.2 N, 30 % to 15.9 N."""
+    found = characterise_run(with_force(run, lambda force: np.minimum(force, 12.0)), SETTINGS)
+    assert "the load cell is flat at its limit of 12 N: the stress at 30 % strain is not known" in found.reduced
+    assert [level.stress_kPa is None for level in found.levels] == [False, False, True]
+    assert found.modulus_kPa.value == pytest.approx(132.5, rel=0.02)
+    assert found.local_against_strain.line.slope.value == pytest.approx(0.6, rel=0.03)
+    assert found.refused == ()
+
+
+def test_a_load_cell_that_ends_below_all_is_no_material(run):
+    found = characterise_run(with_force(run, lambda force: np.minimum(force, 2.0)), SETTINGS)
+    assert found.modulus_kPa is None
+    assert any(why.startswith("no line against stress") for why in found.refused)
+    (modulus,) = [m for m in measure_characterisation(found) if m.name == "compressive_modulus"]
+    assert modulus.value is None
+    assert "no modulus" in modulus.how
+
+
+def test_a_force_without_noise_is_not_taken_for_a_limit():
+    time_s = np.arange(0.0, 400.0, 0.125)
+    run = strip_run(without=["load-cell-noise", "stress-relaxation"], strains_percent=[10.0, 20.0], cycles=1)
+    (phase,) = run.phases
+    assert strip_force(phase, 400.0).limit_N is None
+    flat = SampleBlock("force", "N", time_s, np.zeros_like(time_s))
+    assert strip_force(replace(phase, samples=(flat,)), 400.0).limit_N is None
+
+
+def test_a_run_without_force_says_so(run):
+    (phase,) = run.phases
+    found = characterise_run(replace(run, phases=(replace(phase, samples=()),)), SETTINGS)
+    assert found.reduced[0] == "no force was recorded: nothing is known of the stress"
+    assert found.refused
+
+
+def test_loads_of_another_purpose_are_no_cycles(run):
+    (phase,) = run.phases
+    with pytest.raises(NumericsError, match="no press cycles to characterise from"):
+        characterise_run(replace(run, phases=(replace(phase, role=Role.GRID),)), SETTINGS)
+    elsewhere = replace(phase.loads[0], load=replace(phase.loads[0].load, x_mm=1.0))
+    moved = replace(phase, loads=(elsewhere, *phase.loads[1:]))
+    with pytest.raises(NumericsError, match="pressed at 2 places"):
+        characterise_run(replace(run, phases=(moved,)), SETTINGS)
+    with pytest.raises(NumericsError, match="'disc-100mm' is no strip"):
+        characterise_run(replace(run, sensor_type=load_sensor_type("disc-100mm").value), SETTINGS)
