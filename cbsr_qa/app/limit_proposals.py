@@ -83,7 +83,8 @@ class Proposal:
     without_far_out : what the bounds would be without them; None where none lies far out.
     limit : as a recipe would hold it; None where none is proposed.
     uncertainty : of one run; None where ``no_guard`` says why there is no guard band.
-    risks : of all sensors, where marginal passes are accepted and where they are not; None where nobody can tell.
+    risks : of all sensors, where marginal passes are accepted and where they are not; None where ``no_risks`` says
+        why nobody can tell.
     failed_now, failed, marginal : serials of the lot that fail the present limit, that fail the proposed one, and
         that pass it marginally.
     """
@@ -97,6 +98,7 @@ class Proposal:
     uncertainty: Uncertainty | None = None
     no_guard: str = ""
     risks: tuple[Risks, Risks] | None = None
+    no_risks: str = ""
     failed_now: tuple[str, ...] = ()
     failed: tuple[str, ...] = ()
     marginal: tuple[str, ...] = ()
@@ -105,6 +107,13 @@ class Proposal:
     def bounds(self) -> tuple[Bound, ...]:
         """The proposed bounds, lower first."""
         return tuple(bound for bound in (self.found.lower, self.found.upper) if bound is not None)
+
+    @property
+    def always_positive(self) -> bool:
+        """Whether no value of the lot is zero or negative."""
+        return all(
+            m.value is None or m.value > 0 for runs in self.group.sensors.values() for run in runs for m in run
+        )
 
 
 def propose(group: Group, lot: Lot, terms: Terms, version: str) -> Proposal:
@@ -180,12 +189,14 @@ def _guarded(proposal: Proposal, lot: Lot, terms: Terms, version: str) -> Propos
         uncertainty, width = None, 0.0
     width = outward(width, 0.0, +1) if width else 0.0
     limit = Limit(group.name, group.unit, lower, upper, width, group.phase, group.qualifier, version)
+    found_risks = None if uncertainty is None else _risks(proposal.bounds, width, uncertainty)
     return replace(
         proposal,
         limit=limit,
         uncertainty=uncertainty,
         no_guard=why,
-        risks=None if uncertainty is None else _risks(proposal.bounds, width, uncertainty),
+        risks=found_risks,
+        no_risks=_why_no_risks(proposal.bounds, uncertainty) if found_risks is None else "",
         failed=_failing(group, limit),
         marginal=_failing(group, limit, Outcome.MARGINAL),
     )
@@ -239,6 +250,14 @@ def _risks(bounds: Sequence[Bound], width: float, uncertainty: Uncertainty) -> t
             total += one
         sums.append(total)
     return sums[0], sums[1]
+
+
+def _why_no_risks(bounds: Sequence[Bound], uncertainty: Uncertainty | None) -> str:
+    if uncertainty is None:
+        return "no uncertainty is known"
+    if any(bound.distribution is Distribution.ANY for bound in bounds):
+        return "no distribution is known"
+    return "the uncertainty of a run explains all of the lot's spread"
 
 
 def _failing(group: Group, limit: Limit | None, outcome: Outcome = Outcome.FAIL) -> tuple[str, ...]:

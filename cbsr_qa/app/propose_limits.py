@@ -209,6 +209,7 @@ def _proposal_document(proposal: Proposal) -> dict[str, Any]:
         "bounds": {side: _bound_document(b) for side, b in _sides(proposal.found) if b is not None},
         "uncertainty": _uncertainty_document(proposal),
         "risks": _risks_document(proposal.risks),
+        "no_risks": proposal.no_risks,
         "far_out": list(proposal.far_out),
         "without_far_out": _bare(proposal.without_far_out),
         "present": None if present is None else limit_table(_unversioned(present)),

@@ -14,7 +14,8 @@ if TYPE_CHECKING:
     from cbsr_qa.stats.risk import Risks
 
 WIDTH = 100
-_COLUMNS = "  {:<8}{:>9}{:>9}  {:<11}{:>9}{:>9}{:>9}  {:<15}{}"
+_LEAST_SHARE = 1e-6  #: smaller risks say nothing: no distribution is known that far out
+_COLUMNS = "  {:<7}{:>10}{:>10}  {:<11}{:>10}{:>10}{:>10}  {:<13}{}"
 
 
 def lines(found: "ProposedLimits") -> Iterator[str]:
@@ -70,8 +71,8 @@ def _proposal(proposal: "Proposal", guard_factor: float) -> Iterator[str]:
         _number(proposal.mean),
         _number(widest.deviation),
         _taken_for(bounds),
-        _number(limit.lower, 5),
-        _number(limit.upper, 5),
+        _rounded_already(limit.lower),
+        _rounded_already(limit.upper),
         _number(limit.marginal) if limit.marginal else "none",
         _limit_words(group.present),
         _fails(proposal, count),
@@ -83,6 +84,12 @@ def _proposal(proposal: "Proposal", guard_factor: float) -> Iterator[str]:
         accepted, refused = proposal.risks
         words = f"marginal accepted: {_risk_words(accepted)}; marginal refused: {_risk_words(refused)}"
         yield from _wrapped("    ", f"risks, {words}")
+    elif proposal.uncertainty is not None:
+        yield f"    no risks: {proposal.no_risks}"
+    if limit.lower is not None and limit.lower <= 0 and proposal.always_positive:
+        yield from _wrapped(
+            "    ", "the lower limit is not above 0, as all values are: it fails nothing that cannot be negative"
+        )
     if group.present is None:
         yield "    limited on both sides, because the recipe sets no limit"
     if proposal.far_out:
@@ -129,7 +136,11 @@ def _guard_words(proposal: "Proposal", guard_factor: float) -> str:
 
 
 def _risk_words(risks: "Risks") -> str:
-    return f"consumer's {100 * risks.consumer:.2g} %, producer's {100 * risks.producer:.2g} %"
+    return f"consumer's {_share(risks.consumer)}, producer's {_share(risks.producer)}"
+
+
+def _share(share: float) -> str:
+    return f"{100 * share:.2g} %" if share >= _LEAST_SHARE else f"below {100 * _LEAST_SHARE:g} %"
 
 
 def _limit_words(limit: "Limit | None") -> str:
@@ -152,8 +163,15 @@ def _bare(found: "LotLimits | None") -> str:
     return " ".join(f"{sign} {_number(b)}" for sign, b in (("≥", lower), ("≤", upper)) if b is not None)
 
 
+def _rounded_already(value: float | None) -> str:
+    return "–" if value is None else f"{value:.9g}"
+
+
 def _number(value: float | None, digits: int = 4) -> str:
-    return "–" if value is None else f"{value:.{digits}g}"
+    if value is None:
+        return "–"
+    text = f"{value:.{digits}g}"
+    return text if len(text) < 10 else f"{value:.3g}"
 
 
 def _wrapped(start: str, text: str) -> Iterator[str]:

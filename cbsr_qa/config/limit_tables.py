@@ -45,9 +45,12 @@ class LimitTable(Table):
             yield Problem((*where, "phase"), f"is {self.phase!r}; allowed: {', '.join(phases)}")
 
     def bounds_size_of(self, overlap: "LimitTable", phase: str) -> bool:
-        """Whether this limit bounds, from both sides, the size of the blob whose overlap another limit judges."""
+        """Whether this limit bounds, from both sides, the size of the blob whose overlap another limit judges.
+
+        A lower bound of nothing or less bounds no size.
+        """
         fits = self.phase in ("", phase) and self.qualifier == overlap.qualifier
-        return self.measurement == "area_ratio" and fits and None not in (self.lower, self.upper)
+        return self.measurement == "area_ratio" and fits and (self.lower or 0.0) > 0 and self.upper is not None
 
     def to_domain(self) -> Limit:
         """Return the limit."""

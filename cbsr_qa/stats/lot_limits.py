@@ -22,6 +22,10 @@ FEWEST_SENSORS = 3
 #: A normal or log-normal distribution is given up below this p-value: of a recipe's dozen limits on a lot that is
 #: normal, one would be refused in every second lot at 0.05.
 LEVEL = 0.01
+_LARGEST = 1e150
+_LEAST_SPREAD = 1e-12  #: of the mean; less is rounding
+_MOST_DECIMALS = 300
+_LARGEST_LOG = 690.0  #: its exponential is still a number
 
 #: Values of a lot: one sequence per sensor, one number per run.
 Runs = Sequence[Sequence[float]]
@@ -71,7 +75,7 @@ class Scale:
 
     def inverse(self, y: float) -> float:
         """Return the value of y."""
-        return exp(self.sign * y) if self.logarithmic else self.sign * y
+        return exp(min(self.sign * y, _LARGEST_LOG)) if self.logarithmic else self.sign * y
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,9 +144,8 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
     if count < FEWEST_SENSORS:
         return LotLimits(why=f"{count} sensors are too few: at least {FEWEST_SENSORS} are needed")
     for runs in ([smallest] if ask.lower else []) + ([largest] if ask.upper else []):
-        spread = components(runs).deviation
-        if spread <= 1e-12 * abs(float(np.mean([np.mean(r) for r in runs]))):
-            return LotLimits(why=f"every sensor has {runs[0][0]:.6g}: without spread there is nothing to go by")
+        if why := _nothing_to_go_by(runs):
+            return LotLimits(why=why)
     looked_at = _looked_at(smallest, ask.distribution)
     lower = _bound(smallest, looked_at, values, ask, -1) if ask.lower else None
     upper = _bound(largest, looked_at, values, ask, +1) if ask.upper else None
@@ -153,6 +156,16 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
     assert not isinstance(lower, str)
     assert not isinstance(upper, str)
     return LotLimits(lower, upper, far_out=out)
+
+
+def _nothing_to_go_by(runs: Runs) -> str:
+    """Say why values have no spread that means anything; empty where they have."""
+    if max(abs(x) for sensor in runs for x in sensor) > _LARGEST:
+        return f"values beyond {_LARGEST:g} are too large to be squared"
+    parts = components(runs)
+    if parts.between**0.5 <= _LEAST_SPREAD * abs(parts.mean):
+        return f"every sensor has {parts.mean:.6g}: without spread there is nothing to go by"
+    return ""
 
 
 def _bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: Ask, sign: int) -> Bound | str:
@@ -226,7 +239,7 @@ def outward(limit: float, mean: float, sign: int) -> float:
     distance = abs(limit - mean)
     if not distance:
         return limit
-    decimals = 2 - floor(log10(distance))
+    decimals = min(2 - floor(log10(distance)), _MOST_DECIMALS)
     step = 10.0**decimals
     steps = limit * step
     whole = ceil(steps - 1e-9) if sign > 0 else floor(steps + 1e-9)

@@ -135,6 +135,21 @@ def test_lots_that_say_nothing_are_refused(lot, why):
     assert why in proposed(lot, BOTH).why
 
 
+def test_sensors_that_do_not_differ_are_refused_though_their_runs_do():
+    runs = [[1.0, 3.0]] * 6
+    assert "every sensor has 2" in lot_limits(runs, runs, 1, UPPER).why
+
+
+def test_numbers_of_any_size_are_judged_or_refused_and_never_overflow():
+    lot = np.random.default_rng(17).normal(5, 1, (12, 1))
+    assert "too large" in proposed(1e160 * lot).why
+    tiny, plain = proposed(1e-200 * lot, NORMAL), proposed(lot, NORMAL)
+    assert tiny.upper is None or tiny.upper.limit == pytest.approx(1e-200 * plain.upper.limit, rel=0.01)
+    decades = 10.0 ** np.random.default_rng(18).uniform(-140, 140, (4, 1))
+    bound = proposed(decades, Ask(0.99, 0.95, False, True, Distribution.LOG_NORMAL)).upper
+    assert bound is None or np.isfinite(bound.limit)
+
+
 def test_second_runs_of_a_sensor_tell_repeatability_and_do_not_count_as_sensors():
     random = np.random.default_rng(11)
     sensors = random.normal(5, 0.5, 12)

@@ -361,6 +361,24 @@ def test_guard_bands_that_leave_nothing_between_two_limits_are_not_proposed(data
     assert "would leave nothing between the limits" in found["uncertainty"]["source"]
 
 
+def test_a_lower_limit_that_fails_nothing_is_said_to(database, propose):
+    runs = [(f"S-{k}", (Measurement("ringing", 0.1 * k, "1"),), {}) for k in range(1, 7)]
+    _, out, _ = propose(database(*runs), "--batch", "golden")
+    assert "fails nothing that cannot be negative" in " ".join(out.split())
+
+
+def test_risks_are_not_made_up_where_the_uncertainty_explains_the_lot(database, document, propose):
+    runs = []
+    for k in range(1, 9):
+        taken = Measurement("settling", 30 + 0.3 * (k % 5) + 0.1 * k, "s", 1.5)
+        runs.append((f"S-{k}", judged((taken,), {"settling": Limit("settling", "s", None, 60.0)}), {}))
+    path = database(*runs)
+    found = document(path, "--batch", "golden")["limits"][0]
+    assert (found["risks"], found["no_risks"]) == (None, "the uncertainty of a run explains all of the lot's spread")
+    assert found["marginal"] == pytest.approx(3.0)
+    assert "explains all of the lot's spread" in propose(path, "--batch", "golden")[1]
+
+
 def test_a_database_without_runs_or_none_at_all_is_refused(tmp_path, database, refused):
     refused(database(), "--batch", "golden", said=["no stored run is of batch", "no runs at all"])
     refused(tmp_path / "nowhere.db", "--batch", "golden", said=["nowhere.db"])

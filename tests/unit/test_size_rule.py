@@ -59,9 +59,10 @@ def _loaded(tmp_path, limits):
         (_OVERLAP + 'phase = "nine locations"\n' + _RATIO + 'lower = 0.3\nupper = 3.0\nphase = "random loads"\n',
          "nine locations"),
         (_OVERLAP + 'phase = "nine locations"\n' + _RATIO + "upper = 3.0\n", "nine locations"),
+        (_OVERLAP + 'phase = "nine locations"\n' + _RATIO + "lower = -0.1\nupper = 3.0\n", "nine locations"),
         (_OVERLAP + _RATIO + 'lower = 0.3\nupper = 3.0\nphase = "nine locations"\n', "random loads"),
     ],
-    ids=["none", "another phase", "one side", "one phase of all"],
+    ids=["none", "another phase", "one side", "below nothing", "one phase of all"],
 )  # fmt: skip
 def test_a_recipe_that_limits_the_overlap_without_the_size_is_refused(tmp_path, limits, missing):
     with pytest.raises(ConfigError) as caught:
