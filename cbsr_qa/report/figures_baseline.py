@@ -14,7 +14,7 @@ from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report.numbers import with_uncertainty
 from cbsr_qa.report.outlines import head_path
 from cbsr_qa.report.sheet import add_scale, draw_electrodes, draw_sheet, fit_sheet
-from cbsr_qa.report.style import AMOUNT_MAP, BLUE, INK, QUIET, VERMILION, bare, canvas, light_grid
+from cbsr_qa.report.style import AMOUNT_MAP, BLUE, INK, QUIET, VERMILION, bare, canvas, light_grid, name_rows
 from cbsr_qa.report.svg import drawn
 
 
@@ -85,8 +85,5 @@ def _draw_values(axes: Axes, places: Sequence[BaselineConductance], mean: float)
             [place.value], [row], xerr=[place.stderr or 0.0], fmt="o", markersize=3.5, color=BLUE, elinewidth=0.9
         )
     axes.axvline(mean, color=INK, linewidth=0.8)
-    axes.set_yticks(range(len(places)), [place.location for place in places])
-    axes.set_ylim(len(places) - 0.4, -0.6)
-    axes.tick_params(axis="y", length=0)
-    axes.spines["left"].set_visible(False)
+    name_rows(axes, [place.location for place in places])
     axes.set_title("ρ̄₀ ± its uncertainty; line: mean", fontweight="normal")

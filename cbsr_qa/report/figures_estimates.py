@@ -15,7 +15,7 @@ from cbsr_qa.domain.report import Figure
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report.outlines import head_path
 from cbsr_qa.report.sheet import draw_electrodes, draw_heads, draw_sheet, fit_sheet
-from cbsr_qa.report.style import BLUE, FAINT, INK, QUIET, VERMILION, bare, canvas, light_grid
+from cbsr_qa.report.style import BLUE, FAINT, INK, QUIET, VERMILION, bare, canvas, light_grid, name_rows
 from cbsr_qa.report.svg import drawn
 
 #: Mahalanobis distance of the ellipse that holds 68.27 % of a normal distribution in the plane.
@@ -129,11 +129,8 @@ def _draw_errors(axes: Axes, loads: Sequence[PlacedLoad]) -> None:
             axes.plot([error], [row + 0.18], marker="o", color=BLUE, markersize=3.5, zorder=4)
         else:
             axes.plot([0], [row + 0.18], marker="|", color=VERMILION, markersize=5, clip_on=False, zorder=4)
-    axes.set_yticks(range(len(order)), order)
-    axes.set_ylim(len(order) - 0.4, -0.6)
+    name_rows(axes, order)
     axes.set_xlim(left=0)
-    axes.tick_params(axis="y", length=0)
-    axes.spines["left"].set_visible(False)
     axes.set_title("error [mm]: × image, ● estimate", fontweight="normal")
 
 

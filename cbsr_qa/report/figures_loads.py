@@ -40,6 +40,7 @@ from cbsr_qa.report.style import (
     canvas,
     change_norm,
     light_grid,
+    name_rows,
     spread_labels,
 )
 from cbsr_qa.report.svg import drawn
@@ -262,10 +263,7 @@ def _draw_dots(axes: Axes, order: list[str], dots: list[tuple[str, float | None,
         known = [value for name, value, _ in dots if name == label and value is not None]
         if len(known) > 1:
             axes.plot([min(known), max(known)], [rank[label]] * 2, color=FAINT, linewidth=1.4, zorder=2)
-    axes.set_yticks(range(len(order)), order)
-    axes.set_ylim(len(order) - 0.4, -0.6)
-    axes.tick_params(axis="y", length=0)
-    axes.spines["left"].set_visible(False)
+    name_rows(axes, order)
 
 
 def _draw_polar(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType) -> None:

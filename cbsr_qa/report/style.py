@@ -136,6 +136,16 @@ def fit_left(figure: Canvas, grid: GridSpec, labelled: Sequence[Axes]) -> None:
             axes.set_position(place.get_position(figure))
 
 
+def name_rows(axes: Axes, names: Sequence[str], most: int = 34) -> None:
+    """Name the rows of a dot plot, the first on top; of more than fit beside each other every second, third …."""
+    every = -(-len(names) // most)
+    rows = range(0, len(names), max(every, 1))
+    axes.set_yticks(rows, [names[row] for row in rows])
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+
+
 def bare(axes: Axes) -> None:
     """Leave nothing of the axes but what is drawn in them, in equal scale."""
     axes.set_axis_off()

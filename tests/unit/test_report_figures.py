@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib.figure import Figure as Canvas
 from report_samples import SENSOR, sample_recording
 
 from cbsr_qa.domain.errors import RefusedError
@@ -25,7 +26,7 @@ from cbsr_qa.report.figures_relaxation import SettledLoad, relaxation_figure, re
 from cbsr_qa.report.figures_sheet import ImagePanel, Marker, image_figure
 from cbsr_qa.report.figures_time import Span, thinned, timeline_figure
 from cbsr_qa.report.outlines import Raster, rings
-from cbsr_qa.report.style import drawing, spread_labels
+from cbsr_qa.report.style import drawing, name_rows, spread_labels
 from cbsr_qa.report.svg import checked_svg
 from cbsr_qa_plugins.sections.recording_events import RecordingEvents
 
@@ -302,3 +303,13 @@ def image_mesh_once():
 def _signed_area(ring):
     x, y = ring.T
     return float((x[:-1] * y[1:] - x[1:] * y[:-1]).sum() / 2)
+
+
+@pytest.mark.parametrize(("count", "named"), [(1, 1), (34, 34), (35, 18), (100, 34), (222, 32)])
+def test_rows_are_named_as_closely_as_they_can_be_read(count, named):
+    axes = Canvas().add_subplot()
+    name_rows(axes, [f"L{k}" for k in range(count)])
+    found = [(tick, label.get_text()) for tick, label in zip(axes.get_yticks(), axes.get_yticklabels(), strict=True)]
+    assert len(found) == named
+    assert all(label == f"L{tick}" for tick, label in found)
+    assert axes.get_ylim() == (count - 0.4, -0.6)
