@@ -12,7 +12,7 @@ from enum import IntFlag
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibrate.matched import Matches, interpolated
+from cbsr_qa.calibrate.matched import Matches, all_interpolated
 from cbsr_qa.domain.calibration import Validity
 from cbsr_qa.domain.force_model import ForceModel
 from cbsr_qa.domain.sensor import QuasiStatic
@@ -88,25 +88,20 @@ class ForceInverse:
 
     def force(self, matches: Matches) -> tuple[Array, Array]:
         """Force and standard error (n,) [N]; NaN where the place has no map."""
-        strength, place = matches.strength, matches.place_mm
-        response = np.exp(-interpolated(self.model, self.model.log_response, place))
+        model, strength = self.model, matches.strength
+        tables = (model.log_response, model.log_response_stderr, self.gradient)
+        log_response, stderr, slope = all_interpolated(model, tables, matches.place_mm)
+        response = np.exp(-log_response)
         relative = 2 * strength / (2 - strength) * response
         alpha, beta = self.line.slope.value, self.line.intercept.value
         stress = (relative - beta) / alpha
         per_strength = 4 / (2 - strength) ** 2 * response
-        variance = self._variance(matches, relative, per_strength) + self._of_line(stress)
-        scale = self.area_mm2 / 1e3
-        return stress * scale, np.sqrt(variance) / abs(alpha) * scale
-
-    def _variance(self, matches: Matches, relative: Array, per_strength: Array) -> Array:
-        """Variance (n,) of κ/S by the readings, the place and the map."""
-        model = self.model
-        mapped = interpolated(model, model.log_response_stderr, matches.place_mm) ** 2 + model.scatter**2
-        slope = np.column_stack([interpolated(model, self.gradient[:, k], matches.place_mm) for k in (0, 1)])
         towards = np.column_stack([per_strength, -relative[:, None] * slope])
         by_readings = np.einsum("ni,nij,nj->n", towards, matches.covariance, towards)
-        variance: Array = np.maximum(by_readings, 0.0) + relative**2 * mapped
-        return variance
+        by_map = relative**2 * (stderr**2 + model.scatter**2)
+        variance = np.maximum(by_readings, 0.0) + by_map + self._of_line(stress)
+        scale = self.area_mm2 / 1e3
+        return stress * scale, np.sqrt(variance) / abs(alpha) * scale
 
     def _of_line(self, stress: Array) -> Array:
         slope, intercept = self.line.slope.stderr or 0.0, self.line.intercept.stderr or 0.0

@@ -6,6 +6,7 @@ g = t·t, the strength at a known place is a = b/g with variance 1/g; the most l
 found on the lattice and from there by Fisher scoring.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -177,7 +178,8 @@ class TemplateFilter:
         for _ in range(_STEPS):
             xx, xy, yy = _interpolated(tables, offset)[:, 3:].T
             score, by_x, by_y = at.T
-            scale = damping / (score * (xx * yy - xy**2) * h**2)
+            steepness = score * (xx * yy - xy**2) * h**2
+            scale = damping * steepness / np.maximum(steepness**2, _NOTHING)
             step = np.column_stack([yy * by_x - xy * by_y, xx * by_y - xy * by_x]) * scale[:, None]
             aim = np.clip(offset + np.clip(step, -0.5, 0.5), -_FURTHEST, 1 + _FURTHEST)
             there = np.column_stack(_values(local, aim))
@@ -218,26 +220,31 @@ class TemplateFilter:
 
 
 def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
-    """Values (n,) of a quantity (nodes,) at places (n, 2), linear between nodes; NaN where a node is missing."""
+    """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN where a node is missing."""
+    return all_interpolated(model, (values,), places_mm)[0]
+
+
+def all_interpolated(model: ForceModel, tables: Sequence[Array], places_mm: Array) -> list[Array]:
+    """Interpolate several tables (nodes, …) at the same places, as :func:`interpolated` does one."""
     lattice = model.lattice
-    i, j = (
-        (places_mm[:, 0] - lattice.x_mm) / lattice.spacing_mm,
-        (places_mm[:, 1] - lattice.y_mm) / lattice.spacing_mm,
-    )
-    inside = np.isfinite(i + j) & (i >= 0) & (j >= 0) & (i <= lattice.columns - 1) & (j <= lattice.rows - 1)
-    column = np.clip(np.where(inside, i, 0).astype(np.int64), 0, lattice.columns - 2)
-    row = np.clip(np.where(inside, j, 0).astype(np.int64), 0, lattice.rows - 2)
-    u, v = i - column, j - row
-    found = np.zeros(len(places_mm))
-    for down, across, weight in (
-        (0, 0, (1 - u) * (1 - v)),
-        (0, 1, u * (1 - v)),
-        (1, 0, (1 - u) * v),
-        (1, 1, u * v),
-    ):
-        node = model.node[row + down, column + across]
-        found += np.where(weight != 0, weight * np.where(node >= 0, values[node], np.nan), 0.0)
-    return np.where(inside, found, np.nan)
+    last = np.array([lattice.columns - 2, lattice.rows - 2])
+    at = (places_mm - np.array([lattice.x_mm, lattice.y_mm])) / lattice.spacing_mm
+    inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # a place that is no number is not
+    at = np.where(inside[:, None], at, 0.0)
+    cell = np.minimum(at.astype(np.int64), last)
+    part = np.stack([1 - (at - cell), at - cell], axis=2)
+    weights = (part[:, 1, :, None] * part[:, 0, None, :]).reshape(len(at), 4)
+    node = model.node[cell[:, 1, None] + _DOWN, cell[:, 0, None] + _ACROSS]
+    missing = ~inside | np.logical_or.reduce((node < 0) & (weights != 0), axis=1)
+    found: list[Array] = [np.einsum("nk,nk...->n...", weights, values[node]) for values in tables]
+    for values in found:
+        values[missing] = np.nan
+    return found
+
+
+#: Corners of a cell.
+_DOWN: Final = np.array([0, 0, 1, 1])
+_ACROSS: Final = np.array([0, 1, 0, 1])
 
 
 def _stencils(node: Indices) -> Indices:
@@ -262,28 +269,40 @@ def _pressable(node: Indices, fits: Mask) -> Mask:
     return pressable
 
 
+#: Coefficients of the weights of cubic convolution by powers of the part of a cell, and of their slopes.
+_CUBIC: Final = (
+    np.array(
+        [
+            [0, 2, 0, 0, -1, 0, 1, 0],
+            [-1, 0, 1, 0, 4, -10, 8, -2],
+            [2, -5, 4, -1, -3, 9, -9, 3],
+            [-1, 3, -3, 1, 0, 0, 0, 0],
+        ]
+    )
+    / 2.0
+)
+
+
 def _weights(part: Array) -> tuple[Array, Array]:
-    """Weights (n, 4) of cubic convolution at a part of a cell, and their slopes per cell."""
-    f, f2, f3 = part, part**2, part**3
-    value = np.column_stack([-f + 2 * f2 - f3, 2 - 5 * f2 + 3 * f3, f + 4 * f2 - 3 * f3, -f2 + f3]) / 2
-    slope = np.column_stack([-1 + 4 * f - 3 * f2, -10 * f + 9 * f2, 1 + 8 * f - 9 * f2, -2 * f + 3 * f2]) / 2
-    return value, slope
+    """Weights (…, 4) of cubic convolution at parts (…) of a cell, and their slopes per cell."""
+    powers = np.empty((*part.shape, 4))
+    powers[..., 0], powers[..., 1] = 1.0, part
+    np.multiply(part, part, out=powers[..., 2])
+    np.multiply(powers[..., 2], part, out=powers[..., 3])
+    both: Array = powers @ _CUBIC
+    return both[..., :4], both[..., 4:]
 
 
 def _values(local: Array, offset: Array) -> tuple[Array, Array, Array]:
     """Interpolate (n, 16) values about cells; value, and slopes along x and y per cell, (n,) each."""
-    (along_x, slope_x), (along_y, slope_y) = _weights(offset[:, 0]), _weights(offset[:, 1])
-    rows = local.reshape(-1, 4, 4)
-    by_row = np.einsum("nba,na->nb", rows, along_x)
-    value = np.einsum("nb,nb->n", by_row, along_y)
-    by_y = np.einsum("nb,nb->n", by_row, slope_y)
-    by_x = np.einsum("nba,na,nb->n", rows, slope_x, along_y)
-    return value, by_x, by_y
+    weights = np.stack(_weights(offset), axis=2)  # (n, axis, value or slope, 4)
+    found = weights[:, 1] @ local.reshape(-1, 4, 4) @ weights[:, 0].transpose(0, 2, 1)
+    return found[:, 0, 0], found[:, 0, 1], found[:, 1, 0]
 
 
 def _interpolated(tables: Array, offset: Array) -> Array:
     """Interpolate tables (n, 16, k) about cells: (n, k)."""
-    (along_x, _), (along_y, _) = _weights(offset[:, 0]), _weights(offset[:, 1])
-    weights = (along_y[:, :, None] * along_x[:, None, :]).reshape(len(offset), 1, 16)
+    value, _ = _weights(offset)
+    weights = (value[:, 1, :, None] * value[:, 0, None, :]).reshape(len(offset), 1, 16)
     found: Array = (weights @ tables)[:, 0]
     return found

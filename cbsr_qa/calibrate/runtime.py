@@ -39,8 +39,9 @@ class Calibration:
 
     def __init__(self, issued: record.Calibration) -> None:
         if issued.force is None:
+            why = issued.no_force or "it was issued before calibrations had any"
             raise CalibrationError(
-                f"calibration {issued.calibration} of sensor {issued.sensor.serial} holds no force model",
+                f"calibration {issued.calibration} of sensor {issued.sensor.serial} holds no force model: {why}",
                 remedy="calibrate the sensor again: run a recipe whose calibration phases press three places or more",
             )
         self.issued = issued
@@ -166,7 +167,7 @@ class Calibration:
         inverse = ForceInverse(self.model, self.issued.against_stress, head.area_mm2, self._gradient)
         force, stderr = inverse.force(matches)
         detectability = np.sqrt(matches.gain)
-        flags = bad | self._flags(matches, detectability, searched=searched)
+        flags = np.where(bad, bad, self._flags(matches, detectability, searched=searched))
         silent = (flags & Flag.NOT_DETECTED) != 0
         if searched:
             force[silent] = 0.0
