@@ -308,7 +308,7 @@ def _threshold(bank: TemplateBank) -> float:
     """Detectability that noise reaches at the best of all places in one of 10 000 frames.
 
     The expected number of places where a smooth Gaussian field of unit variance over an area A exceeds ±u is
-    2 A √|Λ| (2π)^(−3/2) u e^(−u²/2), Λ the products of its slopes (Adler 1981, 6.9): that many by chance.
+    2 A √|Λ| (2π)^(−3/2) u e^(−u²/2), Λ the products of its slopes (Adler 1981, 6.9): that many by chance, and a few along the edge.
     """
     xx, xy, yy = bank.slopes[bank.fits][:, 2:].T
     turns = float(np.sqrt(np.maximum(xx * yy - xy**2, 0.0)).sum()) * bank.lattice.spacing_mm**2
