@@ -5,7 +5,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from cbsr_qa.app.golden_lot import Lot, LotChoice, gather
 from cbsr_qa.app.limit_groups import groups_of
@@ -19,6 +19,9 @@ from cbsr_qa.report.numbers import plural
 from cbsr_qa.stats.lot_limits import Bound, LotLimits
 from cbsr_qa.stats.risk import Risks
 from cbsr_qa.store.repository import open_store
+
+#: Why a recipe may refuse a limit of the overlap.
+SIZELESS: Final = "a recipe takes this in only with area_ratio limited there too, above 0 and on both sides"
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,6 +61,17 @@ class ProposedLimits:
         return tuple(sorted({serial for proposal in self.proposed for serial in proposal.failed}))
 
     @property
+    def sizeless(self) -> tuple[str, ...]:
+        """Overlaps that a recipe takes in only if it bounds the blob's size itself: these limits do not."""
+        sized = {
+            (limit.phase, limit.qualifier)
+            for limit in self._limits()
+            if limit.measurement == "area_ratio" and (limit.lower or 0.0) > 0 and limit.upper is not None
+        }
+        overlaps = [p.group for p in self.proposed if p.group.name == "area_overlap"]
+        return tuple(group.label for group in overlaps if (group.phase, group.qualifier) not in sized)
+
+    @property
     def rule(self) -> str:
         """The decision rule, in words."""
         return f"{RULE}; guard band = {self.terms.guard_factor:g} × expanded uncertainty"
@@ -82,6 +96,7 @@ class ProposedLimits:
             "limits": [_proposal_document(proposal) for proposal in self.proposed],
             "not_proposed": [{**_identity(p), "why": p.found.why, "far_out": list(p.far_out)} for p in self.refused],
             "lot_fails_any": list(self.failing),
+            "without_size": list(self.sizeless),
             "output": None if self.output is None else str(self.output),
         }
 
@@ -97,8 +112,10 @@ class ProposedLimits:
             "rule": self.rule,
             "data_sha256": self.data_sha256,
         }
-        limits = [proposal.limit for proposal in self.proposed if proposal.limit is not None]
-        return limits_toml(header, limits, self._remarks())
+        return limits_toml(header, self._limits(), self._remarks())
+
+    def _limits(self) -> list[Limit]:
+        return [proposal.limit for proposal in self.proposals if proposal.limit is not None]
 
     def _remarks(self) -> Iterator[str]:
         yield 'Limits proposed by cbsr-qa limits propose; limits_from = "this file" in [recipe] takes them in.'
@@ -108,6 +125,7 @@ class ProposedLimits:
             yield f"Left out by name: {', '.join(self.lot.left_out)}"
         yield from (f"Taken in although not good: {words}" for words in self.lot.not_good)
         yield from (f"Mixed {words}" for words in self.lot.mixed)
+        yield from (f"{label}: {SIZELESS}" for label in self.sizeless)
         for proposal in self.refused:
             yield f"No limit for {proposal.group.label}: {proposal.found.why}"
 

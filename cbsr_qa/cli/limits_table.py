@@ -50,6 +50,8 @@ def _promise(found: "ProposedLimits") -> str:
 
 
 def _remarks(found: "ProposedLimits") -> Iterator[str]:
+    from cbsr_qa.app.propose_limits import SIZELESS
+
     lot = found.lot
     if lot.left_out:
         yield from _wrapped("left out    ", ", ".join(lot.left_out))
@@ -57,6 +59,8 @@ def _remarks(found: "ProposedLimits") -> Iterator[str]:
         yield from _wrapped("not good    ", printable(words))
     for words in lot.mixed:
         yield from _wrapped("mixed       ", printable(words))
+    for label in found.sizeless:
+        yield from _wrapped("no size     ", f"{printable(label)}: {SIZELESS}")
 
 
 def _proposal(proposal: "Proposal", guard_factor: float) -> Iterator[str]:

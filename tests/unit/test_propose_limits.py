@@ -367,6 +367,16 @@ def test_a_lower_limit_that_fails_nothing_is_said_to(database, propose):
     assert "fails nothing that cannot be negative" in " ".join(out.split())
 
 
+@pytest.mark.parametrize(("ratios", "sizeless"), [(0.8, []), (0.05, ["area_overlap"])])
+def test_an_overlap_whose_size_is_not_bounded_is_said_to_be_none_for_a_recipe(database, document, ratios, sizeless):
+    runs = []
+    for k in range(1, 9):
+        overlap = Measurement("area_overlap", 70 + 0.5 * (k % 5), "%")
+        runs.append((f"S-{k}", (overlap, Measurement("area_ratio", ratios + 0.02 * (k % 5), "1")), {}))
+    found = document(database(*runs), "--batch", "golden", "--distribution", "normal")
+    assert found["without_size"] == sizeless
+
+
 def test_risks_are_not_made_up_where_the_uncertainty_explains_the_lot(database, document, propose):
     runs = []
     for k in range(1, 9):
