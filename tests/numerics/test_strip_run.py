@@ -1,61 +1,22 @@
 """Strips on the simulated bench, through sequence, runner and analysis: known truth, and what goes wrong."""
 
 from dataclasses import replace
-from datetime import UTC, datetime
 
 import numpy as np
 import pytest
-from simulated_runs import MemoryJournal
+from strip_bench import strip_run
 
 from cbsr_qa.analysis.strip_cycles import characterise_run
 from cbsr_qa.analysis.strip_force import strip_force
 from cbsr_qa.analysis.strip_measurements import MEASURES, measure_characterisation
-from cbsr_qa.clock import VirtualClock
-from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type, load_station
+from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.domain.characterisation import CharacterisationSettings
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.frames import ReadingFlag, SampleBlock
-from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
-from cbsr_qa.domain.run import RunIdentity, RunRecord
-from cbsr_qa.domain.sensor import Response, SensorIdentity
+from cbsr_qa.domain.sensor import Response
 from cbsr_qa.domain.steps import Role
-from cbsr_qa.hookspecs import Kind
-from cbsr_qa.interfaces import StationContext
-from cbsr_qa.plugins import discover
-from cbsr_qa.runner.bench import open_bench
-from cbsr_qa.runner.execute import execute
-from cbsr_qa.runner.plan import Plan, PlannedPhase
-from cbsr_qa_plugins.sequences.characterisation import CharacterisationSequence
 
 SETTINGS = CharacterisationSettings()
-
-
-def strip_run(*, effects=(), without=(), seed=1, material="cbsr-8wt", **options):
-    """Run press cycles on the shipped strip; effects are added to those of its scene, or taken out."""
-    station, sensor = load_station("simulated-strip").value, load_sensor_type("strip-40x20mm").value
-    material, scene = load_material(material).value, load_scene("strip").value
-    kept = tuple(choice for choice in scene.effects if choice.name not in without)
-    scene = replace(scene, effects=(*kept, *(PluginChoice(name, given) for name, given in effects)))
-    plugins, clock = discover(), VirtualClock(datetime(2026, 1, 1, tzinfo=UTC))
-    context = StationContext(
-        "bench", clock, sensor, material, station.indenter, seed, {}, scene,
-        lambda name: plugins.factory(Kind.EFFECT, name), motion=station.motion,
-    )  # fmt: skip
-    spec = InstrumentSpec("bench", "simulated-bench", ("frame_source", "force_applicator", "force"), {}, None)
-    factory = plugins.factory(Kind.INSTRUMENT, "simulated-bench")
-    bench = open_bench([spec], lambda _: factory(context))
-    sequence = CharacterisationSequence(**{"strains_percent": [10.0, 20.0, 30.0], "cycles": 3, **options})
-    phase = PlannedPhase("press cycles", "characterisation", sequence)
-    plan = Plan((phase,), sensor, material, station.indenter, station.motion, station.safety, seed)
-    identity = RunIdentity(
-        "run", SensorIdentity("S", "", sensor.name), "test", "test", "", clock.wall(), "", (), bench.identities()
-    )
-    journal = MemoryJournal()
-    ended = execute(plan, identity, bench, clock, [journal])
-    assert not ended.detail, ended.detail
-    (pressed,) = journal.phases()
-    phases = (replace(pressed, role=Role.CHARACTERISATION),)
-    return RunRecord(identity, sensor, material, station.indenter, phases, ended.end, "", clock.now(), ended.spent)
 
 
 @pytest.fixture(scope="module")
