@@ -22,6 +22,7 @@ PARTS = (
     "localisation",
     "load_estimate",
     "methods",
+    "steady_state",
 )
 _HEAD = """# Performance
 

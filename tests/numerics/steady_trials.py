@@ -78,6 +78,7 @@ class Found:
     error, stderr, freedom : (loads,) of predictions.
     uncompensated : (loads,) of the last frame seen, taken as it is.
     misfit : (loads,).
+    bound : (loads,) Cramér–Rao bound of the error if the load's kernel were known.
     frames : how many were seen.
     """
 
@@ -86,6 +87,7 @@ class Found:
     freedom: Array
     uncompensated: Array
     misfit: Array
+    bound: Array
     frames: int
 
     def cover(self, level: float) -> float:
@@ -173,7 +175,9 @@ def _sensor(trial: Trial, number: int) -> tuple[Array, ...]:
         truth = scale = np.array([load.steady for load in held])
     found = predict_steady(time_s, values, noise, kernel, ramp_s=ramps, **options)
     errors = (found.values - truth) / scale, found.stderr / np.abs(scale), found.freedom
-    return *errors, (values[:, -1] - truth) / scale, found.misfit
+    sure = replace(kernel, covariance=np.zeros_like(kernel.covariance), scatter=np.zeros_like(kernel.scatter))
+    bound = predict_steady(time_s, values, noise, sure, ramp_s=ramps, **options).stderr / np.abs(scale)
+    return *errors, (values[:, -1] - truth) / scale, found.misfit, bound
 
 
 def _learned(trial: Trial, loads: "list[_Load]", strains: Array) -> tuple[RelaxationKernel, RelaxationKernel]:
