@@ -3,6 +3,7 @@
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from cbsr_qa.calibrate.data_sheet import pooled_deviation
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.footprints import overlap_mm2
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
+
+#: Of the peak of a head's modelled image: regions over which its mean is less do not lie on the head.
+_ON_HEAD: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +51,8 @@ def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tu
 
     Returns
     -------
-    Locations in the order of their first press, and the strain. One without a ρ₀ is left out.
+    Locations in the order of their first press, and the strain. Loads without a ρ₀, or that were sensed elsewhere
+    than on the head (the model's mean over the sensed elements is under half of its peak), are left out.
 
     Raises
     ------
@@ -69,9 +74,10 @@ def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tu
         where = (place.x_mm, place.y_mm)
         if where not in modelled:
             modelled[where] = _image_of_head(run, load)
-        gain = float(sensed_change(modelled[where], view.sensed, load.response))
-        if not gain > 0:
-            why = f"the model images a head at {place.label} with the wrong sign"
+        image = modelled[where]
+        gain = float(sensed_change(image, view.sensed, load.response))
+        if not gain > _ON_HEAD * float(np.abs(image).max()):
+            why = f"{place.label} was sensed elsewhere than a head there is imaged"
             continue
         found[round(place.strain, 9)][(place.label, *where)].append((baseline.value, baseline.value / gain))
     if not found:

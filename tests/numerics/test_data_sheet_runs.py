@@ -201,3 +201,16 @@ def test_preconditioning_of_a_sheet_without_softening_changes_nothing_but_noise(
     stress = _one(PreconditioningChange(), run, "preconditioning_change", "stress")
     assert stress.value == pytest.approx(0.0, abs=0.5)
     assert all(m.value is None for m in Creep().measure_run(run))
+
+
+def test_a_load_that_was_sensed_elsewhere_says_nothing_about_its_place(quiet):
+    """The blobs of L1 and L3 at 30 % strain are exchanged: the model of a head at L1 has nothing at L3."""
+    strong = [load for load in quiet.loads if load.record.load.strain == 0.3]
+    one, other = (next(load for load in strong if load.record.load.label == label) for label in ("L1", "L3"))
+    swapped = (replace(one, masks=other.masks), replace(other, masks=one.masks))
+    rest = tuple(load for load in strong if load is not one and load is not other)
+    found, _ = place_responses(quiet, (*rest, *swapped))
+    assert [place.location for place in found] == ["L0", "L2"]
+    refused = _one(Uniformity(), replace(quiet, loads=(*rest, *swapped)))
+    assert refused.value is None
+    assert "2 of them gave a value" in refused.how

@@ -39,7 +39,7 @@ class Uniformity:
         presses = sum(len(place.responses) for place in places)
         how = f"{len(places)} locations at {100 * strain:g} % strain, {counted(presses, 'press', 'presses')}"
         scatter = scatter_of_presses(places)
-        alone = "" if scatter is None else f"; the scatter of presses alone would make {100 * scatter:.2g} %"
+        alone = "" if scatter is None else f"; the scatter of presses alone would make {100 * scatter:.1f} %"
         return (
             percent("uniformity", own, f"ρ₀ over what an even sheet images there; {how}{alone}"),
             percent("uniformity", imaged, f"ρ₀ as imaged; {how}", qualifier=AS_IMAGED),
