@@ -68,7 +68,9 @@ def test_a_run_is_judged_by_a_version_that_its_report_names_before_and_after(tmp
     recipe = short_recipe(tmp_path, **{"[[phases]]": 'limits_from = "golden-1.toml"\n\n[[phases]]'})
     run = document(cbsr_qa(tmp_path, "run", "--station", "simulated", "--recipe", recipe, "--serial", "A", "--json"))
     (drift,) = (m for m in run["measurements"] if m["name"] == "drift")
-    assert (drift["outcome"], drift["upper"]) == ("pass", 9.0)
+    assert (drift["outcome"], drift["upper"], drift["limits_version"]) == ("pass", 9.0, "golden-1")
+    assert run["limits_version"] == "golden-1"
+    assert {m["limits_version"] for m in run["measurements"] if m["name"] != "drift"} == {None}
     report = tmp_path / run["report"]
     first = report.read_bytes()
     assert b"1 limit of version golden-1, made 2026-11-21." in first
