@@ -9,9 +9,11 @@ from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.measurement import Measurement, relative_margin
 from cbsr_qa.domain.outcome import SEVERITY, Outcome
 from cbsr_qa.domain.report import Block, Cell, Paragraph, RunResult, Section, Table
+from cbsr_qa.report.figures_verdicts import verdict_figure
 from cbsr_qa.report.numbers import plural
 from cbsr_qa.report.select import alike, spread_text
 from cbsr_qa.report.tables import bound_sign, limit_text, margin_text, text_table, unit_column, value_cell
+from cbsr_qa.report.verdicts import SIGNS, location_verdicts, verdicts_in_words
 
 #: A measurement with more qualifiers than this gets one row for all of them.
 _MOST_QUALIFIERS: Final = 8
@@ -35,7 +37,7 @@ class Limits:
         if result.limits_version is not None:
             blocks.append(Paragraph(_version_words(result.limits_version, judged)))
         if judged:
-            blocks += _judged(judged)
+            blocks += [*_by_location(result, judged), *_judged(judged)]
         determined = [m for m in others if m.value is not None]
         # Apart: as columns beside each other they do not fit a page.
         for part in ([m for m in determined if m.phase], [m for m in determined if not m.phase]):
@@ -52,6 +54,21 @@ def _in_words(judged: Sequence[Measurement]) -> str:
     counts = [(outcome, sum(m.outcome is outcome for m in judged)) for outcome in reversed(SEVERITY)]
     words = ", ".join(f"{count} {outcome.value}" for outcome, count in counts if count)
     return f"{plural(len(judged), 'limit')} judged: {words}. The closest to failing comes first."
+
+
+def _by_location(result: RunResult, judged: Sequence[Measurement]) -> list[Block]:
+    """Which places met their limits; nothing where no single load was judged."""
+    run = result.observation
+    verdicts = () if run is None else location_verdicts(run, judged)
+    if run is None or not verdicts:
+        return []
+    words = verdicts_in_words(verdicts)
+    caption = (
+        "Outcome of each place: the worst of all that was judged there, over its trials and strains. ✓ pass, ≈"
+        " marginal (dashed edge), ✗ fail (dark), ? not measured (dotted edge). Limits of the whole run are in the"
+        " table only."
+    )
+    return [Paragraph(words), verdict_figure(verdicts, run.record.sensor_type, caption=caption, alternative=words)]
 
 
 def _version_words(version: LimitsVersion, judged: Sequence[Measurement]) -> str:
@@ -92,8 +109,8 @@ def _with_strains(measurements: Sequence[Measurement]) -> frozenset[str]:
 
 def _judged_row(m: Measurement, strains: bool, versioned: bool) -> list[str | Cell]:
     assert m.limit is not None
-    signs = {Outcome.PASS: "✓ ", Outcome.FAIL: "✗ ", Outcome.MARGINAL: "≈ ", Outcome.NOT_MEASURED: "? "}
-    outcome = Cell(f"{signs.get(m.outcome, '')}{m.outcome.value}", m.outcome)
+    sign = f"{SIGNS[m.outcome]} " if m.outcome in SIGNS else ""
+    outcome = Cell(f"{sign}{m.outcome.value}", m.outcome)
     value = Cell(value_cell(m, unit=True).text)
     name = f"{m.label} at {100 * m.strain:.3g} % strain" if strains and m.strain is not None else m.label
     name += f": {m.how}" if m.outcome is Outcome.NOT_MEASURED and m.how else ""
