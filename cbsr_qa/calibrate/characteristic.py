@@ -51,6 +51,11 @@ def data_sheet_loads(run: RunObservation) -> tuple[LoadObservation, ...]:
     return tuple(load for load in run.loads if load.phase in phases and load.together == 1)
 
 
+def why_no_force(loads: Iterable[LoadObservation]) -> str:
+    """Say why none of some loads has a force."""
+    return next((load.no_force for load in loads if load.no_force), "no force was recorded")
+
+
 def load_change(load: LoadObservation, main_mask: float) -> float | None:
     """Sensed change of a load's steady image: Δρ of Eq 7, un-subtracted, positive; None where nothing was sensed."""
     view = load.mask(main_mask)
@@ -62,8 +67,11 @@ def load_change(load: LoadObservation, main_mask: float) -> float | None:
 def characteristics(loads: Iterable[LoadObservation], main_mask: float) -> tuple[Characteristic, ...]:
     """Average the loads of each location strain by strain, in the order of their first press.
 
-    Loads in which nothing was sensed are left out. A location has stresses where every one of its loads has.
+    Loads in which nothing was sensed are left out, and where any load has a force also those that have none (a load
+    cell at its limit): without any there are no stresses.
     """
+    loads = tuple(loads)
+    loads = tuple(load for load in loads if load.stress_kPa is not None) or loads
     places: dict[tuple[str, float, float], list[tuple[LoadObservation, float]]] = defaultdict(list)
     for load in loads:
         change, wanted = load_change(load, main_mask), load.record.load

@@ -130,7 +130,7 @@ def test_the_scatter_of_trials_is_the_nonlinearitys_uncertainty():
     [
         ((0.2,), 132.5, "this one has 1"),
         ((0.1, 0.2), 132.5, "this one has 2"),
-        (STRAINS, None, "force of some loads is not known"),
+        (STRAINS, None, "no force was recorded"),
     ],
 )
 def test_without_strains_or_force_there_is_no_nonlinearity(strains, kPa, said):
@@ -138,6 +138,27 @@ def test_without_strains_or_force_there_is_no_nonlinearity(strains, kPa, said):
     found = one(Nonlinearity(), sample_run(loads))
     assert found.value is None
     assert said in found.how
+
+
+def test_strains_at_which_the_load_cell_stood_at_its_limit_are_left_out():
+    """The highest strain has no force: the line goes through the four others, whose highest is then the span."""
+    bend, loads = 2.0, grid(lambda _, s, __: s + 2.0 * s**2)
+    lost = tuple(
+        replace(load, force_N=None, no_force="the load cell stood at its limit of 4 N")
+        if load.record.load.strain == STRAINS[-1]
+        else load
+        for load in loads
+    )
+    found = one(Nonlinearity(), sample_run(lost))
+    assert found.value == pytest.approx(
+        100 * bend * 0.05**2 / (0.2 + bend * 0.2**2)
+    )  # of 4 points: 1.5² to 0.5², halved
+    assert "4 strains from 5 to 20 %" in found.how
+    none = tuple(replace(load, force_N=None, no_force="the load cell stood at its limit of 4 N") for load in loads)
+    for metric in (Nonlinearity(), ApparentModulus()):
+        refused = one(metric, sample_run(none))
+        assert refused.value is None
+        assert "stood at its limit of 4 N" in refused.how
 
 
 # --- creep and zero return -----------------------------------------------------------------------------------
@@ -248,7 +269,7 @@ def test_a_contact_height_that_is_off_moves_the_ratio_and_not_the_slope():
 def test_the_modulus_is_refused_without_force_and_its_slope_with_one_strain():
     none = one(ApparentModulus(), sample_run((pressed("L0", 0.2, 0.03, kPa=None),)))
     assert (none.value, none.unit) == (None, "kPa")
-    assert "no force is known" in none.how
+    assert "no force was recorded" in none.how
     single = sample_run((pressed("L0", 0.2, 0.03),))
     assert one(ApparentModulus(), single).value == pytest.approx(132.5)
     assert one(ApparentModulus(), single).uncertainty is None

@@ -5,7 +5,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from cbsr_qa.calibrate.characteristic import data_sheet_loads
+from cbsr_qa.calibrate.characteristic import data_sheet_loads, why_no_force
 from cbsr_qa.calibrate.data_sheet import Estimate, slope
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.measurement import Measurement
@@ -36,7 +36,8 @@ class ApparentModulus:
             if load.stress_kPa is not None:
                 places.setdefault(load.record.load.label, []).append(_point(load, load.stress_kPa))
         if not places:
-            return (refused(_NAME, _UNIT, NumericsError("no force is known under a nominal strain")),)
+            why_not = NumericsError(f"nothing to divide by the strain: {why_no_force(data_sheet_loads(run))}")
+            return (refused(_NAME, _UNIT, why_not),)
         ratios = {place: _ratio(points) for place, points in places.items()}
         slopes = {place: found for place, points in places.items() if (found := _slope(points)) is not None}
         each = [

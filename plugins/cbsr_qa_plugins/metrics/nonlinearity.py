@@ -10,6 +10,7 @@ from cbsr_qa.calibrate.characteristic import (
     data_sheet_loads,
     mean_characteristic,
     repeatability,
+    why_no_force,
 )
 from cbsr_qa.calibrate.data_sheet import FEWEST_POINTS, Estimate, best_straight_line, terminal_line
 from cbsr_qa.domain.errors import NumericsError
@@ -44,6 +45,8 @@ class Nonlinearity:
             scatter = None
         try:
             mean = mean_characteristic(curves)
+            if mean.stress_kPa is None:
+                raise NumericsError(f"no stress to draw the change against: {why_no_force(loads)}")
             found = [_of(mean, scatter, line) for line in range(len(_LINES))]
         except NumericsError as error:
             return (refused("nonlinearity", "%", error),)
@@ -52,10 +55,7 @@ class Nonlinearity:
 
 
 def _of(curve: Characteristic, scatter: float | None, line: int) -> Measurement:
-    if curve.stress_kPa is None:
-        raise NumericsError("the force of some loads is not known: there is no stress to draw the change against")
-    if not curve.span > 0:
-        raise NumericsError(f"the change at the highest strain is {curve.span:.3g}: there is no span")
+    assert curve.stress_kPa is not None
     qualifier, words, draw = _LINES[line]
     errors = None if scatter is None else (scatter / np.sqrt(curve.loads)).tolist()
     drawn = draw(curve.stress_kPa.tolist(), (curve.change / curve.span).tolist(), errors)
