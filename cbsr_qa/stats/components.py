@@ -55,7 +55,7 @@ class Components:
         Notes
         -----
         Exact for one run a sensor and one value. With repeated runs by the generalised pivotal quantity of
-        Krishnamoorthy & Mathew 2009, section 5.3 (unweighted means), which holds the share in at least the stated
+        Krishnamoorthy & Mathew 2009, chapter 5 (unweighted means), which holds the share in at least the stated
         share of lots; Satterthwaite's degrees of freedom would hold it in 93 to 94 % of them instead of 95 %.
         """
         quantile = worst_of(values).quantile(coverage)
