@@ -183,7 +183,7 @@ def test_limits_have_few_digits():
 
 @pytest.mark.parametrize(("guard", "uncertainty"), [(0.0, 0.3), (0.4, 0.3), (0.6, 0.3), (0.1, 1.5)])
 def test_risks_are_those_of_two_normal_variables(guard, uncertainty):
-    """JCGM 106, clause 9: true and measured value are jointly normal; both risks are corners of their distribution."""
+    """JCGM 106, clause 9: true and measured value are jointly normal; each risk is a corner of their distribution."""
     limit, spread = 2.0, 1.2
     found = risks_of_bound(lambda x: stats.norm.pdf(x, 0.5, spread), limit, guard, uncertainty)
     covariance = [[spread**2, spread**2], [spread**2, spread**2 + uncertainty**2]]
