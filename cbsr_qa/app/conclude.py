@@ -110,6 +110,8 @@ def calibrated(
         return None, "a strip of the material gets no calibration"
     if conclusion.observation is None:
         return None, conclusion.verdict.reason
+    if not recipe.calibrate_phases:
+        return None, f"the recipe {recipe.name!r} names no phase to calibrate from"
     force = run_force(conclusion.observation)
     try:
         issued = issue_calibration(

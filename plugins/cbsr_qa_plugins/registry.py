@@ -35,6 +35,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.METRIC, "load-assignment", "metrics.load_assignment:LoadAssignment"),
     (Kind.METRIC, "two-touch-resolution", "metrics.two_touch_resolution:TwoTouchResolution"),
     (Kind.METRIC, "size-response", "metrics.size_response:SizeResponseMetric"),
+    (Kind.METRIC, "calibration-check", "metrics.calibration_check:CalibrationCheck"),
     (Kind.METRIC, "registration", "metrics.registration:RegistrationOfPlaces"),
     (Kind.METRIC, "load-estimate", "metrics.load_estimate:LoadEstimates"),
     (Kind.METRIC, "noise-figure", "metrics.noise_figure:NoiseFigure"),
