@@ -57,9 +57,10 @@ class Terms:
         RefusedError
             If a number is out of range, or there is no such distribution.
         """
-        for name, percent in (("coverage", coverage_percent), ("confidence", confidence_percent)):
-            if not 50 <= percent <= 99.99:
-                raise RefusedError(f"{name} is {percent:g} %; allowed: 50 to 99.99 %")
+        ranges = (("coverage", coverage_percent, 99.99), ("confidence", confidence_percent, 99.9))
+        for name, percent, most in ranges:
+            if not 50 <= percent <= most:
+                raise RefusedError(f"{name} is {percent:g} %; allowed: 50 to {most:g} %")
         if not 0 <= guard_factor <= 10:
             raise RefusedError(f"the guard factor is {guard_factor:g}; allowed: 0 to 10")
         if distribution not in _DISTRIBUTIONS:

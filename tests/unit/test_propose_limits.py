@@ -271,7 +271,7 @@ def test_what_is_not_measured_is_refused_with_the_nearest_name(lot_database, ref
     ("option", "value", "said"),
     [
         ("--coverage", 100, "50 to 99.99"),
-        ("--confidence", 3, "50 to 99.99"),
+        ("--confidence", 99.95, "50 to 99.9 %"),
         ("--coverage", "nan", "50 to 99.99"),
         ("--guard-factor", -1, "0 to 10"),
         ("--distribution", "lognormal", "did you mean 'log-normal'"),
