@@ -1,6 +1,8 @@
 """Transient compensation: closed forms, agreement with the dense normal equations, limits, refusals."""
 
+import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -247,3 +249,10 @@ def test_the_event_rate_follows_from_the_settling_times():
         event_rate_per_min(0.0, 0.0)
     with pytest.raises(NumericsError, match="no rate"):
         event_rate_per_min(30.0, np.nan)
+
+
+def test_the_snippet_of_the_page_holds():
+    page = Path(__file__).resolve().parents[2] / "docs" / "explanation" / "transient-compensation.md"
+    blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
+    assert len(blocks) == 1
+    exec(blocks[0], {})
