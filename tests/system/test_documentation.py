@@ -73,6 +73,15 @@ def test_the_page_on_scenes_runs_as_printed(tmp_path):
     }
 
 
+@pytest.mark.slow
+def test_the_page_on_fielded_sensors_runs_as_printed(tmp_path):
+    for command in _commands(_TOP / "docs" / "how-to" / "verify-a-fielded-sensor.md"):
+        done = cbsr_qa(tmp_path, *shlex.split(command)[1:])
+    assert "PASS" in done.stdout
+    assert "names no phase to calibrate from" in done.stdout
+    assert len(list((tmp_path / "var" / "calibrations").iterdir())) == 1
+
+
 @pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
 def test_links_between_pages_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
