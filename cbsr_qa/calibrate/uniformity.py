@@ -12,6 +12,7 @@ from cbsr_qa.calibrate.data_sheet import pooled_deviation
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.footprints import overlap_mm2
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
+from cbsr_qa.domain.sensor import Response
 
 #: Of the peak of a head's modelled image: regions over which its mean is less do not lie on the head.
 _ON_HEAD: Final = 0.5
@@ -91,7 +92,7 @@ def _image_of_head(run: RunObservation, load: LoadObservation) -> np.ndarray:
     problem, place = run.reconstruction.problem, load.record.load
     mesh = problem.mesh
     share = overlap_mm2(load.indenter.at(place.x_mm, place.y_mm), mesh.corners_mm) / mesh.areas_mm2
-    sign = -1.0 if load.response == "decrease" else 1.0
+    sign = -1.0 if load.response is Response.DECREASE else 1.0
     return np.asarray(sign * (run.reconstruction.matrix @ (problem.jacobian @ share)))
 
 
