@@ -59,7 +59,7 @@ def _lines(found: Characterisation) -> Iterator[Measurement]:
     for line, since in zip(found.end_of_hold, ("from before the press", "from the rested strip"), strict=True):
         how = f"slope against strain, {_BETWEEN_PINS}; readings at the end of the hold"
         yield next(_line("gauge_factor", line, how, blocked, f"end of hold, {since}"))
-    yield _relative_error(found.local_against_strain)
+    yield _relative_error(found)
 
 
 def _line(name: str, fitted: FittedLine, how: str, blocked: str, qualifier: str = "") -> Iterator[Measurement]:
@@ -75,11 +75,14 @@ def _line(name: str, fitted: FittedLine, how: str, blocked: str, qualifier: str 
     yield Measurement(f"{name}_intercept", line.intercept.value, "1", line.intercept.stderr, how=how)
 
 
-def _relative_error(fitted: FittedLine) -> Measurement:
-    """Standard error of the slope over the slope, without what is assumed of the contacts: it is alike for all."""
-    name = "gauge_factor_error"
-    if fitted.line is None or fitted.line.slope.value == 0:
-        return Measurement(name, None, "%", how=fitted.why or "the slope is zero")
+def _relative_error(found: Characterisation) -> Measurement:
+    """Standard error of the slope over the slope, without what is assumed of the contacts: it is alike for all.
+
+    Of a characterisation that cannot stand for its material there is none, so that a limit on it is not met.
+    """
+    name, fitted = "gauge_factor_error", found.local_against_strain
+    if found.refused or fitted.line is None:
+        return Measurement(name, None, "%", how=next(iter(found.refused), fitted.why))
     measured = sum(error**2 for part, error in fitted.parts if part != "contacts of the pins") ** 0.5
     how = "standard error of the local gauge factor over itself, without what is assumed of the pins' contacts"
     return Measurement(name, 100 * measured / abs(fitted.line.slope.value), "%", how=how)

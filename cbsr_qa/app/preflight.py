@@ -14,7 +14,7 @@ from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.reconstruction import linear
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.domain.steps import AcquireFrames, MarkUnloaded, Press
+from cbsr_qa.domain.steps import AcquireFrames, MarkUnloaded, Press, Role
 from cbsr_qa.forward.strip import check_strip
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.plugins import Plugins
@@ -73,6 +73,27 @@ def check_unloaded(plan: Plan, recipe: Recipe) -> None:
                 remedy=f"take more unloaded frames in that phase, or {_LESS if taken < split else _EQUAL}",
             )
         return
+
+
+def check_cycles(plan: Plan, recipe: Recipe) -> None:
+    """Make sure that a recipe for a strip presses cycles, all in one place.
+
+    Raises
+    ------
+    ConfigError
+        If no phase is there for that, or such phases press at several places.
+    """
+    if recipe.characterisation is None:
+        return
+    meant = [phase for phase in plan.phases if getattr(phase.sequence, "role", None) is Role.CHARACTERISATION]
+    steps = [step for phase in meant for step in phase.sequence.steps(plan.context)]
+    places = {(step.load.x_mm, step.load.y_mm) for step in steps if isinstance(step, Press)}
+    if len(places) != 1:
+        found = f"press cycles at {len(places)} places" if places else "no phase of press cycles"
+        raise ConfigError(
+            f"recipe {recipe.name!r} has [characterisation] and {found}; a strip is pressed at one place",
+            remedy='give it one phase with sequence = "characterisation"',
+        )
 
 
 def overdue(instruments: Iterable[InstrumentIdentity], today: date) -> tuple[str, ...]:

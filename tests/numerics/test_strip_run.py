@@ -149,6 +149,21 @@ def test_a_force_without_noise_is_not_taken_for_a_limit():
     assert strip_force(replace(phase, samples=(flat,)), 400.0).limit_N is None
 
 
+def test_holds_too_short_for_a_steady_level_are_no_material():
+    """Twenty seconds of a creep of 23 s: its end cannot be told, and no residue explains what is left."""
+    found = characterise_run(strip_run(hold_s=20.0, rest_s=20.0), SETTINGS)
+    assert any("holds and rests are too short for steady levels" in why for why in found.refused)
+    error = next(m for m in measure_characterisation(found) if m.name == "gauge_factor_error")
+    assert (error.value, error.how) == (None, found.refused[0])
+    assert any("holds of 19.5 s are shorter than 1.5 settling times of conductance" in why for why in found.reduced)
+
+
+def test_a_spike_after_the_release_moves_nothing_but_what_it_covers():
+    found = characterise_run(strip_run(effects=[("unloading-spike", {"size": 0.3, "decay_s": 1.5})]), SETTINGS)
+    assert found.local_against_strain.line.slope.value == pytest.approx(0.6, rel=0.03)
+    assert found.unloading.time_constants_s[1] == pytest.approx(25.4, rel=0.1)
+
+
 def test_a_run_without_force_says_so(run):
     (phase,) = run.phases
     found = characterise_run(replace(run, phases=(replace(phase, samples=()),)), SETTINGS)

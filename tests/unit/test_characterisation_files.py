@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cbsr_qa.app.preflight import check_recipe
+from cbsr_qa.app.preflight import check_cycles, check_recipe
+from cbsr_qa.app.setup import plan_of
 from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type, load_station
 from cbsr_qa.config.material_writer import material_text
+from cbsr_qa.config.merge import Configuration
 from cbsr_qa.domain.characterisation import CharacterisationSettings
 from cbsr_qa.domain.errors import ConfigError, NumericsError
-from cbsr_qa.domain.plan import NO_RECONSTRUCTION
+from cbsr_qa.domain.plan import NO_RECONSTRUCTION, PhaseSpec
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation
 from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role
 from cbsr_qa.interfaces import SequenceContext
@@ -82,6 +84,24 @@ def test_what_a_recipe_needs_is_known_before_anything_moves():
         check_recipe(replace(recipe, limits=(replace(wrong, unit="kPa"),)), strip, plugins)
     with pytest.raises(NumericsError, match="0 independent readings"):
         check_recipe(load_recipe("nine-locations").value, strip, plugins)
+
+
+@pytest.mark.parametrize(
+    ("phases", "said"),
+    [
+        ([("grid", {"locations_mm": [[0.0, 0.0]]}, "location-grid")], "no phase of press cycles"),
+        ([("a", {}, "characterisation"), ("b", {"x_mm": 0.5}, "characterisation")], "press cycles at 2 places"),
+    ],
+)
+def test_a_recipe_without_cycles_in_one_place_is_refused(phases, said):
+    recipe = load_recipe("characterisation").value
+    recipe = replace(recipe, phases=tuple(PhaseSpec(name, sequence, options) for name, options, sequence in phases))
+    station, plugins = load_station("simulated-strip").value, discover()
+    strip, material = load_sensor_type("strip-40x20mm").value, load_material("cbsr-8wt").value
+    plan = plan_of(Configuration(station, recipe, strip, material, 1, ""), plugins)
+    with pytest.raises(ConfigError, match=said):
+        check_cycles(plan, recipe)
+    check_cycles(plan, load_recipe("nine-locations").value)  # no business of a recipe that images
 
 
 # --- sequence ---
