@@ -13,6 +13,7 @@ from benchmarks.rows import Row
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "numerics"))
 
+from steady_readings import through_readings
 from steady_trials import Found, Trial, rms, tried
 
 TITLE = "Transient compensation"
@@ -37,10 +38,14 @@ def rows() -> Iterator[Row]:
         yield _row("calibrated with one load", Trial(seed=1, loads=1, **rate))
         yield _row("what a release leaves after 60 s", Trial(seed=1, releases=True, **rate))
         yield _row("stress, noise of 1 % of 20 % strain's", Trial(seed=1, signal="stress", **rate))
+    yield _said("through the readings of runs (scene base), against the whole hold", 2.5, through_readings(range(8)))
 
 
 def _row(what: str, trial: Trial, goal: str = "") -> Row:
-    found = tried(trial)
+    return _said(what, trial.period_s, tried(trial), goal)
+
+
+def _said(what: str, period_s: float, found: Found, goal: str = "") -> Row:
     here = (
         f"{found.frames} frames: bias {100 * found.error.mean():+.2f} %, total {100 * rms(found.error):.2f} %"
         f" (bound {100 * rms(found.bound):.2f} %), coverage {100 * found.cover(0.68):.1f} and"
@@ -48,7 +53,7 @@ def _row(what: str, trial: Trial, goal: str = "") -> Row:
     )
     peer = f"uncompensated: bias {100 * found.uncompensated.mean():+.1f} %"
     peer += f", total {100 * rms(found.uncompensated):.1f} %"
-    return Row(f"{1 / trial.period_s:g} frames/s: {what}", goal, here, peer, _met(found) if goal else None)
+    return Row(f"{1 / period_s:g} frames/s: {what}", goal, here, peer, _met(found) if goal else None)
 
 
 def _met(found: Found) -> bool:
