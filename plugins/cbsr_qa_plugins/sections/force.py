@@ -74,9 +74,14 @@ def _learned_words(run: RunObservation, found: RunForce, learned: LearnedForce) 
     return (
         f"The force of a head follows from the readings, a map of how strongly each place answers, and a line from"
         f" stress to change. Map and line were learned from {len(used)} of {plural(len(found.used), 'load')}"
-        f" ({phases}), {number(low, 2)} to {number(high, 2)} N, up to {calibrated_radius_mm(found):.0f} mm from the"
+        f" ({phases}), {_between(low, high)}, up to {calibrated_radius_mm(found):.0f} mm from the"
         " centre."
     )
+
+
+def _between(low_N: float, high_N: float) -> str:
+    low, high = number(low_N, 2), number(high_N, 2)
+    return f"about {high} N" if low == high else f"{low} to {high} N"
 
 
 def _tested_words(tests: Sequence[ForceTest]) -> list[str]:
@@ -137,9 +142,9 @@ def _map(run: RunObservation, found: RunForce, learned: LearnedForce) -> Figure:
         refused_mm=places[~used],
         radius_mm=calibrated_radius_mm(found),
         caption="How strongly each place answers, over what a sheet of the nominal material would (left; brown less,"
-        " blue more), and the standard error of that (right). Dots: loads the map was learned from; red crosses:"
-        " loads that were refused. Dashed: the calibrated area; beyond it the map goes back to its mean, and its"
-        " error says so. Outside the ring of pins no head was pressed.",
+        " blue more), and the standard error of that (right). White dots: loads the map was learned from; red crosses:"
+        " loads that were refused; black dots: pins. Dashed: the calibrated area; beyond it the map goes back to its"
+        " mean, and its error says so.",
         alternative=_map_words(run, found, learned),
     )
 
@@ -294,7 +299,7 @@ def _reduced(run: RunObservation, found: RunForce, learned: LearnedForce, tests:
     beside = sum(not low <= test.measured_N <= high for test in tests)
     if not learned.fitted_intercept:
         words.append(
-            f"All loads of the calibration press alike ({number(low, 2)} to {number(high, 2)} N): the line's"
+            f"All loads of the calibration press alike ({_between(low, high)}): the line's"
             f" intercept is the material's and not this sensor's, and {beside} of the"
             f" {plural(len(tests), 'held-out load')} press less or more. Places pressed at other strains in a"
             " calibrating phase would tell."
