@@ -32,6 +32,7 @@ class SheetField:
     title, unit : over the map and at its scale.
     x_mm, y_mm, values : (n,), (m,) and (m, n).
     about : centre of a scale in two colours; None for one from zero up.
+    least_reach : of that scale to both sides, so that an even sheet is not drawn as an uneven one.
     """
 
     title: str
@@ -40,6 +41,7 @@ class SheetField:
     y_mm: Array
     values: Array
     about: float | None = None
+    least_reach: float = 1e-3
 
 
 def force_map_figure(
@@ -89,7 +91,7 @@ def _scale(field: SheetField, values: Array) -> tuple[Array, Colormap]:
     if field.about is None:
         levels = round_levels(float(values.min()), float(values.max()))
         return levels, ListedColormap(AMOUNT_MAP(np.linspace(0.0, 0.85, len(levels) - 1)))
-    reach = max(float(np.abs(values - field.about).max()), 1e-3)
+    reach = max(float(np.abs(values - field.about).max()), field.least_reach)
     steps = MaxNLocator(_STEPS, steps=[1, 2, 2.5, 5, 10])
     levels = np.asarray(steps.tick_values(field.about - reach, field.about + reach), dtype=np.float64)
     middle = (levels[:-1] + levels[1:]) / 2

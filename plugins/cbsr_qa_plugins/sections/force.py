@@ -134,7 +134,9 @@ def _map(run: RunObservation, found: RunForce, learned: LearnedForce) -> Figure:
     places = places_mm(found.used)
     return force_map_figure(
         [
-            SheetField("relative response S", "over the nominal material", x, y, np.exp(mean).reshape(shape), 1.0),
+            SheetField(
+                "relative response S", "over the nominal material", x, y, np.exp(mean).reshape(shape), 1.0, 0.15
+            ),
             SheetField("its standard error", "%", x, y, 100 * np.sqrt(variance).reshape(shape)),
         ],
         run.record.sensor_type,
@@ -142,8 +144,8 @@ def _map(run: RunObservation, found: RunForce, learned: LearnedForce) -> Figure:
         refused_mm=places[~used],
         radius_mm=calibrated_radius_mm(found),
         caption="How strongly each place answers, over what a sheet of the nominal material would (left; brown less,"
-        " blue more), and the standard error of that (right). White dots: loads the map was learned from; red crosses:"
-        " loads that were refused; black dots: pins. Dashed: the calibrated area; beyond it the map goes back to its"
+        " blue more), and the standard error of that (right). White dots: loads the map was learned from; red"
+        " crosses: loads that were refused; black dots: pins. Dashed: the calibrated area; beyond it the map goes back to its"
         " mean, and its error says so.",
         alternative=_map_words(run, found, learned),
     )
