@@ -145,8 +145,8 @@ def _map(run: RunObservation, found: RunForce, learned: LearnedForce) -> Figure:
         radius_mm=calibrated_radius_mm(found),
         caption="How strongly each place answers, over what a sheet of the nominal material would (left; brown less,"
         " blue more), and the standard error of that (right). White dots: loads the map was learned from; red"
-        " crosses: loads that were refused; black dots: pins. Dashed: the calibrated area; beyond it the map goes back to its"
-        " mean, and its error says so.",
+        " crosses: loads that were refused; black dots: pins. Dashed: the calibrated area; beyond it the map"
+        " goes back to its mean, and its error says so.",
         alternative=_map_words(run, found, learned),
     )
 
