@@ -1,11 +1,23 @@
-"""Looking at an issued calibration file, and checking it."""
+"""Looking at an issued calibration file, checking it, and converting it."""
 
+import json
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
-from cbsr_qa.calibrate.file import read_calibration, verify_calibration
+import numpy as np
+
+from cbsr_qa.calibrate.file import read_calibration, verify_calibration, write_calibration
+from cbsr_qa.calibrate.firmware import firmware_document
+from cbsr_qa.calibrate.json_file import json_document, read_json_calibration
+from cbsr_qa.calibrate.matched import TemplateFilter, interpolated
 from cbsr_qa.domain.calibration import BaselineConductance, Calibration, SettlingSummary
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.force_model import ForceModel
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
+
+_JSON: Final = ".json"
+_HDF5: Final = (".h5", ".hdf5")
 
 
 def show_calibration(path: Path) -> dict[str, Any]:
@@ -40,7 +52,85 @@ def show_calibration(path: Path) -> dict[str, Any]:
             ],
         },
         "image": _image(calibration),
+        "force_model": _force(calibration),
+        "no_force_model": _no_force(calibration),
     }
+
+
+@dataclass(frozen=True, slots=True)
+class Converted:
+    """What was written.
+
+    Parameters
+    ----------
+    source, output : files.
+    size_bytes : of what was written.
+    digest : of the content; for firmware that of the calibration it is from.
+    loss : what a firmware file loses, as it says itself; None for a conversion without loss.
+    """
+
+    source: Path
+    output: Path
+    size_bytes: int
+    digest: str
+    loss: dict[str, Any] | None
+
+    def document(self) -> dict[str, Any]:
+        """Return what ``--json`` prints."""
+        return {
+            "file": str(self.source),
+            "output": str(self.output),
+            "size_bytes": self.size_bytes,
+            "digest": self.digest,
+            "loss": self.loss,
+        }
+
+
+def export_calibration(source: Path, output: Path, *, firmware: bool = False, stride: int | None = None) -> Converted:
+    """Convert a calibration: HDF5 to JSON or back without loss, or to small JSON for firmware.
+
+    Parameters
+    ----------
+    source, output : files; what they are is said by their suffixes, .h5 (or .hdf5) and .json.
+    firmware : write the small JSON.
+    stride : of its lattice, see :func:`~cbsr_qa.calibrate.firmware.firmware_document`.
+
+    Raises
+    ------
+    CalibrationError
+        If the source is not sound, or holds no force model and firmware is asked for.
+    RefusedError
+        If the output exists already, cannot be written, or has another suffix.
+    """
+    kind = output.suffix.lower()
+    if kind not in (_JSON, *_HDF5):
+        raise RefusedError(f"{output} says not by its suffix what to write", remedy="name a file .json or .h5")
+    if firmware and kind != _JSON:
+        raise RefusedError(f"firmware takes JSON, not {output.suffix}", remedy="name a file .json")
+    if output.exists():
+        raise RefusedError(f"{output} exists already", remedy="name another file, or remove it first")
+    read = read_json_calibration if source.suffix.lower() == _JSON else read_calibration
+    calibration = read(source)
+    loss = None
+    if kind in _HDF5:
+        write_calibration(output, calibration)
+    elif firmware:
+        document = firmware_document(calibration, stride=stride)
+        loss = {"lattice_stride": document["lattice_stride"], **document["loss"]}
+        _write_json(output, document)
+    else:
+        _write_json(output, json_document(calibration))
+    return Converted(source, output, output.stat().st_size, calibration.digest, loss)
+
+
+def _write_json(path: Path, document: dict[str, Any]) -> None:
+    text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
 
 
 def verify_file(path: Path) -> dict[str, Any]:
@@ -60,6 +150,64 @@ def verify_file(path: Path) -> dict[str, Any]:
         "schema_version": verified.schema_version,
         "datasets": verified.datasets,
     }
+
+
+def _no_force(c: Calibration) -> str | None:
+    if c.force is not None:
+        return None
+    return c.no_force or "issued before calibrations held force models"
+
+
+def _force(c: Calibration) -> dict[str, Any] | None:
+    """The force model in numbers: its map over the calibrated places, and the least force it detects."""
+    if c.force is None:
+        return None
+    model = c.force
+    places = _places(c, model)
+    response = np.exp(interpolated(model, model.log_response, places))
+    stderr = interpolated(model, model.log_response_stderr, places)
+    least = _least_force_N(c, model, places)
+    centre = int(np.argmin(np.hypot(*places.T)))
+    worst = int(np.argmax(least))
+    return {
+        "places": len(places),
+        "lattice_spacing_mm": model.lattice.spacing_mm,
+        "response_lowest": float(response.min()),
+        "response_highest": float(response.max()),
+        "response_stderr_lowest": float(stderr.min()),
+        "response_stderr_highest": float(stderr.max()),
+        "scatter": model.scatter,
+        "stress_kPa": list(model.stress_kPa),
+        "hold_s": model.steady_s,
+        "threshold": model.threshold,
+        "least_force_centre_N": float(least[centre]),
+        "least_force_worst_N": float(least[worst]),
+        "least_force_worst_at_mm": [float(places[worst, 0]), float(places[worst, 1])],
+        "head": c.indenter.words(),
+        "assumed": [name for name in c.assumed if name.endswith("stress")],
+    }
+
+
+def _places(c: Calibration, model: ForceModel) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Nodes of the lattice where the head may be, within the calibrated radius; all, where none is that near."""
+    everywhere, node = model.lattice.places_mm(), model.node.ravel()
+    fits = np.where(node >= 0, model.fits[node], False)
+    fits &= np.isfinite(TemplateFilter(model).template(everywhere)).all(axis=1)
+    near = fits & (np.hypot(*everywhere.T) <= c.validity.radius_mm)
+    return everywhere[near if near.any() else fits]
+
+
+def _least_force_N(
+    c: Calibration, model: ForceModel, places: np.ndarray[Any, np.dtype[np.float64]]
+) -> np.ndarray[Any, np.dtype[np.float64]]:
+    """Force at each place whose change of one frame just counts as a load (its detectability is the threshold)."""
+    size = np.linalg.norm(TemplateFilter(model).template(places), axis=1)
+    strength = np.sign(c.against_stress.slope.value) * model.threshold / size
+    contrast = 2 * strength / (2 - strength)
+    response = np.exp(interpolated(model, model.log_response, places))
+    stress = (contrast / response - c.against_stress.intercept.value) / c.against_stress.slope.value
+    force: np.ndarray[Any, np.dtype[np.float64]] = np.maximum(stress, 0.0) * c.indenter.area_mm2 / 1e3
+    return force
 
 
 def _identity(c: Calibration) -> dict[str, Any]:

@@ -1,6 +1,6 @@
 """A stored run to its conclusions: observations, judged measurements, verdict, and the calibration it earns."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cbsr_qa.analysis.measure import judge, measure_run
 from cbsr_qa.analysis.observe import observe_run
@@ -9,7 +9,9 @@ from cbsr_qa.analysis.strip_cycles import characterise_run
 from cbsr_qa.analysis.strip_measurements import measure_characterisation
 from cbsr_qa.app.setup import made
 from cbsr_qa.app.stages import Stages
+from cbsr_qa.calibrate.force_learning import LearnedForce
 from cbsr_qa.calibrate.issue import issue_calibration
+from cbsr_qa.calibrate.prepared_force import prepared_again
 from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.characterisation import Characterisation, CharacterisationSettings
 from cbsr_qa.domain.errors import CalibrationError, CbsrError, NumericsError
@@ -122,13 +124,22 @@ def calibrated(
             phases=recipe.calibrate_phases,
             overlap_threshold=_overlap_threshold(recipe),
             noise_figure=_measured(conclusion, "noise_figure"),
-            learned=force.learned,
+            learned=_as_stored(force.learned, conclusion.observation),
             learned_from=force.used,
             no_force=force.why,
         )
     except (CalibrationError, NumericsError) as error:
         return None, error.reason
     return issued, ""
+
+
+def _as_stored(learned: LearnedForce | None, run: RunObservation) -> LearnedForce | None:
+    """A force model with the templates that the database will give it again."""
+    if learned is None:
+        return None
+    kind, head = run.record.sensor_type, run.record.indenter
+    model = prepared_again(learned.model, kind, run.reconstruction.problem.used, run.reference, head)
+    return replace(learned, model=model)
 
 
 def _overlap_threshold(recipe: Recipe) -> float:

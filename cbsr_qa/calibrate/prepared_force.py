@@ -1,5 +1,7 @@
 """A force model's templates, worked out again from what a calibration's record holds."""
 
+from dataclasses import fields, replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,9 @@ from cbsr_qa.reconstruct.load_model import load_model
 from cbsr_qa.reconstruct.load_readings import MergedReadings
 
 Array = NDArray[np.float64]
+
+#: What is prepared; everything else of a model is learned.
+_PREPARED = frozenset({"lattice", "node", "templates", "log_size", "size_slope", "slopes", "fits"})
 
 
 def prepared_force(
@@ -69,3 +74,15 @@ def prepared_force(
             residue_stderr=0.0,
         )
     )
+
+
+def prepared_again(
+    model: ForceModel, sensor_type: SensorType, used: NDArray[np.bool_], reference: Array, head: Indenter
+) -> ForceModel:
+    """Return a learned model with the templates that a database gives it: the same to the bit on one computer.
+
+    Parameters and errors as of :func:`prepared_force`.
+    """
+    prepared = prepared_force(sensor_type, used, model.merging, reference, head)
+    learned = {field.name: getattr(model, field.name) for field in fields(model) if field.name not in _PREPARED}
+    return replace(prepared, **learned)

@@ -1,0 +1,159 @@
+"""A sensor's calibration applied to recordings: a row of force for every frame."""
+
+import csv
+import io
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from cbsr_qa.app.read_recording import read_recording_file
+from cbsr_qa.calibrate.force import Flag, Forces
+from cbsr_qa.calibrate.recorded_frames import recorded_frames
+from cbsr_qa.calibrate.runtime import Calibration
+from cbsr_qa.domain.errors import CbsrError, RefusedError
+from cbsr_qa.domain.recording import Recording
+from cbsr_qa.plugins import discover
+
+#: Told of each step, in words.
+Tell = Callable[[str], None]
+
+#: Frames that are worked on between two messages.
+_AT_ONCE: Final = 5000
+_SAID: Final = {
+    Flag.NOT_DETECTED: "no load detected",
+    Flag.OUTSIDE: "outside what was calibrated",
+    Flag.BELOW_RANGE: "below the calibrated forces",
+    Flag.ABOVE_RANGE: "above the calibrated forces",
+    Flag.WRONG_SIGN: "changes the other way than under a load",
+    Flag.MORE_THAN_ONE: "not that of one such head",
+    Flag.UNREADABLE: "a reading is missing or saturated",
+    Flag.OTHER_SENSOR: "not a frame of this sensor",
+}
+COLUMNS: Final = (
+    "time_s",
+    "force_N",
+    "stderr_N",
+    "x_mm",
+    "y_mm",
+    "place_stderr_mm",
+    "detectability",
+    "flags",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ApplyRequest:
+    """How a calibration is applied.
+
+    Parameters
+    ----------
+    place_mm : where the head presses; None to find it in every frame.
+    format, dataset : of the recordings, as for ``analyse``.
+    reference : how many of the first frames are of the unloaded sheet; None to count changes against the
+        calibration's own reference.
+    """
+
+    place_mm: tuple[float, float] | None = None
+    format: str | None = None
+    dataset: str | None = None
+    reference: int | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Applied:
+    """What came of one recording; ``forces`` and ``time_s`` are None where it was refused, and ``refused`` why."""
+
+    path: Path
+    time_s: np.ndarray[Any, np.dtype[np.float64]] | None
+    forces: Forces | None
+    remarks: tuple[str, ...]
+    refused: CbsrError | None = None
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield one row a frame by :data:`COLUMNS`; what is no number is None."""
+        if self.forces is None or self.time_s is None:
+            return
+        f = self.forces
+        columns = (self.time_s, f.force_N, f.stderr_N, *f.place_mm.T, f.place_stderr_mm, f.detectability)
+        for *numbers, flags in zip(*columns, f.flags.tolist(), strict=True):
+            told = [float(number) if np.isfinite(number) else None for number in numbers]
+            yield dict(zip(COLUMNS, (*told, flag_words(flags)), strict=True))
+
+
+def apply_calibration(
+    calibration: Path, recordings: list[Path], request: ApplyRequest, *, tell: Tell = lambda said: None
+) -> tuple[Applied, ...]:
+    """Turn the frames of recordings into force. A recording that is refused is a result, not an exception.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration cannot be used.
+    """
+    sensor, plugins = Calibration.load(calibration), discover()
+    found = []
+    for path in recordings:
+        try:
+            tell(f"reading {path.name}")
+            recording = read_recording_file(path, plugins, format_=request.format, dataset=request.dataset)
+            found.append(_applied(sensor, path, recording, request, tell))
+        except CbsrError as error:
+            found.append(Applied(path, None, None, (), error))
+    return tuple(found)
+
+
+def _applied(sensor: Calibration, path: Path, recording: Recording, request: ApplyRequest, tell: Tell) -> Applied:
+    frames = recorded_frames(sensor, recording, request.reference)
+    count, parts = len(frames.voltages), []
+    for first in range(0, count, _AT_ONCE):
+        tell(f"{path.name}: frames {first + 1} to {min(first + _AT_ONCE, count)} of {count}")
+        parts.append(sensor.force(frames.voltages[first : first + _AT_ONCE], place_mm=request.place_mm))
+    names = ("force_N", "stderr_N", "place_mm", "place_stderr_mm", "detectability", "flags")
+    forces = Forces(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return Applied(path, recording.frames.time_s, forces, frames.remarks)
+
+
+def flag_words(flags: int) -> str:
+    """Say what is to be said of a frame; empty where nothing is."""
+    return "; ".join(words for flag, words in _SAID.items() if flags & flag)
+
+
+def as_csv(applied: tuple[Applied, ...]) -> str:
+    """Return all rows as one CSV table; a column names the recording."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, ("recording", *COLUMNS), lineterminator="\n")
+    writer.writeheader()
+    for one in applied:
+        writer.writerows({"recording": one.path.name, **row} for row in one.rows())
+    return text.getvalue()
+
+
+def applied_document(calibration: Path, applied: tuple[Applied, ...]) -> dict[str, Any]:
+    """Return everything as one JSON document."""
+    return {"calibration": str(calibration), "recordings": [_document(one) for one in applied]}
+
+
+def _document(one: Applied) -> dict[str, Any]:
+    if one.refused is not None:
+        return {"file": str(one.path), "frames": [], "remarks": [], **one.refused.document()}
+    return {"file": str(one.path), "remarks": list(one.remarks), "frames": list(one.rows())}
+
+
+def write_table(path: Path, table: str) -> None:
+    """Write a table.
+
+    Raises
+    ------
+    RefusedError
+        If the file exists already, or its folder cannot be written to.
+    """
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(table)
+    except FileExistsError as error:
+        raise RefusedError(f"{path} exists already", remedy="name another file, or remove it first") from error
+    except OSError as error:
+        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
