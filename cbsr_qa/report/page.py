@@ -81,11 +81,21 @@ def run_page(result: RunResult) -> Page:
         ("Started", identity.started_at.strftime("%Y-%m-%d %H:%M %Z").strip()),
         ("Run", identity.run),
         ("Station time", duration(record.station_s)),
-        ("Calibration", "issued" if result.calibration else f"none: {result.calibration_why}"),
+        _issued(result),
     )
     observed = result.observation.warnings if result.observation else ()
     warnings = tuple(dict.fromkeys((*result.warnings, *observed)))
     return Page("Test report", identity.sensor.serial, _verdict(result), facts, identity.simulated, warnings)
+
+
+def _issued(result: RunResult) -> tuple[str, str]:
+    """What a run issued: a calibration, or a material file where a material was characterised."""
+    found = result.characterisation
+    if found is None:
+        return "Calibration", "issued" if result.calibration else f"none: {result.calibration_why}"
+    passed = result.verdict.outcome in (Outcome.PASS, Outcome.MARGINAL)
+    why = next(iter(found.refused), "" if passed else "the run did not pass")
+    return "Material file", f"none: {why}" if why else "issued"
 
 
 def recording_page(result: RecordingResult) -> Page:

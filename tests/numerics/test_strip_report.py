@@ -16,6 +16,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.measurement import Limit, Verdict
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.report import Figure, Paragraph, RunResult, Table
+from cbsr_qa.report.page import run_page
 from cbsr_qa.report.svg import checked_svg
 from cbsr_qa_plugins.sections.characterisation import MaterialCharacterisation
 
@@ -104,6 +105,15 @@ def test_only_what_passed_is_a_material(result):
     failed = replace(result, verdict=Verdict(Outcome.FAIL, "too soft"))
     assert why_no_material(failed) == "the run did not pass: too soft"
     assert why_no_material(replace(result, characterisation=None)) == "nothing was characterised"
+
+
+def test_the_head_of_the_report_says_what_was_issued(result):
+    assert dict(run_page(result).identity)["Material file"] == "issued"
+    failed = replace(result, verdict=Verdict(Outcome.FAIL, "too soft"))
+    assert dict(run_page(failed).identity)["Material file"] == "none: the run did not pass"
+    found = replace(result.characterisation, refused=("no modulus: nobody knows",))
+    assert dict(run_page(replace(result, characterisation=found)).identity)["Material file"].endswith("nobody knows")
+    assert "Calibration" in dict(run_page(replace(result, characterisation=None)).identity)
 
 
 def test_other_recipes_have_no_such_section(result):

@@ -19,6 +19,7 @@ from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation
 from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role
 from cbsr_qa.interfaces import SequenceContext
 from cbsr_qa.plugins import discover
+from cbsr_qa.runner.rules import place_violations
 from cbsr_qa_plugins.sequences.characterisation import CharacterisationSequence
 
 HEAD = '[recipe]\nname = "r"\ncalibrate_phases = []\n[[phases]]\nname = "p"\nsequence = "characterisation"\n'
@@ -102,6 +103,23 @@ def test_a_recipe_without_cycles_in_one_place_is_refused(phases, said):
     with pytest.raises(ConfigError, match=said):
         check_cycles(plan, recipe)
     check_cycles(plan, load_recipe("nine-locations").value)  # no business of a recipe that images
+
+
+@pytest.mark.parametrize(
+    ("x_mm", "y_mm", "allowed"),
+    [
+        (0.0, 0.0, True),  # as wide as the strip, edge on edge
+        (0.9, 0.0, True),  # along it
+        (0.0, 0.1, False),  # over its side
+        (0.0, -1e-6, False),
+    ],
+)
+def test_a_head_with_corners_stands_where_all_of_its_outline_does(x_mm, y_mm, allowed):
+    station, plugins = load_station("simulated-strip").value, discover()
+    strip, material = load_sensor_type("strip-40x20mm").value, load_material("cbsr-8wt").value
+    configuration = Configuration(station, load_recipe("characterisation").value, strip, material, 1, "")
+    found = list(place_violations(x_mm, y_mm, plan_of(configuration, plugins)))
+    assert not found if allowed else "mm from the sheet's edge" in found[0].what
 
 
 # --- sequence ---
