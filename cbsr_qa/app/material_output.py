@@ -93,6 +93,15 @@ def _resistance(found: Characterisation) -> Parameter:
     return replace(resistance, source=said)
 
 
+def _range(found: Characterisation) -> str:
+    """Say for what strains and stresses the lines hold."""
+    kept = [level for level in found.levels if not level.why]
+    least = max(min(level.strain for level in kept), found.lowest_strain or 0.0)
+    highest = max(kept, key=lambda level: level.strain)
+    stress = "" if highest.stress_kPa is None else f", up to {highest.stress_kPa:.3g} kPa"
+    return f"Characterised from {100 * least:g} to {100 * highest.strain:g} % strain{stress}."
+
+
 def _comments(result: RunResult) -> list[str]:
     """What a reader of the file must know."""
     found, identity = result.characterisation, result.record.identity
@@ -109,6 +118,7 @@ def _comments(result: RunResult) -> list[str]:
         lines.append(
             f"Between the pins, as the paper has it, the gauge factor is {slope.value:.4g} ± {slope.stderr or 0:.2g}."
         )
+    lines.append(f"{_range(found)} Standard errors are statistical, with that of the contacts.")
     lines += [f"Simulated: {what}." for what in identity.simulated]
     lines += [f"Reduced: {' '.join(what.split())}." for what in found.reduced]
     return lines

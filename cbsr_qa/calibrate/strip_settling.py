@@ -101,6 +101,8 @@ def unit_kernel(common: CommonRelaxation | None, traces: Sequence[DirectedTrace]
     constants_s = common.fit.time_constants_s
     if not constants_s:
         return Relaxation((0.0, 0.0), (1.0, 10.0), f"{source}; no relaxation stands out of the noise")
+    errors = " and ".join(f"{stderr:.2g} s" for stderr in common.fit.time_constant_stderr_s)
+    source += f"; standard errors of the time constants {errors}"
     weights = [_weight(traces, k, tau) for k, tau in enumerate(constants_s)]
     late_s = float(np.median([one.trace[0][0] for one in traces]))
     if len(weights) == 2 and late_s > _LATE * constants_s[0]:
