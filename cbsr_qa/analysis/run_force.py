@@ -13,7 +13,7 @@ from cbsr_qa.analysis.run_estimates import model_scale, reading_variance
 from cbsr_qa.analysis.run_loads import load_window
 from cbsr_qa.calibrate.force import ForceInverse, map_gradient
 from cbsr_qa.calibrate.force_learning import CalibrationLoads, LearnedForce, learn_force
-from cbsr_qa.calibrate.matched import Matches, TemplateFilter
+from cbsr_qa.calibrate.matched import Matches, TemplateFilter, scattered
 from cbsr_qa.calibrate.templates import TemplateBank, template_bank
 from cbsr_qa.domain.errors import CbsrError, NumericsError
 from cbsr_qa.domain.force_model import ForceModel
@@ -185,6 +185,7 @@ class _RunForce:
         left = filter_.at(data.before, data.place_mm).strength
         given = _noisy(filter_.at(rows, data.place_mm), noise, left * learned.model.residue_stderr)
         found = _noisy(filter_.search(rows), noise, left * learned.model.residue_stderr)
+        found = scattered(found, filter_.size_slope(found.place_mm), learned.model.place_scatter_mm)
         known, known_stderr = inverse.force(given)
         one, _ = flat.force(given)
         seen, seen_stderr = inverse.force(found)

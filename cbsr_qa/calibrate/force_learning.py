@@ -20,7 +20,7 @@ Array = NDArray[np.float64]
 #: Share of what was there before a press that is still there at its steady frames, and how unsure that is. Material
 #: relaxations are all but over by then and slow residues all but unchanged: chosen by us, between the two.
 RESIDUE_SHARE: Final = 0.3
-RESIDUE_STDERR: Final = 0.25
+RESIDUE_STDERR: Final = 0.15
 #: The predicted change must be this many of its own standard errors from zero, and the seen one as many of its own.
 _CLEAR: Final = 3.0
 #: An intercept nobody measured is fitted where stresses differ by this factor; it is not known better than this
@@ -308,7 +308,8 @@ def _threshold(bank: TemplateBank) -> float:
     """Detectability that noise reaches at the best of all places in one of 10 000 frames.
 
     The expected number of places where a smooth Gaussian field of unit variance over an area A exceeds ±u is
-    2 A √|Λ| (2π)^(−3/2) u e^(−u²/2), Λ the products of its slopes (Adler 1981, 6.9): that many by chance, and a few along the edge.
+    2 A √|Λ| (2π)^(−3/2) u e^(−u²/2), Λ the products of its slopes (Adler 1981, 6.9): that many by chance, and
+    a few along the edge.
     """
     xx, xy, yy = bank.slopes[bank.fits][:, 2:].T
     turns = float(np.sqrt(np.maximum(xx * yy - xy**2, 0.0)).sum()) * bank.lattice.spacing_mm**2

@@ -7,7 +7,7 @@ found on the lattice and from there by Fisher scoring.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -219,6 +219,21 @@ class TemplateFilter:
         return nodes, at - cell
 
 
+def scattered(matches: Matches, size_slope: Array, scatter_mm: float) -> Matches:
+    """Matches of found places that are off by more than noise makes them, and their strengths with them.
+
+    Parameters
+    ----------
+    size_slope : (n, 2) at the places (:meth:`TemplateFilter.size_slope`): a head found where changes are larger is
+        taken for as much weaker.
+    scatter_mm : standard deviation along an axis.
+    """
+    towards = np.empty((len(size_slope), 3, 2))
+    towards[:, 0], towards[:, 1:] = -matches.strength[:, None] * size_slope, _ONES
+    covariance = matches.covariance + scatter_mm**2 * (towards @ towards.transpose(0, 2, 1))
+    return replace(matches, covariance=covariance)
+
+
 def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
     """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN where a node is missing."""
     return all_interpolated(model, (values,), places_mm)[0]
@@ -242,6 +257,7 @@ def all_interpolated(model: ForceModel, tables: Sequence[Array], places_mm: Arra
     return found
 
 
+_ONES: Final = np.eye(2)
 #: Corners of a cell.
 _DOWN: Final = np.array([0, 0, 1, 1])
 _ACROSS: Final = np.array([0, 1, 0, 1])

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cbsr_qa.calibrate.file import read_calibration
 from cbsr_qa.calibrate.force import Flag, ForceInverse, Forces, map_gradient, range_flags
-from cbsr_qa.calibrate.matched import Matches, TemplateFilter
+from cbsr_qa.calibrate.matched import Matches, TemplateFilter, scattered
 from cbsr_qa.domain import calibration as record
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.force_model import ForceModel
@@ -97,7 +97,9 @@ class Calibration:
         rows, bad = self.rows(frames, current_A=current_A)
         head = self.issued.indenter if indenter is None else indenter
         if place_mm is None:
-            matches = self._filter(head).search(rows)
+            finder = self._filter(head)
+            matches = finder.search(rows)
+            matches = scattered(matches, finder.size_slope(matches.place_mm), self.model.place_scatter_mm)
         else:
             matches = self._filter(head).at(rows, self._places(place_mm, len(rows)))
         return self._forces(self._of_area(matches, head), bad, head, searched=place_mm is None)

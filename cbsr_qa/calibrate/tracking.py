@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from cbsr_qa.calibrate._track import KEPT, Track
 from cbsr_qa.calibrate.force import Flag, range_flags
-from cbsr_qa.calibrate.matched import Matches
+from cbsr_qa.calibrate.matched import Matches, scattered
 from cbsr_qa.calibrate.runtime import Calibration
 from cbsr_qa.domain.errors import CalibrationError
 
@@ -211,10 +211,11 @@ class ForceStream:
 
     def _match(self, track: Track, value: float, variance: float) -> Matches:
         """The track's strength and place; a template taken beside the place is as much too strong or too weak."""
-        place = track.place_covariance + self._model.place_scatter_mm**2 * np.eye(2)
-        shared = -value * place @ self._filter.size_slope(track.place_mm[None])[0]
+        slope = self._filter.size_slope(track.place_mm[None])
+        shared = -value * track.place_covariance @ slope[0]
         covariance = np.empty((1, 3, 3))
-        covariance[0, 0, 0] = variance + float(shared @ np.linalg.solve(place, shared))
+        covariance[0, 0, 0] = variance - value * float(shared @ slope[0])
         covariance[0, 0, 1:] = covariance[0, 1:, 0] = shared
-        covariance[0, 1:, 1:] = place
-        return Matches(track.place_mm[None], np.array([value]), covariance, np.zeros(1), np.zeros(1))
+        covariance[0, 1:, 1:] = track.place_covariance
+        match = Matches(track.place_mm[None], np.array([value]), covariance, np.zeros(1), np.zeros(1))
+        return scattered(match, slope, self._model.place_scatter_mm)
