@@ -1,0 +1,68 @@
+"""The page on using a calibration runs as printed, on a sensor and frames made for it."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+_TOP = Path(__file__).resolve().parents[2]
+_PAGE = (_TOP / "docs" / "how-to" / "use-a-calibration.md").read_text()
+_MAKE = """
+import sys
+sys.path.insert(0, sys.argv[1])
+from pathlib import Path
+import numpy as np
+from force_calibration import force_calibration, frames
+from stored_runs import SENSOR_TYPE
+from cbsr_qa.analysis.recording_file import write_recording
+from cbsr_qa.calibrate.file import write_calibration
+from cbsr_qa.domain.frames import FrameBlock, VoltageUnit
+from cbsr_qa.domain.recording import Recording, ScanKind
+write_calibration(Path("sensor.h5"), force_calibration())
+forces = np.repeat([0.0, 3.0], 6)
+seen = frames(np.tile((5.0, 7.0), (12, 1)), forces)
+np.save("frames.npy", seen)
+block = FrameBlock(2.5 * np.arange(12), seen, np.zeros(seen.shape, np.uint8), VoltageUnit.VOLT, 4e-4)
+write_recording(Path("press.h5"), Recording(
+    Path("press.h5"), "cbsr-recording", "", ScanKind.FULL, block, None, False, False, "station",
+    sensor_type=SENSOR_TYPE.name))
+"""
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("robot")
+    subprocess.run([sys.executable, "-c", _MAKE, str(_TOP / "tests" / "unit")], cwd=folder, check=True)
+    return folder
+
+
+def test_its_snippets_run_as_printed(folder):
+    code = "\n".join(re.findall(r"^```python\n(.*?)^```", _PAGE, re.M | re.S))
+    code += "\nassert trusted[6:].all() and abs(there.force_N[6:] - 3).max() < 0.3"
+    code += "\nassert np.allclose(doubled.force_N[6:], many.force_N[6:], rtol=1e-6)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    said = done.stdout.splitlines()
+    assert re.fullmatch(r"-?\d\.\d\d ± \d\.\d\d N at \[.*\] mm", said[0])
+    assert any(" loading " in line and line.startswith("1 ") for line in said)
+
+
+def test_its_commands_run_as_printed(folder):
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("CBSR_QA_")}
+    environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
+    blocks = re.findall(r"^```console\n(.*?)^```", _PAGE, re.M | re.S)
+    commands = [line[2:] for block in blocks for line in block.splitlines() if line.startswith("$ ")]
+    assert len(commands) >= 8
+    for command in commands:
+        done = subprocess.run(
+            ["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, check=False
+        )
+        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+        assert done.stdout.strip() or "--output" in command
+    assert (folder / "again.h5").read_bytes() == (folder / "sensor.h5").read_bytes()
+    forces = np.genfromtxt(folder / "forces.csv", delimiter=",", skip_header=1, usecols=2)
+    assert np.abs(forces[6:] - 3).max() < 0.3
