@@ -74,9 +74,18 @@ def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> C
     )
     rested = _pins(unloaded_frames(record))
     _check_contact(phases)
+    if not len(rested.ohm):
+        raise NumericsError(
+            "no reading of the rested strip can be used", remedy="take more unloaded frames before the first press"
+        )
     resistance_ohm = float(rested.ohm.mean())
-    notes: list[str] = []
-    readings = [one for phase in phases for one in _phase_cycles(phase, record, resistance_ohm, strip, notes)]
+    forces = [strip_force(phase, strip.pressed_mm2) for phase in phases]
+    unread: list[str] = []
+    readings = [
+        one
+        for phase, force in zip(phases, forces, strict=True)
+        for one in _phase_cycles(phase, resistance_ohm, force, unread)
+    ]
     count = len(rested.ohm)
     deviation = float(rested.ohm.std(ddof=1)) if count > 1 else 0.0
     identity = record.identity
@@ -89,7 +98,8 @@ def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> C
         declared=record.sensor_type.response,
         source=source,
     )
-    return characterise(readings, specimen, settings, notes=notes)
+    notes = tuple(dict.fromkeys(note for force in forces for note in force.notes))
+    return characterise(readings, specimen, settings, notes=notes, unread=unread)
 
 
 def _place_mm(phases: list[PhaseRecord]) -> tuple[float, float]:
@@ -115,7 +125,9 @@ def _pins(frames: FrameBlock | None) -> _Pins:
 
 def _check_contact(phases: list[PhaseRecord]) -> None:
     """Refuse pins that do not carry the current, and readings that never move."""
-    taken = [phase.frames for phase in phases if phase.frames is not None]
+    taken = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
+    if not taken:
+        raise NumericsError("nothing was read through the press cycles", remedy="take frames through holds and rests")
     flags = np.concatenate([frames.flags[:, 0, 0] for frames in taken])
     flagged = int(((flags & _UNUSABLE) != 0).sum())
     if flagged > _DEAD_SHARE * len(flags):
@@ -137,11 +149,9 @@ def _check_contact(phases: list[PhaseRecord]) -> None:
 
 
 def _phase_cycles(
-    phase: PhaseRecord, record: RunRecord, resistance_ohm: float, strip: StripModel, notes: list[str]
+    phase: PhaseRecord, resistance_ohm: float, force: StripForce, unread: list[str]
 ) -> list[CycleReadings]:
     pins = _pins(phase.frames)
-    force = strip_force(phase, strip.pressed_mm2)
-    notes += force.notes
     counts: dict[float, int] = {}
     cycles = []
     for load in phase.loads:
@@ -150,7 +160,7 @@ def _phase_cycles(
         counts[strain] = number + 1
         one = _cycle(load, number, pins, resistance_ohm, force)
         if min(len(one.held), len(one.rested)) < _FEWEST:
-            notes.append(
+            unread.append(
                 f"left out: cycle {number + 1} of {100 * strain:g} % strain has {len(one.held)} usable readings of"
                 f" its hold and {len(one.rested)} of its rest; {_FEWEST} of each are needed"
             )

@@ -28,6 +28,7 @@ MEASURES: Final = {
     "common_settling_time": "s",
     "slow_residue": "1",
     "cycles_used": "1",
+    "cycles_excluded": "1",
     "strains_excluded": "1",
     "lowest_strain": "1",
 }
@@ -146,8 +147,11 @@ def _settling(one: StrainSettling) -> Measurement:
 def _counts(found: Characterisation) -> Iterator[Measurement]:
     excluded = [level.why for level in found.levels if level.why]
     used = sum(level.cycles for level in found.levels if not level.why)
-    why = "; ".join(found.reduced) or "none left out"
-    yield Measurement("cycles_used", float(used), "1", how=why)
+    lost = sum(level.cycles for level in found.levels if level.why) + len(found.unread)
+    yield Measurement("cycles_used", float(used), "1", how="cycles the lines are drawn through")
+    yield Measurement(
+        "cycles_excluded", float(lost), "1", how="; ".join((*found.unread, *excluded)) or "none left out"
+    )
     yield Measurement("strains_excluded", float(len(excluded)), "1", how="; ".join(excluded) or "none left out")
     how = "least strain at which α ε + β is three standard errors from zero"
     yield Measurement("lowest_strain", found.lowest_strain, "1", how=how)

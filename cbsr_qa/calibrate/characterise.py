@@ -77,6 +77,7 @@ def characterise(
     settings: CharacterisationSettings,
     *,
     notes: Sequence[str] = (),
+    unread: Sequence[str] = (),
 ) -> Characterisation:
     """Characterise a material.
 
@@ -88,7 +89,8 @@ def characterise(
     Parameters
     ----------
     readings : in the order of their times, the first one pressed on a rested strip.
-    notes : what was left out before, for ``reduced``.
+    notes : what else is known against the readings, for ``reduced``.
+    unread : cycles that are not among them, by name and with the reason.
 
     Returns
     -------
@@ -127,13 +129,14 @@ def characterise(
         stress=stress,
         lowest_strain=lowest,
         residue=_as_parameters(work.residue, specimen.source),
+        unread=tuple(unread),
         refused=(),
         reduced=(),
     )
     return replace(
         found,
         refused=why_refused(found, disagreement, why_no_modulus),
-        reduced=(*notes, *why_reduced(found, work.why_no_stress)),
+        reduced=(*notes, *unread, *why_reduced(found, work.why_no_stress)),
     )
 
 

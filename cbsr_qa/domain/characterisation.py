@@ -203,6 +203,7 @@ class Characterisation:
     lowest_strain : least strain at which the local line is clear of zero; None where it never is.
     residue : share of a release that outlasts the relaxation, and the time constant it fades with [s]; None where
         none was found.
+    unread : cycles that could not be used at all, by name.
     refused : why no material file may be issued; empty where one may.
     reduced : what was left out, or narrows the range of use.
     """
@@ -225,5 +226,6 @@ class Characterisation:
     stress: Relaxation | None
     lowest_strain: float | None
     residue: tuple[Parameter, Parameter] | None
+    unread: tuple[str, ...]
     refused: tuple[str, ...]
     reduced: tuple[str, ...]

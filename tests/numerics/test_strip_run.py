@@ -107,6 +107,17 @@ def test_readings_that_never_move_are_refused(run):
         characterise_run(turned, SETTINGS)
 
 
+def test_without_readings_of_the_rested_strip_there_is_no_change(run):
+    first = run.phases[0].loads[0].press_start_s
+
+    def lost(frames):
+        flags = np.where(frames.time_s < first, np.uint8(ReadingFlag.MISSING), np.uint8(0))[:, None, None]
+        return replace(frames, flags=flags)
+
+    with pytest.raises(NumericsError, match="no reading of the rested strip can be used"):
+        characterise_run(with_frames(run, lost), SETTINGS)
+
+
 def test_a_cycle_that_was_not_read_is_left_out_by_name(run):
     load = run.phases[0].loads[4]
 
@@ -119,6 +130,9 @@ def test_a_cycle_that_was_not_read_is_left_out_by_name(run):
     assert sum(level.cycles for level in found.levels) == 8
     assert "left out: cycle 2 of 20 % strain has 0 usable readings of its hold and 60 of its rest" in found.reduced[0]
     assert found.local_against_strain.line.slope.value == pytest.approx(0.6, rel=0.04)
+    counts = {m.name: (m.value, m.how) for m in measure_characterisation(found) if m.name.startswith("cycles")}
+    assert counts["cycles_used"][0] == 8
+    assert counts["cycles_excluded"] == (1, found.unread[0])
 
 
 def test_a_load_cell_at_its_limit_costs_the_strains_it_could_not_follow(run):
