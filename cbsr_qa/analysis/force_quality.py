@@ -171,9 +171,10 @@ class MapQuality:
 
 
 def map_quality(learned: LearnedForce, radius_mm: float) -> MapQuality:
-    """Look at the map within a radius; at the centre where no place is."""
+    """Look at the map within a radius; at the place nearest to the centre where no other is."""
     places = sheet_places(learned.model, stride=1)
-    places = places[np.hypot(*places.T) <= radius_mm + 1e-9]
+    away = np.hypot(*places.T)
+    places = places[away <= max(radius_mm, float(away.min())) + 1e-9]
     values = interpolated(learned.model, learned.model.log_response, places)
     stderr = interpolated(learned.model, learned.model.log_response_stderr, places)
     response = np.exp(values)

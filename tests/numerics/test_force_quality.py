@@ -8,8 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_runs import simulated_run
 
-from cbsr_qa.analysis.force_quality import FEWEST_COVERED, ForceErrors
+from cbsr_qa.analysis.force_quality import FEWEST_COVERED, ForceErrors, map_quality
 from cbsr_qa.analysis.observe import observe_run
+from cbsr_qa.analysis.run_force import run_force
 from cbsr_qa.calibrate.common_relaxation import fit_common_relaxation
 from cbsr_qa.calibrate.gauge_factor import sheet_gauge_factor, steady_share
 from cbsr_qa.calibrate.response_average import average_response
@@ -202,6 +203,13 @@ def test_an_even_sheet_is_found_even_and_its_detection_is_worst_where_fields_are
     assert measured[("response_uniformity", "")].value < 5
     centre, worst = (measured[("minimum_detectable_force", where)].value for where in ("centre", "worst place"))
     assert 0 < centre <= worst < 2
+
+
+def test_a_map_of_loads_at_one_place_is_looked_at_there(observed):
+    found = map_quality(run_force(observed).learned, 0.0)
+    np.testing.assert_allclose(found.places_mm, [[0.0, 0.0]], atol=1e-9)
+    assert found.spread == pytest.approx(found.rms_error)
+    assert found.least_sure_mm == pytest.approx((0.0, 0.0), abs=1e-9)
 
 
 def _section(run, measurements):
