@@ -48,6 +48,16 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
         yield one
 
 
+def unmeasured(loads: Sequence[LoadObservation]) -> Iterator[str]:
+    """Yield why loads have no force although a load cell recorded one, each reason once."""
+    silent: dict[str, list[LoadObservation]] = {}
+    for load in loads:
+        if load.no_force:
+            silent.setdefault(load.no_force, []).append(load)
+    for why, members in silent.items():
+        yield f"no force was measured of {_names(members)}: {why}"
+
+
 def reading_reductions(pattern: DrivePattern, usable: NDArray[np.bool_]) -> Iterator[str]:
     """Yield what readings of a sensor could not be used, and electrodes of which none could."""
     wanted = pattern.usable()

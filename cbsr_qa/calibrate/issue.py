@@ -10,7 +10,7 @@ from cbsr_qa.calibrate._force import as_filed
 from cbsr_qa.calibrate.baseline import baseline_conductance, load_baseline
 from cbsr_qa.calibrate.digests import stamped
 from cbsr_qa.calibrate.force_learning import LearnedForce
-from cbsr_qa.calibrate.force_validity import force_reductions, reading_reductions
+from cbsr_qa.calibrate.force_validity import force_reductions, reading_reductions, unmeasured
 from cbsr_qa.calibrate.settling import restricted_mean
 from cbsr_qa.domain.calibration import (
     BaselineConductance,
@@ -144,7 +144,7 @@ def _calibration(
         settling=summarise_settling(relaxations),
         overlap_bands=settings.overlap_bands,
         overlap_threshold=issue.overlap_threshold,
-        validity=_validity(observation, fits, fits.used() or used, baseline),
+        validity=_validity(observation, fits, loads, fits.used() or used, baseline),
         simulated=record.identity.simulated,
         relaxations=relaxations,
         size_ratio=settings.size_ratio,
@@ -251,6 +251,7 @@ def _assumed(stress: QuasiStatic | None, strain: QuasiStatic | None, learned: Le
 def _validity(
     observation: RunObservation,
     fits: _Fits,
+    loads: Sequence[LoadObservation],
     used: Sequence[LoadObservation],
     baseline: Sequence[BaselineConductance],
 ) -> Validity:
@@ -263,7 +264,7 @@ def _validity(
         strain=(min(strains), max(strains)),
         temperature_C=_temperature_C(observation),
         radius_mm=max(radii),
-        reduced=tuple(_reductions(observation, fits, baseline)),
+        reduced=tuple(_reductions(observation, fits, loads, baseline)),
     )
 
 
@@ -276,10 +277,16 @@ def _temperature_C(observation: RunObservation) -> tuple[float, float] | None:
     return float(joined.min()), float(joined.max())
 
 
-def _reductions(observation: RunObservation, fits: _Fits, baseline: Sequence[BaselineConductance]) -> Iterator[str]:
+def _reductions(
+    observation: RunObservation,
+    fits: _Fits,
+    loads: Sequence[LoadObservation],
+    baseline: Sequence[BaselineConductance],
+) -> Iterator[str]:
     for place in baseline:
         if place.value is None:
             yield f"{place.location} at ({place.x_mm:g}, {place.y_mm:g}) mm is left out: {place.why}"
+    yield from unmeasured(loads)
     if fits.learned is None:
         yield f"no force can be told: {fits.no_force}"
     else:

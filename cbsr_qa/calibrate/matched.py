@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.force_model import ForceModel
 
 Array = NDArray[np.float64]
@@ -54,6 +55,11 @@ class TemplateFilter:
     ----------
     model : of the sensor.
     size : q, the head's squared radius over that of the calibrated one.
+
+    Raises
+    ------
+    CalibrationError
+        If no place has the neighbours that a search needs.
     """
 
     def __init__(self, model: ForceModel, *, size: float = 1.0) -> None:
@@ -65,6 +71,8 @@ class TemplateFilter:
         self._stencil = _stencils(model.node)
         self._node_of = model.node.ravel()
         self._coarse = np.flatnonzero(_pressable(model.node, model.fits) & _every(_STRIDE, model.node))
+        if not len(self._coarse):
+            raise CalibrationError("there is no place on the lattice that a head could be searched from")
         self._bank = np.ascontiguousarray(self.templates[self._node_of[self._coarse]].T)
         self._number = np.full(model.node.size, -1)
         self._number[self._coarse] = np.arange(len(self._coarse))

@@ -164,6 +164,14 @@ def test_a_sheet_nobody_presses_shows_no_load(calibration):
     assert (loads.force_N == 0).all()
 
 
+def test_a_model_in_which_nothing_can_be_searched_is_refused(calibration):
+    model = calibration.issued.force
+    corner = np.zeros_like(model.fits)
+    corner[0] = True
+    with pytest.raises(CalibrationError, match="no place on the lattice that a head could be searched from"):
+        Calibration(replace(calibration.issued, force=replace(model, fits=corner)))
+
+
 def test_a_calibration_without_a_model_says_why_it_gives_no_force(file):
     issued = force_calibration()
     with pytest.raises(CalibrationError, match="0193-c of sensor S-1 holds no force model: too few loads"):

@@ -11,6 +11,7 @@ from test_issue import _issue
 from cbsr_qa.analysis.load_cell import stood_at_limit
 from cbsr_qa.calibrate.force_learning import LearnedForce
 from cbsr_qa.calibrate.force_validity import reading_reductions
+from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
@@ -166,6 +167,18 @@ def test_where_nothing_has_noise_nothing_can_be_told():
 
 
 def test_a_load_whose_cell_was_saturated_says_so_where_its_force_is_missed():
-    saturated = replace(sample_load("L7", force_N=None), no_force="the load cell stood at 5 N")
+    saturated = replace(sample_load("L0", force_N=None, trial=1), no_force="the load cell stood at 5 N")
     issued = _issue(sample_run((*_loads(), saturated)))
-    assert issued.validity.reduced[0] == "L7 at (0, 0) mm is left out: the load cell stood at 5 N"
+    assert issued.validity.reduced[0] == (
+        "no force was measured of L0 at (0, 0) mm, trial 1: the load cell stood at 5 N"
+    )
+    assert issued.baseline[0].value is not None
+    alone = replace(sample_load("L9", (3.0, 3.0), force_N=None), no_force="the load cell stood at 5 N")
+    reduced = _issue(sample_run((*_loads(), alone))).validity.reduced
+    assert reduced[0] == "L9 at (3, 3) mm is left out: the load cell stood at 5 N"
+
+
+def test_a_run_whose_load_cell_was_saturated_throughout_is_refused_for_that_reason():
+    loads = tuple(replace(load, force_N=None, no_force="the load cell stood at 5 N") for load in _loads())
+    with pytest.raises(CalibrationError, match="no load gives a baseline conductance: the load cell stood at 5 N"):
+        _issue(sample_run(loads))
