@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 import pytest
@@ -30,8 +31,13 @@ def result():
     return RunResult(record, None, measured, Verdict(Outcome.PASS, "met"), None, "none", characterisation=found)
 
 
+@lru_cache
+def rendered(result):
+    return MaterialCharacterisation().render(result)
+
+
 def blocks(result, kind):
-    return [block for block in MaterialCharacterisation().render(result).blocks if isinstance(block, kind)]
+    return [block for block in rendered(result).blocks if isinstance(block, kind)]
 
 
 def words(result):
