@@ -23,6 +23,7 @@ PARTS = (
     "load_estimate",
     "methods",
     "steady_state",
+    "force",
 )
 _HEAD = """# Performance
 
