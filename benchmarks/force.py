@@ -69,8 +69,9 @@ def notes() -> str:
     return (
         "\nThe calibration is what `cbsr-qa run --station simulated --recipe nine-locations` issues; the loads are"
         " the run's ten random ones, at other places and forces than it was calibrated with. The other way"
-        " reconstructs an image with the matrix of the file, keeps what exceeds 85 % of its maximum, takes the mean of"
-        " the heaviest blob and solves the paper's Eq 7 with the mean of the file's nine ρ̄₀. Truth is the load cell.\n"
+        " reconstructs an image with the matrix of the file, keeps what exceeds 85 % of its maximum, takes the mean"
+        " of the heaviest blob and solves the paper's Eq 7 with the mean of the file's nine ρ̄₀. Truth is the load"
+        " cell.\n"
     )
 
 
