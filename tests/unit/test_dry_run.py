@@ -182,7 +182,7 @@ def test_done_loads_cost_nothing():
 def test_every_violation_is_listed_before_anything_moves():
     plan = example_plan(
         (*cycle(strain=0.36), *cycle(x_mm=42.1)),
-        (FindSurface(0, 43.6), Hold(4 * 3600, acquire=False), *cycle()),
+        (FindSurface(0, 43.6), Hold(13 * 3600, acquire=False), *cycle()),
     )
     dry = dry_run(plan, 2.5)
     said = "\n".join(dry.violations)
@@ -190,7 +190,7 @@ def test_every_violation_is_listed_before_anything_moves():
     assert "42.1 mm from the centre; the station allows 41 mm" in said
     assert "finding the surface at (0, 43.6) mm" in said
     assert "would reach 50.1 mm; the sheet ends at 50 mm" in said
-    assert "the run takes 4.1 h; the station allows 3.0 h" in said
+    assert "the run takes 13.1 h; the station allows 12.0 h" in said
     with pytest.raises(RefusedError) as refused:
         dry.refuse()
     assert all(violation in refused.value.reason for violation in dry.violations)

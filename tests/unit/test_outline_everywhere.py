@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from calibration_samples import assert_same, sample_calibration, sample_reconstruction
+from calibration_samples import assert_same, sample_calibration, sample_force, sample_reconstruction
 from matplotlib.figure import Figure
 from simulated_setting import HEAD, context, scene
 
@@ -61,7 +61,8 @@ def test_a_stored_disc_holds_what_it_always_held():
 def test_a_calibration_file_holds_the_outline(make):
     sensor = make()
     calibration = replace(sample_calibration(), sensor_type=sensor, reconstruction=sample_reconstruction(sensor))
-    calibration = replace(calibration, reference=np.ones(sensor.pattern.shape))
+    force = sample_force(int(sensor.pattern.usable().sum()))
+    calibration = replace(calibration, reference=np.ones(sensor.pattern.shape), force=force)
     back = decode(encode(calibration))
     assert back.sensor_type == sensor
     assert back.reconstruction.problem.sensor_type == sensor
