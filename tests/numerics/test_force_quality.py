@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from simulated_runs import simulated_run
 
-from cbsr_qa.analysis.force_quality import FEWEST_COVERED, ForceErrors, map_quality
+from cbsr_qa.analysis import force_quality
+from cbsr_qa.analysis.force_quality import FEWEST_COVERED, TRIAL_LEFT_OUT, ForceErrors, map_quality
 from cbsr_qa.analysis.observe import observe_run
 from cbsr_qa.analysis.run_force import run_force
 from cbsr_qa.calibrate.common_relaxation import fit_common_relaxation
@@ -106,7 +107,7 @@ def test_repeated_places_do_not_make_an_average_surer(learned_map):
     assert often == pytest.approx(once)
 
 
-@settings(max_examples=12)
+@settings(max_examples=12, deadline=None)
 @given(st.floats(0.1, 3.0), st.sampled_from([1.0, -1.0]))
 def test_loads_of_an_even_sheet_give_its_gauge_factor(factor, sign):
     line = QuasiStatic(Parameter(sign * 0.6, None, "test"), Parameter(0.0, None, "test"))
@@ -191,6 +192,12 @@ def test_force_is_told_within_its_stated_errors(measured):
         assert abs(bias.value) < 0.1
         assert deviation.uncertainty > 0
     assert measured[("force_error_sd", "place known")].how.startswith("5 loads of random")
+
+
+def test_only_places_of_several_trials_test_a_trial_that_is_left_out(observed, measured):
+    found = force_quality.tests_of(observed, run_force(observed), TRIAL_LEFT_OUT)
+    assert sorted(test.load.record.load.label for test in found) == sorted(["L1", "L2", "L3", "L4"] * 2)
+    assert measured[("force_error_sd", "place known, trial left out")].how.startswith("8 loads of grid")
 
 
 def test_five_loads_say_nothing_of_coverage(measured):

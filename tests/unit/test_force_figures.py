@@ -88,7 +88,7 @@ def test_bands_are_real_whatever_the_stated_errors(stated):
 
 
 @given(st.floats(1e-9, 1e6), st.floats(1, 1e6))
-@settings(max_examples=50)
+@settings(max_examples=50, deadline=None)
 def test_levels_hold_all_values_between_round_numbers(least, ratio):
     most = least * ratio
     levels = round_levels(least, most)

@@ -270,7 +270,7 @@ def _line_words(learned: LearnedForce) -> str:
     if not learned.fitted_intercept:
         return f"The intercept β_σ of the line is {number(beta.value, 2)}, {beta.source}."
     return (
-        f"The intercept β_σ of the line is {with_uncertainty(1e3 * beta.value, 1e3 * (beta.stderr or 0.0))} × 10⁻³,"
+        f"The intercept β_σ of the line is ({with_uncertainty(1e3 * beta.value, 1e3 * (beta.stderr or 0.0))}) × 10⁻³,"
         f" {beta.source}."
     )
 
