@@ -184,7 +184,8 @@ class Calibration:
     def _flags(self, matches: Matches, detectability: Array, *, searched: bool) -> NDArray[np.int64]:
         flags = np.zeros(len(detectability), dtype=np.int64)
         level = self.model.threshold if searched else _CLEAR
-        flags[~(detectability >= level)] |= Flag.NOT_DETECTED
+        flags[detectability < level] |= Flag.NOT_DETECTED
+        flags[np.isnan(detectability)] |= Flag.OUTSIDE  # no head can be there
         there = detectability >= level
         sign = np.sign(self.issued.against_stress.slope.value)
         flags[there & (matches.strength * sign < 0)] |= Flag.WRONG_SIGN

@@ -158,6 +158,23 @@ def test_what_cannot_be_a_frame_of_this_sensor_is_flagged_and_gives_no_number(ca
     np.testing.assert_allclose(calibration.force(unused).force_N, loads.force_N[:1], rtol=1e-12)
 
 
+def test_a_place_where_no_head_can_be_is_outside_and_gives_no_number(calibration):
+    good = frames([(5.0, 7.0)], [2.0])
+    for place in ((46.0, 10.0), (400.0, 0.0), (0.0, -49.9)):
+        load = calibration.force(good, place_mm=place)
+        assert load.flags.tolist() == [Flag.OUTSIDE]
+        assert np.isnan(load.force_N).all()
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-300, 1e-12, 1e-3, 0.1, 1.0, 1e3, 1e150, 1e300])
+def test_noise_of_any_size_is_flagged_wherever_it_gives_no_number(calibration, size):
+    noise = size * np.random.default_rng(1).standard_normal((50, 16, 16))
+    for place in (None, (3.0, 4.0), (46.0, 0.0)):
+        load = calibration.force(calibration.issued.reference + noise, place_mm=place)
+        missing = ~np.isfinite(load.force_N) | ~np.isfinite(load.stderr_N) | ~np.isfinite(load.place_stderr_mm)
+        assert (load.flags[missing] != 0).all()
+
+
 def test_a_sheet_nobody_presses_shows_no_load(calibration):
     loads = calibration.force(frames(np.zeros((200, 2)), np.zeros(200)))
     assert np.mean(loads.flags & Flag.NOT_DETECTED > 0) == 1.0
