@@ -16,6 +16,7 @@ from cbsr_qa.analysis.force_quality import (
     gauge_factor,
     global_errors,
     map_quality,
+    places_mm,
     tests_of,
 )
 from cbsr_qa.analysis.run_force import ForceTest, RunForce, run_force
@@ -130,11 +131,13 @@ def _counted(errors: ForceErrors) -> str:
 def _map(found: RunForce, learned: LearnedForce) -> Iterator[Measurement]:
     radius_mm = calibrated_radius_mm(found)
     quality = map_quality(learned, radius_mm)
-    used = sum(not why for why in learned.refused)
-    how = f"within {radius_mm:.1f} mm of the centre, from {used} loads"
-    # A sheet whose response changes from load to load is seen at about as many places: as of so many values.
-    stderr = quality.spread / (2 * (used - 1)) ** 0.5
-    yield Measurement("response_uniformity", 100 * quality.spread, "%", 100 * stderr, how=f"spread of the map {how}")
+    used = [load for load, why in zip(found.used, learned.refused, strict=True) if not why]
+    places = len(np.unique(places_mm(used), axis=0))
+    how = f"within {radius_mm:.1f} mm of the centre, from {len(used)} loads at {places} places"
+    # As of one value a place; of one place nothing is known.
+    stderr = quality.spread / (2 * (places - 1)) ** 0.5 if places > 1 else None
+    error = None if stderr is None else 100 * stderr
+    yield Measurement("response_uniformity", 100 * quality.spread, "%", error, how=f"spread of the map {how}")
     x_mm, y_mm = quality.least_sure_mm
     where = f"most, {100 * quality.stderr.max():.2g} %, at ({x_mm:.0f}, {y_mm:.0f}) mm".replace("-", "−")
     yield Measurement("response_uncertainty", 100 * quality.rms_error, "%", how=f"root mean square {how}; {where}")
