@@ -181,7 +181,7 @@ def test_silence_is_noticed_within_a_hold_without_frames():
 
 
 def test_a_run_that_overstays_is_stopped():
-    script = Script(VirtualClock(), {"force_applicator.find_surface": 4 * 3600})
+    script = Script(VirtualClock(), {"force_applicator.find_surface": 13 * 3600})
     ended, _, script, bench = run(script=script)
     assert_safe(script, bench)
     assert "rule 'duration'" in ended.detail
