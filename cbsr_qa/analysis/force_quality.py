@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run_force import ForceTest, RunForce
+from cbsr_qa.analysis.run_force import TRIAL_LEFT_OUT, ForceTest, RunForce
 from cbsr_qa.analysis.run_loads import load_window
 from cbsr_qa.calibrate.common_relaxation import fit_common_relaxation
 from cbsr_qa.calibrate.data_sheet import Estimate
@@ -23,9 +23,6 @@ from cbsr_qa.domain.steps import Role
 
 Array = NDArray[np.float64]
 
-#: What ``ForceTest.how`` says.
-HELD_OUT: Final = "held out"
-TRIAL_LEFT_OUT: Final = "trial left out"
 #: Fewest errors a standard deviation is taken of.
 FEWEST: Final = 2
 #: With fewer loads the share inside an interval tells an honest one from one that is too narrow by half only by luck:

@@ -27,6 +27,13 @@ Array = NDArray[np.float64]
 _TOGETHER: Final = "several loads were held at once"
 
 
+#: How a load came to be tested.
+HELD_OUT: Final = "held out"
+TRIAL_LEFT_OUT: Final = "trial left out"
+#: Standard errors within which a load bears a force model out.
+_BORNE_OUT: Final = 3.0
+
+
 @dataclass(frozen=True, slots=True)
 class ForceTest:
     """One load's force as estimated by a model that has not seen it, beside what the load cell read.
@@ -68,6 +75,11 @@ class RunForce:
     used: tuple[LoadObservation, ...]
     tests: tuple[ForceTest, ...]
     why: str = ""
+
+    def confirmed(self) -> tuple[LoadObservation, ...]:
+        """Held-out loads whose force came out within three standard errors, the place known."""
+        held_out = [test for test in self.tests if test.how == HELD_OUT]
+        return tuple(t.load for t in held_out if abs(t.known_N - t.measured_N) <= _BORNE_OUT * t.known_stderr_N)
 
 
 @lru_cache(maxsize=2)
@@ -132,13 +144,13 @@ class _RunForce:
         """Learn and test."""
         calibrating = np.array([load.phase in self.run.settings.calibrate_phases for load in self.loads])
         learned = self.timed(self.learn(calibrating), calibrating)
-        tests = self.tests(learned, ~calibrating, "held out")
+        tests = self.tests(learned, ~calibrating, HELD_OUT)
         trials = np.array([load.record.load.trial for load in self.loads])
         for trial in sorted(set(trials[calibrating].tolist())):
             left_out = calibrating & (trials == trial)
             others = calibrating & ~left_out
             if self._repeated(left_out, others):
-                tests += self.tests(self.learn(others), left_out, "trial left out")
+                tests += self.tests(self.learn(others), left_out, TRIAL_LEFT_OUT)
         used = tuple(load for load, yes in zip(self.loads, calibrating, strict=True) if yes)
         return RunForce(learned, used, tuple(tests))
 

@@ -126,6 +126,7 @@ def calibrated(
             noise_figure=_measured(conclusion, "noise_figure"),
             learned=_as_stored(force.learned, conclusion.observation),
             learned_from=force.used,
+            confirmed=force.confirmed(),
             no_force=force.why,
         )
     except (CalibrationError, NumericsError) as error:

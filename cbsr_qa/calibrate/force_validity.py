@@ -48,6 +48,30 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
         yield one
 
 
+def tried_beyond(used: Sequence[LoadObservation], confirmed: Sequence[LoadObservation]) -> Iterator[str]:
+    """Yield where the range is one of loads that force was tried on and not learned from.
+
+    Parameters
+    ----------
+    used, confirmed : loads it was learned from, and loads that bore it out.
+    """
+    forces, tried = ([load.force_N for load in loads if load.force_N is not None] for loads in (used, confirmed))
+    if forces and tried and (min(tried) < min(forces) or max(tried) > max(forces)):
+        yield (
+            f"force was learned from {min(forces):.3g} to {max(forces):.3g} N; beyond, {len(tried)} loads from"
+            f" {min(tried):.3g} to {max(tried):.3g} N bore it out within three standard errors"
+        )
+    radii, reached = (
+        [float(np.hypot(load.record.load.x_mm, load.record.load.y_mm)) for load in loads]
+        for loads in (used, confirmed)
+    )
+    if radii and reached and max(reached) > max(radii):
+        yield (
+            f"force was learned up to {max(radii):.3g} mm from the centre;"
+            f" loads up to {max(reached):.3g} mm bore it out"
+        )
+
+
 def unmeasured(loads: Sequence[LoadObservation]) -> Iterator[str]:
     """Yield why loads have no force although a load cell recorded one, each reason once."""
     silent: dict[str, list[LoadObservation]] = {}

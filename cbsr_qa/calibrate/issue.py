@@ -10,7 +10,7 @@ from cbsr_qa.calibrate._force import as_filed
 from cbsr_qa.calibrate.baseline import baseline_conductance, load_baseline
 from cbsr_qa.calibrate.digests import stamped
 from cbsr_qa.calibrate.force_learning import LearnedForce
-from cbsr_qa.calibrate.force_validity import force_reductions, reading_reductions, unmeasured
+from cbsr_qa.calibrate.force_validity import force_reductions, reading_reductions, tried_beyond, unmeasured
 from cbsr_qa.calibrate.settling import restricted_mean
 from cbsr_qa.domain.calibration import (
     BaselineConductance,
@@ -40,6 +40,7 @@ def issue_calibration(
     noise_figure: float | None = None,
     learned: LearnedForce | None = None,
     learned_from: Sequence[LoadObservation] = (),
+    confirmed: Sequence[LoadObservation] = (),
     no_force: str = "",
 ) -> Calibration:
     """Issue a calibration.
@@ -57,6 +58,7 @@ def issue_calibration(
     learned : force model of the sensor; its line takes the place of α, β against stress, since its map was learned
         with it. None where there is none: ``no_force`` then says why.
     learned_from : the loads it was learned from or that it refused, in the order of ``learned.refused``.
+    confirmed : loads it was not learned from whose force it told within its stated error: they widen the range.
 
     Returns
     -------
@@ -79,6 +81,7 @@ def issue_calibration(
         _assumed(measured_stress, measured_strain, learned),
         learned,
         tuple(learned_from),
+        tuple(confirmed),
         "" if learned else no_force or "nobody asked for a force model",
     )
     return stamped(_calibration(observation, _loads_of(observation, phases), fits, identity))
@@ -103,6 +106,7 @@ class _Fits:
     assumed: tuple[str, ...]
     learned: LearnedForce | None
     learned_from: tuple[LoadObservation, ...]
+    confirmed: tuple[LoadObservation, ...]
     no_force: str
 
     @property
@@ -255,10 +259,14 @@ def _validity(
     used: Sequence[LoadObservation],
     baseline: Sequence[BaselineConductance],
 ) -> Validity:
-    """Range of the loads that force was learned from, or, without such, of those with a baseline conductance."""
-    forces = [load.force_N for load in used if load.force_N is not None]
-    strains = [load.record.load.strain for load in used]
-    radii = [float(np.hypot(load.record.load.x_mm, load.record.load.y_mm)) for load in used]
+    """Range of the loads that force was learned from, or, without such, of those with a baseline conductance.
+
+    Loads that the learned force was tried on, and that bore it out, count as well.
+    """
+    reached = [*used, *fits.confirmed]
+    forces = _forces_N(reached)
+    strains = [load.record.load.strain for load in reached]
+    radii = [float(np.hypot(load.record.load.x_mm, load.record.load.y_mm)) for load in reached]
     return Validity(
         force_N=(min(forces), max(forces)) if forces else None,
         strain=(min(strains), max(strains)),
@@ -266,6 +274,10 @@ def _validity(
         radius_mm=max(radii),
         reduced=tuple(_reductions(observation, fits, loads, baseline)),
     )
+
+
+def _forces_N(loads: Sequence[LoadObservation]) -> list[float]:
+    return [load.force_N for load in loads if load.force_N is not None]
 
 
 def _temperature_C(observation: RunObservation) -> tuple[float, float] | None:
@@ -291,4 +303,5 @@ def _reductions(
         yield f"no force can be told: {fits.no_force}"
     else:
         yield from force_reductions(fits.learned, fits.learned_from)
+        yield from tried_beyond(fits.used() or [], fits.confirmed)
     yield from reading_reductions(observation.record.sensor_type.pattern, observation.usable)

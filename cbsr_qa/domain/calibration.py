@@ -86,9 +86,9 @@ class Validity:
 
     Parameters
     ----------
-    force_N, strain : (lowest, highest) calibrated.
+    force_N, strain : (lowest, highest) calibrated, or tried and found to be told within the stated error.
     temperature_C : (lowest, highest), None where it was not measured.
-    radius_mm : loads further out than this were never calibrated.
+    radius_mm : loads further out than this were neither calibrated nor tried.
     reduced : reasons why the range is smaller than the recipe intended.
     """
 

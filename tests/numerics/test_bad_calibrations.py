@@ -135,3 +135,18 @@ def test_a_load_that_answers_the_other_way_is_named_and_left_out(record):
         for why in issued.validity.reduced
     )
     assert issued.force is not None
+
+
+def test_loads_that_bear_a_model_out_widen_its_range(record):
+    (phase,) = record.phases
+    # L3 … L6 lie 21 mm from the centre, L1 and L2 30 mm.
+    inner, outer = (
+        tuple(replace(phase.loads[which], index=index) for index, which in enumerate(chosen))
+        for chosen in ((0, 3, 4, 5, 6), (1, 2))
+    )
+    parts = (replace(phase, loads=inner), replace(phase, index=1, name="others", loads=outer))
+    issued, _ = _calibrated(replace(record, phases=parts))
+    assert issued.validity.radius_mm == 30.0
+    assert "force was learned up to 21.2 mm from the centre; loads up to 30 mm bore it out" in issued.validity.reduced
+    alone, _ = _calibrated(replace(record, phases=parts[:1]))
+    assert alone.validity.radius_mm == pytest.approx(15 * 2**0.5)

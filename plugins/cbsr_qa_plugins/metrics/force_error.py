@@ -7,8 +7,6 @@ from typing import Any, ClassVar, Final
 import numpy as np
 
 from cbsr_qa.analysis.force_quality import (
-    HELD_OUT,
-    TRIAL_LEFT_OUT,
     ForceErrors,
     calibrated_radius_mm,
     detectable_forces,
@@ -19,7 +17,7 @@ from cbsr_qa.analysis.force_quality import (
     places_mm,
     tests_of,
 )
-from cbsr_qa.analysis.run_force import ForceTest, RunForce, run_force
+from cbsr_qa.analysis.run_force import HELD_OUT, TRIAL_LEFT_OUT, ForceTest, RunForce, run_force
 from cbsr_qa.calibrate.data_sheet import Estimate
 from cbsr_qa.calibrate.force_learning import LearnedForce
 from cbsr_qa.domain.errors import CbsrError

@@ -7,8 +7,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.force_quality import (
-    HELD_OUT,
-    TRIAL_LEFT_OUT,
     ForceErrors,
     calibrated_radius_mm,
     errors_of,
@@ -17,7 +15,7 @@ from cbsr_qa.analysis.force_quality import (
     places_mm,
     tests_of,
 )
-from cbsr_qa.analysis.run_force import ForceTest, RunForce, run_force
+from cbsr_qa.analysis.run_force import HELD_OUT, TRIAL_LEFT_OUT, ForceTest, RunForce, run_force
 from cbsr_qa.calibrate.force_learning import LearnedForce
 from cbsr_qa.calibrate.matched import interpolated
 from cbsr_qa.domain.load_events import RecordingResult
