@@ -9,7 +9,7 @@ from typing import Annotated, Any, cast
 import typer
 
 import cbsr_qa
-from cbsr_qa.cli import analyse, calibration, db, export, limits, plugins, report, run, scene
+from cbsr_qa.cli import analyse, calibration, db, export, limits, plugins, report, reproduce, run, scene
 from cbsr_qa.cli.output import emit_json, note
 from cbsr_qa.domain.errors import CbsrError
 
@@ -27,6 +27,7 @@ app.command("export")(export.export)
 app.add_typer(calibration.app, name="calibration")
 app.add_typer(limits.app, name="limits")
 app.add_typer(scene.app, name="scene")
+app.add_typer(reproduce.app, name="reproduce")
 app.add_typer(plugins.app, name="plugins")
 app.add_typer(db.app, name="db")
 

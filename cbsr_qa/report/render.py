@@ -55,6 +55,17 @@ def render_recording(
     return _render(recording_page(result), result, sections, warnings)
 
 
+def render_sections(page: Page, sections: Sequence[Section], *, warnings: Sequence[str] = ()) -> str:
+    """Render a page whose sections are there already, in the look of the reports; see :func:`render_run`.
+
+    Raises
+    ------
+    RefusedError
+        If a section holds what cannot be shown safely.
+    """
+    return _page(page, [_prepared(section, f"s{number}") for number, section in enumerate(sections, 1)], warnings)
+
+
 def write_report(path: Path, html: str) -> None:
     """Write a report whole or not at all: to a temporary file beside it, then renamed over it.
 
@@ -97,10 +108,14 @@ def _render(
 ) -> str:
     failed: list[str] = []
     shown = tuple(_shown(sections, result, failed))
+    return _page(page, shown, (*warnings, *failed))
+
+
+def _page(page: Page, shown: Sequence[_Shown], warnings: Sequence[str]) -> str:
     environment = _environment()
     style, _, _ = PackageLoader("cbsr_qa._reports", ".").get_source(environment, _STYLE)
     return environment.get_template(_TEMPLATE).render(
-        page=page, sections=shown, warnings=(*page.warnings, *warnings, *failed), style=Markup(style)
+        page=page, sections=shown, warnings=(*page.warnings, *warnings), style=Markup(style)
     )
 
 

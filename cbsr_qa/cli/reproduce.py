@@ -1,0 +1,36 @@
+"""``cbsr-qa reproduce``: published results beside simulated sensors."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cbsr_qa.cli.output import emit_json, note, say
+
+app = typer.Typer(help="Put published results beside simulated sensors.", no_args_is_help=True)
+
+
+@app.callback()
+def _group() -> None:
+    """Put published results beside simulated sensors."""
+
+
+@app.command("paper")
+def paper(
+    quick: Annotated[bool, typer.Option("--quick", help="Fewer trials and strains, and no bench sheet.")] = False,
+    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+) -> None:
+    """Tables 1 to 5 and F.6, settling times and force errors of Ellingham et al. beside our simulated sensors."""
+    from cbsr_qa.app.reproduce import reproduce_paper
+    from cbsr_qa.cli.reproduce_table import lines
+
+    found = reproduce_paper(quick=quick, tell=note)
+    if output is not None:
+        found.write(output)
+        note(f"page         {output}")
+    if as_json:
+        emit_json(found.document())
+        return
+    for line in lines(found):
+        say(line)
