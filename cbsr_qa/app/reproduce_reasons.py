@@ -19,7 +19,7 @@ NOTES: Final = {
         "R_int, E and the gauge factor are inputs of the simulation: the material files hold the paper's values, "
         "and the run measures them back.",
         "The paper's ± of R_int is between pairs of one sample. The uniform sheet has alike pairs; the bench "
-        "sheet's contacts, wear and temperature make its pairs differ, though far less.",
+        "sheet's contacts make its pairs differ, though far less.",
     ),
     "table2": (
         "The paper prints no λ: images are made for a noise figure between the two it measured, and NF is measured "

@@ -22,8 +22,10 @@ def ours_text(ours: Ours) -> str:
         return "–"
     sign = "≥ " if ours.at_least else ""
     spread = ours.uncertainty
-    if spread is None or spread < 1e-4 * abs(ours.value):
+    if spread is None:
         return f"{sign}{number(ours.value)}"
+    if spread < 5e-4 * abs(ours.value):  # more digits than the printed number has would say nothing
+        return f"{sign}{number(ours.value, 4)}"
     return f"{sign}{with_uncertainty(ours.value, spread)}"
 
 

@@ -48,7 +48,7 @@ def _section(table: ComparedTable, forces: Sequence[CentreForces]) -> Section:
     columns = ["", "quantity", "paper", "simulated", "bench, simulated", "agrees", "why", "bands"]
     if not any(row.bands[0] for row in table.rows):
         columns, rows = columns[:-1], [row[:-1] for row in rows]
-    blocks.append(text_table(f"Numbers of the paper and of our simulation, {table.key}", columns, rows, (2, 3, 4)))
+    blocks.append(text_table("Numbers of the paper and of our simulation", columns, rows, (2, 3, 4)))
     blocks += [Paragraph(f"{_sign(number)}: {reason}.".replace("..", ".")) for number, reason in enumerate(reasons)]
     return Section(table.title, tuple(blocks))
 
