@@ -1,11 +1,12 @@
 """How the strength of a sensor's loads rises under a hold and fades after a release: kernels for its runtime."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.calibrate.force_learning import RESIDUE_SHARE
 from cbsr_qa.calibrate.matched import TemplateFilter
 from cbsr_qa.calibrate.relaxation_kernel import learn_kernel
 from cbsr_qa.calibrate.unloading import relaxation_start
@@ -25,19 +26,20 @@ _FADING_S: Final = 25.0
 
 
 def force_kernels(
-    run: RunObservation,
-    loads: Sequence[LoadObservation],
-    merging: Array,
-    filter_: TemplateFilter,
-    residue_share: float,
+    run: RunObservation, loads: Sequence[LoadObservation], places_mm: Array, merging: Array, filter_: TemplateFilter
 ) -> tuple[RelaxationKernel | None, RelaxationKernel | None]:
     """Learn the kernels of loading and unloading from the strength at the places of loads.
+
+    Parameters
+    ----------
+    places_mm : (n, 2) of the loads, on the sheet.
+    merging : from changes of used readings to rows.
 
     Returns
     -------
     Both; None where there is none (short holds, weak loads, no relaxation that can be told from drift).
     """
-    traces = _Traces(run, merging, filter_, residue_share)
+    traces = _Traces(run, dict(zip(map(id, loads), places_mm, strict=True)), merging, filter_)
     clear = sorted(loads, key=traces.detectability, reverse=True)[:_MOST]
     clear = [load for load in clear if traces.detectability(load) >= _LEAST_DETECTABILITY]
     if not clear:
@@ -54,8 +56,10 @@ def frames_of(run: RunObservation, load: LoadObservation, from_s: float, to_s: f
 class _Traces:
     """Strengths over time at the places of loads."""
 
-    def __init__(self, run: RunObservation, merging: Array, filter_: TemplateFilter, residue_share: float) -> None:
-        self._run, self._merging, self._filter, self._share = run, merging, filter_, residue_share
+    def __init__(
+        self, run: RunObservation, places_mm: Mapping[int, Array], merging: Array, filter_: TemplateFilter
+    ) -> None:
+        self._run, self._places_mm, self._merging, self._filter = run, places_mm, merging, filter_
         self._known: dict[int, float] = {}
 
     def detectability(self, load: LoadObservation) -> float:
@@ -71,7 +75,7 @@ class _Traces:
         for load in loads:
             record = load.record
             time_s, strength, noise = self._trace(load, record.hold_start_s, record.release_start_s)
-            fading = self._share + (1 - self._share) * np.exp(-time_s / _FADING_S)
+            fading = RESIDUE_SHARE + (1 - RESIDUE_SHARE) * np.exp(-time_s / _FADING_S)
             traces.append((time_s, strength - self._left(load) * fading))
             ramps.append(_ramp_s(load))
             noises.append(noise)
@@ -98,10 +102,9 @@ class _Traces:
 
     def _trace(self, load: LoadObservation, from_s: float, to_s: float) -> tuple[Array, Array, float]:
         frames = frames_of(self._run, load, from_s, to_s)
-        place = np.array([load.record.load.x_mm, load.record.load.y_mm])
         if frames is None or not len(frames):
             return np.zeros(0), np.zeros(0), 1.0
-        matches = self._filter.at(self._rows(frames), place)
+        matches = self._filter.at(self._rows(frames), self._places_mm[id(load)])
         return frames.time_s - from_s, matches.strength, float(np.sqrt(matches.covariance[0, 0, 0]))
 
     def _left(self, load: LoadObservation) -> float:

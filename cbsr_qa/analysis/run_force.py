@@ -12,8 +12,9 @@ from cbsr_qa.analysis.force_kernels import force_kernels
 from cbsr_qa.analysis.run_estimates import model_scale, reading_variance
 from cbsr_qa.analysis.run_loads import load_window
 from cbsr_qa.calibrate.force import ForceInverse, map_gradient
-from cbsr_qa.calibrate.force_learning import CalibrationLoads, LearnedForce, learn_force
+from cbsr_qa.calibrate.force_learning import CalibrationLoads, LearnedForce, learn_force, unlearned_model
 from cbsr_qa.calibrate.matched import Matches, TemplateFilter, scattered
+from cbsr_qa.calibrate.seat import AS_PLACED, Seat, seat_of
 from cbsr_qa.calibrate.templates import TemplateBank, template_bank
 from cbsr_qa.domain.errors import CbsrError, NumericsError
 from cbsr_qa.domain.force_model import ForceModel
@@ -69,12 +70,14 @@ class RunForce:
     learned : None where nothing could be learned; ``why`` then says why.
     used : loads it was learned from, in order of ``learned.refused``.
     tests : of loads that were not used.
+    seat : how the sheet lies; places of the map, and of all loads, are on the sheet.
     """
 
     learned: LearnedForce | None
     used: tuple[LoadObservation, ...]
     tests: tuple[ForceTest, ...]
     why: str = ""
+    seat: Seat = AS_PLACED
 
     def confirmed(self) -> tuple[LoadObservation, ...]:
         """Held-out loads whose force came out within three standard errors, the place known."""
@@ -116,7 +119,7 @@ class _RunForce:
         self.bank: TemplateBank = template_bank(model, readings, self.head)
         pressed = [load for load in run.loads if load.force_N is not None and load.together == 1]
         self.loads = tuple(pressed)
-        self.data = self._data()
+        self.data, self.seat = self._seated(self._data())
 
     def _data(self) -> CalibrationLoads:
         if not self.loads:
@@ -136,6 +139,12 @@ class _RunForce:
             force_stderr_N=np.array([one.force_stderr_N or 0.0 for one in self.loads]),
         )
 
+    def _seated(self, data: CalibrationLoads) -> tuple[CalibrationLoads, Seat]:
+        """Loads where they are on the sheet: a sheet that lies beside its place must not cost its sensor anything."""
+        rows, noise = data.changed()
+        seat = seat_of(data.place_mm, TemplateFilter(unlearned_model(self.bank, self.merging)).search(rows), noise)
+        return replace(data, place_mm=seat.places_mm(data.place_mm)), seat
+
     def _rows(self, voltages: Array) -> Array:
         rows: Array = (voltages - self.run.reference)[:, self.run.usable] @ self.merging.T
         return rows
@@ -152,7 +161,7 @@ class _RunForce:
             if self._repeated(left_out, others):
                 tests += self.tests(self.learn(others), left_out, TRIAL_LEFT_OUT)
         used = tuple(load for load, yes in zip(self.loads, calibrating, strict=True) if yes)
-        return RunForce(learned, used, tuple(tests))
+        return RunForce(learned, used, tuple(tests), seat=self.seat)
 
     def timed(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
         """Add when the loads were looked at, and how they get there and fade."""
@@ -163,7 +172,9 @@ class _RunForce:
             - load.record.hold_start_s
             for load in loads
         ]
-        loading, unloading = force_kernels(self.run, loads, self.merging, TemplateFilter(model), model.residue_share)
+        loading, unloading = force_kernels(
+            self.run, loads, self.data.place_mm[which], self.merging, TemplateFilter(model)
+        )
         timed = replace(model, steady_s=float(np.mean(held)), loading=loading, unloading=unloading)
         return replace(learned, model=timed)
 

@@ -126,7 +126,7 @@ def learn_force(
     CalibrationError
         If fewer than three loads say something; the message gives the reasons of the others.
     """
-    filter_ = TemplateFilter(_unlearned(bank, merging))
+    filter_ = TemplateFilter(unlearned_model(bank, merging))
     stress = loads.force_N / head.area_mm2 * 1e3
     seen = _seen(filter_, loads)
     predicted = line.slope.value * stress + line.intercept.value
@@ -150,8 +150,8 @@ def learn_force(
         bend_stderr=prior,
     )
     mean, variance = response.predict(bank.places_mm)
-    fitted = _line(line, response.bend, middle)
-    model = _unlearned(
+    fitted = _line(line, response.bend if bend is not None else (0.0, prior**2), middle, told=bend is not None)
+    model = unlearned_model(
         bank,
         merging,
         log_response=mean,
@@ -247,21 +247,28 @@ def _refusals(seen: _Seen, predicted: Array, line: QuasiStatic, stress: Array, e
 def _bend(line: QuasiStatic, stress: Array, predicted: Array) -> tuple[Array | None, float, float]:
     """Column of an unknown error of the intercept, its standard deviation beforehand, and the change it turns about.
 
-    Where all loads press alike the intercept cannot be told from the map: what is assumed of it stays.
+    Where all loads press alike the intercept cannot be told from the map: what is assumed of it stays, with the
+    standard error it was stated with, if any.
     """
     middle = float(np.exp(np.log(np.abs(predicted)).mean()) * np.sign(predicted[0]))
     if stress.max() < _SPREAD * stress.min():
-        return None, 1.0, middle
+        return None, line.intercept.stderr or 0.0, middle
     column: Array = 1 / predicted - 1 / middle
     return column, line.intercept.stderr or _UNKNOWN_INTERCEPT, middle
 
 
-def _line(line: QuasiStatic, bend: tuple[float, float], middle: float) -> QuasiStatic:
-    """The line with another intercept, turned about the change in the middle, which the map keeps."""
+def _line(line: QuasiStatic, bend: tuple[float, float], middle: float, *, told: bool) -> QuasiStatic:
+    """The line with another intercept, turned about the change in the middle, which the map keeps.
+
+    Parameters
+    ----------
+    bend : change of the intercept and its variance.
+    told : whether that is what the loads said.
+    """
     change, variance = bend
     alpha, beta = line.slope.value, line.intercept.value
     by_slope, by_intercept = -alpha / middle, 1 - beta / middle
-    how = "fitted to this sensor's loads" if variance > 0 else "assumed: all loads of the calibration press alike"
+    how = "fitted to this sensor's loads" if told else "assumed: all loads of the calibration press alike"
     return QuasiStatic(
         slope=Parameter(alpha + by_slope * change, abs(by_slope) * sqrt(variance), line.slope.source),
         intercept=Parameter(beta + by_intercept * change, abs(by_intercept) * sqrt(variance), how),
@@ -269,7 +276,7 @@ def _line(line: QuasiStatic, bend: tuple[float, float], middle: float) -> QuasiS
     )
 
 
-def _unlearned(
+def unlearned_model(
     bank: TemplateBank,
     merging: Array,
     *,
@@ -281,6 +288,7 @@ def _unlearned(
     place_scatter_mm: float = 0.0,
     residue_strength: float = 0.0,
 ) -> ForceModel:
+    """Return a force model of an even sheet, or with what was learned; parameters as of ``ForceModel``."""
     nothing = np.zeros(len(bank.templates))
     return ForceModel(
         lattice=bank.lattice,

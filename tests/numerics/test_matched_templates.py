@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from force_samples import HEAD, setting, somewhere
 
-from cbsr_qa.calibrate.force_learning import _unlearned
+from cbsr_qa.calibrate.force_learning import unlearned_model
 from cbsr_qa.calibrate.matched import TemplateFilter, interpolated
 from cbsr_qa.calibrate.templates import CONTRAST, template_bank, templates_at
 from cbsr_qa.domain.errors import CalibrationError
@@ -14,7 +14,7 @@ from cbsr_qa.domain.loads import Indenter
 @pytest.fixture(scope="module")
 def model():
     here = setting()
-    return _unlearned(here.bank, here.readings.merging)
+    return unlearned_model(here.bank, here.readings.merging)
 
 
 @pytest.fixture(scope="module")
