@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from cbsr_qa.analysis.run_loads import load_window
 from cbsr_qa.calibrate.matched import Matches
 from cbsr_qa.calibrate.runtime import Calibration
+from cbsr_qa.calibrate.seat import AS_PLACED, Seat, seat_of
 from cbsr_qa.calibrate.steady_state import predict_steady
 from cbsr_qa.domain.calibration import LoadRelaxation
 from cbsr_qa.domain.errors import CalibrationError
@@ -62,9 +63,10 @@ class Recheck:
 def recheck(run: RunObservation, calibration: Calibration) -> Recheck:
     """Hold a run's loads against a calibration of the same sensor.
 
-    The run's own unloaded frames are the reference: what the unloaded sheet has drifted by since is reported and does
-    not reach the forces. Holds may be far shorter than the calibration's: where they would have come to is predicted
-    by the sensor's own relaxation, of the readings as of the force.
+    A sheet that lies otherwise than it should is read where it lies. The run's own unloaded frames are the
+    reference: what the unloaded sheet has drifted by since is reported and does not reach the forces. Holds may be
+    far shorter than the calibration's: where they would have come to is predicted by the sensor's own relaxation, of
+    the readings as of the force.
 
     Raises
     ------
@@ -107,6 +109,22 @@ class _Reader:
         self._used = calibration.issued.reconstruction.problem.used
         current_A = run.unloaded.current_A
         self._per_A = calibration.issued.current_A / current_A if current_A else 1.0
+        self.seat = self._seat()
+
+    def _seat(self) -> Seat:
+        """How the sheet lies this time."""
+        rows, noise, places = [], [], []
+        for load in self._run.loads:
+            phase = self._run.record.phase(load.phase)
+            if phase.frames is None or load.together > 1:
+                continue
+            late = load_window(phase, load.record, self._run.settings).steady
+            rows.append(self._rows(late.voltages).mean(axis=0))
+            noise.append(1 / len(late))
+            places.append((load.record.load.x_mm, load.record.load.y_mm))
+        if not rows:
+            return AS_PLACED
+        return seat_of(np.array(places), self._calibration.filter.search(np.array(rows)), np.array(noise))
 
     def reference_change(self) -> float:
         """Of the unloaded readings, relative."""
@@ -127,7 +145,7 @@ class _Reader:
         record, model = load.record, self._calibration.model
         phase = self._run.record.phase(load.phase)
         cell = phase.channel("force")
-        place = np.array([record.load.x_mm, record.load.y_mm])
+        place = self.seat.places_mm(np.array([[record.load.x_mm, record.load.y_mm]]))[0]
         if load.together > 1 or cell is None or load.force_N is None or phase.frames is None:
             return None
         held = phase.frames.between(record.hold_start_s, record.release_start_s)

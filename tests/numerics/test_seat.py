@@ -14,6 +14,7 @@ from cbsr_qa.calibrate.matched import TemplateFilter
 from cbsr_qa.calibrate.seat import AS_PLACED, Seat, seat_of
 from cbsr_qa.config.loader import load_scene_plan
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
+from cbsr_qa_plugins.sections.force import _seat_words
 
 
 def pressed(shift_mm, rotation_deg, *, count=12, noise=0.25, seed=1):
@@ -69,3 +70,9 @@ def test_a_misplaced_sheet_is_calibrated_where_it_lies():
     assert abs(abs(found.seat.rotation_deg) - 2.0) < 0.5
     assert np.hypot(*found.seat.shift_mm) == pytest.approx(np.hypot(1.0, 0.5), abs=0.3)
     assert found.learned.model.place_scatter_mm < 0.3
+
+
+def test_the_report_says_how_the_sheet_lay():
+    said = _seat_words(Seat((1.04, -0.5), -2.0, 0.05, 0.1, moved=True))
+    assert "(+1.0, −0.5) ± 0.1 mm from the sheet's" in said
+    assert "turned by −2.0 ± 0.1°" in said

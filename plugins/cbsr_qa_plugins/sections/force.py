@@ -18,6 +18,7 @@ from cbsr_qa.analysis.force_quality import (
 from cbsr_qa.analysis.run_force import HELD_OUT, TRIAL_LEFT_OUT, ForceTest, RunForce, run_force
 from cbsr_qa.calibrate.force_learning import LearnedForce
 from cbsr_qa.calibrate.matched import interpolated
+from cbsr_qa.calibrate.seat import Seat
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.report import Block, Cell, Figure, Paragraph, RunResult, Section, Table
@@ -56,6 +57,7 @@ class Force:
             return Section(_TITLE, (Paragraph(f"No force can be told with this sensor: {found.why}.", "warning"),))
         tests = tests_of(run, found, HELD_OUT)
         blocks: list[Block] = [Paragraph(_learned_words(run, found, found.learned))]
+        blocks += [Paragraph(_seat_words(found.seat), "note")] if found.seat.moved else []
         blocks += [Paragraph(words) for words in _tested_words(tests)]
         blocks += [_map(run, found, found.learned), Paragraph(_map_words(run, found, found.learned))]
         blocks += [*_scatter(found, tests), *_results(result)]
@@ -75,6 +77,15 @@ def _learned_words(run: RunObservation, found: RunForce, learned: LearnedForce) 
         f" ({phases}), {_between(low, high)}, up to {calibrated_radius_mm(found):.0f} mm from the"
         " centre."
     )
+
+
+def _seat_words(seat: Seat) -> str:
+    return (
+        f"The loads say that the sheet did not lie where the station takes it to lie: the station's centre is"
+        f" ({seat.shift_mm[0]:+.1f}, {seat.shift_mm[1]:+.1f}) ± {seat.shift_stderr_mm:.1f} mm from the sheet's, and"
+        f" its x axis turned by {seat.rotation_deg:+.1f} ± {seat.rotation_stderr_deg:.1f}°. Loads were placed on the"
+        " sheet accordingly: it costs the sensor nothing, and is for the station to mend."
+    ).replace("-", "−")
 
 
 def _between(low_N: float, high_N: float) -> str:
