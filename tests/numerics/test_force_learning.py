@@ -106,6 +106,20 @@ def test_loads_all_alike_say_nothing_about_the_intercept():
     assert "press alike" in result.line.intercept.source
 
 
+def test_an_assumed_intercept_is_as_unsure_as_its_material_says():
+    random = np.random.default_rng(7)
+    loads = pressed(random, smooth_response(7), somewhere(random, 12), np.full(12, 3.5))
+    stated = replace(line(), intercept=Parameter(0.0, 0.004, "a test"))
+    sure, unsure = learned(loads), learned(loads, of=stated)
+    assert unsure.line.intercept.value == 0
+    assert unsure.line.intercept.stderr == pytest.approx(0.004, rel=1e-6)
+    _, _, without = trial(7, smooth_response(7), sure, count=200)
+    force, _, stderr = trial(7, smooth_response(7), unsure, count=200)
+    # An intercept that is off by 0.004 lifts light loads by 0.004 / α and leaves those alone that calibrated.
+    expected = 0.004 / line().slope.value * HEAD.area_mm2 / 1e3 * np.abs(1 - force / 3.5)
+    assert np.sqrt(stderr**2 - without**2) == pytest.approx(expected, abs=0.02)
+
+
 class TestRefused:
     def test_each_load_has_its_reason(self):
         random = np.random.default_rng(8)
