@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from cbsr_qa.app.reproduce_compare import compared, mean_of_deviations, not_compared
@@ -24,6 +24,7 @@ def test_one_printed_deviation_is_inclusive_on_both_sides(value, agrees):
     assert row.reason == ("" if agrees else "because")
 
 
+@settings(deadline=None)
 @given(st.floats(-1e3, 1e3), st.floats(0, 1e3), st.floats(0, 1e3))
 def test_a_number_without_deviation_may_be_rounded_and_ours_may_be_two_deviations_off(printed, half, spread):
     allowed = half + 2 * spread
