@@ -187,7 +187,6 @@ def test_the_reconstruction_page_states_no_number_that_nothing_computes():
 
 
 def test_the_page_on_the_paper_shows_loads_that_can_be_pressed():
-    """Its command is that of the end-to-end test; its list of loads is the sequence's."""
     from cbsr_qa_plugins.sequences.given_loads import GivenLoadsSequence
 
     page = _TOP / "docs" / "how-to" / "reproduce-the-paper.md"
@@ -195,4 +194,3 @@ def test_the_page_on_the_paper_shows_loads_that_can_be_pressed():
     options = tomllib.loads(block)
     assert options.pop("sequence") == "given-loads"
     assert GivenLoadsSequence(**options)
-    assert _commands(page) == ["cbsr-qa reproduce paper --quick --output paper.html"]

@@ -1,14 +1,18 @@
 """``reproduce paper`` on figures made by hand: its rows, its document, its page and its words."""
 
 import json
+import re
+import shlex
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from cbsr_qa.app import reproduce
 from cbsr_qa.app.reproduce import published, reproduction
 from cbsr_qa.app.reproduce_figures import ForcePress, SettlingOf, SheetFigures, StripFigures
 from cbsr_qa.app.reproduce_runs import all_jobs, configuration_of
+from cbsr_qa.cli.main import guarded
 from cbsr_qa.cli.reproduce_table import WIDTH, lines
 from cbsr_qa.domain.published import Kind, Ours, Rule
 
@@ -167,6 +171,31 @@ def test_the_page_stands_by_itself_and_says_that_ours_is_simulated(exact, tmp_pa
     assert "This report does not describe a real sensor" in page
     for table in exact.tables:
         assert table.title in page
+
+
+def test_the_documented_command_writes_its_page_and_prints_tables_or_one_document(
+    paper, tmp_path, monkeypatch, capsys
+):
+    """As typed on its page of the documentation; the simulation, which takes longer, is replaced by figures."""
+    how_to = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "reproduce-the-paper.md").read_text()
+    (command,) = re.findall(r"^\$ cbsr-qa (.*)$", how_to, re.M)
+    monkeypatch.chdir(tmp_path)
+    asked = []
+
+    def by_hand(jobs, processes, tell):
+        asked.append(jobs)
+        figures = _figures(paper)
+        return [(job, figures[replace(job, quick=False)]) for job in jobs]
+
+    monkeypatch.setattr(reproduce, "_simulated", by_hand)
+    assert guarded(shlex.split(command)) == 0
+    assert "Table F.6: SD of ten random loads, and our simulation" in capsys.readouterr().out
+    assert [path.name for path in tmp_path.iterdir()] == ["paper.html"]
+    assert guarded(["reproduce", "paper", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert list(document) == ["about", *_KEYS]
+    assert document["about"]["quick"] is False
+    assert asked == [all_jobs(quick=True), all_jobs(quick=False)]
 
 
 def test_quick_presses_less_and_leaves_the_bench_sheet_out():
