@@ -167,7 +167,11 @@ def recognised(path: Path, asked: str | None, plugins: Plugins) -> tuple[Recordi
 
 
 def _head(path: Path) -> bytes:
-    if not path.exists():
+    try:
+        there = path.exists()
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
+    if not there:
         raise RecordingError(f"there is no file {path}", remedy="check its name and folder")
     if not path.is_file():
         raise RecordingError(f"{path} is not a file", remedy="name the files in it")

@@ -107,8 +107,7 @@ def export_calibration(source: Path, output: Path, *, firmware: bool = False, st
         raise RefusedError(f"{output} says not by its suffix what to write", remedy="name a file .json or .h5")
     if firmware and kind != _JSON:
         raise RefusedError(f"firmware takes JSON, not {output.suffix}", remedy="name a file .json")
-    if output.exists():
-        raise RefusedError(f"{output} exists already", remedy="name another file, or remove it first")
+    _check_free(output)
     read = read_json_calibration if source.suffix.lower() == _JSON else read_calibration
     calibration = read(source)
     loss = None
@@ -123,12 +122,23 @@ def export_calibration(source: Path, output: Path, *, firmware: bool = False, st
     return Converted(source, output, output.stat().st_size, calibration.digest, loss)
 
 
+def _check_free(output: Path) -> None:
+    try:
+        taken = output.is_symlink() or output.exists()
+    except OSError as error:
+        raise RefusedError(f"{output} cannot be written: {error.strerror or error}") from error
+    if taken:
+        raise RefusedError(f"{output} exists already", remedy="name another file, or remove it first")
+
+
 def _write_json(path: Path, document: dict[str, Any]) -> None:
     text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("x", encoding="utf-8") as file:
             file.write(text)
+    except FileExistsError as error:
+        raise RefusedError(f"{path} cannot be written: {error.filename} is a file, not a folder") from error
     except OSError as error:
         raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
 

@@ -82,13 +82,16 @@ class Reading:
         return path in self._entries
 
     def number(self, path: str) -> float:
-        """Return a number."""
-        return float(self._array(path, np.float64, ()))
+        """Return a number; it is finite."""
+        value = float(self._array(path, np.float64, ()))
+        if not np.isfinite(value):
+            raise CalibrationError(f"{path} is {value:g}; a finite number is expected")
+        return value
 
     def maybe(self, path: str) -> float | None:
         """Return a number, or None where there is none."""
-        value = self.number(path)
-        return None if np.isnan(value) else value
+        value = float(self._array(path, np.float64, ()))
+        return None if np.isnan(value) else self.number(path)
 
     def numbers(self, path: str) -> NDArray[np.float64]:
         """Return an array of numbers."""
@@ -115,6 +118,8 @@ class Reading:
             return None
         if values.shape != (2,):
             raise CalibrationError(f"{path} holds {values.shape} numbers instead of two")
+        if not np.isfinite(values).all():
+            raise CalibrationError(f"{path} is {values[0]:g} to {values[1]:g}; finite numbers are expected")
         return float(values[0]), float(values[1])
 
     def integers(self, path: str) -> NDArray[np.int64]:
@@ -170,4 +175,6 @@ class Reading:
             raise CalibrationError(f"{path} does not hold {kind.__name__} numbers")
         if shape is not None and value.shape != shape:
             raise CalibrationError(f"{path} has the shape {value.shape} instead of {shape}")
+        if shape is None and not value.ndim:
+            raise CalibrationError(f"{path} is one number where several are expected")
         return value

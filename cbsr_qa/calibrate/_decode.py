@@ -43,7 +43,7 @@ def decode(entries: Mapping[str, Entry]) -> Calibration:
         return _calibration(Reading(entries))
     except CalibrationError:
         raise
-    except (RefusedError, ValueError, IndexError) as error:
+    except (RefusedError, ValueError, IndexError, TypeError, ArithmeticError) as error:
         raise CalibrationError(f"the content contradicts itself: {error}") from error
 
 

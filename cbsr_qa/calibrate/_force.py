@@ -33,6 +33,9 @@ _NUMBERS: Final = (
 )
 #: Templates have the length one, but for rounding to single precision.
 _UNIT: Final = 1e-3
+#: More than any number of a model is, so that its square is a number, and more than any logarithm in one is.
+_LARGEST: Final = 1e12
+_LARGEST_LOG: Final = 50.0
 #: Nodes along an axis: more than any lattice has, and few enough for their product to be a number.
 _MOST_NODES: Final = 10_000
 
@@ -196,7 +199,12 @@ def _kernel(read: Reading, name: str) -> RelaxationKernel | None:
     shapes = kernel.weights.shape, tau.shape, kernel.scatter.shape, kernel.covariance.shape
     if shapes != ((count,), (count,), (count,), (2 * count, 2 * count)):
         raise CalibrationError(f"{at}: weights, time constants, scatter and covariance have the shapes {shapes}")
-    if not (tau > 0).all() or (np.diff(tau) <= 0).any() or not kernel.scatter_freedom > 0:
+    if (
+        not (tau > 0).all()
+        or (np.diff(tau) <= 0).any()
+        or not kernel.scatter_freedom > 0
+        or (kernel.scatter < 0).any()
+    ):
         raise CalibrationError(f"{at} holds time constants that are not positive and rising, or no freedom")
     numbers = np.concatenate([kernel.weights, tau, kernel.scatter, kernel.covariance.ravel(), [kernel.start_s]])
     if not np.isfinite(numbers).all():
@@ -208,6 +216,7 @@ def _problems(model: ForceModel) -> Iterator[str]:
     """What is wrong with a model; shapes first, since the rest rests on them."""
     yield from _shapes(model)
     yield from _nodes(model)
+    yield from _sizes(model)
     yield from _numbers(model)
 
 
@@ -243,7 +252,8 @@ def _nodes(model: ForceModel) -> Iterator[str]:
         yield "force/fits allows a head nowhere"
 
 
-def _numbers(model: ForceModel) -> Iterator[str]:
+def _sizes(model: ForceModel) -> Iterator[str]:
+    """Numbers that are none, or so large that nothing could be worked out from them."""
     lattice = model.lattice
     arrays = {
         "lattice": np.array([lattice.x_mm, lattice.y_mm, lattice.spacing_mm]),
@@ -260,8 +270,19 @@ def _numbers(model: ForceModel) -> Iterator[str]:
     for name, values in arrays.items():
         if not np.isfinite(values).all():
             yield f"force/{name} holds what is not a finite number"
-    if not lattice.spacing_mm > 0:
-        yield f"force/lattice/spacing of {lattice.spacing_mm:g} mm is not positive"
+        elif (np.abs(values) > _LARGEST).any():
+            yield f"force/{name} holds {np.abs(values).max():.3g}, which is no sensor's; {_LARGEST:g} is allowed"
+    for name in ("log_size", "log_response", "log_response_stderr"):
+        if (np.abs(arrays[name]) > _LARGEST_LOG).any():
+            yield f"force/{name} holds {np.abs(arrays[name]).max():.3g}; {_LARGEST_LOG:g} is allowed of a logarithm"
+
+
+def _numbers(model: ForceModel) -> Iterator[str]:
+    xx, xy, yy = model.slopes[:, 2:].T
+    if not ((xx > 0) & (xx * yy - xy**2 > 0)).all():
+        yield "force/turning is not positive definite somewhere: no place could be found there"
+    if not model.lattice.spacing_mm > 0:
+        yield f"force/lattice/spacing of {model.lattice.spacing_mm:g} mm is not positive"
     if not np.allclose(np.linalg.norm(model.templates, axis=1), 1, rtol=0, atol=_UNIT):
         yield "force/templates are not of the length one"
     if (model.log_response_stderr < 0).any():

@@ -12,6 +12,7 @@ and without it a file could not be prepared for a sensor that lost a channel.
 """
 
 import os
+import re
 import uuid
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
@@ -31,6 +32,10 @@ from cbsr_qa.domain.errors import CalibrationError
 
 #: More than any calibration holds, all in all; a file that claims more is refused before memory is taken for it.
 _LARGEST_BYTES: Final = 2**30
+#: Names and texts in a list, more than any calibration has: a few bytes of a file can claim millions of either.
+_MOST_NAMES: Final = 10_000
+_MOST_TEXTS: Final = 100_000
+_DIGEST: Final = re.compile("[0-9a-f]{64}")
 #: Arrays from this size on are compressed; below it a chunk costs more than it saves.
 _COMPRESSED_BYTES: Final = 2**13
 
@@ -136,13 +141,12 @@ def _write(file: h5py.File, entries: Mapping[str, Entry], digest: str) -> None:
 
 
 def _read(path: Path) -> tuple[dict[str, Entry], str]:
-    if not path.is_file():
-        raise CalibrationError("there is no such file")
+    check_is_file(path)
     try:
         with h5py.File(path, "r") as file:
             version = _version(file)
             entries = dict(_entries(file, "", _Room(_LARGEST_BYTES)))
-            stated = str(file.attrs.get("digest", ""))
+            stated = _stated(file)
     except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
         raise CalibrationError(
             f"not a whole HDF5 file (truncated, damaged or something else): {error}",
@@ -152,7 +156,7 @@ def _read(path: Path) -> tuple[dict[str, Entry], str]:
     if digest != stated:
         raise CalibrationError(
             f"the content was changed after it was issued: its SHA-256 is {digest},"
-            f" the file states {stated or 'none'}",
+            f" the file states {stated or 'no SHA-256'}",
             remedy="use the file as it was issued; a sensor's values are changed by calibrating it again",
         )
     if version != schema_version(entries):
@@ -162,8 +166,38 @@ def _read(path: Path) -> tuple[dict[str, Entry], str]:
     return entries, digest
 
 
+def printable(text: str) -> str:
+    """Return a text without control characters: names in a file may be anything, and a terminal obeys them."""
+    return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
+
+
+def check_is_file(path: Path) -> None:
+    """Make sure that there is a file to read.
+
+    Raises
+    ------
+    CalibrationError
+        If there is none, or something else: a folder, a device.
+    """
+    try:
+        there, usual = path.exists(), path.is_file()
+    except OSError as error:
+        raise CalibrationError(f"cannot be read: {error.strerror or error}") from error
+    if not there:
+        raise CalibrationError("there is no such file")
+    if not usual:
+        raise CalibrationError("a folder or a device, not a file")
+
+
+def _stated(file: h5py.File) -> str:
+    """Return the digest a file states; empty where it states what is none, and might be anything."""
+    stated = file.attrs.get("digest")
+    return stated if isinstance(stated, str) and _DIGEST.fullmatch(stated) else ""
+
+
 def _version(file: h5py.File) -> int:
-    if file.attrs.get("format") != FORMAT:
+    stated = file.attrs.get("format")
+    if not (isinstance(stated, str) and stated == FORMAT):
         raise CalibrationError("an HDF5 file, but not a calibration", remedy="give a file that `cbsr-qa run` issued")
     version = file.attrs.get("schema_version")
     if not isinstance(version, np.integer):
@@ -183,6 +217,12 @@ class _Room:
 
     def __init__(self, left: int) -> None:
         self._left = left
+        self._names = 0
+
+    def enter(self, path: str) -> None:
+        self._names += 1
+        if self._names > _MOST_NAMES:
+            raise CalibrationError(f"more than {_MOST_NAMES} names up to {path}: no calibration has as many")
 
     def take(self, path: str, dataset: Any) -> None:
         if dataset.size is None or dataset.nbytes > self._left:
@@ -193,6 +233,7 @@ class _Room:
 def _entries(group: h5py.Group, prefix: str, room: _Room) -> Iterator[tuple[str, Entry]]:
     for name in group:
         path = f"{prefix}{name}"
+        room.enter(path)
         # Links could lead out of the file, or around in circles; nothing we write has any.
         if not isinstance(group.get(name, getlink=True), h5py.HardLink) or path.count("/") > 4:
             raise CalibrationError(f"{path} is a link, not content")
@@ -211,6 +252,8 @@ def _entry(path: str, dataset: Any, room: _Room) -> Entry:
     if not isinstance(units, str):
         raise CalibrationError(f"{path} states no units")
     if h5py.check_string_dtype(dataset.dtype) is not None:
+        if dataset.ndim > 1 or dataset.size > _MOST_TEXTS:
+            raise CalibrationError(f"{path} holds texts of the shape {dataset.shape}; a list of them is expected")
         texts = dataset.asstr()[()]
         return Entry(units, texts if isinstance(texts, str) else tuple(texts.tolist()))
     values = np.asarray(dataset[()])
@@ -231,4 +274,5 @@ def _naming(path: Path) -> Iterator[None]:
     try:
         yield
     except CalibrationError as error:
-        raise CalibrationError(f"calibration file {path}: {error.reason}", remedy=error.remedy) from error
+        reason = printable(error.reason)
+        raise CalibrationError(f"calibration file {path}: {reason}", remedy=error.remedy) from error

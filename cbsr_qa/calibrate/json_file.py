@@ -21,6 +21,7 @@ from cbsr_qa.calibrate._content import Entry, Value
 from cbsr_qa.calibrate._decode import decode
 from cbsr_qa.calibrate._encode import encode
 from cbsr_qa.calibrate.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest, schema_version
+from cbsr_qa.calibrate.file import check_is_file, printable
 from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
 
@@ -55,7 +56,7 @@ def dataset(entry: Entry, *, spelt_out: int = _SPELT_OUT) -> dict[str, Any]:
         return {"units": entry.units, "kind": "text", "shape": [len(entry.value)], "values": list(entry.value)}
     kind, values = _kind(entry.value), entry.value
     told = {"units": entry.units, "kind": kind, "shape": list(values.shape)}
-    if values.size > spelt_out:
+    if values.size > spelt_out or np.isinf(values).any():  # JSON has no word for infinity
         return {**told, "base64": base64.b64encode(_bytes(values, kind)).decode()}
     return {**told, "values": [_number(value) for value in values.ravel().tolist()]}
 
@@ -72,7 +73,7 @@ def read_json_calibration(path: Path) -> Calibration:
         entries, digest = _read(path)
         return replace(decode(entries), digest=digest, record_digest=record_digest(entries))
     except CalibrationError as error:
-        raise CalibrationError(f"calibration {path}: {error.reason}", remedy=error.remedy) from error
+        raise CalibrationError(f"calibration {path}: {printable(error.reason)}", remedy=error.remedy) from error
 
 
 def _read(path: Path) -> tuple[dict[str, Entry], str]:
@@ -99,8 +100,7 @@ def _read(path: Path) -> tuple[dict[str, Entry], str]:
 
 
 def _document(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise CalibrationError("there is no such file")
+    check_is_file(path)
     try:
         if path.stat().st_size > _LARGEST_BYTES:
             raise CalibrationError("the file is too large for a calibration")
@@ -119,6 +119,7 @@ def _entry(path: str, told: object) -> Entry:
         units, kind, shape = told["units"], told["kind"], tuple(told["shape"])
         if not (isinstance(units, str) and all(type(n) is int and n >= 0 for n in shape)):
             raise CalibrationError(f"{path} states no units or no shape")
+        f"{path}{units}".encode()  # JSON can spell halves of characters, which are none
         return Entry(units, _texts(told, shape) if kind == "text" else _array(told, _KINDS[kind], kind, shape))
     except (KeyError, TypeError, ValueError, OverflowError, binascii.Error) as error:
         raise CalibrationError(f"{path} is not a dataset of a calibration: {error}") from error
@@ -127,7 +128,8 @@ def _entry(path: str, told: object) -> Entry:
 def _texts(told: dict[str, Any], shape: tuple[int, ...]) -> Value:
     texts = told["values"]
     if not all(isinstance(text, str) for text in texts) or shape not in ((), (len(texts),)):
-        raise CalibrationError("a text is expected")
+        raise ValueError("a text is expected")
+    "".join(texts).encode()
     if not shape:
         (text,) = texts
         return str(text)

@@ -207,4 +207,5 @@ def _settling(summary: dict[str, Any]) -> str:
     if summary["mean_s"] is None:
         return f"{what}no value ({counts})"
     at_least = "at least " if summary["censored"] else ""
-    return f"{what}{at_least}{summary['mean_s']:.3g} s, deviation {summary['deviation_s']:.2g} s ({counts})"
+    deviation = "" if summary["deviation_s"] is None else f", deviation {summary['deviation_s']:.2g} s"
+    return f"{what}{at_least}{summary['mean_s']:.3g} s{deviation} ({counts})"

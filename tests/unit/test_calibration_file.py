@@ -266,7 +266,7 @@ def test_an_added_or_removed_dataset_is_refused(issued):
 def test_a_missing_digest_is_refused(issued):
     with h5py.File(issued, "r+") as file:
         del file.attrs["digest"]
-    with pytest.raises(CalibrationError, match="states none"):
+    with pytest.raises(CalibrationError, match="states no SHA-256"):
         verify_calibration(issued)
 
 
@@ -297,8 +297,59 @@ def test_another_hdf5_file_and_no_hdf5_file_are_refused(tmp_path):
         read_calibration(text)
     with pytest.raises(CalibrationError, match="no such file"):
         read_calibration(tmp_path / "absent.h5")
-    with pytest.raises(CalibrationError, match="no such file"):
+    with pytest.raises(CalibrationError, match="a folder or a device"):
         read_calibration(tmp_path)
+
+
+@pytest.mark.parametrize("stated", [np.array([1, 2]), np.array(["cbsr-qa calibration"] * 2, dtype=object), 3.0])
+def test_a_format_that_is_no_word_is_not_a_calibrations(issued, stated):
+    with h5py.File(issued, "r+") as file:
+        file.attrs["format"] = stated
+    with pytest.raises(CalibrationError, match="not a calibration"):
+        read_calibration(issued)
+
+
+def test_what_is_stated_instead_of_a_digest_is_not_printed(issued):
+    with h5py.File(issued, "r+") as file:
+        file.attrs["digest"] = "\x1b[31mred"
+    with pytest.raises(CalibrationError, match="states no SHA-256"):
+        read_calibration(issued)
+
+
+def test_names_within_names_come_to_an_end(issued):
+    with h5py.File(issued, "r+") as file:
+        inner = file.create_group("b0")
+        for depth in range(1, 4):
+            outer = file.create_group(f"b{depth}")
+            for number in range(60):
+                outer[f"x{number}"] = inner
+            inner = outer
+    with pytest.raises(CalibrationError, match="more than 10000 names"):
+        read_calibration(issued)
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (2**26,)])
+def test_texts_are_lists_and_not_millions(issued, shape):
+    with h5py.File(issued, "r+") as file:
+        del file["assumed"]
+        texts = file.create_dataset("assumed", shape, dtype=h5py.string_dtype(), chunks=True)
+        texts.attrs["units"] = "text"
+    with pytest.raises(CalibrationError, match="assumed holds texts of the shape"):
+        read_calibration(issued)
+
+
+def test_control_characters_in_a_name_do_not_reach_the_terminal(issued):
+    with h5py.File(issued, "r+") as file:
+        file["force/\x1b[2J"] = np.complex128(1)
+        file["force/\x1b[2J"].attrs["units"] = "1"
+    with pytest.raises(CalibrationError) as caught:
+        read_calibration(issued)
+    assert "\x1b" not in caught.value.reason
+
+
+def test_a_name_no_file_can_have_is_refused(tmp_path):
+    with pytest.raises(CalibrationError, match="cannot be read: File name too long"):
+        read_calibration(tmp_path / ("x" * 300))
 
 
 def _forge(path: Path) -> None:

@@ -112,7 +112,7 @@ _HOSTILE = {
     "no rows": ({"force/lattice/rows": 0}, "2 to 10000 are allowed"),
     "huge lattice": ({"force/lattice/columns": _HUGE, "force/lattice/rows": _HUGE}, "2 to 10000 are allowed"),
     "negative spacing": ({"force/lattice/spacing": -10.0}, "not positive"),
-    "spacing NaN": ({"force/lattice/spacing": np.nan}, "force/lattice holds what is not a finite number"),
+    "spacing NaN": ({"force/lattice/spacing": np.nan}, "force/lattice/spacing is nan; a finite number is expected"),
     "template NaN": ({"force/templates": np.full((52, 7), np.nan)}, "force/templates holds what is not a finite"),
     "templates long": ({"force/templates": np.ones((52, 7))}, "not of the length one"),
     "templates flat": ({"force/templates": np.ones(52)}, "force/templates has the shape"),
@@ -135,6 +135,14 @@ _HOSTILE = {
     "slope zero": ({"quasi_static/against_stress/slope": 0.0}, "no force can be worked out from"),
     "current zero": ({"reference/current": 0.0}, "reference/current"),
     "reference NaN": ({"reference/voltages": np.full((6, 6), np.nan)}, "a used reading that is not a finite number"),
+    "scale infinite": ({"reference/scale": np.inf}, "reference/scale is inf; a finite number is expected"),
+    "radius without end": ({"validity/force": [1.0, np.inf]}, "validity/force is 1 to inf; finite numbers"),
+    "size no exponential takes": ({"force/log_size": np.full(52, 99.0)}, "force/log_size holds 99; 50 is allowed"),
+    "merging of no sensor": ({"force/merging": np.full((7, 18), 1e200)}, "force/merging holds 1e.200"),
+    "nowhere to turn": ({"force/turning": np.zeros((52, 3))}, "force/turning is not positive definite"),
+    "one place": ({"baseline_conductance/x": 1.0}, "baseline_conductance/x is one number where several"),
+    "one count": ({"settling/accepted": 1}, "settling/accepted is one number where several"),
+    "table of loads": ({"relaxation/stress/load": [[0]]}, "the content contradicts itself"),
     "reference of others": ({"reference/voltages": np.ones((5, 6))}, "not those of 6 drive and 6 measure pairs"),
 }
 
