@@ -148,11 +148,15 @@ def _simulated(
         return
     with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
         waiting = {pool.submit(simulate, job): job for job in jobs}
-        for future in as_completed(waiting):
-            job, figures = waiting[future], future.result()
-            done += 1
-            tell(f"{job.words}: {figures.compute_s:.0f} s ({done} of {len(jobs)})")
-            yield job, figures
+        try:
+            for future in as_completed(waiting):
+                job, figures = waiting[future], future.result()
+                done += 1
+                tell(f"{job.words}: {figures.compute_s:.0f} s ({done} of {len(jobs)})")
+                yield job, figures
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)  # what has not begun never does
+            raise
 
 
 def _table_document(table: ComparedTable) -> dict[str, Any]:
