@@ -42,6 +42,7 @@ class Forces:
     force_N, stderr_N : (n,) estimate and its standard error; NaN in frames flagged UNREADABLE or OTHER_SENSOR,
         and, flagged OUTSIDE, for a given place where no head can be.
     place_mm, place_stderr_mm : (n, 2) where, and (n,) how sure, root mean square over two axes; 0 where it was given.
+        NaN where it was to be found in a frame flagged UNREADABLE or OTHER_SENSOR.
     detectability : (n,) d′, the load's signal over the noise of the readings.
     flags : (n,) int64 of :class:`Flag`.
     """

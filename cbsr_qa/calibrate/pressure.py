@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 
-from cbsr_qa.calibrate.runtime import Calibration
+from cbsr_qa.calibrate.runtime import Calibration, volts
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.force_model import ForceModel
 from cbsr_qa.domain.mesh import Mesh
@@ -61,7 +61,7 @@ class PressureMap:
         _, bad = self._calibration.rows(frames, current_A=current_A)
         issued = self._calibration.issued
         factor = 1.0 if current_A is None else issued.current_A / current_A
-        readings = np.asarray(frames, dtype=np.float64).reshape(-1, *issued.reference.shape)[:, self._used]
+        readings = volts(frames).reshape(-1, *issued.reference.shape)[:, self._used]
         changes = np.where(bad[:, None] != 0, 0.0, readings * factor - issued.reference[self._used])
         images = changes @ issued.reconstruction.matrix.T / issued.scale
         sign = -1.0 if issued.response == "decrease" else 1.0
@@ -87,8 +87,11 @@ class _Homogeneous:
 
     def __init__(self, calibration: Calibration) -> None:
         model = calibration.model
+        every = model.lattice.places_mm()[model.node.ravel() >= 0]
         fitting = np.flatnonzero(model.fits & _every(_STRIDE, model))
-        places = model.lattice.places_mm()[model.node.ravel() >= 0][fitting]
+        if np.linalg.matrix_rank(every[fitting] - every[fitting].mean(axis=0)) < 2:  # a coarse lattice: take it all
+            fitting = np.flatnonzero(model.fits)
+        places = every[fitting]
         values = _gains(calibration, fitting, places) * np.exp(model.log_response[fitting])
         self._between = LinearNDInterpolator(places, values)
         self._nearest = NearestNDInterpolator(places, values)

@@ -13,6 +13,7 @@ from cbsr_qa.domain import calibration as record
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.force_model import ForceModel
 from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.numbers import real_numbers
 
 Array = NDArray[np.float64]
 
@@ -22,6 +23,8 @@ _FOREIGN: Final = 0.5
 _CLEAR: Final = 3.0
 #: Standard deviations of χ² that noise may leave besides a template.
 _ROOM: Final = 4.0
+#: Heads whose templates are kept at hand.
+_HEADS: Final = 8
 
 
 class Calibration:
@@ -81,6 +84,7 @@ class Calibration:
         ----------
         frames : (n, drives, measures) or (drives, measures) [V], in the order of the sensor type's pattern. Each
             is looked at by itself: a sheet that is still settling, or remembers earlier loads, shows what it shows.
+            A masked reading counts as one that is not a number.
         place_mm : (2,) or (n, 2) where the head presses, from the sheet's centre; by default it is found.
         indenter : another head than the one that calibrated.
         current_A : drive current of the frames, where it is not the calibration's.
@@ -93,6 +97,8 @@ class Calibration:
         ------
         CalibrationError
             If the frames are not of this sensor's shape, the places are not theirs, or the current is not positive.
+        NumericsError
+            If frames or places are not real numbers (complex, text).
         """
         rows, bad = self.rows(frames, current_A=current_A)
         head = self.issued.indenter if indenter is None else indenter
@@ -109,7 +115,7 @@ class Calibration:
 
         Rows of such frames are zero. Parameters and errors as of :meth:`force`.
         """
-        voltages = np.asarray(frames, dtype=np.float64)
+        voltages = volts(frames)
         shape = self.issued.reference.shape
         if voltages.shape[-2:] != shape or voltages.ndim not in (2, 3):
             raise CalibrationError(
@@ -118,7 +124,7 @@ class Calibration:
             )
         readings = voltages.reshape(-1, *shape)[:, self._used]
         if current_A is not None:
-            if not (np.isfinite(current_A) and current_A > 0):
+            if not (isinstance(current_A, int | float | np.number) and np.isfinite(current_A) and current_A > 0):
                 raise CalibrationError(f"a drive current of {current_A} A is not a positive number")
             readings = readings * (self.issued.current_A / current_A)
         return self._rows(readings)
@@ -139,6 +145,8 @@ class Calibration:
     def _filter(self, head: Indenter) -> TemplateFilter:
         size = head.squared_radius_mm2 / self.issued.indenter.squared_radius_mm2
         if size not in self._filters:
+            while len(self._filters) >= _HEADS:
+                self._filters.pop(next(reversed(self._filters)))
             self._filters[size] = TemplateFilter(self.model, size=size)
         return self._filters[size]
 
@@ -157,7 +165,7 @@ class Calibration:
         )
 
     def _places(self, place_mm: ArrayLike, count: int) -> Array:
-        places = np.asarray(place_mm, dtype=np.float64)
+        places = real_numbers(place_mm, "places")
         if places.shape not in ((2,), (count, 2)) or not np.isfinite(places).all():
             raise CalibrationError(
                 f"places of shape {places.shape} do not fit {count} frames, or are not finite",
@@ -179,7 +187,11 @@ class Calibration:
         stderr[bad != 0] = np.nan
         place = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1)
         place_stderr = np.sqrt(np.where(place >= 0, place, np.nan))
-        return Forces(force, stderr, matches.place_mm, place_stderr, detectability, flags)
+        where = matches.place_mm
+        if searched:  # a frame that cannot be used was searched in vain
+            where[bad != 0] = np.nan
+            place_stderr[bad != 0] = np.nan
+        return Forces(force, stderr, where, place_stderr, detectability, flags)
 
     def _flags(self, matches: Matches, detectability: Array, *, searched: bool) -> NDArray[np.int64]:
         flags = np.zeros(len(detectability), dtype=np.int64)
@@ -194,3 +206,16 @@ class Calibration:
         left = matches.energy - matches.gain - freedom - _ROOM * np.sqrt(2 * freedom)
         flags[there & (left > self.model.misfit * matches.gain)] |= Flag.MORE_THAN_ONE
         return flags
+
+
+def volts(frames: ArrayLike) -> Array:
+    """Return frames as float64 with NaN for what is masked.
+
+    Raises
+    ------
+    NumericsError
+        If they are not real numbers: a cast would drop imaginary parts, read text, and lay masked values bare.
+    """
+    if isinstance(frames, np.ma.MaskedArray):
+        frames = np.ma.filled(frames.astype(np.result_type(frames.dtype, np.float64)), np.nan)
+    return real_numbers(frames, "frames")

@@ -76,7 +76,7 @@ class ForceStream:
     """
 
     def __init__(self, calibration: Calibration, *, most: int = 12) -> None:
-        if most < 1:
+        if not (isinstance(most, int) and most >= 1):
             raise CalibrationError(f"a stream cannot follow {most} loads", remedy="follow at least 1")
         self._calibration = calibration
         self._filter = calibration.filter
@@ -104,8 +104,10 @@ class ForceStream:
         Raises
         ------
         CalibrationError
-            If the frame is not of this sensor's shape, or not later than the last.
+            If the frame is not of this sensor's shape, its time is no finite number, or not later than the last.
         """
+        if not (isinstance(time_s, int | float | np.integer | np.floating) and np.isfinite(time_s)):
+            raise CalibrationError(f"a frame of {time_s!r} s: its time must be a finite number of seconds")
         if not time_s > self._time_s:
             raise CalibrationError(f"a frame of {time_s} s follows one of {self._time_s} s: time must go forward")
         rows, bad = self._calibration.rows(frame)
@@ -122,7 +124,7 @@ class ForceStream:
         return tuple(self._told(track, Flag(0)) for track in self._tracks)
 
     def _follow(self, rows: Array) -> None:
-        left = self._explain(rows)
+        left = self._place_anew(self._explain(rows), rows)
         while len(self._tracks) < self._most and self._begin(left):
             left = self._explain(rows)
         self._place(rows)
@@ -151,12 +153,45 @@ class ForceStream:
             left -= track.strength * track.template
         return left
 
+    def _place_anew(self, left: Array, rows: Array) -> Array:
+        """Take a load to where it is now, if its first frame, of a moving head, had it elsewhere; what is left then.
+
+        Else what the wrong place leaves unexplained would be a second load. It is taken there only if no second load
+        is left, so that two heads that press one after the other stay two.
+        """
+        if not self._another(self._filter.search(left[None])):
+            return left
+        for track in self._tracks:
+            if not track.fresh:
+                continue
+            place, template, strength = track.place_mm, track.template, track.strength
+            match = self._filter.search((left + strength * template)[None])
+            moved = self._filter.template(match.place_mm)[0]
+            if np.isfinite(moved).all():
+                track.move(match.place_mm[0], moved, self._base(moved))
+                rest = self._explain(rows)
+                if not self._another(self._filter.search(rest[None])):
+                    return rest
+                track.move(place, template, self._base(template))
+                self._explain(rows)
+        return left
+
+    def _another(self, match: Matches) -> bool:
+        """Whether what the tracks leave of a frame is more than noise, and more than a template may leave."""
+        gain = float(match.gain[0])
+        explained = sum(track.strength**2 * float(track.template @ track.template) for track in self._tracks)
+        return gain >= self._model.threshold**2 and gain >= self._model.misfit * explained
+
+    def _base(self, template: Array) -> float:
+        """Strength that a place showed in the last frames."""
+        if not self._last:
+            return 0.0
+        return float(np.mean([template @ last for last in self._last], axis=0) / (template @ template))
+
     def _begin(self, left: Array) -> bool:
         """Begin a track where what is left shows another load; says whether it did."""
-        match = self._filter.search(left[None])
-        gain, sign = float(match.gain[0]), self._calibration.sign
-        explained = sum(track.strength**2 * float(track.template @ track.template) for track in self._tracks)
-        if gain < self._model.threshold**2 or gain < self._model.misfit * explained:
+        match, sign = self._filter.search(left[None]), self._calibration.sign
+        if not self._another(match):
             return False
         if float(match.strength[0]) * sign < 0:
             return False
@@ -168,12 +203,8 @@ class ForceStream:
         template = self._filter.template(match.place_mm)[0]
         if not np.isfinite(template).all():
             return False
-        base = (
-            np.mean([template @ last for last in self._last], axis=0) / (template @ template) if self._last else 0.0
-        )
-        self._tracks.append(
-            Track(self._count, match.place_mm[0], template, self._time_s - self._frame_s / 2, float(base), sign)
-        )
+        since_s = self._time_s - self._frame_s / 2
+        self._tracks.append(Track(self._count, match.place_mm[0], template, since_s, self._base(template), sign))
         return True
 
     def _place(self, rows: Array) -> None:

@@ -277,3 +277,19 @@ class TestFrames:
             calibration.force(setting().model.unloaded(), place_mm=(1.0, 2.0, 3.0))
         with pytest.raises(CalibrationError, match="drive current"):
             calibration.force(setting().model.unloaded(), current_A=0.0)
+
+
+@pytest.mark.parametrize("time_s", [np.inf, -np.inf, np.nan, "1", None, 1j])
+def test_a_time_that_is_no_finite_number_is_refused_and_the_stream_goes_on(calibration, time_s):
+    stream = ForceStream(calibration)
+    reference = calibration.issued.reference
+    stream.update(0.0, reference)
+    with pytest.raises(CalibrationError, match="its time must be a finite number"):
+        stream.update(time_s, reference)
+    assert stream.update(1.0, reference) == ()
+
+
+@pytest.mark.parametrize("most", [0, -1, 2.5, np.nan, "all"])
+def test_a_number_of_loads_that_counts_nothing_is_refused(calibration, most):
+    with pytest.raises(CalibrationError, match="a stream cannot follow"):
+        ForceStream(calibration, most=most)

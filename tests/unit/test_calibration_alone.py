@@ -17,7 +17,7 @@ from cbsr_qa.calibrate._encode import encode
 from cbsr_qa.calibrate.digests import stamped
 from cbsr_qa.calibrate.file import write_calibration
 from cbsr_qa.calibrate.firmware import firmware_document, lost_by, thinned
-from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.errors import CalibrationError, NumericsError
 from cbsr_qa.domain.loads import Indenter
 
 _DOCS = Path(__file__).parents[2] / "docs"
@@ -156,6 +156,46 @@ def test_what_cannot_be_a_frame_of_this_sensor_is_flagged_and_gives_no_number(ca
     unused = good.copy()
     unused[0, 0] = np.nan  # of a driven electrode: it is not used
     np.testing.assert_allclose(calibration.force(unused).force_N, loads.force_N[:1], rtol=1e-12)
+
+
+@pytest.mark.parametrize("cast", [lambda f: f * (1 + 1j), lambda f: f.astype(str), lambda f: f.astype(object)])
+def test_frames_that_are_not_real_numbers_are_refused(calibration, cast):
+    pressed = frames(_PLACES[:1], _FORCES[:1])
+    with pytest.raises(NumericsError, match="frames are of type"):
+        calibration.force(cast(pressed))
+    with pytest.raises(NumericsError, match="places are of type"):
+        calibration.force(pressed, place_mm=cast(_PLACES[0]))
+
+
+def test_a_masked_reading_is_missing_and_not_laid_bare(calibration):
+    pressed = frames(np.repeat(_PLACES[:1], 2, axis=0), np.full(2, 3.0))
+    mask = np.zeros(pressed.shape, dtype=bool)
+    mask[1][tuple(np.argwhere(calibration.issued.reconstruction.problem.used)[0])] = True
+    found = calibration.force(np.ma.masked_array(pressed, mask))
+    assert found.flags.tolist() == [0, Flag.UNREADABLE]
+    assert np.isnan(found.force_N).tolist() == [False, True]
+
+
+def test_a_frame_that_cannot_be_used_has_no_place_found(calibration):
+    found = calibration.force(np.full((1, 16, 16), np.nan))
+    assert np.isnan([*found.place_mm[0], found.place_stderr_mm[0]]).all()
+    given = calibration.force(np.full((1, 16, 16), np.nan), place_mm=(1.0, 2.0))
+    assert given.place_mm.tolist() == [[1.0, 2.0]]
+
+
+@pytest.mark.parametrize("current", [0.0, np.nan, np.inf, -1.0, "1 mA", 1e-3j])
+def test_a_current_that_is_no_positive_number_is_refused(calibration, current):
+    with pytest.raises(CalibrationError, match="is not a positive number"):
+        calibration.force(frames(_PLACES[:1], _FORCES[:1]), current_A=current)
+
+
+def test_templates_of_a_few_heads_are_kept_and_not_of_every_one(calibration):
+    pressed = frames(_PLACES[:1], _FORCES[:1])
+    before = calibration.force(pressed).force_N
+    for tenth in range(100, 130):
+        calibration.force(pressed, indenter=Indenter(tenth / 10))
+    assert len(calibration._filters) <= 8
+    assert calibration.force(pressed).force_N == before
 
 
 def test_a_place_where_no_head_can_be_is_outside_and_gives_no_number(calibration):
