@@ -18,6 +18,17 @@ _DROP: Final = 0.2
 _CLEAR: Final = 5.0
 #: A first frame that shows less than this share of what follows from the second was taken while the head still moved.
 _PARTIAL: Final = 0.75
+#: A load changed while it pressed where its strength is so many standard errors, and this share, off its hold's; and
+#: changes again where it moves by so much since.
+_OFF: Final = 5.0
+_OFF_SHARE: Final = 0.05
+#: Nor is that looked at before this share of the slowest time constant, while place and trajectory are still learned,
+#: nor believed of one frame.
+_EARLY: Final = 0.5
+_BELIEVED: Final = 2
+_MOVED: Final = 0.1
+#: A load was not released, only lightened, where this share more of it is left than of released ones.
+_STAYS: Final = 0.2
 #: Half of what a press takes, roughly: nobody tells a stream how fast the head went down.
 _RAMP_S: Final = 0.5
 #: How sure the strength of what fades is, from frame to frame.
@@ -67,6 +78,9 @@ class Track:
         self._first: tuple[float, float, float] | None = None
         self._hold: HoldsSoFar | None = None
         self._held_s = self._late_s = 0.0
+        self._changed: tuple[float, float] | None = None
+        self._now_s = since_s
+        self._off = 0
 
     @property
     def pressing(self) -> bool:
@@ -80,6 +94,17 @@ class Track:
             return np.zeros((2, 2))
         return np.asarray(np.linalg.inv(self._information), dtype=np.float64)
 
+    @property
+    def fresh(self) -> bool:
+        """Whether it presses and only its first frame was seen, perhaps of a head that still moved."""
+        return self.pressing and self._frames <= 1 and self._first is not None
+
+    def move(self, place_mm: Array, template: Array, base: float) -> None:
+        """Take it for a load at another place; what was found of its place so far is forgotten."""
+        self.place_mm, self.template = np.array(place_mm), template
+        self.base = self.base_now = base
+        self._information, self._weighed, self._frames = np.zeros((2, 2)), np.zeros(2), 0
+
     def distance_mm(self, place_mm: Array) -> float:
         """How far a place is."""
         return float(np.hypot(*(self.place_mm - place_mm)))
@@ -87,6 +112,8 @@ class Track:
     def add_place(self, place_mm: Array, covariance: Array) -> None:
         """Take in another estimate of the place."""
         if self._frames >= _PLACED or not np.isfinite(covariance).all():
+            return
+        if covariance[0, 0] <= 0 or np.linalg.det(covariance) <= 0:  # noise on a ridge between places: tells nothing
             return
         information = np.linalg.inv(covariance)
         self._information = self._information + information
@@ -106,6 +133,9 @@ class Track:
         own = self.strength - self.base_now
         alone = 1 / float(np.linalg.norm(self.template))
         base = (model.residue_stderr * model.residue_strength) ** 2 + (model.residue_share * alone) ** 2 / KEPT
+        if self._changed is not None:
+            change = _UNKNOWN_CHANGE * own * float(np.exp(-(self._now_s - self._changed[0]) / _patience_s(model)))
+            return own, self.noise**2 + change**2 + base
         if self._hold is None or model.loading is None:
             change = 0.0 if self.state == "steady" else _UNKNOWN_CHANGE * own
             return own, self.noise**2 + change**2 + base
@@ -124,9 +154,28 @@ class Track:
         self._largest = max(self._largest, towards)
         share = model.residue_share
         self.base_now = self.base * (share + (1 - share) * float(np.exp(-(time_s - self.since_s) / 25.0)))
-        self._learn(time_s, frame_s, model)
-        if time_s - self.since_s >= (model.steady_s or _PATIENCE_S):
-            self.state = "steady"
+        self._now_s = time_s
+        self._notice_change(time_s, model)
+        if self._changed is None and not self._off:
+            self._learn(time_s, frame_s, model)
+        from_s = self.since_s if self._changed is None else self._changed[0]
+        self.state = "steady" if time_s - from_s >= (model.steady_s or _PATIENCE_S) else "loading"
+
+    def _notice_change(self, time_s: float, model: ForceModel) -> None:
+        """Notice that the load itself changed: of what comes then its hold says nothing, only what is seen."""
+        own = self.strength - self.base_now
+        if self._changed is not None:
+            if abs(own - self._changed[1]) > max(_MOVED * abs(own), _OFF * self.noise):
+                self._changed = (time_s, own)
+        elif self._hold is not None and model.loading is not None:
+            held_s = max(time_s - self.since_s, 0.0)
+            expected = self._hold.predict(at_s=held_s)
+            late = own * _slope(model.loading, held_s) / _kernel(model.loading, held_s) * self._late_s
+            error = float(np.linalg.norm([expected.stderr[0], self.noise, late]))
+            off = abs(own - float(expected.values[0])) > max(_OFF * error, _OFF_SHARE * abs(own))
+            self._off = self._off + 1 if off and held_s > _EARLY * _patience_s(model) else 0
+            if self._off >= _BELIEVED:
+                self._changed = (time_s, own)
 
     def _learn(self, time_s: float, frame_s: float, model: ForceModel) -> None:
         """Add a frame to the hold; the first waits for the second, which tells whether the head was still moving."""
@@ -164,11 +213,23 @@ class Track:
         self._released = self.sign * self._largest
         self._hold = self._first = None
 
+    def _lightened(self, time_s: float) -> None:
+        """Take back a release: some of the load still presses."""
+        self.state, self._now_s = "loading", time_s
+        self._changed = (time_s, self.strength - self.base_now)
+        self._largest = self.sign * self.strength
+        self.expected = self.precision = 0.0
+        self.unseen = 0
+
     def _fade(self, time_s: float, since_last_s: float, model: ForceModel) -> None:
         rate = 1.0
         if model.unloading is not None:
             held_s = time_s - self.since_s
             rate = self._left(model.unloading, held_s + since_last_s) / self._left(model.unloading, held_s)
+            stays = self._left(model.unloading, held_s) + _STAYS
+            if self.sign * self.strength > max(stays * self._released, _CLEAR * self.noise) and held_s > 0:
+                self._lightened(time_s)
+                return
         self.expected = self.strength * float(np.clip(rate, 0.0, 1.0))
         alone = 1 / float(np.linalg.norm(self.template))
         self.precision = 1 / (_FADING_ERROR * abs(self.strength) + _FADING_NOISE * alone) ** 2
@@ -181,6 +242,11 @@ class Track:
     def _left(self, kernel: RelaxationKernel, time_s: float) -> float:
         """Share of a released change that is left after a time."""
         return _RESIDUE + float(np.sum(np.abs(kernel.weights) * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
+
+
+def _patience_s(model: ForceModel) -> float:
+    """How long a change of load is waited for."""
+    return float(model.loading.time_constants_s[-1]) if model.loading and len(model.loading.weights) else _PATIENCE_S
 
 
 def _kernel(kernel: RelaxationKernel, time_s: float) -> float:

@@ -46,7 +46,8 @@ class TrackedLoad:
     since_s : when it was pressed; when it was released, once it was.
     place_mm, place_stderr_mm : where, and how sure, root mean square over two axes.
     force_N, stderr_N : of a load that presses: what it will be after the calibrated hold. 0 ± 0 once released.
-    left_N : of a released load: the force its residue would be taken for; else 0.
+    left_N : of a released load: the force its residue would be taken for; else 0. NaN, flagged OUTSIDE, at a place
+        where no head can be.
     flags : as :class:`~cbsr_qa.calibrate.force.Flag`.
     """
 
@@ -226,6 +227,8 @@ class ForceStream:
         match = self._match(track, value, variance)
         force, stderr = self._calibration.inverse.force(match)
         flags = bad
+        if not np.isfinite(force[0]):
+            flags |= Flag.OUTSIDE
         if pressing:
             flags |= Flag(int(range_flags(force, stderr, match.place_mm, self._calibration.issued.validity)[0]))
         return TrackedLoad(

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from force_samples import HEAD, NOISE, learned, line, pressed, setting, smooth_response, somewhere
 
+from cbsr_qa.calibrate._track import Track
 from cbsr_qa.calibrate.force import Flag
 from cbsr_qa.calibrate.runtime import Calibration
 from cbsr_qa.calibrate.tracking import ForceStream, LoadState
@@ -172,6 +173,48 @@ def test_two_loads_at_once_and_one_on_what_another_left(calibration, response):
     assert third[0].number == 3
 
 
+class Steps(Press):
+    """A head whose force is added to or lessened while it presses; changes add up as those of single presses do."""
+
+    def __init__(self, place_mm, steps, response):
+        super().__init__(place_mm, 1.0, 0.0, np.inf, response)
+        self.steps = steps
+
+    def contrast(self, time_s):
+        size = 0.0
+        for from_s, change_N in self.steps:
+            if time_s >= from_s:
+                kernel_, sign = (LOADING, 1) if change_N > 0 else (UNLOADING, -1)
+                size += change_N * (1 + sign * share(kernel_, time_s - from_s))
+        return self.size * size
+
+
+@pytest.mark.parametrize(("first_N", "then_N"), [(1.5, 1.5), (4.0, -2.0)], ids=["doubled", "halved"])
+def test_a_load_that_changes_while_it_presses_is_known_less_surely_and_not_wrongly(
+    calibration, response, first_N, then_N
+):
+    head = Steps((15.0, 5.0), [(20.0, first_N), (100.0, then_N)], response)
+    seen = followed(calibration, [head], 260.0)
+    before, soon, late = (pressing(at(seen, time_s)) for time_s in (98.0, 125.0, 250.0))
+    assert [len(loads) for loads in (before, soon, late)] == [1, 1, 1]
+    assert before[0].force_N == pytest.approx(first_N, abs=0.2)
+    for loads in (soon, late):
+        assert abs(loads[0].force_N - first_N - then_N) < 3 * loads[0].stderr_N
+    assert soon[0].stderr_N > 3 * before[0].stderr_N
+    assert late[0].force_N == pytest.approx(first_N + then_N, abs=0.2)
+    assert late[0].state is LoadState.STEADY
+
+
+def test_a_head_seen_on_its_way_down_does_not_become_two(calibration, response):
+    # A tenth of the load in the frame in which it touches: that frame is 9 mm off in its place.
+    head = Steps((11.3, 25.5), [(18.8, 0.12), (20.1, 1.13)], response)
+    for seed in range(6):
+        seen = followed(calibration, [head], 60.0, seed=seed)
+        load = pressing(at(seen, 58.0))
+        assert len(load) == 1
+        assert load[0].force_N == pytest.approx(1.25, abs=0.15)
+
+
 @pytest.mark.slow
 def test_stated_errors_are_honest_over_many_loads(calibration, response):
     random = np.random.default_rng(17)
@@ -293,3 +336,24 @@ def test_a_time_that_is_no_finite_number_is_refused_and_the_stream_goes_on(calib
 def test_a_number_of_loads_that_counts_nothing_is_refused(calibration, most):
     with pytest.raises(CalibrationError, match="a stream cannot follow"):
         ForceStream(calibration, most=most)
+
+
+def test_a_place_with_an_error_that_is_none_is_not_learned_from():
+    track = Track(1, np.array([3.0, 4.0]), np.ones(5), 0.0, 0.0, 1.0)
+    track.add_place(np.array([9.0, 9.0]), np.diag([1.0, -1.0]))
+    track.add_place(np.array([9.0, 9.0]), -np.eye(2))
+    assert track.place_mm.tolist() == [3.0, 4.0]
+    track.add_place(np.array([5.0, 6.0]), np.eye(2))
+    assert track.place_mm == pytest.approx([5.0, 6.0])
+
+
+def test_what_is_left_where_no_head_can_be_is_flagged(calibration):
+    stream = ForceStream(calibration)
+    track = Track(1, np.array([0.6, -46.4]), calibration.filter.template(np.zeros((1, 2)))[0], 0.0, 0.0, 1.0)
+    track.state, track.strength = "unloading", 0.01
+    told = stream._told(track, Flag(0))
+    assert np.isfinite(told.left_N) or Flag.OUTSIDE in told.flags
+    track.place_mm = np.array([0.0, 60.0])
+    told = stream._told(track, Flag(0))
+    assert np.isnan(told.left_N)
+    assert Flag.OUTSIDE in told.flags
