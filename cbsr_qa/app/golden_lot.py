@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from datetime import UTC, date
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from cbsr_qa.config.echo import echo
 from cbsr_qa.config.merge import canonical_json
@@ -118,6 +118,10 @@ def _data_rows(run: LotRun) -> Iterable[list[Any]]:
         yield [run.summary.serial, run.summary.run, m.name, m.unit, *where, m.value, m.uncertainty, str(m.bound)]
 
 
+#: More than a list of serial numbers has.
+_LARGEST_BYTES: Final = 2**24
+
+
 def read_serials(path: Path) -> tuple[str, ...]:
     """Read serial numbers, one a line; ``#`` begins a comment.
 
@@ -127,6 +131,8 @@ def read_serials(path: Path) -> tuple[str, ...]:
         If the file cannot be read, holds none, or a line is no serial number (with its number).
     """
     try:
+        if path.is_char_device() or path.is_block_device() or path.stat().st_size > _LARGEST_BYTES:
+            raise RefusedError(f"{path} is no list of serial numbers", remedy="write one serial number a line")
         lines = path.read_text(encoding="utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or "it is not text in UTF-8"

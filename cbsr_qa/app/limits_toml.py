@@ -68,7 +68,11 @@ def write_new(path: Path, text: str) -> None:
 
 def refuse_existing(path: Path) -> None:
     """Refuse to write over a file: limits that runs were judged by stay as they were."""
-    if path.exists():
+    try:
+        there = path.exists()
+    except OSError as error:
+        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
+    if there:
         raise RefusedError(f"{path} exists already", remedy="name another file: versions of limits are kept")
 
 

@@ -392,3 +392,12 @@ def test_risks_are_not_made_up_where_the_uncertainty_explains_the_lot(database, 
 def test_a_database_without_runs_or_none_at_all_is_refused(tmp_path, database, refused):
     refused(database(), "--batch", "golden", said=["no stored run is of batch", "no runs at all"])
     refused(tmp_path / "nowhere.db", "--batch", "golden", said=["nowhere.db"])
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "said"),
+    [("--serials", "/dev/zero", "no list of serial numbers"), ("--output", "x" * 300, "File name too long")],
+)
+def test_what_is_no_file_is_refused_and_not_read_for_ever(option, value, said, capsys):
+    assert guarded(["limits", "propose", "--serial", "S-1", option, value]) == 2
+    assert said in capsys.readouterr().err
