@@ -12,6 +12,8 @@ from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 Source = Annotated[str, Field(min_length=1, max_length=1000)]
 Pair = Annotated[list[float], Field(min_length=2, max_length=2)]
+#: Digits that are lost when standard errors and covariance are written by hand.
+_ROUNDING = 1e-3
 
 
 class ParameterTable(Table):
@@ -54,6 +56,21 @@ class StrainTable(Table):
     def to_domain(self) -> QuasiStatic:
         """Return the line."""
         return QuasiStatic(self.slope.to_domain(), self.intercept.to_domain(), self.covariance)
+
+
+def _covariance_problems(line: StressTable | StrainTable, where: KeyPath) -> Iterator[Problem]:
+    """Yield why slope and intercept cannot have the covariance that is stated: a variance would be negative."""
+    if line.covariance is None:
+        return
+    fit = line.to_domain()
+    if fit.slope.stderr is None or fit.intercept.stderr is None:
+        what = "is stated without the standard errors of slope and intercept; state both or leave it out"
+        yield Problem((*where, "covariance"), what)
+        return
+    most = fit.slope.stderr * fit.intercept.stderr
+    if abs(line.covariance) > most * (1 + _ROUNDING):
+        what = f"is {line.covariance:g}; the product of the standard errors, {most:g}, is its largest size"
+        yield Problem((*where, "covariance"), what)
 
 
 class RelaxationTable(Table):
@@ -113,7 +130,9 @@ class MaterialFile(FileModel[Material]):
     material: MaterialTable
 
     def problems(self) -> Iterator[Problem]:
-        """Time constants rise."""
+        """Time constants rise, and covariances fit their standard errors."""
+        yield from _covariance_problems(self.material.against_stress, ("material", "against_stress"))
+        yield from _covariance_problems(self.material.against_strain, ("material", "against_strain"))
         for name in ("stress_relaxation", "loading_relaxation", "unloading_relaxation"):
             yield from getattr(self.material, name).problems(("material", name))
 

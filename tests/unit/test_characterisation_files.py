@@ -182,9 +182,17 @@ KERNELS = st.builds(
 )  # fmt: skip
 
 
+def _line(slope, intercept, correlation):
+    known = None not in (slope.stderr, intercept.stderr, correlation)
+    return QuasiStatic(slope, intercept, correlation * slope.stderr * intercept.stderr if known else None)
+
+
+LINES = st.builds(_line, *2 * [st.builds(Parameter, NUMBERS, ERRORS, TEXTS)], st.none() | st.floats(-1, 1))
+
+
 @given(
     st.builds(Parameter, st.floats(1e-6, 1e6), ERRORS, TEXTS),
-    st.builds(QuasiStatic, *2 * [st.builds(Parameter, NUMBERS, ERRORS, TEXTS)], st.none() | NUMBERS),
+    LINES,
     KERNELS,
     TEXTS,
 )
@@ -196,6 +204,26 @@ def test_a_written_material_is_read_back_as_it_was(tmp_path_factory, parameter, 
     path = tmp_path_factory.mktemp("material") / "one.toml"
     path.write_text(material_text(material, ["a comment", ""]), encoding="utf-8")
     assert load_material(path).value == material
+
+
+@pytest.mark.parametrize(
+    ("errors", "covariance", "said"),
+    [
+        ((2e-4, 3e-3), 6.1e-7, "the product of the standard errors, 6e-07, is its largest size"),
+        ((2e-4, 3e-3), -1.0, "covariance is -1"),
+        ((0.0, 3e-3), 1e-9, "the product of the standard errors, 0,"),
+        ((2e-4, None), 1e-9, "without the standard errors of slope and intercept"),
+    ],
+)
+@pytest.mark.parametrize("line", ["against_stress", "against_strain"])
+def test_a_covariance_that_no_line_can_have_is_refused(tmp_path, line, errors, covariance, said):
+    fit = QuasiStatic(*(Parameter(0.5, error, "a test") for error in errors), covariance)
+    material = replace(load_material("cbsr-8wt").value, **{line: fit})
+    path = tmp_path / "one.toml"
+    path.write_text(material_text(material), encoding="utf-8")
+    with pytest.raises(ConfigError, match=f"material.{line}.covariance") as caught:
+        load_material(path)
+    assert said in str(caught.value)
 
 
 def test_a_written_material_begins_with_its_comments():
