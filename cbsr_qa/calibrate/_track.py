@@ -79,7 +79,7 @@ class Track:
         self._hold: HoldsSoFar | None = None
         self._held_s = self._late_s = 0.0
         self._changed: tuple[float, float] | None = None
-        self._now_s = since_s
+        self._now_s = self._pressed_s = since_s
         self._off = 0
 
     @property
@@ -209,13 +209,14 @@ class Track:
         self._hold.add(held_s, own, noise)
 
     def _release(self, time_s: float) -> None:
+        self._pressed_s = self.since_s
         self.state, self.since_s = "unloading", time_s
         self._released = self.sign * self._largest
         self._hold = self._first = None
 
     def _lightened(self, time_s: float) -> None:
         """Take back a release: some of the load still presses."""
-        self.state, self._now_s = "loading", time_s
+        self.state, self.since_s, self._now_s = "loading", self._pressed_s, time_s
         self._changed = (time_s, self.strength - self.base_now)
         self._largest = self.sign * self.strength
         self.expected = self.precision = 0.0
