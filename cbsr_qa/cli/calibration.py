@@ -105,7 +105,7 @@ def apply(
             note(f"{one.path.name}: {remark}")
         if one.refused is not None:
             note(f"cbsr-qa: {one.refused}")
-    if output is not None:
+    if output is not None and any(one.refused is None for one in applied):
         write_table(output, as_csv(applied))
         note(f"written to {output}")
     if json:

@@ -181,6 +181,12 @@ def test_apply_prints_a_row_a_frame(folder, calibration):
     assert "frames 1 to 7 of 7" in done.stderr
 
 
+def test_where_every_recording_is_refused_no_table_is_written(folder, tmp_path):
+    done = _run("apply", folder / "sensor.h5", folder / "other.h5", "--output", tmp_path / "all.csv")
+    assert done.return_value == 2
+    assert not (tmp_path / "all.csv").exists()
+
+
 def test_apply_as_json_is_one_document_and_refusals_are_in_it(folder):
     done = _run("apply", folder / "sensor.h5", folder / "press.h5", folder / "other.h5", "--json")
     assert done.return_value == 2
