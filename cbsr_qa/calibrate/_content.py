@@ -94,8 +94,10 @@ class Reading:
         return None if np.isnan(value) else self.number(path)
 
     def numbers(self, path: str) -> NDArray[np.float64]:
-        """Return an array of numbers."""
+        """Return an array of numbers; none is infinite."""
         array: NDArray[np.float64] = self._array(path, np.float64)
+        if np.isinf(array).any():
+            raise CalibrationError(f"{path} holds a number that is infinite; finite ones are expected")
         return array
 
     def singles(self, path: str) -> NDArray[np.float64]:
@@ -104,7 +106,7 @@ class Reading:
 
     def maybes(self, path: str) -> list[float | None]:
         """Return a list of numbers with None where there is none."""
-        return [None if np.isnan(value) else float(value) for value in self._array(path, np.float64)]
+        return [None if np.isnan(value) else float(value) for value in self.numbers(path)]
 
     def optional(self, path: str) -> NDArray[np.float64] | None:
         """Return an array of numbers, or None where it is empty."""

@@ -155,7 +155,7 @@ def _validity(validity: dict[str, Any]) -> Iterable[str]:
     yield f"  force: {_range(validity['force_N'], 'N')}"
     yield f"  strain: {_range([100 * end for end in validity['strain']], '%')}"
     yield f"  temperature: {_range(validity['temperature_C'], '°C')}"
-    yield f"  within {validity['radius_mm']:g} mm of the centre, head: {validity['indenter']}"
+    yield f"  within {validity['radius_mm']:.3g} mm of the centre, head: {validity['indenter']}"
     yield from (f"  reduced: {reason}" for reason in validity["reduced"])
 
 

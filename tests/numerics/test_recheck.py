@@ -125,6 +125,8 @@ class TestMetric:
         assert all(one.value is None and "broken.h5" in one.how for one in found)
 
     def test_options_are_refused(self):
+        with pytest.raises(ConfigError, match=r"there is no file nowhere\.h5"):
+            CalibrationCheck(calibration="nowhere.h5")
         with pytest.raises(ConfigError, match="calibration is 3"):
             CalibrationCheck(calibration=3)
         with pytest.raises(ConfigError, match="did you mean 'calibration'"):

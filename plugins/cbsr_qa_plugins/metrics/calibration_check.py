@@ -39,6 +39,12 @@ class CalibrationCheck:
                 f"metric 'calibration-check': calibration is {given!r}", remedy="it is the path of a calibration file"
             )
         self._path = None if given is None else Path(given)
+        # Before anything moves: five minutes at the station are not spent on a file that is not there.
+        if self._path is not None and not self._path.is_file():
+            raise ConfigError(
+                f"metric 'calibration-check': there is no file {given}",
+                remedy="it is the path of a calibration file, from the folder the run is started in",
+            )
 
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; without a calibration that fits, everything is without value and says why."""
