@@ -99,7 +99,7 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
         reconstruction = _reconstruction(request, plugins)
         tell(f"reading {path.name}")
         format_, name = recognised(path, request.format, plugins)
-        datasets = _guarded(path, name, lambda: format_.datasets(path))
+        datasets = guarded(path, name, lambda: format_.datasets(path))
         recording = _read(path, format_, name, ReadOptions(request.dataset, request.reference))
         if request.reference is not None:
             recording = with_reference(recording, _empty(*request.reference, path, format_, name, plugins))
@@ -186,7 +186,7 @@ def _head(path: Path) -> bytes:
 
 
 def _read(path: Path, format_: RecordingFormat, name: str, options: ReadOptions) -> Recording:
-    return _guarded(path, name, lambda: format_.read(path, options))
+    return guarded(path, name, lambda: format_.read(path, options))
 
 
 def _empty(
@@ -201,7 +201,7 @@ def _empty(
         raise RecordingError(f"the reference cannot be used: {error.reason}", remedy=error.remedy) from error
 
 
-def _guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
+def guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
     """Run a plugin's code; whatever it raises becomes one clear refusal."""
     try:
         return work()

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from cbsr_qa.app.analyse import recognised
-from cbsr_qa.domain.errors import CbsrError, RecordingError
+from cbsr_qa.app.analyse import guarded, recognised
 from cbsr_qa.domain.recording import ReadOptions, Recording
 from cbsr_qa.plugins import Plugins
 
@@ -22,14 +21,4 @@ def read_recording_file(path: Path, plugins: Plugins, *, format_: str | None, da
         If the file cannot be read, nothing in it can be used, or its format is unknown.
     """
     reader, name = recognised(path, format_, plugins)
-    try:
-        return reader.read(path, ReadOptions(dataset))
-    except CbsrError:
-        raise
-    except OSError as error:
-        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
-    except Exception as error:
-        raise RecordingError(
-            f"{path.name} cannot be read as {name}: {type(error).__name__}: {error}",
-            remedy="the file is damaged, or of another format: name it with --format",
-        ) from error
+    return guarded(path, name, lambda: reader.read(path, ReadOptions(dataset)))

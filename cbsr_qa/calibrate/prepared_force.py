@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibrate._force import as_filed
+from cbsr_qa.calibrate.force_learning import unlearned_model
 from cbsr_qa.calibrate.templates import template_bank
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.force_model import ForceModel
@@ -53,27 +54,7 @@ def prepared_force(
     weight = abs(scale) * np.abs(merging).sum(axis=1)
     readings = MergedReadings(used, merging * scale, drive[first], measure[first], weight)
     bank = template_bank(model, readings, head)
-    nothing = np.zeros(len(bank.templates))
-    return as_filed(
-        ForceModel(
-            lattice=bank.lattice,
-            node=bank.node,
-            merging=merging,
-            templates=bank.templates,
-            log_size=bank.log_size,
-            size_slope=bank.size_slope,
-            slopes=bank.slopes,
-            fits=bank.fits,
-            log_response=nothing,
-            log_response_stderr=nothing,
-            scatter=0.0,
-            stress_kPa=(0.0, 0.0),
-            threshold=1.0,
-            misfit=1.0,
-            residue_share=0.0,
-            residue_stderr=0.0,
-        )
-    )
+    return as_filed(unlearned_model(bank, merging))
 
 
 def prepared_again(
