@@ -18,7 +18,7 @@ from cbsr_qa.calibrate.json_file import dataset
 from cbsr_qa.calibrate.matched import Matches, TemplateFilter
 from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
-from cbsr_qa.domain.force_model import ForceModel, Lattice
+from cbsr_qa.domain.force_model import NUMBERS, ForceModel, Lattice
 
 Array = NDArray[np.float64]
 
@@ -130,20 +130,8 @@ def thinned(model: ForceModel, stride: int) -> ForceModel:
             name: getattr(model, name)[kept]
             for name in ("log_size", "size_slope", "slopes", "fits", "log_response", "log_response_stderr")
         },
-        **{
-            name: getattr(model, name)
-            for name in (
-                "scatter",
-                "stress_kPa",
-                "threshold",
-                "misfit",
-                "residue_share",
-                "residue_stderr",
-                "residue_strength",
-                "steady_s",
-                "place_scatter_mm",
-            )
-        },
+        stress_kPa=model.stress_kPa,
+        **{name: getattr(model, name) for name in NUMBERS},
     )
 
 

@@ -39,8 +39,9 @@ class Forces:
 
     Parameters
     ----------
-    force_N, stderr_N : (n,) estimate and its standard error; NaN in frames flagged UNREADABLE or OTHER_SENSOR,
-        and, flagged OUTSIDE, for a given place where no head can be.
+    force_N, stderr_N : (n,) estimate and its standard error; NaN in frames flagged UNREADABLE or OTHER_SENSOR.
+        Where a place was searched and no load detected, 0 and the least force that shows wherever the sheet was
+        calibrated.
     place_mm, place_stderr_mm : (n, 2) where, and (n,) how sure, root mean square over two axes; 0 where it was given.
         NaN where it was to be found in a frame flagged UNREADABLE or OTHER_SENSOR.
     detectability : (n,) d′, the load's signal over the noise of the readings.
@@ -109,6 +110,14 @@ class ForceInverse:
         slope, intercept = self.line.slope.stderr or 0.0, self.line.intercept.stderr or 0.0
         variance = (slope * stress) ** 2 + intercept**2 + 2 * stress * (self.line.covariance or 0.0)
         return np.maximum(variance, 0.0)
+
+
+def least_force_N(inverse: ForceInverse, size: Array, places_mm: Array) -> Array:
+    """Force (n,) whose change of one frame just counts as a load, by size (n,) of a change per strength at places."""
+    strength = np.sign(inverse.line.slope.value) * inverse.model.threshold / size
+    nothing = np.zeros(len(size))
+    force, _ = inverse.force(Matches(places_mm, strength, np.zeros((len(size), 3, 3)), nothing, nothing))
+    return np.maximum(force, 0.0)
 
 
 def map_gradient(model: ForceModel) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from cbsr_qa.calibrate.file import read_calibration
-from cbsr_qa.calibrate.force import Flag, ForceInverse, Forces, map_gradient, range_flags
+from cbsr_qa.calibrate.force import Flag, ForceInverse, Forces, least_force_N, map_gradient, range_flags
 from cbsr_qa.calibrate.matched import Matches, TemplateFilter, scattered
 from cbsr_qa.domain import calibration as record
 from cbsr_qa.domain.errors import CalibrationError
@@ -57,6 +57,7 @@ class Calibration:
         self.filter: TemplateFilter = self._filter(issued.indenter)
         self.inverse = ForceInverse(self.model, issued.against_stress, issued.indenter.area_mm2, self._gradient)
         self.sign = float(np.sign(issued.against_stress.slope.value))
+        self.least_force_N = self._least_force_N()
 
     @classmethod
     def load(cls, path: str | Path) -> Self:
@@ -180,7 +181,8 @@ class Calibration:
         flags = np.where(bad, bad, self._flags(matches, detectability, searched=searched))
         silent = (flags & Flag.NOT_DETECTED) != 0
         if searched:
-            force[silent] = 0.0
+            # Nobody knows where a load would be that does not show: it may be where the sheet shows least.
+            force[silent], stderr[silent] = 0.0, self.least_force_N
         loaded = ~silent & (bad == 0)
         flags[loaded] |= range_flags(force, stderr, matches.place_mm, self.issued.validity)[loaded]
         force[bad != 0] = np.nan
@@ -192,6 +194,14 @@ class Calibration:
             where[bad != 0] = np.nan
             place_stderr[bad != 0] = np.nan
         return Forces(force, stderr, where, place_stderr, detectability, flags)
+
+    def _least_force_N(self) -> float:
+        """Least force that one frame shows wherever the sheet was calibrated."""
+        model = self.model
+        places = model.lattice.places_mm()[model.node.ravel() >= 0]
+        near = model.fits & (np.hypot(*places.T) <= self.issued.validity.radius_mm)
+        where = near if near.any() else model.fits
+        return float(np.nanmax(least_force_N(self.inverse, np.exp(model.log_size[where]), places[where])))
 
     def _flags(self, matches: Matches, detectability: Array, *, searched: bool) -> NDArray[np.int64]:
         flags = np.zeros(len(detectability), dtype=np.int64)

@@ -200,10 +200,10 @@ class ForceStream:
         near = min((track.distance_mm(match.place_mm[0]) for track in pressing), default=np.inf)
         if near < self._calibration.issued.indenter.radius_mm:
             return False
-        self._count += 1
         template = self._filter.template(match.place_mm)[0]
         if not np.isfinite(template).all():
             return False
+        self._count += 1
         since_s = self._time_s - self._frame_s / 2
         self._tracks.append(Track(self._count, match.place_mm[0], template, since_s, self._base(template), sign))
         return True

@@ -1,6 +1,7 @@
 """What turns a sensor's readings into newtons: fields of its head by place, and how strongly each place answers."""
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,6 +10,18 @@ from cbsr_qa.domain.relaxation import RelaxationKernel
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
+
+#: Plain numbers of a force model, by the names of its fields.
+NUMBERS: Final = (
+    "scatter",
+    "threshold",
+    "misfit",
+    "residue_share",
+    "residue_stderr",
+    "residue_strength",
+    "steady_s",
+    "place_scatter_mm",
+)
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,14 +2,14 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy.orm import Session
 
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.domain.force_model import ForceModel
+from cbsr_qa.domain.force_model import NUMBERS, ForceModel
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.relaxation import RelaxationKernel
 from cbsr_qa.domain.sensor import SensorType
@@ -17,18 +17,6 @@ from cbsr_qa.store.arrays import digest, packed, unpacked
 from cbsr_qa.store.result_tables import ForceRow
 
 Array = NDArray[np.float64]
-
-#: Numbers of a model that are columns of the same name.
-_NUMBERS: Final = (
-    "scatter",
-    "threshold",
-    "misfit",
-    "residue_share",
-    "residue_stderr",
-    "residue_strength",
-    "steady_s",
-    "place_scatter_mm",
-)
 
 #: Prepares a model's templates from sensor type, used readings, merging [1/V], reference [V] and head.
 PrepareForce = Callable[[SensorType, NDArray[np.bool_], Array, Array, Indenter], ForceModel]
@@ -48,7 +36,7 @@ def force_values(model: ForceModel) -> dict[str, Any]:
         "force_sha256": digest(f"{merged}x{readings}|1/V|{len(model.log_response)}", arrays),
         "stress_low_kpa": model.stress_kPa[0],
         "stress_high_kpa": model.stress_kPa[1],
-        **{name: getattr(model, name) for name in _NUMBERS},
+        **{name: getattr(model, name) for name in NUMBERS},
         "kernels": {
             name: _kernel_values(kernel)
             for name, kernel in (("loading", model.loading), ("unloading", model.unloading))
@@ -99,7 +87,7 @@ def stored_force(
         stress_kPa=(row.stress_low_kpa, row.stress_high_kpa),
         loading=_kernel(row, "loading"),
         unloading=_kernel(row, "unloading"),
-        **{name: getattr(row, name) for name in _NUMBERS},
+        **{name: getattr(row, name) for name in NUMBERS},
     )
 
 

@@ -289,9 +289,21 @@ class TestFrames:
         assert flags[4] == Flag.OTHER_SENSOR
         assert flags[5] == Flag.UNREADABLE
         assert forces.force_N[0] == 0
+        assert forces.stderr_N[0] == calibration.least_force_N
         assert np.isnan(forces.force_N[4:]).all()
         outside = calibration.force(heavy, place_mm=(0.0, 41.0))
         assert Flag(int(outside.flags[0])) & Flag.OUTSIDE
+
+    def test_a_load_that_does_not_show_is_within_what_is_stated(self, calibration, response):
+        # The centre shows least: what is missed there must not be said to be known to be nothing.
+        stress = 0.6 * calibration.least_force_N / HEAD.area_mm2 * 1e3
+        contrast = response(np.zeros((1, 2))) * line().slope.value * stress
+        here, random = setting(), np.random.default_rng(4)
+        noise = NOISE * random.standard_normal((200, *here.used.shape))
+        forces = calibration.force(here.model.unloaded() + here.voltages(np.zeros((1, 2)), contrast) + noise)
+        missed = forces.flags == Flag.NOT_DETECTED
+        assert missed.mean() > 0.5
+        assert (np.abs(forces.force_N - 0.6 * calibration.least_force_N)[missed] < forces.stderr_N[missed]).all()
 
     def test_current_scales_frames(self, calibration):
         here = setting()
