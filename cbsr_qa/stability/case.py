@@ -123,5 +123,6 @@ def _answered(case: HardCase, answer: Answer, seconds: float) -> CaseResult:
         return CaseResult(case, Ending.BROKEN, answer, reason, "", seconds)
     finite = math.isfinite(answer.error) and math.isfinite(answer.bound)
     within = finite and 0 <= answer.error <= answer.bound
-    reason = "" if within else f"an error of {answer.error:.3g} where {answer.bound:.3g} is allowed"
+    said = f"an error of {answer.error:.3g} where {answer.bound:.3g} is allowed"
+    reason = "" if within else said if finite else "its error or its bound is no finite number"
     return CaseResult(case, Ending.OK if within else Ending.BROKEN, answer, reason, "", seconds)

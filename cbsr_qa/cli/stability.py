@@ -1,0 +1,36 @@
+"""``cbsr-qa stability``: the numerically hard cases, each against truth."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cbsr_qa.cli.counting import Counting
+from cbsr_qa.cli.output import emit_json, note, say
+
+
+def stability(
+    area: Annotated[list[str] | None, typer.Option(help="Only cases of this area; repeatable.")] = None,
+    only: Annotated[list[str] | None, typer.Option(metavar="NAME", help="Only this case; repeatable.")] = None,
+    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+) -> None:
+    """Run the numerically hard cases: error against truth, its bound and the condition met, or the named refusal.
+
+    Exit code 1 if a bound is broken.
+    """
+    from cbsr_qa.app.stability import examine_cases
+    from cbsr_qa.cli.stability_table import lines
+
+    with Counting("cases") as counting:
+        counting.stage("numerically hard cases")
+        found = examine_cases(areas=tuple(area or ()), names=tuple(only or ()), progress=counting.count)
+    if output is not None:
+        found.write(output)
+        note(f"page         {output}")
+    if as_json:
+        emit_json(found.document())
+    else:
+        for line in lines(found):
+            say(line)
+    raise typer.Exit(found.exit_code)

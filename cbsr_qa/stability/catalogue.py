@@ -1,0 +1,37 @@
+"""All numerically hard cases, by area."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.stability import forward_cases
+from cbsr_qa.stability.case import HardCase
+
+#: Every case, in order of area.
+CASES: Final[tuple[HardCase, ...]] = (*forward_cases.CASES,)
+
+#: Areas, in the order they are shown in.
+AREAS: Final[tuple[str, ...]] = tuple(dict.fromkeys(case.area for case in CASES))
+
+
+def chosen_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[HardCase, ...]:
+    """Return the cases of some areas or with some names; all where neither is given.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such area or name.
+    """
+    known = [case.name for case in CASES]
+    for what, asked, there in (("area", areas, list(AREAS)), ("case", names, known)):
+        for one in asked:
+            if one not in there:
+                raise ConfigError(f"there is no {what} {one!r}", remedy=f"there are: {', '.join(there)}")
+    if not areas and not names:
+        return CASES
+    return tuple(case for case in CASES if case.area in areas or case.name in names)
+
+
+def case_named(name: str) -> HardCase:
+    """Return the case of a name that :func:`chosen_cases` knows."""
+    return next(case for case in CASES if case.name == name)

@@ -1,0 +1,128 @@
+"""The complete electrode model in fifty digits, on small meshes: truth for what rounding does to the usual one.
+
+Textbook form (Vauhkonen et al. 1999): first order, the electrodes' potentials among the unknowns, stiffness from the
+corners' places. It shares no line with :mod:`cbsr_qa.forward`, which eliminates those potentials and uses doubles.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from mpmath import mp
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.mesh import Mesh
+from cbsr_qa.domain.patterns import DrivePattern
+
+Array = NDArray[np.float64]
+
+DIGITS: Final = 50
+
+#: Symmetric matrix as rows of its entries, both triangles.
+_Rows = list[dict[int, Any]]
+
+
+def exact_readings(
+    mesh: Mesh, pattern: DrivePattern, conductance: Array, contact_impedance: Sequence[float] | Array
+) -> Array:
+    """Readings per unit current, solved in fifty digits and rounded once.
+
+    Parameters
+    ----------
+    mesh : of some hundred nodes at most: a second of time.
+    conductance : (e,) [S]. contact_impedance : (electrodes,) [Ω·mm].
+
+    Returns
+    -------
+    (drives, measures) float64 [V/A].
+    """
+    with mp.workdps(DIGITS):
+        rows = _assembled(mesh, conductance, contact_impedance)
+        count, electrodes = len(mesh.nodes_mm), len(mesh.electrode_edges)
+        ground = count + electrodes - 1  # the last electrode's potential is zero
+        _drop(rows, ground)
+        driven = pattern.drive_currents()
+        loads = [{count + k: mp.mpf(driven[k, d]) for k in range(electrodes - 1)} for d in range(driven.shape[1])]
+        potentials = _solved(rows, loads, ground)
+        measured = pattern.measure_matrix()
+        readings = np.zeros(pattern.shape)
+        for drive, found in enumerate(potentials):
+            for measure in range(measured.shape[1]):
+                touched = np.flatnonzero(measured[:, measure])
+                readings[drive, measure] = float(
+                    mp.fsum(mp.mpf(measured[k, measure]) * found.get(count + int(k), mp.zero) for k in touched)
+                )
+    return readings
+
+
+def _assembled(mesh: Mesh, conductance: Array, contact_impedance: Sequence[float] | Array) -> _Rows:
+    count = len(mesh.nodes_mm)
+    rows: _Rows = [{} for _ in range(count + len(mesh.electrode_edges))]
+    places = [[mp.mpf(float(value)) for value in node] for node in mesh.nodes_mm]
+    for corners, gamma in zip(mesh.elements.tolist(), conductance.tolist(), strict=True):
+        _add_element(rows, corners, [places[corner] for corner in corners], mp.mpf(gamma))
+    for number, edges in enumerate(mesh.electrode_edges):
+        impedance = mp.mpf(float(contact_impedance[number]))
+        for first, second in edges.tolist():
+            (ax, ay), (bx, by) = places[first], places[second]
+            _add_contact(rows, first, second, count + number, mp.sqrt((ax - bx) ** 2 + (ay - by) ** 2) / impedance)
+    return rows
+
+
+def _add_element(rows: _Rows, corners: Sequence[int], places: Sequence[Sequence[Any]], gamma: Any) -> None:
+    """γ ∫ ∇φ_i·∇φ_j = γ e_i·e_j / 4A with e_i the edge opposite corner i."""
+    opposite = [[places[(i + 2) % 3][axis] - places[(i + 1) % 3][axis] for axis in (0, 1)] for i in range(3)]
+    twice = opposite[1][0] * opposite[2][1] - opposite[1][1] * opposite[2][0]
+    for i in range(3):
+        for j in range(3):
+            dot = opposite[i][0] * opposite[j][0] + opposite[i][1] * opposite[j][1]
+            _add(rows, corners[i], corners[j], gamma * dot / (2 * twice))
+
+
+def _add_contact(rows: _Rows, first: int, second: int, electrode: int, admittance: Any) -> None:
+    """∫ (u − U)² / z along an edge, where ``admittance`` is its length over z."""
+    for one, other, share in (
+        (first, first, 3), (second, second, 3), (first, second, 6), (second, first, 6),
+        (first, electrode, -2), (electrode, first, -2), (second, electrode, -2), (electrode, second, -2),
+        (electrode, electrode, 1),
+    ):  # fmt: skip
+        _add(rows, one, other, admittance / share)
+
+
+def _add(rows: _Rows, row: int, column: int, value: Any) -> None:
+    rows[row][column] = rows[row].get(column, mp.zero) + value
+
+
+def _drop(rows: _Rows, unknown: int) -> None:
+    for other in rows[unknown]:
+        if other != unknown:
+            del rows[other][unknown]
+    rows[unknown] = {}
+
+
+def _solved(rows: _Rows, loads: list[dict[int, Any]], ground: int) -> list[dict[int, Any]]:
+    """Eliminate by least degree, without pivots: the matrix is positive definite."""
+    left = set(range(len(rows))) - {ground}
+    steps: list[tuple[int, dict[int, Any], Any]] = []
+    while left:
+        pivot = min(left, key=lambda unknown: (len(rows[unknown]), unknown))
+        left.discard(pivot)
+        row = rows[pivot]
+        diagonal = row.pop(pivot)
+        for other in row:
+            del rows[other][pivot]
+        for one, value in row.items():
+            factor = value / diagonal
+            target = rows[one]
+            for other, entry in row.items():
+                target[other] = target.get(other, mp.zero) - factor * entry
+            for load in loads:
+                if load.get(pivot):
+                    load[one] = load.get(one, mp.zero) - factor * load[pivot]
+        steps.append((pivot, row, diagonal))
+    found: list[dict[int, Any]] = [{} for _ in loads]
+    for pivot, row, diagonal in reversed(steps):
+        for load, answer in zip(loads, found, strict=True):
+            rest = mp.fsum(entry * answer[other] for other, entry in row.items())
+            answer[pivot] = (load.get(pivot, mp.zero) - rest) / diagonal
+    return found
