@@ -162,7 +162,8 @@ def _calibration(
     if observation is None:
         return None, f"{stored.calibration} was issued, but cannot be shown without images"
     try:
-        return store.load_calibration(stored.calibration, observation.reconstruction, prepared_force), ""
+        prepared = observation.reconstruction.in_single_precision()  # as it was issued
+        return store.load_calibration(stored.calibration, prepared, prepared_force), ""
     except (StoreError, CalibrationError) as error:
         return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"
 

@@ -47,6 +47,13 @@ class Writing:
         """Keep numbers in single precision."""
         self.entries[path] = Entry(units, (np.ascontiguousarray(values) + 0.0).astype(np.float32))
 
+    def shortest(self, path: str, values: NDArray[np.float64], units: str = PURE) -> None:
+        """Keep numbers in single precision where each of them is one, else as they are: nothing is lost."""
+        if np.array_equal(values.astype(np.float32).astype(np.float64), values):
+            self.singles(path, values, units)
+        else:
+            self.numbers(path, values, units)
+
     def optional(self, path: str, values: Sequence[float] | NDArray[np.float64] | None, units: str = PURE) -> None:
         """Keep numbers that may be absent: an empty array then."""
         self.numbers(path, () if values is None else values, units)
@@ -103,6 +110,15 @@ class Reading:
     def singles(self, path: str) -> NDArray[np.float64]:
         """Return an array of numbers that are kept in single precision."""
         return self._array(path, np.float32).astype(np.float64)
+
+    def either(self, path: str) -> NDArray[np.float64]:
+        """Return an array of finite numbers that are kept in single or in double precision."""
+        value = self._value(path)
+        single = isinstance(value, np.ndarray) and value.dtype == np.float32
+        values = self.singles(path) if single else self.numbers(path)
+        if not np.isfinite(values).all():
+            raise CalibrationError(f"{path} holds what is not a finite number")
+        return values
 
     def maybes(self, path: str) -> list[float | None]:
         """Return a list of numbers with None where there is none."""

@@ -157,12 +157,12 @@ def _reconstruction(read: Reading, sensor_type: SensorType) -> LinearReconstruct
     problem = ImagingProblem(
         sensor_type,
         Mesh(read.numbers("mesh/nodes"), read.integers("mesh/elements"), owned),
-        read.numbers("reconstruction/jacobian"),
+        read.either("reconstruction/jacobian"),
         read.numbers("reconstruction/reference"),
         read.flags("reconstruction/used"),
         read.optional("reconstruction/noise_variance"),
     )
-    matrix = read.numbers("reconstruction/matrix")
+    matrix = read.either("reconstruction/matrix")
     if matrix.shape != problem.jacobian.T.shape:
         raise CalibrationError(f"reconstruction/matrix of {matrix.shape} does not fit its mesh and readings")
     method = read.text("reconstruction/method")

@@ -1,4 +1,4 @@
-"""From a calibration to the entries of its file (schema version 2; 1 where nothing is said about force)."""
+"""From a calibration to the entries of its file (schema version 3, or the lowest that has all it holds)."""
 
 from collections.abc import Mapping, Sequence
 
@@ -92,9 +92,9 @@ def _electrodes(out: Writing, electrodes: Electrodes) -> None:
 def _reconstruction(out: Writing, reconstruction: LinearReconstruction) -> None:
     problem, mesh = reconstruction.problem, reconstruction.problem.mesh
     out.text("reconstruction/method", reconstruction.method)
-    out.numbers("reconstruction/matrix", reconstruction.matrix, "A.Ohm/V")
+    out.shortest("reconstruction/matrix", reconstruction.matrix, "A.Ohm/V")
     write_choice(out, reconstruction.method, reconstruction.choice)
-    out.numbers("reconstruction/jacobian", problem.jacobian, "V/(A.Ohm)")
+    out.shortest("reconstruction/jacobian", problem.jacobian, "V/(A.Ohm)")
     out.numbers("reconstruction/reference", problem.reference, "V/(A.Ohm)")
     out.flags("reconstruction/used", problem.used)
     out.optional("reconstruction/noise_variance", problem.noise_variance)

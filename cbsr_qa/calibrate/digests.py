@@ -28,8 +28,10 @@ from cbsr_qa.calibrate._encode import encode
 from cbsr_qa.domain.calibration import Calibration
 
 FORMAT: Final = "cbsr-qa calibration"
-SCHEMA_VERSION: Final = 2
-#: Version of what holds nothing about force: it is written as it was before there was any.
+SCHEMA_VERSION: Final = 3
+#: Version of what holds matrix and Jacobian in double precision: it is written as it was when that was all there was.
+DOUBLE_MATRIX: Final = 2
+#: Version of what, besides, holds nothing about force.
 WITHOUT_FORCE: Final = 1
 
 #: Paths, or beginnings of paths, of what is prepared again from the rest.
@@ -63,7 +65,16 @@ def stamped(calibration: Calibration) -> Calibration:
 
 def schema_version(entries: Mapping[str, Entry]) -> int:
     """Return the lowest schema version that has all of some entries: what was issued before keeps its digests."""
-    return SCHEMA_VERSION if any(path.startswith("force/") for path in entries) else WITHOUT_FORCE
+    for path in ("reconstruction/matrix", "reconstruction/jacobian"):
+        value = entries[path].value if path in entries else None
+        if isinstance(value, np.ndarray) and value.dtype == np.float32:
+            return SCHEMA_VERSION
+    return _record_version(entries)
+
+
+def _record_version(entries: Mapping[str, Entry]) -> int:
+    """Return the version of what is not prepared again: how that is kept says nothing of the record."""
+    return DOUBLE_MATRIX if any(path.startswith("force/") for path in entries) else WITHOUT_FORCE
 
 
 def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> str:
@@ -84,7 +95,7 @@ def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> 
 def record_digest(entries: Mapping[str, Entry]) -> str:
     """Return the same over what is not prepared again from the rest."""
     kept = {path: entry for path, entry in entries.items() if not path.startswith(PREPARED)}
-    return content_digest(kept, schema_version(entries))
+    return content_digest(kept, _record_version(entries))
 
 
 def _canonical(value: Value) -> tuple[str, tuple[int, ...], bytes]:

@@ -4,8 +4,8 @@ Every value is a dataset with an attribute ``units``. Texts are UTF-8 strings, y
 a number that does not exist is NaN, an index that does not exist is −1, an optional array that does not exist is
 empty. Attributes of the root say ``format``, ``schema_version`` and ``digest``, which is of the content, not of the
 file's bytes (see :mod:`cbsr_qa.calibrate.digests`): copying or repacking a file with another HDF5 library keeps it.
-Schema version 1 had no group ``force``; a calibration that says nothing about force is still written so.
-Large arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
+Schema version 1 had no group ``force``, version 2 matrix and Jacobian in double precision; what holds no more is
+still written so. Large arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
 
 The Jacobian is kept beside the matrix: it is the physical prior for places and reading sets no load has calibrated,
 and without it a file could not be prepared for a sensor that lost a channel.
@@ -22,6 +22,7 @@ from typing import Any, Final
 
 import h5py
 import numpy as np
+from numpy.typing import NDArray
 
 from cbsr_qa.calibrate._content import Entry
 from cbsr_qa.calibrate._decode import decode
@@ -38,6 +39,8 @@ _MOST_TEXTS: Final = 100_000
 _DIGEST: Final = re.compile("[0-9a-f]{64}")
 #: Arrays from this size on are compressed; below it a chunk costs more than it saves.
 _COMPRESSED_BYTES: Final = 2**13
+#: How far gzip looks back for bytes it has seen.
+_LOOKS_BACK: Final = 2**15
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,12 +135,23 @@ def _write(file: h5py.File, entries: Mapping[str, Entry], digest: str) -> None:
     for path, entry in entries.items():
         if isinstance(entry.value, np.ndarray):
             data = entry.value.astype(np.uint8) if entry.value.dtype == np.bool_ else entry.value
-            packing = {"compression": "gzip", "shuffle": True} if data.nbytes >= _COMPRESSED_BYTES else {}
-            dataset = file.create_dataset(path, data=data, **packing)
+            dataset = file.create_dataset(path, data=data, **_packing(path, data))
         else:
             texts = entry.value if isinstance(entry.value, str) else np.array(entry.value, dtype=object)
             dataset = file.create_dataset(path, data=texts, dtype=h5py.string_dtype())
         dataset.attrs["units"] = entry.units
+
+
+def _packing(path: str, data: NDArray[Any]) -> dict[str, Any]:
+    """How an array is compressed."""
+    if data.nbytes < _COMPRESSED_BYTES:
+        return {}
+    packing: dict[str, Any] = {"compression": "gzip", "shuffle": True}
+    if path == "reconstruction/jacobian":
+        # A reading and its reciprocal have the same row, which is found again if the chunk holds some columns of all.
+        columns = min(max(_LOOKS_BACK // data.shape[0], 1), data.shape[1])
+        packing["chunks"] = (data.shape[0], columns)
+    return packing
 
 
 def _read(path: Path) -> tuple[dict[str, Entry], str]:
@@ -161,7 +175,7 @@ def _read(path: Path) -> tuple[dict[str, Entry], str]:
         )
     if version != schema_version(entries):
         raise CalibrationError(
-            f"written to schema version {version}, but what it says of force is that of {schema_version(entries)}"
+            f"written to schema version {version}, but what it holds is that of version {schema_version(entries)}"
         )
     return entries, digest
 

@@ -137,7 +137,7 @@ def _calibration(
         reference=observation.reference,
         current_A=_current_A(observation),
         scale=observation.scale,
-        reconstruction=observation.reconstruction,
+        reconstruction=observation.reconstruction.in_single_precision(),
         response=observation.response,
         noise_floor=observation.noise_floor,
         mask=observation.main_mask,

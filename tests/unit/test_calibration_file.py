@@ -165,6 +165,40 @@ def test_large_arrays_are_compressed_and_come_back_to_the_bit(tmp_path):
     assert_same(read_calibration(path), stamped(large), "calibration")
 
 
+def test_matrix_and_jacobian_in_single_precision_come_back_to_the_bit_and_take_less_room(tmp_path):
+    double, path = _with_large_arrays(), tmp_path / "single.h5"
+    single = replace(double, reconstruction=double.reconstruction.in_single_precision())
+    write_calibration(tmp_path / "double.h5", double)
+    assert write_calibration(path, single) == stamped(single).digest == _plain_digest(path)
+    assert_same(read_calibration(path), stamped(single), "calibration")
+    assert verify_calibration(path).schema_version == 3
+    assert verify_calibration(tmp_path / "double.h5").schema_version == 2
+    assert path.stat().st_size < 0.6 * (tmp_path / "double.h5").stat().st_size
+    # What is not prepared again is the same record, however the rest is kept.
+    assert stamped(single).record_digest == stamped(double).record_digest
+    for name in ("matrix", "jacobian"):
+        one, other = (
+            made.reconstruction.matrix if name == "matrix" else made.reconstruction.problem.jacobian
+            for made in (single, double)
+        )
+        assert np.linalg.norm(one - other) < 6e-8 * np.linalg.norm(other)
+
+
+def test_reciprocal_rows_of_the_jacobian_are_kept_once(tmp_path):
+    large = _with_large_arrays()
+    problem = large.reconstruction.problem
+    random = np.random.default_rng(3).standard_normal(problem.jacobian.shape)
+    alike = random.copy()
+    alike[len(alike) // 2 :] = alike[: len(alike) - len(alike) // 2]
+    sizes = []
+    for name, jacobian in (("random", random), ("alike", alike)):
+        made = replace(large.reconstruction, problem=replace(problem, jacobian=jacobian)).in_single_precision()
+        write_calibration(tmp_path / f"{name}.h5", replace(large, reconstruction=made))
+        with h5py.File(tmp_path / f"{name}.h5") as file:
+            sizes.append(file["reconstruction/jacobian"].id.get_storage_size())
+    assert sizes[1] < 0.6 * sizes[0]
+
+
 def test_a_matrix_worked_out_on_another_computer_changes_the_digest_but_not_that_of_the_record():
     sample = sample_calibration()
     rounded = replace(sample.reconstruction, matrix=np.nextafter(sample.reconstruction.matrix, np.inf))
@@ -273,7 +307,7 @@ def test_a_missing_digest_is_refused(issued):
 def test_a_future_version_is_refused_by_name(issued):
     with h5py.File(issued, "r+") as file:
         file.attrs["schema_version"] = np.int64(7)
-    with pytest.raises(CalibrationError, match="version 7; this program knows versions up to 2"):
+    with pytest.raises(CalibrationError, match="version 7; this program knows versions up to 3"):
         read_calibration(issued)
 
 

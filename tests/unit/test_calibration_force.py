@@ -98,7 +98,7 @@ def test_a_version_that_does_not_fit_the_content_is_refused(issued):
     with h5py.File(issued, "r+") as file:
         file.attrs["schema_version"] = np.int64(1)
     _forged(issued, {})
-    with pytest.raises(CalibrationError, match="schema version 1, but what it says of force is that of 2"):
+    with pytest.raises(CalibrationError, match="schema version 1, but what it holds is that of version 2"):
         read_calibration(issued)
 
 

@@ -74,7 +74,7 @@ def test_what_is_no_calibration_is_refused_by_name(tmp_path, what):
 
 
 _EDITED = {
-    "future": (lambda d: d.update(schema_version=3), "version 3; this program knows versions up to 2"),
+    "future": (lambda d: d.update(schema_version=4), "version 4; this program knows versions up to 3"),
     "boolean version": (lambda d: d.update(schema_version="2"), "version '2'"),
     "value": (lambda d: d["datasets"]["image/mask"].update(values=[0.9]), "changed after it was written"),
     "unit": (lambda d: d["datasets"]["image/mask"].update(units="mm"), "changed after it was written"),
