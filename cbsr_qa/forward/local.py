@@ -104,7 +104,7 @@ class LocalUpdate:
             return np.zeros_like(self.model.transfer_impedance)
         patches = self._patches(elements, contact_change is not None)
         if patches is None:
-            again = self.model.changed(contact_impedance=contact_impedance).changed_on(elements, change)
+            again = self.model.changed_on(elements, change, contact_impedance)
             return self.model.transfer_impedance - again.transfer_impedance
         return patches.correction(change, contact_change) - own
 

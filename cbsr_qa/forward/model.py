@@ -87,18 +87,19 @@ class ForwardModel:
             prepared=self.prepared,
         )
 
-    def changed_on(self, elements: Indices, change: Array) -> "ForwardModel":
+    def changed_on(self, elements: Indices, change: Array, contact_impedance: Array | None = None) -> "ForwardModel":
         """Return the same sheet with other conductances on some elements, factorised again.
 
         Parameters
         ----------
         elements : (m,) int64; changes of an element named twice add up.
         change : (m,), or (m, q, 2, 2) as of :meth:`Cover.change <cbsr_qa.forward.coverage.Cover.change>` [S].
+        contact_impedance : (electrodes,) z in place of the model's [Ω·mm].
         """
         self.check_elements(elements)
         conductance, change = _alike(self.conductance.copy(), change, len(self.elements.shapes.points))
         np.add.at(conductance, elements, change)
-        return self.changed(conductance=conductance)
+        return self.changed(conductance=conductance, contact_impedance=contact_impedance)
 
     def check_elements(self, elements: Indices) -> None:
         """Refuse numbers (m,) that are not elements of the mesh.
