@@ -115,7 +115,11 @@ class ForceApplicator(Instrument, Protocol):
         ...
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
-        """Go this far below the surface found here; returns when there."""
+        """Go this far below the surface found here; returns when there.
+
+        A head that is in the sheet already goes straight to the new depth, up or down, at this speed: it neither
+        lifts nor overshoots, since the sheet remembers from which side a strain was reached (the step ``Ease``).
+        """
         ...
 
     def release(self) -> None:

@@ -273,7 +273,7 @@ def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
         LoadRecord(
             int(group["index"][k]),
             Load(label, *_place(columns, k), int(group["trial"][k])),
-            **{name: float(columns[name][k]) for name, _ in _LOAD_COLUMNS[3:]},
+            *_times_s(columns, k),
             clear_s=None if np.isnan(cleared[k]) else cleared[k],
         )
         for k, label in enumerate(labels)
@@ -282,6 +282,11 @@ def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
 
 def _place(columns: dict[str, NDArray[np.float64]], k: int) -> tuple[float, float, float]:
     return float(columns["x_mm"][k]), float(columns["y_mm"][k]), float(columns["strain"][k])
+
+
+def _times_s(columns: dict[str, NDArray[np.float64]], k: int) -> tuple[float, float, float, float, float]:
+    press, hold, release, up, rest = (float(columns[name][k]) for name, _ in _LOAD_COLUMNS[3:])
+    return press, hold, release, up, rest
 
 
 def _digest(file: h5py.File) -> str:

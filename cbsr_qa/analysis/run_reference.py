@@ -121,7 +121,8 @@ def _without(record: RunRecord, lost_s: NDArray[np.float64]) -> RunRecord:
 def _unloaded_of(phase: PhaseRecord) -> FrameBlock | None:
     if phase.frames is None or phase.unloaded_from_s is None:
         return None
-    presses = [load.press_start_s for load in phase.loads if load.press_start_s >= phase.unloaded_from_s]
+    every = (*phase.loads, *phase.loops)
+    presses = [load.press_start_s for load in every if load.press_start_s >= phase.unloaded_from_s]
     return phase.frames.between(phase.unloaded_from_s, min(presses, default=phase.ended_s))
 
 

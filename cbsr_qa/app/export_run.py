@@ -56,6 +56,9 @@ def as_recording(record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...])
     blocks = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
     if not blocks:
         raise RefusedError(f"run {record.identity.run} holds no frames in {', '.join(p.name for p in phases)}")
+    notes = [f"run {record.identity.run} of sensor {record.identity.sensor.serial}"]
+    if loops := sum(len(phase.loops) for phase in phases):
+        notes.append(f"{loops} presses that were eased to other strains are not among the presses: one is one strain")
     return Recording(
         path=path,
         format="cbsr-recording",
@@ -70,7 +73,7 @@ def as_recording(record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...])
         loads=tuple(load for phase in phases for load in phase.loads),
         layout=record.sensor_type.electrodes,
         sensor_type=record.sensor_type.name,
-        notes=(f"run {record.identity.run} of sensor {record.identity.sensor.serial}",),
+        notes=tuple(notes),
         simulated=record.identity.simulated,
     )
 

@@ -36,6 +36,11 @@ def stroke_s(motion: Motion, depth_mm: float) -> float:
     return (motion.hover_mm - slow_mm) / motion.travel_speed_mm_s + (slow_mm + depth_mm) / motion.press_speed_mm_s
 
 
+def ease_s(motion: Motion, from_mm: float, to_mm: float) -> float:
+    """Time between two depths within the sheet, either way, at the press speed [s]."""
+    return abs(to_mm - from_mm) / motion.press_speed_mm_s
+
+
 def lift_off_s(motion: Motion, depth_mm: float) -> float:
     """Time the head needs to leave the sheet from a depth, going up at the press speed [s]."""
     return depth_mm / motion.press_speed_mm_s

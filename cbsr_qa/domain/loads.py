@@ -98,6 +98,31 @@ class Load:
 
 
 @dataclass(frozen=True, slots=True)
+class EasedStrain:
+    """Another strain that a press was brought to without leaving the sheet.
+
+    Parameters
+    ----------
+    strain : as a fraction.
+    start_s, hold_start_s : the head starts to move there, and is there. It is held until the next one starts, or the
+        release does.
+    """
+
+    strain: float
+    start_s: float
+    hold_start_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class HeldStrain:
+    """One strain of a press, from when the head is there to when it moves on [s]."""
+
+    strain: float
+    start_s: float
+    end_s: float
+
+
+@dataclass(frozen=True, slots=True)
 class LoadRecord:
     """One press as it happened, on the run's clock [s].
 
@@ -106,8 +131,10 @@ class LoadRecord:
     Parameters
     ----------
     index : 0-based within its phase.
+    load : as it was pressed first.
     press_start_s … rest_end_s : the head starts down, is down, starts up, is up, the rest is over.
     clear_s : the head has left the sheet, on its way up; None where nobody noted it (recordings of others).
+    eased : the strains it was brought to after the first one, in order; none for an ordinary press.
     """
 
     index: int
@@ -118,6 +145,15 @@ class LoadRecord:
     release_end_s: float
     rest_end_s: float
     clear_s: float | None = None
+    eased: tuple[EasedStrain, ...] = ()
+
+    @property
+    def held(self) -> tuple[HeldStrain, ...]:
+        """Every strain of the press in order, the first one included, with the times between which it was held."""
+        strains = (self.load.strain, *(step.strain for step in self.eased))
+        starts = (self.hold_start_s, *(step.hold_start_s for step in self.eased))
+        ends = (*(step.start_s for step in self.eased), self.release_start_s)
+        return tuple(HeldStrain(*one) for one in zip(strains, starts, ends, strict=True))
 
     @property
     def unloaded_s(self) -> float:

@@ -71,7 +71,8 @@ class PhaseRecord:
     started_s, ended_s : on the run's clock [s].
     frames : every frame of the phase; None where it took none.
     samples : one joined block per channel.
-    loads : the presses held to their end.
+    loads : the presses held to their end, but for loops: one press is one strain.
+    loops : the presses that were eased to other strains before the release (see ``Ease``), as they were.
     unloaded_from_s : from when the sheet counted as rested (see ``MarkUnloaded``); None where it never did.
     role : what the sequence is for, as it says itself (see ``Role``); OTHER where it says nothing.
     """
@@ -86,6 +87,7 @@ class PhaseRecord:
     loads: tuple[LoadRecord, ...] = ()
     unloaded_from_s: float | None = None
     role: Role = Role.OTHER
+    loops: tuple[LoadRecord, ...] = ()
 
     def channel(self, name: str) -> SampleBlock | None:
         """Return the samples of a channel, or None where it was not recorded."""

@@ -15,6 +15,7 @@ class Role(StrEnum):
     RELAXATION = "relaxation"  #: long holds for relaxation fits
     PRECONDITIONING = "preconditioning"  #: presses that work the sheet in before anything is measured
     CHARACTERISATION = "characterisation"  #: press cycles on a strip of the material
+    LOOP = "loop"  #: strains reached from below and from above without lifting the head between
     OTHER = "other"
 
 
@@ -36,6 +37,21 @@ class Press:
     """Travel to a load's place and press to its strain, at the press speed."""
 
     load: Load
+
+
+@dataclass(frozen=True, slots=True)
+class Ease:
+    """Bring the pressed head to another strain at the same place, deeper or less deep, without leaving the sheet.
+
+    At the press speed. A press that is eased is one load: it is stored, and done again after an interruption, as a
+    whole.
+
+    Parameters
+    ----------
+    strain : compressive, as a fraction; above 0.
+    """
+
+    strain: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,4 +92,4 @@ class Prompt:
     text: str
 
 
-Step = Home | FindSurface | Press | Hold | Release | AcquireFrames | MarkUnloaded | Prompt
+Step = Home | FindSurface | Press | Ease | Hold | Release | AcquireFrames | MarkUnloaded | Prompt

@@ -1,13 +1,24 @@
 """Walk a plan without moving anything: how long, how far, how hard, and what the station would not allow."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from cbsr_qa.domain import kinematics
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.loads import Load
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Prompt, Release, Step
+from cbsr_qa.domain.steps import (
+    AcquireFrames,
+    Ease,
+    FindSurface,
+    Hold,
+    Home,
+    MarkUnloaded,
+    Press,
+    Prompt,
+    Release,
+    Step,
+)
 from cbsr_qa.runner.frame_count import frames_in_hold
 from cbsr_qa.runner.kinds import Kind, Spent
 from cbsr_qa.runner.plan import Plan
@@ -167,6 +178,7 @@ class _Walk:
     violations: list[str] = field(default_factory=list)
     place_mm: tuple[float, float] = (0.0, 0.0)
     depth_mm: float | None = None  #: None while the head is up
+    load: Load | None = None  #: pressed last
     frames: int = 0
 
     def phase(self, scheduled: ScheduledPhase) -> DryPhase:
@@ -196,6 +208,8 @@ class _Walk:
             case Press(load=load):
                 yield from load_violations(load, self.plan)
                 self._press(load)
+            case Ease(strain=strain):
+                yield from self._ease(strain)
             case FindSurface(x_mm=x_mm, y_mm=y_mm):
                 yield from place_violations(x_mm, y_mm, self.plan)
                 self._travel(x_mm, y_mm)
@@ -231,9 +245,22 @@ class _Walk:
         depth_mm = load.strain * self.plan.sensor_type.thickness_mm
         self._travel(load.x_mm, load.y_mm)
         self.spent.add(Kind.PRESS, kinematics.stroke_s(self.plan.motion, depth_mm))
-        self.depth_mm = depth_mm
-        self.peak_strain = max(self.peak_strain, load.strain)
-        self.peak_force_N = max(self.peak_force_N, expected_force_N(load.strain, self.plan))
+        self.load = load
+        self._down(load.strain)
+
+    def _ease(self, strain: float) -> Iterator[Violation]:
+        if self.depth_mm is None or self.load is None:
+            yield Violation("order", "the head is not down")
+            return
+        yield from load_violations(replace(self.load, strain=strain), self.plan)
+        to_mm = strain * self.plan.sensor_type.thickness_mm
+        self.spent.add(Kind.PRESS, kinematics.ease_s(self.plan.motion, self.depth_mm, to_mm))
+        self._down(strain)
+
+    def _down(self, strain: float) -> None:
+        self.depth_mm = strain * self.plan.sensor_type.thickness_mm
+        self.peak_strain = max(self.peak_strain, strain)
+        self.peak_force_N = max(self.peak_force_N, expected_force_N(strain, self.plan))
 
     def _release(self) -> None:
         self.spent.add(Kind.RELEASE, kinematics.stroke_s(self.plan.motion, self.depth_mm or 0.0))

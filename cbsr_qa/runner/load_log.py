@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 
-from cbsr_qa.domain.loads import Load, LoadRecord
+from cbsr_qa.domain.loads import EasedStrain, Load, LoadRecord
 
 
 @dataclass(slots=True)
@@ -19,10 +19,17 @@ class LoadLog:
     load: Load | None = None
     times_s: list[float] = field(default_factory=list)
     lift_off_s: float | None = None
+    eased: list[EasedStrain] = field(default_factory=list)
 
     def begin(self, index: int, load: Load, now_s: float, lift_off_s: float) -> None:
         """The head starts down."""
         self.index, self.load, self.times_s, self.lift_off_s = index, load, [now_s], lift_off_s
+        self.eased = []
+
+    def ease(self, strain: float, start_s: float, now_s: float, lift_off_s: float) -> None:
+        """The head has gone to another strain, from a time up to now."""
+        self.eased.append(EasedStrain(strain, start_s, now_s))
+        self.lift_off_s = lift_off_s
 
     def mark(self, now_s: float) -> None:
         """The head is down; then it starts up; then it is up."""
@@ -37,7 +44,8 @@ class LoadLog:
         if self.load is None or len(self.times_s) != 4:
             return None
         press_s, hold_s, release_s, up_s = self.times_s
-        record = LoadRecord(self.index, self.load, press_s, hold_s, release_s, up_s, now_s, self._clear_s())
+        times = (press_s, hold_s, release_s, up_s, now_s, self._clear_s())
+        record = LoadRecord(self.index, self.load, *times, eased=tuple(self.eased))
         self.load = None
         return record
 

@@ -1,6 +1,7 @@
 """Carries out one step after the other on the bench."""
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Final, TypeVar
 
@@ -10,7 +11,7 @@ from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.frames import FrameBlock
 from cbsr_qa.domain.loads import Load
 from cbsr_qa.domain.run_events import FramesTaken, LoadFinished, SamplesTaken, StepRetried, Unloaded
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Prompt, Release
+from cbsr_qa.domain.steps import AcquireFrames, Ease, FindSurface, Hold, Home, MarkUnloaded, Press, Prompt, Release
 from cbsr_qa.interfaces import Sampler
 from cbsr_qa.runner.bench import FRAME_SOURCE, Bench
 from cbsr_qa.runner.documents import Documents
@@ -79,6 +80,8 @@ class Performer:
         match scheduled.step:
             case Press(load=load):
                 self._press(load)
+            case Ease(strain=strain):
+                self._ease(strain)
             case Hold() as hold:
                 self._hold(hold)
             case Release():
@@ -126,6 +129,19 @@ class Performer:
             with self.spent.on(Kind.PRESS, self._clock):
                 self._bench.force_applicator.press(depth_mm, motion.press_speed_mm_s)
         self._loads.mark(self._clock.now())
+
+    def _ease(self, strain: float) -> None:
+        """Go to another depth; everything a press is held against holds, and a failure is not tried again either."""
+        load, motion = self._loads.load, self._plan.motion
+        assert load is not None  # the dry run refuses to ease a head that is up
+        self._interlock.check_load(replace(load, strain=strain))
+        depth_mm = strain * self._plan.sensor_type.thickness_mm
+        with self._interlock.passing(State.EASING, State.PRESSED):
+            self._watch()
+            start_s = self._clock.now()
+            with self.spent.on(Kind.PRESS, self._clock):
+                self._bench.force_applicator.press(depth_mm, motion.press_speed_mm_s)
+        self._loads.ease(strain, start_s, self._clock.now(), kinematics.lift_off_s(motion, depth_mm))
 
     def _release(self) -> None:
         self._loads.mark(self._clock.now())

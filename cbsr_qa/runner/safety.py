@@ -24,6 +24,7 @@ class State(StrEnum):
     FEELING = "feeling"  #: the head feels for the surface, and touches it
     PRESSING = "pressing"  #: the head goes down
     PRESSED = "pressed"  #: the head is down and still
+    EASING = "easing"  #: the head goes to another depth without leaving the sheet
     RELEASING = "releasing"  #: the head goes up
     STOPPING = "stopping"  #: every instrument is being told to reach its safe state
     SAFE = "safe"  #: every instrument said it did
@@ -37,7 +38,8 @@ TRANSITIONS: Final[dict[State, frozenset[State]]] = {
     State.MOVING: frozenset({State.ARMED, State.STOPPING}),
     State.FEELING: frozenset({State.ARMED, State.STOPPING}),
     State.PRESSING: frozenset({State.PRESSED, State.STOPPING}),
-    State.PRESSED: frozenset({State.RELEASING, State.STOPPING}),
+    State.PRESSED: frozenset({State.EASING, State.RELEASING, State.STOPPING}),
+    State.EASING: frozenset({State.PRESSED, State.STOPPING}),
     State.RELEASING: frozenset({State.ARMED, State.STOPPING}),
     State.STOPPING: frozenset({State.SAFE, State.UNSAFE}),
     State.SAFE: frozenset(),
@@ -45,7 +47,7 @@ TRANSITIONS: Final[dict[State, frozenset[State]]] = {
 }
 
 #: States in which the head touches, or may touch, the sheet.
-TOUCHING: Final = frozenset({State.FEELING, State.PRESSING, State.PRESSED, State.RELEASING})
+TOUCHING: Final = frozenset({State.FEELING, State.PRESSING, State.PRESSED, State.EASING, State.RELEASING})
 
 
 class Interlock:

@@ -9,7 +9,18 @@ from itertools import chain, islice
 from typing import Final
 
 from cbsr_qa.domain.errors import PluginError, RefusedError
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Release, Role, Step
+from cbsr_qa.domain.steps import (
+    AcquireFrames,
+    Ease,
+    FindSurface,
+    Hold,
+    Home,
+    MarkUnloaded,
+    Press,
+    Release,
+    Role,
+    Step,
+)
 from cbsr_qa.runner.plan import Plan, PlannedPhase
 
 #: A sequence that makes more steps than this is taken to be endless.
@@ -27,7 +38,7 @@ class ScheduledStep:
     ----------
     phase : index of its phase.
     number : 0-based within the phase.
-    load : index within the phase of the load it presses, holds, releases or rests after; None before the first.
+    load : index within the phase of the load it presses, eases, holds, releases, rests after; None before the first.
     """
 
     phase: int
@@ -109,7 +120,7 @@ def _numbered(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:
     for number, step in enumerate(steps):
         if isinstance(step, Press):
             pressed, inside = pressed + 1, True
-        elif not isinstance(step, Hold | Release | AcquireFrames):
+        elif not isinstance(step, Ease | Hold | Release | AcquireFrames):
             inside = False
         yield ScheduledStep(phase, number, step, pressed if inside else None)
 
@@ -122,4 +133,4 @@ def _is_left(scheduled: ScheduledStep, done: frozenset[LoadKey], finished: bool)
 
 def ends_rest(step: Step) -> bool:
     """Whether the rest after a load is over when this step begins."""
-    return not isinstance(step, Hold | AcquireFrames | Release | MarkUnloaded)
+    return not isinstance(step, Ease | Hold | AcquireFrames | Release | MarkUnloaded)

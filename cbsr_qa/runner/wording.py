@@ -1,7 +1,18 @@
 """Steps in words, for people who watch, wait or look for what went wrong."""
 
 from cbsr_qa.domain.loads import Load
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Prompt, Release, Step
+from cbsr_qa.domain.steps import (
+    AcquireFrames,
+    Ease,
+    FindSurface,
+    Hold,
+    Home,
+    MarkUnloaded,
+    Press,
+    Prompt,
+    Release,
+    Step,
+)
 
 
 def describe(step: Step) -> str:
@@ -14,6 +25,8 @@ def describe(step: Step) -> str:
             said = f"finding the surface at ({x_mm:g}, {y_mm:g}) mm"
         case Press(load=load):
             said = f"pressing {describe_load(load)}"
+        case Ease(strain=strain):
+            said = f"easing to {100 * strain:g} %"
         case Hold(hold_s=hold_s, acquire=acquire):
             said = f"holding still for {hold_s:g} s{', taking frames' if acquire else ''}"
         case Release():

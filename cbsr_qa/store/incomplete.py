@@ -81,6 +81,8 @@ def _words(step: dict[str, Any]) -> str:
     match step:
         case {"step": "Press", "load": {"label": label, "x_mm": x, "y_mm": y, "strain": strain, "trial": trial}}:
             return f"press {label} at ({x:g}, {y:g}) mm to {100 * strain:g} %, trial {trial + 1}"
+        case {"step": "Ease", "strain": strain}:
+            return f"ease to {100 * strain:g} %"
         case {"step": "Hold", "hold_s": hold_s}:
             return f"hold for {hold_s:g} s"
         case {"step": "FindSurface", "x_mm": x, "y_mm": y}:

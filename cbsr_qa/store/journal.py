@@ -146,6 +146,7 @@ class Journal:
     def _(self, event: LoadFinished, connection: Connection) -> None:
         times = asdict(event.record)
         load = times.pop("load")
+        times["eased"] = [[one.strain, one.start_s, one.hold_start_s] for one in event.record.eased] or None
         values = {"run": self._run, "phase": event.phase, "load_index": times.pop("index"), **load, **times}
         connection.execute(insert(LoadRow), values)
 

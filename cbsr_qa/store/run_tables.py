@@ -192,6 +192,7 @@ class LoadRow(Base):
     release_end_s: Mapped[float]
     rest_end_s: Mapped[float]
     clear_s: Mapped[float | None]  #: the head left the sheet on its way up; None where nobody noted it
+    eased: Mapped[list[Any] | None]  #: [strain, start_s, hold_start_s] of each strain after the first; None: none
 
 
 class UnloadedMarkRow(Base):

@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 
 from cbsr_qa.domain.errors import RefusedError, StoreError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, join_frames, join_samples
-from cbsr_qa.domain.loads import Load, LoadRecord
+from cbsr_qa.domain.loads import EasedStrain, Load, LoadRecord
 from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.domain.run import PhaseRecord, RunIdentity, RunRecord
 from cbsr_qa.domain.steps import Role
@@ -171,6 +171,7 @@ def _phases(connection: Connection, run: str) -> tuple[PhaseRecord, ...]:
 
 
 def _phase(connection: Connection, session: Session, row: PhaseRow) -> PhaseRecord:
+    loads = _loads(session, row)
     marks = select(UnloadedMarkRow.time_s).where(UnloadedMarkRow.run == row.run, UnloadedMarkRow.phase == row.phase)
     return PhaseRecord(
         index=row.phase,
@@ -181,7 +182,8 @@ def _phase(connection: Connection, session: Session, row: PhaseRow) -> PhaseReco
         ended_s=last_time_s(connection, row.run, row.phase) if row.ended_s is None else row.ended_s,
         frames=_frames(session, row),
         samples=_samples(session, row),
-        loads=_loads(session, row),
+        loads=tuple(load for load in loads if not load.eased),
+        loops=tuple(load for load in loads if load.eased),
         # A resumed phase rested again: the latest mark is followed by its presses.
         unloaded_from_s=connection.scalar(marks.order_by(UnloadedMarkRow.mark.desc()).limit(1)),
         role=Role(row.role),
@@ -213,6 +215,7 @@ def _loads(session: Session, phase: PhaseRow) -> tuple[LoadRecord, ...]:
             row.release_end_s,
             row.rest_end_s,
             row.clear_s,
+            tuple(EasedStrain(*(float(number) for number in one)) for one in row.eased or ()),
         )
         for row in session.scalars(query.order_by(LoadRow.load_index))
     )

@@ -35,4 +35,8 @@ def _samples(block: SampleBlock, offset_s: float) -> SampleBlock:
 
 def _load(record: LoadRecord, offset_s: float) -> LoadRecord:
     times = {f.name: getattr(record, f.name) for f in fields(record) if f.name.endswith("_s")}
-    return replace(record, **{name: time_s + offset_s for name, time_s in times.items() if time_s is not None})
+    eased = tuple(
+        replace(one, start_s=one.start_s + offset_s, hold_start_s=one.hold_start_s + offset_s) for one in record.eased
+    )
+    later = {name: time_s + offset_s for name, time_s in times.items() if time_s is not None}
+    return replace(record, **later, eased=eased)

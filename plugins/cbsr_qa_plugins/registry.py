@@ -10,6 +10,7 @@ _HERE: Final = "cbsr_qa_plugins"
 BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.INSTRUMENT, "simulated-bench", "hardware.simulated_bench:open_bench"),
     (Kind.SEQUENCE, "noise-figure", "sequences.noise_figure:NoiseFigureSequence"),
+    (Kind.SEQUENCE, "hysteresis-loop", "sequences.hysteresis_loop:HysteresisLoopSequence"),
     (Kind.SEQUENCE, "preconditioning", "sequences.preconditioning:PreconditioningSequence"),
     (Kind.SEQUENCE, "location-grid", "sequences.location_grid:LocationGridSequence"),
     (Kind.SEQUENCE, "random-loads", "sequences.random_loads:RandomLoadsSequence"),

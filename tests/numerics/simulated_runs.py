@@ -66,6 +66,7 @@ class MemoryJournal:
 
     def _phase(self, event, ended_s):
         samples = [e.samples for e in self.of(SamplesTaken, event.index)]
+        records = [e.record for e in self.of(LoadFinished, event.index)]
         return PhaseRecord(
             event.index,
             event.name,
@@ -74,17 +75,29 @@ class MemoryJournal:
             ended_s,
             join_frames([e.frames for e in self.of(FramesTaken, event.index)]),
             (join_samples(samples),),
-            tuple(e.record for e in self.of(LoadFinished, event.index)),
+            tuple(record for record in records if not record.eased),
             min(e.time_s for e in self.of(Unloaded, event.index)),
+            event.role,
+            tuple(record for record in records if record.eased),
         )
 
 
 def simulated_run(
-    places_mm, *, strain=0.2, hold_s=60.0, rest_s=60.0, scene="base", gauge=1.0, seed=1, noise=None, loads=None
+    places_mm,
+    *,
+    strain=0.2,
+    hold_s=60.0,
+    rest_s=60.0,
+    scene="base",
+    gauge=1.0,
+    seed=1,
+    noise=None,
+    loads=None,
+    phases=None,
 ):
     """Run presses on the simulated bench; ``gauge`` scales the material's response, ``noise`` replaces its own.
 
-    ``loads`` are pressed instead of ``places_mm`` once at ``strain``.
+    ``loads`` are pressed instead of ``places_mm`` once at ``strain``; or ``phases`` are run instead of either.
     """
     material = load_material("cbsr-8wt").value
     against = material.against_strain
@@ -103,8 +116,8 @@ def simulated_run(
     bench = open_bench([spec], lambda _: factory(context))
     if loads is None:
         loads = tuple(Load(f"L{i}", x, y, strain, 0) for i, (x, y) in enumerate(places_mm))
-    phase = PlannedPhase("grid", "presses", Presses(loads, hold_s, rest_s))
-    plan = Plan((phase,), sensor, material, HEAD, _MOTION, _SAFETY, seed)
+    planned = phases or (PlannedPhase("grid", "presses", Presses(loads, hold_s, rest_s)),)
+    plan = Plan(planned, sensor, material, HEAD, _MOTION, _SAFETY, seed)
     identity = RunIdentity(
         "run", SensorIdentity("S", "", sensor.name), "test", "test", "", clock.wall(), "", (), bench.identities()
     )

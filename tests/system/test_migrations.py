@@ -106,7 +106,8 @@ def test_data_survive_every_step_up_and_down(engine):
     assert content(engine) == before
     schema.upgrade(engine)
     concluded |= {"calibration_forces"}
-    assert content(engine) == before | {name: [] for name in concluded}
+    never_eased = {"loads": [(*row, None) for row in before["loads"]]}
+    assert content(engine) == before | never_eased | {name: [] for name in concluded}
 
     schema.downgrade(engine, "base")
     assert table_names(engine) == set()
@@ -167,6 +168,17 @@ def test_a_calibration_of_before_says_nothing_of_force_and_one_of_now_is_lost_on
         name: rows for name, rows in before.items() if name != "calibrations"
     }
     schema.downgrade(engine, "0004")
+    assert content(engine) == before
+
+
+def test_a_press_of_before_was_never_eased(engine):
+    schema.upgrade(engine, "0005")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0006")
+    with reading(engine) as connection:
+        assert connection.execute(sa.text("SELECT eased FROM loads")).all() == [(None,)]
+    schema.downgrade(engine, "0005")
     assert content(engine) == before
 
 

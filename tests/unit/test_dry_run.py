@@ -14,7 +14,7 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM, Load
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run_events import FramesTaken, LoadFinished
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Release
+from cbsr_qa.domain.steps import AcquireFrames, Ease, FindSurface, Hold, Home, MarkUnloaded, Press, Release
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import StationContext
 from cbsr_qa.plugins import discover
@@ -24,6 +24,7 @@ from cbsr_qa.runner.execute import execute
 from cbsr_qa.runner.frame_count import another_frame, frames_in_hold
 from cbsr_qa.runner.plan import PlannedPhase
 from cbsr_qa.testing.bench import FixedSequence, Script, example_identity, example_plan, scripted_bench
+from cbsr_qa_plugins.sequences.hysteresis_loop import HysteresisLoopSequence
 from cbsr_qa_plugins.sequences.location_grid import LocationGridSequence
 from cbsr_qa_plugins.sequences.noise_figure import NoiseFigureSequence
 from cbsr_qa_plugins.sequences.random_loads import RandomLoadsSequence
@@ -31,6 +32,13 @@ from cbsr_qa_plugins.sequences.random_loads import RandomLoadsSequence
 
 def load(strain=0.2, x_mm=0.0, y_mm=0.0):
     return Load("L0", x_mm, y_mm, strain, 0)
+
+
+def loop(*strains):
+    """A press that is eased from strain to strain before it is released."""
+    first, *others = strains
+    eased = [step for strain in others for step in (Ease(strain), Hold(20, acquire=True))]
+    return (Press(load(first)), Hold(20, acquire=True), *eased, Release(), Hold(20, acquire=True))
 
 
 def cycle(**options):
@@ -66,11 +74,20 @@ def moving_as_planned(plan):
     bench = scripted_bench(script, plan.sensor_type)
     head, clock, motion = bench.force_applicator, script.clock, plan.motion
     thickness_mm = plan.sensor_type.thickness_mm
-    strains = [step.load.strain for phase in plan.phases for step in phase.sequence.given if isinstance(step, Press)]
+    presses_s, releases_s, depth_mm = [], [], 0.0
+    for step in (step for phase in plan.phases for step in phase.sequence.given):
+        if isinstance(step, Press):
+            depth_mm = step.load.strain * thickness_mm
+            presses_s.append(kinematics.stroke_s(motion, depth_mm))
+        elif isinstance(step, Ease):
+            presses_s.append(abs(step.strain * thickness_mm - depth_mm) / motion.press_speed_mm_s)
+            depth_mm = step.strain * thickness_mm
+        elif isinstance(step, Release):
+            releases_s.append(kinematics.stroke_s(motion, depth_mm))
     for name, took_s in (
         ("home", repeat(kinematics.homing_s(motion, plan.safety.travel_radius_mm))),
-        ("press", (kinematics.stroke_s(motion, s * thickness_mm) for s in strains)),
-        ("release", (kinematics.stroke_s(motion, s * thickness_mm) for s in strains)),
+        ("press", presses_s),
+        ("release", releases_s),
         ("find_surface", repeat(kinematics.surface_search_s(motion))),
     ):
         setattr(head, name, _taking(getattr(head, name), clock, iter(took_s)))
@@ -86,7 +103,9 @@ def _taking(method, clock, took_s):
 
 
 places = st.sampled_from(NINE_LOCATIONS_MM)
-plans = st.lists(st.builds(cycle, strain=st.floats(0.01, 0.3)), min_size=1, max_size=3).map(
+cycles = st.builds(cycle, strain=st.floats(0.01, 0.3))
+loops = st.lists(st.floats(0.01, 0.3), min_size=1, max_size=5).map(lambda strains: loop(*strains))
+plans = st.lists(cycles | loops, min_size=1, max_size=3).map(
     lambda cycles: (FindSurface(0, 0), Hold(7, acquire=False), MarkUnloaded(), AcquireFrames(3), *sum(cycles, ()))
 )
 
@@ -127,6 +146,7 @@ def test_time_agrees_with_the_simulated_bench():
         PlannedPhase("noise", "noise-figure", NoiseFigureSequence(frames=16, trials=1)),
         PlannedPhase("grid", "location-grid", LocationGridSequence(locations_mm=few, hold_s=20, rest_s=20)),
         PlannedPhase("random", "random-loads", RandomLoadsSequence(count=2, hold_s=20, rest_s=20)),
+        PlannedPhase("loop", "hysteresis-loop", HysteresisLoopSequence(hold_s=20, rest_s=20, cycles=2)),
     )
     dry = dry_run(plan, bench.frame_source.frame_period_s)
     ended = execute(plan, example_identity(), bench, clock, [lambda document: None])
@@ -161,6 +181,16 @@ def test_expected_peak_force_is_the_relaxed_force_and_what_relaxes():
     assert dry_run(plan, 2.5).peak_force_N == pytest.approx(relaxed_N * (1 + sum(weights)), rel=1e-4)
     creeping = replace(plan.material, stress_relaxation=replace(plan.material.stress_relaxation, weights=(0.5, -0.2)))
     assert dry_run(replace(plan, material=creeping), 2.5).peak_force_N == pytest.approx(relaxed_N * 1.5, rel=1e-4)
+
+
+def test_a_loop_counts_its_deepest_strain_and_is_one_load():
+    plan = example_plan(loop(0.1, 0.3, 0.1))
+    dry = dry_run(plan, 2.5)
+    assert (dry.loads, dry.peak_strain) == (1, 0.3)
+    assert dry.peak_force_N == dry_run(example_plan(cycle(strain=0.3)), 2.5).peak_force_N
+    eased_s = 2 * 0.2 * plan.sensor_type.thickness_mm / plan.motion.press_speed_mm_s
+    one = dry_run(example_plan(cycle(strain=0.1)), 2.5)
+    assert dict(dry.spent)["press"] == pytest.approx(dict(one.spent)["press"] + eased_s)
 
 
 def test_durations_of_steps_add_up():
@@ -204,6 +234,9 @@ def test_expected_force_is_held_against_the_ceiling():
     (violation,) = dry_run(weak, 2.5).violations
     assert "N expected; the station allows 5 N" in violation
     assert dry_run(plan, 2.5).violations == ()
+    (violation,) = dry_run(replace(example_plan(loop(0.1, 0.3, 0.1)), safety=weak.safety), 2.5).violations
+    assert "easing to 30 %" in violation
+    assert "N expected; the station allows 5 N" in violation
 
 
 @pytest.mark.parametrize(
@@ -215,6 +248,12 @@ def test_expected_force_is_held_against_the_ceiling():
         ((Press(load()), MarkUnloaded(), Release()), "not unloaded"),
         ((Press(load()),), "ends with the head down"),
         ((Release(),), "the head is not down"),
+        ((Ease(0.2),), "easing to 20 %: the head is not down"),
+        ((*cycle(), Ease(0.2)), "easing to 20 %: the head is not down"),
+        (loop(0.1, 0.36, 0.1), "easing to 36 %: 36 % strain; the station allows up to 35 %"),
+        (loop(0.1, 0.0), "0 % strain"),
+        (loop(0.1, float("nan")), "nan % strain"),
+        ((Press(load()), Ease(0.3)), "ends with the head down"),
         ((AcquireFrames(0),), "0 frames"),
         ((Hold(-1, acquire=True),), "-1 s is not a duration"),
         ((Hold(float("nan"), acquire=False),), "nan s is not a duration"),

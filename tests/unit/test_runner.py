@@ -22,7 +22,18 @@ from cbsr_qa.domain.run_events import (
     StepStarted,
     Unloaded,
 )
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Prompt, Release, Role
+from cbsr_qa.domain.steps import (
+    AcquireFrames,
+    Ease,
+    FindSurface,
+    Hold,
+    Home,
+    MarkUnloaded,
+    Press,
+    Prompt,
+    Release,
+    Role,
+)
 from cbsr_qa.runner.bench import Bench, Mounted, open_bench
 from cbsr_qa.runner.execute import execute
 from cbsr_qa.runner.plan import PlannedPhase
@@ -113,6 +124,43 @@ def test_the_head_leaves_the_sheet_a_stroke_at_press_speed_after_it_starts_up():
     for record, depth_mm in ((shallow, 0.4), (deep, 1.2)):
         assert record.clear_s == pytest.approx(record.release_start_s + depth_mm / (40 / 60))
         assert record.unloaded_s == record.clear_s < record.release_end_s
+
+
+LOOP = (
+    Press(load(0, strain=0.1)),
+    Hold(20, acquire=True),
+    Ease(0.3),
+    Hold(30, acquire=True),
+    Ease(0.2),
+    Hold(20, acquire=True),
+    Release(),
+    Hold(60, acquire=True),
+)
+
+
+def test_a_press_that_is_eased_is_one_load_with_every_strain_it_was_held_at():
+    script = Script(VirtualClock(), TOOK_S)
+    loop, after = records(script, *LOOP, *cycle(1))
+    depths_mm = [call.arguments[0] for call in script.calls if call.name == "force_applicator.press"]
+    assert depths_mm == pytest.approx([0.4, 1.2, 0.8, 0.8])
+    assert script.count("force_applicator.release") == 2  # it did not leave the sheet in between
+    assert [(round(one.strain, 9), one.end_s - one.start_s) for one in loop.held] == [(0.1, 20), (0.3, 30), (0.2, 20)]
+    assert [one.hold_start_s - one.start_s for one in loop.eased] == [TOOK_S["force_applicator.press"]] * 2
+    assert loop.clear_s == pytest.approx(loop.release_start_s + 0.8 / (40 / 60))  # from the last depth
+    assert after.eased == ()
+    assert [(one.strain, one.start_s, one.end_s) for one in after.held] == [
+        (0.2, after.hold_start_s, after.release_start_s)
+    ]
+
+
+def test_a_loop_that_was_done_is_left_out_whole_and_one_that_was_cut_off_begins_again():
+    _, documents, script = run((*SET_UP, *LOOP, *cycle(1)), done=frozenset({(0, 0)}))
+    assert [d.record.index for d in kinds(documents, LoadFinished)] == [1]
+    assert not any(isinstance(d.step, Ease) for d in kinds(documents, StepStarted))
+    _, documents, script = run((*SET_UP, *cycle(1), *LOOP), done=frozenset({(0, 0)}))
+    assert [call.arguments[0] for call in script.calls if call.name == "force_applicator.press"] == pytest.approx(
+        [0.4, 1.2, 0.8]
+    )
 
 
 def test_a_head_that_is_up_has_left_the_sheet():

@@ -13,10 +13,12 @@ from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.loads import Load
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run_events import FramesTaken, LoadFinished, PhaseStarted, RunEnded, StepStarted
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release
+from cbsr_qa.domain.steps import AcquireFrames, Ease, FindSurface, Hold, MarkUnloaded, Press, Release
 from cbsr_qa.runner.execute import execute
 from cbsr_qa.runner.interrupts import Interrupts, Stopped
+from cbsr_qa.runner.performing import Performer
 from cbsr_qa.runner.safety import TRANSITIONS, Interlock, State
+from cbsr_qa.runner.schedule import ScheduledStep
 from cbsr_qa.runner.stopping import stop_all
 from cbsr_qa.testing.bench import Script, example_identity, example_plan, raising, scripted_bench
 
@@ -28,6 +30,10 @@ SHORT = (
     AcquireFrames(2),
     Press(LOAD),
     Hold(5, acquire=True),
+    Hold(2, acquire=False),
+    Ease(0.3),
+    Hold(5, acquire=True),
+    Ease(0.1),
     Hold(2, acquire=False),
     Release(),
     Hold(5, acquire=True),
@@ -227,6 +233,62 @@ def test_the_head_does_not_go_down_on_a_load_cell_that_has_fallen_silent():
     assert script.count("force_applicator.press") == 0
 
 
+EASED = (Press(LOAD), Hold(30, acquire=False), Ease(0.3), Hold(30, acquire=False), Release())
+
+
+def test_a_head_is_not_eased_on_a_load_cell_that_has_fallen_silent():
+    script = Script(VirtualClock(), {"force_applicator.press": 3.0}, force_N=lambda t, down: 1.0 if t < 31 else None)
+    ended, _, script, bench = run(EASED, script=script)
+    assert_safe(script, bench)
+    assert "rule 'stale force'" in ended.detail
+    assert "bench pressed" in ended.detail
+    assert script.count("force_applicator.press") == 1
+
+
+def test_too_much_force_while_the_head_is_eased_deeper_stops_the_run():
+    script = Script(
+        VirtualClock(), {"force_applicator.press": 3.0}, force_N=lambda t, down: 21.0 if 34 < t < 35 else 1.0
+    )
+    ended, _, script, bench = run(EASED, script=script)
+    assert_safe(script, bench)
+    assert "rule 'force': 21 N measured" in ended.detail
+    assert script.count("force_applicator.press") == 2
+    assert ended.time_s == pytest.approx(36.0)  # right after it, not at the next look
+
+
+def test_an_ease_that_fails_is_not_tried_again():
+    """Nobody knows how deep the head is; the first press goes well."""
+    script = Script(VirtualClock())
+    failed = InstrumentError("force_applicator", "COM3", "lost", retryable=True)
+    script.on("force_applicator.press", raising(failed), call=2)
+    ended, _, script, bench = run(EASED, script=script)
+    assert_safe(script, bench)
+    assert script.count("force_applicator.press") == 2
+    assert "easing to 30 %" in ended.detail
+    assert "bench easing" in ended.detail
+
+
+def test_the_interlock_holds_an_ease_against_the_limits_of_a_press():
+    """The dry run refuses it first; here the step comes as if it had not been looked at."""
+    for bad, rule in ((0.36, "strain"), (0.0, "strain"), (float("nan"), "strain")):
+        script = Script(VirtualClock())
+        plan = example_plan(EASED)
+        bench = scripted_bench(script, plan.sensor_type)
+        interlock = Interlock(plan, 0.0)
+        interlock.to(State.ARMED)
+        performer = Performer(plan, bench, script.clock, _Nobody(), interlock, retries=0, ask=None)
+        performer.perform(ScheduledStep(0, 0, Press(LOAD), 0))
+        with pytest.raises(SafetyError) as broken:
+            performer.perform(ScheduledStep(0, 1, Ease(bad), 0))
+        assert broken.value.rule == rule
+        assert script.count("force_applicator.press") == 1
+
+
+class _Nobody:
+    def emit(self, event):
+        pass
+
+
 # --- the state machine -----------------------------------------------------------------------------------
 
 
@@ -239,9 +301,17 @@ def test_every_state_can_be_stopped_from_and_only_stopping_ends():
 
 
 def test_no_way_leads_from_a_touching_state_to_travel_but_through_release():
-    for state in (State.PRESSING, State.PRESSED):
+    for state in (State.PRESSING, State.PRESSED, State.EASING):
         assert not TRANSITIONS[state] & {State.ARMED, State.MOVING}
     assert State.MOVING not in TRANSITIONS[State.RELEASING]
+
+
+def test_a_head_is_eased_from_where_it_is_pressed_and_nowhere_else():
+    assert [state for state, following in TRANSITIONS.items() if State.EASING in following] == [State.PRESSED]
+    assert TRANSITIONS[State.EASING] == {State.PRESSED, State.STOPPING}
+    interlock = Interlock(example_plan([]), 0.0)
+    interlock.state = State.EASING
+    assert interlock.touching
 
 
 @pytest.mark.parametrize("state", list(State))

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role
+from cbsr_qa.domain.steps import AcquireFrames, Ease, FindSurface, Hold, MarkUnloaded, Press, Release, Role
 from cbsr_qa.testing.bench import example_plan
+from cbsr_qa_plugins.sequences.hysteresis_loop import HysteresisLoopSequence
 from cbsr_qa_plugins.sequences.location_grid import LocationGridSequence
 from cbsr_qa_plugins.sequences.noise_figure import NoiseFigureSequence
 from cbsr_qa_plugins.sequences.preconditioning import PreconditioningSequence
@@ -104,6 +105,25 @@ def test_preconditioning_works_in_one_place_after_the_other_and_leaves_the_refer
     assert len(loads_of(PreconditioningSequence())) == 5 * 9
 
 
+def test_a_loop_reaches_every_strain_from_below_and_from_above_without_lifting():
+    sequence = HysteresisLoopSequence(
+        strains_percent=[5, 10.0, 20], cycles=2, locations_mm=[[0, 0], [10, 5]], rest_s=9
+    )
+    assert sequence.role is Role.LOOP
+    steps = steps_of(sequence)
+    assert steps == steps_of(sequence)
+    assert steps[:2] == [FindSurface(0.0, 0.0), FindSurface(10.0, 5.0)]
+    assert [(load.label, load.trial) for load in loads_of(sequence)] == [("H0", 0), ("H0", 1), ("H1", 0), ("H1", 1)]
+    marked, first = steps.index(MarkUnloaded()), next(i for i, s in enumerate(steps) if isinstance(s, Press))
+    assert steps[marked:first] == [MarkUnloaded(), AcquireFrames(16)]
+    hold = Hold(60.0, acquire=True)
+    for i, step in enumerate(steps):
+        if isinstance(step, Press):
+            assert step.load.strain == 0.05
+            eased = [Ease(0.1), hold, Ease(0.2), hold, Ease(0.1), hold, Ease(0.05), hold]
+            assert steps[i + 1 : i + 12] == [hold, *eased, Release(), Hold(9.0, acquire=True)]
+
+
 def test_grids_name_their_places_as_they_are_told():
     assert [load.label for load in loads_of(LocationGridSequence(label="C"))] == [f"C{k}" for k in range(9)]
 
@@ -171,7 +191,7 @@ def test_relaxation_is_labelled_by_its_place(x, label):
     assert loads_of(RelaxationSequence(x_mm=x))[0].label == label
 
 
-@pytest.mark.parametrize("sequence", [*ALL, PreconditioningSequence])
+@pytest.mark.parametrize("sequence", [*ALL, PreconditioningSequence, HysteresisLoopSequence])
 def test_unknown_options_are_refused_with_the_nearest(sequence):
     with pytest.raises(ConfigError, match="no option 'hold'") as refused:
         sequence(hold=60)
@@ -199,6 +219,12 @@ def test_unknown_options_are_refused_with_the_nearest(sequence):
         (PreconditioningSequence, {"cycles": 1}, "cycles is 1"),
         (PreconditioningSequence, {"rest_s": 0}, "rest_s is 0"),
         (PreconditioningSequence, {"locations_mm": [[1, 1], [1, 1]]}, "locations_mm is"),
+        (HysteresisLoopSequence, {"strains_percent": [20]}, "strains_percent is [20]"),
+        (HysteresisLoopSequence, {"strains_percent": [10, 20, 10]}, "strains_percent is [10, 20, 10]"),
+        (HysteresisLoopSequence, {"strains_percent": [10, 10.0]}, "strains_percent is [10, 10.0]"),
+        (HysteresisLoopSequence, {"strains_percent": [0, 10]}, "strains_percent is 0"),
+        (HysteresisLoopSequence, {"hold_s": 0}, "hold_s is 0"),
+        (HysteresisLoopSequence, {"locations_mm": [[1, 1], [1, 1]]}, "locations_mm is"),
         (LocationGridSequence, {"unloaded_frames": 15}, "unloaded_frames is 15"),
         (NoiseFigureSequence, {"frames": 15}, "frames is 15"),
         (RandomLoadsSequence, {"radius_mm": [10]}, "radius_mm is"),

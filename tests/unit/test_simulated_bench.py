@@ -264,6 +264,23 @@ def test_loads_record_when_the_head_left_the_sheet(strain: float):
         assert record.clear_s == pytest.approx(up.start_s + up.ramp_s, abs=0.05)
 
 
+def test_an_eased_press_goes_straight_to_its_depths_and_the_world_knows_from_where():
+    """Strains up and down in one press of the world; the loop's upper branch is seen on the way back alone."""
+    width = 0.1
+    clock, bench = _bench(scene("piezoresistivity", "hysteresis", hysteresis={"width": width}))
+    gauge, changes, strains = bench.world.setting.material.against_strain.slope.value, [], []
+    for strain in (0.05, 0.1, 0.2, 0.1, 0.05):
+        bench.press(strain * 4.0, SPEED)
+        (truth,) = bench.world.truth(clock.now())
+        strains.append(truth.strain)
+        changes.append(truth.relative_change)
+    assert strains == pytest.approx([0.05, 0.1, 0.2, 0.1, 0.05])
+    above = [0.0, 0.0, 0.0, width * gauge * 0.2, 0.75 * width * gauge * 0.2]
+    assert changes == pytest.approx([gauge * s + more for s, more in zip(strains, above, strict=True)])
+    (press,) = bench.world.presses
+    assert [step.ramp_s * SPEED for step in press.steps] == pytest.approx([0.2, 0.2, 0.4, 0.4, 0.2])
+
+
 # --- load cell ---
 
 

@@ -29,6 +29,7 @@ from stored_runs import (
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.loads import EasedStrain
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run_events import (
     FramesTaken,
@@ -41,7 +42,7 @@ from cbsr_qa.domain.run_events import (
     StepStarted,
     Unloaded,
 )
-from cbsr_qa.domain.steps import Press, Role
+from cbsr_qa.domain.steps import Ease, Press, Role
 from cbsr_qa.store.repository import open_store
 
 
@@ -190,6 +191,41 @@ def test_a_resumed_run_goes_on_in_time_and_its_first_session_stays(repository):
     assert after.end is EndReason.FINISHED
     assert after.station_s == 303.0
     assert repository.incomplete_runs() == ()
+
+
+def looped(index, start_s):
+    """A press that was brought from 20 to 30 % and back down to 10 %."""
+    eased = ((0.3, 10.0, 11.0), (0.1, 20.0, 22.5))
+    strains = tuple(EasedStrain(strain, start_s + from_s, start_s + at_s) for strain, from_s, at_s in eased)
+    return replace(record(index, start_s), eased=strains)
+
+
+def test_a_loop_comes_back_as_it_was_pressed_and_is_no_ordinary_press(repository):
+    run = repository.new_id()
+    told = short_run(run)
+    journalled(repository, [*told[:11], LoadFinished(0, looped(1, 130.0)), *told[11:]])
+    phase = repository.load_run(run).phases[0]
+    assert phase.loads == (record(0, 30.0),)
+    assert phase.loops == (looped(1, 130.0),)
+    held = [(one.strain, one.start_s, one.end_s) for one in phase.loops[0].held]
+    assert held == [(0.2, 131.0, 140.0), (0.3, 141.0, 150.0), (0.1, 152.5, 191.0)]
+
+
+def test_a_loop_that_was_cut_off_is_pressed_again_as_a_whole_and_stored_on_the_runs_clock(repository):
+    run = repository.new_id()
+    begun = [StepStarted(0, 2, Press(load("L1")), 160.0, 100.0), StepStarted(0, 4, Ease(0.3), 170.0, 90.0)]
+    journalled(repository, [*short_run(run)[:11], *begun, FramesTaken(0, frames(172.0, seed=7, own_times=True))])
+    (incomplete,) = repository.incomplete_runs()
+    assert incomplete.next == "press L1 at (15, -15) mm to 20 %, trial 1"
+    assert repository.finished_loads(run) == {(0, 0)}
+    again = [
+        RunStarted(identity(run)),
+        PhaseStarted(0, "nine locations", "location-grid", 0.0),
+        LoadFinished(0, looped(1, 10.0)),
+    ]
+    journalled(repository, again)
+    assert repository.finished_loads(run) == {(0, 0), (0, 1)}
+    assert repository.load_run(run).phases[0].loops == (looped(1, 182.0),)
 
 
 def test_a_finished_run_is_neither_resumed_nor_ended_again(repository):

@@ -114,7 +114,7 @@ def _phases(record: RunRecord) -> Table:
             phase.sequence,
             duration(phase.ended_s - phase.started_s),
             str(0 if phase.frames is None else len(phase.frames)),
-            str(len(phase.loads)),
+            str(len(phase.loads) + len(phase.loops)),
         ]
         for phase in record.phases
     ]
