@@ -6,6 +6,10 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import NumericsError
 
 Points = NDArray[np.float64]
+Values = NDArray[np.float64]
+
+#: Points on (0, 1) at which edges no longer than their distance from a circle's centre are integrated: to 1e-16.
+_GAUSS_NODES, _GAUSS_WEIGHTS = (np.polynomial.legendre.leggauss(14) + np.array([[1.0], [0.0]])) * 0.5
 
 
 def circle_overlap_mm2(corners_mm: Points, centre_mm: tuple[float, float], radius_mm: float) -> NDArray[np.float64]:
@@ -53,16 +57,34 @@ def area_under_edges(start: Points, end: Points, radius: float) -> NDArray[np.fl
 
 
 def squared_deviation_integral(start: Points, end: Points, radius: float) -> NDArray[np.float64]:
-    """Integral of (‖P‖ − r)² along straight edges, in closed form: (k, 2), (k, 2) → (k,).
+    """Integral of (‖P‖ − r)² along straight edges, exact to rounding: (k, 2), (k, 2) → (k,).
 
     With u the coordinate along the edge's line from the foot of the perpendicular and h the line's distance,
-    the integrand is u² + h² + r² − 2 r √(u² + h²). Edges must have a length.
+    the integrand is u² + h² + r² − 2 r √(u² + h²), whose primitive is known. Near the circle its terms cancel, so
+    edges shorter than their distance from the origin are summed over Gauss points instead, where (‖P‖² − r²)² over
+    (‖P‖ + r)² has no negative part. Edges must have a length.
     """
     along = end - start
     length = np.sqrt(_dot(along, along))
-    height = np.abs(_cross(start, along)) / length
     first, last = _dot(start, along) / length, _dot(end, along) / length
+    height = np.abs(_cross(start, along)) / length
+    beside = np.where((first < 0) & (last > 0), 0.0, np.minimum(np.abs(first), np.abs(last)))
+    short = length <= np.hypot(height, beside)
+    integral: NDArray[np.float64] = np.where(
+        short, _deviation_at_points(start, along, length, radius), _deviation_primitive(first, last, height, radius)
+    )
+    return integral
 
+
+def _deviation_at_points(start: Points, along: Points, length: Values, radius: float) -> Values:
+    points = start + _GAUSS_NODES[:, None, None] * along
+    squared = _dot(points, points)
+    apart = (squared - radius**2) / (np.sqrt(squared) + radius)
+    integral: Values = length * (_GAUSS_WEIGHTS @ apart**2)
+    return integral
+
+
+def _deviation_primitive(first: Values, last: Values, height: Values, radius: float) -> Values:
     def primitive(u: NDArray[np.float64]) -> NDArray[np.float64]:
         # h² asinh(u/h) vanishes with h; the floor keeps the quotient finite.
         bent = height**2 * np.arcsinh(u / np.maximum(height, 1e-150))
@@ -71,7 +93,7 @@ def squared_deviation_integral(start: Points, end: Points, radius: float) -> NDA
         )
         return value
 
-    integral: NDArray[np.float64] = np.maximum(primitive(last) - primitive(first), 0.0)
+    integral: Values = np.maximum(primitive(last) - primitive(first), 0.0)
     return integral
 
 

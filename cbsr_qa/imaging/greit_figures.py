@@ -7,6 +7,7 @@ import numpy as np
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.footprints import Footprint, RoundFootprint, overlap_mm2
 from cbsr_qa.domain.image import Image
+from cbsr_qa.imaging.masks import threshold
 
 #: The set q holds what reaches this share of the maximum; Adler et al. take a quarter.
 QUARTER = 0.25
@@ -63,10 +64,9 @@ def greit_figures(
     if contrast is not None and not contrast > 0:
         raise NumericsError(f"a contrast of {contrast:g} is not positive", remedy="turn image and contrast round")
     mesh, values = image.mesh, image.values
-    peak = float(values.max())
-    if peak <= 0:
+    if values.max() <= 0:
         return None
-    kept = values >= fraction * peak
+    kept = values >= threshold(values, fraction)
     area = float(mesh.areas_mm2[kept].sum())
     centre = mesh.areas_mm2[kept] @ mesh.centroids_mm[kept] / area
     inside = overlap_mm2(RoundFootprint(float(centre[0]), float(centre[1]), np.sqrt(area / np.pi)), mesh.corners_mm)

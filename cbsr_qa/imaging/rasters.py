@@ -114,6 +114,9 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
     peaks = _feature.peak_local_max(smooth, min_distance=apart, labels=joined, exclude_border=False)
     markers = np.zeros(keep.shape, dtype=np.int64)
     markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
+    # A flat image has no peak anywhere, but its pixels are a region all the same.
+    for peakless in np.setdiff1d(joined[keep], joined[markers > 0]):
+        markers[joined == peakless] = markers.max() + 1
     return _regions(raster, _segmentation.watershed(-smooth, markers, mask=keep), level)
 
 
@@ -175,7 +178,9 @@ def _regions(raster: Raster, labels: NDArray[np.int64], level: float) -> tuple[P
         pieces = outlines(alone, level)
         start, end = (np.concatenate([piece[part] for piece in pieces]) for part in (slice(-1), slice(1, None)))
         long = (start != end).any(axis=1)
-        area = float((start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0]).sum()) / 2
+        # About a corner of its own: products of places far from the origin would leave no digits of a small area.
+        one, other = start - start[0], end - start[0]
+        area = float((one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum()) / 2
         weight = float(raster.values[pixels].sum()) * raster.pitch_mm**2
         regions.append(PixelRegion(pixels, centre, area, weight, start[long], end[long]))
     return tuple(sorted(regions, key=lambda region: -region.weight))

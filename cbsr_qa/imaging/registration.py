@@ -11,6 +11,10 @@ from cbsr_qa.domain.errors import NumericsError
 Array = NDArray[np.float64]
 
 _FEWEST: Final = 3  # places: two are met by any similarity exactly
+_ROUNDING: Final = 1e-12  # of squared distances
+_SEEN_APART: Final = 1e-9  # of the distances that were pressed; less is one place
+_MIRRORED: Final = 0.9  # share of where places are seen that a mirror image must explain to be one …
+_CLEARLY: Final = 0.1  # … and share of what a turn leaves unexplained that it may leave
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,8 +59,8 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
     Raises
     ------
     NumericsError
-        If there are fewer than three places, two distinct ones are lacking, a number is not finite, or all are seen
-        at one place.
+        If there are fewer than three places, two distinct ones are lacking, a number is not finite, all are seen
+        at one place, in the order of a mirror image, or in no order that any turn explains.
     """
     if nominal_mm.shape != seen_mm.shape or nominal_mm.ndim != 2 or nominal_mm.shape[1:] != (2,):
         raise NumericsError(f"places {nominal_mm.shape} and {seen_mm.shape} do not fit together; (n, 2) each")
@@ -67,15 +71,17 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
     p, q = (places[:, 0] + 1j * places[:, 1] for places in (nominal_mm, seen_mm))
     if not (np.isfinite(p) & np.isfinite(q)).all():
         raise NumericsError("a place of a registration is not finite")
-    centred = p - p.mean()
-    size = float((np.abs(centred) ** 2).sum())
-    if not size > 1e-18 * count:
+    # Both about their own middles: the origin may be far from all of them.
+    centred, seen = p - p.mean(), q - q.mean()
+    size, seen_size = float((np.abs(centred) ** 2).sum()), float((np.abs(seen) ** 2).sum())
+    if _one_place(p, size):
         raise NumericsError("all loads were pressed at one place", remedy="a registration needs places that differ")
-    factor = complex((centred.conj() * q).sum() / size)
-    if abs(factor) < 1e-9:
+    if _one_place(q, seen_size) or seen_size < _SEEN_APART**2 * size:
         raise NumericsError("all loads are seen at one place, wherever they were pressed")
+    factor = complex((centred.conj() * seen).sum() / size)
+    _not_mirrored(factor, complex((centred * seen).sum() / size), seen_size / size)
     offset = complex(q.mean() - factor * p.mean())
-    left = q - offset - factor * p
+    left = seen - factor * centred
     variance = float((np.abs(left) ** 2).sum()) / (2 * count - 4)  # of one coordinate
     of_factor = float(np.sqrt(variance / size))
     of_offset = float(np.sqrt(variance * (1 / count + abs(p.mean()) ** 2 / size)))
@@ -89,3 +95,27 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
         of_factor,
         np.column_stack([back.real, back.imag]),
     )
+
+
+def _one_place(places: NDArray[np.complex128], size: float) -> bool:
+    """Whether places are apart by rounding alone; ``size`` sums their squared distances from their middle."""
+    rounding = max(1e-9, 8 * float(np.finfo(np.float64).eps * np.abs(places).max()))
+    return not size > len(places) * rounding**2
+
+
+def _not_mirrored(factor: complex, mirrored: complex, size: float) -> None:
+    """Refuse places that no turn explains.
+
+    Parameters
+    ----------
+    factor, mirrored : that turn and scale the places, or their mirror image, onto what is seen.
+    size : squared distances that are seen over those that were pressed, of which |factor|² is explained.
+    """
+    turned_left, mirrored_left = size - abs(factor) ** 2, size - abs(mirrored) ** 2
+    if abs(mirrored) ** 2 >= _MIRRORED * size and mirrored_left < _CLEARLY * turned_left - _ROUNDING * size:
+        raise NumericsError(
+            "places are seen in the order of a mirror image of where loads were pressed",
+            remedy="look whether the sheet lies upside down, or its electrodes are counted the other way round",
+        )
+    if abs(factor) ** 2 < _SEEN_APART**2 * size:
+        raise NumericsError("no turn and scale explains anything of where loads are seen")

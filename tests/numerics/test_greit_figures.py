@@ -58,6 +58,12 @@ def test_the_quarter_amplitude_set_leaves_out_what_is_lower():
     assert half.resolution == pytest.approx(EDGE / 50, rel=1e-6)
 
 
+def test_elements_at_exactly_a_quarter_belong_to_the_set():
+    """0.25 × (3 × 0.1) rounds to more than 0.075."""
+    figures = greit_figures(_rings((0.0, EDGE, 3 * 0.1), (EDGE, 2 * EDGE, 0.075)), TARGET)
+    assert figures.resolution == pytest.approx(2 * EDGE / 50.0, rel=1e-12)
+
+
 def test_an_ellipse_is_deformed_by_what_lies_outside_the_circle_of_its_area():
     squeezed = disc_mesh(20.0, rings=60, spokes=360)
     mesh = Mesh(squeezed.nodes_mm * [1.5, 0.8], squeezed.elements)

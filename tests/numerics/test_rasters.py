@@ -162,6 +162,18 @@ def test_a_hole_is_left_out_of_the_area():
     assert region.area_mm2 == pytest.approx(14 * 14 - 4 * 4, abs=1.0)
 
 
+def test_a_flat_image_is_one_load_and_not_none():
+    (region,) = split_touching(Raster(np.full((6, 5), 0.3), 1.0, (0.0, 0.0)), 0.85, 4.0)
+    assert region.pixels.all()
+
+
+def test_a_small_outline_far_from_the_origin_keeps_its_area():
+    one = np.zeros((5, 5))
+    one[2, 2] = 1.0
+    (region,) = find_regions(Raster(one, 1.0, (1e6, -1e6)), 0.85)
+    assert region.area_mm2 == pytest.approx(0.045, rel=1e-8)
+
+
 def test_impossible_rasters_and_separations_are_refused():
     with pytest.raises(NumericsError, match="two-dimensional"):
         Raster(np.zeros(4), 1.0, (0.0, 0.0))

@@ -50,12 +50,36 @@ def test_standard_errors_are_those_of_the_scatter():
     assert stated / values[:, :3].std(axis=0) == pytest.approx(1.0, abs=0.06)
 
 
+def test_an_origin_far_away_costs_only_the_digits_of_the_places():
+    """At 1e6 mm places have 1e-10 mm: the similarity used to lose the square of that."""
+    found = register(NINE + 1e6, moved(NINE, (0.0, 0.0), 12.0, 1.25) + 3e6)
+    assert found.scale == pytest.approx(1.25, rel=1e-10)
+    assert found.rotation_deg == pytest.approx(12.0, abs=1e-8)
+    assert found.errors_mm.max() < 2e-9
+
+
+def test_loads_that_all_lie_in_a_line_are_no_mirror_image():
+    line = NINE[[0, 1, 2]]
+    assert register(line, moved(line, (1.0, 2.0), 180.0, 0.9)).scale == pytest.approx(0.9)
+
+
+@pytest.mark.parametrize("some", [NINE, NINE[:4], NINE + 7.0])
+@pytest.mark.parametrize("mirror", [(1, -1), (-1, 1)])
+def test_a_mirror_image_is_called_one(some, mirror):
+    errors = 0.3 * np.random.default_rng(3).standard_normal(some.shape)
+    with pytest.raises(NumericsError, match="mirror image"):
+        register(some, moved(some * mirror, (0.5, -1.0), 20.0, 0.95) + errors)
+
+
 @pytest.mark.parametrize(
     ("nominal", "seen", "said"),
     [
         (NINE[:2], NINE[:2], "2 places say nothing"),
         (np.zeros((4, 2)), NINE[:4], "pressed at one place"),
+        (np.full((4, 2), 1e9 + 0.1), NINE[:4] + 1e9, "pressed at one place"),
         (NINE, np.ones((9, 2)), "seen at one place"),
+        (NINE + 1e9, np.full((9, 2), 1e9 + 0.1), "seen at one place"),
+        (np.array([[1, 0], [0, 1], [-1, 0], [0, -1.0]]), np.array([[1, 0], [-1, 0], [1, 0], [-1.0, 0]]), "no turn"),
         (NINE, np.full((9, 2), np.nan), "not finite"),
         (NINE, NINE[:5], "do not fit together"),
     ],
