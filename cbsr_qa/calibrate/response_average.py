@@ -21,7 +21,7 @@ def average_response(response: ResponseMap, places_mm: Array) -> tuple[float, fl
     for member in response.members:
         between = _covariance(response.places_mm, places_mm, member.length_mm, member.smooth)
         among = _covariance(places_mm, places_mm, member.length_mm, member.smooth)
-        seen = solve_triangular(member.root, member.deviation**2 * between.mean(axis=1), lower=True)
+        seen = member.seen(member.deviation**2 * between.mean(axis=1, keepdims=True))[:, 0]
         columns = np.zeros(member.drift.shape[1])
         columns[0] = 1
         spread = solve_triangular(member.mean_root, columns - member.drift.T @ seen, lower=True)

@@ -42,12 +42,21 @@ FEWEST: Final = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Data:
-    """Loads (n) with the columns (n, k) of their mean, and what is known of its coefficients (k, k)."""
+    """Loads at p places, put together where they were pressed at one: exactly, the process being the same there.
 
-    places_mm: Array
-    values: Array
-    variance: Array
-    columns: Array
+    Parameters
+    ----------
+    root_weight : (p,) square root of the loads' summed weights 1/variance.
+    scaled : (p, k + 1) weighted means of the mean's k columns and of the values, times ``root_weight``.
+    within : (k + 1, k + 1) products of what is left of them beside those means, weighted.
+    log_variance : sum over the loads.
+    known : (k, k) what is known of the mean's coefficients beforehand.
+    """
+
+    root_weight: Array
+    scaled: Array
+    within: Array
+    log_variance: float
     known: Array
 
 
@@ -58,8 +67,9 @@ class _Member:
     Parameters
     ----------
     smooth : whether its covariance is Gaussian; else Matérn 5/2.
-    root : (n, n) Cholesky factor of the data's covariance.
-    data, drift : (n,), (n, k) data and columns of the mean, solved with ``root``.
+    root_weight : (p,) as in the data.
+    root : (p, p) Cholesky factor of one plus the process's covariance times the weights.
+    data, drift : (p,), (p, k) data and columns of the mean, weighted and solved with ``root``.
     mean, mean_root : (k,) coefficients of the mean and the Cholesky factor (k, k) of their precision.
     """
 
@@ -67,11 +77,17 @@ class _Member:
     length_mm: float
     deviation: float
     scatter: float
+    root_weight: Array
     root: Array
     data: Array
     drift: Array
     mean: Array
     mean_root: Array
+
+    def seen(self, kernel: Array) -> Array:
+        """Covariances of the data's places with others (p, m), weighted and solved with ``root``."""
+        solved: Array = solve_triangular(self.root, self.root_weight[:, None] * kernel, lower=True)
+        return solved
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +96,7 @@ class ResponseMap:
 
     Parameters
     ----------
-    places_mm : (n, 2) of the loads.
+    places_mm : (p, 2) of the loads, each once.
     members, weights : the processes and how well they explain the loads, adding to one.
     """
 
@@ -91,9 +107,10 @@ class ResponseMap:
     def predict(self, places_mm: Array) -> tuple[Array, Array]:
         """Mean and variance (n,) of the logarithm of the response at places (n, 2), scatter of loads left out."""
         means, variances = [], []
+        kinds = {(member.smooth, member.length_mm) for member in self.members}
+        kernels = {kind: _covariance(self.places_mm, places_mm, kind[1], kind[0]) for kind in kinds}
         for member in self.members:
-            kernel = _covariance(self.places_mm, places_mm, member.length_mm, member.smooth) * member.deviation**2
-            seen = solve_triangular(member.root, kernel, lower=True)
+            seen = member.seen(member.deviation**2 * kernels[member.smooth, member.length_mm])
             columns = np.zeros((member.drift.shape[1], len(places_mm)))
             columns[0] = 1
             left = columns - member.drift.T @ seen
@@ -153,40 +170,76 @@ def learn_response(
         )
     columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])
     known = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
-    data = _Data(places_mm, log_response, variance, columns, np.diag(known))
-    found = [_member(data, *choice) for choice in _choices(radius_mm)]
+    places, which = _places(places_mm)
+    told = np.column_stack([columns, log_response])
+    data = {
+        float(scatter): _together(which, told, variance + scatter**2 + _ROUNDING, np.diag(known))
+        for scatter in _SCATTERS
+    }
+    kinds = [(*kind, _covariance(places, places, kind[1], kind[0])) for kind in _kinds(radius_mm)]
+    found = [
+        _member(data[scatter], alike, smooth, length, deviation, scatter)
+        for smooth, length, alike in kinds
+        for deviation in _DEVIATIONS.tolist()
+        for scatter in data
+    ]
     score = np.array([one for one, _ in found])
     weights = np.exp(score - score.max())
     kept = weights > _NEGLIGIBLE * weights.sum()
     members = tuple(member for (_, member), keep in zip(found, kept, strict=True) if keep)
-    return ResponseMap(places_mm, members, weights[kept] / weights[kept].sum())
+    return ResponseMap(places, members, weights[kept] / weights[kept].sum())
 
 
-def _choices(radius_mm: float) -> list[tuple[bool, float, float, float]]:
-    return [
-        (smooth, float(length * radius_mm), float(deviation), float(scatter))
-        for smooth in (True, False)
-        for length in _LENGTHS
-        for deviation in _DEVIATIONS
-        for scatter in _SCATTERS
-    ]
+def _kinds(radius_mm: float) -> list[tuple[bool, float]]:
+    """Whether smooth, and the length [mm]."""
+    return [(smooth, float(length * radius_mm)) for smooth in (True, False) for length in _LENGTHS]
 
 
-def _member(data: _Data, smooth: bool, length_mm: float, deviation: float, scatter: float) -> tuple[float, _Member]:
-    """One process and the logarithm of its weight: marginal likelihood times prior, the mean integrated out."""
-    kernel = deviation**2 * _covariance(data.places_mm, data.places_mm, length_mm, smooth)
-    root = _root(kernel + np.diag(data.variance + scatter**2 + _ROUNDING))
-    solved = solve_triangular(root, np.column_stack([data.columns, data.values]), lower=True)
+def _places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Places (p, 2), each once in the order of the loads, and which of them each load pressed (n,)."""
+    _, first, which = np.unique(places_mm, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return places_mm[first[order]], rank[which.ravel()]
+
+
+def _together(which: NDArray[np.intp], told: Array, variance: Array, known: Array) -> _Data:
+    """Put loads of one place together: a weighted mean each, and what is left about it, centred before it is squared.
+
+    A process seen several times at a place is one seen once there with the summed weight, but for the scatter of the
+    loads about their mean: with it likelihoods and predictions are those of all loads, at the cost of the places.
+    """
+    weight = 1 / variance
+    total = np.bincount(which, weight)
+    means = np.column_stack([np.bincount(which, weight * column) / total for column in told.T])
+    left = (told - means[which]) * np.sqrt(weight)[:, None]
+    root_weight = np.sqrt(total)
+    return _Data(root_weight, means * root_weight[:, None], left.T @ left, float(np.log(variance).sum()), known)
+
+
+def _member(
+    data: _Data, alike: Array, smooth: bool, length_mm: float, deviation: float, scatter: float
+) -> tuple[float, _Member]:
+    """One process of correlations (p, p) and the logarithm of its weight: marginal likelihood times prior.
+
+    The mean is integrated out.
+    """
+    kernel = deviation**2 * alike
+    # No eigenvalue below one: places that all but coincide, and loads without noise, do no harm.
+    root = _root(np.eye(len(kernel)) + data.root_weight[:, None] * kernel * data.root_weight)
+    solved = solve_triangular(root, data.scaled, lower=True)
     drift, seen = solved[:, :-1], solved[:, -1]
-    mean_root = _root(drift.T @ drift + data.known)
-    pull = solve_triangular(mean_root, drift.T @ seen, lower=True)
+    products = solved.T @ solved + data.within
+    mean_root = _root(products[:-1, :-1] + data.known)
+    pull = solve_triangular(mean_root, products[:-1, -1], lower=True)
     mean = solve_triangular(mean_root.T, pull, lower=False)
-    misfit = float(seen @ seen - pull @ pull)
-    likelihood = -misfit / 2 - float(np.log(np.diag(root)).sum()) - float(np.log(np.diag(mean_root)).sum())
+    misfit = float(products[-1, -1] - pull @ pull)
+    determinants = data.log_variance / 2 + sum(float(np.log(np.diag(one)).sum()) for one in (root, mean_root))
     # The grid is even in the logarithm of the deviation: its density there has the deviation as a factor.
     prior = np.log(deviation) - np.log1p((deviation / _USUAL_DEVIATION) ** 2) - scatter / _USUAL_SCATTER
-    member = _Member(smooth, length_mm, deviation, scatter, root, seen, drift, mean, mean_root)
-    return likelihood + float(prior), member
+    member = _Member(smooth, length_mm, deviation, scatter, data.root_weight, root, seen, drift, mean, mean_root)
+    return -misfit / 2 - determinants + float(prior), member
 
 
 def _root(matrix: Array) -> Array:
