@@ -83,7 +83,12 @@ class LocalUpdate:
             If an element is not in the mesh, or its new conductance is not a positive finite number, or as a matrix
             not positive definite; or a contact impedance is not a positive finite number.
         """
-        return self._unchanged - self.model.readings(self._loss(elements, conductance_change, contact_impedance))
+        found = self._changed(elements, conductance_change, contact_impedance)
+        if isinstance(found, ForwardModel):
+            return found.voltages()
+        lost, own = found  # apart: what driven contacts drop costs the other readings no digits
+        voltages: Array = self._unchanged - self.model.readings(lost) + self.model.readings(own)
+        return voltages
 
     def transfer_impedance(
         self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None
@@ -92,21 +97,25 @@ class LocalUpdate:
 
         Holds for currents that sum to zero, and differences of potentials.
         """
-        before = self.model.transfer_impedance
-        changed: Array = before - self._loss(elements, conductance_change, contact_impedance)
+        found = self._changed(elements, conductance_change, contact_impedance)
+        if isinstance(found, ForwardModel):
+            return found.transfer_impedance
+        lost, own = found
+        changed: Array = self.model.transfer_impedance - lost + own
         return changed
 
-    def _loss(self, elements: Indices, change: Array, contact_impedance: Array | None) -> Array:
-        """What the transfer impedance loses."""
+    def _changed(
+        self, elements: Indices, change: Array, contact_impedance: Array | None
+    ) -> ForwardModel | tuple[Array, Array]:
+        """What the transfer impedance loses, and what contacts add to it; or the sheet factorised again."""
         elements, change = self._checked(elements, change)
         contact_change, own = self.contact_change(contact_impedance)
         if not elements.size and contact_change is None:
-            return np.zeros_like(self.model.transfer_impedance)
+            return np.zeros_like(self.model.transfer_impedance), np.zeros_like(self.model.transfer_impedance)
         patches = self._patches(elements, contact_change is not None)
         if patches is None:
-            again = self.model.changed_on(elements, change, contact_impedance)
-            return self.model.transfer_impedance - again.transfer_impedance
-        return patches.correction(change, contact_change) - own
+            return self.model.changed_on(elements, change, contact_impedance)
+        return patches.correction(change, contact_change), own
 
     def contact_change(self, impedance: Array | None) -> tuple[Array | None, Array]:
         """Change of 1/z [S/mm], None where there is none, and of what each electrode adds to its own potential.
@@ -118,7 +127,7 @@ class LocalUpdate:
         """
         before = self.model.contact_impedance
         if impedance is None or np.array_equal(impedance, before):
-            return None, np.zeros((1, 1))
+            return None, np.zeros((len(before), len(before)))
         impedance = check_values("contact impedance", np.asarray(impedance, dtype=np.float64), before.shape)
         lengths = self.model.prepared.contacts.lengths_mm
         return (before - impedance) / (before * impedance), np.diag((impedance - before) / lengths)

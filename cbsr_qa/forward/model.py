@@ -18,7 +18,7 @@ from cbsr_qa.domain.patterns import DrivePattern
 from cbsr_qa.forward.contacts import edge_contacts, point_contacts
 from cbsr_qa.forward.elements import FiniteElements
 from cbsr_qa.forward.prepared import PreparedSheet
-from cbsr_qa.forward.value_range import check_contacts, check_contrast, least_and_most
+from cbsr_qa.forward.value_range import check_contacts, check_contrast, far_apart, least_and_most
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -47,8 +47,7 @@ class ForwardModel:
     NumericsError
         If the mesh is in pieces or has electrodes without edges, or a conductance or contact impedance is not a
         positive finite number, or ``prepared`` belongs to another mesh. If conductances are more than 1e8 apart, or
-        z γ/|E| of an electrode is not within 1e-9 and 1e9: beyond, readings keep fewer than six digits
-        (:mod:`cbsr_qa.forward.value_range`).
+        z γ/|E| of an electrode is not within 1e-9 and 1e9 (:mod:`cbsr_qa.forward.value_range`).
     """
 
     def __init__(
@@ -160,14 +159,15 @@ class ForwardModel:
         -------
         (electrodes, electrodes) float64 [Ω], U = Z·I for ΣI = 0, with ΣU = 0.
         """
-        contacts = self.prepared.contacts
-        own = np.diag(self.contact_impedance / contacts.lengths_mm)
-        touched = np.concatenate(contacts.nodes)
-        return _grounded(contacts.means[touched].T @ self._fields_at(touched) + own)
+        return _grounded(self._sheet_impedance + np.diag(self._own_impedance))
 
     def voltages(self) -> Array:
-        """Readings per unit current: (drives, measures) [V/A]."""
-        return self.readings(self.transfer_impedance)
+        """Readings per unit current: (drives, measures) [V/A].
+
+        What the contacts of driven electrodes drop is added to the readings that touch them alone: poor contacts cost
+        the others no digits.
+        """
+        return self.readings(self._sheet_impedance) + self.readings(np.diag(self._own_impedance))
 
     def readings(self, transfer_impedance: Array) -> Array:
         """Turn a transfer impedance (electrodes, electrodes) into readings (drives, measures)."""
@@ -248,6 +248,20 @@ class ForwardModel:
         drive = of(driven)
         return drive, drive if self.pattern.drive == self.pattern.measure else of(measured)
 
+    @property
+    def _own_impedance(self) -> Array:
+        """What each electrode's contact adds to its own potential, (electrodes,) [Ω]."""
+        impedance: Array = self.contact_impedance / self.prepared.contacts.lengths_mm
+        return impedance
+
+    @cached_property
+    def _sheet_impedance(self) -> Array:
+        """Mean potentials under the electrodes per electrode current, up to a constant in each column [Ω]."""
+        contacts = self.prepared.contacts
+        touched = np.concatenate(contacts.nodes)
+        impedance: Array = contacts.means[touched].T @ self._fields_at(touched)
+        return impedance
+
     def _fields_at(self, nodes: Indices) -> Array:
         """:attr:`electrode_fields` at some nodes."""
         fields = np.empty((len(nodes), len(self.contact_impedance)))
@@ -258,7 +272,8 @@ class ForwardModel:
     @cached_property
     def _ordered_fields(self) -> Array:
         """Fields of all electrodes but the first, in the order of elimination: (n, electrodes − 1)."""
-        return self._factors.solve_ordered(self.prepared.ordered_drives)
+        drives = self.prepared.ordered_drives
+        return self._factors.refined_ordered(drives) if self._far_apart else self._factors.solve_ordered(drives)
 
     def _check(self) -> None:
         electrodes, count = self.pattern.electrode_count, len(self.mesh.elements)
@@ -274,6 +289,7 @@ class ForwardModel:
         least, most = least_and_most(self.conductance)
         check_contrast(least, most)
         prepared = self.prepared
+        self._far_apart = far_apart(least, most, self.contact_impedance, prepared.contacts.lengths_mm)
         check_contacts(least, most, self.contact_impedance, prepared.contacts.lengths_mm, prepared.beside)
 
 

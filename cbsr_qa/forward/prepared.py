@@ -16,6 +16,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.forward.contacts import Contacts
 from cbsr_qa.forward.elements import FiniteElements
+from cbsr_qa.forward.refinement import Conductors, refined
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -34,7 +35,8 @@ class PreparedSheet:
 
     Departs from the usual form in that the electrodes' potentials are eliminated, U_l = z_l I_l/|E_l| + mean of u on
     E_l: contacts of 1e8 Ω·mm then cost no digits of the readings that do not feel them. The free constant is fixed at
-    one node; currents sum to zero, so that the solution does not feel how.
+    one node of the best conductor: currents sum to zero, so that the solution does not feel how, but what is taken
+    from the inverse between nodes would lose the digits of a constant that a poor conductor makes large.
 
     Parameters
     ----------
@@ -53,7 +55,9 @@ class PreparedSheet:
         self.contacts = contacts
         rows, columns, owner, values = _entries(elements, contacts)
         sources = len(elements.cells) + len(contacts.nodes)
-        matrix = sparse.csc_matrix((values, (rows, columns)), shape=(elements.count,) * 2)
+        held = elements.cells[0, 0]  # any node: what counts here is which entries there are
+        places = np.append(rows, held), np.append(columns, held)
+        matrix = sparse.csc_matrix((np.append(values, 1.0), places), shape=(elements.count,) * 2)
         #: place of each node in the order of elimination, (n,)
         self.place: Indices = splu(matrix, permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC).perm_c.astype(np.int64)
         keys = self.place[columns] * elements.count + self.place[rows]
@@ -61,6 +65,7 @@ class PreparedSheet:
         column, self._row = np.divmod(entry, elements.count)
         self._start = np.searchsorted(column, np.arange(elements.count + 1)).astype(np.int32)
         self._row = self._row.astype(np.int32)
+        self._diagonal = np.flatnonzero(self._row == column)
         k = elements.cells.shape[1]
         self._slot = slot[: elements.cells.size * k].reshape(len(elements.cells), k, k)
         self._scale = sparse.csr_matrix((values, (slot, owner)), shape=(len(entry), sources))
@@ -96,8 +101,12 @@ class PreparedSheet:
             rest = conductance[uneven] - even[uneven, None, None, None] * np.eye(2)
             change = self.elements.directional_stiffness(uneven, rest)
             values += np.bincount(self._slot[uneven].ravel(), change.ravel(), minlength=len(values))
+        conductors = Conductors(values.copy(), self._row, self._start)
+        best = int(even.argmax())
+        ground = int(self.place[self.elements.cells[best, 0]])
+        values[self._diagonal[ground]] += even[best]
         matrix = sparse.csc_matrix((values, self._row, self._start), shape=(self.elements.count,) * 2)
-        return Factors(splu(matrix, permc_spec="NATURAL", **_SYMMETRIC), self.place)
+        return Factors(splu(matrix, permc_spec="NATURAL", **_SYMMETRIC), self.place, conductors, ground)
 
 
 class Factors:
@@ -105,13 +114,17 @@ class Factors:
 
     Parameters
     ----------
-    factors : of the matrix in the order of elimination.
+    factors : of the matrix in the order of elimination, with a node held.
     place : (n,) each node's place in that order.
+    conductors : of the matrix, without what holds the node.
+    ground : place of the node that is held.
     """
 
-    def __init__(self, factors: SuperLU, place: Indices) -> None:
+    def __init__(self, factors: SuperLU, place: Indices, conductors: Conductors, ground: int) -> None:
         self._factors = factors
         self._place = place
+        self._conductors = conductors
+        self._ground = ground
         self._order = np.argsort(place)
 
     def solve(self, load: Array) -> Array:
@@ -123,6 +136,16 @@ class Factors:
         """The same, both in the order of elimination."""
         potentials: Array = self._factors.solve(load)
         return potentials
+
+    def refined_ordered(self, load: Array) -> Array:
+        """The same to rounding, however far conductances and contacts are apart; columns of loads sum to zero.
+
+        Raises
+        ------
+        NumericsError
+            As :func:`~cbsr_qa.forward.refinement.refined`.
+        """
+        return refined(self._conductors, load, self.solve_ordered, self.solve_ordered(load), self._ground)
 
 
 def check_connected(mesh: Mesh) -> None:
@@ -155,9 +178,6 @@ def _entries(elements: FiniteElements, contacts: Contacts) -> tuple[Indices, Ind
         columns.append(np.tile(nodes, len(nodes)))
         owner.append(np.full(mass.size, count + number))
         values.append(mass.ravel())
-    for ground, into in ((cells[:1, 0], rows), (cells[:1, 0], columns), (np.zeros(1, dtype=np.int64), owner)):
-        into.append(ground)
-    values.append(np.ones(1))
     return np.concatenate(rows), np.concatenate(columns), np.concatenate(owner), np.concatenate(values)
 
 

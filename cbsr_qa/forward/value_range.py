@@ -1,11 +1,12 @@
 """How far apart conductances and contact impedances may be before rounding decides the readings.
 
 Rounding lets current leak out of a row of the matrix, some 1e-16 of its largest entry: of the best conductor, and of
-|E|/z under a contact. The leak counts against the worst conductor the current has to pass. Measured against solutions
-refined in extended precision (discs with 16 pins and strips, both orders, 3700 to 20000 elements), readings that
-touch no driven electrode err, in norm, by 4e-16 |E|/(z γ) where contacts are good, by 3e-16 z γ/|E| where they are
-poor (a driven electrode's own voltage drop takes the digits), and by up to 1.5e-14 of the contrast, where good
-conductors round the electrodes are parted by a poor one; an inclusion costs 3e-16 of the contrast or less.
+|E|/z under a contact. The leak counts against the worst conductor the current has to pass. Where values are more than
+1e3 apart potentials are therefore refined (:mod:`cbsr_qa.forward.refinement`); readings that touch no driven
+electrode are then right to 1e-13 in norm over all that is allowed here. Without, they would err by 4e-16 |E|/(z γ)
+where contacts are good and by up to 1.5e-14 of the contrast, where good conductors round the electrodes are parted by
+a poor one. What refinement needs is that the factors have digits left at all; beyond these ranges, which no sheet
+comes near, values are taken for mistakes. Local updates of a sheet that is far apart before its loads are not refined.
 """
 
 from typing import Final
@@ -17,12 +18,14 @@ from cbsr_qa.domain.errors import NumericsError
 
 Array = NDArray[np.float64]
 
-#: z γ/|E| of an electrode with the conductance next to it: readings are then right to 5e-7.
+#: z γ/|E| of an electrode with the conductance next to it.
 CONTACT_RANGE: Final = (1e-9, 1e9)
 #: And with the smallest and the largest conductance of the sheet, which current may have to pass on its way.
 FAR_CONTACT_RANGE: Final = (1e-10, 1e10)
-#: Largest over smallest conductance: readings are then right to 2e-6 at worst, and mostly to 1e-8.
+#: Largest over smallest conductance.
 MOST_CONTRAST: Final = 1e8
+#: Conductances, contacts' among them, further apart than this have their potentials refined.
+REFINED_ABOVE: Final = 1e3
 _ROUNDING: Final = 1 + 1e-9  # what a contrast of just so much may be off
 
 
@@ -68,6 +71,18 @@ def check_contrast(least: Array, most: Array) -> None:
             f" {MOST_CONTRAST:g}: rounding would decide the readings",
             remedy=f"bring conductances to within a factor of {MOST_CONTRAST:g} of each other",
         )
+
+
+def far_apart(least: Array, most: Array, impedance: Array, lengths_mm: Array) -> bool:
+    """Whether rounding would cost readings more than some three of their digits, so that potentials are refined.
+
+    Parameters
+    ----------
+    least, most : (e,) [S], of :func:`least_and_most`. impedance, lengths_mm : (electrodes,) [Ω·mm], [mm].
+    """
+    best, worst = most.max(), least.min()
+    contact = (lengths_mm / impedance)[np.isfinite(lengths_mm)].max(initial=0.0)
+    return bool(max(best, contact) > REFINED_ABOVE * worst)
 
 
 def check_contacts(

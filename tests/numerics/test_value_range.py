@@ -1,4 +1,4 @@
-"""Conductances and contacts far apart: readings keep six digits up to the stated bounds, and are refused beyond.
+"""Conductances and contacts far apart: readings keep twelve digits up to the stated bounds, and are refused beyond.
 
 Held against solutions of the same equations in extended precision: residuals are formed from differences of
 potentials, so that no current is lost to rounding, and corrections are added until they vanish.
@@ -10,6 +10,7 @@ import pytest
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.forward.model import ForwardModel, point_model
+from cbsr_qa.forward.refinement import refined
 from cbsr_qa.forward.value_range import CONTACT_RANGE, FAR_CONTACT_RANGE, MOST_CONTRAST, least_and_most
 
 
@@ -60,8 +61,8 @@ def contact(model: ForwardModel, ratio: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("ratio", [1.001 * CONTACT_RANGE[0], 1e-6, 1.0, 1e6, 0.999 * CONTACT_RANGE[1]])
-def test_readings_keep_six_digits_over_the_whole_range_of_contacts(model, ratio):
-    assert error(model.changed(contact_impedance=contact(model, ratio))) < 1e-6
+def test_readings_keep_twelve_digits_over_the_whole_range_of_contacts(model, ratio):
+    assert error(model.changed(contact_impedance=contact(model, ratio))) < 1e-12
 
 
 @pytest.mark.parametrize("conductance", [1e-14, 1e14])
@@ -100,8 +101,16 @@ def islands(model: ForwardModel, parted: float) -> np.ndarray:
 def test_readings_keep_their_digits_up_to_the_largest_contrast(model):
     inclusion = np.hypot(*model.mesh.centroids_mm.T) < 20
     for conductance in (np.where(inclusion, 1e-8, 1.0), np.where(inclusion, 1e8, 1.0)):
-        assert error(model.changed(conductance=conductance)) < 1e-7
-    assert error(model.changed(conductance=islands(model, 1 / MOST_CONTRAST))) < 2e-6
+        assert error(model.changed(conductance=conductance)) < 1e-12
+    assert error(model.changed(conductance=islands(model, 1 / MOST_CONTRAST))) < 1e-12
+
+
+def test_potentials_that_cannot_be_refined_are_refused(model):
+    drives = model.prepared.ordered_drives
+    useless = np.zeros_like(drives)
+    with pytest.raises(NumericsError, match="cannot be refined") as refused:
+        refined(model._factors._conductors, drives, lambda load: load, useless, 0)
+    assert refused.value.remedy
 
 
 @pytest.mark.parametrize("contrast", [1.01 * MOST_CONTRAST, 1e12])
