@@ -266,7 +266,8 @@ def check_change(model: ForwardModel, elements: Indices, change: Array) -> None:
     if wrong.size:
         raise NumericsError(
             f"the change of element {elements[wrong[0]]} leaves it with a conductance of {new[wrong[0]].tolist()}"
-            " S; it must stay a positive finite number, in every direction"
+            " S; it must stay a positive finite number, in every direction",
+            remedy="give changes above minus the conductance there is; what is to insulate keeps 1e-8 of it",
         )
 
 

@@ -4,8 +4,8 @@ A row of the matrix holds the sum of its conductances on the diagonal. Rounding 
 conductor's current out of the sheet, which counts against the worst conductor that current has to pass: with
 contrasts of 1e8, readings that the problem itself would determine to 1e-15 were right to 1e-8. Here residuals are
 formed without the diagonal, as Σ_j K_ij (u_j − u_i), of potentials in twice the precision (Dekker 1971): what flows
-into a node then flows out of it again to the last digit. Corrections from the same factors are added until they vanish
-(Wilkinson 1963; Demmel et al. 2006), which takes two or three.
+into a node then flows out of it again to the last digit. Corrections from the same factors are added until they
+vanish (Wilkinson 1963; Demmel et al. 2006), which takes two or three.
 """
 
 from collections.abc import Callable

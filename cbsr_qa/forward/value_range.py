@@ -6,7 +6,8 @@ Rounding lets current leak out of a row of the matrix, some 1e-16 of its largest
 electrode are then right to 1e-13 in norm over all that is allowed here. Without, they would err by 4e-16 |E|/(z γ)
 where contacts are good and by up to 1.5e-14 of the contrast, where good conductors round the electrodes are parted by
 a poor one. What refinement needs is that the factors have digits left at all; beyond these ranges, which no sheet
-comes near, values are taken for mistakes. Local updates of a sheet that is far apart before its loads are not refined.
+comes near, values are taken for mistakes. Local updates of a sheet that is far apart before its loads are not
+refined.
 """
 
 from typing import Final
