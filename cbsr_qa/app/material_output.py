@@ -81,6 +81,7 @@ def material_of(result: RunResult) -> Material:
         loading_relaxation=loading,
         unloading_relaxation=unloading,
         relative_noise=Parameter(noise.value, noise.stderr, carried[:1000]),
+        strip_relaxation=found.relaxation,
     )
 
 

@@ -14,6 +14,7 @@ from cbsr_qa.calibrate.slow_residue import (
     separate_with_residue,
     without_residue,
 )
+from cbsr_qa.calibrate.strip_kernels import strip_relaxation
 from cbsr_qa.calibrate.strip_lines import (
     decided_response,
     fit_line,
@@ -43,7 +44,7 @@ from cbsr_qa.domain.characterisation import (
     StripFacts,
 )
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.sensor import Parameter, Relaxation, Response
+from cbsr_qa.domain.sensor import Parameter, Relaxation, Response, StripRelaxation
 from cbsr_qa.forward.strip import StripModel
 
 Array = NDArray[np.float64]
@@ -127,6 +128,7 @@ def characterise(
         loading=loading,
         unloading=unloading,
         stress=stress,
+        relaxation=work.relaxation(),
         lowest_strain=lowest,
         residue=_as_parameters(work.residue, specimen.source),
         unread=tuple(unread),
@@ -225,6 +227,10 @@ class _Work:
             unit_kernel(common.get(False), self._directed(False), source),
             unit_kernel(self._stress_common, self._directed_stress(), source),
         )
+
+    def relaxation(self) -> StripRelaxation | None:
+        """Kernels of loading and unloading with their errors, as a sheet's are learned."""
+        return strip_relaxation(self._directed(True), self._directed(False), self._specimen.source)
 
     def facts(self) -> StripFacts:
         """The strip."""

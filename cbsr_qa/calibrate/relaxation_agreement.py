@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +14,11 @@ from cbsr_qa.domain.relaxation import FitStatus
 
 Array = NDArray[np.float64]
 
+#: What is still no difference: of the shape, as a share of the change, and of the settling time, as a share.
+SHAPE_MARGIN: Final = 0.1
+TIME_MARGIN: Final = 0.2
+#: Chance of calling two relaxations equivalent that are a margin apart.
+LEVEL: Final = 0.05
 #: Times at which shapes are compared.
 _TIMES: Final = 121
 _CURVES: Final = (FitStatus.ONE, FitStatus.TWO, FitStatus.FLAT)
@@ -25,6 +30,28 @@ class Agreement(StrEnum):
     EQUIVALENT = "equivalent"  #: any difference beyond the margin is ruled out
     DIFFERENT = "different"  #: a difference within the margin is ruled out
     UNDECIDED = "undecided"  #: the data rule out neither
+
+
+class ComparableRelaxation(Protocol):
+    """What is compared: a curve relative to its change, with its error, over the time it is known for."""
+
+    @property
+    def start_s(self) -> float:
+        """Where it begins: before, shapes are not compared and nothing counts as settled."""
+
+    @property
+    def window_s(self) -> float:
+        """Until when it is known."""
+
+    @property
+    def why_not(self) -> str:
+        """Why it cannot be compared; empty where it can."""
+
+    def relative(self, time_s: Array) -> tuple[Array, Array]:
+        """Return the curve over the steady (or released) change, and its variance, (n,) each."""
+
+    def settled(self, tolerance: float) -> tuple[float, float] | None:
+        """Return the settling time and its standard error [s]; None where there is no plain number."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +76,67 @@ class MeasuredRelaxation:
         """What shapes are relative to: the steady or the released change."""
         return self.common.fit.offset if self.loaded_change is None else self.loaded_change
 
+    @property
+    def why_not(self) -> str:
+        """Why it cannot be compared; empty where it can."""
+        fit = self.common.fit
+        if fit.status not in _CURVES:
+            return f"has no curve: {fit.why}"
+        return "" if abs(self.scale) > 3 * fit.offset_stderr else "has no change that is clear of zero"
 
-@dataclass(frozen=True, slots=True)
+    def relative(self, time_s: Array) -> tuple[Array, Array]:
+        """Return the fitted curve over its scale, and its variance."""
+        common, fit, scale = self.common, self.common.fit, self.scale
+        tau = np.array(fit.time_constants_s).reshape(1, -1)
+        amplitudes = np.array(fit.amplitudes)
+        each = np.exp(-time_s[:, None] / tau)
+        moving = each @ amplitudes
+        curve = (fit.offset + moving) / scale
+        if not len(amplitudes):
+            variance = 0.0 if self.loaded_change is None else (fit.offset_stderr / scale) ** 2
+            return curve, np.full(len(time_s), variance)
+        by_offset = -moving / scale if self.loaded_change is None else np.ones_like(moving)
+        gradient = np.column_stack([by_offset, each, each * amplitudes * time_s[:, None] / tau]) / scale
+        return curve, np.einsum("ti,ij,tj->t", gradient, common.covariance, gradient)
+
+    def settled(self, tolerance: float) -> tuple[float, float] | None:
+        """Return the settling time of the mean trace and its standard error [s]; None without a plain number."""
+        found, stderr = common_settling_time(
+            self.common, window_s=self.window_s, tolerance=tolerance, loaded_change=self.loaded_change
+        )
+        return (found.value_s, stderr) if found.value_s and not found.censored and stderr else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparedCurves:
+    """Two relaxations over their common window, relative to their change, with standard errors.
+
+    Parameters
+    ----------
+    time_s : (n,) from the end of the ramp.
+    first, first_stderr, second, second_stderr : (n,).
+    """
+
+    time_s: Array
+    first: Array
+    first_stderr: Array
+    second: Array
+    second_stderr: Array
+
+    @property
+    def difference(self) -> Array:
+        """Second less first."""
+        difference: Array = self.second - self.first
+        return difference
+
+    @property
+    def stderr(self) -> Array:
+        """Standard error of the difference; the two count as independent."""
+        stderr: Array = np.hypot(self.first_stderr, self.second_stderr)
+        return stderr
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class RelaxationAgreement:
     """How far the second relaxation is from the first.
 
@@ -61,6 +147,8 @@ class RelaxationAgreement:
     shape_reach : no time of the window has a larger difference, at the level asked for.
     time : whether the settling times are.
     time_ratio, time_ratio_stderr : second over first; None where one has no plain number.
+    time_reach : no larger ratio, either way, at the level asked for; None where one has no plain number.
+    curves : what was compared; None where nothing was.
     why : in words, where there is no comparison.
     """
 
@@ -72,16 +160,24 @@ class RelaxationAgreement:
     time: Agreement
     time_ratio: float | None
     time_ratio_stderr: float | None
+    time_reach: float | None = None
+    curves: ComparedCurves | None = None
     why: str = ""
 
 
+def not_compared(why: str) -> RelaxationAgreement:
+    """Return what there is to say where there is nothing to compare."""
+    undecided = Agreement.UNDECIDED
+    return RelaxationAgreement(undecided, None, None, None, None, undecided, None, None, why=why)
+
+
 def compare_relaxations(
-    first: MeasuredRelaxation,
-    second: MeasuredRelaxation,
+    first: ComparableRelaxation,
+    second: ComparableRelaxation,
     *,
-    shape_margin: float = 0.1,
-    time_margin: float = 0.2,
-    level: float = 0.05,
+    shape_margin: float = SHAPE_MARGIN,
+    time_margin: float = TIME_MARGIN,
+    level: float = LEVEL,
     tolerance: float = 0.15,
 ) -> RelaxationAgreement:
     """Test two relaxations for equivalence: not "no significant difference", which noise gives as well.
@@ -108,75 +204,51 @@ def compare_relaxations(
     """
     if not (shape_margin > 0 and time_margin > 0 and 0 < level < 0.5):
         raise NumericsError(f"margins of {shape_margin:g} and {time_margin:g} at a level of {level:g} decide nothing")
-    why = _why_not(first, "first") or _why_not(second, "second")
-    if why:
-        undecided = Agreement.UNDECIDED
-        return RelaxationAgreement(undecided, None, None, None, None, undecided, None, None, why)
-    ratio, ratio_stderr, time = _times(first, second, time_margin, level, tolerance)
-    time_s = np.linspace(max(first.start_s, second.start_s), min(first.window_s, second.window_s), _TIMES)
-    (one, variance), (other, more) = (_relative(measured, time_s) for measured in (first, second))
-    difference, stderr = other - one, np.sqrt(variance + more)
+    for which, measured in (("first", first), ("second", second)):
+        if measured.why_not:
+            return not_compared(f"the {which} relaxation {measured.why_not}")
+    start_s, end_s = max(first.start_s, second.start_s), min(first.window_s, second.window_s)
+    if not start_s < end_s:
+        return not_compared(f"no time in common: one begins at {start_s:.3g} s, one ends at {end_s:.3g} s")
+    curves = _curves(first, second, np.linspace(start_s, end_s, _TIMES))
+    difference, stderr = curves.difference, curves.stderr
     reach = np.abs(difference) + norm.ppf(1 - level) * stderr
     surely = np.abs(difference) - norm.ppf(1 - level / 2 / _TIMES) * stderr
     worst = int(np.argmax(reach))
+    ratio, ratio_stderr, ratio_reach, time = _times(first, second, time_margin, level, tolerance)
     return RelaxationAgreement(
         _decided(bool(reach[worst] <= shape_margin), bool(surely.max() > shape_margin)),
         float(difference[worst]),
         float(stderr[worst]),
-        float(time_s[worst]),
+        float(curves.time_s[worst]),
         float(reach[worst]),
         time,
         ratio,
         ratio_stderr,
+        ratio_reach,
+        curves,
     )
+
+
+def _curves(first: ComparableRelaxation, second: ComparableRelaxation, time_s: Array) -> ComparedCurves:
+    (one, variance), (other, more) = first.relative(time_s), second.relative(time_s)
+    return ComparedCurves(time_s, one, np.sqrt(variance), other, np.sqrt(more))
 
 
 def _times(
-    first: MeasuredRelaxation, second: MeasuredRelaxation, margin: float, level: float, tolerance: float
-) -> tuple[float | None, float | None, Agreement]:
-    """Ratio of the settling times, its standard error, and what follows."""
-    settled = [
-        common_settling_time(one.common, window_s=one.window_s, tolerance=tolerance, loaded_change=one.loaded_change)
-        for one in (first, second)
-    ]
-    plain = [(found.value_s, stderr) for found, stderr in settled if found.value_s and not found.censored and stderr]
-    if len(plain) < 2:
-        return None, None, Agreement.UNDECIDED
-    (one_s, one_stderr), (other_s, other_stderr) = plain
+    first: ComparableRelaxation, second: ComparableRelaxation, margin: float, level: float, tolerance: float
+) -> tuple[float | None, float | None, float | None, Agreement]:
+    """Ratio of the settling times, its standard error, the largest that is left open, and what follows."""
+    one, other = first.settled(tolerance), second.settled(tolerance)
+    if one is None or other is None:
+        return None, None, None, Agreement.UNDECIDED
+    (one_s, one_stderr), (other_s, other_stderr) = one, other
     log_ratio = float(np.log(other_s / one_s))
     log_stderr = float(np.hypot(one_stderr / one_s, other_stderr / other_s))
     limit = float(np.log1p(margin))
-    agreement = _decided(
-        abs(log_ratio) + float(norm.ppf(1 - level)) * log_stderr <= limit,
-        abs(log_ratio) - float(norm.ppf(1 - level / 2)) * log_stderr > limit,
-    )
-    return other_s / one_s, other_s / one_s * log_stderr, agreement
-
-
-def _relative(measured: MeasuredRelaxation, time_s: Array) -> tuple[Array, Array]:
-    """The fitted curve over its scale, and its variance."""
-    common, fit, scale = measured.common, measured.common.fit, measured.scale
-    tau = np.array(fit.time_constants_s).reshape(1, -1)
-    amplitudes = np.array(fit.amplitudes)
-    each = np.exp(-time_s[:, None] / tau)
-    moving = each @ amplitudes
-    curve = (fit.offset + moving) / scale
-    if not len(amplitudes):
-        return curve, np.full(
-            len(time_s), 0.0 if measured.loaded_change is None else (fit.offset_stderr / scale) ** 2
-        )
-    by_offset = -moving / scale if measured.loaded_change is None else np.ones_like(moving)
-    gradient = np.column_stack([by_offset, each, each * amplitudes * time_s[:, None] / tau]) / scale
-    return curve, np.einsum("ti,ij,tj->t", gradient, common.covariance, gradient)
-
-
-def _why_not(measured: MeasuredRelaxation, which: str) -> str:
-    fit = measured.common.fit
-    if fit.status not in _CURVES:
-        return f"the {which} relaxation has no curve: {fit.why}"
-    if not abs(measured.scale) > 3 * fit.offset_stderr:
-        return f"the {which} relaxation has no change that is clear of zero"
-    return ""
+    reach = abs(log_ratio) + float(norm.ppf(1 - level)) * log_stderr
+    agreement = _decided(reach <= limit, abs(log_ratio) - float(norm.ppf(1 - level / 2)) * log_stderr > limit)
+    return other_s / one_s, other_s / one_s * log_stderr, float(np.exp(min(reach, 50.0))), agreement
 
 
 def _decided(within: bool, beyond: bool) -> Agreement:

@@ -6,6 +6,7 @@ from typing import Annotated
 from pydantic import Field
 
 from cbsr_qa.config.lines import KeyPath
+from cbsr_qa.config.strip_tables import StripRelaxationTable
 from cbsr_qa.config.tables import FileModel, Problem, Table
 from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation
 
@@ -108,6 +109,7 @@ class MaterialTable(Table):
     stress_relaxation: RelaxationTable
     loading_relaxation: RelaxationTable
     unloading_relaxation: RelaxationTable
+    strip_relaxation: StripRelaxationTable | None = None
 
     def to_domain(self) -> Material:
         """Return the material."""
@@ -121,6 +123,7 @@ class MaterialTable(Table):
             loading_relaxation=self.loading_relaxation.to_domain(),
             unloading_relaxation=self.unloading_relaxation.to_domain(),
             relative_noise=self.relative_noise.to_domain(),
+            strip_relaxation=None if self.strip_relaxation is None else self.strip_relaxation.to_domain(),
         )
 
 
@@ -135,6 +138,8 @@ class MaterialFile(FileModel[Material]):
         yield from _covariance_problems(self.material.against_strain, ("material", "against_strain"))
         for name in ("stress_relaxation", "loading_relaxation", "unloading_relaxation"):
             yield from getattr(self.material, name).problems(("material", name))
+        if self.material.strip_relaxation is not None:
+            yield from self.material.strip_relaxation.problems(("material", "strip_relaxation"))
 
     def to_domain(self) -> Material:
         """Return the material."""

@@ -3,7 +3,7 @@
 import json
 from collections.abc import Iterator, Sequence
 
-from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation
+from cbsr_qa.domain.sensor import Material, MeasuredKernel, Parameter, QuasiStatic, Relaxation, StripRelaxation
 
 
 def material_text(material: Material, comments: Sequence[str] = ()) -> str:
@@ -30,6 +30,8 @@ def _lines(material: Material) -> Iterator[str]:
     yield from _relaxation("stress_relaxation", material.stress_relaxation)
     yield from _relaxation("loading_relaxation", material.loading_relaxation)
     yield from _relaxation("unloading_relaxation", material.unloading_relaxation)
+    if material.strip_relaxation is not None:
+        yield from _strip(material.strip_relaxation)
 
 
 def _parameter(name: str, parameter: Parameter) -> Iterator[str]:
@@ -48,9 +50,31 @@ def _quasi_static(name: str, slope: str, line: QuasiStatic) -> Iterator[str]:
 
 def _relaxation(name: str, kernel: Relaxation) -> Iterator[str]:
     yield from ("", f"[material.{name}]")
-    yield f"weights = [{', '.join(map(_number, kernel.weights))}]"
-    yield f"time_constants_s = [{', '.join(map(_number, kernel.time_constants_s))}]"
+    yield f"weights = {_numbers(kernel.weights)}"
+    yield f"time_constants_s = {_numbers(kernel.time_constants_s)}"
     yield f"source = {_text(kernel.source)}"
+
+
+def _strip(strip: StripRelaxation) -> Iterator[str]:
+    yield from ("", "[material.strip_relaxation]", f"cycles = {strip.cycles}")
+    yield f"least_strain = {_number(strip.least_strain)}"
+    yield f"largest_strain = {_number(strip.largest_strain)}"
+    yield f"source = {_text(strip.source)}"
+    for name, kernel in (("loading", strip.loading), ("unloading", strip.unloading)):
+        if kernel is not None:
+            yield from _measured(f"strip_relaxation.{name}", kernel)
+
+
+def _measured(name: str, kernel: MeasuredKernel) -> Iterator[str]:
+    yield from ("", f"[material.{name}]", f"weights = {_numbers(kernel.weights)}")
+    yield f"time_constants_s = {_numbers(kernel.time_constants_s)}"
+    yield f"covariance = [{', '.join(_numbers(row) for row in kernel.covariance)}]"
+    yield f"start_s = {_number(kernel.start_s)}"
+    yield f"window_s = {_number(kernel.window_s)}"
+
+
+def _numbers(values: Sequence[float]) -> str:
+    return f"[{', '.join(map(_number, values))}]"
 
 
 def _number(value: float) -> str:

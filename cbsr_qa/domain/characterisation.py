@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.relaxation import RelaxationFit, SettlingTime
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation, Response
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation, Response, StripRelaxation
 
 Array = NDArray[np.float64]
 
@@ -200,6 +200,7 @@ class Characterisation:
     strain_offset : where that line crosses zero stress: by how much the surface was missed.
     settlings : by strain and of all strains.
     loading, unloading, stress : kernels of a unit step; None where none can be told.
+    relaxation : those of conductance by the estimator of sheets, with their errors; None where there is none.
     lowest_strain : least strain at which the local line is clear of zero; None where it never is.
     residue : share of a release that outlasts the relaxation, and the time constant it fades with [s]; None where
         none was found.
@@ -224,6 +225,7 @@ class Characterisation:
     loading: Relaxation | None
     unloading: Relaxation | None
     stress: Relaxation | None
+    relaxation: StripRelaxation | None
     lowest_strain: float | None
     residue: tuple[Parameter, Parameter] | None
     unread: tuple[str, ...]

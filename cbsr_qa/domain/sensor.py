@@ -152,6 +152,48 @@ class Relaxation:
 
 
 @dataclass(frozen=True, slots=True)
+class MeasuredKernel:
+    """A relaxation as it was measured, with its errors, relative to the steady (after a release the released) change.
+
+    After a press 1 + Σ wᵢ e^(−t/τᵢ), after a release Σ wᵢ e^(−t/τᵢ): what creeps up has negative weights under load,
+    what fades positive ones after it.
+
+    Parameters
+    ----------
+    weights, time_constants_s : (k,) w and τ [s].
+    covariance : (2 k, 2 k) of (w, log τ).
+    start_s : the first reading came this long after the end of the ramp: before, nothing is known.
+    window_s : the last one.
+    """
+
+    weights: tuple[float, ...]
+    time_constants_s: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    start_s: float
+    window_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class StripRelaxation:
+    """How a strip of the material relaxed in one dimension: what a sheet of it is compared with.
+
+    Parameters
+    ----------
+    loading, unloading : of a unit step; None where none could be told.
+    cycles : that it was learned from.
+    least_strain, largest_strain : of these, as fractions.
+    source : where it comes from.
+    """
+
+    loading: MeasuredKernel | None
+    unloading: MeasuredKernel | None
+    cycles: int
+    least_strain: float
+    largest_strain: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
 class Material:
     """What the sheet is made of.
 
@@ -164,6 +206,7 @@ class Material:
     stress_relaxation : of stress.
     loading_relaxation, unloading_relaxation : of conductance, after a press and after a release.
     relative_noise : rms noise of one reading relative to the mean magnitude of the used readings.
+    strip_relaxation : as measured in one dimension, with its errors; None where it was not.
     """
 
     name: str
@@ -175,6 +218,7 @@ class Material:
     loading_relaxation: Relaxation
     unloading_relaxation: Relaxation
     relative_noise: Parameter
+    strip_relaxation: StripRelaxation | None = None
 
 
 @dataclass(frozen=True, slots=True)

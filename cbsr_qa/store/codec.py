@@ -9,7 +9,17 @@ from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.mesh_arrays import mesh_arrays, mesh_of_arrays
 from cbsr_qa.domain.outlines import Polygon
 from cbsr_qa.domain.patterns import DrivePattern
-from cbsr_qa.domain.sensor import GivenMesh, Material, Parameter, QuasiStatic, Relaxation, Response, SensorType
+from cbsr_qa.domain.sensor import (
+    GivenMesh,
+    Material,
+    MeasuredKernel,
+    Parameter,
+    QuasiStatic,
+    Relaxation,
+    Response,
+    SensorType,
+    StripRelaxation,
+)
 
 
 def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | None = None) -> dict[str, Any]:
@@ -24,6 +34,8 @@ def encoded(sensor_type: SensorType, indenter: Indenter, material: Material | No
     setting = {"sensor_type": kind, "indenter": asdict(indenter)}
     if material is not None:
         setting["material"] = asdict(material)
+        if material.strip_relaxation is None:
+            del setting["material"]["strip_relaxation"]  # as materials have always been kept
     return setting
 
 
@@ -60,6 +72,7 @@ def decoded_material(setting: Mapping[str, Any]) -> Material:
         loading_relaxation=_relaxation(data["loading_relaxation"]),
         unloading_relaxation=_relaxation(data["unloading_relaxation"]),
         relative_noise=Parameter(**data["relative_noise"]),
+        strip_relaxation=_strip(data.get("strip_relaxation")),
     )
 
 
@@ -86,3 +99,21 @@ def _relaxation(data: Mapping[str, Any]) -> Relaxation:
     first, second = data["weights"]
     fast, slow = data["time_constants_s"]
     return Relaxation((first, second), (fast, slow), data["source"])
+
+
+def _strip(data: Mapping[str, Any] | None) -> StripRelaxation | None:
+    if data is None:
+        return None
+    kernels = {way: _measured(data[way]) for way in ("loading", "unloading")}
+    return StripRelaxation(**{**data, **kernels})
+
+
+def _measured(data: Mapping[str, Any] | None) -> MeasuredKernel | None:
+    if data is None:
+        return None
+    tables = {
+        "weights": tuple(data["weights"]),
+        "time_constants_s": tuple(data["time_constants_s"]),
+        "covariance": tuple(tuple(row) for row in data["covariance"]),
+    }
+    return MeasuredKernel(**{**data, **tables})

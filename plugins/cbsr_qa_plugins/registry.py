@@ -47,6 +47,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.METRIC, "reciprocity", "metrics.reciprocity:ReciprocityError"),
     (Kind.METRIC, "contact-resistance", "metrics.contact_resistance:ContactResistance"),
     (Kind.METRIC, "settling-time", "metrics.settling_time:SettlingTimes"),
+    (Kind.METRIC, "relaxation-against-strip", "metrics.relaxation_against_strip:SheetAndStripRelaxation"),
     (Kind.METRIC, "relaxation-agreement", "metrics.relaxation_agreement:BlobAndImageRelaxation"),
     (Kind.METRIC, "applied-force", "metrics.applied_force:AppliedForce"),
     (Kind.METRIC, "repeatability", "metrics.repeatability:Repeatability"),

@@ -94,12 +94,15 @@ def simulated_run(
     noise=None,
     loads=None,
     phases=None,
+    material=None,
 ):
     """Run presses on the simulated bench; ``gauge`` scales the material's response, ``noise`` replaces its own.
 
+    ``material`` is the shipped 8 wt% unless another is given.
+
     ``loads`` are pressed instead of ``places_mm`` once at ``strain``; or ``phases`` are run instead of either.
     """
-    material = load_material("cbsr-8wt").value
+    material = material or load_material("cbsr-8wt").value
     against = material.against_strain
     slope = replace(against.slope, value=gauge * against.slope.value)
     material = replace(material, against_strain=replace(against, slope=slope))

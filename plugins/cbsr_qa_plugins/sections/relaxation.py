@@ -2,13 +2,16 @@
 
 from collections.abc import Sequence
 
+from cbsr_qa.analysis.run_agreement import DirectedAgreement, image_against_blobs, sheet_against_strip
+from cbsr_qa.calibrate.relaxation_agreement import SHAPE_MARGIN
 from cbsr_qa.calibrate.settling import restricted_mean
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.measurement import Measurement
-from cbsr_qa.domain.observation import RelaxationObservation
+from cbsr_qa.domain.observation import RelaxationObservation, RunObservation
 from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit
 from cbsr_qa.domain.report import Block, Cell, Figure, Paragraph, RunResult, Section, Table
 from cbsr_qa.domain.steps import Role
+from cbsr_qa.report.figures_agreement import agreement_figure
 from cbsr_qa.report.figures_relaxation import SettledLoad, relaxation_figure, settling_figure
 from cbsr_qa.report.loads import settled_loads
 from cbsr_qa.report.numbers import number, plain, plural, with_uncertainty
@@ -30,6 +33,7 @@ class RelaxationFits:
         blocks: list[Block] = [_traces(loads, shown, signals), _fits(shown)]
         blocks += _together(result.measurements)
         blocks += [_times(loads, signals), _by_strain(loads, signals)]
+        blocks += _agreements(run, result.measurements)
         rejected = [r.fit for load in loads for r in load.relaxations if r.fit.status is FitStatus.REJECTED]
         if rejected:
             blocks.append(Paragraph(_rejections(rejected, run.settings.r_squared_gate), "note"))
@@ -79,6 +83,31 @@ def _together(measurements: Sequence[Measurement]) -> list[Block]:
         " in size. Mean: of single loads, short where a trace does not carry both time constants. ≥: a lower bound."
     )
     return [text_table(caption, ("Signal, after", "Common [s]", "Mean [s]", "Common fit"), rows, (1, 2))]
+
+
+def _agreements(run: RunObservation, measurements: Sequence[Measurement]) -> list[Block]:
+    """What relaxes alike, as far as this run's metrics ask: the whole image as the blobs, the sheet as a strip."""
+    asked = {m.name for m in measurements}
+    blocks: list[Block] = []
+    if "relaxation_shape_difference" in asked:
+        blocks += _agreement(image_against_blobs(run), "The whole image against the blobs")
+    if "strip_relaxation_difference" in asked:
+        blocks += _agreement(sheet_against_strip(run), "The sheet against a strip of its material (2D against 1D)")
+    return blocks
+
+
+def _agreement(compared: Sequence[DirectedAgreement], words: str) -> list[Block]:
+    if not compared:
+        return []
+    if all(one.found.why for one in compared):
+        why = "; ".join(dict.fromkeys(one.found.why for one in compared))
+        return [Paragraph(f"{words}: not compared, {why}.", "note")]
+    caption = (
+        f"{words}: relaxations over their change (above) and their difference (below), each with its 90 % interval."
+        f" Equivalent: that interval stays within ±{SHAPE_MARGIN:g} (shaded) throughout."
+    )
+    said = "; ".join(f"{one.direction}: {one.found.why or one.found.shape}" for one in compared)
+    return [agreement_figure(compared, caption=caption, alternative=f"{words}. {said}.")]
 
 
 def _rejections(fits: Sequence[RelaxationFit], gate: float) -> str:

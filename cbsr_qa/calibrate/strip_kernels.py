@@ -1,0 +1,180 @@
+"""How a strip relaxes, with its errors, and what a sheet of its material should then show (1D against 2D)."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from cbsr_qa.calibrate.relaxation_kernel import learn_kernel
+from cbsr_qa.calibrate.strip_settling import DirectedTrace
+from cbsr_qa.domain.relaxation import RelaxationKernel
+from cbsr_qa.domain.sensor import MeasuredKernel, StripRelaxation
+
+Array = NDArray[np.float64]
+
+#: Steps at which a settling time is looked for.
+_STEPS: Final = 2000
+#: Share of a standard error for differences.
+_SMALL: Final = 0.1
+
+
+def strip_relaxation(
+    loading: Sequence[DirectedTrace], unloading: Sequence[DirectedTrace], source: str
+) -> StripRelaxation | None:
+    """Learn the kernels of a unit step from press cycles, as those of a sheet are learned from its loads.
+
+    One estimator for both (:func:`~cbsr_qa.calibrate.relaxation_kernel.learn_kernel`), so that what is compared later
+    differs by the material and not by the method. An exponential that the cycles do not show but may hide is carried
+    with its uncertainty.
+
+    Parameters
+    ----------
+    loading, unloading : of every cycle, without what earlier presses left.
+    source : e.g. the run.
+
+    Returns
+    -------
+    StripRelaxation; None where neither direction has a relaxation that can be told.
+
+    Raises
+    ------
+    NumericsError
+        As :func:`~cbsr_qa.calibrate.relaxation_kernel.learn_kernel`.
+    """
+    kernels = _kernel(loading, True), _kernel(unloading, False)
+    if not any(kernels):
+        return None
+    strains = [one.strain for one in loading or unloading]
+    return StripRelaxation(*kernels, len(loading or unloading), min(strains), max(strains), source)
+
+
+def _kernel(traces: Sequence[DirectedTrace], loading: bool) -> MeasuredKernel | None:
+    if not traces:
+        return None
+    start_s = 0.0 if loading else float(np.median([one.trace[0][0] for one in traces]))
+    found = learn_kernel(
+        [one.trace for one in traces],
+        ramp_s=[one.ramp_s for one in traces],
+        released=None if loading else [-one.step for one in traces],
+        start_s=start_s,
+    )
+    if found.why:
+        return None
+    return MeasuredKernel(
+        weights=tuple(found.weights.tolist()),
+        time_constants_s=tuple(found.time_constants_s.tolist()),
+        covariance=tuple(tuple(row) for row in found.covariance.tolist()),
+        start_s=max(start_s, float(np.median([one.trace[0][0] for one in traces]))),
+        window_s=max(float(one.trace[0][-1]) for one in traces),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KernelCurve:
+    """Σ wᵢ e^(−t/τᵢ) with its error, as :func:`~cbsr_qa.calibrate.relaxation_agreement.compare_relaxations` takes it.
+
+    Parameters
+    ----------
+    weights, time_constants_s : (k,), relative to the steady (or the released) change.
+    covariance : (2 k, 2 k) of (w, log τ).
+    start_s, window_s : over which time it is known.
+    """
+
+    weights: Array
+    time_constants_s: Array
+    covariance: Array
+    start_s: float
+    window_s: float
+
+    @classmethod
+    def of_sheet(cls, kernel: RelaxationKernel, start_s: float, window_s: float) -> Self:
+        """Return the kernel that a sheet's loads share."""
+        start_s = max(kernel.start_s, start_s)
+        return cls(kernel.weights, kernel.time_constants_s, kernel.covariance, start_s, window_s)
+
+    @classmethod
+    def of_press(cls, strip: MeasuredKernel) -> Self:
+        """Return what a sheet should show after a press."""
+        weights, time_constants_s = np.array(strip.weights), np.array(strip.time_constants_s)
+        return cls(weights, time_constants_s, np.array(strip.covariance), strip.start_s, strip.window_s)
+
+    @classmethod
+    def of_release(cls, loading: MeasuredKernel, unloading: MeasuredKernel, hold_s: float) -> Self:
+        """Return what a sheet should show after a hold of some length, over the change at the end of the hold.
+
+        A strip's weights are relative to its steady change, which no hold quite reaches, and its creep goes on after
+        the release (Boltzmann superposition): with w, τ of the press and T the hold, the change at its end is
+        N = 1 + Σ w e^(−T/τ) and what fades is (Σ w′ e^(−t/τ′) + Σ w e^(−(T + t)/τ)) / N.
+        """
+        count, more = len(unloading.weights), len(loading.weights)
+        size = 2 * (count + more)
+        values = np.concatenate(
+            [
+                unloading.weights,
+                np.log(unloading.time_constants_s),
+                loading.weights,
+                np.log(loading.time_constants_s),
+            ]
+        )
+        covariance = np.zeros((size, size))
+        covariance[: 2 * count, : 2 * count] = unloading.covariance
+        covariance[2 * count :, 2 * count :] = loading.covariance
+
+        def released(of: Array) -> Array:
+            own, log_own, held, log_held = np.split(of, [count, 2 * count, 2 * count + more])
+            left = held * np.exp(-hold_s / np.exp(log_held))
+            return np.concatenate([own / (1 + left.sum()), left / (1 + left.sum()), log_own, log_held])
+
+        found, jacobian = released(values), _jacobian(released, values, np.sqrt(np.diag(covariance)))
+        return cls(
+            found[: count + more],
+            np.exp(found[count + more :]),
+            jacobian @ covariance @ jacobian.T,
+            unloading.start_s,
+            unloading.window_s,
+        )
+
+    @property
+    def why_not(self) -> str:
+        """Nothing stands against a kernel."""
+        return ""
+
+    def relative(self, time_s: Array) -> tuple[Array, Array]:
+        """Return the curve and its variance, (n,) each."""
+        each = np.exp(-time_s[:, None] / self.time_constants_s)
+        gradient = np.column_stack([each, each * self.weights * time_s[:, None] / self.time_constants_s])
+        variance: Array = np.einsum("ti,ij,tj->t", gradient, self.covariance, gradient)
+        return each @ self.weights, np.maximum(variance, 0.0)
+
+    def settled(self, tolerance: float) -> tuple[float, float] | None:
+        """Return the last time outside ± ``tolerance`` of the change, and its standard error [s].
+
+        None where that is not between the start and the window's end.
+        """
+        time_s = np.linspace(self.start_s, self.window_s, _STEPS)
+        outside = np.flatnonzero(np.abs(self._at(time_s)) > tolerance)
+        if not len(outside) or outside[-1] == _STEPS - 1:
+            return None
+        sign = np.sign(self._at(time_s[outside[-1] : outside[-1] + 1])[0])
+        found = float(
+            brentq(lambda at: sign * self._at(np.array([at]))[0] - tolerance, *time_s[outside[-1] : outside[-1] + 2])
+        )
+        slope = float((np.exp(-found / self.time_constants_s) * self.weights / self.time_constants_s).sum())
+        stderr = float(np.sqrt(self.relative(np.array([found]))[1][0]))
+        return (found, stderr / abs(slope)) if slope and stderr else None
+
+    def _at(self, time_s: Array) -> Array:
+        values: Array = np.exp(-time_s[:, None] / self.time_constants_s) @ self.weights
+        return values
+
+
+def _jacobian(function: Callable[[Array], Array], at: Array, stderr: Array) -> Array:
+    """Derivatives by central differences over a small share of each standard error; one of none does not matter."""
+    steps = np.where(stderr > 0, _SMALL * stderr, _SMALL * _SMALL)
+    columns = [
+        (function(at + step) - function(at - step)) / (2 * step[index]) for index, step in enumerate(np.diag(steps))
+    ]
+    return np.column_stack(columns)
