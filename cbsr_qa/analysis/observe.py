@@ -4,6 +4,7 @@ from dataclasses import replace
 
 from cbsr_qa.analysis.imager import Imager
 from cbsr_qa.analysis.run_loads import LoadSetting, load_window, mean_change_under_head, observe_load
+from cbsr_qa.analysis.run_loops import deepest_hold, observe_loops
 from cbsr_qa.analysis.run_reference import split_unloaded, unloaded_frames, usable_data
 from cbsr_qa.analysis.run_response import decide_response
 from cbsr_qa.analysis.run_timeline import metric_timelines
@@ -19,7 +20,9 @@ from cbsr_qa.interfaces import Reconstruction
 from cbsr_qa.reconstruct.scaling import scale_of
 
 
-def observe_run(record: RunRecord, reconstruction: Reconstruction, settings: AnalysisSettings) -> RunObservation:
+def observe_run(
+    record: RunRecord, reconstruction: Reconstruction, settings: AnalysisSettings, *, over_time: bool = True
+) -> RunObservation:
     """Work out everything about a run that metrics need.
 
     Parameters
@@ -27,6 +30,8 @@ def observe_run(record: RunRecord, reconstruction: Reconstruction, settings: Ana
     record : the run as stored; nothing else is looked at.
     reconstruction : a plugin's object.
     settings : of the recipe.
+    over_time : whether relaxations and metrics of every frame are worked out too, which take most of the time and
+        which force, for one, does without. Whether holds had settled is not known then.
 
     Raises
     ------
@@ -44,11 +49,14 @@ def observe_run(record: RunRecord, reconstruction: Reconstruction, settings: Ana
     floor = noise_floor(noise_images)
     phases = data.record.phases
     cut = [(phase, load, load_window(phase, load, settings)) for phase in phases for load in phase.loads]
+    # Loops say which way the conductance goes only where no ordinary press does.
+    looped = [(phase, deepest_hold(loop)) for phase in phases for loop in phase.loops]
+    voting = cut or [(phase, load, load_window(phase, load, settings)) for phase, load in looped]
     undecided = LoadSetting(imager, settings, record.indenter, floor, Response.AUTO)
-    signals = [mean_change_under_head(undecided, load, window) for _, load, window in cut]
+    signals = [mean_change_under_head(undecided, load, window) for _, load, window in voting]
     response, how, doubts = decide_response(record.sensor_type.response, signals, floor)
     setting = replace(undecided, response=response)
-    loads = tuple(observe_load(setting, phase, load, window) for phase, load, window in cut)
+    loads = tuple(observe_load(setting, phase, load, window, over_time=over_time) for phase, load, window in cut)
     observation = RunObservation(
         record=record,
         reconstruction=imager.reconstruction,
@@ -63,9 +71,10 @@ def observe_run(record: RunRecord, reconstruction: Reconstruction, settings: Ana
         loads=loads,
         usable=data.readings,
         settings=settings,
-        timelines=metric_timelines(setting, data.record),
+        loops=observe_loops(data.record, unloaded, data.readings, settings),
+        timelines=metric_timelines(setting, data.record) if over_time else (),
     )
-    remarks = _remarks(observation.tested, settings.settling_multiple)
+    remarks = _remarks(observation.tested, settings.settling_multiple if over_time else None)
     return replace(observation, warnings=(*data.warnings, *silent, *doubts, *remarks))
 
 
@@ -74,7 +83,8 @@ def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: 
     return Imager(linear(reconstruction.prepare(problem)), reference, scale_of(reference, problem))
 
 
-def _remarks(loads: tuple[LoadObservation, ...], multiple: float) -> tuple[str, ...]:
+def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tuple[str, ...]:
+    """What is to be said of loads; of how settled they are only where a multiple of the settling time is given."""
     words = []
     residual = [load for load in loads if load.alternate is not None]
     if residual:
@@ -83,6 +93,8 @@ def _remarks(loads: tuple[LoadObservation, ...], multiple: float) -> tuple[str, 
             f"before {len(residual)} of {len(loads)} presses the image still showed earlier loads above the noise"
             f" floor, most before {worst.record.load.label} of {worst.phase}: both references are reported there"
         )
+    if multiple is None:
+        return tuple(words)
     early = sum(load.settled is False for load in loads)
     if early:
         words.append(

@@ -80,8 +80,15 @@ def mean_change_under_head(setting: LoadSetting, record: LoadRecord, window: Loa
     return mean_under(setting.imager.mesh, values, pressed)
 
 
-def observe_load(setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, window: LoadWindow) -> LoadObservation:
-    """Work out one press; against the other reference too where earlier loads left more than the noise floor."""
+def observe_load(
+    setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, window: LoadWindow, *, over_time: bool = True
+) -> LoadObservation:
+    """Work out one press; against the other reference too where earlier loads left more than the noise floor.
+
+    Parameters
+    ----------
+    over_time : whether its relaxations are fitted too.
+    """
     imager = setting.imager
     before = imager.images(window.before).mean(axis=0) if len(window.before) else np.zeros(len(imager.mesh.elements))
     residue = float(np.abs(before).max())
@@ -90,10 +97,11 @@ def observe_load(setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, w
     chosen = setting.settings.reference
     other = "load" if chosen == "run" else "run"
     load = _observe(setting, phase, record, window, values[chosen], residue)
-    relaxations = relaxations_of(
-        setting.sign, imager, setting.settings, load, window.cycle, before, phase.channel("force")
-    )
-    load = replace(load, relaxations=relaxations, settled=_settled(load, relaxations, window, setting.settings))
+    if over_time:
+        relaxations = relaxations_of(
+            setting.sign, imager, setting.settings, load, window.cycle, before, phase.channel("force")
+        )
+        load = replace(load, relaxations=relaxations, settled=_settled(load, relaxations, window, setting.settings))
     if residue <= setting.noise_floor:
         return load
     return replace(load, alternate=_observe(setting, phase, record, window, values[other], residue))

@@ -98,6 +98,17 @@ def test_settling_is_the_materials_within_its_uncertainty(run, observation):
     assert 0.6 * true_s < np.mean(times) < 1.2 * true_s
 
 
+def test_without_what_happens_over_time_all_else_is_the_same(run, observation):
+    steady = observe_run(run, _reconstruction(), _SETTINGS, over_time=False)
+    assert steady.noise_floor == observation.noise_floor
+    for one, other in zip(steady.loads, observation.loads, strict=True):
+        np.testing.assert_array_equal(one.image.values, other.image.values)
+        assert (one.force_N, one.force_stderr_N, one.residue) == (other.force_N, other.force_stderr_N, other.residue)
+        assert one.settled is None
+        assert not one.relaxations
+    assert not any("settl" in words for words in steady.warnings)
+
+
 def test_flagged_and_stuck_readings_are_left_out_and_named(run):
     frames = run.phases[0].frames
     flags, voltages = frames.flags.copy(), frames.voltages.copy()
