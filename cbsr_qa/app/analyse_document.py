@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from cbsr_qa.app.parameter_document import parameter_document
 from cbsr_qa.domain.load_events import ChannelReport, EventImaging, LoadEvent, Motion, NoiseReport, RecordingResult
 from cbsr_qa.domain.recording import Recording, RowProblem
 
@@ -83,15 +84,7 @@ def _reconstruction(imaging: EventImaging) -> dict[str, Any]:
     return {
         "name": imaging.reconstruction.name,
         "options": dict(imaging.reconstruction.options),
-        "parameter": None
-        if choice is None
-        else {
-            "name": choice.name,
-            "value": choice.value,
-            "criterion": choice.criterion or None,
-            "reason": choice.how,
-            "noise_figure": choice.noise_figure,
-        },
+        "parameter": None if choice is None else parameter_document(choice),
         "elements": imaging.elements,
         "used_for": "images of the events and what is said of them; events are found in the readings, without images",
     }

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from cbsr_qa.app.material_output import why_no_material, write_material
+from cbsr_qa.app.parameter_document import parameter_document
 from cbsr_qa.app.stages import Stages
 from cbsr_qa.calibrate.file import write_calibration
 from cbsr_qa.config.paths import calibrations_folder, reports_folder
@@ -106,6 +107,7 @@ class RunOutcome:
             "calibration_why": self.calibration_why,
             "material": None if self.material is None else str(self.material),
             "material_why": self.material_why,
+            "reconstruction": reconstruction_row(self.result),
             "measurements": [measurement_row(m) for m in self.result.measurements],
             "limits_version": None if self.result.limits_version is None else self.result.limits_version.version,
             "warnings": list(self.warnings),
@@ -114,6 +116,22 @@ class RunOutcome:
             "station_s": self.station_s,
             "compute_s": self.compute_s,
         }
+
+
+def reconstruction_row(result: RunResult) -> dict[str, Any] | None:
+    """Return how a run was imaged: method, regularisation parameter, weighting; None where nothing was."""
+    run = result.observation
+    if run is None:
+        return None
+    made = run.reconstruction
+    return {
+        "name": made.method,
+        "parameter": parameter_document(made.choice),
+        "noise_weighting": run.settings.noise_weighting,
+        "weight_ratio": run.weight_ratio,
+        "readings": len(made.problem.reference),
+        "elements": len(made.problem.mesh.elements),
+    }
 
 
 def measurement_row(measurement: Measurement) -> dict[str, Any]:

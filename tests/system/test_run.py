@@ -97,6 +97,9 @@ def test_weights_from_the_measured_noise_reach_report_database_and_calibration_f
         assert file["reconstruction/regularisation_name"].asstr()[()] == "λ"
         assert file["reconstruction/regularisation_criterion"].asstr()[()] == "noise-figure"
     assert stored == ("measured", pytest.approx(variance.max() / variance.min(), rel=1e-12))
+    imaged = run["reconstruction"]
+    assert (imaged["noise_weighting"], imaged["weight_ratio"]) == ("measured", pytest.approx(stored[1]))
+    assert (imaged["parameter"]["name"], imaged["parameter"]["criterion"]) == ("λ", "noise-figure")
     before = (tmp_path / run["report"]).read_bytes()
     assert b"measured: by the variance of each reading over 30 unloaded frames" in before
     (tmp_path / run["calibration"]).unlink()
