@@ -7,6 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
+from cbsr_qa.calibrate._separable import polished
+
 #: (times (n,), values (n,)) of one trace.
 TimedValues = tuple[NDArray[np.float64], NDArray[np.float64]]
 
@@ -62,7 +64,8 @@ def fit_joint(
         least_squares(problem.residual, np.clip(start, lower, upper), jac=problem.jacobian, bounds=(lower, upper))
         for start in starts
     ]
-    return problem.assembled(np.asarray(min(found, key=lambda one: float(one.cost)).x))
+    best = np.asarray(min(found, key=lambda one: float(one.cost)).x, dtype=np.float64)
+    return problem.assembled(polished(problem.residual, problem.jacobian, best, (np.array(lower), np.array(upper))))
 
 
 class _Joint:
@@ -119,8 +122,9 @@ class _Joint:
     def _covariance(self, shape: NDArray[np.float64], scales: NDArray[np.float64]) -> NDArray[np.float64]:
         """Per unit variance of the noise, of the mean trace's offset, amplitudes and log τ."""
         count = len(scales)
-        jacobian = self.jacobian(shape) * self._size
-        of_shape: NDArray[np.float64] = np.asarray(np.linalg.pinv(jacobian.T @ jacobian), dtype=np.float64)
+        # Not through the normal equations: they would take shapes that are nearly alike for known.
+        root = np.asarray(np.linalg.pinv(self.jacobian(shape) * self._size), dtype=np.float64)
+        of_shape: NDArray[np.float64] = root @ root.T
         given, turn = np.zeros((2, 2)), np.zeros((2, len(shape)))
         for time_s, scale in zip(self._times, scales, strict=True):
             inverse = np.linalg.pinv(np.column_stack([np.ones_like(time_s), _shape(time_s, shape)]))

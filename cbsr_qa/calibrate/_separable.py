@@ -1,5 +1,6 @@
 """Variable projection for sums of exponentials: the amplitudes are linear and are never searched for."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,6 +14,8 @@ from scipy.stats import f as f_distribution
 _GRID: Final = 24
 #: How many of the best starts are refined.
 _STARTS: Final = 2
+#: Most Gauss–Newton steps after a search.
+_POLISHING: Final = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,7 +85,30 @@ def fit_exponentials(
         if found.cost < cost or best is None:
             best, cost = np.asarray(found.x), float(found.cost)
     assert best is not None
+    best = polished(residual, jacobian, np.asarray(best, dtype=np.float64), (lowest, highest))
     return _assembled(time_s, values, np.sort(best), rounding)
+
+
+def polished(
+    residual: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    jacobian: Callable[[NDArray[np.float64]], NDArray[np.float64]],
+    found: NDArray[np.float64],
+    bounds: tuple[float | NDArray[np.float64], float | NDArray[np.float64]],
+) -> NDArray[np.float64]:
+    """Go on from where a search ended by plain Gauss–Newton steps, as long as they gain anything.
+
+    A search ends where the sum of squares hardly falls any more. Without noise that is far from where the parameters
+    are known to: of two similar time constants it leaves six digits where the values carry eleven.
+    """
+    left = residual(found)
+    for _ in range(_POLISHING):
+        step = np.linalg.lstsq(jacobian(found), -left, rcond=None)[0]
+        aim = np.clip(found + step, *bounds)
+        after = residual(aim)
+        if not after @ after < left @ left:
+            break
+        found, left = aim, after
+    return found
 
 
 def chance_of_gain(before: NDArray[np.float64], after: NDArray[np.float64], parameters: int, added: int) -> float:

@@ -74,7 +74,8 @@ def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     Raises
     ------
     NumericsError
-        If a trace's shapes differ, a number is not finite, or time stamps repeat or step back.
+        If a trace's shapes differ, a number is not finite, time stamps repeat or step back, it begins later than a
+        hundred times its length, or its values are beyond 1e±140.
     """
     used = [checked_trace(*trace) for trace in traces if len(trace[0]) >= _FEWEST]
     if not used:

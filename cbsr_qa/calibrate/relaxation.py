@@ -20,6 +20,10 @@ _CLEAR: Final = 3.0
 _DRIFTING: Final = "still drifting: the trace is too short for its time constant"
 #: A time constant is determined if its logarithm's standard error is below this.
 _LOG_ERROR: Final = 0.5
+#: A trace that begins after so many of its lengths holds nothing of what relaxed before.
+_LATEST: Final = 100.0
+#: Least and greatest size of values whose squares are numbers.
+_SIZES: Final = (1e-140, 1e140)
 
 
 def fit_relaxation(
@@ -53,7 +57,8 @@ def fit_relaxation(
     Raises
     ------
     NumericsError
-        If shapes differ, a number is not finite, or time stamps repeat or step back.
+        If shapes differ, a number is not finite, time stamps repeat or step back, the trace begins later than a
+        hundred times its length, or its values are beyond 1e±140.
     """
     time_s, values = checked_trace(time_s, values)
     if len(values) == 0:
@@ -100,7 +105,24 @@ def checked_trace(
             f" follows {time_s[first]:g} s",
             remedy="drop or re-time the repeated samples before fitting",
         )
+    _in_range(time_s, values)
     return time_s, values
+
+
+def _in_range(time_s: NDArray[np.float64], values: NDArray[np.float64]) -> None:
+    """Refuse traces whose exponentials or squares would be no numbers."""
+    window_s = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
+    if window_s > 0 and abs(time_s[0]) > _LATEST * window_s:
+        raise NumericsError(
+            f"a trace of {window_s:.4g} s begins {time_s[0]:.6g} s after the end of the ramp: nothing is left to see",
+            remedy="count its times from the end of the ramp, not from some other beginning",
+        )
+    largest = float(np.abs(values).max(initial=0.0))
+    if largest > 0 and not _SIZES[0] <= largest <= _SIZES[1] and (values != values[0]).any():
+        raise NumericsError(
+            f"a trace reaches {largest:.3g}: squares of such values are no numbers",
+            remedy="state it in another unit",
+        )
 
 
 def _bounds_s(time_s: NDArray[np.float64]) -> tuple[float, float]:

@@ -123,10 +123,8 @@ class HoldsSoFar:
         ramps = np.broadcast_to(np.asarray(ramp_s, dtype=np.float64), (count,))
         self._share, self._slope = seen_share(kernel.time_constants_s, ramp_s=ramps, frame_s=frame_s)
         self._root = _root(kernel)
-        size = 2 + self._root.shape[1]
-        self._information = np.zeros((count, size, size))
-        self._pull = np.zeros((count, size))
-        self._squares = np.zeros(count)
+        # What all rows and values say, as the triangle of their QR: sums of squares would keep half of the digits.
+        self._triangle = np.zeros((count, 3 + self._root.shape[1], 3 + self._root.shape[1]))
         self._frames = np.zeros(count, dtype=np.int64)
 
     def add(self, time_s: float | Array, values: float | Array, noise: float | Array) -> Self:
@@ -148,11 +146,8 @@ class HoldsSoFar:
                 "the noise of a frame is not positive", remedy="give the standard deviation of a value"
             )
         counts = time >= self._kernel.start_s
-        rows = self._rows(np.where(counts, time, 0.0)) / stderr[:, None] * counts[:, None]
-        scaled = value / stderr * counts
-        self._information += rows[:, :, None] * rows[:, None, :]
-        self._pull += rows * scaled[:, None]
-        self._squares += scaled**2
+        row = np.column_stack([self._rows(np.where(counts, time, 0.0)), value]) / stderr[:, None] * counts[:, None]
+        self._triangle = _triangle(np.concatenate([self._triangle, row[:, None]], axis=1))
         self._frames += counts
         return self
 
@@ -187,7 +182,8 @@ class HoldsSoFar:
     def _of_holds(self, at_s: float) -> SteadyPrediction:
         """The prior of A w scales with A, so that A is predicted a few times over."""
         none = np.zeros(self._frames.shape)
-        size = self._pull[:, :2].sum(axis=1) / self._information[:, :2, :2].sum(axis=(1, 2))
+        level = self._triangle[:, :, 0] + self._triangle[:, :, 1]
+        size = (level * self._triangle[:, :, -1]).sum(axis=1) / (level**2).sum(axis=1)
         for _ in range(_ROUNDS):
             unknown = self._unknown(1.0, size, none)
             size = self._regressed(unknown, none)[1][:, 0]
@@ -223,28 +219,28 @@ class HoldsSoFar:
         return unknown
 
     def _regressed(self, unknown: Array, known: Array) -> tuple[Array, Array, Array]:
-        """Covariance (m, u, u) and values (m, u) of the unknowns, and what they were found from (m, u)."""
-        across = unknown.transpose(0, 2, 1)
-        pull = self._pull - known[:, None] * self._information[:, 1]
-        precision = across @ self._information @ unknown
-        every = np.arange(1, unknown.shape[2])
-        precision[:, every, every] += 1.0
-        covariance: Array = np.asarray(np.linalg.inv(precision), dtype=np.float64)
-        drawn = (across @ pull[:, :, None])[:, :, 0]
-        return covariance, (covariance @ drawn[:, :, None])[:, :, 0], drawn
+        """Root L (m, u, u) of the unknowns' covariance L Lᵀ, their values (m, u), and χ² (m,) with their prior's."""
+        rows = self._triangle[:, :, :-1] @ unknown
+        left = self._triangle[:, :, -1] - known[:, None] * self._triangle[:, :, 1]
+        prior = np.broadcast_to(
+            np.eye(unknown.shape[2] + 1)[1:-1], (len(rows), unknown.shape[2] - 1, rows.shape[2] + 1)
+        )
+        every = np.concatenate([np.concatenate([rows, left[:, :, None]], axis=2), prior], axis=1)
+        triangle = _triangle(every)
+        root = np.asarray(np.linalg.inv(triangle[:, :-1, :-1]), dtype=np.float64)
+        return root, (root @ triangle[:, :-1, -1:])[:, :, 0], triangle[:, -1, -1] ** 2
 
     def _predicted(self, unknown: Array, known: Array, wanted: Array) -> SteadyPrediction:
         """Predict the rows that are wanted, with so much of the transient known."""
-        covariance, found, drawn = self._regressed(unknown, known)
+        root, found, left = self._regressed(unknown, known)
         along = (wanted[:, None, :] @ unknown)[:, 0]
-        errors = (along[:, None, :] @ covariance)[:, 0]
-        variance = np.maximum((errors * along).sum(axis=1), np.finfo(np.float64).tiny)
+        parts = (along[:, None, :] @ root)[:, 0]
+        errors = (root @ parts[:, :, None])[:, :, 0]
+        variance = np.maximum((parts**2).sum(axis=1), np.finfo(np.float64).tiny)
         # The error is −errors · (unit normals) + noise; a mean over so many loads is as uncertain as their scatter.
         scatter = slice(1 + 2 * len(self._kernel.weights), -1)
         of_scatter = (errors[:, scatter] ** 2).sum(axis=1) * (1 + 1 / self._kernel.loads)
         share = np.clip(of_scatter / variance, 1e-6, 1.0)
-        squares = self._squares - known * (2 * self._pull[:, 1] - known * self._information[:, 1, 1])
-        left = np.maximum(squares - (found * drawn).sum(axis=1), 0.0)
         spare = self._frames - 1
         return SteadyPrediction(
             (along * found).sum(axis=1) + known * wanted[:, 1],
@@ -253,6 +249,11 @@ class HoldsSoFar:
             np.where(spare > 0, left / np.maximum(spare, 1), 0.0),
             spare,
         )
+
+
+def _triangle(rows: Array) -> Array:
+    """Triangular factors (m, u, u) of rows (m, n, u): they say all that the rows say to least squares."""
+    return np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
 
 
 def _root(kernel: RelaxationKernel) -> Array:

@@ -42,6 +42,13 @@ def test_traces_of_different_lengths_and_beginnings_share_their_shape():
     assert fit_common_relaxation(traces).fit.time_constants_s == pytest.approx(TAUS, rel=1e-6)
 
 
+def test_loads_a_million_times_apart_in_size_share_their_shape_to_the_last_digits():
+    curve = 1.0 + np.exp(-TIME_S[:, None] / np.array(TAUS)) @ np.array(SHARES)
+    common = fit_common_relaxation([(TIME_S, size * curve) for size in (1e-3, 1.0, 1e3)])
+    np.testing.assert_allclose(common.fit.time_constants_s, TAUS, rtol=1e-11)
+    np.testing.assert_allclose(common.scales, np.sum(SHARES) * np.array([1e-3, 1.0, 1e3]), rtol=1e-11)
+
+
 def test_one_trace_alone_gives_what_its_own_fit_gives():
     (trace,) = _traces([1.0], 0.02, 3)
     alone, common = fit_relaxation(*trace), fit_common_relaxation([trace]).fit

@@ -57,6 +57,14 @@ def test_a_sign_change_does_not_hide_the_last_excursion():
     assert found.value_s == pytest.approx(time_s[away > 0.15][-1], abs=1e-3)
 
 
+@pytest.mark.parametrize("gap", [0.0, 1e-15, 1e-9, 1e-6])
+def test_opposite_exponentials_that_are_alike(gap):
+    """0.5 e^(−t/τ) whatever way it is shared out, to the rounding of the shares."""
+    fit = _fit(1.0, (1.0, -0.5), (20.0, 20.0 * (1 + gap)))
+    found = settling_time(fit, window_s=100.0).value_s
+    assert found == pytest.approx(20.0 * np.log(0.5 / 0.15), rel=1e-12 + 2 * gap)
+
+
 def test_an_early_excursion_before_a_small_late_one():
     # The late undershoot stays inside the band; the last exit is on the first, falling branch.
     fit = _fit(1.0, (1.0, -0.15), (3.0, 20.0))
@@ -144,6 +152,12 @@ def test_without_censoring_it_is_the_plain_mean_and_deviation(times):
     mean, deviation = restricted_mean(times, [False] * len(times))
     assert mean == pytest.approx(np.mean(times), abs=1e-9)
     assert deviation == pytest.approx(np.std(times), abs=1e-5)
+
+
+def test_times_that_agree_to_a_hundred_millionth_have_their_deviation():
+    mean, deviation = restricted_mean([30.0 + 3e-7, 30.0 - 3e-7], [False, False])
+    assert mean == pytest.approx(30.0, rel=1e-15)
+    assert deviation == pytest.approx(3e-7, rel=1e-7)
 
 
 def test_censored_at_one_window_count_as_the_window():

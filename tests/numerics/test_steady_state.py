@@ -4,6 +4,7 @@ import re
 from dataclasses import replace
 from pathlib import Path
 
+import mpmath
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -11,7 +12,7 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 from scipy.stats import t as student
 
-from cbsr_qa.calibrate._kernel_basis import exponentials
+from cbsr_qa.calibrate._kernel_basis import exponentials, seen_share
 from cbsr_qa.calibrate.steady_state import HoldsSoFar, event_rate_per_min, interval, learn_kernel, predict_steady
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.relaxation import RelaxationKernel
@@ -99,6 +100,17 @@ def test_the_prediction_is_generalised_least_squares_with_the_kernels_covariance
         amplitude = weights @ values / (weights @ mean)
     assert found.values[0] == pytest.approx(amplitude, rel=1e-3)
     assert found.stderr[0] == pytest.approx(1 / np.sqrt(weights @ mean), rel=2e-3)
+
+
+@pytest.mark.parametrize("noise", [1e-4, 1e-8, 1e-12, 1e-15])
+def test_frames_without_noise_give_the_steady_state_to_their_last_digits(noise):
+    """By sums of squares it was off by 10 000 of its stated errors at 1e-8, and there was no inverse at 1e-10."""
+    found = predict_steady(TIME_S, _curve(TIME_S, 0.7), noise, _kernel())
+    assert found.values[0] == pytest.approx(0.7, rel=1e-13)
+    assert found.misfit[0] < 1e-3 + (1e-15 / noise) ** 2
+    worse = _curve(TIME_S, 0.7) + noise * np.where(np.arange(len(TIME_S)) % 2, 1.0, -1.0)
+    told = predict_steady(TIME_S, worse, noise, _kernel())
+    assert told.misfit[0] == pytest.approx(1.0, abs=0.35)
 
 
 def test_settled_traces_give_their_mean():
@@ -256,3 +268,20 @@ def test_the_snippet_of_the_page_holds():
     blocks = re.findall(r"^```python\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
     assert len(blocks) == 1
     exec(blocks[0], {})
+
+
+@pytest.mark.parametrize("share", [1e-9, 1e-5, 0.9e-4, 1.1e-4, 0.01, 0.49, 0.51])
+def test_short_ramps_and_frames_lose_no_digits(share):
+    """(1 − e^(−x))/x = Σ (−x)ᵏ/(k + 1)! and sinh(x)/x; below 1e-4 all but the first terms were left out."""
+    ramp, frame = (seen_share(np.array([1.0]), **given) for given in ({"ramp_s": share}, {"frame_s": 2 * share}))
+    with mpmath.workdps(50):
+        exact = mpmath.mpf(share)
+        values = [-mpmath.expm1(-exact) / exact, mpmath.sinh(exact) / exact]
+        slopes = [(mpmath.exp(-exact) * (1 + exact) - 1) / -mpmath.expm1(-exact), exact * mpmath.coth(exact) - 1]
+    np.testing.assert_allclose([ramp[0][0], frame[0][0]], np.array(values, dtype=float), rtol=1e-15)
+    np.testing.assert_allclose([ramp[1][0], frame[1][0]], np.array(slopes, dtype=float), rtol=1e-14)
+
+
+def test_a_frame_of_a_thousand_time_constants_is_refused():
+    with pytest.raises(NumericsError, match="says nothing about a time constant"):
+        seen_share(np.array([1e-3]), frame_s=2.5)
