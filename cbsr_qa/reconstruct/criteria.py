@@ -58,8 +58,8 @@ class RidgeCurves:
 
     def size(self, s: Array | float) -> Array:
         """xᵀRx of all frames."""
-        kept, ridge = 1 - self._gone(s), np.exp(np.asarray(s))[..., None]
-        return np.asarray((kept / (self._values + ridge)) @ self._energy)
+        ridge = np.exp(np.asarray(s))[..., None]
+        return np.asarray((self._values / (self._values + ridge) ** 2) @ self._energy)
 
     def freedom(self, s: Array | float) -> Array:
         """Degrees of freedom of one frame's residual."""

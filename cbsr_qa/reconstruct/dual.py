@@ -1,7 +1,9 @@
 """One-step Gauss–Newton in its dual form: a solve as large as the number of readings, not of elements.
 
 With P = R⁻¹, (JᵀWJ + λ²R)⁻¹JᵀW = PJᵀ (JPJᵀ + λ²W⁻¹)⁻¹. With one eigendecomposition of W^½ JPJᵀ W^½ every λ costs a
-product.
+product. To form that matrix squares the condition number of J: what is below 1e-8 of its largest singular value is
+gone. Where P = HᵀH has a root that can be multiplied with, the eigenvectors and the roots of the eigenvalues are
+singular vectors and values of H JᵀW^½ instead, found by QR and SVD, and every λ down to 0 (Moore–Penrose) can be had.
 
 Where R has a null space N (a constant image costs nothing under a smoothness prior) R⁻¹ does not exist, yet the image
 does as long as the readings see N. It is x = PJᵀW^½ d + N c with any generalised inverse P of R, where the
@@ -10,7 +12,7 @@ orthogonal factor of T, d = Q₂ (Q₂ᵀAQ₂ + λ²I)⁻¹ Q₂ᵀ W^½y, A = 
 to R to make it regular, and the part of the readings that N explains is not regularised at all.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -22,14 +24,14 @@ from cbsr_qa.reconstruct.priors import Prior
 
 Array = NDArray[np.float64]
 
-#: Of the dual system; the matrix has ten digits less than the numbers it is made of.
+#: Of the dual system, or of its root where that is decomposed: ten digits of what it is made of are lost.
 _MOST_CONDITION: Final = 1e10
 _LARGEST: Final = 1e50  # of λ: its square, and that of an image it leaves, are doubles
 _UNSEEN: Final = 1e-12  # of what the readings could see at most
 
 
 def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, variance: Array | None = None) -> Array:
-    """Imaging matrix of one hyperparameter, by one Cholesky factorisation.
+    """Imaging matrix of one hyperparameter, by singular values, or one Cholesky factorisation where P has no root.
 
     Parameters
     ----------
@@ -49,21 +51,31 @@ def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, va
     """
     check_hyperparameter(hyperparameter)
     system = _System.of(jacobian, prior, variance)
-    normal = system.normal
+    if system.half is not None:
+        spectrum = system.spectrum()
+        sizes = spectrum.values[[0, -1]] + hyperparameter**2
+        if np.sqrt(sizes[1]) > _MOST_CONDITION * np.sqrt(sizes[0]):
+            raise _too_small(hyperparameter)
+        return spectrum.matrix(hyperparameter)
+    normal = system.normal()
     normal.flat[:: len(normal) + 1] += hyperparameter**2
     try:
         factor = linalg.cho_factor(normal, lower=True)
     except linalg.LinAlgError:
         factor = None
     if factor is None or _condition(normal, factor[0]) > _MOST_CONDITION:
-        raise NumericsError(
-            f"hyperparameter {hyperparameter:.3g} is too small: the readings do not determine the image to rounding",
-            remedy="raise the hyperparameter, or ask for a noise figure",
-        )
+        raise _too_small(hyperparameter)
     matrix: Array = system.back @ linalg.cho_solve(factor, system.analysis)
     if len(system.free_analysis):
         matrix += system.free @ system.free_analysis
     return matrix
+
+
+def _too_small(hyperparameter: float) -> NumericsError:
+    return NumericsError(
+        f"hyperparameter {hyperparameter:.3g} is too small: the readings do not determine the image to rounding",
+        remedy="raise the hyperparameter, or ask for a noise figure",
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,7 +101,7 @@ class DualSpectrum:
         return gains
 
     def matrix(self, hyperparameter: float) -> Array:
-        """Imaging matrix (e, m) of a hyperparameter above zero."""
+        """Imaging matrix (e, m) of a hyperparameter; of zero only where no eigenvalue is zero."""
         check_hyperparameter(hyperparameter)
         matrix: Array = (self.basis * self.gains(hyperparameter)) @ self.analysis
         return matrix
@@ -97,13 +109,7 @@ class DualSpectrum:
 
 def dual_spectrum(jacobian: Array, prior: Prior | Array, variance: Array | None = None) -> DualSpectrum:
     """Decompose the dual system once; parameters as in :func:`dual_matrix`."""
-    system = _System.of(jacobian, prior, variance)
-    values, vectors = linalg.eigh(system.normal)
-    return DualSpectrum(
-        np.hstack([system.back @ vectors, system.free]),
-        np.maximum(values, 0),
-        np.vstack([vectors.T @ system.analysis, system.free_analysis]),
-    )
+    return _System.of(jacobian, prior, variance).spectrum()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,12 +118,15 @@ class _System:
 
     Parameters
     ----------
-    back : (e, k). normal : (k, k) symmetric. analysis : (k, m), whitened readings, without those N explains.
+    white : (k, e) whitened Jacobian, without what N explains. back : (e, k) P times its transpose.
+    half : (n, k) H times its transpose; None where P has no root.
+    analysis : (k, m), whitened readings, without those N explains.
     free : (e, f), free_analysis : (f, m), what N explains.
     """
 
+    white: Array
     back: Array
-    normal: Array
+    half: Array | None
     analysis: Array
     free: Array
     free_analysis: Array
@@ -128,27 +137,55 @@ class _System:
         count = len(jacobian)
         root = np.ones(count) if variance is None else 1 / np.sqrt(variance)
         white = jacobian if variance is None else root[:, None] * jacobian
-        back = prior.covariance(white.T)
-        normal = white @ back
         if prior.free is None:
-            return cls(back, normal, np.diag(root), np.zeros((len(back), 0)), np.zeros((0, count)))
+            nothing = np.zeros((jacobian.shape[1], 0)), np.zeros((0, count))
+            return cls._regular(white, prior, np.diag(root), *nothing)
         seen = white @ prior.free
         if np.linalg.norm(seen, axis=0).min() <= _UNSEEN * np.linalg.norm(white) * np.linalg.norm(prior.free):
             raise NumericsError(
                 "the readings do not see the image the prior leaves free: it cannot be determined",
                 remedy="mend the masked channels, or take a prior that leaves nothing free (gauss-newton-noser)",
             )
-        return cls._without_free(back, normal, seen, prior.free, root)
+        return cls._without_free(white, prior, seen, prior.free, root)
+
+    def normal(self) -> Array:
+        """The dual system itself, (k, k) symmetric."""
+        normal: Array = self.white @ self.back
+        return normal
+
+    def spectrum(self) -> DualSpectrum:
+        """Eigenvectors and eigenvalues, rising."""
+        if self.half is None:
+            values, vectors = linalg.eigh(self.normal())
+            values = np.maximum(values, 0)
+        else:
+            (triangle,) = linalg.qr(self.half, mode="r")
+            _, roots, rows = linalg.svd(triangle[: len(self.white)])
+            sizes = np.zeros(len(rows))
+            sizes[: len(roots)] = roots
+            values, vectors = sizes[::-1] ** 2, rows[::-1].T
+        return DualSpectrum(
+            np.hstack([self.back @ vectors, self.free]),
+            values,
+            np.vstack([vectors.T @ self.analysis, self.free_analysis]),
+        )
 
     @classmethod
-    def _without_free(cls, back: Array, normal: Array, seen: Array, free: Array, root: Array) -> "_System":
+    def _regular(cls, white: Array, prior: Prior, analysis: Array, free: Array, free_analysis: Array) -> "_System":
+        columns = white.T
+        half = None if prior.half is None else prior.half(columns)
+        return cls(white, prior.covariance(columns), half, analysis, free, free_analysis)
+
+    @classmethod
+    def _without_free(cls, white: Array, prior: Prior, seen: Array, free: Array, root: Array) -> "_System":
         complete, triangle = linalg.qr(seen)
         width = free.shape[1]
         triangle = triangle[:width]
         explained, rest = complete[:, :width], complete[:, width:]
         free = linalg.solve_triangular(triangle, free.T, trans="T").T  # so that its coefficients are Q₁ᵀ of readings
-        back = back @ rest - free @ (explained.T @ normal @ rest)
-        return cls(back, rest.T @ normal @ rest, rest.T * root, free, explained.T * root)
+        system = cls._regular(rest.T @ white, prior, rest.T * root, free, explained.T * root)
+        back = system.back - free @ (explained.T @ (white @ system.back))
+        return replace(system, back=back)
 
 
 def check_hyperparameter(value: float) -> None:

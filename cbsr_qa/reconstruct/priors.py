@@ -28,15 +28,19 @@ class Prior:
     covariance : (e, k) → (e, k), the product with P = R⁻¹; with a symmetric generalised inverse of R that is exact
         on columns orthogonal to ``free``, where R is singular.
     free : (e, f) null space of R, images that cost nothing; None where there is none.
+    half : (e, k) → (n, k), the product with a root H of P = HᵀH. Where a prior has one, the dual system is decomposed
+        without being formed, which would square its condition number. None where it has none.
     """
 
     covariance: Callable[[Array], Array]
     free: Array | None = None
+    half: Callable[[Array], Array] | None = None
 
     @classmethod
     def diagonal(cls, weights: Array) -> Self:
         """Prior that knows nothing of neighbours: R = diag(weights), (e,) positive."""
-        return cls(lambda columns: columns / weights[:, None])
+        root = np.sqrt(weights)[:, None]
+        return cls(lambda columns: columns / weights[:, None], half=lambda columns: columns / root)
 
 
 def noser(jacobian: Array, exponent: float) -> Array:

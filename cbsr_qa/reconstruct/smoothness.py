@@ -83,13 +83,16 @@ def high_pass(mesh: Mesh, width_mm: float) -> Prior:
     factors = linalg.lu_factor(regular, overwrite_a=True, check_finite=False)
     unit = (left / np.linalg.norm(left))[:, None]
 
-    def covariance(columns: Array) -> Array:
-        half = linalg.lu_solve(factors, columns, trans=1)
-        half -= unit @ (unit.T @ half)
-        product: Array = linalg.lu_solve(factors, half)
+    def half(columns: Array) -> Array:
+        product: Array = linalg.lu_solve(factors, columns, trans=1)
+        product -= unit @ (unit.T @ product)
         return product
 
-    return Prior(covariance, np.ones((count, 1)))
+    def covariance(columns: Array) -> Array:
+        product: Array = linalg.lu_solve(factors, half(columns))
+        return product
+
+    return Prior(covariance, np.ones((count, 1)), half)
 
 
 def _check_length(mesh: Mesh, value: float, *, least: float) -> None:

@@ -61,6 +61,11 @@ class Correlation:
         """Correlation a of one frame with the next."""
         return float(np.exp(-1 / self.frames)) if self.frames > 0 else 0.0
 
+    @property
+    def anew(self) -> float:
+        """Share of the variance that comes anew with each frame, 1 − a²: for long times not as a difference."""
+        return float(-np.expm1(-2 / self.frames)) if self.frames > 0 else 1.0
+
 
 def smoothed(readings: Array, values: Array, ridge: float, correlation: Correlation) -> Array:
     """Coefficients of eigenvectors from a block of frames.
@@ -74,12 +79,12 @@ def smoothed(readings: Array, values: Array, ridge: float, correlation: Correlat
     -------
     (n, k) float64, estimates of each sequence over Λ: y/(Λ + λ²) where frames know nothing of each other.
     """
-    a = correlation.between
+    a, anew = correlation.between, correlation.anew
     filtered = np.empty_like(readings)
     back = np.empty_like(readings)  # smoother gains from each frame's successor
     estimate, spread = np.zeros(readings.shape[1]), np.ones(readings.shape[1])  # variance in units of Λ
     for frame, reading in enumerate(readings):
-        estimate, ahead = a * estimate, a * a * spread + (1 - a * a)
+        estimate, ahead = a * estimate, a * a * spread + anew
         if frame:
             back[frame - 1] = a * spread / ahead
         estimate = estimate + ahead / (values * ahead + ridge) * (reading - values * estimate)

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
 _PAIR: Final = 0.98  # singular values closer than this ratio are kept or dropped together
-_LEAST: Final = 1e-7  # of the largest: below are roundings (the dual system squares them)
+_LEAST: Final = 1e-7  # of the largest: no measurement has seven digits to tell what is below
 _WIDEST: Final = np.cos(7 / 8 * np.pi)  # of the angle at a corner
 _REMEDY: Final = "choose by noise figure, or give the number of components itself"
 

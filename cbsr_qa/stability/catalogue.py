@@ -4,11 +4,16 @@ from collections.abc import Sequence
 from typing import Final
 
 from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.stability import forward_cases
+from cbsr_qa.stability import forward_cases, imaging_cases, reconstruction_cases, relaxation_cases
 from cbsr_qa.stability.case import HardCase
 
 #: Every case, in order of area.
-CASES: Final[tuple[HardCase, ...]] = (*forward_cases.CASES,)
+CASES: Final[tuple[HardCase, ...]] = (
+    *forward_cases.CASES,
+    *reconstruction_cases.CASES,
+    *imaging_cases.CASES,
+    *relaxation_cases.CASES,
+)
 
 #: Areas, in the order they are shown in.
 AREAS: Final[tuple[str, ...]] = tuple(dict.fromkeys(case.area for case in CASES))

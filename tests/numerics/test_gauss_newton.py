@@ -127,12 +127,25 @@ def test_a_large_hyperparameter_blanks_the_image(problem):
     assert amplitude[0] > amplitude[1] > 1e3 * amplitude[2]
 
 
+def test_no_regularisation_at_all_explains_every_reading(problem):
+    """λ = 0 is the image of least norm that explains the readings, to the digits their condition number leaves."""
+    matrix = GaussNewtonNoser(hyperparameter=0.0).prepare(problem).matrix
+    readings = problem.jacobian @ np.random.default_rng(4).standard_normal(len(problem.mesh.elements))
+    assert np.abs(problem.jacobian @ (matrix @ readings) - readings).max() < 1e-9 * np.abs(readings).max()
+
+
+def test_readings_that_do_not_determine_an_image_need_regularisation(problem):
+    twice = np.vstack([problem.jacobian, problem.jacobian[:3]])
+    with pytest.raises(NumericsError, match="too small"):
+        dual_matrix(twice, noser(twice, 0.5), 0.0)
+    assert np.isfinite(dual_matrix(twice, noser(twice, 0.5), 1e-3)).all()
+
+
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
         ({"hyperparameter": -1.0}, "zero or above"),
         ({"hyperparameter": float("nan")}, "zero or above"),
-        ({"hyperparameter": 0.0}, "too small"),
         ({"noise_figure": 1e-4}, "cannot be reached"),
         ({"exponent": 1.5}, "not in 0 … 1"),
         ({"noise_figure": 1.0, "hyperparameter": 1.0}, "not both"),
