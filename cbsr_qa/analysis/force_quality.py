@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run_force import TRIAL_LEFT_OUT, ForceTest, RunForce
+from cbsr_qa.analysis.run_force import HELD_OUT, ForceTest, RunForce
 from cbsr_qa.analysis.run_loads import load_window
 from cbsr_qa.calibrate.common_relaxation import fit_common_relaxation
 from cbsr_qa.calibrate.data_sheet import Estimate
@@ -112,28 +112,12 @@ def tests_of(run: RunObservation, found: RunForce, how: str) -> tuple[ForceTest,
     """Return the tests of one kind.
 
     Of held-out loads those of phases that press all over the sheet, where a run has any: presses at one place again
-    and again (noise figure, relaxation) are a sample of that place, not of the sheet. Of a trial that is left out
-    those at places of the other trials: where no other load was, it is not the repetition that is tested.
+    and again (noise figure, relaxation) are a sample of that place, not of the sheet.
     """
     tests = tuple(test for test in found.tests if test.how == how)
-    if how == TRIAL_LEFT_OUT:
-        trials = _trials(found.used)
-        return tuple(test for test in tests if len(trials[_place(test.load)]) > 1)
     spread = {phase.name for phase in run.record.phases if phase.role in (Role.GRID, Role.RANDOM)}
     sample = tuple(test for test in tests if test.load.phase in spread)
-    return sample or tests
-
-
-def _trials(loads: Sequence[LoadObservation]) -> dict[tuple[float, float], set[int]]:
-    """Trials in which each place was pressed."""
-    found: dict[tuple[float, float], set[int]] = {}
-    for load in loads:
-        found.setdefault(_place(load), set()).add(load.record.load.trial)
-    return found
-
-
-def _place(load: LoadObservation) -> tuple[float, float]:
-    return load.record.load.x_mm, load.record.load.y_mm
+    return sample if sample and how == HELD_OUT else tests
 
 
 def errors_of(tests: Sequence[ForceTest], *, known: bool) -> ForceErrors:

@@ -69,7 +69,7 @@ class RunForce:
     ----------
     learned : None where nothing could be learned; ``why`` then says why.
     used : loads it was learned from, in order of ``learned.refused``.
-    tests : of loads that were not used.
+    tests : of loads that were not used: held out, or of a trial that was left out at places of the other trials.
     seat : how the sheet lies; places of the map, and of all loads, are on the sheet.
     """
 
@@ -90,7 +90,8 @@ def run_force(run: RunObservation) -> RunForce:
     """Learn the force model from the phases that calibrate, and test it on all other loads.
 
     Loads of phases that do not calibrate are held out. Where places were pressed in several trials, each trial is
-    besides left out in turn. The last two answers are kept, since metrics, report and calibration all ask.
+    besides left out in turn, and its loads at places of the others are tested. The last two answers are kept, since
+    metrics, report and calibration all ask.
 
     Returns
     -------
@@ -158,8 +159,9 @@ class _RunForce:
         for trial in sorted(set(trials[calibrating].tolist())):
             left_out = calibrating & (trials == trial)
             others = calibrating & ~left_out
-            if self._repeated(left_out, others):
-                tests += self.tests(self.learn(others), left_out, TRIAL_LEFT_OUT)
+            again = left_out & self._pressed_in(others)
+            if again.any():
+                tests += self.tests(self.learn(others), again, TRIAL_LEFT_OUT)
         used = tuple(load for load, yes in zip(self.loads, calibrating, strict=True) if yes)
         return RunForce(learned, used, tuple(tests), seat=self.seat)
 
@@ -189,10 +191,10 @@ class _RunForce:
             radius_mm=self.run.record.sensor_type.radius_mm,
         )
 
-    def _repeated(self, left_out: NDArray[np.bool_], others: NDArray[np.bool_]) -> bool:
-        """Whether loads that are left out were pressed in another trial too."""
+    def _pressed_in(self, others: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Whether each load's place was pressed by others: elsewhere it is not the repetition that is tested."""
         places = {tuple(place) for place in self.data.place_mm[others].tolist()}
-        return any(tuple(place) in places for place in self.data.place_mm[left_out].tolist())
+        return np.array([tuple(place) in places for place in self.data.place_mm.tolist()], dtype=np.bool_)
 
     def tests(self, learned: LearnedForce, which: NDArray[np.bool_], how: str) -> list[ForceTest]:
         """Test a model on some loads; those where the head does not fit the map are left out."""

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from simulated_runs import simulated_run
 
 from cbsr_qa.analysis import force_quality
-from cbsr_qa.analysis.force_quality import FEWEST_COVERED, TRIAL_LEFT_OUT, ForceErrors, map_quality
+from cbsr_qa.analysis.force_quality import FEWEST_COVERED, ForceErrors, map_quality
 from cbsr_qa.analysis.observe import observe_run
-from cbsr_qa.analysis.run_force import run_force
+from cbsr_qa.analysis.run_force import TRIAL_LEFT_OUT, run_force
 from cbsr_qa.calibrate.common_relaxation import fit_common_relaxation
 from cbsr_qa.calibrate.gauge_factor import sheet_gauge_factor, steady_share
 from cbsr_qa.calibrate.response_average import average_response
@@ -195,8 +195,9 @@ def test_force_is_told_within_its_stated_errors(measured):
 
 
 def test_only_places_of_several_trials_test_a_trial_that_is_left_out(observed, measured):
-    found = force_quality.tests_of(observed, run_force(observed), TRIAL_LEFT_OUT)
+    found = [test for test in run_force(observed).tests if test.how == TRIAL_LEFT_OUT]
     assert sorted(test.load.record.load.label for test in found) == sorted(["L1", "L2", "L3", "L4"] * 2)
+    assert force_quality.tests_of(observed, run_force(observed), TRIAL_LEFT_OUT) == tuple(found)
     assert measured[("force_error_sd", "place known, trial left out")].how.startswith("8 loads of grid")
 
 
