@@ -132,6 +132,31 @@ class LoadObservation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LoopObservation:
+    """The loops that were pressed at one place of a phase: strains reached from below and from above.
+
+    Parameters
+    ----------
+    phase : name of the phase.
+    records : of the loops, in time order.
+    output : amplitude of every frame along the pattern that all of them share, 1 at the deepest strain, on the run's
+        clock from the first press to the end of the last rest.
+    noise : standard deviation of the output of a single frame of the unloaded sheet.
+    stress : every force sample over the same time as stress under the head [kPa]; None where no force was recorded.
+    no_force : why there is no stress although a load cell recorded one; empty elsewhere.
+    why : nothing was sensed, for this reason; empty where it was.
+    """
+
+    phase: str
+    records: tuple[LoadRecord, ...]
+    output: Trace
+    noise: float
+    stress: Trace | None
+    no_force: str = ""
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class MetricTimeline:
     """Spatial metrics of every frame of a phase, for each mask (the paper's Figs 10 and E.23).
 
@@ -169,11 +194,12 @@ class RunObservation:
     response : what was configured or decided, INCREASE or DECREASE.
     response_how : ``"configured"`` or how it was decided.
     main_mask : fraction the verdict uses (0.85), as in ``settings``.
-    loads : every held press, in time order.
+    loads : every held press, in time order; without loops.
     usable : (drives, measures) bool, readings that were imaged.
     warnings : in plain words.
     timelines : metrics of every frame, for the phases that press a grid of places.
     settings : how images became numbers.
+    loops : presses that were eased to other strains, by place.
     """
 
     record: RunRecord
@@ -191,6 +217,12 @@ class RunObservation:
     settings: AnalysisSettings
     warnings: tuple[str, ...] = ()
     timelines: tuple[MetricTimeline, ...] = ()
+    loops: tuple[LoopObservation, ...] = ()
+
+    @property
+    def frame_period_s(self) -> float:
+        """Time from one unloaded frame to the next [s]."""
+        return float(np.median(np.diff(self.unloaded.time_s)))
 
     @property
     def tested(self) -> tuple[LoadObservation, ...]:

@@ -51,6 +51,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.METRIC, "relaxation-agreement", "metrics.relaxation_agreement:BlobAndImageRelaxation"),
     (Kind.METRIC, "applied-force", "metrics.applied_force:AppliedForce"),
     (Kind.METRIC, "repeatability", "metrics.repeatability:Repeatability"),
+    (Kind.METRIC, "hysteresis", "metrics.hysteresis:Hysteresis"),
     (Kind.METRIC, "nonlinearity", "metrics.nonlinearity:Nonlinearity"),
     (Kind.METRIC, "creep", "metrics.creep:Creep"),
     (Kind.METRIC, "zero-return", "metrics.zero_return:ZeroReturn"),

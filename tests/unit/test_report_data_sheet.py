@@ -3,15 +3,18 @@
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from report_samples import Sampler, sample_run
 
-from cbsr_qa.domain.loads import Load
+from cbsr_qa.domain.loads import EasedStrain, Load, LoadRecord
 from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.observation import LoopObservation, Trace
 from cbsr_qa.domain.report import Figure, Table
 from cbsr_qa.domain.steps import Role
 from cbsr_qa.report.svg import checked_svg
 from cbsr_qa_plugins.metrics.apparent_modulus import ApparentModulus
+from cbsr_qa_plugins.metrics.hysteresis import Hysteresis
 from cbsr_qa_plugins.metrics.nonlinearity import Nonlinearity
 from cbsr_qa_plugins.metrics.repeatability import Repeatability
 from cbsr_qa_plugins.sections.data_sheet import DataSheet
@@ -61,6 +64,39 @@ def test_hysteresis_is_said_to_be_missing_with_the_reason(result):
     value, why = rows(DataSheet().render(result))["Hysteresis"]
     assert value == "not determined"
     assert "from below and from above" in why
+    observation = result.observation
+    asked = (*result.measurements, *Hysteresis().measure_run(observation))
+    found = rows(DataSheet().render(replace(result, measurements=asked)))
+    assert found["Hysteresis"][0] == "not determined"
+    assert "hysteresis-loop" in found["Hysteresis"][1]
+
+
+def looped():
+    """Three strains up and two down, 5 % of the span apart at 10 %, which settle at once."""
+    strains, outputs = (0.05, 0.1, 0.2, 0.1, 0.05), (0.25, 0.5, 1.0, 0.55, 0.25)
+    eased = tuple(EasedStrain(strain, 60.0 * k - 1, 60.0 * k) for k, strain in enumerate(strains) if k)
+    record = LoadRecord(0, Load("H0", 0.0, 0.0, 0.05, 0), -1.0, 0.0, 300.0, 301.0, 360.0, eased=eased)
+    time_s = np.concatenate([np.arange(60.0 * k + 1.25, 60.0 * (k + 1) - 1, 2.5) for k in range(5)])
+    index = (time_s // 60).astype(int)
+    noise = 1e-3 * np.random.default_rng(5).standard_normal(len(time_s))
+    output = Trace("output", "1", time_s, np.array(outputs)[index] + noise)
+    return LoopObservation(
+        "loop", (record,), output, 1e-3, Trace("stress", "kPa", time_s, 100 * np.array(strains)[index])
+    )
+
+
+def test_a_loop_has_its_rows_and_its_figure(result):
+    observation = replace(result.observation, loops=(looped(),))
+    measured = (*result.measurements, *Hysteresis().measure_run(observation))
+    section = DataSheet().render(replace(result, observation=observation, measurements=measured))
+    value, _, error = rows(section)["Hysteresis"][0].removesuffix("\N{NO-BREAK SPACE}%").partition(" ± ")
+    assert float(value) == pytest.approx(5.0, abs=4 * float(error))
+    assert float(error) < 0.1
+    assert "1 loop" in rows(section)["Hysteresis"][1]
+    assert "creep included" in rows(section)["– with creep, as read"][1]
+    _, loop, _ = blocks(section, Figure)
+    assert checked_svg(loop.svg)
+    assert "1 location; the branches differ by at most" in loop.alternative
 
 
 def test_what_could_not_be_determined_says_why(result):

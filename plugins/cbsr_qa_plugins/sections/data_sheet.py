@@ -11,6 +11,7 @@ from cbsr_qa.calibrate.characteristic import (
     repeatability,
 )
 from cbsr_qa.calibrate.data_sheet import FEWEST_POINTS, best_straight_line
+from cbsr_qa.calibrate.hysteresis import loop_curve
 from cbsr_qa.calibrate.uniformity import place_responses
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.load_events import RecordingResult
@@ -18,6 +19,7 @@ from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.report import Block, Cell, Figure, RunResult, Section, Table
 from cbsr_qa.report.figures_data_sheet import PlaceMap, PlaceValue, characteristic_figure, place_maps_figure
+from cbsr_qa.report.figures_loop import loop_figure
 from cbsr_qa.report.numbers import number, plural
 from cbsr_qa.report.select import observed
 from cbsr_qa.report.tables import text_table, value_cell
@@ -27,6 +29,8 @@ _ROWS: Final = (
     ("repeatability", "", "Repeatability"),
     ("nonlinearity", "", "Nonlinearity"),
     ("nonlinearity", "terminal-based", "– terminal-based"),
+    ("hysteresis", "", "Hysteresis"),
+    ("hysteresis", "as read", "– with creep, as read"),
     ("creep", "", "Creep"),
     ("creep", "conductance", "– of the conductance"),
     ("creep", "stress", "– of the stress"),
@@ -39,9 +43,9 @@ _ROWS: Final = (
     ("preconditioning_change", "", "Change in the last cycle"),
     ("preconditioning_change", "stress", "– of the stress"),
 )
-_NO_HYSTERESIS: Final = (
-    "it needs one strain reached from below and from above without lifting the head between, which no step of a"
-    " sequence asks for"
+_NO_LOOP: Final = (
+    "the recipe does not measure it: that takes strains reached from below and from above, as the sequence"
+    " hysteresis-loop presses them"
 )
 
 
@@ -57,7 +61,7 @@ class DataSheet:
         if not any((name, qualifier) in whole for name, qualifier, _ in _ROWS):
             return None
         blocks: list[Block] = [_table(whole), *_by_strain(result.measurements)]
-        blocks += [*_characteristic(run), *_maps(run, result.measurements)]
+        blocks += [*_characteristic(run), *_loops(run, whole), *_maps(run, result.measurements)]
         return Section("Data sheet of this sensor", tuple(blocks))
 
 
@@ -67,7 +71,8 @@ def _table(whole: dict[tuple[str, str], Measurement]) -> Table:
         found = whole.get((name, qualifier))
         if found is not None:
             rows.append([title, _value(found), found.how])
-    rows.append(["Hysteresis", "not determined", _NO_HYSTERESIS])
+    if ("hysteresis", "") not in whole:
+        rows.append(["Hysteresis", "not determined", _NO_LOOP])
     caption = (
         "Figures of the sensor at its nominal places and strains, value ± one standard deviation. Span: a location's"
         " change at the highest strain. Amplitudes are taken without subtracting the noise floor."
@@ -119,6 +124,28 @@ def _characteristic(run: RunObservation) -> list[Block]:
             f" deviation of the mean, which is the nonlinearity{bars}.",
             alternative=f"Change against stress at {plural(len(curves), 'location')}; the mean leaves its best"
             f" straight line by at most {number(100 * line.largest, 2)} % of the span.",
+        )
+    ]
+
+
+def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> list[Block]:
+    """Figure of the loops; nothing where hysteresis was not measured, or could not be."""
+    found = whole.get(("hysteresis", ""))
+    if found is None or found.value is None:
+        return []
+    last_s = run.settings.steady_frames * run.frame_period_s
+    curves, read = ([loop_curve(loop, relaxed=way, last_s=last_s) for loop in run.loops] for way in (True, False))
+    error = "" if found.uncertainty is None else f" ± {number(found.uncertainty, 2)}"
+    return [
+        loop_figure(
+            curves,
+            read,
+            caption="Output against relaxed stress through strains reached from below (blue, filled) and from above"
+            " (red, open) without lifting the head, mean over the cycles of each location. Right: the way down less"
+            " the way up at the same stress, with one standard error; grey crosses: the same as read at the end of"
+            " each hold, in which creep passes for hysteresis.",
+            alternative=f"Loops at {plural(len(curves), 'location')}; the branches differ by at most"
+            f" {number(found.value, 2)}{error} % of the span.",
         )
     ]
 

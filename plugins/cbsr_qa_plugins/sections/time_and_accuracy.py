@@ -59,7 +59,7 @@ def _phase_row(phase: PhaseRecord, run: RunObservation, measured: Measured) -> l
     loads = [load for load in run.loads if load.phase == phase.name]
     seconds = phase.ended_s - phase.started_s
     if not loads:
-        return [phase.name, duration(seconds), "0", "–", "–", "–", "–"]
+        return [phase.name, duration(seconds), str(len(phase.loops)), "–", "–", "–", "–"]
     cycle = sum(load.record.rest_end_s - load.record.press_start_s for load in loads) / len(loads)
     counts = sorted({load.steady_frames for load in loads})
     averaged = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"

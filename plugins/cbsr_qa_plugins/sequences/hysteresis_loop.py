@@ -32,7 +32,7 @@ class HysteresisLoopSequence:
 
     Parameters
     ----------
-    strains_percent : rising; at least two, default [5, 10, 15, 20]. Half of the highest is where most loops are
+    strains_percent : rising; at least two, default [7.5, 15, 22.5, 30]. Half of the highest is where most loops are
         widest.
     cycles : loops at each location; default 3 (with 2 and more their scatter is known).
     hold_s, rest_s : at each strain, and after each loop; default 60 and 120.
@@ -52,7 +52,7 @@ class HysteresisLoopSequence:
 
     def __init__(self, **options: Any) -> None:
         given = Options("hysteresis-loop", options, _KNOWN)
-        asked = given.items("strains_percent", (5.0, 10.0, 15.0, 20.0))
+        asked = given.items("strains_percent", (7.5, 15.0, 22.5, 30.0))
         self._strains = tuple(given.strain_of("strains_percent", strain) for strain in asked)
         if len(asked) < 2 or list(self._strains) != sorted(set(self._strains)):
             raise ConfigError(

@@ -1,0 +1,129 @@
+"""Loops: what the readings and the force did while a press was eased up and down through its strains."""
+
+from collections import defaultdict
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.load_cell import stood_at_limit
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.loads import HeldStrain, Indenter, LoadRecord
+from cbsr_qa.domain.observation import LoopObservation, Trace
+from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.run import PhaseRecord, RunRecord
+
+Array = NDArray[np.float64]
+
+#: The output at the deepest strain must be this many of its own standard errors from zero.
+_CLEAR: Final = 5.0
+
+
+def observe_loops(
+    record: RunRecord, unloaded: FrameBlock, usable: NDArray[np.bool_], settings: AnalysisSettings
+) -> tuple[LoopObservation, ...]:
+    """Work out the loops of a run, by phase and place.
+
+    The output of a frame is the amplitude of its readings along one pattern: the leading singular vector of all
+    frames of the place's loops less those just before them, each reading over its noise. The mean of a blob, which
+    single presses are judged by, is twice as noisy.
+
+    Parameters
+    ----------
+    record : of the run, without frames that were lost.
+    unloaded : frames of the rested sheet: how noisy each reading is.
+    usable : (drives, measures) bool, readings to look at.
+    """
+    found = []
+    for phase in record.phases:
+        places: dict[tuple[str, float, float], list[LoadRecord]] = defaultdict(list)
+        for loop in phase.loops:
+            places[(loop.load.label, loop.load.x_mm, loop.load.y_mm)].append(loop)
+        for loops in places.values():
+            found.append(_observe(phase, tuple(loops), unloaded, usable, record.indenter, settings))
+    return tuple(found)
+
+
+def deepest(record: LoadRecord) -> HeldStrain:
+    """Return the deepest strain of a press, with the time it was held."""
+    return max(record.held, key=lambda held: held.strain)
+
+
+def deepest_hold(record: LoadRecord) -> LoadRecord:
+    """Return a loop as if only its deepest strain had been held."""
+    at = deepest(record)
+    load = replace(record.load, strain=at.strain)
+    return replace(record, load=load, hold_start_s=at.start_s, release_start_s=at.end_s, eased=())
+
+
+def _observe(
+    phase: PhaseRecord,
+    loops: tuple[LoadRecord, ...],
+    unloaded: FrameBlock,
+    usable: NDArray[np.bool_],
+    indenter: Indenter,
+    settings: AnalysisSettings,
+) -> LoopObservation:
+    samples = phase.channel("force")
+    no_force = _no_force(samples, loops)
+    stress = None if no_force else _stress(samples, loops, indenter)
+    first_s, last_s = loops[0].press_start_s, loops[-1].rest_end_s
+    if phase.frames is None:
+        return _nothing(phase, loops, stress, no_force)
+    before = _before(phase, phase.frames, first_s, settings.reference_frames)
+    during = phase.frames.between(first_s, last_s)
+    if not len(before) or not all(len(during.between(h.start_s, h.end_s)) for one in loops for h in one.held):
+        return _nothing(phase, loops, stress, no_force)
+    noise = unloaded.voltages[:, usable].std(axis=0, ddof=1)
+    scale = 1 / np.sqrt(noise**2 + np.mean(noise**2)) if noise.any() else np.ones(len(noise))
+    rows = (during.voltages[:, usable] - before.voltages[:, usable].mean(axis=0)) * scale
+    output, along = _amplitude(rows)
+    deep = np.zeros(len(output), dtype=np.bool_)
+    for loop in loops:
+        at = deepest(loop)
+        deep |= (during.time_s >= at.start_s) & (during.time_s < at.end_s)
+    span, spread = float(output[deep].mean()), float(np.linalg.norm(noise * scale * along))
+    why = "" if abs(span) > _CLEAR * spread / np.sqrt(deep.sum()) else "no load stands out of the noise"
+    unit = span if span else 1.0
+    trace = Trace("output", "1", during.time_s, output / unit)
+    return LoopObservation(phase.name, loops, trace, spread / abs(unit), stress, no_force, why)
+
+
+def _nothing(
+    phase: PhaseRecord, loops: tuple[LoadRecord, ...], stress: Trace | None, no_force: str
+) -> LoopObservation:
+    empty = Trace("output", "1", np.zeros(0), np.zeros(0))
+    why = "no frame was taken before the loop, or while a strain was held"
+    return LoopObservation(phase.name, loops, empty, 0.0, stress, no_force, why)
+
+
+def _no_force(samples: SampleBlock | None, loops: tuple[LoadRecord, ...]) -> str:
+    """Say that the cell stood at its limit while one of the strains was held."""
+    holds = [replace(one, hold_start_s=h.start_s, release_start_s=h.end_s) for one in loops for h in one.held]
+    return next((why for hold in holds if (why := stood_at_limit(samples, hold))), "")
+
+
+def _before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) -> FrameBlock:
+    """Frames before the first press: all since the sheet was called rested, or the last few after other presses."""
+    frames = frames.between(phase.started_s, press_s)
+    rested = phase.unloaded_from_s
+    others = [load.press_start_s for load in (*phase.loads, *phase.loops)]
+    if rested is not None and not any(rested <= start_s < press_s for start_s in others):
+        return frames.between(rested, press_s)
+    return frames.select(slice(max(len(frames) - count, 0), None))
+
+
+def _amplitude(rows: Array) -> tuple[Array, Array]:
+    """Amplitudes (n,) of rows (n, readings) along their leading singular vector, and that vector."""
+    along = np.linalg.svd(rows, full_matrices=False)[2][0]
+    return rows @ along, along
+
+
+def _stress(samples: SampleBlock | None, loops: tuple[LoadRecord, ...], indenter: Indenter) -> Trace | None:
+    if samples is None:
+        return None
+    taken = samples.between(loops[0].press_start_s, loops[-1].rest_end_s)
+    if not len(taken):
+        return None
+    return Trace("stress", "kPa", taken.time_s, taken.values / indenter.area_mm2 * 1e3)
