@@ -74,13 +74,14 @@ def _kernel(traces: Sequence[DirectedTrace], loading: bool) -> MeasuredKernel | 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class KernelCurve:
-    """Σ wᵢ e^(−t/τᵢ) with its error, as :func:`~cbsr_qa.calibrate.relaxation_agreement.compare_relaxations` takes it.
+    """c + Σ wᵢ e^(−t/τᵢ) with its error: one that :mod:`~cbsr_qa.calibrate.relaxation_agreement` compares.
 
     Parameters
     ----------
     weights, time_constants_s : (k,), relative to the steady (or the released) change.
     covariance : (2 k, 2 k) of (w, log τ).
     start_s, window_s : over which time it is known.
+    level : c, what it goes to: 1 after a press, 0 after a release.
     """
 
     weights: Array
@@ -88,18 +89,20 @@ class KernelCurve:
     covariance: Array
     start_s: float
     window_s: float
+    level: float = 0.0
 
     @classmethod
     def of_sheet(cls, kernel: RelaxationKernel, start_s: float, window_s: float) -> Self:
         """Return the kernel that a sheet's loads share."""
         start_s = max(kernel.start_s, start_s)
-        return cls(kernel.weights, kernel.time_constants_s, kernel.covariance, start_s, window_s)
+        level = float(kernel.loading)
+        return cls(kernel.weights, kernel.time_constants_s, kernel.covariance, start_s, window_s, level)
 
     @classmethod
     def of_press(cls, strip: MeasuredKernel) -> Self:
         """Return what a sheet should show after a press."""
         weights, time_constants_s = np.array(strip.weights), np.array(strip.time_constants_s)
-        return cls(weights, time_constants_s, np.array(strip.covariance), strip.start_s, strip.window_s)
+        return cls(weights, time_constants_s, np.array(strip.covariance), strip.start_s, strip.window_s, 1.0)
 
     @classmethod
     def of_release(cls, loading: MeasuredKernel, unloading: MeasuredKernel, hold_s: float) -> Self:
@@ -147,7 +150,7 @@ class KernelCurve:
         each = np.exp(-time_s[:, None] / self.time_constants_s)
         gradient = np.column_stack([each, each * self.weights * time_s[:, None] / self.time_constants_s])
         variance: Array = np.einsum("ti,ij,tj->t", gradient, self.covariance, gradient)
-        return each @ self.weights, np.maximum(variance, 0.0)
+        return self.level + each @ self.weights, np.maximum(variance, 0.0)
 
     def settled(self, tolerance: float) -> tuple[float, float] | None:
         """Return the last time outside ± ``tolerance`` of the change, and its standard error [s].
