@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -13,7 +13,8 @@ from cbsr_qa.app.read_recording import read_recording_file
 from cbsr_qa.calibrate.force import Flag, Forces
 from cbsr_qa.calibrate.recorded_frames import recorded_frames
 from cbsr_qa.calibrate.runtime import Calibration
-from cbsr_qa.domain.errors import CbsrError, RefusedError
+from cbsr_qa.config.serials import validate_serial
+from cbsr_qa.domain.errors import CalibrationError, CbsrError, RefusedError
 from cbsr_qa.domain.recording import Recording
 from cbsr_qa.plugins import discover
 
@@ -54,12 +55,14 @@ class ApplyRequest:
     format, dataset : of the recordings, as for ``analyse``.
     reference : how many of the first frames are of the unloaded sheet; None to count changes against the
         calibration's own reference.
+    serial : of the sensor the recordings were taken of; None where nobody says. No format carries it.
     """
 
     place_mm: tuple[float, float] | None = None
     format: str | None = None
     dataset: str | None = None
     reference: int | None = None
+    serial: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,18 +94,35 @@ def apply_calibration(
     Raises
     ------
     CalibrationError
-        If the calibration cannot be used.
+        If the calibration cannot be used, or is of another sensor than the recordings are said to be.
+    ConfigError
+        If that serial number is none.
     """
     sensor, plugins = Calibration.load(calibration), discover()
+    remarks = _serial_remarks(sensor.issued.sensor.serial, request.serial)
     found = []
     for path in recordings:
         try:
             tell(f"reading {path.name}")
             recording = read_recording_file(path, plugins, format_=request.format, dataset=request.dataset)
-            found.append(_applied(sensor, path, recording, request, tell))
+            one = _applied(sensor, path, recording, request, tell)
+            found.append(replace(one, remarks=(*one.remarks, *remarks)))
         except CbsrError as error:
             found.append(Applied(path, None, None, (), error))
     return tuple(found)
+
+
+def _serial_remarks(own: str, said: str | None) -> tuple[str, ...]:
+    """Say that nobody knows whether a recording is of the calibration's sensor, unless it was said to be."""
+    if said is None:
+        why = "recordings state no serial number; --serial is held against it"
+        return (f"not checked: that it is of sensor {own}, as the calibration is ({why})",)
+    if validate_serial(said) != own:
+        raise CalibrationError(
+            f"the calibration is of sensor {own}, the recordings are said to be of {said}",
+            remedy="apply the calibration that was issued for this sensor",
+        )
+    return ()
 
 
 def _applied(sensor: Calibration, path: Path, recording: Recording, request: ApplyRequest, tell: Tell) -> Applied:

@@ -92,13 +92,17 @@ def apply(
             " taken from the calibration's reference. Needed where a recording is in counts or states no current.",
         ),
     ] = None,
+    serial: Annotated[
+        str | None,
+        typer.Option(help="Serial number of the sensor that was recorded, which must be the calibration's."),
+    ] = None,
     output: Annotated[Path | None, typer.Option(help="CSV file to write; must not exist yet.")] = None,
     json: bool = JsonOption,
 ) -> int:
     """Turn the frames of recordings into force with its standard error, place and flags, a row a frame."""
     from cbsr_qa.app.apply_calibration import ApplyRequest, applied_document, apply_calibration, as_csv, write_table
 
-    request = ApplyRequest(place, format_, dataset, reference)
+    request = ApplyRequest(place, format_, dataset, reference, serial)
     applied = apply_calibration(file, recordings, request, tell=lambda said: note(f"{said} …"))
     for one in applied:
         for remark in one.remarks:

@@ -18,7 +18,7 @@ from cbsr_qa.calibrate import Calibration, Flag
 from cbsr_qa.calibrate.file import write_calibration
 from cbsr_qa.calibrate.recorded_frames import recorded_frames
 from cbsr_qa.cli.calibration import app
-from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.errors import RecordingError, RefusedError
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
 from cbsr_qa.domain.recording import Recording, ScanKind
 
@@ -179,6 +179,33 @@ def test_apply_prints_a_row_a_frame(folder, calibration):
     assert rows[0]["flags"] == "no load detected"
     assert rows[5]["flags"] == ""
     assert "frames 1 to 7 of 7" in done.stderr
+
+
+def test_a_serial_number_that_nobody_states_is_said_not_to_be_checked(folder):
+    apply = ("apply", folder / "sensor.h5", folder / "press.h5")
+    done = _run(*apply, "--json")
+    (said,) = json.loads(done.stdout)["recordings"][0]["remarks"]
+    assert said.startswith("not checked: that it is of sensor S-1, as the calibration is")
+    assert said in done.stderr
+    own = json.loads(_run(*apply, "--json", "--serial", "S-1").stdout)
+    assert own["recordings"][0]["remarks"] == []
+
+
+@pytest.mark.parametrize(
+    ("serial", "said"),
+    [
+        ("S-2", "the calibration is of sensor S-1, the recordings are said to be of S-2"),
+        ("s-1", "said to be of s-1"),
+        ("S 1", "serial number 'S 1' cannot be used"),
+        ("", "it is empty"),
+    ],
+)
+def test_another_serial_number_than_the_calibrations_is_refused(folder, tmp_path, serial, said):
+    out = tmp_path / "forces.csv"
+    refused = _run("apply", folder / "sensor.h5", folder / "press.h5", "--serial", serial, "--output", out)
+    assert isinstance(refused.exception, RefusedError)
+    assert said in str(refused.exception)
+    assert not out.exists()
 
 
 def test_where_every_recording_is_refused_no_table_is_written(folder, tmp_path):
