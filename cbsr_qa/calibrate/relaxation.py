@@ -96,7 +96,9 @@ def checked_trace(
     if time_s.ndim != 1 or time_s.shape != values.shape:
         raise NumericsError(f"a trace of {values.shape} values cannot have {time_s.shape} times")
     if not (np.isfinite(time_s).all() and np.isfinite(values).all()):
-        raise NumericsError("a trace holds a time or a value that is not a finite number")
+        raise NumericsError(
+            "a trace holds a time or a value that is not a finite number", remedy="leave such values out"
+        )
     backward = np.flatnonzero(np.diff(time_s) <= 0)
     if backward.size:
         first = int(backward[0])

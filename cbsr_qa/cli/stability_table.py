@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from cbsr_qa.stability.case import CaseResult
 
 WIDTH = 100
-_NAME, _NUMBER = 52, 11
+_NAME, _NUMBER = 48, 12
 
 
 def lines(found: "Stability") -> Iterator[str]:
@@ -34,13 +34,12 @@ def _case(result: "CaseResult") -> Iterator[str]:
     answer = result.answer
     error, bound, condition = ("",) * 3
     if answer is not None:
-        unit = "" if answer.unit == "1" else f" {answer.unit}"
-        error, bound = (
-            f"{value:.1e}{unit}" if math.isfinite(value) else "–" for value in (answer.error, answer.bound)
-        )
+        error, bound = (f"{value:.1e}" if math.isfinite(value) else "–" for value in (answer.error, answer.bound))
         condition = "" if answer.condition is None else f"{answer.condition:.1e}"
     name = f"  {result.case.name}"
     yield f"{name:<{_NAME + 2}}{error:<{_NUMBER}}{bound:<{_NUMBER}}{condition:<{_NUMBER}}{result.outcome}"
+    if answer is not None and answer.unit != "1":
+        yield f"    in {answer.unit}"
     if result.outcome is not Ending.OK:
         words = f"{result.reason}; {result.remedy}" if result.remedy else result.reason
         yield from textwrap.wrap(words, WIDTH, initial_indent="    ", subsequent_indent="    ")

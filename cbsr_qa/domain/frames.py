@@ -60,7 +60,9 @@ class FrameBlock:
         if self.flags.shape != self.voltages.shape:
             raise RefusedError(f"flags of shape {self.flags.shape} do not fit voltages of {self.voltages.shape}")
         if not np.isfinite(self.voltages).all():
-            raise RefusedError("a frame holds a voltage that is not a finite number; flag it as missing instead")
+            raise RefusedError(
+                "a frame holds a voltage that is not a finite number", remedy="flag it as missing instead"
+            )
 
     def __len__(self) -> int:
         return int(self.time_s.shape[0])

@@ -46,5 +46,8 @@ def threshold(values: NDArray[np.float64], fraction: float) -> float:
     if not 0 < fraction <= 1:
         raise NumericsError(f"a mask of {fraction:g} is outside (0, 1]", remedy="give it as a fraction, e.g. 0.85")
     if not np.isfinite(values).all():
-        raise NumericsError("an image that is to be masked holds a value that is not a finite number")
+        raise NumericsError(
+            "an image that is to be masked holds a value that is not a finite number",
+            remedy="leave readings that are not finite out of the image",
+        )
     return fraction * float(values.max(initial=0.0)) * (1 - _TIE)

@@ -4,12 +4,13 @@ from collections.abc import Sequence
 from typing import Final
 
 from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.stability import forward_cases, imaging_cases, reconstruction_cases, relaxation_cases
+from cbsr_qa.stability import forward_cases, imaging_cases, reading_cases, reconstruction_cases, relaxation_cases
 from cbsr_qa.stability.case import HardCase
 
 #: Every case, in order of area.
 CASES: Final[tuple[HardCase, ...]] = (
     *forward_cases.CASES,
+    *reading_cases.CASES,
     *reconstruction_cases.CASES,
     *imaging_cases.CASES,
     *relaxation_cases.CASES,

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -10,13 +10,8 @@ from mpmath import mp
 from numpy.typing import NDArray
 from scipy import linalg
 
-from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.patterns import adjacent_pattern
-from cbsr_qa.domain.reconstruction import ImagingProblem, PreparedReconstruction
-from cbsr_qa.domain.sensor import Response, SensorType
-from cbsr_qa.hookspecs import Kind
-from cbsr_qa.plugins import Plugins, discover
+from cbsr_qa.domain.reconstruction import ImagingProblem
 from cbsr_qa.reconstruct.criteria import RidgeCurves
 from cbsr_qa.reconstruct.folding import ReadingFold
 from cbsr_qa.reconstruct.priors import noser
@@ -24,52 +19,14 @@ from cbsr_qa.reconstruct.problem import imaging_problem
 from cbsr_qa.reconstruct.temporal import Correlation, smoothed
 from cbsr_qa.stability.case import Answer, HardCase, conditioned_bound
 from cbsr_qa.stability.exact_images import exact_image
+from cbsr_qa.stability.problems import IMAGE_MM, prepared, usual_problem, usual_sensor
 
 Array = NDArray[np.float64]
 
 _AREA: Final = "reconstruction"
 _FIFTY: Final = "the normal equations, solved in fifty digits"
 _SEED: Final = 20261122
-_IMAGE_MM: Final = 6.0
 _DIGITS: Final = 50
-
-
-def usual_sensor() -> SensorType:
-    """The 100 mm disc with sixteen pins, adjacent drives and measurements."""
-    layout = ElectrodeLayout(16, ElectrodeKind.PIN, 48.0, 0.65, 0.0, counterclockwise=True)
-    return SensorType("stability", 50.0, 4.0, layout, adjacent_pattern(16), Response.AUTO)
-
-
-@lru_cache(maxsize=1)
-def _plugins() -> Plugins:
-    return discover()
-
-
-def prepared(name: str, problem: ImagingProblem, options: Mapping[str, Any]) -> PreparedReconstruction:
-    """Prepare a method that is installed, as ``analyse`` does."""
-    method: PreparedReconstruction = _plugins().factory(Kind.RECONSTRUCTION, name)(**options).prepare(problem)
-    return method
-
-
-@lru_cache(maxsize=4)
-def usual_problem(kind: str = "whole") -> ImagingProblem:
-    """The usual sensor on a coarse image; with three electrodes masked, or noise over twelve decades."""
-    sensor = usual_sensor()
-    whole = imaging_problem(sensor, image_size_mm=_IMAGE_MM)
-    if kind == "masked":
-        return imaging_problem(sensor, used=without_electrodes(sensor, (2, 7, 12)), image_size_mm=_IMAGE_MM)
-    if kind == "noisy":
-        decades = np.random.default_rng(_SEED).permutation(np.linspace(-6, 6, len(whole.reference)))
-        return imaging_problem(sensor, noise_variance=0.9 * 10**decades, image_size_mm=_IMAGE_MM)
-    return whole
-
-
-def without_electrodes(sensor: SensorType, electrodes: tuple[int, ...]) -> NDArray[np.bool_]:
-    """Readings (drives, measures) that touch none of some electrodes."""
-    pattern, chosen = sensor.pattern, list(electrodes)
-    drives = (pattern.drive_currents()[chosen] != 0).any(axis=0)
-    measures = (pattern.measure_matrix()[chosen] != 0).any(axis=0)
-    return np.asarray(pattern.usable() & ~drives[:, None] & ~measures, dtype=np.bool_)
 
 
 def _changes(problem: ImagingProblem) -> Array:
@@ -150,14 +107,16 @@ def _fewer_units() -> Answer:
 
 
 def _nothing(problem: ImagingProblem) -> Answer:
-    """Largest value of the images of a frame that is its reference, over all linear methods that ship."""
+    """Largest value of the images of a frame that is its reference, over all methods for differences but GREIT."""
     names = (
         "gauss-newton-noser", "gauss-newton-tikhonov", "gauss-newton-laplace", "gauss-newton-indenter",
-        "gauss-newton-high-pass", "truncated-svd", "linear-back-projection", "temporal", "total-variation",
+        "gauss-newton-high-pass", "temporal", "total-variation",
     )  # fmt: skip
+    methods = [prepared(name, problem, {"hyperparameter": 1e-3}) for name in names]
+    methods += [prepared("truncated-svd", problem, {}), prepared("linear-back-projection", problem, {})]
     none = np.zeros((2, len(problem.reference)))
-    largest = max(float(np.abs(prepared(name, problem, {}).images(none)).max()) for name in names)
-    return Answer(largest, 0.0, note=f"{len(names)} methods; the bound is zero")
+    largest = max(float(np.abs(method.images(none)).max()) for method in methods)
+    return Answer(largest, 0.0, note=f"{len(methods)} methods; the bound is zero")
 
 
 def _l_curve(relative: float) -> Answer:
@@ -214,14 +173,14 @@ def _unequal() -> Answer:
     sensor = usual_sensor()
     variance = np.ones(sensor.pattern.shape)
     variance[3, 8] = 1e13
-    imaging_problem(sensor, noise_variance=variance, image_size_mm=_IMAGE_MM)
+    imaging_problem(sensor, noise_variance=variance, image_size_mm=IMAGE_MM)
     return Answer(0.0, 0.0)
 
 
 def _silent_frames() -> Answer:
     """Choose λ by cross-validation from frames that equal their reference."""
     problem = usual_problem()
-    sampled = imaging_problem(usual_sensor(), sample=np.zeros((3, len(problem.reference))), image_size_mm=_IMAGE_MM)
+    sampled = imaging_problem(usual_sensor(), sample=np.zeros((3, len(problem.reference))), image_size_mm=IMAGE_MM)
     prepared("gauss-newton-noser", sampled, {"choose": "gcv"})
     return Answer(0.0, 0.0)
 
