@@ -2,13 +2,16 @@
 
 import json
 import pickle
+import re
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
 import pytest
 
+from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, ParameterChoice, linear
 from cbsr_qa.frontier import computer_forward, computer_imaging, computer_precision
@@ -189,6 +192,11 @@ def test_a_count_that_would_part_a_pair_takes_the_next():
     assert point.accuracy
 
 
+def test_the_method_of_the_recipes_is_the_one_that_is_looked_at():
+    chosen = load_recipe("campaign").value.reconstruction
+    assert (chosen.name, dict(chosen.options)) == (RECIPES_METHOD.name, dict(RECIPES_METHOD.options))
+
+
 def test_every_method_of_single_frames_is_tried_and_no_other():
     names = {method.name for method in computer_imaging.registered_methods()}
     assert {"gauss-newton-noser", "greit", "truncated-svd", "linear-back-projection", "total-variation"} <= names
@@ -225,6 +233,17 @@ def test_the_bound_holds_for_the_matrix_that_cancels_most():
 def test_readings_cost_memory_with_the_block_and_half_of_it_in_single_precision():
     few, many, half = (precision_point(*how) for how in (("float64", 1), ("float64", 16), ("float32", 16)))
     assert few.costs["memory_bytes"] < many.costs["memory_bytes"] == 2 * half.costs["memory_bytes"]
+
+
+# --- the page --------------------------------------------------------------------------------------------
+
+
+def test_the_page_has_a_table_of_every_series():
+    page = Path(__file__).parents[2] / "docs" / "explanation" / "what-accuracy-costs.md"
+    tables = re.findall(r"<!-- table: (.+?) -->\n+(\|.+?\|)\n+<!-- end -->", page.read_text(), re.S)
+    series = {task.what.split(": ")[0] for task in computer_tasks()}
+    assert {name for name, _ in tables} == series
+    assert all(len(table.splitlines()) > 4 for _, table in tables)
 
 
 # --- tasks -----------------------------------------------------------------------------------------------

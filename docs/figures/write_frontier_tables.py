@@ -1,0 +1,132 @@
+"""Write the tables of docs/explanation/what-accuracy-costs.md that are about the computer's clock.
+
+``python docs/figures/write_frontier_tables.py`` measures the whole sweep (about two minutes) and puts its tables
+between the page's markers, ``<!-- table: series -->`` and ``<!-- end -->``; with a file of points, as a document
+``{"points": [...]}``, it takes them from there. Run it with OMP_NUM_THREADS=1 on a machine that does nothing else.
+"""
+
+import json
+import re
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Final
+
+from cbsr_qa.frontier.computer import computer_tasks, measured, worth_their_time
+from cbsr_qa.frontier.point import Accuracy, Clock, Point
+
+PAGE: Final = Path(__file__).resolve().parents[1] / "explanation" / "what-accuracy-costs.md"
+
+_TABLE: Final = re.compile(r"(<!-- table: (.+?) -->\n).*?(<!-- end -->)", re.S)
+#: Of methods and smoothing the page shows all λ of one method, and of the others their own choice.
+_SHOWN_WHOLE: Final = "gauss-newton-laplace"
+#: Figures in the order of their columns.
+_FIGURES: Final = {
+    "voltage_error": "voltage error",
+    "voltage_error_inclusion": "with inclusion",
+    "load_signal_error": "error of a load's signal",
+    "image_error": "error of the image",
+    "E_CoM": "E_CoM",
+    "A_OL": "A_OL",
+    "SD": "SD",
+    "missed": "loads missed",
+}
+_NAMES: Final = {
+    "element_order": "order",
+    "element_size_mm": "size [mm]",
+    "image_size_mm": "image size [mm]",
+    "smoothing_over_own": "λ over own",
+    "batch": "frames in a block",
+    **_FIGURES,
+}
+_SAID_ELSEWHERE: Final = frozenset({"noise_figure", "exponent"})
+
+
+def written(page: str, points: Sequence[Point]) -> str:
+    """The page with its tables replaced."""
+    flags = dict(zip(map(id, points), worth_their_time(points), strict=True))
+
+    def table(found: re.Match[str]) -> str:
+        chosen = [point for point in points if point.series == found[2] and _shown(point, flags[id(point)])]
+        if not chosen:
+            raise SystemExit(f"no points of series {found[2]!r}")
+        return f"{found[1]}\n{_table(chosen, lambda point: flags[id(point)])}\n\n{found[3]}"
+
+    return _TABLE.sub(table, page)
+
+
+def _shown(point: Point, worth: bool) -> bool:
+    if "smoothing_over_own" not in point.knobs:
+        return True
+    return worth or point.knobs["smoothing_over_own"] == 1.0 or point.knobs["method"] == _SHOWN_WHOLE
+
+
+def _table(points: Sequence[Point], worth: Callable[[Point], bool]) -> str:
+    columns = {"": [""] * len(points)}
+    for name in points[0].knobs:
+        if name not in _SAID_ELSEWHERE:
+            columns[_NAMES.get(name, name)] = [_knob(point, name) for point in points]
+    for name in sorted({name for point in points for name in point.accuracy}, key=_place):
+        columns[_NAMES.get(name, name)] = [_figure(point.accuracy.get(name)) for point in points]
+    columns["unknowns"] = [f"{point.costs['unknowns']:.0f}" for point in points]
+    columns["set-up"] = [_seconds(point.costs.get("setup_s")) for point in points]
+    columns["memory"] = [_megabytes(point.costs.get("memory_bytes")) for point in points]
+    columns["time"] = [_seconds(point.compute_s) for point in points]
+    told = {name: cells for name, cells in columns.items() if len(set(cells)) > 1}
+    told["•"] = ["•" if worth(point) else "" for point in points]
+    rows = [list(told), ["---"] * len(told), *zip(*told.values(), strict=True)]
+    return "\n".join(f"| {' | '.join(row)} |".replace("|  |", "| |") for row in rows)
+
+
+def _place(name: str) -> int:
+    return list(_FIGURES).index(name)
+
+
+def _knob(point: Point, name: str) -> str:
+    value = point.knobs[name]
+    if name == "method" and "exponent" in point.knobs:
+        return f"{value}, exponent {point.knobs['exponent']}"
+    return f"{value:g}" if isinstance(value, float) else str(value)
+
+
+def _figure(accuracy: Accuracy | None) -> str:
+    if accuracy is None:
+        return "–"
+    if accuracy.unit == "1" and accuracy.stderr is None:
+        return f"{accuracy.value:.1e}"
+    if accuracy.unit == "1":
+        return f"{100 * accuracy.value:.0f} %"
+    digits = 1 if accuracy.unit == "%" else 2
+    sure = "" if accuracy.stderr is None else f" ± {accuracy.stderr:.{digits}f}"
+    return f"{accuracy.value:.{digits}f}{sure} {accuracy.unit}"
+
+
+def _seconds(seconds: float | None) -> str:
+    if seconds is None:
+        return "–"
+    for unit, size in (("s", 1.0), ("ms", 1e-3)):
+        if seconds >= size:
+            return f"{seconds / size:.3g} {unit}"
+    return f"{seconds / 1e-6:.3g} µs"
+
+
+def _megabytes(size: float | None) -> str:
+    return "–" if size is None else f"{size / 1e6:.1f} MB"
+
+
+def main(arguments: Sequence[str]) -> None:
+    """Take points from a file, or measure them, and write the page."""
+    if arguments:
+        documents = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))["points"]
+        points = [Point.from_document(one) for one in documents if one["clock"] == Clock.COMPUTER]
+    else:
+        points = list(measured(computer_tasks(), _tell))
+    PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), points), encoding="utf-8")
+
+
+def _tell(done: int, of: int, what: str) -> None:
+    sys.stderr.write(f"{done}/{of} {what}\n")
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
