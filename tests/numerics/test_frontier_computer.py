@@ -255,6 +255,7 @@ def test_tasks_have_keys_of_their_own_that_stay_the_same():
         keys = [task.key for task in tasks]
         assert len(set(keys)) == len(keys)
         assert keys == [task.key for task in computer_tasks(quick=quick)]
+        assert keys == [task.key for task in pickle.loads(pickle.dumps(tasks))]
     assert {task.key for task in computer_tasks(quick=True)} != set(keys)
 
 
