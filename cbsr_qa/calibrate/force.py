@@ -8,6 +8,7 @@ loads scatter by, and the line.
 
 from dataclasses import dataclass
 from enum import IntFlag
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +40,8 @@ class Forces:
 
     Parameters
     ----------
-    force_N, stderr_N : (n,) estimate and its standard error; NaN in frames flagged UNREADABLE or OTHER_SENSOR.
+    force_N, stderr_N : (n,) estimate and its standard error; NaN in frames flagged UNREADABLE or OTHER_SENSOR. Of a
+        frame flagged MORE_THAN_ONE the error holds the sum of its heads.
         Where a place was searched and no load detected, 0 and the least force that shows wherever the sheet was
         calibrated.
     place_mm, place_stderr_mm : (n, 2) where, and (n,) how sure, root mean square over two axes; 0 where it was given.
@@ -72,6 +74,40 @@ class Forces:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class SeveralForces:
+    """All heads in one frame.
+
+    Parameters
+    ----------
+    loads : of k heads, the clearest first; heads that cannot be told apart are one entry, flagged MORE_THAN_ONE, with
+        the sum of their forces and its error at their middle.
+    total_N, total_stderr_N : sum of all forces; 0 and the least force that shows where no head was found, NaN in
+        frames that cannot be used.
+    flags : of the frame: NOT_DETECTED, UNREADABLE or OTHER_SENSOR without any head, MORE_THAN_ONE where heads were
+        not told apart or there are more of them than were looked for; else none.
+    """
+
+    loads: Forces
+    total_N: float
+    total_stderr_N: float
+    flags: Flag
+
+
+class Newtons(NamedTuple):
+    """Forces (n,) [N] and what their errors are made of.
+
+    Parameters
+    ----------
+    slope : (n, 3) with strength, x and y.
+    variance : (n,) what map, scatter and line add.
+    """
+
+    force: Array
+    slope: Array
+    variance: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class ForceInverse:
     """The inverse of one sensor and head.
 
@@ -91,6 +127,12 @@ class ForceInverse:
 
     def force(self, matches: Matches) -> tuple[Array, Array]:
         """Force and standard error (n,) [N]; NaN where the place has no map."""
+        newtons = self.newtons(matches)
+        by_readings = np.einsum("ni,nij,nj->n", newtons.slope, matches.covariance, newtons.slope)
+        return newtons.force, np.sqrt(np.maximum(by_readings, 0.0) + newtons.variance)
+
+    def newtons(self, matches: Matches) -> Newtons:
+        """Forces (n,), and what their errors are made of."""
         model, strength = self.model, matches.strength
         tables = (model.log_response, model.log_response_stderr, self.gradient)
         log_response, stderr, slope = all_interpolated(model, tables, matches.place_mm)
@@ -100,11 +142,10 @@ class ForceInverse:
         stress = (relative - beta) / alpha
         per_strength = 4 / (2 - strength) ** 2 * response
         towards = np.column_stack([per_strength, -relative[:, None] * slope])
-        by_readings = np.einsum("ni,nij,nj->n", towards, matches.covariance, towards)
         by_map = relative**2 * (stderr**2 + model.scatter**2)
-        variance = np.maximum(by_readings, 0.0) + by_map + self._of_line(stress)
         scale = self.area_mm2 / 1e3
-        return stress * scale, np.sqrt(variance) / abs(alpha) * scale
+        per = scale / alpha
+        return Newtons(stress * scale, towards * per, (by_map + self._of_line(stress)) * per**2)
 
     def _of_line(self, stress: Array) -> Array:
         slope, intercept = self.line.slope.stderr or 0.0, self.line.intercept.stderr or 0.0

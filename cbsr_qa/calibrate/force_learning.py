@@ -31,9 +31,10 @@ _UNKNOWN_INTERCEPT: Final = 0.02
 _FALSE_ALARMS: Final = 1e-4
 #: Median of a mean of two squared normals.
 _MEDIAN: Final = 0.693
-#: A frame is another than one head's if its template leaves this many times more than calibrating loads did at most.
+#: A frame is another than one head's if a second one explains this many times more of it than of calibrating loads at
+#: most; templates of a sheet that answers unevenly leave a few parts in 10 000.
 _MISFIT_ROOM: Final = 2.0
-_LEAST_MISFIT: Final = 0.02
+_LEAST_MISFIT: Final = 5e-4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +45,7 @@ class CalibrationLoads:
     ----------
     place_mm : (n, 2).
     rows : (n, r) mean steady rows of unit noise, against the rested sheet.
-    frames : (n,) how many frames that is a mean of.
+    frames : (n,) how many frames that is a mean of, or is as sure as.
     before : (n, r) mean rows just before the press; zero where there were none.
     frames_before : (n,) how many frames; 0 where there were none.
     force_N, force_stderr_N : (n,).
@@ -52,7 +53,7 @@ class CalibrationLoads:
 
     place_mm: Array
     rows: Array
-    frames: NDArray[np.int64]
+    frames: NDArray[np.int64] | Array
     before: Array
     frames_before: NDArray[np.int64]
     force_N: Array
@@ -158,7 +159,7 @@ def learn_force(
         log_response_stderr=np.sqrt(variance),
         scatter=response.scatter,
         stress_kPa=(float(stress[used].min()), float(stress[used].max())),
-        misfit=_MISFIT_ROOM * max(float(seen.misfit[used].max()), _LEAST_MISFIT),
+        misfit=_MISFIT_ROOM * max(_second_share(filter_, loads, used), _LEAST_MISFIT),
         place_scatter_mm=_place_scatter_mm(filter_, loads, used),
         residue_strength=_residue_strength(filter_, loads, used),
     )
@@ -169,12 +170,11 @@ def learn_force(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Seen:
-    """What the readings say of loads: contrast κ and its standard error, detectability, unexplained share."""
+    """What the readings say of loads: contrast κ and its standard error, detectability."""
 
     contrast: Array
     stderr: Array
     detectability: Array
-    misfit: Array
 
 
 def _seen(filter_: TemplateFilter, loads: CalibrationLoads) -> _Seen:
@@ -183,13 +183,21 @@ def _seen(filter_: TemplateFilter, loads: CalibrationLoads) -> _Seen:
     strength = matches.strength
     left = filter_.at(loads.before, loads.place_mm).strength
     variance = matches.covariance[:, 0, 0] * noise + (RESIDUE_STDERR * left) ** 2
-    extra = matches.energy - matches.gain - noise * (rows.shape[1] - 1)
     return _Seen(
         2 * strength / (2 - strength),
         4 / (2 - strength) ** 2 * np.sqrt(variance),
         np.sqrt(matches.gain / noise),
-        np.maximum(extra, 0.0) / np.maximum(matches.gain, np.finfo(np.float64).tiny),
     )
+
+
+def _second_share(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:
+    """Largest share of a single load's signal, as energy, that a second head explains, beyond noise."""
+    rows, noise = loads.changed()
+    found = filter_.search(rows[used])
+    second, _ = filter_.beside(rows[used], found.place_mm, found.strength)
+    # Noise at the best of all places is below the threshold but for one frame in thousands.
+    extra = np.maximum(second - noise[used] * filter_.threshold**2, 0.0)
+    return float((extra / found.gain).max())
 
 
 def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.calibrate._convolution import stencils, tables_at, values_at, weights_at
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.force_model import ForceModel
 
@@ -56,6 +57,11 @@ class TemplateFilter:
     model : of the sensor.
     size : q, the head's squared radius over that of the calibrated one.
 
+    Attributes
+    ----------
+    threshold : detectability that counts as a load.
+    bank, searched_mm : (r, k) templates of unit length at the places (k, 2) that are searched.
+
     Raises
     ------
     CalibrationError
@@ -64,16 +70,18 @@ class TemplateFilter:
 
     def __init__(self, model: ForceModel, *, size: float = 1.0) -> None:
         self.lattice = model.lattice
+        self.threshold = model.threshold
         grown = model.templates + (size - 1) * model.size_slope
         length = np.linalg.norm(grown, axis=1)
         self.templates: Array = np.ascontiguousarray(grown / length[:, None])
         self._tables = np.column_stack([model.log_size + np.log(length), model.slopes])
-        self._stencil = _stencils(model.node)
+        self._stencil = stencils(model.node)
         self._node_of = model.node.ravel()
         self._coarse = np.flatnonzero(_pressable(model.node, model.fits) & _every(_STRIDE, model.node))
         if not len(self._coarse):
             raise CalibrationError("there is no place on the lattice that a head could be searched from")
-        self._bank = np.ascontiguousarray(self.templates[self._node_of[self._coarse]].T)
+        self.bank: Array = np.ascontiguousarray(self.templates[self._node_of[self._coarse]].T)
+        self.searched_mm: Array = model.lattice.places_mm()[self._coarse]
         self._number = np.full(model.node.size, -1)
         self._number[self._coarse] = np.arange(len(self._coarse))
 
@@ -92,17 +100,36 @@ class TemplateFilter:
     def template(self, places_mm: Array) -> Array:
         """Changes per strength (n, r) at places (n, 2); NaN where there is no node about a place."""
         nodes, offset = self._cells(places_mm)
-        (weight_x, _), (weight_y, _) = _weights(offset[:, 0]), _weights(offset[:, 1])
+        (weight_x, _), (weight_y, _) = weights_at(offset[:, 0]), weights_at(offset[:, 1])
         weights = (weight_y[:, :, None] * weight_x[:, None, :]).reshape(len(nodes), 16)
         found: Array = np.einsum("nk,nkr->nr", weights, self.templates[nodes])
         found *= np.exp(np.einsum("nk,nk->n", weights, self._tables[nodes, 0]))[:, None]
         found[(nodes < 0).any(axis=1)] = np.nan
         return found
 
+    def template_and_slopes(self, places_mm: Array) -> Array:
+        """Changes per strength at places (n, 2) and their slopes along x and y [1/mm]: (n, 3, r).
+
+        NaN where there is no node about a place.
+        """
+        nodes, offset = self._cells(places_mm)
+        (value_x, slope_x), (value_y, slope_y) = weights_at(offset[:, 0]), weights_at(offset[:, 1])
+        h = self.lattice.spacing_mm
+        pairs = ((value_y, value_x), (value_y, slope_x / h), (slope_y / h, value_x))
+        weights = np.stack(
+            [(down[:, :, None] * across[:, None, :]).reshape(-1, 16) for down, across in pairs], axis=1
+        )
+        found: Array = weights @ self.templates[nodes]
+        size = (weights @ self._tables[nodes, 0][:, :, None])[:, :, 0]
+        found[:, 1:] += found[:, :1] * size[:, 1:, None]
+        found *= np.exp(size[:, 0])[:, None, None]
+        found[(nodes < 0).any(axis=1)] = np.nan
+        return found
+
     def size_slope(self, places_mm: Array) -> Array:
         """Slope (n, 2) of the logarithm of a change's size at places (n, 2) [1/mm]; 0 where there is no node."""
         nodes, offset = self._cells(places_mm)
-        slope = _interpolated(self._tables[nodes], offset)[:, 1:3]
+        slope = tables_at(self._tables[nodes], offset)[:, 1:3]
         slope[np.logical_or.reduce(nodes < 0, axis=1)] = 0.0
         return slope
 
@@ -118,8 +145,26 @@ class TemplateFilter:
             )
         )
 
+    def beside(self, rows: Array, place_mm: Array, strength: Array) -> tuple[Array, Array]:
+        """What one head more would explain of what a head in each frame leaves, on the places that are searched.
+
+        Returns
+        -------
+        Gain (n,) as of :class:`Matches`, and strength (n,).
+        """
+        gain, found = np.zeros(len(rows)), np.zeros(len(rows))
+        for first in range(0, len(rows), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            there = np.nan_to_num(self.template(place_mm[part]))
+            score = (rows[part] - strength[part, None] * there) @ self.bank
+            best = np.abs(score).argmax(axis=1)
+            peak = score[np.arange(len(best)), best]
+            gain[part] = peak**2
+            found[part] = peak * np.exp(-self._tables[self._node_of[self._coarse[best]], 0])
+        return gain, found
+
     def _search(self, rows: Array) -> Matches:
-        cell, offset = self._cell_of_best(rows @ self._bank)
+        cell, offset = self._cell_of_best(rows @ self.bank)
         local = self._local(cell, rows)
         offset = self._scored(cell, local, offset)
         for _ in range(_MOVES):
@@ -181,24 +226,24 @@ class TemplateFilter:
         full steps.
         """
         h, tables = self.lattice.spacing_mm, self._tables[self._stencil[cell]]
-        at = np.column_stack(_values(local, offset))  # score, and its slopes along x and y
+        at = np.column_stack(values_at(local, offset))  # score, and its slopes along x and y
         damping = np.ones(len(local))
         for _ in range(_STEPS):
-            xx, xy, yy = _interpolated(tables, offset)[:, 3:].T
+            xx, xy, yy = tables_at(tables, offset)[:, 3:].T
             score, by_x, by_y = at.T
             steepness = score * (xx * yy - xy**2) * h**2
             scale = damping * steepness / np.maximum(steepness**2, _NOTHING)
             step = np.column_stack([yy * by_x - xy * by_y, xx * by_y - xy * by_x]) * scale[:, None]
             aim = np.clip(offset + np.clip(step, -0.5, 0.5), -_FURTHEST, 1 + _FURTHEST)
-            there = np.column_stack(_values(local, aim))
+            there = np.column_stack(values_at(local, aim))
             better = np.abs(there[:, 0]) > np.abs(score)
             offset, at = np.where(better[:, None], aim, offset), np.where(better[:, None], there, at)
             damping = np.where(better, 1.0, damping / 4)
         return offset
 
     def _result(self, cell: Indices, local: Array, offset: Array) -> tuple[Array, Array, Array]:
-        score = _values(local, offset)[0]
-        values = _interpolated(self._tables[self._stencil[cell]], offset)
+        score = values_at(local, offset)[0]
+        values = tables_at(self._tables[self._stencil[cell]], offset)
         size = np.exp(values[:, 0])
         strength = score / size
         along, (xx, xy, yy) = values[:, 1:3], values[:, 3:].T
@@ -271,14 +316,6 @@ _DOWN: Final = np.array([0, 0, 1, 1])
 _ACROSS: Final = np.array([0, 1, 0, 1])
 
 
-def _stencils(node: Indices) -> Indices:
-    """Nodes (rows · columns, 16) about the cell whose lower left corner each place is; −1 where one is missing."""
-    padded = np.pad(node, ((1, 2), (1, 2)), constant_values=-1)
-    rows, columns = node.shape
-    parts = [padded[b : b + rows, a : a + columns] for b in range(4) for a in range(4)]
-    return np.stack(parts, axis=-1).reshape(-1, 16)
-
-
 def _every(stride: int, node: Indices) -> Mask:
     """Which places (rows · columns,) are of a coarser lattice about the same middle."""
     rows, columns = (np.asarray(np.abs(np.arange(count) - count // 2) % stride == 0) for count in node.shape)
@@ -289,44 +326,5 @@ def _every(stride: int, node: Indices) -> Mask:
 def _pressable(node: Indices, fits: Mask) -> Mask:
     """Which places (rows · columns,) a head fits on, with neighbours to interpolate from."""
     fitting = np.where(node >= 0, fits[node], False)
-    pressable: Mask = (_stencils(node) >= 0).all(axis=1) & fitting.ravel()
+    pressable: Mask = (stencils(node) >= 0).all(axis=1) & fitting.ravel()
     return pressable
-
-
-#: Coefficients of the weights of cubic convolution by powers of the part of a cell, and of their slopes.
-_CUBIC: Final = (
-    np.array(
-        [
-            [0, 2, 0, 0, -1, 0, 1, 0],
-            [-1, 0, 1, 0, 4, -10, 8, -2],
-            [2, -5, 4, -1, -3, 9, -9, 3],
-            [-1, 3, -3, 1, 0, 0, 0, 0],
-        ]
-    )
-    / 2.0
-)
-
-
-def _weights(part: Array) -> tuple[Array, Array]:
-    """Weights (…, 4) of cubic convolution at parts (…) of a cell, and their slopes per cell."""
-    powers = np.empty((*part.shape, 4))
-    powers[..., 0], powers[..., 1] = 1.0, part
-    np.multiply(part, part, out=powers[..., 2])
-    np.multiply(powers[..., 2], part, out=powers[..., 3])
-    both: Array = powers @ _CUBIC
-    return both[..., :4], both[..., 4:]
-
-
-def _values(local: Array, offset: Array) -> tuple[Array, Array, Array]:
-    """Interpolate (n, 16) values about cells; value, and slopes along x and y per cell, (n,) each."""
-    weights = np.stack(_weights(offset), axis=2)  # (n, axis, value or slope, 4)
-    found = weights[:, 1] @ local.reshape(-1, 4, 4) @ weights[:, 0].transpose(0, 2, 1)
-    return found[:, 0, 0], found[:, 0, 1], found[:, 1, 0]
-
-
-def _interpolated(tables: Array, offset: Array) -> Array:
-    """Interpolate tables (n, 16, k) about cells: (n, k)."""
-    value, _ = _weights(offset)
-    weights = (value[:, 1, :, None] * value[:, 0, None, :]).reshape(len(offset), 1, 16)
-    found: Array = (weights @ tables)[:, 0]
-    return found

@@ -6,9 +6,19 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cbsr_qa.calibrate._together import forces_together, nothing_together
 from cbsr_qa.calibrate.file import read_calibration
-from cbsr_qa.calibrate.force import Flag, ForceInverse, Forces, least_force_N, map_gradient, range_flags
+from cbsr_qa.calibrate.force import (
+    Flag,
+    ForceInverse,
+    Forces,
+    SeveralForces,
+    least_force_N,
+    map_gradient,
+    range_flags,
+)
 from cbsr_qa.calibrate.matched import Matches, TemplateFilter, scattered
+from cbsr_qa.calibrate.several import HeadCounter, Heads
 from cbsr_qa.domain import calibration as record
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.force_model import ForceModel
@@ -23,6 +33,15 @@ _FOREIGN: Final = 0.5
 _CLEAR: Final = 3.0
 #: Standard deviations of χ² that noise may leave besides a template.
 _ROOM: Final = 4.0
+#: Least share of a load's signal, as energy, that no head explains at all and that makes a frame another thing.
+_UNLIKE: Final = 0.04
+#: A second head weaker than this share of the first is what an earlier load left: material relaxations are down to
+#: some 6 % a minute after a release.
+_LEFT_BEHIND: Final = 0.06
+#: Frames are looked at for several heads where a second one explains this share of what would count as one.
+_SUSPICIOUS: Final = 0.4
+#: Two heads cannot be nearer to each other, of their diameter: they are soft, and estimates of places err.
+_NEAREST: Final = 0.8
 #: Heads whose templates are kept at hand.
 _HEADS: Final = 8
 
@@ -106,10 +125,77 @@ class Calibration:
         if place_mm is None:
             finder = self._filter(head)
             matches = finder.search(rows)
-            matches = scattered(matches, finder.size_slope(matches.place_mm), self.model.place_scatter_mm)
         else:
-            matches = self._filter(head).at(rows, self._places(place_mm, len(rows)))
-        return self._forces(self._of_area(matches, head), bad, head, searched=place_mm is None)
+            finder = self._filter(head)
+            matches = finder.at(rows, self._places(place_mm, len(rows)))
+        others = self._others(rows, matches, finder)
+        if place_mm is None:
+            matches = scattered(matches, finder.size_slope(matches.place_mm), self.model.place_scatter_mm)
+        return self._forces(self._of_area(matches, head), bad, others, head, searched=place_mm is None)
+
+    def forces(
+        self,
+        frames: ArrayLike,
+        *,
+        at_most: int = 3,
+        indenter: Indenter | None = None,
+        current_A: float | None = None,
+    ) -> tuple[SeveralForces, ...]:
+        """Forces of all heads in each frame, fitted together (:mod:`cbsr_qa.calibrate.several`).
+
+        Tens of milliseconds for a frame of several heads, a fraction of one for others.
+
+        Parameters
+        ----------
+        frames, indenter, current_A : as of :meth:`force`; all heads are alike.
+        at_most : heads that are looked for.
+
+        Returns
+        -------
+        One for each frame.
+
+        Raises
+        ------
+        CalibrationError, NumericsError
+            As of :meth:`force`; and where ``at_most`` is not 1 or more.
+        """
+        if not (isinstance(at_most, int) and at_most >= 1):
+            raise CalibrationError(f"{at_most} heads cannot be looked for", remedy="look for at least 1")
+        rows, bad = self.rows(frames, current_A=current_A)
+        head = self.issued.indenter if indenter is None else indenter
+        finder = self._filter(head)
+        matches = finder.search(rows)
+        least = self.model.threshold**2
+        several = finder.beside(rows, matches.place_mm, matches.strength)[0] >= _SUSPICIOUS * least
+        counter = HeadCounter(
+            finder, threshold=self.model.threshold, misfit=self.model.misfit, diameter_mm=head.diameter_mm
+        )
+        found = []
+        for frame, flag in enumerate(bad.tolist()):
+            if flag:
+                found.append(nothing_together(np.nan, np.nan, Flag(flag)))
+            elif matches.gain[frame] < least and not several[frame]:
+                found.append(nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED))
+            else:
+                most = at_most if several[frame] else 1
+                heads, further = counter.heads(rows[frame], matches.place_mm[frame], most)
+                found.append(self._together(heads, further if several[frame] else 0.0, finder, head))
+        return tuple(found)
+
+    def _together(
+        self, heads: Heads | None, unexplained: float, finder: TemplateFilter, head: Indenter
+    ) -> SeveralForces:
+        if heads is None:
+            return nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED)
+        heads = heads.scattered(finder.size_slope(heads.place_mm), self.model.place_scatter_mm)
+        return forces_together(
+            heads.times(self.issued.indenter.area_mm2 / head.area_mm2),
+            unexplained,
+            ForceInverse(self.model, self.issued.against_stress, head.area_mm2, self._gradient),
+            self.issued.validity,
+            nearest_mm=_NEAREST * head.diameter_mm,
+            sign=self.sign,
+        )
 
     def rows(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, NDArray[np.int64]]:
         """Changes of frames as rows (n, r) of unit noise, and flags (n,) of frames that cannot be used.
@@ -174,7 +260,36 @@ class Calibration:
             )
         return places
 
-    def _forces(self, matches: Matches, bad: NDArray[np.int64], head: Indenter, *, searched: bool) -> Forces:
+    def _others(self, rows: Array, matches: Matches, finder: TemplateFilter) -> Array:
+        """Strength (n,) of what presses beside the found head, over its own; 0 where that head is all there is.
+
+        Another head explains more than noise and a lone head leave; it is looked for only where more than noise on
+        average is left.
+        """
+        others = np.zeros(len(rows))
+        left, gain = matches.energy - matches.gain, matches.gain
+        freedom = self.model.templates.shape[1]
+        looked = np.flatnonzero((left > freedom) & (gain >= self.model.threshold**2))
+        if len(looked):
+            place, strength, gain_there = matches.place_mm[looked], matches.strength[looked], gain[looked]
+            further, there = finder.beside(rows[looked], place, strength)
+            ratio = np.abs(there) / np.maximum(np.abs(strength), np.finfo(np.float64).tiny)
+            clear = further >= self.model.threshold**2 + self.model.misfit * gain_there
+            others[looked] = np.where(clear & (ratio > _LEFT_BEHIND), ratio, 0.0)
+        # What no template explains beyond noise, over what the first does.
+        unlike = left - freedom - _ROOM * np.sqrt(2 * freedom) > max(self.model.misfit, _UNLIKE) * gain
+        share = np.sqrt(np.maximum(left - freedom, 0.0) / np.maximum(gain, 1.0))
+        return np.where(unlike, np.maximum(others, share), others)
+
+    def _forces(
+        self,
+        matches: Matches,
+        bad: NDArray[np.int64],
+        others: Array,
+        head: Indenter,
+        *,
+        searched: bool,
+    ) -> Forces:
         inverse = ForceInverse(self.model, self.issued.against_stress, head.area_mm2, self._gradient)
         force, stderr = inverse.force(matches)
         detectability = np.sqrt(matches.gain)
@@ -184,6 +299,9 @@ class Calibration:
             # Nobody knows where a load would be that does not show: it may be where the sheet shows least.
             force[silent], stderr[silent] = 0.0, self.least_force_N
         loaded = ~silent & (bad == 0)
+        several = loaded & (others > 0)
+        flags[several] |= Flag.MORE_THAN_ONE
+        stderr[several] = np.hypot(stderr, np.abs(force) * others)[several]
         flags[loaded] |= range_flags(force, stderr, matches.place_mm, self.issued.validity)[loaded]
         force[bad != 0] = np.nan
         stderr[bad != 0] = np.nan
@@ -211,10 +329,6 @@ class Calibration:
         there = detectability >= level
         sign = np.sign(self.issued.against_stress.slope.value)
         flags[there & (matches.strength * sign < 0)] |= Flag.WRONG_SIGN
-        # What the template leaves beyond noise, over what it explains.
-        freedom = self.model.templates.shape[1]
-        left = matches.energy - matches.gain - freedom - _ROOM * np.sqrt(2 * freedom)
-        flags[there & (left > self.model.misfit * matches.gain)] |= Flag.MORE_THAN_ONE
         return flags
 
 

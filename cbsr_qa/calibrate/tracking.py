@@ -24,6 +24,9 @@ Array = NDArray[np.float64]
 
 #: Frames in a row without a sign of a residue after which it is forgotten.
 _FORGOTTEN: Final = 4
+#: Least share of what the tracks explain, as energy, that is another load: frames of heads that move, and residues
+#: that no track stands for, leave more than the steady loads a calibration is learned from.
+_LEAST_SHARE: Final = 0.04
 
 
 class LoadState(StrEnum):
@@ -181,7 +184,8 @@ class ForceStream:
         """Whether what the tracks leave of a frame is more than noise, and more than a template may leave."""
         gain = float(match.gain[0])
         explained = sum(track.strength**2 * float(track.template @ track.template) for track in self._tracks)
-        return gain >= self._model.threshold**2 and gain >= self._model.misfit * explained
+        share = max(self._model.misfit, _LEAST_SHARE)
+        return gain >= self._model.threshold**2 and gain >= share * explained
 
     def _base(self, template: Array) -> float:
         """Strength that a place showed in the last frames."""

@@ -75,8 +75,8 @@ class ForceModel:
     scatter : relative deviation of single loads about the map that noise does not explain.
     stress_kPa : (lowest, highest) of the loads the map was learned from.
     threshold : least detectability d′ (signal over noise of the readings) that counts as a load.
-    misfit : largest share of a load's signal, as energy, that its template may leave unexplained before the frame
-        counts as something else than one such head.
+    misfit : largest share of a load's signal, as energy, that the template of a second head may explain before the
+        frame counts as one of several. In files of before it was that of all that a template leaves, 0.04 at least.
     residue_share, residue_stderr : share of what earlier loads left just before a press that is still there at its
         steady frames, as the calibration took it.
     residue_strength : root mean square of the strength that earlier loads had left where a load was then pressed.
