@@ -6,8 +6,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.run_loads import load_window
+from cbsr_qa.calibrate.common_relaxation import TimedValues
 from cbsr_qa.calibrate.force_learning import RESIDUE_SHARE
-from cbsr_qa.calibrate.matched import TemplateFilter
+from cbsr_qa.calibrate.matched import Matches, TemplateFilter
 from cbsr_qa.calibrate.relaxation_kernel import learn_kernel
 from cbsr_qa.calibrate.unloading import relaxation_start
 from cbsr_qa.domain.errors import NumericsError
@@ -39,7 +41,7 @@ def force_kernels(
     -------
     Both; None where there is none (short holds, weak loads, no relaxation that can be told from drift).
     """
-    traces = _Traces(run, dict(zip(map(id, loads), places_mm, strict=True)), merging, filter_)
+    traces = StrengthTraces(run, dict(zip(map(id, loads), places_mm, strict=True)), merging, filter_)
     clear = sorted(loads, key=traces.detectability, reverse=True)[:_MOST]
     clear = [load for load in clear if traces.detectability(load) >= _LEAST_DETECTABILITY]
     if not clear:
@@ -53,7 +55,7 @@ def frames_of(run: RunObservation, load: LoadObservation, from_s: float, to_s: f
     return None if frames is None else frames.between(from_s, to_s)
 
 
-class _Traces:
+class StrengthTraces:
     """Strengths over time at the places of loads."""
 
     def __init__(
@@ -65,7 +67,7 @@ class _Traces:
     def detectability(self, load: LoadObservation) -> float:
         """Of the end of the hold, in the noise of one frame."""
         if id(load) not in self._known:
-            _, strength, noise = self._trace(load, load.record.hold_start_s, load.record.release_start_s)
+            _, strength, noise = self.held(load)
             self._known[id(load)] = abs(float(strength[-4:].mean())) / noise if len(strength) else 0.0
         return self._known[id(load)]
 
@@ -73,25 +75,27 @@ class _Traces:
         """The kernel of presses."""
         traces, ramps, noises = [], [], []
         for load in loads:
-            record = load.record
-            time_s, strength, noise = self._trace(load, record.hold_start_s, record.release_start_s)
-            fading = RESIDUE_SHARE + (1 - RESIDUE_SHARE) * np.exp(-time_s / _FADING_S)
-            traces.append((time_s, strength - self._left(load) * fading))
-            ramps.append(_ramp_s(load))
-            noises.append(noise)
+            traces.append(self.change(load))
+            ramps.append(ramp_s(load))
+            noises.append(self.held(load)[2])
         return _usable(traces, ramps, noises, None, 0.0)
+
+    def change(self, load: LoadObservation) -> TimedValues:
+        """Times from the start of the hold [s], and strengths under it without what earlier loads left."""
+        time_s, strength, _ = self.held(load)
+        return time_s, strength - self.left(load) * self.fading(time_s)
 
     def unloading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
         """The kernel of releases."""
         traces, ramps, noises, released = [], [], [], []
         for load in loads:
             record = load.record
-            _, held, _ = self._trace(load, record.hold_start_s, record.release_start_s)
+            _, held, _ = self.held(load)
             time_s, strength, noise = self._trace(load, record.unloaded_s, record.rest_end_s)
             if len(time_s) < 6:
                 continue
             traces.append((time_s, strength))
-            ramps.append(_ramp_s(load))
+            ramps.append(ramp_s(load))
             noises.append(noise)
             released.append(float(held[-4:].mean()))
         if not traces:
@@ -104,21 +108,33 @@ class _Traces:
         frames = frames_of(self._run, load, from_s, to_s)
         if frames is None or not len(frames):
             return np.zeros(0), np.zeros(0), 1.0
-        matches = self._filter.at(self._rows(frames), self._places_mm[id(load)])
+        matches = self._strengths(load, frames)
         return frames.time_s - from_s, matches.strength, float(np.sqrt(matches.covariance[0, 0, 0]))
 
-    def _left(self, load: LoadObservation) -> float:
+    def held(self, load: LoadObservation) -> tuple[Array, Array, float]:
+        """Times from the start of the hold [s], strengths under it, and the noise of one of them."""
+        return self._trace(load, load.record.hold_start_s, load.record.release_start_s)
+
+    @staticmethod
+    def fading(time_s: Array) -> Array:
+        """Share of what earlier loads left that is still there so long after the press."""
+        share: Array = RESIDUE_SHARE + (1 - RESIDUE_SHARE) * np.exp(-time_s / _FADING_S)
+        return share
+
+    def left(self, load: LoadObservation) -> float:
         """Strength at the place just before the press."""
-        phase = self._run.record.phase(load.phase)
-        _, before, _ = self._trace(load, phase.started_s, load.record.press_start_s)
-        return float(before[-4:].mean()) if len(before) else 0.0
+        before = load_window(self._run.record.phase(load.phase), load.record, self._run.settings).before
+        return float(self._strengths(load, before).strength.mean()) if len(before) else 0.0
+
+    def _strengths(self, load: LoadObservation, frames: FrameBlock) -> Matches:
+        return self._filter.at(self._rows(frames), self._places_mm[id(load)])
 
     def _rows(self, frames: FrameBlock) -> Array:
         rows: Array = (frames.voltages - self._run.reference)[:, self._run.usable] @ self._merging.T
         return rows
 
 
-def _ramp_s(load: LoadObservation) -> float:
+def ramp_s(load: LoadObservation) -> float:
     """How long the head moved in the sheet: as long down as up."""
     return max(load.record.unloaded_s - load.record.release_start_s, 0.0)
 

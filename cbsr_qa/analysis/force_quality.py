@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run_force import HELD_OUT, ForceTest, RunForce
 from cbsr_qa.analysis.run_loads import load_window
-from cbsr_qa.calibrate.common_relaxation import fit_common_relaxation
+from cbsr_qa.calibrate.common_relaxation import TimedValues, fit_common_relaxation
 from cbsr_qa.calibrate.data_sheet import Estimate
 from cbsr_qa.calibrate.force import ForceInverse, map_gradient
 from cbsr_qa.calibrate.force_learning import LearnedForce
@@ -211,8 +211,14 @@ def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -
     return tuple(Detectable(float(f), float(e), (p[0], p[1])) for f, e, p in zip(force, stderr, at, strict=True))
 
 
-def gauge_factor(run: RunObservation, found: RunForce) -> tuple[Estimate, Estimate]:
+def gauge_factor(
+    run: RunObservation, found: RunForce, *, traces: Sequence[TimedValues] | None = None
+) -> tuple[Estimate, Estimate]:
     """Return the gauge factor of the sheet, and where holds end over what was seen of them.
+
+    Parameters
+    ----------
+    traces : of holds, which say how the conductance nears its steady state; by default those of the run's blobs.
 
     Raises
     ------
@@ -237,24 +243,33 @@ def gauge_factor(run: RunObservation, found: RunForce) -> tuple[Estimate, Estima
         radius_mm=run.record.sensor_type.radius_mm,
         sheet_mm=sheet_places(learned.model),
     )
-    share = _steady_share(run, loads)
+    if traces is None:
+        traces = _blob_traces(run)
+    share = _steady_share(run, loads, traces, learned.model.steady_s)
     value = seen.value * share.value
     relative = float(np.hypot((seen.stderr or 0.0) / seen.value, (share.stderr or 0.0) / share.value))
     return Estimate(value, abs(value) * relative, seen.degrees), share
 
 
-def _steady_share(run: RunObservation, loads: Sequence[LoadObservation]) -> Estimate:
-    """Of the frames that were averaged, alike for all loads as far as their holds are."""
-    traces = [
+def _blob_traces(run: RunObservation) -> list[TimedValues]:
+    return [
         (seen.trace.time_s, seen.trace.values)
         for load in run.loads
         for seen in load.relaxations
         if seen.signal == "conductance" and seen.loading
     ]
+
+
+def _steady_share(
+    run: RunObservation, loads: Sequence[LoadObservation], traces: Sequence[TimedValues], predicted_s: float
+) -> Estimate:
+    """Of the frames that were averaged, alike for all loads as far as their holds are; or of what was predicted."""
     times = [
         load_window(run.record.phase(load.phase), load.record, run.settings).steady.time_s - load.record.hold_start_s
         for load in loads
     ]
+    if run.settings.transients == "predicted" and predicted_s > 0:
+        times = [np.array([predicted_s])]
     fitted = steady_share(fit_common_relaxation(traces), np.concatenate(times))
     of_residues = _OF_RESIDUES * abs(fitted.value - 1)
     return Estimate(fitted.value, float(np.hypot(fitted.stderr or 0.0, of_residues)), fitted.degrees)

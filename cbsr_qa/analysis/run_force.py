@@ -8,9 +8,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.force_kernels import force_kernels
+from cbsr_qa.analysis.force_kernels import StrengthTraces, force_kernels
 from cbsr_qa.analysis.run_estimates import model_scale, reading_variance
 from cbsr_qa.analysis.run_loads import load_window
+from cbsr_qa.analysis.transients import compensated
+from cbsr_qa.calibrate.common_relaxation import TimedValues
 from cbsr_qa.calibrate.force import ForceInverse, map_gradient
 from cbsr_qa.calibrate.force_learning import CalibrationLoads, LearnedForce, learn_force, unlearned_model
 from cbsr_qa.calibrate.matched import Matches, TemplateFilter, scattered
@@ -103,6 +105,46 @@ def run_force(run: RunObservation) -> RunForce:
         return RunForce(None, (), (), error.reason)
 
 
+def learned_from(run: RunObservation) -> RunForce:
+    """Learn the force model from all loads of phases that calibrate, and test nothing.
+
+    Raises
+    ------
+    CbsrError
+        If nothing can be learned; the reason is in it.
+    """
+    loads = _RunForce(run)
+    calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
+    used = tuple(load for load, yes in zip(loads.loads, calibrating, strict=True) if yes)
+    learned = loads.learn(calibrating)
+    steady_s = learned.model.steady_s if loads.at_s is None else loads.at_s
+    return RunForce(replace(learned, model=replace(learned.model, steady_s=steady_s)), used, (), seat=loads.seat)
+
+
+def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, ...]:
+    """Test a model, learned elsewhere, on every load of a run whose holds are looked at as they are.
+
+    Raises
+    ------
+    CbsrError
+        If the run has no load with a force, or its noise cannot be told.
+    """
+    loads = _RunForce(replace(run, settings=replace(run.settings, transients="averaged")))
+    return tuple(loads.tests(learned, np.ones(len(loads.loads), dtype=np.bool_), HELD_OUT))
+
+
+def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[TimedValues]:
+    """Strengths under holds at the places of loads: times from the start of each [s], without what earlier ones left.
+
+    Raises
+    ------
+    CbsrError
+        If the run has no load with a force, or its noise cannot be told.
+    """
+    strengths = _RunForce(run).strengths()
+    return [strengths.change(load) for load in loads]
+
+
 class _RunForce:
     """One run's loads with all they are compared with."""
 
@@ -121,6 +163,9 @@ class _RunForce:
         pressed = [load for load in run.loads if load.force_N is not None and load.together == 1]
         self.loads = tuple(pressed)
         self.data, self.seat = self._seated(self._data())
+        self.at_s: float | None = None
+        if run.settings.transients == "predicted":
+            self.data, self.at_s = compensated(run, self.loads, self.data, self.strengths())
 
     def _data(self) -> CalibrationLoads:
         if not self.loads:
@@ -138,6 +183,13 @@ class _RunForce:
             frames_before=np.array([len(rows) for rows in before]),
             force_N=np.array([one.force_N for one in self.loads], dtype=np.float64),
             force_stderr_N=np.array([one.force_stderr_N or 0.0 for one in self.loads]),
+        )
+
+    def strengths(self) -> StrengthTraces:
+        """Strengths over time, of every load at its place on the sheet."""
+        places = dict(zip(map(id, self.loads), self.data.place_mm, strict=True))
+        return StrengthTraces(
+            self.run, places, self.merging, TemplateFilter(unlearned_model(self.bank, self.merging))
         )
 
     def _seated(self, data: CalibrationLoads) -> tuple[CalibrationLoads, Seat]:
@@ -177,7 +229,8 @@ class _RunForce:
         loading, unloading = force_kernels(
             self.run, loads, self.data.place_mm[which], self.merging, TemplateFilter(model)
         )
-        timed = replace(model, steady_s=float(np.mean(held)), loading=loading, unloading=unloading)
+        steady_s = float(np.mean(held)) if self.at_s is None else self.at_s
+        timed = replace(model, steady_s=steady_s, loading=loading, unloading=unloading)
         return replace(learned, model=timed)
 
     def learn(self, which: NDArray[np.bool_]) -> LearnedForce:

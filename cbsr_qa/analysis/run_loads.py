@@ -27,7 +27,7 @@ class LoadWindow:
 
     Parameters
     ----------
-    before : last frames before the head starts down (may be empty).
+    before : last frames of the unloaded sheet before the head starts down (may be empty).
     cycle : every frame from the press to the end of the rest.
     steady : the last frames of the hold, at least one.
     """
@@ -65,11 +65,20 @@ def load_window(phase: PhaseRecord, record: LoadRecord, settings: AnalysisSettin
     hold = None if frames is None else frames.between(record.hold_start_s, record.release_start_s)
     if frames is None or hold is None or not len(hold):
         raise NumericsError(f"load {record.load.label} of phase {phase.name!r} was held without taking a frame")
-    before = frames.between(phase.started_s, record.press_start_s)
+    before = frames.between(_free_from_s(phase, record), record.press_start_s)
     return LoadWindow(
         before.select(slice(max(len(before) - settings.reference_frames, 0), None)),
         frames.between(record.press_start_s, record.rest_end_s),
         hold.select(slice(max(len(hold) - settings.steady_frames, 0), None)),
+    )
+
+
+def _free_from_s(phase: PhaseRecord, record: LoadRecord) -> float:
+    """When the press before this one had left the sheet: after a short rest few frames are of an unloaded one."""
+    every = (*phase.loads, *phase.loops)
+    return max(
+        (other.release_end_s for other in every if other.release_end_s <= record.press_start_s),
+        default=phase.started_s,
     )
 
 

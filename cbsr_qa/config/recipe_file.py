@@ -81,6 +81,7 @@ class AnalysisTable(Table):
     perimeter: Literal["length", "nodes"] = "length"
     outline: Literal["contour", "elements"] = "contour"
     noise_weighting: Literal["equal", "measured"] = "equal"
+    transients: Literal["averaged", "predicted"] = "averaged"
 
     def problems(self) -> Iterator[Problem]:
         """Yield what does not fit together within the table."""
@@ -138,6 +139,7 @@ class AnalysisTable(Table):
             perimeter=self.perimeter,
             outline=self.outline,
             noise_weighting=self.noise_weighting,
+            transients=self.transients,
         )
 
 

@@ -130,6 +130,8 @@ class AnalysisSettings:
     outline : of a sensed region: ``"contour"`` (inside the elements) or ``"elements"`` (whole ones, the paper's).
     noise_weighting : ``"equal"`` (all readings count alike) or ``"measured"`` (by their noise when unloaded).
     calibrate_phases : names of the phases whose loads the calibration is taken from; loads of others test it.
+    transients : of short holds, for the force model: ``"averaged"`` (their last frames count as they are) or
+        ``"predicted"`` (to where the run's longest holds end).
     """
 
     masks: tuple[float, ...]
@@ -149,6 +151,7 @@ class AnalysisSettings:
     outline: str
     noise_weighting: str = "equal"
     calibrate_phases: tuple[str, ...] = ()
+    transients: str = "averaged"
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,0 +1,155 @@
+"""Simulated sensors the frontier's settings are tried on, and what a setting costs the station."""
+
+import copy
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from functools import lru_cache
+from typing import Any, Final
+
+from cbsr_qa.analysis.observe import observe_run
+from cbsr_qa.app.setup import made, open_station, plan_of, station_clock
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type, load_station
+from cbsr_qa.config.merge import Configuration, merge
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.observation import RunObservation
+from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.run import RunIdentity, RunRecord
+from cbsr_qa.domain.scene import SheetDesign
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.domain.steps import AcquireFrames, Hold, Press, Role, Step
+from cbsr_qa.frontier.setting import GRID
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa.interfaces import Reconstruction, Sequence, SequenceContext
+from cbsr_qa.plugins import discover
+from cbsr_qa.runner.dry_run import dry_run
+from cbsr_qa.runner.execute import execute
+from cbsr_qa.runner.memory_journal import MemoryJournal
+
+#: What is uneven or slow about a simulated sensor, beside the scene ``base``: its response by 20 % over 20 mm, and a
+#: residue of 3 % that fades in five minutes.
+SHEET: Final = (
+    {"name": "uneven-response", "deviation": 0.2, "correlation_mm": 20.0},
+    {"name": "residue", "share": 0.03, "decay_s": 300.0},
+)
+MATERIAL: Final = "cbsr-8wt"
+_FRAMES_BEFORE: Final = 4
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedSensor:
+    """A sensor that went through a recipe.
+
+    Parameters
+    ----------
+    record : the run.
+    design : the sheet it was simulated with: the truth.
+    """
+
+    record: RunRecord
+    design: SheetDesign
+
+
+def station_seconds(recipe: Mapping[str, Any], *, frame_period_s: float = 2.5) -> float:
+    """Time a recipe occupies the simulated station, by a dry run: rests, travel and surface finding included [s]."""
+    configuration = _configuration(recipe, 1, frame_period_s)
+    return dry_run(plan_of(configuration, discover()), frame_period_s).duration_s
+
+
+def simulated_sensor(
+    recipe: Mapping[str, Any], seed: int, frame_period_s: float = 2.5, whole_holds: bool = True
+) -> SimulatedSensor:
+    """Put one sensor through a recipe at the simulated station, kept in memory.
+
+    Of rests only the last frames are taken: nothing of the frontier looks at the others, and all times stay the same.
+
+    Parameters
+    ----------
+    frame_period_s : of a frame; the noise of a reading falls with its square root from that of the shipped 2.5 s,
+        as white noise does.
+    whole_holds : False takes only the last frames of the grid's holds too.
+
+    Raises
+    ------
+    NumericsError
+        If the run did not finish; says why.
+    """
+    plugins = discover()
+    configuration = _configuration(recipe, seed, frame_period_s)
+    plan = plan_of(configuration, plugins)
+    sparse = replace(
+        plan,
+        phases=tuple(
+            replace(phase, sequence=_Sparse(phase.sequence, frame_period_s, whole_holds or phase.name != GRID))
+            for phase in plan.phases
+        ),
+    )
+    clock = station_clock(configuration)
+    bench = open_station(configuration, plugins, clock)
+    try:
+        identity = RunIdentity(
+            "frontier", SensorIdentity(f"SIMULATED-{seed}", "", configuration.sensor_type.name), "simulated",
+            configuration.recipe.name, "", datetime(2026, 1, 1, tzinfo=UTC), configuration.digest, (),
+            bench.identities(),
+        )  # fmt: skip
+        journal = MemoryJournal(sparse)
+        ended = execute(sparse, identity, bench, clock, [journal])
+        if ended.end is not EndReason.FINISHED:
+            raise NumericsError(f"the simulated run was {ended.end}: {ended.detail}")
+        design: SheetDesign = bench.frame_source.world.sheet.design  # type: ignore[attr-defined]
+        return SimulatedSensor(journal.record(identity, ended, clock.now()), design)
+    finally:
+        bench.close()
+
+
+def observed(record: RunRecord, analysis: AnalysisSettings) -> RunObservation:
+    """Look at a run as ``cbsr-qa run`` does, without what is fitted to single loads over time."""
+    return observe_run(record, _reconstruction(), analysis, over_time=False)
+
+
+@lru_cache(maxsize=1)
+def _reconstruction() -> Reconstruction:
+    recipe = load_recipe(open_document(DocumentKind.RECIPE, "nine-locations").data).value
+    found: Reconstruction = made(discover(), Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+    return found
+
+
+class _Sparse:
+    """A sequence of whose rests only the last frames are taken, the times of all else unchanged."""
+
+    def __init__(self, sequence: Sequence, frame_s: float, whole_holds: bool) -> None:
+        self._sequence, self._frame_s, self._whole_holds = sequence, frame_s, whole_holds
+        self.role = getattr(sequence, "role", Role.OTHER)
+
+    def steps(self, context: SequenceContext) -> Iterator[Step]:
+        """Yield the steps of the sequence."""
+        whole, kept_s = False, _FRAMES_BEFORE * self._frame_s
+        for step in self._sequence.steps(context):
+            if isinstance(step, Hold) and step.acquire and not whole and step.hold_s > kept_s:
+                yield Hold(step.hold_s - kept_s, acquire=False)
+                yield AcquireFrames(_FRAMES_BEFORE)
+            else:
+                yield step
+            whole = self._whole_holds and isinstance(step, Press)
+
+
+def _configuration(recipe: Mapping[str, Any], seed: int, frame_period_s: float) -> Configuration:
+    station, scene, data = (
+        copy.deepcopy(dict(open_document(kind, name).data))
+        for kind, name in (
+            (DocumentKind.STATION, "simulated"),
+            (DocumentKind.SCENE, "base"),
+            (DocumentKind.MATERIAL, MATERIAL),
+        )
+    )
+    scene["effects"] = [*scene["effects"], *(dict(effect) for effect in SHEET)]
+    usual_s = scene["scene"]["frame_period_s"]
+    scene["scene"]["frame_period_s"] = frame_period_s
+    data["material"]["relative_noise"]["value"] *= (usual_s / frame_period_s) ** 0.5
+    station["instruments"]["bench"]["scene"] = scene
+    at = load_station(station)
+    return merge(
+        at, load_recipe(dict(recipe)), load_sensor_type(at.value.sensor_type), load_material(data), seed=seed
+    )
