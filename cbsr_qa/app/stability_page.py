@@ -6,7 +6,9 @@ from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.report import Block, Cell, Figure, Paragraph, Section
@@ -17,6 +19,7 @@ from cbsr_qa.report.svg import drawn
 from cbsr_qa.report.tables import text_table
 from cbsr_qa.stability.case import CONDITIONING_ROOM, EPSILON, CaseResult, Ending
 
+_SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _EXACT: Final = 1e-18  # where an error of exactly zero is drawn
 _READING: Final = (
     "A sensor's force comes out of long chains of arithmetic with numbers of sixteen digits. Some inputs cost "
@@ -105,8 +108,14 @@ def error_figure(results: Sequence[CaseResult]) -> Figure:
         axes = figure.add_axes((0.44, 0.5 / height, 0.54, 1 - 0.62 / height))
         light_grid(axes, "x")
         axes.set_xscale("log")
+        area = ""
         for row, result in enumerate(results):
             _error(axes, row, result)
+            if result.case.area != area:
+                area = result.case.area
+                axes.text(1, row, area, transform=axes.get_yaxis_transform(), fontweight="bold", ha="right")
+                axes.axhline(row - 0.5, color=FAINT, linewidth=0.6)
+        _powers(axes.xaxis, *axes.get_xlim())
         axes.set_xlabel("error (dot) and bound (bar), relative or in the case's own unit")
         name_rows(axes, [result.case.name for result in results], most=len(results))
         return figure
@@ -129,6 +138,17 @@ def _error(axes: Axes, row: int, result: CaseResult) -> None:
     axes.plot(bound, row, color=INK, marker="|", markersize=6, linestyle="none")
     filled = colour if answer.error > 0 else "none"
     axes.plot(error, row, color=colour, marker="o", markersize=3.2, markerfacecolor=filled, linestyle="none")
+
+
+def _powers(axis: Axis, low: float, high: float) -> None:
+    """Number a logarithmic axis by every second power of ten or so."""
+    first, last = int(np.ceil(np.log10(low))), int(np.floor(np.log10(high)))
+    powers = range(first, last + 1, max(1, -(-(last - first) // 10)))
+    axis.set_major_locator(FixedLocator([10.0**power for power in powers]))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(
+        FuncFormatter(lambda value, _: "10" + str(round(np.log10(value))).translate(_SUPERSCRIPTS))
+    )
 
 
 def condition_figure(results: Sequence[CaseResult]) -> Figure:
@@ -154,6 +174,8 @@ def condition_figure(results: Sequence[CaseResult]) -> Figure:
         axes.plot(ends, CONDITIONING_ROOM * ends, color=INK, linewidth=0.8)
         axes.text(ends[1], ends[1], " what rounding the input costs", color=QUIET, fontsize=7, va="center")
         axes.text(ends[1], CONDITIONING_ROOM * ends[1], " a hundred times that", color=INK, fontsize=7, va="center")
+        _powers(axes.xaxis, *axes.get_xlim())
+        _powers(axes.yaxis, *axes.get_ylim())
         axes.set_xlabel("condition number × machine precision")
         axes.set_ylabel("error")
         return figure

@@ -139,7 +139,7 @@ class ForwardModel:
         -------
         (n, k) [V], for the n nodes of the finite elements, the mesh's first.
         """
-        return self._factors.solve(load)
+        return self._factors.solve(load, refine=self._far_apart)
 
     @cached_property
     def electrode_fields(self) -> Array:

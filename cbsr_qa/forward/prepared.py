@@ -106,7 +106,8 @@ class PreparedSheet:
         ground = int(self.place[self.elements.cells[best, 0]])
         values[self._diagonal[ground]] += even[best]
         matrix = sparse.csc_matrix((values, self._row, self._start), shape=(self.elements.count,) * 2)
-        return Factors(splu(matrix, permc_spec="NATURAL", **_SYMMETRIC), self.place, conductors, ground)
+        factors = splu(matrix, permc_spec="NATURAL", **_SYMMETRIC)
+        return Factors(factors, self.place, conductors, ground, float(even[best]))
 
 
 class Factors:
@@ -117,20 +118,21 @@ class Factors:
     factors : of the matrix in the order of elimination, with a node held.
     place : (n,) each node's place in that order.
     conductors : of the matrix, without what holds the node.
-    ground : place of the node that is held.
+    ground : place of the node that is held. held_by : what it is held by [S].
     """
 
-    def __init__(self, factors: SuperLU, place: Indices, conductors: Conductors, ground: int) -> None:
+    def __init__(self, factors: SuperLU, place: Indices, conductors: Conductors, ground: int, held_by: float) -> None:
         self._factors = factors
         self._place = place
         self._conductors = conductors
         self._ground = ground
+        self._held_by = held_by
         self._order = np.argsort(place)
 
-    def solve(self, load: Array) -> Array:
-        """Potentials for currents into nodes: (n, k) [A] to (n, k) [V]."""
+    def solve(self, load: Array, *, refine: bool = False) -> Array:
+        """Potentials for currents into nodes: (n, k) [A] to (n, k) [V]; refined, as :meth:`refined_ordered`."""
         ordered = np.take(load.T, self._order, axis=1).T  # column by column in memory, as the solver wants it
-        return self.solve_ordered(ordered)[self._place]
+        return (self.refined_ordered(ordered) if refine else self.solve_ordered(ordered))[self._place]
 
     def solve_ordered(self, load: Array) -> Array:
         """The same, both in the order of elimination."""
@@ -138,14 +140,23 @@ class Factors:
         return potentials
 
     def refined_ordered(self, load: Array) -> Array:
-        """The same to rounding, however far conductances and contacts are apart; columns of loads sum to zero.
+        """The same to rounding, however far conductances and contacts are apart.
+
+        What columns do not sum to zero by leaves at the node that is held.
 
         Raises
         ------
         NumericsError
             As :func:`~cbsr_qa.forward.refinement.refined`.
         """
-        return refined(self._conductors, load, self.solve_ordered, self.solve_ordered(load), self._ground)
+        total = load.sum(axis=0)
+        balanced = load.copy()
+        balanced[self._ground] -= total
+        potentials = refined(
+            self._conductors, balanced, self.solve_ordered, self.solve_ordered(balanced), self._ground
+        )
+        potentials += total / self._held_by
+        return potentials
 
 
 def check_connected(mesh: Mesh) -> None:

@@ -5,7 +5,7 @@ conductor's current out of the sheet, which counts against the worst conductor t
 contrasts of 1e8, readings that the problem itself would determine to 1e-15 were right to 1e-8. Here residuals are
 formed without the diagonal, as Σ_j K_ij (u_j − u_i), of potentials in twice the precision (Dekker 1971): what flows
 into a node then flows out of it again to the last digit. Corrections from the same factors are added until they
-vanish (Wilkinson 1963; Demmel et al. 2006), which takes two or three.
+vanish or are of rounding (Wilkinson 1963; Demmel et al. 2006), which takes two or three.
 """
 
 from collections.abc import Callable
@@ -22,6 +22,8 @@ Indices = NDArray[np.int32]
 
 _MOST_STEPS: Final = 12
 _DONE: Final = 1e-13  # of the largest potential: the next correction would be one of rounding
+_SHRINKS: Final = 0.5  # a correction that is no smaller than so much of the last one is of rounding already
+_LOST: Final = 1e-2  # of the largest potential: corrections that end above were never any
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,20 +69,31 @@ def refined(
     Raises
     ------
     NumericsError
-        If corrections do not vanish: the factors have no digit left.
+        If corrections do not shrink: the factors have no digit left.
     """
     high, low = potentials - potentials[ground], np.zeros_like(potentials)
+    left = np.inf
     for _ in range(_MOST_STEPS):
         correction = solve(load - conductors.out_of(high, low))
         correction -= correction[ground]
         high, lost = _sum(high, correction)
         high, low = _sum(high, low + lost)
-        if (np.abs(correction).max(axis=0) <= _DONE * np.abs(high).max(axis=0)).all():
-            return np.asarray(high, dtype=np.float64)
-    raise NumericsError(
-        "the sheet's potentials cannot be refined: its conductances and contacts are too far apart",
-        remedy="bring conductances and contact impedances closer to each other",
-    )
+        before, left = left, _share(correction, high)
+        if left <= _DONE or left > _SHRINKS * before:
+            break
+    if not left <= _LOST:
+        raise NumericsError(
+            "the sheet's potentials cannot be refined: its conductances and contacts are too far apart",
+            remedy="bring conductances and contact impedances closer to each other",
+        )
+    return np.asarray(high, dtype=np.float64)
+
+
+def _share(correction: Array, potentials: Array) -> float:
+    """Largest correction of a column over its largest potential, of all columns the worst."""
+    largest = np.abs(potentials).max(axis=0)
+    share: float = (np.abs(correction).max(axis=0)[largest > 0] / largest[largest > 0]).max(initial=0.0)
+    return float(share)
 
 
 def _sum(one: Array, other: Array) -> tuple[Array, Array]:

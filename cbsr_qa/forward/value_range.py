@@ -2,12 +2,11 @@
 
 Rounding lets current leak out of a row of the matrix, some 1e-16 of its largest entry: of the best conductor, and of
 |E|/z under a contact. The leak counts against the worst conductor the current has to pass. Where values are more than
-1e3 apart potentials are therefore refined (:mod:`cbsr_qa.forward.refinement`); readings that touch no driven
-electrode are then right to 1e-13 in norm over all that is allowed here. Without, they would err by 4e-16 |E|/(z γ)
-where contacts are good and by up to 1.5e-14 of the contrast, where good conductors round the electrodes are parted by
-a poor one. What refinement needs is that the factors have digits left at all; beyond these ranges, which no sheet
-comes near, values are taken for mistakes. Local updates of a sheet that is far apart before its loads are not
-refined.
+a hundred apart potentials are therefore refined (:mod:`cbsr_qa.forward.refinement`); readings that touch no driven
+electrode are then right to 1e-13 in norm over all that is allowed here, also after local updates. Without, they would
+err by 4e-16 |E|/(z γ) where contacts are good and by up to 1.5e-14 of the contrast, where good conductors round the
+electrodes are parted by a poor one. What refinement needs is that the factors have digits left at all; beyond these
+ranges, which no sheet comes near, values are taken for mistakes.
 """
 
 from typing import Final
@@ -26,7 +25,7 @@ FAR_CONTACT_RANGE: Final = (1e-10, 1e10)
 #: Largest over smallest conductance.
 MOST_CONTRAST: Final = 1e8
 #: Conductances, contacts' among them, further apart than this have their potentials refined.
-REFINED_ABOVE: Final = 1e3
+REFINED_ABOVE: Final = 1e2
 _ROUNDING: Final = 1 + 1e-9  # what a contrast of just so much may be off
 
 
@@ -75,7 +74,7 @@ def check_contrast(least: Array, most: Array) -> None:
 
 
 def far_apart(least: Array, most: Array, impedance: Array, lengths_mm: Array) -> bool:
-    """Whether rounding would cost readings more than some three of their digits, so that potentials are refined.
+    """Whether rounding would cost readings more than some two of their digits, so that potentials are refined.
 
     Parameters
     ----------

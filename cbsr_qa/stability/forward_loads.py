@@ -13,7 +13,7 @@ from cbsr_qa.forward.local import LocalUpdate
 from cbsr_qa.forward.model import point_model
 from cbsr_qa.stability.case import Answer, HardCase, conditioned_bound
 from cbsr_qa.stability.extended import exact_readings
-from cbsr_qa.stability.small_sheet import inclusion, reading_condition, relative_error, small_model
+from cbsr_qa.stability.small_sheet import inclusion, islands, reading_condition, relative_error, small_model
 
 Array = NDArray[np.float64]
 
@@ -63,6 +63,19 @@ def _coincident() -> Answer:
     found = LocalUpdate(model).voltages(elements, change)
     conductance = model.conductance.copy()
     np.add.at(conductance, elements, change)
+    exact = exact_readings(model.mesh, model.pattern, conductance, model.contact_impedance)
+    condition = reading_condition(model.changed(conductance=conductance))
+    return Answer(relative_error(found, exact, model.pattern), conditioned_bound(condition), condition)
+
+
+def _perfect_contacts() -> Answer:
+    """A load on a sheet whose contacts are next to perfect, by local update."""
+    lengths = small_model().prepared.contacts.lengths_mm
+    model = small_model().changed(contact_impedance=1e-8 * lengths)
+    elements = _under(12.0, 5.0, 12.0)
+    found = LocalUpdate(model).voltages(elements, np.ones(len(elements)))
+    conductance = model.conductance.copy()
+    conductance[elements] += 1
     exact = exact_readings(model.mesh, model.pattern, conductance, model.contact_impedance)
     condition = reading_condition(model.changed(conductance=conductance))
     return Answer(relative_error(found, exact, model.pattern), conditioned_bound(condition), condition)
@@ -132,6 +145,16 @@ CASES: Final[tuple[HardCase, ...]] = (
         "load-where-the-mesh-begins-in-an-insulator",
         "A load on a sheet whose first element is an insulator, at which potentials would be held.",
         partial(loaded, _poor_ground, 2.0),
+    ),
+    _case(
+        "load-between-electrodes-parted-by-1e8",
+        "A load on a sheet whose electrodes sit on good conductors, parted by one a hundred million times worse.",
+        partial(loaded, partial(islands, 1e-8), 2.0),
+    ),
+    _case(
+        "load-beside-perfect-contacts",
+        "A load on a sheet whose contacts are next to perfect, solved for without factorising it again.",
+        _perfect_contacts,
     ),
     _case(
         "loads-a-nanometre-apart",

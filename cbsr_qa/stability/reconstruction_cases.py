@@ -164,6 +164,35 @@ def _lasting(frames: float) -> Answer:
     return Answer(float(error.max()), conditioned_bound(condition), condition)
 
 
+def _flat() -> Answer:
+    """Total variation with a weight beyond all readings: the constant that explains them best, (J1)·y / |J1|²."""
+    problem = usual_problem()
+    readings = problem.jacobian @ np.linspace(0.5, 1.5, len(problem.mesh.elements))
+    image = prepared("total-variation", problem, {"hyperparameter": 1e200}).images(readings[None])[0]
+    with mp.workdps(_DIGITS):
+        ones = [mp.fsum(row) for row in problem.jacobian.tolist()]
+        exact = float(mp.fdot(ones, readings.tolist()) / mp.fdot(ones, ones))
+    condition = float(np.abs(problem.jacobian).sum() / np.abs(problem.jacobian.sum(axis=1)).sum())
+    return Answer(float(np.abs(image / exact - 1).max()), conditioned_bound(condition), condition)
+
+
+def _greit_limit() -> Answer:
+    """GREIT's rows are scaled to the target's amplitude: for λ → ∞ they no longer depend on it, to 1/λ²."""
+    problem, readings = usual_problem(), _changes(usual_problem())
+    one, other = (
+        prepared("greit", problem, {"hyperparameter": value}).images(readings[None])[0] for value in (1e10, 1e20)
+    )
+    condition = float(np.linalg.norm(readings) * np.sqrt(len(one)) / np.linalg.norm(one))
+    return Answer(_apart(one, other), conditioned_bound(max(condition, 1.0)), max(condition, 1.0))
+
+
+def _too_little_variation() -> Answer:
+    problem = usual_problem()
+    readings = problem.jacobian @ np.linspace(0.5, 1.5, len(problem.mesh.elements))
+    prepared("total-variation", problem, {"hyperparameter": 1e-30}).images(readings[None])
+    return Answer(0.0, 0.0)
+
+
 def _prepare(name: str, options: Mapping[str, Any]) -> Answer:
     prepared(name, usual_problem(), options)
     return Answer(0.0, 0.0)
@@ -231,6 +260,18 @@ _NUMBERS: Final = (
         "λ²x = R⁻¹JᵀWy in the limit, to 1e-18",
     ),
     _case(
+        "greit-of-nothing-but-regularisation",
+        "GREIT with λ = 10¹⁰: its rows vanish and are scaled back to the target's amplitude.",
+        _greit_limit,
+        "the image at λ = 10²⁰: the limit",
+    ),
+    _case(
+        "total-variation-of-nothing-but-smoothness",
+        "Total variation with α = 10²⁰⁰: no jump is worth its price.",
+        _flat,
+        "the constant that explains the readings best, in fifty digits",
+    ),
+    _case(
         "sensor-in-picovolts",
         "A model whose voltages are 1e12 times those of another.",
         _fewer_units,
@@ -286,6 +327,12 @@ _REFUSED: Final = (
         "GREIT with λ = 0: more training targets than readings can tell apart.",
         partial(_prepare, "greit", {"hyperparameter": 0.0}),
         "by λ and the least that is allowed",
+    ),
+    _refusal(
+        "total-variation-next-to-none",
+        "Total variation with α = 10⁻³⁰, below a rounding of what it is added to.",
+        _too_little_variation,
+        "by what the image lacks",
     ),
     _refusal(
         "half-a-pair-of-singular-values",
