@@ -9,7 +9,7 @@ from cbsr_qa.calibrate.common_relaxation import CommonRelaxation
 from cbsr_qa.calibrate.data_sheet import Estimate
 from cbsr_qa.calibrate.response_average import average_response
 from cbsr_qa.calibrate.response_map import learn_response
-from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.errors import CalibrationError, NumericsError
 from cbsr_qa.domain.sensor import QuasiStatic
 
 Array = NDArray[np.float64]
@@ -46,9 +46,15 @@ def sheet_gauge_factor(
     Raises
     ------
     CalibrationError
-        If there are fewer than 3 loads.
+        If there are fewer than 3 loads, or the line predicts no change, or one of the other sign, for one of them.
     """
     predicted = line.slope.value * strain + line.intercept.value
+    if not ((predicted * contrast) > 0).all():
+        raise CalibrationError(
+            f"the line {line.slope.value:.3g} ε {line.intercept.value:+.3g} predicts no change of the sign seen"
+            f" at {int((predicted * contrast <= 0).sum())} of {len(strain)} loads: they say nothing about a response",
+            remedy="press harder, where α ε + β is clear of zero",
+        )
     middle = float(np.exp(np.log(np.abs(predicted)).mean()) * np.sign(predicted[0])) if len(predicted) else 1.0
     apart = len(strain) > 0 and strain.max() >= _SPREAD * strain.min()
     response = learn_response(

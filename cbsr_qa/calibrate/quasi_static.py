@@ -12,6 +12,10 @@ from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 
 #: Levels whose places differ by less than this share of their size are one place.
 _COLLINEAR: Final = 1e-9
+#: Numbers larger than this, or smaller than one over it, cannot be squared and divided by each other.
+_LARGEST: Final = 1e70
+#: Error of changes that are all zero, which nobody stated: small, with a square that is a number.
+_NO_ERROR: Final = 1e-120
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,8 +71,8 @@ def fit_quasi_static(
     Raises
     ------
     NumericsError
-        If the lengths differ, a number is not finite, fewer than two levels are left, or their x coincide: slope and
-        intercept cannot then be told apart.
+        If the lengths differ, a number is not finite, x or changes are beyond 1e±70, fewer than two levels are left,
+        or their x coincide: slope and intercept cannot then be told apart.
     """
     level, place, value = _checked(strain, x, change)
     given = np.zeros(len(value)) if stderr is None else np.asarray(stderr, dtype=np.float64)
@@ -108,6 +112,13 @@ def _checked(
         raise NumericsError(f"{len(level)} strains, {len(place)} places and {len(value)} changes do not fit together")
     if not all(np.isfinite(part).all() for part in (level, place, value)):
         raise NumericsError("a quasi-static fit was given a number that is not finite")
+    for name, part in (("x", place), ("change", value)):
+        size = float(np.abs(part).max(initial=0.0))
+        if size and not 1 / _LARGEST <= size <= _LARGEST:
+            raise NumericsError(
+                f"a quasi-static fit was given {name} of {size:.3g}: squares of such numbers are none",
+                remedy="state it in another unit",
+            )
     return np.round(level, 9), place, value
 
 
@@ -125,7 +136,7 @@ def _errors(
     stated = np.array([np.sqrt((given[level == s] ** 2).mean()) for s in strains])
     errors = np.maximum(scatter, stated) / np.sqrt(counts)
     # Without any scatter all levels weigh the same; rounding is the error that is left.
-    least = 1e-12 * float(np.abs(value).max(initial=0.0)) or 1e-300
+    least = 1e-12 * float(max(np.abs(value).max(initial=0.0), stated.max(initial=0.0))) or _NO_ERROR
     return np.maximum(errors, least), deviations
 
 

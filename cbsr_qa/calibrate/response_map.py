@@ -161,13 +161,15 @@ def learn_response(
     Raises
     ------
     CalibrationError
-        If there are fewer than 3 loads.
+        If there are fewer than 3 loads, or one has a place, response or variance that is no number.
     """
     if len(log_response) < FEWEST:
         raise CalibrationError(
             f"{len(log_response)} loads say how strongly the sheet answers; at least {FEWEST} are needed for a map",
             remedy="press more places, or press harder: loads must stand out of the noise",
         )
+    if not (np.isfinite(places_mm).all() and np.isfinite(log_response).all() and (variance >= 0).all()):
+        raise CalibrationError("a load's place, response or variance is no number: it says nothing of a map")
     columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])
     known = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
     places, which = _places(places_mm)

@@ -80,7 +80,14 @@ def count_needed(coverage: float, confidence: float, sides: int) -> int:
     ----------
     sides : 1 or 2 bounds.
     """
-    count = ceil(log(1 - confidence) / log(coverage) - 1e-9)
+    fewer = ceil(log(1 - confidence) / log(coverage) - 1e-9)
+    if spacings_outside(fewer, coverage, confidence) >= sides:
+        return fewer
+    count = 2 * fewer
     while spacings_outside(count, coverage, confidence) < sides:
-        count += 1
+        fewer, count = count, 2 * count
+    while count - fewer > 1:
+        middle = (count + fewer) // 2
+        enough = spacings_outside(middle, coverage, confidence) >= sides
+        fewer, count = (fewer, middle) if enough else (middle, count)
     return count

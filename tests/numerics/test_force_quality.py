@@ -17,7 +17,7 @@ from cbsr_qa.calibrate.gauge_factor import sheet_gauge_factor, steady_share
 from cbsr_qa.calibrate.response_average import average_response
 from cbsr_qa.calibrate.response_map import learn_response
 from cbsr_qa.config.loader import load_material, load_recipe
-from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.errors import CalibrationError, NumericsError
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM, Load
 from cbsr_qa.domain.measurement import decide
 from cbsr_qa.domain.report import Figure, Paragraph, RunResult, Table
@@ -126,6 +126,15 @@ def test_an_intercept_nobody_told_of_does_not_enter_the_gauge_factor():
     )
     assert found.value == pytest.approx(0.5, rel=3e-3)  # as an error of β_ε is taken to first order
     assert found.stderr < 0.01
+
+
+@pytest.mark.parametrize("strain", [np.full(9, 0.1), np.linspace(0.05, 0.3, 9)])
+def test_loads_where_the_line_is_zero_or_turned_say_nothing_of_a_gauge_factor(strain):
+    line = QuasiStatic(Parameter(0.6, 0.01, "test"), Parameter(-0.06, 0.01, "test"))
+    with pytest.raises(CalibrationError, match="predicts no change of the sign seen"):
+        sheet_gauge_factor(
+            _PLACES[:9], np.full(9, 0.05), np.full(9, 1e-4), strain, line, radius_mm=50.0, sheet_mm=_PLACES
+        )
 
 
 def test_where_a_hold_ends_follows_from_its_exponentials():

@@ -79,6 +79,20 @@ def test_collinear_places_are_refused():
         fit_quasi_static([0.1, 0.2, 0.3], [15.0, 15.0, 15.0], [0.1, 0.2, 0.3])
 
 
+def test_a_material_that_does_not_answer_has_a_line_of_zeros():
+    fit = fit_quasi_static(STRAINS, STRAINS, 0 * STRAINS)
+    assert (fit.slope, fit.intercept) == (0.0, 0.0)
+    assert np.isfinite(fit.covariance).all()
+    told = fit_quasi_static(STRAINS, STRAINS, 0 * STRAINS, np.full(6, 0.01))
+    assert np.sqrt(told.covariance[0, 0]) == pytest.approx(0.01 / np.sqrt(((STRAINS - STRAINS.mean()) ** 2).sum()))
+
+
+@pytest.mark.parametrize(("x", "change"), [(1.0, 1e-200), (1.0, 1e200), (1e-300, 1.0), (1e100, 1.0)])
+def test_numbers_that_cannot_be_squared_are_refused(x, change):
+    with pytest.raises(NumericsError, match="squares of such numbers are none"):
+        fit_quasi_static(STRAINS, x * STRAINS, change * STRAINS)
+
+
 def test_bad_numbers_are_refused():
     with pytest.raises(NumericsError, match="finite"):
         fit_quasi_static([0.1, 0.2], [1.0, np.nan], [0.1, 0.2])

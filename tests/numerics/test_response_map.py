@@ -7,6 +7,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from cbsr_qa.calibrate.response_map import learn_response
+from cbsr_qa.domain.errors import CalibrationError
 
 RADIUS_MM = 50.0
 LENGTHS = (0.16, 0.22, 0.3, 0.4, 0.54, 0.72, 1.0, 1.4)
@@ -109,3 +110,11 @@ def test_nine_loads_leave_the_stated_errors_on_sheets_drawn_as_assumed():
     # more within one deviation.
     assert np.all(np.abs(shares - (0.75, 0.95)) < 3 * errors)
     assert np.all(errors < (0.04, 0.03))
+
+
+@pytest.mark.parametrize("where", ["place", "response", "variance"])
+def test_a_load_that_is_no_number_is_refused(where):
+    places, values, variance = 10.0 * np.eye(4, 2), np.zeros(4), np.zeros(4)
+    {"place": places, "response": values, "variance": variance}[where][1] = np.nan
+    with pytest.raises(CalibrationError, match="no number"):
+        learn_response(places, values, variance, radius_mm=RADIUS_MM)

@@ -57,6 +57,12 @@ def test_sensors_needed_without_a_distribution_are_wilks():
     assert count_needed(0.9, 0.95, 1) == 29
 
 
+@pytest.mark.parametrize("outside", [1e-4, 1e-6, 1e-12])
+def test_millions_of_sensors_are_counted_at_once(outside):
+    """Rare values are Poisson: with x = n (1 − coverage), (1 + x) e^(−x) = 0.05 at x = 4.7438645."""
+    assert count_needed(1 - outside, 0.95, 2) * outside == pytest.approx(4.743864518, rel=1e-4 + outside)
+
+
 @given(st.integers(1, 2000), st.sampled_from([0.9, 0.95, 0.99]), st.sampled_from([0.8, 0.95, 0.99]))
 def test_as_many_spacings_lie_outside_as_the_confidence_allows_and_no_more(count, coverage, confidence):
     outside = spacings_outside(count, coverage, confidence)
