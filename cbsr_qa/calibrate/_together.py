@@ -19,7 +19,14 @@ _MISSING: Final = 2.0
 
 
 def forces_together(
-    heads: Heads, unexplained: float, inverse: ForceInverse, validity: Validity, *, nearest_mm: float, sign: float
+    heads: Heads,
+    unexplained: float,
+    inverse: ForceInverse,
+    validity: Validity,
+    *,
+    nearest_mm: float,
+    sign: float,
+    other_head: NDArray[np.bool_],
 ) -> SeveralForces:
     """Forces of the heads in one frame.
 
@@ -31,6 +38,7 @@ def forces_together(
     unexplained : share of the frame's signal, as energy, that further heads explain; 0 where there are none.
     nearest_mm : heads nearer than this are not told apart.
     sign : of the response.
+    other_head : (k,) whether a head's templates are off by more than is allowed.
     """
     newtons = inverse.newtons(_matches(heads))
     groups = heads.groups(nearest_mm)
@@ -42,6 +50,7 @@ def forces_together(
     together = np.array([len(group) > 1 for group in groups]) | (unexplained > 0)
     flags[together] |= Flag.MORE_THAN_ONE
     flags[np.array([heads.strength[group].sum() * sign < 0 for group in groups])] |= Flag.WRONG_SIGN
+    flags[np.array([other_head[group].any() for group in groups])] |= Flag.OTHER_HEAD
     detectability = np.array([heads.detectability[group].max() for group in groups])
     loads = Forces(force, stderr, place, place_stderr, detectability, flags)
     total, total_stderr, _, _ = _sum(heads, newtons, range(len(heads)))

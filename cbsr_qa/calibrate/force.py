@@ -32,6 +32,9 @@ class Flag(IntFlag):
     MORE_THAN_ONE = 32  #: the frame is not that of one head of the given size
     UNREADABLE = 64  #: a used reading is not a finite number; there is no force
     OTHER_SENSOR = 128  #: the readings as a whole are not those of the calibrated sensor; there is no force
+    OTHER_HEAD = (
+        256  #: the head is so much larger or smaller than the calibrated one that its field is off by over 3 %
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

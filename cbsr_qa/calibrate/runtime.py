@@ -6,6 +6,7 @@ from typing import Final, Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from cbsr_qa.calibrate._head_size import LARGEST, SizeError
 from cbsr_qa.calibrate._together import forces_together, nothing_together
 from cbsr_qa.calibrate.file import read_calibration
 from cbsr_qa.calibrate.force import (
@@ -72,6 +73,7 @@ class Calibration:
         self._reference: Array = issued.reference[self._used]
         self._merging: Array = np.ascontiguousarray(self.model.merging.T)
         self._gradient = map_gradient(self.model)
+        self._size_error = SizeError(self.model, issued.indenter.radius_mm)
         self._filters: dict[float, TemplateFilter] = {}
         self.filter: TemplateFilter = self._filter(issued.indenter)
         self.inverse = ForceInverse(self.model, issued.against_stress, issued.indenter.area_mm2, self._gradient)
@@ -143,7 +145,7 @@ class Calibration:
     ) -> tuple[SeveralForces, ...]:
         """Forces of all heads in each frame, fitted together (:mod:`cbsr_qa.calibrate.several`).
 
-        Tens of milliseconds for a frame of several heads, a fraction of one for others.
+        Tens of milliseconds for a frame of several heads, a few for one where something is left to look into.
 
         Parameters
         ----------
@@ -187,7 +189,8 @@ class Calibration:
     ) -> SeveralForces:
         if heads is None:
             return nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED)
-        heads = heads.scattered(finder.size_slope(heads.place_mm), self.model.place_scatter_mm)
+        error = self._size_error(self._size(head), heads.place_mm)
+        heads = heads.scattered(finder.size_slope(heads.place_mm), self.model.place_scatter_mm).unsure(error)
         return forces_together(
             heads.times(self.issued.indenter.area_mm2 / head.area_mm2),
             unexplained,
@@ -195,6 +198,7 @@ class Calibration:
             self.issued.validity,
             nearest_mm=_NEAREST * head.diameter_mm,
             sign=self.sign,
+            other_head=error > LARGEST,
         )
 
     def rows(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, NDArray[np.int64]]:
@@ -230,12 +234,15 @@ class Calibration:
         return rows, flags
 
     def _filter(self, head: Indenter) -> TemplateFilter:
-        size = head.squared_radius_mm2 / self.issued.indenter.squared_radius_mm2
+        size = self._size(head)
         if size not in self._filters:
             while len(self._filters) >= _HEADS:
                 self._filters.pop(next(reversed(self._filters)))
             self._filters[size] = TemplateFilter(self.model, size=size)
         return self._filters[size]
+
+    def _size(self, head: Indenter) -> float:
+        return head.squared_radius_mm2 / self.issued.indenter.squared_radius_mm2
 
     def _of_area(self, matches: Matches, head: Indenter) -> Matches:
         """Strength of another head: templates are per strength of the calibrated head's area."""
@@ -263,13 +270,13 @@ class Calibration:
     def _others(self, rows: Array, matches: Matches, finder: TemplateFilter) -> Array:
         """Strength (n,) of what presses beside the found head, over its own; 0 where that head is all there is.
 
-        Another head explains more than noise and a lone head leave; it is looked for only where more than noise on
+        Another head explains more than noise and a lone head leave; it is looked for only where more than that on
         average is left.
         """
         others = np.zeros(len(rows))
         left, gain = matches.energy - matches.gain, matches.gain
         freedom = self.model.templates.shape[1]
-        looked = np.flatnonzero((left > freedom) & (gain >= self.model.threshold**2))
+        looked = np.flatnonzero((left > freedom + self.model.misfit * gain) & (gain >= self.model.threshold**2))
         if len(looked):
             place, strength, gain_there = matches.place_mm[looked], matches.strength[looked], gain[looked]
             further, there = finder.beside(rows[looked], place, strength)
@@ -291,6 +298,8 @@ class Calibration:
         searched: bool,
     ) -> Forces:
         inverse = ForceInverse(self.model, self.issued.against_stress, head.area_mm2, self._gradient)
+        error = self._size_error(self._size(head), matches.place_mm)
+        matches.covariance[:, 0, 0] += (error * matches.strength) ** 2
         force, stderr = inverse.force(matches)
         detectability = np.sqrt(matches.gain)
         flags = np.where(bad, bad, self._flags(matches, detectability, searched=searched))
@@ -303,6 +312,7 @@ class Calibration:
         flags[several] |= Flag.MORE_THAN_ONE
         stderr[several] = np.hypot(stderr, np.abs(force) * others)[several]
         flags[loaded] |= range_flags(force, stderr, matches.place_mm, self.issued.validity)[loaded]
+        flags[loaded & (error > LARGEST)] |= Flag.OTHER_HEAD
         force[bad != 0] = np.nan
         stderr[bad != 0] = np.nan
         place = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1)

@@ -90,6 +90,12 @@ class Heads:
         scale = np.tile([factor, 1.0, 1.0], len(self))
         return replace(self, strength=factor * self.strength, covariance=self.covariance * scale[:, None] * scale)
 
+    def unsure(self, error: Array) -> Self:
+        """The same with strengths that are off by a relative error (k,) of their own."""
+        variance = np.zeros((len(self), 3))
+        variance[:, 0] = (error * self.strength) ** 2
+        return replace(self, covariance=self.covariance + np.diag(variance.ravel()))
+
     def scattered(self, size_slope: Array, scatter_mm: float) -> Self:
         """The same with places that are off by more than noise makes them, as of one head.
 

@@ -7,13 +7,16 @@ import numpy as np
 import pytest
 from force_samples import HEAD, learned, line, pressed, setting, smooth_response, somewhere
 
+from cbsr_qa.calibrate._head_size import SizeError
 from cbsr_qa.calibrate.force import Flag
 from cbsr_qa.calibrate.runtime import Calibration
 from cbsr_qa.calibrate.several import HeadCounter
 from cbsr_qa.config.loader import load_material, load_sensor_type
 from cbsr_qa.domain.calibration import Validity
 from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.scene import SheetDesign
+from cbsr_qa.forward.round_load import RoundLoads
 from cbsr_qa.simulate.sheet import SimulatedSheet
 
 NOISE = 2.4e-5
@@ -181,3 +184,33 @@ def test_the_fit_of_exact_sums_is_exact(calibration):
 def test_a_number_of_heads_that_counts_nothing_is_refused(calibration, at_most):
     with pytest.raises(CalibrationError, match="heads cannot be looked for"):
         calibration.forces(setting().model.unloaded(), at_most=at_most)
+
+
+@pytest.mark.parametrize(("diameter_mm", "radius_mm"), [(8.0, 30.0), (20.0, 20.0), (20.0, 36.0), (24.0, 30.0)])
+def test_the_error_of_another_heads_template_is_in_its_standard_error(calibration, diameter_mm, radius_mm):
+    """Exact fields of such heads, against templates that go linearly in the squared radius."""
+    head, angle = Indenter(diameter_mm), np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    places = radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+    contrast = 0.1 * HEAD.area_mm2 / head.area_mm2
+    rows = setting().rows(places, np.full(12, contrast), head)
+    size = head.squared_radius_mm2 / HEAD.squared_radius_mm2
+    strength = calibration._filter(head).at(rows, places).strength * HEAD.area_mm2 / head.area_mm2
+    error = np.abs(strength / (2 * contrast / (2 + contrast)) - 1)
+    stated = SizeError(calibration.model, HEAD.radius_mm)(size, places)
+    assert (error < 2 * stated).all()
+    assert stated.mean() < 5 * error.mean()
+    usual = calibration.force(setting().model.unloaded(), place_mm=places[0])
+    assert not usual.flags[0] & Flag.OTHER_HEAD
+
+
+def test_a_head_far_from_the_calibrated_one_is_flagged(calibration):
+    here, place = setting(), np.array([[0.0, 0.0]])
+    for diameter_mm, flagged in ((13.0, False), (20.0, False), (40.0, True)):
+        head = Indenter(diameter_mm)
+        contrast = np.array([0.2 * HEAD.area_mm2 / head.area_mm2])
+        loads = RoundLoads.of_contrast(place, np.array([head.radius_mm]), contrast)
+        frames = here.model.unloaded() + here.model.readings(loads).change[0]
+        one = calibration.force(frames, indenter=head)
+        (several,) = calibration.forces(frames, indenter=head)
+        assert bool(one.flags[0] & Flag.OTHER_HEAD) is flagged
+        assert bool(several.loads.flags[0] & Flag.OTHER_HEAD) is flagged
