@@ -1,11 +1,15 @@
 """A numerically hard case: what makes it hard, what it is held against, and how it came out."""
 
 import math
+import signal
+import threading
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
 from time import perf_counter
+from types import FrameType
 from typing import Final
 
 import numpy as np
@@ -14,6 +18,8 @@ from cbsr_qa.domain.errors import CbsrError
 
 #: Relative accuracy may be lost to conditioning up to this many times condition number times machine precision.
 CONDITIONING_ROOM: Final = 100.0
+#: A case that takes longer hangs; the longest takes a few seconds.
+LONGEST_S: Final = 120.0
 EPSILON: Final = float(np.finfo(np.float64).eps)
 
 
@@ -95,11 +101,11 @@ def conditioned_bound(condition: float, floor: float = 0.0) -> float:
     return max(floor, CONDITIONING_ROOM * condition * EPSILON)
 
 
-def examine(case: HardCase) -> CaseResult:
-    """Run a case; every warning of numpy or scipy counts as an unexplained answer."""
+def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
+    """Run a case; a warning of numpy or scipy, or no end within a time, counts as an unexplained answer."""
     started_s = perf_counter()
     try:
-        with warnings.catch_warnings():
+        with warnings.catch_warnings(), _within(longest_s):
             warnings.simplefilter("error")
             answer = case.run()
     except CbsrError as refusal:
@@ -108,6 +114,25 @@ def examine(case: HardCase) -> CaseResult:
         seconds = perf_counter() - started_s
         return CaseResult(case, Ending.BROKEN, None, f"{type(error).__name__}: {error}", "", seconds)
     return _answered(case, answer, perf_counter() - started_s)
+
+
+@contextmanager
+def _within(seconds: float) -> Iterator[None]:
+    """Raise TimeoutError after some seconds, where the system has timers and this is the thread they interrupt."""
+    if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(_signal: int, _frame: FrameType | None) -> None:
+        raise TimeoutError(f"no end within {seconds:g} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    signal.setitimer(signal.ITIMER_REAL, seconds)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)
+        signal.signal(signal.SIGALRM, before)
 
 
 def _refused(case: HardCase, refusal: CbsrError, seconds: float) -> CaseResult:

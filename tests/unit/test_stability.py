@@ -13,7 +13,7 @@ from cbsr_qa.cli.main import guarded
 from cbsr_qa.cli.stability_table import WIDTH, lines
 from cbsr_qa.domain.errors import ConfigError, NumericsError
 from cbsr_qa.stability import catalogue
-from cbsr_qa.stability.case import Answer, HardCase, conditioned_bound
+from cbsr_qa.stability.case import Answer, Ending, HardCase, conditioned_bound, examine
 
 _KEYS = {"name", "outcome", "error", "bound", "condition", "remedy"}
 
@@ -83,6 +83,16 @@ def test_every_other_end_is_broken_and_exit_code_1(catalogued, capsys, case):
     found = json.loads(capsys.readouterr().out)["cases"]
     assert [one["outcome"] for one in found] == ["ok", "ok", "refused", "broken"]
     assert found[-1]["reason"]
+
+
+def test_a_case_that_hangs_is_broken():
+    def hang():
+        while True:
+            pass
+
+    result = examine(_case("hangs", hang), longest_s=0.1)
+    assert (result.outcome, result.reason) == (Ending.BROKEN, "TimeoutError: no end within 0.1 s")
+    assert examine(_GOOD[0], longest_s=0.1).outcome is Ending.OK
 
 
 def test_no_number_is_none_not_nan(catalogued, capsys):
