@@ -18,6 +18,11 @@ Array = NDArray[np.float64]
 
 #: The output at the deepest strain must be this many of its own standard errors from zero.
 _CLEAR: Final = 5.0
+_SILENT: Final = "no load stands out of the noise"
+_FRAMELESS: Final = "no frame was taken before the loop, or while a strain was held"
+#: Huber's constant, 95 % efficient for normal errors, and the median of their absolute values.
+_HUBER, _NORMAL_MEDIAN = 1.345, 0.6745
+_ROUNDS: Final = 8
 
 
 def observe_loops(
@@ -25,9 +30,8 @@ def observe_loops(
 ) -> tuple[LoopObservation, ...]:
     """Work out the loops of a run, by phase and place.
 
-    The output of a frame is the amplitude of its readings along one pattern: the leading singular vector of all
-    frames of the place's loops less those just before them, each reading over its noise. The mean of a blob, which
-    single presses are judged by, is twice as noisy.
+    The output of a frame is the amplitude of its readings, each over its noise, along one pattern: how they answer
+    strain in all loops of the place. The mean of a blob, which single presses are judged by, is twice as noisy.
 
     Parameters
     ----------
@@ -70,31 +74,33 @@ def _observe(
     stress = None if no_force else _stress(samples, loops, indenter)
     first_s, last_s = loops[0].press_start_s, loops[-1].rest_end_s
     if phase.frames is None:
-        return _nothing(phase, loops, stress, no_force)
+        return _nothing(phase, loops, stress, no_force, _FRAMELESS)
     before = _before(phase, phase.frames, first_s, settings.reference_frames)
     during = phase.frames.between(first_s, last_s)
     if not len(before) or not all(len(during.between(h.start_s, h.end_s)) for one in loops for h in one.held):
-        return _nothing(phase, loops, stress, no_force)
+        return _nothing(phase, loops, stress, no_force, _FRAMELESS)
     noise = unloaded.voltages[:, usable].std(axis=0, ddof=1)
     scale = 1 / np.sqrt(noise**2 + np.mean(noise**2)) if noise.any() else np.ones(len(noise))
     rows = (during.voltages[:, usable] - before.voltages[:, usable].mean(axis=0)) * scale
-    output, along = _amplitude(rows)
+    pattern = _pattern(rows, during.time_s, loops)
+    if not pattern.any():
+        return _nothing(phase, loops, stress, no_force, _SILENT)
+    output = _amplitudes(rows, pattern)
     deep = np.zeros(len(output), dtype=np.bool_)
     for loop in loops:
         at = deepest(loop)
         deep |= (during.time_s >= at.start_s) & (during.time_s < at.end_s)
-    span, spread = float(output[deep].mean()), float(np.linalg.norm(noise * scale * along))
-    why = "" if abs(span) > _CLEAR * spread / np.sqrt(deep.sum()) else "no load stands out of the noise"
-    unit = span if span else 1.0
+    span, spread = float(output[deep].mean()), float(np.linalg.norm(noise * scale * pattern) / (pattern @ pattern))
+    why = "" if span > _CLEAR * spread / np.sqrt(deep.sum()) else _SILENT
+    unit = span if span > 0 else 1.0
     trace = Trace("output", "1", during.time_s, output / unit)
-    return LoopObservation(phase.name, loops, trace, spread / abs(unit), stress, no_force, why)
+    return LoopObservation(phase.name, loops, trace, spread / unit, stress, no_force, why)
 
 
 def _nothing(
-    phase: PhaseRecord, loops: tuple[LoadRecord, ...], stress: Trace | None, no_force: str
+    phase: PhaseRecord, loops: tuple[LoadRecord, ...], stress: Trace | None, no_force: str, why: str
 ) -> LoopObservation:
     empty = Trace("output", "1", np.zeros(0), np.zeros(0))
-    why = "no frame was taken before the loop, or while a strain was held"
     return LoopObservation(phase.name, loops, empty, 0.0, stress, no_force, why)
 
 
@@ -106,18 +112,57 @@ def _no_force(samples: SampleBlock | None, loops: tuple[LoadRecord, ...]) -> str
 
 def _before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) -> FrameBlock:
     """Frames before the first press: all since the sheet was called rested, or the last few after other presses."""
-    frames = frames.between(phase.started_s, press_s)
     rested = phase.unloaded_from_s
-    others = [load.press_start_s for load in (*phase.loads, *phase.loops)]
-    if rested is not None and not any(rested <= start_s < press_s for start_s in others):
+    others = [load for load in (*phase.loads, *phase.loops) if load.press_start_s < press_s]
+    if rested is not None and not any(rested <= load.press_start_s for load in others):
         return frames.between(rested, press_s)
+    frames = frames.between(max((load.release_end_s for load in others), default=phase.started_s), press_s)
     return frames.select(slice(max(len(frames) - count, 0), None))
 
 
-def _amplitude(rows: Array) -> tuple[Array, Array]:
-    """Amplitudes (n,) of rows (n, readings) along their leading singular vector, and that vector."""
-    along = np.linalg.svd(rows, full_matrices=False)[2][0]
-    return rows @ along, along
+def _pattern(rows: Array, time_s: Array, loops: tuple[LoadRecord, ...]) -> Array:
+    """How each reading answers strain, (readings,): its slope over the medians of the holds and of the rests' ends.
+
+    A straight drift over time is fitted beside it, and holds that lie far off count for little (Huber): an electrode
+    that drifts, or falls out for a while, is no answer to strain.
+    """
+    windows = [(held.strain, held.start_s, held.end_s) for loop in loops for held in loop.held]
+    windows += [(0.0, (loop.unloaded_s + loop.rest_end_s) / 2, loop.rest_end_s) for loop in loops]
+    medians, strains, times = [], [0.0], [float(time_s[0])]
+    for strain, from_s, to_s in windows:
+        inside = (time_s >= from_s) & (time_s < to_s)
+        if inside.any():
+            medians.append(np.median(rows[inside], axis=0))
+            strains.append(strain)
+            times.append((from_s + to_s) / 2)
+    values = np.vstack([np.zeros(rows.shape[1]), *medians])  # nothing, just before the first press
+    since = (np.array(times) - times[0]) / max(float(np.ptp(times)), 1.0)
+    design = np.column_stack([np.array(strains) / max(strains), since, np.ones_like(since)])
+    weights = np.ones_like(values)
+    for _ in range(_ROUNDS):
+        normal = np.einsum("hi,hr,hj->rij", design, weights, design)
+        drawn = np.einsum("hi,hr,hr->ri", design, weights, values)
+        found = np.linalg.solve(normal + 1e-12 * np.eye(3), drawn[:, :, None])[:, :, 0]
+        weights = _huber(values - design @ found.T, axis=0)
+    slope: Array = found[:, 0]
+    return slope
+
+
+def _amplitudes(rows: Array, pattern: Array) -> Array:
+    """Amplitude (n,) of each row along a pattern, readings that lie far off it counting for little (Huber)."""
+    weights = np.ones_like(rows)
+    for _ in range(_ROUNDS):
+        along = (weights * rows) @ pattern / (weights @ pattern**2)
+        weights = _huber(rows - along[:, None] * pattern, axis=1)
+    return along
+
+
+def _huber(residual: Array, *, axis: int) -> Array:
+    """Weights of residuals by their own median size along an axis: 1 for nearly all of normal ones, less far off."""
+    size = np.median(np.abs(residual), axis=axis, keepdims=True) / _NORMAL_MEDIAN
+    reach = _HUBER * np.maximum(size, np.finfo(np.float64).tiny)
+    weights: Array = np.minimum(1.0, reach / np.maximum(np.abs(residual), np.finfo(np.float64).tiny))
+    return weights
 
 
 def _stress(samples: SampleBlock | None, loops: tuple[LoadRecord, ...], indenter: Indenter) -> Trace | None:

@@ -58,7 +58,7 @@ def as_recording(record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...])
         raise RefusedError(f"run {record.identity.run} holds no frames in {', '.join(p.name for p in phases)}")
     notes = [f"run {record.identity.run} of sensor {record.identity.sensor.serial}"]
     if loops := sum(len(phase.loops) for phase in phases):
-        notes.append(f"{loops} presses that were eased to other strains are not among the presses: one is one strain")
+        notes.append(f"not among its presses, which are of one strain each: loops through several strains ({loops})")
     return Recording(
         path=path,
         format="cbsr-recording",

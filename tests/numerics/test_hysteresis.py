@@ -91,10 +91,10 @@ def test_creep_passes_for_hysteresis_only_in_what_was_read(figures):
 
 @pytest.mark.parametrize("width", [0.0, 0.08])
 def test_the_stated_error_covers_the_material_noise(width):
-    found = _figures(_observed(_record(width, noise=None, cycles=3, seed=4)))[""]
-    assert 0.5 < found.uncertainty < 2.0
+    found = _figures(_observed(_record(width, noise=None, cycles=2, seed=4)))[""]
+    assert 0.5 < found.uncertainty < 2.5
     assert found.value == pytest.approx(100 * width, abs=3 * found.uncertainty)
-    assert "3 loops" in found.how
+    assert "2 loops" in found.how
 
 
 def test_places_are_told_apart_and_averaged():
@@ -104,12 +104,40 @@ def test_places_are_told_apart_and_averaged():
     assert [m.value for m in (whole, *each)] == pytest.approx([8.0] * 3, abs=0.4)
 
 
+def test_an_electrode_that_falls_out_for_one_hold_and_one_that_drifts_cost_little():
+    """Readings of 1 V on two electrodes in one hold, a drift as large as the load on another: 31 of 208 readings."""
+    record = _record(0.1, cycles=2)
+    phase = record.phases[0]
+    held, frames = phase.loops[0].held[1], phase.frames
+    voltages = frames.voltages.copy()
+    gone = (frames.time_s >= held.start_s) & (frames.time_s < held.end_s)
+    voltages[np.ix_(gone, range(16), [3, 4])] = 1.0
+    answer = np.abs(voltages[frames.time_s > held.end_s].std(axis=0)).max()
+    voltages[:, :, 12] += answer * np.linspace(0, 1, len(frames))[:, None]
+    run = _observed(replace(record, phases=(replace(phase, frames=replace(frames, voltages=voltages)),)))
+    assert _figures(run)[""].value == pytest.approx(10.0, abs=1.0)
+
+
+def test_everything_at_once_leaves_the_loop_within_its_stated_error():
+    """The shipped scene of every effect, its loop 5 % wide; to 20 % strain, since its load cell ends at 7.35 N."""
+    text = files("cbsr_qa._stations").joinpath("scenes", "everything.toml").read_text()
+    scene = {key: value for key, value in tomllib.loads(text).items() if key in ("scene", "effects")}
+    (width,) = [effect["width"] for effect in scene["effects"] if effect["name"] == "hysteresis"]
+    loop = HysteresisLoopSequence(strains_percent=[5, 10, 15, 20], cycles=3)
+    record = simulated_run((), phases=(PlannedPhase("loop", "loop", loop),), scene=scene, seed=2)
+    found = _figures(_observed(record))[""]
+    assert found.value == pytest.approx(100 * width, abs=2 * found.uncertainty)
+    assert found.uncertainty < 5.0
+
+
 # --- nothing else takes a loop for a press ---------------------------------------------------------------
 
 
 def test_loops_neither_calibrate_nor_test_force_nor_change_what_does():
     places = [[0, 0], [20, 0], [-10, 17.3], [-10, -17.3]]
-    grid = PlannedPhase("nine locations", "location-grid", LocationGridSequence(locations_mm=places, rest_s=30))
+    grid = PlannedPhase(
+        "nine locations", "location-grid", LocationGridSequence(locations_mm=places, hold_s=30, rest_s=30)
+    )
     record = _record(0.0, before=(grid,), cycles=1, initial_rest_s=60)
     assert [(len(phase.loads), len(phase.loops)) for phase in record.phases] == [(4, 0), (0, 1)]
     assert record.phases[1].role is Role.LOOP
