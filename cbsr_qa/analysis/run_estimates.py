@@ -75,7 +75,7 @@ def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
 
     Raised by ν/(ν − 2) for ν degrees of freedom, so that misfits weighed by its inverse are one on average.
 
-    Why not the moderated variances that weigh images (:func:`~cbsr_qa.reconstruct.noise_weights.reading_noise`), which
+    Why not the moderated variances that weigh images (:mod:`cbsr_qa.reconstruct.noise_weights`), which
     are the better estimate: with them, from 16 unloaded frames, errors of forces are 6 % smaller (39 places, 6
     sensors of 30 held-out loads: 0.059 to 0.055 N with the place known, 0.070 to 0.065 N with it estimated), but the
     stated errors hardly follow (68 % intervals hold 75 and 74 % of the loads, now 73 and 72 %). What is added to the
