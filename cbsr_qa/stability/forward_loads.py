@@ -41,9 +41,7 @@ def loaded(before: Callable[[], Array], factor: float) -> Answer:
     conductance = model.conductance.copy()
     conductance[elements] += change
     exact = exact_readings(model.mesh, model.pattern, conductance, model.contact_impedance)
-    # The change is what is given: of a conductance that nearly vanishes it holds only some digits.
-    lost = float((np.abs(model.conductance[elements]) / conductance[elements]).max())
-    condition = reading_condition(model.changed(conductance=conductance)) * max(1.0, lost if factor < 1 else 1.0)
+    condition = reading_condition(model.changed(conductance=conductance), model.conductance)
     return Answer(relative_error(found, exact, model.pattern), conditioned_bound(condition), condition)
 
 
@@ -101,7 +99,7 @@ def _there_and_back() -> Answer:
     pressed = model.changed_on(elements, change)
     released = LocalUpdate(pressed).voltages(elements, -change)
     error = relative_error(released, model.voltages(), model.pattern)
-    condition = 1e6 * reading_condition(model)  # 1e6 + 1 − 1e6: the sum holds six digits less of the rest
+    condition = reading_condition(model, pressed.conductance)
     return Answer(error, conditioned_bound(condition), condition)
 
 

@@ -84,12 +84,18 @@ def relative_error(found: Array, exact: Array, pattern: DrivePattern) -> float:
     return float(np.linalg.norm((found - exact)[used]) / np.linalg.norm(exact[used]))
 
 
-def reading_condition(model: ForwardModel) -> float:
+def reading_condition(model: ForwardModel, before: Array | None = None) -> float:
     """Relative condition number of the readings for small relative changes of every conductance and contact.
 
     ‖Σ_e |∂V/∂γ_e| γ_e + Σ_l |∂V/∂z_l| z_l‖ / ‖V‖ (Skeel 1979): what one rounding of the data does at worst.
+
+    Parameters
+    ----------
+    model : of the readings.
+    before : (e,) where conductances are given as these and a change of them; both are data then.
     """
     used = model.pattern.usable()
-    felt = np.abs(model.jacobian()[used]) @ model.conductance
+    given = model.conductance if before is None else before + np.abs(model.conductance - before)
+    felt = np.abs(model.jacobian()[used]) @ given
     felt += np.abs(model.contact_jacobian()[used]) @ model.contact_impedance
     return float(np.linalg.norm(felt) / np.linalg.norm(model.voltages()[used]))
