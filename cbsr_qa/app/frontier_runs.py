@@ -20,7 +20,8 @@ from cbsr_qa.domain.run import RunIdentity, RunRecord
 from cbsr_qa.domain.scene import SheetDesign
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.domain.steps import AcquireFrames, Hold, Press, Role, Step
-from cbsr_qa.frontier.setting import GRID
+from cbsr_qa.frontier.setting import GRID, HELD_OUT
+from cbsr_qa.frontier.station import Bench
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import Reconstruction, Sequence, SequenceContext
 from cbsr_qa.plugins import discover
@@ -35,6 +36,8 @@ SHEET: Final = (
     {"name": "residue", "share": 0.03, "decay_s": 300.0},
 )
 MATERIAL: Final = "cbsr-8wt"
+#: Shipped recipe whose imaging, metrics and limits the settings take over.
+BASE: Final = "campaign"
 _FRAMES_BEFORE: Final = 4
 
 
@@ -52,7 +55,7 @@ class SimulatedSensor:
     design: SheetDesign
 
 
-def station_seconds(recipe: Mapping[str, Any], *, frame_period_s: float = 2.5) -> float:
+def station_seconds(recipe: Mapping[str, Any], frame_period_s: float = 2.5) -> float:
     """Time a recipe occupies the simulated station, by a dry run: rests, travel and surface finding included [s]."""
     configuration = _configuration(recipe, 1, frame_period_s)
     return dry_run(plan_of(configuration, discover()), frame_period_s).duration_s
@@ -63,7 +66,8 @@ def simulated_sensor(
 ) -> SimulatedSensor:
     """Put one sensor through a recipe at the simulated station, kept in memory.
 
-    Of rests only the last frames are taken: nothing of the frontier looks at the others, and all times stay the same.
+    Of rests, and of held-out loads, only the last frames are taken: nothing of the frontier looks at the others, and
+    all times stay the same.
 
     Parameters
     ----------
@@ -79,10 +83,11 @@ def simulated_sensor(
     plugins = discover()
     configuration = _configuration(recipe, seed, frame_period_s)
     plan = plan_of(configuration, plugins)
+    sparse_holds = {HELD_OUT} if whole_holds else {HELD_OUT, GRID}
     sparse = replace(
         plan,
         phases=tuple(
-            replace(phase, sequence=_Sparse(phase.sequence, frame_period_s, whole_holds or phase.name != GRID))
+            replace(phase, sequence=_Sparse(phase.sequence, frame_period_s, phase.name not in sparse_holds))
             for phase in plan.phases
         ),
     )
@@ -111,7 +116,7 @@ def observed(record: RunRecord, analysis: AnalysisSettings) -> RunObservation:
 
 @lru_cache(maxsize=1)
 def _reconstruction() -> Reconstruction:
-    recipe = load_recipe(open_document(DocumentKind.RECIPE, "nine-locations").data).value
+    recipe = load_recipe(BASE).value
     found: Reconstruction = made(discover(), Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     return found
 
@@ -153,3 +158,14 @@ def _configuration(recipe: Mapping[str, Any], seed: int, frame_period_s: float) 
     return merge(
         at, load_recipe(dict(recipe)), load_sensor_type(at.value.sensor_type), load_material(data), seed=seed
     )
+
+
+def the_bench() -> Bench:
+    """Return the simulated station for the sweeps."""
+    base = open_document(DocumentKind.RECIPE, BASE).data
+    return Bench(simulated_sensor, observed, station_seconds, analysis_of, base)
+
+
+def analysis_of(recipe: Mapping[str, Any]) -> AnalysisSettings:
+    """Return the settings of a recipe document."""
+    return load_recipe(dict(recipe)).value.analysis

@@ -1,6 +1,5 @@
 """Proposed limits as a file that a recipe takes in by ``limits_from``, or that is pasted into one."""
 
-import json
 import os
 import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -8,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from cbsr_qa.config.limit_tables import limits_digest
+from cbsr_qa.config.toml_text import one_line, toml_value
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.measurement import Limit
 
@@ -37,7 +37,7 @@ def limits_toml(header: Mapping[str, Any], limits: Sequence[Limit], remarks: Ite
     """
     tables = [limit_table(limit) for limit in limits]
     sealed = {**header, "limits_sha256": limits_digest(tables)}
-    lines = [f"# {_one_line(remark)}" for remark in remarks]
+    lines = [f"# {one_line(remark)}" for remark in remarks]
     lines += ["", "[limits_version]", *_keys(sealed)]
     for table in tables:
         lines += ["", "[[limits]]", *_keys(table)]
@@ -78,15 +78,4 @@ def refuse_existing(path: Path) -> None:
 
 def _keys(table: Mapping[str, Any]) -> Iterator[str]:
     for key, value in table.items():
-        yield f"{key} = {_value(value)}"
-
-
-def _value(value: Any) -> str:
-    """Write a value as TOML: JSON's texts and arrays are TOML's too, but for one control character."""
-    if isinstance(value, float):
-        return repr(value)
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _one_line(text: str) -> str:
-    return "".join(character if character.isprintable() else " " for character in text)
+        yield f"{key} = {toml_value(value)}"

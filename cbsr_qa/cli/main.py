@@ -9,7 +9,20 @@ from typing import Annotated, Any, cast
 import typer
 
 import cbsr_qa
-from cbsr_qa.cli import analyse, calibration, db, export, limits, plugins, report, reproduce, run, scene, stability
+from cbsr_qa.cli import (
+    analyse,
+    calibration,
+    db,
+    export,
+    frontier,
+    limits,
+    plugins,
+    report,
+    reproduce,
+    run,
+    scene,
+    stability,
+)
 from cbsr_qa.cli.output import emit_json, note
 from cbsr_qa.domain.errors import CbsrError
 
@@ -25,6 +38,7 @@ app.command("analyse")(analyse.analyse)
 app.command("report")(report.report)
 app.command("export")(export.export)
 app.command("stability")(stability.stability)
+app.command("frontier")(frontier.frontier)
 app.add_typer(calibration.app, name="calibration")
 app.add_typer(limits.app, name="limits")
 app.add_typer(scene.app, name="scene")

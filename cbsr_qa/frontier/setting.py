@@ -2,7 +2,7 @@
 
 import copy
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -11,12 +11,14 @@ from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
 from cbsr_qa.frontier.point import Knob
 
 #: Names of the phases of every recipe of the frontier.
-START, GRID, CHECK = "noise figure", "calibration places", "random loads"
+START, GRID, CHECK, HELD_OUT = "noise figure", "calibration places", "random loads", "held-out loads"
 #: The paper presses to 40 mm from the centre; so does every grid here.
 RADIUS_MM: Final = 40.0
 #: Whole turns between neighbours of a sunflower's seeds.
 _GOLDEN: Final = 2 - (1 + 5**0.5) / 2
 _LONG_S: Final = 60.0
+#: Random loads that a scatter of forces can be judged by.
+_MANY: Final = 10
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,18 +71,31 @@ class Setting:
 
         Parameters
         ----------
-        base : the shipped recipe whose imaging, metrics and limits it takes over.
+        base : the shipped recipe ``campaign``: its imaging, metrics and limits are taken over.
         name : of the recipe.
         """
         recipe = copy.deepcopy(dict(base))
         recipe["recipe"] = {"name": name, "calibrate_phases": [GRID]}
         recipe["phases"] = self._phases()
+        recipe["limits"] = [limit for limit in recipe["limits"] if self._measures(limit)]
         recipe["analysis"] = {
             **recipe["analysis"],
             "transients": "predicted" if self.predicted else "averaged",
             "steady_frames": self.steady_frames,
         }
         return recipe
+
+    def _measures(self, limit: Mapping[str, Any]) -> bool:
+        """Whether a sensor calibrated so can meet a limit of the base at all: what needs more presses is left out."""
+        needs = {
+            "repeatability": self.trials > 1,
+            "nonlinearity": len(self.strains_percent) > 2,
+            "force_error_sd": self.checks >= _MANY,
+            "force_error_bias": self.checks >= _MANY,
+            "force_coverage_68": self.checks >= _MANY,
+            "common_settling_time": "unloading" not in limit.get("qualifier", "") or self.rest_s >= _LONG_S,
+        }
+        return needs.get(limit["measurement"], True)
 
     def _phases(self) -> list[dict[str, Any]]:
         start = {
@@ -117,9 +132,20 @@ class Setting:
         }
         return [start, grid, check] if self.checks else [start, grid]
 
-    def with_checks(self, count: int) -> "Setting":
-        """Return the same with another number of random loads."""
-        return replace(self, checks=count)
+
+def held_out_phase(count: int) -> dict[str, Any]:
+    """Return the phase of the random loads that simulated sensors are tested on, pressed as in the paper."""
+    return {
+        "name": HELD_OUT,
+        "sequence": "random-loads",
+        "stream": "held-out",
+        "count": count,
+        "radius_mm": [0.0, RADIUS_MM],
+        "strain_percent": [5.0, 30.0],
+        "hold_s": _LONG_S,
+        "rest_s": 60.0,
+        "initial_rest_s": 0.0,
+    }
 
 
 def sunflower_mm(count: int) -> tuple[tuple[float, float], ...]:

@@ -18,11 +18,12 @@ from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.domain.scene import SheetDesign
-from cbsr_qa.frontier.setting import CHECK, GRID, Setting
-from cbsr_qa.frontier.trial import errors_of, of_setting, only
+from cbsr_qa.frontier.setting import GRID, HELD_OUT, Setting, held_out_phase
+from cbsr_qa.frontier.trial import errors_of, only
 
 #: Random loads a simulated sensor is tested on, which no setting has seen.
-HELD_OUT: Final = 30
+TEST_LOADS: Final = 30
+
 SEEDS: Final = tuple(range(2001, 2005))
 QUICK_SEEDS: Final = (2001,)
 
@@ -144,11 +145,11 @@ class _Simulated:
 
     def __init__(self, bench: Bench, setting: Setting, seed: int, *, whole_holds: bool = True) -> None:
         self._bench, self._setting, self._seed = bench, setting, seed
-        recipe = setting.with_checks(setting.checks + HELD_OUT).recipe(bench.base, "frontier")
-        _as_in_campaign(recipe)
+        recipe = setting.recipe(bench.base, "frontier")
+        recipe["phases"].append(held_out_phase(TEST_LOADS))
         self._sensor = bench.simulate(recipe, seed, setting.frame_period_s, whole_holds)
         run = bench.observe(self._sensor.record, bench.analysis(recipe))
-        self._held_out = only(run, lambda load: not of_setting(load, setting.checks))
+        self._held_out = only(run, lambda load: load.phase == HELD_OUT)
 
     def strains_and_trials(self, setting: Setting) -> Callable[[LoadRecord], bool]:
         """Which loads of the grid are those of a setting with fewer strains or trials."""
@@ -164,7 +165,7 @@ class _Simulated:
             run = bench.observe(record, analysis)
             own = only(
                 run,
-                lambda load: of_setting(load, setting.checks) and (load.phase != GRID or wanted(load.record)),
+                lambda load: load.phase != HELD_OUT and (load.phase != GRID or wanted(load.record)),
             )
             errors = errors_of(own, self._held_out, self._sensor.design)
         except CbsrError as refusal:
@@ -190,12 +191,6 @@ def shortened(record: RunRecord, hold_s: float) -> RunRecord:
         replace(phase, loads=tuple(map(one, phase.loads))) if phase.name == GRID else phase for phase in record.phases
     )
     return replace(record, phases=phases)
-
-
-def _as_in_campaign(recipe: dict[str, Any]) -> None:
-    """The random loads that test are pressed as in the campaign, whatever the setting rests."""
-    (check,) = (phase for phase in recipe["phases"] if phase["name"] == CHECK)
-    check["strain_percent"], check["rest_s"] = [5.0, 30.0], 60.0
 
 
 def station_work(bench: Bench, *, quick: bool) -> Iterator[tuple[str, str, Callable[[], list[Tried]]]]:

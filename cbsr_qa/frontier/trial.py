@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 
 from cbsr_qa.analysis.force_quality import gauge_factor
-from cbsr_qa.analysis.run_force import RunForce, hold_traces, learned_from, force_tests
+from cbsr_qa.analysis.run_force import RunForce, force_tests, hold_traces, learned_from
 from cbsr_qa.calibrate.common_relaxation import TimedValues, common_settling_time, fit_common_relaxation
 from cbsr_qa.calibrate.force_learning import LearnedForce
 from cbsr_qa.calibrate.matched import interpolated
@@ -19,7 +19,7 @@ from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.scene import SheetDesign
 from cbsr_qa.domain.sensor import Relaxation
-from cbsr_qa.frontier.setting import CHECK, GRID, RADIUS_MM, START
+from cbsr_qa.frontier.setting import RADIUS_MM
 
 Array = NDArray[np.float64]
 
@@ -130,8 +130,3 @@ def true_settling_s(relaxation: Relaxation) -> float:
         return abs(sum(float(weight * np.exp(-time_s / tau)) for weight, tau in terms)) - _TOLERANCE
 
     return float(brentq(left, 0.0, 100 * max(relaxation.time_constants_s)))
-
-
-def of_setting(load: LoadObservation, checks: int) -> bool:
-    """Whether a load belongs to a setting with so many random loads, rather than to the held-out ones."""
-    return load.phase in (START, GRID) or (load.phase == CHECK and load.record.index < checks)

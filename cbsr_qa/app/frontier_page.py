@@ -1,0 +1,206 @@
+"""The page of ``cbsr-qa frontier``: how to read it, the plots, one table a series."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
+
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.report import Block, Figure, Paragraph, Section
+from cbsr_qa.frontier.point import Accuracy, Clock, Point
+from cbsr_qa.frontier.setting import Setting
+from cbsr_qa.frontier.station import PAPER
+from cbsr_qa.report.page import Banner, Page
+from cbsr_qa.report.style import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid
+from cbsr_qa.report.svg import drawn
+from cbsr_qa.report.tables import text_table
+
+if TYPE_CHECKING:
+    from cbsr_qa.app.frontier import Frontier
+
+_READING: Final = (
+    "Every point is a way to do the same thing: to calibrate a sensor, or to compute an image. Further down is more "
+    "accurate, further left is quicker. A filled point is worth its time: nothing that was tried is as accurate for "
+    "less. A hollow one is not: some filled point costs less and is as good, as far as anybody can tell.",
+    "Station time is what a sensor occupies the rig: rests, travel and finding the surface are in it. Accuracy is "
+    "against known truth, which only a simulation has: sensors whose response varies by 20 % over the sheet, with "
+    "noise, relaxation, and a residue of earlier presses. Force errors are root mean squares over random loads, held "
+    "for a minute, that the calibration has not seen; bars are one standard error over the simulated sensors.",
+    "Transients averaged: the last frames of a hold count as they are. Predicted: a short hold is brought to where a "
+    "long one ends, with the sensor's own relaxation from three long holds.",
+)
+_NAMES: Final[Mapping[str, str]] = {
+    "force_error": "force error, place known",
+    "force_error_found": "force error, place found",
+    "map_error": "map",
+    "gauge_factor_error": "gauge factor",
+    "settling_error": "settling time",
+}
+_HEIGHT_IN: Final = 3.6
+
+
+def frontier_page(found: "Frontier") -> Page:
+    """Say what the page begins with."""
+    chosen = found.recommended
+    if chosen is None:
+        banner = Banner("plain", "–", "No setting recommended", found.why_not)
+    else:
+        minutes = (chosen.point.station_s or 0) / 60
+        force = _shown(chosen.point.accuracy["force_error"])
+        banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", chosen.why)
+    counts = {clock: sum(point.clock is clock for point in found.points) for clock in Clock}
+    identity = (
+        ("Settings of the station", str(counts[Clock.STATION])),
+        ("Settings of the computer", str(counts[Clock.COMPUTER])),
+        ("Worth their time", str(sum(found.pareto))),
+        ("Sweep", "quick: few settings, one sensor" if found.quick else "whole"),
+    )
+    simulated = ("sensors, station and readings",) if counts[Clock.STATION] else ()
+    return Page("Frontier", "What accuracy costs in time", banner, identity, simulated, ())
+
+
+def frontier_sections(found: "Frontier") -> tuple[Section, ...]:
+    """Return how to read it with the station's plot, then one section a series."""
+    blocks: list[Block] = [Paragraph(words) for words in _READING]
+    station = [(p, on) for p, on in zip(found.points, found.pareto, strict=True) if p.clock is Clock.STATION]
+    if any("force_error" in point.accuracy for point, _ in station):
+        blocks.append(station_figure(found))
+    series = dict.fromkeys((point.clock, point.series) for point in found.points)
+    return (Section("How to read this page", tuple(blocks)), *(_series(found, *one) for one in series))
+
+
+def station_figure(found: "Frontier") -> Figure:
+    """Draw force error against minutes of the station."""
+    return drawn(
+        lambda: station_canvas(found),
+        caption="Force error on loads the calibration has not seen, against what it takes of the station. Filled: "
+        "worth its time. Ring: recommended.",
+        alternative="Force errors against station time; the tables below have the numbers.",
+    )
+
+
+def station_canvas(found: "Frontier") -> Canvas:
+    """The station's plot, for a page or a file."""
+    figure = canvas(_HEIGHT_IN)
+    axes = figure.add_axes((0.09, 0.13, 0.66, 0.83))
+    axes.set_xscale("log")
+    axes.set_yscale("log")
+    light_grid(axes, "both")
+    names = list(dict.fromkeys(found.points[k].series for k in found.settings))
+    for index, setting in found.settings.items():
+        point = found.points[index]
+        if "force_error" in point.accuracy:
+            _place(axes, point, setting, CYCLE[names.index(point.series) % len(CYCLE)], found.pareto[index])
+    if found.recommended is not None:
+        chosen = found.recommended.point
+        at = (chosen.station_s or 0) / 60, chosen.accuracy["force_error"].value
+        axes.plot(*at, "o", color=INK, markersize=10, markerfacecolor="none", markeredgewidth=1.2)
+    _plain(axes.xaxis, (10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 360))
+    _plain(axes.yaxis, (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 1, 2, 3, 5))
+    axes.set_xlabel("station time a sensor [min]")
+    axes.set_ylabel("force error [N]")
+    for number, name in enumerate(names):
+        colour = CYCLE[number % len(CYCLE)]
+        axes.text(1.03, 0.97 - 0.06 * number, name, color=colour, transform=axes.transAxes, va="top")
+    return figure
+
+
+def _place(axes: Axes, point: Point, setting: Setting, colour: str, worth: bool) -> None:
+    minutes, force = (point.station_s or 0) / 60, point.accuracy["force_error"]
+    low = min(force.stderr or 0.0, 0.9 * force.value)
+    axes.errorbar(minutes, force.value, yerr=[[low], [force.stderr or 0.0]], color=FAINT, linewidth=0.8)
+    marker = "s" if setting.predicted else "o"
+    face = colour if worth else "none"
+    axes.plot(minutes, force.value, marker, color=colour, markersize=4, markerfacecolor=face, linestyle="none")
+    if setting == PAPER:
+        axes.text(minutes, force.value * 1.12, "paper's campaign ", color=QUIET, fontsize=7, ha="right", va="bottom")
+
+
+def _plain(axis: Axis, ticks: Sequence[float]) -> None:
+    low, high = axis.get_view_interval()
+    axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))
+    axis.set_minor_locator(NullLocator())
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+
+
+def write_png(found: "Frontier", path: Path) -> None:
+    """Write the station's plot as a picture.
+
+    Raises
+    ------
+    RefusedError
+        If there is nothing to draw, or the file cannot be written.
+    """
+    if not any("force_error" in found.points[k].accuracy for k in found.settings):
+        raise RefusedError("there is no force error to draw", remedy="sweep the station's clock")
+    try:
+        with drawing(), mpl.rc_context({"svg.fonttype": "path"}):
+            station_canvas(found).savefig(path, dpi=200, metadata={"Software": None})
+    except OSError as error:
+        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
+
+
+def _series(found: "Frontier", clock: Clock, series: str) -> Section:
+    members = [
+        (point, on)
+        for point, on in zip(found.points, found.pareto, strict=True)
+        if point.clock is clock and point.series == series
+    ]
+    columns, rows = table_of(members)
+    title = f"{'Station' if clock is Clock.STATION else 'Computer'}: {series}"
+    blocks: list[Block] = [
+        text_table(f"Settings of the series {series}", columns, rows, tuple(range(len(columns) - 1)))
+    ]
+    blocks += [Paragraph(f"{_knobs(point)}: {point.note}.", "note") for point, _ in members if point.note]
+    return Section(title, tuple(blocks))
+
+
+def table_of(members: Sequence[tuple[Point, bool]]) -> tuple[list[str], list[tuple[str, ...]]]:
+    """Columns and rows of one series: knobs that differ, figures, cost, and whether it is worth it."""
+    points = [point for point, _ in members]
+    knobs = [name for name in points[0].knobs if len({point.knobs.get(name) for point in points}) > 1]
+    knobs = knobs or list(points[0].knobs)[:1]
+    figures = list(dict.fromkeys(name for point in points for name in point.accuracy))
+    rows = [
+        (
+            *(_knob(point.knobs.get(name)) for name in knobs),
+            *(_shown(point.accuracy[name]) if name in point.accuracy else "–" for name in figures),
+            _cost(point),
+            "•" if on else "",
+        )
+        for point, on in members
+    ]
+    names = [_NAMES.get(name, name.replace("_", " ")) for name in figures]
+    return [*(name.replace("_", " ") for name in knobs), *names, "time", "worth it"], rows
+
+
+def _knobs(point: Point) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {_knob(value)}" for name, value in point.knobs.items())
+
+
+def _knob(value: object) -> str:
+    return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
+
+
+def _shown(figure: Accuracy) -> str:
+    scale, unit = (100, " %") if figure.unit == "1" and figure.value >= 1e-3 else (1, f" {figure.unit}".rstrip(" 1"))
+    stderr = "" if figure.stderr is None else f" ± {scale * figure.stderr:.2g}"
+    return f"{scale * figure.value:.3g}{stderr}{unit}"
+
+
+def _cost(point: Point) -> str:
+    if point.station_s is not None:
+        return f"{point.station_s / 60:.1f} min"
+    seconds = point.compute_s or 0.0
+    return (
+        f"{1e6 * seconds:.3g} µs"
+        if seconds < 1e-3
+        else f"{1e3 * seconds:.3g} ms"
+        if seconds < 1
+        else f"{seconds:.3g} s"
+    )

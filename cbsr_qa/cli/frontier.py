@@ -1,0 +1,95 @@
+"""``cbsr-qa frontier``: what accuracy costs in time, and the setting to take."""
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cbsr_qa.cli.counting import Counting
+from cbsr_qa.cli.output import emit_json, note, say
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.frontier.point import Clock
+
+if TYPE_CHECKING:
+    from cbsr_qa.app.frontier import Frontier
+
+_MINUTES = {"min": 1.0, "h": 60.0, "s": 1 / 60}
+
+
+def frontier(
+    clock: Annotated[str, typer.Option(help="Whose time: station, computer or both.")] = "both",
+    force_error: Annotated[str | None, typer.Option(metavar="0.5N", help="Cheapest setting this accurate.")] = None,
+    budget: Annotated[str | None, typer.Option(metavar="20min", help="Station time a sensor may take.")] = None,
+    quick: Annotated[bool, typer.Option("--quick", help="Few settings and one simulated sensor.")] = False,
+    fresh: Annotated[bool, typer.Option("--fresh", help="Forget what an earlier sweep has finished.")] = False,
+    recipe: Annotated[Path | None, typer.Option(help="Recipe file to write the recommended setting to.")] = None,
+    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    png: Annotated[Path | None, typer.Option(help="Picture of the station's frontier to write.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+) -> None:
+    """Sweep settings of computer and station, and say which accuracy costs how much time.
+
+    Finished parts are kept: a sweep that was stopped goes on where it was.
+    """
+    from cbsr_qa.app.frontier import frontier as sweep
+    from cbsr_qa.cli.frontier_table import lines
+    from cbsr_qa.frontier.recommend import Wish
+
+    wish = Wish(_newtons(force_error), _seconds(budget))
+    with Counting("simulations and measurements") as counting:
+        counting.stage("what accuracy costs in time")
+        found = sweep(
+            _clocks(clock), wish, quick=quick, fresh=fresh, tell=lambda done, of, _: counting.count(done, of)
+        )
+    _write(found, recipe, output, png)
+    if as_json:
+        emit_json(found.document(recipe if found.recommended else None))
+        return
+    for line in lines(found):
+        say(line)
+
+
+def _write(found: "Frontier", recipe: Path | None, output: Path | None, png: Path | None) -> None:
+    if recipe is not None:
+        found.write_recipe(recipe)
+        note(f"recipe       {recipe}")
+    if output is not None:
+        found.write(output)
+        note(f"page         {output}")
+    if png is not None:
+        from cbsr_qa.app.frontier_page import write_png
+
+        write_png(found, png)
+        note(f"picture      {png}")
+
+
+def _clocks(text: str) -> tuple[Clock, ...]:
+    clocks = {"station": (Clock.STATION,), "computer": (Clock.COMPUTER,), "both": (Clock.STATION, Clock.COMPUTER)}
+    if text not in clocks:
+        raise RefusedError(f"--clock is {text!r}", remedy="give station, computer or both")
+    return clocks[text]
+
+
+def _newtons(text: str | None) -> float | None:
+    if text is None:
+        return None
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(m?N)\s*", text)
+    value = float(found[1]) * (1e-3 if found[2] == "mN" else 1.0) if found else 0.0
+    if value <= 0:
+        raise RefusedError(
+            f"--force-error is {text!r}", remedy="give a force above 0 with its unit, e.g. 0.5N or 80mN"
+        )
+    return value
+
+
+def _seconds(text: str | None) -> float | None:
+    if text is None:
+        return None
+    found = re.fullmatch(r"\s*(\d+(?:\.\d+)?)\s*(min|h|s)\s*", text)
+    value = 60 * float(found[1]) * _MINUTES[found[2]] if found else 0.0
+    if value <= 0:
+        raise RefusedError(
+            f"--budget is {text!r}", remedy="give a time above 0 with its unit, e.g. 20min, 1.5h or 900s"
+        )
+    return value
