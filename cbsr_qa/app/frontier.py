@@ -191,8 +191,7 @@ def _recommended(tried: Sequence[tuple[Setting, Point]], wish: Wish) -> tuple[Re
     if not tried:
         return None, "only the computer's clock was swept"
     paper = next((point for setting, point in tried if setting == PAPER), None)
-    # Frames of another length are no option of a recipe but of the source meter.
-    usable = [(setting, point) for setting, point in tried if setting.frame_period_s == Setting(9).frame_period_s]
+    usable = [(setting, point) for setting, point in tried if setting.is_recipe]
     try:
         return recommend(usable, wish, paper=paper), ""
     except RefusedError as error:

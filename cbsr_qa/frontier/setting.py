@@ -12,11 +12,14 @@ from cbsr_qa.frontier.point import Knob
 
 #: Names of the phases of every recipe of the frontier.
 START, GRID, CHECK, HELD_OUT = "noise figure", "calibration places", "random loads", "held-out loads"
+#: Ways to choose places, see :class:`Setting`.
+SUNFLOWER, FARTHEST, LEAST_SURE = "sunflower", "farthest first", "least sure first"
 #: The paper presses to 40 mm from the centre; so does every grid here.
 RADIUS_MM: Final = 40.0
 #: Whole turns between neighbours of a sunflower's seeds.
 _GOLDEN: Final = 2 - (1 + 5**0.5) / 2
 _LONG_S: Final = 60.0
+_USUAL_FRAME_S: Final = 2.5
 #: Random loads that a scatter of forces can be judged by.
 _MANY: Final = 10
 
@@ -35,6 +38,8 @@ class Setting:
     first_rest_s : before anything is pressed.
     checks : random loads held for a minute: they say how the sensor relaxes, and what its force is worth.
     frame_period_s : of one frame; its noise falls with the square root (NPLC of the source meter).
+    choice : how the places are chosen: ``"sunflower"``, as in a recipe; or of thirty ``"farthest first"`` or
+        ``"least sure first"``, which takes a look at the loads before the next one is chosen.
     """
 
     places: int
@@ -46,7 +51,8 @@ class Setting:
     steady_frames: int = 4
     first_rest_s: float = 240.0
     checks: int = 2
-    frame_period_s: float = 2.5
+    frame_period_s: float = _USUAL_FRAME_S
+    choice: str = SUNFLOWER
 
     @property
     def knobs(self) -> dict[str, Knob]:
@@ -60,7 +66,13 @@ class Setting:
             "transients": "predicted" if self.predicted else "averaged",
             "frames": self.steady_frames,
             "frame_s": self.frame_period_s,
+            "choice": self.choice,
         }
+
+    @property
+    def is_recipe(self) -> bool:
+        """Whether a recipe says all of it: frame times are the source meter's, and no recipe chooses as it goes."""
+        return self.choice == SUNFLOWER and self.frame_period_s == _USUAL_FRAME_S
 
     def locations_mm(self) -> tuple[tuple[float, float], ...]:
         """Return where it presses."""

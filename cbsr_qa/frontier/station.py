@@ -18,7 +18,7 @@ from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.domain.scene import SheetDesign
-from cbsr_qa.frontier.setting import GRID, HELD_OUT, Setting, held_out_phase
+from cbsr_qa.frontier.setting import FARTHEST, GRID, HELD_OUT, LEAST_SURE, Setting, held_out_phase
 from cbsr_qa.frontier.trial import errors_of, only
 
 #: Random loads a simulated sensor is tested on, which no setting has seen.
@@ -111,6 +111,15 @@ def subsets_of_even(*, quick: bool) -> list[tuple[str, Setting]]:
     return [("hold", EVEN), *holds, ("frames averaged", EVEN), *frames]
 
 
+def choices_of_even() -> list[tuple[str, Setting]]:
+    """Ways to choose fewer places of the thirty."""
+    return [
+        ("choice of places", replace(EVEN, places=count, choice=choice))
+        for count in (9, 12, 18)
+        for choice in (FARTHEST, LEAST_SURE)
+    ]
+
+
 def simulated_alone(*, quick: bool) -> list[tuple[str, Setting]]:
     """Ways with rests or frames of another length."""
     short = Setting(20, hold_s=15.0, rest_s=10.0, predicted=True)
@@ -132,7 +141,9 @@ def tried_on_paper(bench: Bench, seed: int, *, quick: bool) -> list[Tried]:
 def tried_on_even(bench: Bench, seed: int, *, quick: bool) -> list[Tried]:
     """Simulate thirty places on one sensor, and try them and shorter holds."""
     run = _Simulated(bench, EVEN, seed)
-    return [run.tried(series, setting) for series, setting in subsets_of_even(quick=quick)]
+    found = [run.tried(series, setting) for series, setting in subsets_of_even(quick=quick)]
+    chosen = [] if quick else choices_of_even()
+    return found + [run.tried(series, setting, run.chosen(setting)) for series, setting in chosen]
 
 
 def tried_alone(bench: Bench, seed: int, series: str, setting: Setting) -> list[Tried]:
@@ -149,6 +160,8 @@ class _Simulated:
         recipe["phases"].append(held_out_phase(TEST_LOADS))
         self._sensor = bench.simulate(recipe, seed, setting.frame_period_s, whole_holds)
         run = bench.observe(self._sensor.record, bench.analysis(recipe))
+        own = only(run, lambda load: load.phase != HELD_OUT)
+        self._seen = {(setting.hold_s, setting.steady_frames): own}
         self._held_out = only(run, lambda load: load.phase == HELD_OUT)
 
     def strains_and_trials(self, setting: Setting) -> Callable[[LoadRecord], bool]:
@@ -156,21 +169,32 @@ class _Simulated:
         strains = [percent / 100 for percent in setting.strains_percent]
         return lambda one: one.load.trial < setting.trials and bool(np.isclose(one.load.strain, strains).any())
 
+    def chosen(self, setting: Setting) -> Callable[[LoadRecord], bool]:
+        """Which loads of the grid a setting with fewer places would have pressed."""
+        run = self._observed(setting)
+        if setting.choice == LEAST_SURE:
+            numbers = set(least_sure_first(run, setting.places))
+        else:
+            numbers = set(farthest_first(grid_places(run), setting.places))
+        return lambda one: one.index in numbers
+
     def tried(self, series: str, setting: Setting, wanted: Callable[[LoadRecord], bool] = lambda one: True) -> Tried:
         """Try a setting that is this one, or a part of it."""
-        bench = self._bench
-        record = shortened(self._sensor.record, setting.hold_s)
-        analysis = bench.analysis(setting.recipe(bench.base, "frontier"))
         try:
-            run = bench.observe(record, analysis)
-            own = only(
-                run,
-                lambda load: load.phase != HELD_OUT and (load.phase != GRID or wanted(load.record)),
-            )
+            own = only(self._observed(setting), lambda load: load.phase != GRID or wanted(load.record))
             errors = errors_of(own, self._held_out, self._sensor.design)
         except CbsrError as refusal:
             return Tried(series, setting, self._seed, {}, refusal.reason)
         return Tried(series, setting, self._seed, errors)
+
+    def _observed(self, setting: Setting) -> RunObservation:
+        """The loads of the run as a setting would have held and averaged them."""
+        key = (setting.hold_s, setting.steady_frames)
+        analysis = self._bench.analysis(setting.recipe(self._bench.base, "frontier"))
+        if key not in self._seen:
+            run = self._bench.observe(shortened(self._sensor.record, setting.hold_s), analysis)
+            self._seen[key] = only(run, lambda load: load.phase != HELD_OUT)
+        return replace(self._seen[key], settings=analysis)
 
 
 def shortened(record: RunRecord, hold_s: float) -> RunRecord:
