@@ -18,7 +18,8 @@ from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.domain.scene import SheetDesign
-from cbsr_qa.frontier.setting import FARTHEST, GRID, HELD_OUT, LEAST_SURE, Setting, held_out_phase
+from cbsr_qa.frontier.adaptive import farthest_first, grid_places, least_sure_first
+from cbsr_qa.frontier.setting import FARTHEST, GRID, HELD_OUT, LEAST_SURE, SUNFLOWER, Setting, held_out_phase
 from cbsr_qa.frontier.trial import errors_of, only
 
 #: Random loads a simulated sensor is tested on, which no setting has seen.
@@ -143,7 +144,7 @@ def tried_on_even(bench: Bench, seed: int, *, quick: bool) -> list[Tried]:
     run = _Simulated(bench, EVEN, seed)
     found = [run.tried(series, setting) for series, setting in subsets_of_even(quick=quick)]
     chosen = [] if quick else choices_of_even()
-    return found + [run.tried(series, setting, run.chosen(setting)) for series, setting in chosen]
+    return found + [run.tried(series, setting) for series, setting in chosen]
 
 
 def tried_alone(bench: Bench, seed: int, series: str, setting: Setting) -> list[Tried]:
@@ -169,7 +170,7 @@ class _Simulated:
         strains = [percent / 100 for percent in setting.strains_percent]
         return lambda one: one.load.trial < setting.trials and bool(np.isclose(one.load.strain, strains).any())
 
-    def chosen(self, setting: Setting) -> Callable[[LoadRecord], bool]:
+    def _chosen(self, setting: Setting) -> Callable[[LoadRecord], bool]:
         """Which loads of the grid a setting with fewer places would have pressed."""
         run = self._observed(setting)
         if setting.choice == LEAST_SURE:
@@ -181,7 +182,8 @@ class _Simulated:
     def tried(self, series: str, setting: Setting, wanted: Callable[[LoadRecord], bool] = lambda one: True) -> Tried:
         """Try a setting that is this one, or a part of it."""
         try:
-            own = only(self._observed(setting), lambda load: load.phase != GRID or wanted(load.record))
+            chosen = wanted if setting.choice == SUNFLOWER else self._chosen(setting)
+            own = only(self._observed(setting), lambda load: load.phase != GRID or chosen(load.record))
             errors = errors_of(own, self._held_out, self._sensor.design)
         except CbsrError as refusal:
             return Tried(series, setting, self._seed, {}, refusal.reason)
