@@ -105,9 +105,8 @@ def best_straight_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[
     chosen = int(np.argmax(np.abs(levelled)))
     left, _, right = triples[chosen]
     slope = float((value[right] - value[left]) / (place[right] - place[left]))
-    intercept = float(value[left] - slope * place[left] + levelled[chosen])
     of_largest = _combined(error, triples[chosen], float(share[chosen]), 0.5)
-    return _line(slope, intercept, place, value, order, of_largest)
+    return _line(slope, (place[left], value[left]), float(levelled[chosen]), place, value, order, of_largest)
 
 
 def terminal_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[float] | None = None) -> StraightLine:
@@ -117,11 +116,10 @@ def terminal_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[float
     """
     place, value, error, order = _sorted_points(x, y, stderr)
     slope = float((value[-1] - value[0]) / (place[-1] - place[0]))
-    intercept = float(value[0] - slope * place[0])
-    furthest = int(np.argmax(np.abs(value - slope * place - intercept)))
+    furthest = int(np.argmax(np.abs(value - value[0] - slope * (place - place[0]))))
     share = float((place[-1] - place[furthest]) / (place[-1] - place[0]))
     of_largest = _combined(error, np.array([0, furthest, len(place) - 1]), share, 1.0)
-    return _line(slope, intercept, place, value, order, of_largest)
+    return _line(slope, (place[0], value[0]), 0.0, place, value, order, of_largest)
 
 
 def ratio_of_sums(parts: Sequence[float], wholes: Sequence[float]) -> Estimate:
@@ -180,11 +178,12 @@ def slope(x: Sequence[float], y: Sequence[float]) -> Estimate:
     square = float(centred @ centred)
     if not square > (1e-9 * float(np.abs(place).max(initial=1e-300))) ** 2 * len(place):
         raise NumericsError("a slope needs loads at two strains", remedy="press at clearly different strains")
-    rate = float(centred @ value) / square
+    apart = value - value.mean()
+    rate = float(centred @ apart) / square
     degrees = len(place) - 2
     if degrees < 1:
         return Estimate(rate, None, 0)
-    left = value - value.mean() - rate * centred
+    left = apart - rate * centred
     return Estimate(rate, float(np.sqrt(left @ left / degrees / square)), degrees)
 
 
@@ -216,8 +215,16 @@ def _combined(error: Array | None, triple: NDArray[np.intp], share: float, facto
 
 
 def _line(
-    rate: float, intercept: float, place: Array, value: Array, order: NDArray[np.intp], stderr: float | None
+    rate: float,
+    point: tuple[float, float],
+    above: float,
+    place: Array,
+    value: Array,
+    order: NDArray[np.intp],
+    stderr: float | None,
 ) -> StraightLine:
+    """Return the line so far above a point; deviations are counted from there, not from a far intercept."""
     deviations = np.empty_like(value)
-    deviations[order] = value - rate * place - intercept
+    deviations[order] = value - point[1] - rate * (place - point[0]) - above
+    intercept = float(point[1] - rate * point[0] + above)
     return StraightLine(rate, intercept, deviations, float(np.abs(deviations).max()), stderr)

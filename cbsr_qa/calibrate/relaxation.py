@@ -103,8 +103,8 @@ def checked_trace(
     if backward.size:
         first = int(backward[0])
         raise NumericsError(
-            f"time stamps repeat or step back: sample {first + 1} at {time_s[first + 1]:g} s"
-            f" follows {time_s[first]:g} s",
+            f"time stamps repeat or step back: sample {first + 1} at {time_s[first + 1]:.13g} s"
+            f" follows {time_s[first]:.13g} s",
             remedy="drop or re-time the repeated samples before fitting",
         )
     _in_range(time_s, values)

@@ -4,7 +4,16 @@ from collections.abc import Sequence
 from typing import Final
 
 from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.stability import forward_cases, imaging_cases, reading_cases, reconstruction_cases, relaxation_cases
+from cbsr_qa.stability import (
+    calibration_cases,
+    forward_cases,
+    imaging_cases,
+    reading_cases,
+    reconstruction_cases,
+    relaxation_cases,
+    statistics_cases,
+    time_cases,
+)
 from cbsr_qa.stability.case import HardCase
 
 #: Every case, in order of area.
@@ -14,6 +23,9 @@ CASES: Final[tuple[HardCase, ...]] = (
     *reconstruction_cases.CASES,
     *imaging_cases.CASES,
     *relaxation_cases.CASES,
+    *calibration_cases.CASES,
+    *time_cases.CASES,
+    *statistics_cases.CASES,
 )
 
 #: Areas, in the order they are shown in.

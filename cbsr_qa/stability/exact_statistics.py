@@ -130,3 +130,18 @@ def _forward(root: list[list[Any]], right: list[Any]) -> list[Any]:
 
 def _inner(one: list[Any], other: list[Any]) -> Any:
     return mpmath.fsum(a * b for a, b in zip(one, other, strict=True))
+
+
+def mean_exponential(time_s: float, tau_s: float, ramp_s: float, frame_s: float) -> tuple[Any, Any]:
+    """Value, and slope by log τ, of e^(−t/τ) after a ramp and averaged over a frame."""
+    with mpmath.workdps(DIGITS):
+        ramp, frame, at = (mpmath.mpf(float(one)) for one in (ramp_s, frame_s, time_s))
+
+        def value(log_tau: Any) -> Any:
+            tau = mpmath.exp(log_tau)
+            over_ramp = tau / ramp * (1 - mpmath.exp(-ramp / tau))
+            over_frame = tau / frame * (mpmath.exp(frame / tau / 2) - mpmath.exp(-frame / tau / 2))
+            return mpmath.exp(-at / tau) * over_ramp * over_frame
+
+        log_tau = mpmath.log(mpmath.mpf(tau_s))
+        return value(log_tau), mpmath.diff(value, log_tau)

@@ -160,8 +160,11 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
 
 def _nothing_to_go_by(runs: Runs) -> str:
     """Say why values have no spread that means anything; empty where they have."""
-    if max(abs(x) for sensor in runs for x in sensor) > _LARGEST:
+    largest = max(abs(x) for sensor in runs for x in sensor)
+    if largest > _LARGEST:
         return f"values beyond {_LARGEST:g} are too large to be squared"
+    if 0 < largest < 1 / _LARGEST:
+        return f"values below {1 / _LARGEST:g} are too small to be squared"
     parts = components(runs)
     if parts.between**0.5 <= _LEAST_SPREAD * abs(parts.mean):
         return f"every sensor has {parts.mean:.6g}: without spread there is nothing to go by"

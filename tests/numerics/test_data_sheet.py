@@ -129,6 +129,19 @@ def test_a_spread_knows_its_error():
         relative_spread([-1.0, 0.0, 1.0])
 
 
+def test_a_slope_on_a_huge_offset_keeps_its_digits():
+    x, y = 1e6 + np.array([0.1, 0.7, 2.2, 3.1]), 1e9 + np.array([0.0, 1.0, 2.0, 3.0])
+    exact = np.polyfit((x - 1e6), (y - 1e9), 1)[0]
+    assert slope(x.tolist(), y.tolist()).value == pytest.approx(exact, rel=1e-9)
+
+
+@pytest.mark.parametrize("draw", [best_straight_line, terminal_line])
+def test_deviations_from_a_line_far_from_zero_keep_their_digits(draw):
+    x, y = np.arange(5.0), np.arange(5.0) ** 2 / 1024
+    near, far = draw(x.tolist(), (0.75 * x + y).tolist()), draw((2.0**20 + x).tolist(), (0.75 * x + y).tolist())
+    np.testing.assert_array_equal(far.deviations, near.deviations)
+
+
 def test_a_slope_is_that_of_least_squares():
     rng = np.random.default_rng(7)
     x, y = rng.uniform(0, 0.3, 12), rng.uniform(0, 40, 12)

@@ -222,3 +222,8 @@ def test_no_risk_is_made_up_where_the_uncertainty_explains_the_lot():
 
 def bound_u():
     return Uncertainty(0.1, None, "stated")
+
+
+@pytest.mark.parametrize(("size", "why"), [(1e-300, "too small to be squared"), (1e200, "too large to be squared")])
+def test_values_that_cannot_be_squared_are_not_called_without_spread(size, why):
+    assert why in proposed(size * np.arange(1.0, 9.0)[:, None]).why
