@@ -11,7 +11,7 @@ from cbsr_qa.calibrate.characteristic import (
     repeatability,
 )
 from cbsr_qa.calibrate.data_sheet import FEWEST_POINTS, best_straight_line
-from cbsr_qa.calibrate.hysteresis import loop_curve
+from cbsr_qa.calibrate.hysteresis import LoopCurve, loop_curve
 from cbsr_qa.calibrate.uniformity import place_responses
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.load_events import RecordingResult
@@ -134,7 +134,9 @@ def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> li
     if found is None or found.value is None:
         return []
     last_s = run.settings.steady_frames * run.frame_period_s
-    curves, read = ([loop_curve(loop, relaxed=way, last_s=last_s) for loop in run.loops] for way in (True, False))
+    curves, read = (_curves(run, last_s, relaxed=way) for way in (True, False))
+    if not curves:
+        return []
     error = "" if found.uncertainty is None else f" ± {number(found.uncertainty, 2)}"
     return [
         loop_figure(
@@ -148,6 +150,13 @@ def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> li
             f" {number(found.value, 2)}{error} % of the span.",
         )
     ]
+
+
+def _curves(run: RunObservation, last_s: float, *, relaxed: bool) -> list[LoopCurve]:
+    try:
+        return [loop_curve(loop, relaxed=relaxed, last_s=last_s) for loop in run.loops]
+    except NumericsError:
+        return []
 
 
 def _drawable(curve: Characteristic) -> bool:
