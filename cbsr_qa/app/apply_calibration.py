@@ -32,6 +32,7 @@ _SAID: Final = {
     Flag.MORE_THAN_ONE: "not that of one such head",
     Flag.UNREADABLE: "a reading is missing or saturated",
     Flag.OTHER_SENSOR: "not a frame of this sensor",
+    Flag.OTHER_HEAD: "a head of another size than was calibrated",
 }
 COLUMNS: Final = (
     "time_s",
