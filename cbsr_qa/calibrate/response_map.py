@@ -169,7 +169,10 @@ def learn_response(
             remedy="press more places, or press harder: loads must stand out of the noise",
         )
     if not (np.isfinite(places_mm).all() and np.isfinite(log_response).all() and (variance >= 0).all()):
-        raise CalibrationError("a load's place, response or variance is no number: it says nothing of a map")
+        raise CalibrationError(
+            "a load's place, response or variance is no number: it says nothing of a map",
+            remedy="leave the load out, or press it again",
+        )
     columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])
     known = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
     places, which = _places(places_mm)

@@ -7,6 +7,7 @@ from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.stability import (
     calibration_cases,
     forward_cases,
+    geometry_cases,
     imaging_cases,
     reading_cases,
     reconstruction_cases,
@@ -22,6 +23,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     *reading_cases.CASES,
     *reconstruction_cases.CASES,
     *imaging_cases.CASES,
+    *geometry_cases.CASES,
     *relaxation_cases.CASES,
     *calibration_cases.CASES,
     *time_cases.CASES,

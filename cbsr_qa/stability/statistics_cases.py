@@ -91,7 +91,7 @@ def limits_of(values: list[float]) -> Answer:
     runs = [[value] for value in values]
     found = lot_limits(runs, runs, 1, Ask(0.95, 0.95, False, True, Distribution.NORMAL))
     if found.upper is None:
-        raise NumericsError(found.why)
+        raise NumericsError(found.why, remedy="propose limits from sensors that differ, in a unit of their size")
     with mpmath.workdps(DIGITS):
         exact = [mpmath.mpf(value) for value in values]
         mean = mpmath.fsum(exact) / len(exact)
