@@ -41,7 +41,7 @@ _GREIT: Final = MethodSetting("greit", (), "hyperparameter")
 #: Settings of image and mesh that the quick sweep tries.
 _QUICK_METHODS: Final = ((RECIPES_METHOD, 0.3), (RECIPES_METHOD, 1.0), (RECIPES_METHOD, 3.0), (_LAPLACE, 1.0))
 _QUICK_MESHES: Final = ((RECIPES_METHOD, 6.0), (RECIPES_METHOD, 3.0), (_GREIT, 6.0))
-_GREIT_SIZES_MM: Final = (8.0, 5.0, 4.0, 3.0, 2.5)  # its training takes seconds on finer ones
+_GREIT_SIZES_MM: Final = (8.0, 6.0, 5.0, 4.0, 3.0)  # its training takes seconds on finer ones
 _QUICK_BATCHES: Final = (1, 256)
 
 
