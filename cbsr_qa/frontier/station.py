@@ -123,11 +123,12 @@ def choices_of_even() -> list[tuple[str, Setting]]:
 
 def simulated_alone(*, quick: bool) -> list[tuple[str, Setting]]:
     """Ways with rests or frames of another length."""
-    short = Setting(20, hold_s=15.0, rest_s=10.0, predicted=True)
-    rests = [("rest", replace(short, rest_s=rest_s)) for rest_s in (5.0, 10.0, 30.0)]
-    places = [("places", replace(short, places=count)) for count in (12, 16, 26)]
+    short = Setting(16, hold_s=15.0, rest_s=5.0, predicted=True)
+    rests = [("rest", replace(short, rest_s=rest_s)) for rest_s in (5.0, 15.0, 30.0)]
+    places = [("places", replace(short, places=count)) for count in (9, 12, 20, 26)]
+    hold = [("places", replace(short, places=19, hold_s=10.0))]
     averaging = [("frame time", replace(short, frame_period_s=period_s)) for period_s in (1.25, 5.0)]
-    return [rests[1]] if quick else [*rests, *places, *averaging]
+    return [rests[0]] if quick else [*rests, *places, *hold, *averaging]
 
 
 def tried_on_paper(bench: Bench, seed: int, *, quick: bool) -> list[Tried]:
