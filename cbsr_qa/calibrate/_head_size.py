@@ -11,8 +11,8 @@ from cbsr_qa.domain.force_model import ForceModel
 Array = NDArray[np.float64]
 
 #: Relative error of a strength over (q − 1)², q the squared radius over the calibrated one's: everywhere, and times
-#: the cube of the calibrated radius over the way to the nearest edge or electrode. Templates go linearly in q; this is
-#: the next order, measured on the 100 mm disc with heads of 5 to 40 mm, up to 38 mm from the centre.
+#: the cube of the calibrated radius over the way to the nearest edge or electrode. Templates go linearly in q; this
+#: is the next order, measured on the 100 mm disc with heads of 5 to 40 mm, up to 38 mm from the centre.
 _EVERYWHERE: Final = 4e-4
 _BESIDE_EDGES: Final = 0.1
 #: Nodes of the lattice begin so far from edges and electrodes [of the lattice's spacing].

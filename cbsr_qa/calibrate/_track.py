@@ -5,7 +5,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibrate.steady_state import HoldsSoFar
+from cbsr_qa.calibrate._onset import UnsureHold
 from cbsr_qa.domain.force_model import ForceModel
 from cbsr_qa.domain.relaxation import RelaxationKernel
 
@@ -29,8 +29,6 @@ _BELIEVED: Final = 2
 _MOVED: Final = 0.1
 #: A load was not released, only lightened, where this share more of it is left than of released ones.
 _STAYS: Final = 0.2
-#: Half of what a press takes, roughly: nobody tells a stream how fast the head went down.
-_RAMP_S: Final = 0.5
 #: How sure the strength of what fades is, from frame to frame.
 _FADING_ERROR: Final = 0.1
 _FADING_NOISE: Final = 0.1  # of a frame's own
@@ -76,8 +74,7 @@ class Track:
         self._largest = 0.0
         self._released = 0.0
         self._first: tuple[float, float, float] | None = None
-        self._hold: HoldsSoFar | None = None
-        self._held_s = self._late_s = 0.0
+        self._hold: UnsureHold | None = None
         self._changed: tuple[float, float] | None = None
         self._now_s = self._pressed_s = since_s
         self._off = 0
@@ -139,12 +136,8 @@ class Track:
         if self._hold is None or model.loading is None:
             change = 0.0 if self.state == "steady" else _UNKNOWN_CHANGE * own
             return own, self.noise**2 + change**2 + base
-        predicted = self._hold.predict(at_s=model.steady_s)
-        value = float(predicted.values[0])
-        # The hold began somewhere within a frame, and with a ramp: all its times are off by as much.
-        slope = _slope(model.loading, self._held_s) / _kernel(model.loading, self._held_s)
-        late = value * slope * self._late_s
-        return value, float(predicted.stderr[0]) ** 2 + late**2 + base
+        value, stderr = self._hold.predict(model.steady_s)
+        return value, stderr**2 + base
 
     def _press(self, time_s: float, frame_s: float, model: ForceModel) -> None:
         towards = self.sign * self.strength
@@ -169,10 +162,8 @@ class Track:
                 self._changed = (time_s, own)
         elif self._hold is not None and model.loading is not None:
             held_s = max(time_s - self.since_s, 0.0)
-            expected = self._hold.predict(at_s=held_s)
-            late = own * _slope(model.loading, held_s) / _kernel(model.loading, held_s) * self._late_s
-            error = float(np.linalg.norm([expected.stderr[0], self.noise, late]))
-            off = abs(own - float(expected.values[0])) > max(_OFF * error, _OFF_SHARE * abs(own))
+            expected, stderr = self._hold.predict(held_s)
+            off = abs(own - expected) > max(_OFF * float(np.hypot(stderr, self.noise)), _OFF_SHARE * abs(own))
             self._off = self._off + 1 if off and held_s > _EARLY * _patience_s(model) else 0
             if self._off >= _BELIEVED:
                 self._changed = (time_s, own)
@@ -184,29 +175,22 @@ class Track:
         own = self.strength - self.base_now
         if self._hold is None and self._first is None:
             self._first = (time_s, own, self.noise)
-            self._hold_from(self.since_s, model.loading)
-            self._add(*self._first, frame_s)
+            self._hold = UnsureHold(model.loading, frame_s)
+            self._add(*self._first)
             return
         if self._first is not None:
             first, self._first = self._first, None
             expected = _kernel(model.loading, first[0] - self.since_s) / _kernel(model.loading, time_s - self.since_s)
+            self._hold = UnsureHold(model.loading, frame_s)
             if self.sign * first[1] < _PARTIAL * expected * self.sign * own:
                 self.since_s = max(first[0] + frame_s / 2, self.since_s)
-                self._hold_from(self.since_s, model.loading)
             else:
-                self._hold_from(self.since_s, model.loading)
-                self._add(*first, frame_s)
-        self._add(time_s, own, self.noise, frame_s)
+                self._add(*first)
+        self._add(time_s, own, self.noise)
 
-    def _hold_from(self, since_s: float, kernel: RelaxationKernel) -> None:
-        self.since_s = since_s
-        self._hold = HoldsSoFar(kernel)
-
-    def _add(self, time_s: float, own: float, noise: float, frame_s: float) -> None:
+    def _add(self, time_s: float, own: float, noise: float) -> None:
         assert self._hold is not None
-        held_s = max(time_s - self.since_s, 0.0)
-        self._held_s, self._late_s = held_s, float(np.hypot(frame_s / np.sqrt(12), _RAMP_S))
-        self._hold.add(held_s, own, noise)
+        self._hold.add(max(time_s - self.since_s, 0.0), own, noise)
 
     def _release(self, time_s: float) -> None:
         self._pressed_s = self.since_s
@@ -254,8 +238,3 @@ def _kernel(kernel: RelaxationKernel, time_s: float) -> float:
     """K(t), not below a twentieth: a strength over it stays a strength."""
     value = 1 + float(np.sum(kernel.weights * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
     return max(value, 0.05)
-
-
-def _slope(kernel: RelaxationKernel, time_s: float) -> float:
-    """Slope of K(t) [1/s]."""
-    return -float(np.sum(kernel.weights / kernel.time_constants_s * np.exp(-time_s / kernel.time_constants_s)))
