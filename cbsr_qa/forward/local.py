@@ -29,8 +29,9 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.forward.inverse import InverseEntries
-from cbsr_qa.forward.model import ForwardModel, check_values
+from cbsr_qa.forward.model import ForwardModel
 from cbsr_qa.forward.patches import Patches, check_change, dense_work
+from cbsr_qa.forward.value_range import check_values
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -6,7 +6,6 @@ conductance, so that contact impedance is per length of an electrode's outline.
 """
 
 from functools import cached_property
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,15 +17,10 @@ from cbsr_qa.domain.patterns import DrivePattern
 from cbsr_qa.forward.contacts import edge_contacts, point_contacts
 from cbsr_qa.forward.elements import FiniteElements
 from cbsr_qa.forward.prepared import PreparedSheet
-from cbsr_qa.forward.value_range import check_contacts, check_contrast, far_apart, least_and_most
+from cbsr_qa.forward.value_range import check_contacts, check_contrast, check_values, far_apart, least_and_most
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
-
-_NOTHING: Final = {
-    "conductance": "give an insulator 1e-8 of the others' conductance, or leave it out of the mesh",
-    "contact impedance": "give a perfect contact a small one, as 1e-6 of the electrode's length over conductance",
-}
 
 
 class ForwardModel:
@@ -221,7 +215,7 @@ class ForwardModel:
         electrodes = len(contacts.nodes)
         slopes = np.zeros((*self.pattern.shape, electrodes))
         for number, (nodes, mass) in enumerate(zip(contacts.nodes, contacts.masses, strict=True)):
-            fields = self.electrode_fields[nodes]
+            fields = self._fields_against(nodes, nodes[0])  # under good contacts they hardly differ
             impedance = fields.T @ mass @ fields / self.contact_impedance[number] ** 2
             impedance[number, number] += 1 / contacts.lengths_mm[number]
             slopes[..., number] = self.readings(impedance)
@@ -239,10 +233,10 @@ class ForwardModel:
         root = np.sqrt(elements.weights_mm2)[..., None, None] * elements.gradients  # (e, q, k, 2)
         count, q, k, _ = root.shape
         gradient = root.transpose(0, 1, 3, 2).reshape(count, 2 * q, k)
+        nodal = self._fields_against(elements.cells, elements.cells[:, :1])  # in good conductors they hardly differ
 
         def of(pairs: Array) -> Array:
-            nodal = (self.electrode_fields @ pairs)[elements.cells]
-            return np.array((gradient @ nodal).transpose(2, 1, 0), dtype=np.float64, order="C")
+            return np.array((gradient @ (nodal @ pairs)).transpose(2, 1, 0), dtype=np.float64, order="C")
 
         driven, measured = self._pairs
         drive = of(driven)
@@ -269,11 +263,31 @@ class ForwardModel:
         fields[:, 0] = -fields[:, 1:] @ np.ones(fields.shape[1] - 1)  # all together drive nothing
         return fields
 
-    @cached_property
+    def _fields_against(self, nodes: Indices, others: Indices) -> Array:
+        """Differences of :attr:`electrode_fields` between nodes, right to their own size: (…, electrodes)."""
+        place = self.prepared.place
+        here, there = place[nodes], place[others]
+        rest = self._ordered_fields[here] - self._ordered_fields[there]
+        if self._ordered_rest is not None:
+            rest += self._ordered_rest[here] - self._ordered_rest[there]
+        return np.concatenate([-rest.sum(axis=-1, keepdims=True), rest], axis=-1)
+
+    @property
     def _ordered_fields(self) -> Array:
         """Fields of all electrodes but the first, in the order of elimination: (n, electrodes − 1)."""
+        return self._ordered_parts[0]
+
+    @property
+    def _ordered_rest(self) -> Array | None:
+        """What rounding took of them; None where nobody knows."""
+        return self._ordered_parts[1]
+
+    @cached_property
+    def _ordered_parts(self) -> tuple[Array, Array | None]:
         drives = self.prepared.ordered_drives
-        return self._factors.refined_ordered(drives) if self._far_apart else self._factors.solve_ordered(drives)
+        return (
+            self._factors.refined_ordered(drives) if self._far_apart else (self._factors.solve_ordered(drives), None)
+        )
 
     def _check(self) -> None:
         electrodes, count = self.pattern.electrode_count, len(self.mesh.elements)
@@ -313,41 +327,6 @@ def point_model(
     elements = FiniteElements(mesh, order)
     prepared = PreparedSheet(elements, point_contacts(elements, nodes))
     return ForwardModel(mesh, pattern, conductance, np.ones(len(nodes)), prepared=prepared)
-
-
-def conducts(conductance: Array) -> NDArray[np.bool_]:
-    """Whether conductances (m,) or (m, q, 2, 2) are finite and positive, as matrices symmetric and definite: (m,)."""
-    if conductance.ndim == 1:
-        return np.asarray(np.isfinite(conductance) & (conductance > 0), dtype=np.bool_)
-    (xx, xy), (yx, yy) = np.moveaxis(conductance, (-2, -1), (0, 1))
-    with np.errstate(invalid="ignore", over="ignore"):
-        alike = np.abs(xy - yx) <= 1e-12 * np.sqrt(np.abs(xx * yy))
-        definite = np.isfinite(xx + yy) & alike & (xx > 0) & (xx * yy > xy**2)
-    return np.asarray(definite.all(axis=1), dtype=np.bool_)
-
-
-def check_values(name: str, values: Array, shape: tuple[int, ...]) -> Array:
-    """Return conductances or contact impedances as they are.
-
-    Raises
-    ------
-    NumericsError
-        If they have another shape, or one is not a positive finite number, naming the first of these.
-    """
-    if values.shape != shape:
-        raise NumericsError(
-            f"{name} has shape {values.shape}; one value for each of {shape[0]} is needed",
-            remedy=f"give an array of shape {shape}",
-        )
-    wrong = np.flatnonzero(~conducts(values))
-    if wrong.size:
-        direction = ", in every direction" if values.ndim > 1 else ""
-        raise NumericsError(
-            f"{name} {wrong[0]} is {values[wrong[0]].tolist()} (one of {wrong.size} such);"
-            f" it must be a positive finite number{direction}",
-            remedy=_NOTHING.get(name, ""),
-        )
-    return values
 
 
 def _alike(one: Array, other: Array, points: int) -> tuple[Array, Array]:

@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.forward.inverse import InverseEntries
-from cbsr_qa.forward.model import ForwardModel, conducts
+from cbsr_qa.forward.model import ForwardModel
 from cbsr_qa.forward.rims import between_rims, connected_parts, filled_up, met_bases, seen_outside, spans_of
+from cbsr_qa.forward.value_range import conducts
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

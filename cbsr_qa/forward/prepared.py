@@ -132,15 +132,15 @@ class Factors:
     def solve(self, load: Array, *, refine: bool = False) -> Array:
         """Potentials for currents into nodes: (n, k) [A] to (n, k) [V]; refined, as :meth:`refined_ordered`."""
         ordered = np.take(load.T, self._order, axis=1).T  # column by column in memory, as the solver wants it
-        return (self.refined_ordered(ordered) if refine else self.solve_ordered(ordered))[self._place]
+        return (self.refined_ordered(ordered)[0] if refine else self.solve_ordered(ordered))[self._place]
 
     def solve_ordered(self, load: Array) -> Array:
         """The same, both in the order of elimination."""
         potentials: Array = self._factors.solve(load)
         return potentials
 
-    def refined_ordered(self, load: Array) -> Array:
-        """The same to rounding, however far conductances and contacts are apart.
+    def refined_ordered(self, load: Array) -> tuple[Array, Array]:
+        """The same to rounding, however far conductances and contacts are apart, and what rounding took of it.
 
         What columns do not sum to zero by leaves at the node that is held.
 
@@ -152,11 +152,11 @@ class Factors:
         total = load.sum(axis=0)
         balanced = load.copy()
         balanced[self._ground] -= total
-        potentials = refined(
+        high, low = refined(
             self._conductors, balanced, self.solve_ordered, self.solve_ordered(balanced), self._ground
         )
-        potentials += total / self._held_by
-        return potentials
+        high += total / self._held_by
+        return high, low
 
 
 def check_connected(mesh: Mesh) -> None:

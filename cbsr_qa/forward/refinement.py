@@ -52,7 +52,7 @@ class Conductors:
 
 def refined(
     conductors: Conductors, load: Array, solve: Callable[[Array], Array], potentials: Array, ground: int
-) -> Array:
+) -> tuple[Array, Array]:
     """Refine potentials until they are those of the conductors to rounding.
 
     Parameters
@@ -64,7 +64,8 @@ def refined(
 
     Returns
     -------
-    (n, k) [V].
+    (n, k) and (n, k) [V], rounded and what rounding took: their sum has differences that are right to their own size,
+    as between nodes of a good conductor.
 
     Raises
     ------
@@ -86,7 +87,7 @@ def refined(
             "the sheet's potentials cannot be refined: its conductances and contacts are too far apart",
             remedy="bring conductances and contact impedances closer to each other",
         )
-    return np.asarray(high, dtype=np.float64)
+    return high, low
 
 
 def _share(correction: Array, potentials: Array) -> float:

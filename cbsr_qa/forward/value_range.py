@@ -29,6 +29,12 @@ REFINED_ABOVE: Final = 1e2
 _ROUNDING: Final = 1 + 1e-9  # what a contrast of just so much may be off
 
 
+_NOTHING: Final = {
+    "conductance": "give an insulator 1e-8 of the others' conductance, or leave it out of the mesh",
+    "contact impedance": "give a perfect contact a small one, as 1e-6 of the electrode's length over conductance",
+}
+
+
 class ValueRangeError(NumericsError):
     """Conductances or contacts are too far apart for readings that are more than rounding."""
 
@@ -124,3 +130,38 @@ def _check_ratios(low: Array, high: Array, impedance: Array, where: str, allowed
             " are allowed: beyond, rounding would decide the readings",
             remedy=f"{'raise' if good else 'lower'} it; readings that touch no driven electrode hardly change",
         )
+
+
+def conducts(conductance: Array) -> NDArray[np.bool_]:
+    """Whether conductances (m,) or (m, q, 2, 2) are finite and positive, as matrices symmetric and definite: (m,)."""
+    if conductance.ndim == 1:
+        return np.asarray(np.isfinite(conductance) & (conductance > 0), dtype=np.bool_)
+    (xx, xy), (yx, yy) = np.moveaxis(conductance, (-2, -1), (0, 1))
+    with np.errstate(invalid="ignore", over="ignore"):
+        alike = np.abs(xy - yx) <= 1e-12 * np.sqrt(np.abs(xx * yy))
+        definite = np.isfinite(xx + yy) & alike & (xx > 0) & (xx * yy > xy**2)
+    return np.asarray(definite.all(axis=1), dtype=np.bool_)
+
+
+def check_values(name: str, values: Array, shape: tuple[int, ...]) -> Array:
+    """Return conductances or contact impedances as they are.
+
+    Raises
+    ------
+    NumericsError
+        If they have another shape, or one is not a positive finite number, naming the first of these.
+    """
+    if values.shape != shape:
+        raise NumericsError(
+            f"{name} has shape {values.shape}; one value for each of {shape[0]} is needed",
+            remedy=f"give an array of shape {shape}",
+        )
+    wrong = np.flatnonzero(~conducts(values))
+    if wrong.size:
+        direction = ", in every direction" if values.ndim > 1 else ""
+        raise NumericsError(
+            f"{name} {wrong[0]} is {values[wrong[0]].tolist()} (one of {wrong.size} such);"
+            f" it must be a positive finite number{direction}",
+            remedy=_NOTHING.get(name, ""),
+        )
+    return values

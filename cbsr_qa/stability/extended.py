@@ -37,22 +37,74 @@ def exact_readings(
     (drives, measures) float64 [V/A].
     """
     with mp.workdps(DIGITS):
-        rows = _assembled(mesh, conductance, contact_impedance)
-        count, electrodes = len(mesh.nodes_mm), len(mesh.electrode_edges)
-        ground = count + electrodes - 1  # the last electrode's potential is zero
-        _drop(rows, ground)
-        driven = pattern.drive_currents()
-        loads = [{count + k: mp.mpf(driven[k, d]) for k in range(electrodes - 1)} for d in range(driven.shape[1])]
-        potentials = _solved(rows, loads, ground)
+        potentials, places = _potentials(mesh, pattern, conductance, contact_impedance), len(mesh.nodes_mm)
         measured = pattern.measure_matrix()
         readings = np.zeros(pattern.shape)
         for drive, found in enumerate(potentials):
             for measure in range(measured.shape[1]):
                 touched = np.flatnonzero(measured[:, measure])
                 readings[drive, measure] = float(
-                    mp.fsum(mp.mpf(measured[k, measure]) * found.get(count + int(k), mp.zero) for k in touched)
+                    mp.fsum(mp.mpf(measured[k, measure]) * found[places + int(k)] for k in touched)
                 )
     return readings
+
+
+def exact_derivatives(
+    mesh: Mesh, pattern: DrivePattern, conductance: Array, contact_impedance: Sequence[float] | Array
+) -> tuple[Array, Array]:
+    """Change of readings per relative change of every conductance and every contact impedance, rounded once.
+
+    γ ∂V_kl/∂γ = −γ ∫∇u_k·∇u_l and z ∂V_kl/∂z = ∫ (U_k − u_k)(U_l − u_l)/z, for patterns that measure at the pairs
+    they drive.
+
+    Returns
+    -------
+    (drives, drives, e) and (drives, drives, electrodes) float64 [V/A].
+    """
+    count = len(mesh.nodes_mm)
+    with mp.workdps(DIGITS):
+        potentials = _potentials(mesh, pattern, conductance, contact_impedance)
+        pairs = [(one, two) for one in range(len(potentials)) for two in range(one + 1)]
+        places = [[mp.mpf(float(value)) for value in node] for node in mesh.nodes_mm]
+        by_element = np.zeros((len(potentials), len(potentials), len(mesh.elements)))
+        for number, (corners, gamma) in enumerate(zip(mesh.elements.tolist(), conductance.tolist(), strict=True)):
+            fields = [_gradient([places[c] for c in corners], [found[c] for c in corners]) for found in potentials]
+            for one, two in pairs:
+                (ax, ay, area), (bx, by, _) = fields[one], fields[two]
+                by_element[one, two, number] = by_element[two, one, number] = float(
+                    -mp.mpf(gamma) * (ax * bx + ay * by) * area
+                )
+        by_contact = np.zeros((len(potentials), len(potentials), len(mesh.electrode_edges)))
+        for number, edges in enumerate(mesh.electrode_edges):
+            for ends in edges.tolist():
+                (ax, ay), (bx, by) = (places[end] for end in ends)
+                length = mp.sqrt((ax - bx) ** 2 + (ay - by) ** 2) / mp.mpf(float(contact_impedance[number]))
+                drops = [[found[count + number] - found[end] for end in ends] for found in potentials]
+                for one, two in pairs:
+                    (a, b), (c, d) = drops[one], drops[two]
+                    by_contact[one, two, number] += float(length * (2 * a * c + 2 * b * d + a * d + b * c) / 6)
+                    by_contact[two, one, number] = by_contact[one, two, number]
+    return by_element, by_contact
+
+
+def _potentials(
+    mesh: Mesh, pattern: DrivePattern, conductance: Array, contact_impedance: Sequence[float] | Array
+) -> list[list[Any]]:
+    """Potentials of nodes, then electrodes, for a unit current through each drive pair."""
+    rows = _assembled(mesh, conductance, contact_impedance)
+    count, electrodes = len(mesh.nodes_mm), len(mesh.electrode_edges)
+    ground = count + electrodes - 1  # the last electrode's potential is zero
+    _drop(rows, ground)
+    driven = pattern.drive_currents()
+    loads = [{count + k: mp.mpf(driven[k, d]) for k in range(electrodes - 1)} for d in range(driven.shape[1])]
+    return [[found.get(unknown, mp.zero) for unknown in range(ground + 1)] for found in _solved(rows, loads, ground)]
+
+
+def _gradient(places: Sequence[Sequence[Any]], values: Sequence[Any]) -> tuple[Any, Any, Any]:
+    """Gradient of a linear function on a triangle, and the triangle's area."""
+    (ax, ay), (bx, by) = ([places[k][axis] - places[0][axis] for axis in (0, 1)] for k in (1, 2))
+    one, other, twice = values[1] - values[0], values[2] - values[0], ax * by - ay * bx
+    return (one * by - other * ay) / twice, (other * ax - one * bx) / twice, twice / 2
 
 
 def _assembled(mesh: Mesh, conductance: Array, contact_impedance: Sequence[float] | Array) -> _Rows:

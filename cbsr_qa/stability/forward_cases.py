@@ -13,7 +13,7 @@ from cbsr_qa.forward.model import ForwardModel
 from cbsr_qa.forward.value_range import ValueRangeError
 from cbsr_qa.stability import forward_exact, forward_loads
 from cbsr_qa.stability.case import Answer, HardCase, conditioned_bound
-from cbsr_qa.stability.extended import exact_readings
+from cbsr_qa.stability.extended import exact_derivatives, exact_readings
 from cbsr_qa.stability.small_sheet import (
     ELECTRODES,
     RADIUS_MM,
@@ -106,6 +106,18 @@ def _homogeneous() -> Answer:
     return Answer(error, conditioned_bound(condition), condition)
 
 
+def _sensitivities(conductance: Callable[[], Array], ratio: float, of_contacts: bool) -> Answer:
+    """Worst column of the Jacobian, of elements or of contacts, against fifty digits; two fields make a column."""
+    contacts = ratio * small_model().prepared.contacts.lengths_mm
+    model = small_model().changed(conductance=conductance(), contact_impedance=contacts)
+    used = model.pattern.usable()
+    exact = exact_derivatives(model.mesh, model.pattern, model.conductance, contacts)[int(of_contacts)][used]
+    found = model.contact_jacobian()[used] * contacts if of_contacts else model.jacobian()[used] * model.conductance
+    error = float((np.linalg.norm(found - exact, axis=0) / np.linalg.norm(exact, axis=0)).max())
+    condition = 2 * reading_condition(model)
+    return Answer(error, conditioned_bound(condition), condition, note="the worst of all columns")
+
+
 def _case(name: str, hard: str, run: Callable[[], Answer], truth: str = _FIFTY) -> HardCase:
     return HardCase(name, _AREA, hard, truth, run)
 
@@ -187,6 +199,16 @@ _GEOMETRY: Final = (
         "Conductances over five decades and contacts over eight, at once.",
         _reciprocal,
         "V_kl = V_lk, exactly",
+    ),
+    _case(
+        "sensitivity-within-good-conductors",
+        "Sensitivities of elements within good conductors, where potentials differ in the ninth digit only.",
+        partial(_sensitivities, partial(islands, 1e-8), 1.0, False),
+    ),
+    _case(
+        "sensitivity-to-perfect-contacts",
+        "Sensitivities to contacts of a thousand millionth of the sheet, under which potentials hardly differ.",
+        partial(_sensitivities, partial(inclusion, 1.0), 1.001e-9, True),
     ),
     _case(
         "derivatives-over-8-decades",

@@ -14,7 +14,7 @@ from cbsr_qa.reconstruct.dual import dual_matrix, dual_spectrum
 from cbsr_qa.stability.case import Answer, conditioned_bound
 from cbsr_qa.stability.exact_images import exact_image
 from cbsr_qa.stability.extended import exact_readings
-from cbsr_qa.stability.forward_cases import against_fifty_digits
+from cbsr_qa.stability.forward_cases import _sensitivities, against_fifty_digits
 from cbsr_qa.stability.forward_loads import loaded
 from cbsr_qa.stability.reading_cases import _in_units, _noise, _offset
 from cbsr_qa.stability.reconstruction_cases import _lasting, ridge_condition
@@ -43,6 +43,13 @@ def test_any_contrast_with_any_contacts_is_right_or_refused(kind, contrast, cont
     if made is not None:
         event("accepted")
         check(against_fifty_digits(made))
+
+
+@given(contrast=st.floats(-8, 0), ratio=st.floats(-8.9, 1), of_contacts=st.booleans())
+@settings(max_examples=8, deadline=None)
+def test_sensitivities_are_right_at_any_contrast_and_good_contact(contrast, ratio, of_contacts):
+    with suppress(ValueRangeError):
+        check(_sensitivities(lambda: islands(10**contrast), 10**ratio, of_contacts))
 
 
 @given(seed=st.integers(0, 2**32 - 1), decades=st.floats(0, 8))
