@@ -143,8 +143,9 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.force_coverage", description=__doc__)
     parser.add_argument("--sensors", choices=SENSORS, default="8wt")
     parser.add_argument("--seeds", default="0:0", help="first and one after the last, as 9000:9018")
-    parser.add_argument("--to", type=Path, default=Path("force-coverage.json"))
+    parser.add_argument("--to", type=Path, default=Path("build/force-coverage.json"))
     chosen = parser.parse_args()
+    chosen.to.parent.mkdir(parents=True, exist_ok=True)
     results = json.loads(chosen.to.read_text()) if chosen.to.exists() else {}
     for seed in range(*map(int, chosen.seeds.split(":"))):
         add(results, chosen.sensors, seed, chosen.to)
