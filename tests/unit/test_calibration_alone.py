@@ -84,7 +84,7 @@ def test_an_unknown_name_of_the_package_is_no_name():
 @pytest.fixture(scope="module")
 def printed(file):
     """The function the page prints, for a file of that name in the current folder."""
-    (code,) = re.findall(r"```python\n(.*?)```", _PAGE, re.S)
+    code, _ = re.findall(r"```python\n(.*?)```", _PAGE, re.S)
     assert set(re.findall(r"^import (\w+)", code, re.M)) == {"h5py", "numpy"}
     assert "cbsr_qa" not in code
     namespace = {}
@@ -319,6 +319,22 @@ def test_the_firmware_file_gives_the_same_forces_but_for_the_loss_it_states(firm
     worst = firmware["loss"]["relative_force_error_worst"]
     assert 0 < worst <= 0.02
     np.testing.assert_allclose(theirs, ours, rtol=1.5 * worst)
+
+
+def test_the_reader_that_the_page_prints_gives_the_same_forces_without_any_library(firmware, calibration, tmp_path):
+    _, code = re.findall(r"```python\n(.*?)```", _PAGE, re.S)
+    assert set(re.findall(r"^import (\w+)", code, re.M)) == {"json", "math"}
+    (tmp_path / "firmware.json").write_text(json.dumps(firmware))
+    namespace = {}
+    exec(code.replace('"firmware.json"', repr(str(tmp_path / "firmware.json"))), namespace)
+    seen = frames(_PLACES, _FORCES)
+    ours = calibration.force(seen, place_mm=_PLACES)
+    theirs = [namespace["force"](frame.ravel().tolist(), x, y) for frame, (x, y) in zip(seen, _PLACES, strict=True)]
+    worst = firmware["loss"]["relative_force_error_worst"]
+    # Of noise, a coarser template takes another share: a fraction of its own error.
+    np.testing.assert_allclose(theirs, ours.force_N, rtol=worst, atol=0.1 * ours.stderr_N.max())
+    assert namespace["force"](seen[0].ravel().tolist(), 60.0, 0.0) is None
+    assert namespace["force"](seen[0].ravel().tolist(), 49.9, 0.0) is None
 
 
 def test_the_firmware_file_is_small_and_says_what_it_is_of(firmware):
