@@ -53,23 +53,18 @@ def exact_gram(rows: Long) -> list[list[Any]]:
         part = np.round(np.ldexp(rest, number * _BITS))
         rest = rest - np.ldexp(part, -number * _BITS)
         slices.append(part.astype(np.float64))
-    count = len(rows)
-    gram = [[mp.zero] * count for _ in range(count)]
+    whole = [0] * (len(rows) * len(rows))  # A Aᵀ without its rows' exponents, in units of 2^−21(slices + 1)
     for total in range(_SLICES):  # slices i and j weigh 2^−21(i + j + 2)
+        summed = np.zeros((len(rows), len(rows)), dtype=np.int64)
         for first in range(0, rows.shape[1], _SUMMED):
             here = slice(first, first + _SUMMED)
             for i in range(total + 1):
-                product = slices[i][:, here] @ slices[total - i][:, here].T
-                _add(gram, product, exponents, -(total + 2) * _BITS)
-    return gram
-
-
-def _add(gram: list[list[Any]], product: Array, exponents: NDArray[np.int32], shift: int) -> None:
-    for i, (row, power) in enumerate(zip(product.tolist(), exponents.tolist(), strict=True)):
-        into = gram[i]
-        for j in range(i + 1):
-            if row[j]:
-                into[j] += mp.ldexp(mp.mpf(row[j]), power + int(exponents[j]) + shift)
+                summed += (slices[i][:, here] @ slices[total - i][:, here].T).astype(np.int64)
+        shift = (_SLICES - 1 - total) * _BITS
+        whole = [above + (here << shift) for above, here in zip(whole, summed.ravel().tolist(), strict=True)]
+    powers = (exponents[:, None] + exponents - (_SLICES + 1) * _BITS).ravel().tolist()
+    flat = [mp.ldexp(mp.mpf(value), power) for value, power in zip(whole, powers, strict=True)]
+    return [flat[row * len(rows) : (row + 1) * len(rows)] for row in range(len(rows))]
 
 
 def _solved(lower: list[list[Any]], right: list[Any]) -> list[Any]:
