@@ -36,12 +36,14 @@ class UnsureHold:
         ramps, ends = (grid.ravel() for grid in np.meshgrid(_RAMPS_S, _ENDS * frame_s))
         self._prior: Array = np.log(np.outer(_OF_ENDS, _OF_RAMPS).ravel())
         self._late_s = ends
+        self.frames = 0
         fastest_s = float(kernel.time_constants_s[0]) if len(kernel.time_constants_s) else np.inf
         seen_s = min(frame_s, 2 * _LONGEST * fastest_s)
         self._holds = HoldsSoFar(kernel, len(ramps), ramp_s=ramps, frame_s=seen_s)
 
     def add(self, held_s: float, value: float, noise: float) -> None:
         """Take in a frame: time since the ramp is taken to have ended, strength and its standard deviation."""
+        self.frames += 1
         self._holds.add(np.maximum(held_s - self._late_s, 0.0), value, noise)
 
     def predict(self, at_s: float) -> tuple[float, float]:

@@ -27,6 +27,10 @@ _OFF_SHARE: Final = 0.05
 _EARLY: Final = 0.5
 _BELIEVED: Final = 2
 _MOVED: Final = 0.1
+#: So many last frames together are held against what those before them promise: steps that creep in are seen so.
+_LAST: Final = 8
+_OFF_TOGETHER: Final = 4.0
+_SHARE_TOGETHER: Final = 0.025
 #: A load was not released, only lightened, where this share more of it is left than of released ones.
 _STAYS: Final = 0.2
 #: How sure the strength of what fades is, from frame to frame.
@@ -75,6 +79,8 @@ class Track:
         self._released = 0.0
         self._first: tuple[float, float, float] | None = None
         self._hold: UnsureHold | None = None
+        self._promise: UnsureHold | None = None  # of all but the last frames
+        self._last: list[tuple[float, float, float]] = []
         self._changed: tuple[float, float] | None = None
         self._now_s = self._pressed_s = since_s
         self._off = 0
@@ -164,9 +170,20 @@ class Track:
             held_s = max(time_s - self.since_s, 0.0)
             expected, stderr = self._hold.predict(held_s)
             off = abs(own - expected) > max(_OFF * float(np.hypot(stderr, self.noise)), _OFF_SHARE * abs(own))
+            off |= self._off_together()
             self._off = self._off + 1 if off and held_s > _EARLY * _patience_s(model) else 0
             if self._off >= _BELIEVED:
                 self._changed = (time_s, own)
+
+    def _off_together(self) -> bool:
+        """Whether the last frames together are off what those before them promise."""
+        if self._promise is None or self._promise.frames < _LAST // 2:
+            return False
+        held_s, own, noise = np.array(self._last).T
+        expected, stderr = self._promise.predict(float(held_s.mean()))
+        error = float(np.hypot(stderr, np.sqrt((noise**2).sum()) / len(noise)))
+        off = abs(float(own.mean()) - expected)
+        return off > max(_OFF_TOGETHER * error, _SHARE_TOGETHER * abs(float(own.mean())))
 
     def _learn(self, time_s: float, frame_s: float, model: ForceModel) -> None:
         """Add a frame to the hold; the first waits for the second, which tells whether the head was still moving."""
@@ -181,7 +198,8 @@ class Track:
         if self._first is not None:
             first, self._first = self._first, None
             expected = _kernel(model.loading, first[0] - self.since_s) / _kernel(model.loading, time_s - self.since_s)
-            self._hold = UnsureHold(model.loading, frame_s)
+            self._hold, self._promise = UnsureHold(model.loading, frame_s), UnsureHold(model.loading, frame_s)
+            self._last.clear()
             if self.sign * first[1] < _PARTIAL * expected * self.sign * own:
                 self.since_s = max(first[0] + frame_s / 2, self.since_s)
             else:
@@ -190,13 +208,17 @@ class Track:
 
     def _add(self, time_s: float, own: float, noise: float) -> None:
         assert self._hold is not None
-        self._hold.add(max(time_s - self.since_s, 0.0), own, noise)
+        held_s = max(time_s - self.since_s, 0.0)
+        self._hold.add(held_s, own, noise)
+        self._last.append((held_s, own, noise))
+        if len(self._last) > _LAST and self._promise is not None:
+            self._promise.add(*self._last.pop(0))
 
     def _release(self, time_s: float) -> None:
         self._pressed_s = self.since_s
         self.state, self.since_s = "unloading", time_s
         self._released = self.sign * self._largest
-        self._hold = self._first = None
+        self._hold = self._promise = self._first = None
 
     def _lightened(self, time_s: float) -> None:
         """Take back a release: some of the load still presses."""

@@ -205,6 +205,16 @@ def test_a_load_that_changes_while_it_presses_is_known_less_surely_and_not_wrong
     assert late[0].since_s == pytest.approx(20, abs=FRAME_S)
 
 
+@pytest.mark.parametrize("part", [0.12, -0.12])
+def test_a_small_change_that_creeps_in_is_noticed(calibration, response, part):
+    head = Steps((15.0, 5.0), [(20.0, 3.0), (90.0, 3.0 * part)], response)
+    seen = followed(calibration, [head], 160.0)
+    before, after = (pressing(at(seen, time_s)) for time_s in (88.0, 125.0))
+    assert len(before) == len(after) == 1
+    assert after[0].stderr_N > 1.5 * before[0].stderr_N
+    assert abs(after[0].force_N - 3.0 * (1 + part)) < 3 * after[0].stderr_N
+
+
 def test_a_head_seen_on_its_way_down_does_not_become_two(calibration, response):
     # A tenth of the load in the frame in which it touches: that frame is 9 mm off in its place.
     head = Steps((11.3, 25.5), [(18.8, 0.12), (20.1, 1.13)], response)
