@@ -20,6 +20,9 @@ from cbsr_qa.domain.sensor import QuasiStatic
 
 Array = NDArray[np.float64]
 
+#: Largest strength that is taken as it is: of a head under which the sheet conducts 200 times as well.
+_STRONGEST = 1.98
+
 
 class Flag(IntFlag):
     """What is to be said of one frame's force; 0 is nothing."""
@@ -135,8 +138,11 @@ class ForceInverse:
         return newtons.force, np.sqrt(np.maximum(by_readings, 0.0) + newtons.variance)
 
     def newtons(self, matches: Matches) -> Newtons:
-        """Forces (n,), and what their errors are made of."""
-        model, strength = self.model, matches.strength
+        """Forces (n,), and what their errors are made of.
+
+        A strength of 2 or more no contrast has: what is nearly that counts as so much, a force far above any range.
+        """
+        model, strength = self.model, np.minimum(matches.strength, _STRONGEST)
         tables = (model.log_response, model.log_response_stderr, self.gradient)
         log_response, stderr, slope = all_interpolated(model, tables, matches.place_mm)
         response = np.exp(-log_response)

@@ -232,7 +232,7 @@ class TemplateFilter:
             xx, xy, yy = tables_at(tables, offset)[:, 3:].T
             score, by_x, by_y = at.T
             steepness = score * (xx * yy - xy**2) * h**2
-            scale = damping * steepness / np.maximum(steepness**2, _NOTHING)
+            scale = np.divide(damping, steepness, out=np.zeros_like(steepness), where=steepness != 0)
             step = np.column_stack([yy * by_x - xy * by_y, xx * by_y - xy * by_x]) * scale[:, None]
             aim = np.clip(offset + np.clip(step, -0.5, 0.5), -_FURTHEST, 1 + _FURTHEST)
             there = np.column_stack(values_at(local, aim))

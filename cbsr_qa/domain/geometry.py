@@ -46,13 +46,15 @@ def area_under_edges(start: Points, end: Points, radius: float) -> NDArray[np.fl
     length_squared = _dot(along, along)
     middle = -_dot(start, along) / length_squared
     # |start × along|² / |along|² is the squared distance of the line; this form keeps its digits near tangency.
-    half = np.sqrt(np.maximum(radius**2 - _cross(start, along) ** 2 / length_squared, 0.0) / length_squared)
+    across = _cross(start, along)
+    half = np.sqrt(np.maximum(radius**2 - across**2 / length_squared, 0.0) / length_squared)
     first, last = np.clip(middle - half, 0.0, 1.0), np.clip(middle + half, 0.0, 1.0)
     enters, leaves = start + first[..., None] * along, start + last[..., None] * along
     # An end inside the circle has no sector; near the centre its direction would be rounding alone.
-    before, after = np.where(first > 0, _angle(start, enters), 0.0), np.where(last < 1, _angle(leaves, end), 0.0)
-    sectors = radius**2 * (before + after)
-    area: NDArray[np.float64] = (sectors + _cross(enters, leaves)) / 2
+    # Along one line, cross products are shares of that of the edge: those of places that lie close would cancel.
+    before = np.where(first > 0, np.arctan2(first * across, _dot(start, enters)), 0.0)
+    after = np.where(last < 1, np.arctan2((1 - last) * across, _dot(leaves, end)), 0.0)
+    area: NDArray[np.float64] = (radius**2 * (before + after) + (last - first) * across) / 2
     return area
 
 
@@ -110,8 +112,3 @@ def _dot(a: Points, b: Points) -> NDArray[np.float64]:
 def _cross(a: Points, b: Points) -> NDArray[np.float64]:
     cross: NDArray[np.float64] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
     return cross
-
-
-def _angle(a: Points, b: Points) -> NDArray[np.float64]:
-    angle: NDArray[np.float64] = np.arctan2(_cross(a, b), _dot(a, b))
-    return angle

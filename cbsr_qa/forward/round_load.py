@@ -20,6 +20,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.patterns import DrivePattern
 
 Array = NDArray[np.float64]
@@ -134,7 +135,15 @@ class RoundLoadModel:
         return readings
 
     def readings(self, loads: RoundLoads) -> LoadReadings:
-        """Changes of the readings, and their slopes, for each of n loads in a sheet of its own."""
+        """Changes of the readings, and their slopes, for each of n loads in a sheet of its own.
+
+        Raises
+        ------
+        NumericsError
+            If a load's place, strength or size is no finite number, or its centre is on an electrode or off the
+            sheet, where the field has no power series.
+        """
+        self._check(loads)
         reach = self._reach(loads)
         orders = self._orders(loads.place_mm, reach)
         around = self.surroundings.expansion(loads.place_mm, reach, orders)
@@ -165,6 +174,22 @@ class RoundLoadModel:
         growth = (loads.square_mm2 / reach**2)[:, None] ** (order - 1)
         weight = -2 * np.pi * np.tile(order * growth, 2) / reach[:, None] ** 2
         return _gram(fields @ self._drive, weight, fields @ self._measure)
+
+    def _check(self, loads: RoundLoads) -> None:
+        each = np.column_stack([loads.place_mm, loads.strength_mm2, loads.square_mm2])
+        if not np.isfinite(each).all():
+            raise NumericsError(
+                "a load's place, strength or size is not a finite number",
+                remedy="a head that conducts perfectly has a strength of its squared radius",
+            )
+        outside = np.flatnonzero(self.surroundings.clearance_mm(loads.place_mm) <= 0)
+        if outside.size:
+            x_mm, y_mm = loads.place_mm[outside[0]].tolist()
+            raise NumericsError(
+                f"a load at ({x_mm:g}, {y_mm:g}) mm has its centre on an electrode or off the sheet: its field has no"
+                " power series",
+                remedy="press clear of the electrodes, or use a mesh",
+            )
 
     def _reach(self, loads: RoundLoads) -> Array:
         least = _SMALLEST_REACH * self.surroundings.radius_mm

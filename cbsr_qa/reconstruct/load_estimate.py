@@ -220,6 +220,8 @@ class LoadEstimator:
 
     def _why(self, finding: LoadFinding, found: LoadFits, number: int) -> str:
         if finding is LoadFinding.NOT_DETECTED:
+            if found.inflation[number] > 1:
+                return "the readings changed by more than their noise, but not as one round load changes them"
             return "no load stands out of the noise of the readings"
         seen, place = float(found.detectability[number]), float(found.place_stderr_mm[number])
         if not found.fits.converged[number]:

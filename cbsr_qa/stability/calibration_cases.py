@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 _AREA: Final = "calibration"
 _STRAINS: Final[Array] = np.array([0.05, 0.10, 0.15, 0.20, 0.25, 0.30])
-_NINE: Final[Array] = np.array(NINE_LOCATIONS_MM)
+NINE: Final[Array] = np.array(NINE_LOCATIONS_MM)
 _SEED: Final = 20261121
 _LEAST_VARIANCE: Final = 1e-12  # of a load in a map of the response
 _PROCESSES: Final = 12  # of a map, that are held against truth: fifty digits take their time
@@ -92,7 +92,7 @@ def far_registration() -> Answer:
     """Turn, scale and residuals of places ten kilometres away from the origin."""
     first = 1e7
     turn = 1.02 * np.exp(0.1j)
-    p = _NINE[:, 0] + 1j * _NINE[:, 1]
+    p = NINE[:, 0] + 1j * NINE[:, 1]
     q = turn * p
     near = np.column_stack([p.real, p.imag]) + first
     far = np.column_stack([q.real, q.imag]) - 3 * first
@@ -104,7 +104,7 @@ def far_registration() -> Answer:
 
 def collinear_registration() -> Answer:
     """Turn and scale of places in a line."""
-    row = _NINE[[0, 1, 2]]
+    row = NINE[[0, 1, 2]]
     found = register(row, np.column_stack([-row[:, 1], row[:, 0]]) * 0.9)
     error = max(relative_error(found.scale, mpmath.mpf("0.9")), abs(found.rotation_deg / 90 - 1))
     return Answer(float(error), conditioned_bound(1.0), 1.0)
@@ -118,7 +118,7 @@ def registration(nominal_mm: Array, seen_mm: Array) -> Answer:
 def gauge_factor() -> Answer:
     """Gauge factor from loads at whose strain the line α ε + β is zero."""
     nothing = QuasiStatic(Parameter(0.6, 0.01, "case"), Parameter(-0.06, 0.01, "case"), 0.0)
-    places, strain = _NINE, np.full(9, 0.1)
+    places, strain = NINE, np.full(9, 0.1)
     found = sheet_gauge_factor(
         places, np.full(9, 0.05), np.full(9, 1e-4), strain, nothing, radius_mm=50.0, sheet_mm=places
     )
@@ -192,19 +192,19 @@ _MAPS: Final = (
     _response_case(
         "loads-a-picometre-apart",
         "Places that differ by 1e-9 mm, without noise: rows of the covariance that are equal to twenty digits.",
-        np.vstack([_NINE[:4], _NINE[:3] + 1e-9]),
+        np.vstack([NINE[:4], NINE[:3] + 1e-9]),
         np.zeros(7),
     ),
     _response_case(
         "loads-in-a-tenth-of-a-millimetre",
         "All loads within a thousandth of the shortest length: the covariance has one direction and rounding.",
-        _NINE[:7] / 300,
+        NINE[:7] / 300,
         np.zeros(7),
     ),
     _response_case(
         "loads-known-a-million-times-better",
         "Loads whose variances differ by 1e12.",
-        _NINE[:7],
+        NINE[:7],
         10.0 ** np.linspace(-14, -2, 7),
     ),
     HardCase(
@@ -219,7 +219,7 @@ _MAPS: Final = (
         _AREA,
         "A load whose response is no number.",
         "refusal",
-        lambda: Answer(learn_response(_NINE, np.full(9, np.nan), np.zeros(9), radius_mm=50.0).scatter, 0.0),
+        lambda: Answer(learn_response(NINE, np.full(9, np.nan), np.zeros(9), radius_mm=50.0).scatter, 0.0),
         CalibrationError,
     ),
 )
@@ -244,7 +244,7 @@ _REGISTRATIONS: Final = (
         _AREA,
         "Nine loads at one place, which rounds to places that differ.",
         "refusal",
-        partial(registration, np.full((9, 2), 1e9 + 0.1), _NINE),
+        partial(registration, np.full((9, 2), 1e9 + 0.1), NINE),
         NumericsError,
     ),
     HardCase(
@@ -252,7 +252,7 @@ _REGISTRATIONS: Final = (
         _AREA,
         "A sheet that lies upside down: least squares find a scale near zero, and no place is where it seems.",
         "refusal",
-        partial(registration, _NINE, _NINE * [1.0, -1.0]),
+        partial(registration, NINE, NINE * [1.0, -1.0]),
         NumericsError,
     ),
 )

@@ -9,6 +9,7 @@ from cbsr_qa.stability import (
     forward_cases,
     geometry_cases,
     imaging_cases,
+    load_cases,
     reading_cases,
     reconstruction_cases,
     relaxation_cases,
@@ -26,6 +27,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     *geometry_cases.CASES,
     *relaxation_cases.CASES,
     *calibration_cases.CASES,
+    *load_cases.CASES,
     *time_cases.CASES,
     *statistics_cases.CASES,
 )

@@ -97,6 +97,14 @@ class TestSearch:
         lower = model.threshold**2 + 2 * np.log(1e-4 / 1e-2)
         assert 0.6e-2 < (gains > lower).mean() < 2e-2
 
+    @pytest.mark.parametrize("power", [-60, -40, 40])
+    def test_the_size_of_frames_moves_no_place(self, finder, power):
+        """Below 1e-11 of their noise places were off by 3e-4 of a template's turn."""
+        rows = finder.template(np.array([[3.3, -7.1], [-20.4, 11.2]]))
+        usual, other = finder.search(rows), finder.search(2.0**power * rows)
+        np.testing.assert_array_equal(other.place_mm, usual.place_mm)
+        np.testing.assert_array_equal(other.strength, 2.0**power * usual.strength)
+
     def test_no_frames_no_answers(self, finder):
         assert len(finder.search(np.zeros((0, finder.templates.shape[1]))).strength) == 0
 

@@ -155,6 +155,14 @@ def test_no_contrast_is_no_change(model):
     assert np.abs(change(model, 12.0, 20.0, 6.5, 0.0)).max() == 0
 
 
+@pytest.mark.parametrize("place", [(48.0, 0.0), (47.9, 0.0), (60.0, 0.0), (np.nan, 0.0)])
+def test_a_load_where_the_field_has_no_power_series_is_refused(model, place):
+    """On a pin a series of 1e18 V/A came out."""
+    loads = RoundLoads(np.array([[0.0, 0.0], place]), np.full(2, 1.0), np.full(2, 6.5**2))
+    with pytest.raises(NumericsError, match=r"on an electrode or off the sheet|not a finite number"):
+        model.readings(loads)
+
+
 def test_a_dipole_is_left_where_the_disc_vanishes(model):
     """At equal strength readings stop depending on the size as it goes to nothing, linearly in its square."""
     point = model.readings(one(14.0, 9.0, 0.5, 0.0)).change[0]
