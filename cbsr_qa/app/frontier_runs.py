@@ -104,7 +104,7 @@ def simulated_sensor(
         if ended.end is not EndReason.FINISHED:
             raise NumericsError(f"the simulated run was {ended.end}: {ended.detail}")
         design: SheetDesign = bench.frame_source.world.sheet.design  # type: ignore[attr-defined]
-        return SimulatedSensor(journal.record(identity, ended, clock.now()), design)
+        return SimulatedSensor(journal.record(identity, ended), design)
     finally:
         bench.close()
 

@@ -14,7 +14,6 @@ from cbsr_qa.domain.run_events import (
     SamplesTaken,
     Unloaded,
 )
-from cbsr_qa.domain.steps import Role
 from cbsr_qa.runner.plan import Plan
 
 E = TypeVar("E", FramesTaken, LoadFinished, SamplesTaken, Unloaded)
@@ -25,7 +24,7 @@ class MemoryJournal:
 
     Parameters
     ----------
-    plan : that is run; its sequences say what their phases are for.
+    plan : that is run.
     """
 
     def __init__(self, plan: Plan) -> None:
@@ -36,14 +35,14 @@ class MemoryJournal:
         """Keep one document."""
         self._events.append(event)
 
-    def record(self, identity: RunIdentity, ended: RunEnded, station_s: float) -> RunRecord:
-        """Return the run as it would be stored."""
+    def record(self, identity: RunIdentity, ended: RunEnded) -> RunRecord:
+        """Return the run as the database would give it back."""
         ends = {event.index: event.time_s for event in self._events if isinstance(event, PhaseFinished)}
         started = [event for event in self._events if isinstance(event, PhaseStarted)]
         phases = tuple(self._phase(event, ends.get(event.index, ended.time_s)) for event in started)
         plan = self._plan
         return RunRecord(
-            identity, plan.sensor_type, plan.material, plan.indenter, phases, ended.end, ended.detail, station_s,
+            identity, plan.sensor_type, plan.material, plan.indenter, phases, ended.end, ended.detail, ended.time_s,
             ended.spent,
         )  # fmt: skip
 
@@ -53,16 +52,18 @@ class MemoryJournal:
     def _phase(self, event: PhaseStarted, ended_s: float) -> PhaseRecord:
         frames = [one.frames for one in self._of(FramesTaken, event.index)]
         samples = [one.samples for one in self._of(SamplesTaken, event.index)]
-        channels = dict.fromkeys(block.channel for block in samples)
+        channels = sorted({block.channel for block in samples})
+        loads = [one.record for one in self._of(LoadFinished, event.index)]
         return PhaseRecord(
-            event.index,
-            event.name,
-            event.sequence,
-            event.time_s,
-            ended_s,
-            join_frames(frames) if frames else None,
-            tuple(join_samples([block for block in samples if block.channel == name]) for name in channels),
-            tuple(one.record for one in self._of(LoadFinished, event.index)),
-            max((one.time_s for one in self._of(Unloaded, event.index)), default=None),
-            getattr(self._plan.phases[event.index].sequence, "role", Role.OTHER),
+            index=event.index,
+            name=event.name,
+            sequence=event.sequence,
+            started_s=event.time_s,
+            ended_s=ended_s,
+            frames=join_frames(frames) if frames else None,
+            samples=tuple(join_samples([one for one in samples if one.channel == name]) for name in channels),
+            loads=tuple(load for load in loads if not load.eased),
+            loops=tuple(load for load in loads if load.eased),
+            unloaded_from_s=max((one.time_s for one in self._of(Unloaded, event.index)), default=None),
+            role=event.role,
         )

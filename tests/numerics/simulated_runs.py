@@ -5,11 +5,9 @@ from datetime import UTC, datetime
 
 from cbsr_qa.clock import VirtualClock
 from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type
-from cbsr_qa.domain.frames import join_frames, join_samples
 from cbsr_qa.domain.loads import Indenter, Load
 from cbsr_qa.domain.plan import InstrumentSpec, Motion, SafetyLimits
-from cbsr_qa.domain.run import PhaseRecord, RunIdentity, RunRecord
-from cbsr_qa.domain.run_events import FramesTaken, LoadFinished, PhaseFinished, PhaseStarted, SamplesTaken, Unloaded
+from cbsr_qa.domain.run import RunIdentity
 from cbsr_qa.domain.sensor import Parameter, SensorIdentity
 from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release
 from cbsr_qa.hookspecs import Kind
@@ -17,6 +15,7 @@ from cbsr_qa.interfaces import StationContext
 from cbsr_qa.plugins import discover
 from cbsr_qa.runner.bench import open_bench
 from cbsr_qa.runner.execute import execute
+from cbsr_qa.runner.memory_journal import MemoryJournal
 from cbsr_qa.runner.plan import Plan, PlannedPhase
 
 HEAD = Indenter(13.0)
@@ -42,44 +41,6 @@ class Presses:
             yield Hold(self._hold_s, acquire=True)
             yield Release()
             yield Hold(self._rest_s, acquire=True)
-
-
-class MemoryJournal:
-    """Keeps the documents of a run and puts them together as a record."""
-
-    def __init__(self):
-        self._events = []
-
-    def __call__(self, event):
-        """Keep one document."""
-        self._events.append(event)
-
-    def of(self, kind, phase):
-        """Documents of one kind and phase."""
-        return [e for e in self._events if isinstance(e, kind) and e.phase == phase]
-
-    def phases(self):
-        """Every phase as it would be stored."""
-        ends = {e.index: e.time_s for e in self._events if isinstance(e, PhaseFinished)}
-        started = [e for e in self._events if isinstance(e, PhaseStarted)]
-        return tuple(self._phase(event, ends[event.index]) for event in started)
-
-    def _phase(self, event, ended_s):
-        samples = [e.samples for e in self.of(SamplesTaken, event.index)]
-        records = [e.record for e in self.of(LoadFinished, event.index)]
-        return PhaseRecord(
-            event.index,
-            event.name,
-            event.sequence,
-            event.time_s,
-            ended_s,
-            join_frames([e.frames for e in self.of(FramesTaken, event.index)]),
-            (join_samples(samples),),
-            tuple(record for record in records if not record.eased),
-            min(e.time_s for e in self.of(Unloaded, event.index)),
-            event.role,
-            tuple(record for record in records if record.eased),
-        )
 
 
 def simulated_run(
@@ -124,7 +85,7 @@ def simulated_run(
     identity = RunIdentity(
         "run", SensorIdentity("S", "", sensor.name), "test", "test", "", clock.wall(), "", (), bench.identities()
     )
-    journal = MemoryJournal()
+    journal = MemoryJournal(plan)
     ended = execute(plan, identity, bench, clock, [journal])
     assert not ended.detail, ended.detail
-    return RunRecord(identity, sensor, material, HEAD, journal.phases(), ended.end, "", clock.now(), ended.spent)
+    return journal.record(identity, ended)

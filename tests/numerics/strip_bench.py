@@ -3,19 +3,17 @@
 from dataclasses import replace
 from datetime import UTC, datetime
 
-from simulated_runs import MemoryJournal
-
 from cbsr_qa.clock import VirtualClock
 from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type, load_station
 from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
-from cbsr_qa.domain.run import RunIdentity, RunRecord
+from cbsr_qa.domain.run import RunIdentity
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.domain.steps import Role
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import StationContext
 from cbsr_qa.plugins import discover
 from cbsr_qa.runner.bench import open_bench
 from cbsr_qa.runner.execute import execute
+from cbsr_qa.runner.memory_journal import MemoryJournal
 from cbsr_qa.runner.plan import Plan, PlannedPhase
 from cbsr_qa_plugins.sequences.characterisation import CharacterisationSequence
 
@@ -40,9 +38,7 @@ def strip_run(*, effects=(), without=(), seed=1, material="cbsr-8wt", **options)
     identity = RunIdentity(
         "run", SensorIdentity("S", "", sensor.name), "test", "test", "", clock.wall(), "", (), bench.identities()
     )
-    journal = MemoryJournal()
+    journal = MemoryJournal(plan)
     ended = execute(plan, identity, bench, clock, [journal])
     assert not ended.detail, ended.detail
-    (pressed,) = journal.phases()
-    phases = (replace(pressed, role=Role.CHARACTERISATION),)
-    return RunRecord(identity, sensor, material, station.indenter, phases, ended.end, "", clock.now(), ended.spent)
+    return journal.record(identity, ended)
