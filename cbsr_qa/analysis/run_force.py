@@ -113,7 +113,7 @@ def learned_from(run: RunObservation) -> RunForce:
     CbsrError
         If nothing can be learned; the reason is in it.
     """
-    loads = _RunForce(run)
+    loads = _loads_of(run)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
     used = tuple(load for load, yes in zip(loads.loads, calibrating, strict=True) if yes)
     learned = loads.learn(calibrating)
@@ -141,8 +141,14 @@ def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[T
     CbsrError
         If the run has no load with a force, or its noise cannot be told.
     """
-    strengths = _RunForce(run).strengths()
+    strengths = _loads_of(run).strengths()
     return [strengths.change(load) for load in loads]
+
+
+@lru_cache(maxsize=1)
+def _loads_of(run: RunObservation) -> "_RunForce":
+    """One run's loads, kept for whoever asks next."""
+    return _RunForce(run)
 
 
 class _RunForce:
