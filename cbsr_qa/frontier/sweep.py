@@ -2,17 +2,23 @@
 
 import json
 import multiprocessing
-from collections.abc import Callable, Mapping, Sequence
+import signal
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from cbsr_qa.domain.errors import StoreError
 
 #: Told how many pieces of how many are done, and which was the last.
 Tell = Callable[[int, int, str], None]
 Documents = list[dict[str, Any]]
+
+_START: Final = b'{"key": "'
+_BEGIN_AGAIN: Final = "move it away, or begin again with --fresh, which removes it"
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +40,8 @@ class Work:
 class Kept:
     """Finished pieces of work in a file, a line of JSON each.
 
+    A line that was cut off while it was written ends the file; it is written over by the next piece.
+
     Parameters
     ----------
     path : of the file; None keeps nothing.
@@ -41,55 +49,69 @@ class Kept:
     Raises
     ------
     StoreError
-        If the file is there and is none of ours.
+        If the file is there and is none of ours, or cannot be read.
     """
 
     def __init__(self, path: Path | None) -> None:
         self._path = path
+        self._cut_at: int | None = None  #: where a line that was cut off begins
         self.found: dict[str, Documents] = {}
         if path is not None and path.exists():
             self._read(path)
 
     def _read(self, path: Path) -> None:
-        lines = path.read_text(encoding="utf-8").splitlines()
+        try:
+            text = path.read_bytes()
+        except OSError as error:
+            raise StoreError(f"{path} cannot be read: {error.strerror or error}", remedy=_BEGIN_AGAIN) from error
+        *lines, last = text.split(b"\n")
         for number, line in enumerate(lines, 1):
-            try:
-                entry = json.loads(line)
-                key, documents = str(entry["key"]), list(entry["documents"])
-            except (ValueError, KeyError, TypeError) as error:
-                if number == len(lines):
-                    return  # cut off while it was written: that piece is worked out again
-                raise StoreError(
-                    f"{path}: line {number} is no finished piece of a sweep ({type(error).__name__})",
-                    remedy="name another file with --resume, or remove this one to begin again",
-                ) from error
-            self.found[key] = documents
+            self._take(path, number, line)
+        if last[: len(_START)] != _START[: len(last)]:
+            self._take(path, len(lines) + 1, last)  # not cut off: somebody else's, which is refused
+        elif last:
+            self._cut_at = len(text) - len(last)
+
+    def _take(self, path: Path, number: int, line: bytes) -> None:
+        try:
+            entry = json.loads(line)
+            key, documents = str(entry["key"]), [dict(one) for one in entry["documents"]]
+        except (ValueError, KeyError, TypeError) as error:
+            raise StoreError(
+                f"{path}: line {number} is no finished piece of a sweep ({type(error).__name__})", remedy=_BEGIN_AGAIN
+            ) from error
+        self.found[key] = documents
 
     def keep(self, key: str, documents: Documents) -> None:
-        """Keep a finished piece, on the disk before anything else is done."""
+        """Keep a finished piece, in its file before anything else is done.
+
+        Raises
+        ------
+        StoreError
+            If the file cannot be written to.
+        """
+        if self._path is not None:
+            line = json.dumps({"key": key, "documents": documents}, allow_nan=False).encode() + b"\n"
+            try:
+                with self._path.open("ab") as file:
+                    if self._cut_at is not None:
+                        file.truncate(self._cut_at)
+                    file.write(line)
+            except OSError as error:
+                raise StoreError(f"{self._path} cannot be written: {error.strerror or error}") from error
+            self._cut_at = None
         self.found[key] = documents
-        if self._path is None:
-            return
-        text = json.dumps({"key": key, "documents": documents}, allow_nan=False)
-        whole = self._path.exists() and self._path.stat().st_size > 0 and not _ends_whole(self._path)
-        with self._path.open("a", encoding="utf-8") as file:
-            file.write(("\n" if whole else "") + text + "\n")
-
-
-def _ends_whole(path: Path) -> bool:
-    with path.open("rb") as file:
-        file.seek(-1, 2)
-        return file.read(1) == b"\n"
 
 
 def worked_out(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) -> Mapping[str, Documents]:
     """Work everything out that is not kept yet, the pieces in order handed to whichever process is free.
 
-    What comes out does not depend on the number of processes.
+    What comes out does not depend on the number of processes. Where a piece raises, none is begun any more, those
+    that have begun are finished and kept, and its error is raised. Ctrl-C ends at once; what is finished is kept.
 
     Parameters
     ----------
-    processes : at once; 1 works in this one.
+    processes : at once; 1 works in this one, and what a piece raises is raised at once.
 
     Returns
     -------
@@ -98,24 +120,48 @@ def worked_out(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) 
     left = [piece for piece in work if piece.key not in kept.found]
     done = len(work) - len(left)
     tell(done, len(work), "begun" if done == 0 else "resumed")
-    for piece, documents in _finished(left, processes):
-        kept.keep(piece.key, documents)
-        done += 1
-        tell(done, len(work), piece.what)
+    with closing(_finished(left, processes)) as finished:
+        for piece, documents in finished:
+            kept.keep(piece.key, documents)
+            done += 1
+            tell(done, len(work), piece.what)
     return {piece.key: kept.found[piece.key] for piece in work}
 
 
-def _finished(work: Sequence[Work], processes: int) -> Any:
+def _finished(work: Sequence[Work], processes: int) -> Generator[tuple[Work, Documents], None, None]:
     if processes <= 1 or len(work) <= 1:
         for piece in work:
             yield piece, piece.run()
         return
     # Spawned: threads of numerical libraries do not survive a fork.
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context, initializer=_deaf) as pool:
+        others = multiprocessing.active_children()
+        futures = {pool.submit(piece.run): piece for piece in work}
+        failed: BaseException | None = None
         try:
-            futures = {pool.submit(piece.run): piece for piece in work}
             for future in as_completed(futures):
-                yield futures[future], future.result()
+                if future.cancelled():
+                    continue
+                if (error := future.exception()) is None:
+                    yield futures[future], future.result()
+                elif failed is None:
+                    failed = error
+                    for other in futures:
+                        other.cancel()  # what has begun is finished, and kept
         except BaseException:
-            pool.shutdown(wait=False, cancel_futures=True)
+            _stop(set(multiprocessing.active_children()) - set(others))
             raise
+    if failed is not None:
+        raise failed
+
+
+def _deaf() -> None:
+    """Leave Ctrl-C to the process that hands out the work: it stops the others."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _stop(workers: Iterable[BaseProcess]) -> None:
+    """End processes in the middle of a piece, which may take minutes more."""
+    for worker in workers:
+        worker.terminate()
