@@ -1,6 +1,7 @@
 """A sensor's relaxation kernel, learned from the loads of a calibration run."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -19,6 +20,8 @@ _FEWEST: Final = 6
 #: Standard deviations of the weak priors: of a weight, a logarithm of a time constant, and the weight of an
 #: exponential that the traces do not show but may hide.
 _WEIGHT, _LOG_TIME, _HIDDEN = 1.0, 1.0, 0.3
+#: Share of their root mean square that the mean of all sizes must be of to stand for them.
+_ONE_SIGN: Final = 0.1
 #: How far a hidden exponential lies from the one that is seen.
 _APART: Final = 5.0
 
@@ -62,7 +65,7 @@ def learn_kernel(
     NumericsError
         If numbers of loads differ, a number is not finite, or time stamps repeat or step back.
     """
-    loads = _loads(traces, ramp_s, released, start_s)
+    loads, unit = _scaled(_loads(traces, ramp_s, released, start_s))
     told = [index for index, load in enumerate(loads) if len(load.time_s) >= _FEWEST]
     used = [loads[index] for index in told]
     common = fit_common_relaxation([(load.time_s, load.values) for load in used])
@@ -72,7 +75,7 @@ def learn_kernel(
     if why:
         return _no_kernel(released is None, len(used), start_s, why)
     weights, time_constants_s, prior = _beginning(used, common, frame_s)
-    own = None if noise is None else [noise[index] for index in told]
+    own = None if noise is None else [noise[index] * unit for index in told]
     found = shared_kernel(used, weights, time_constants_s, prior, frame_s=frame_s, noise=own)
     return RelaxationKernel(
         loading=released is None,
@@ -103,6 +106,20 @@ def _loads(
     return loads
 
 
+def _scaled(loads: list[KernelTrace]) -> tuple[list[KernelTrace], float]:
+    """Loads in a unit in which the largest is about one, and that unit: a power of two, so that nothing rounds.
+
+    Weights are relative, and covariances of large numbers would not fit into doubles.
+    """
+    largest = max((float(np.abs(load.values).max(initial=0.0)) for load in loads), default=0.0)
+    unit = float(np.ldexp(1.0, -int(np.frexp(largest)[1])))
+    scaled = [
+        replace(load, values=load.values * unit, released=None if load.released is None else load.released * unit)
+        for load in loads
+    ]
+    return scaled, unit
+
+
 def _stands_out(loads: Sequence[KernelTrace], common: CommonRelaxation) -> bool:
     """Whether what relaxations are relative to is clear of zero."""
     if loads[0].released is not None:
@@ -114,12 +131,17 @@ def _beginning(loads: Sequence[KernelTrace], common: CommonRelaxation, frame_s: 
     """Weights, time constants and the standard deviations of their weak priors."""
     window_s = max(float(load.time_s[-1]) for load in loads)
     seen = np.array(common.fit.time_constants_s)
-    size = float(np.mean([common.fit.offset if load.released is None else load.released for load in loads]))
+    sizes = np.array([common.fit.offset if load.released is None else load.released for load in loads])
+    amplitudes = np.array(common.fit.amplitudes)
+    if abs(sizes.mean()) > _ONE_SIGN * np.sqrt((sizes**2).mean()):
+        relative = amplitudes / sizes.mean()
+    else:  # releases of both signs, whose mean says nothing
+        relative = common.shares * float(common.scales @ sizes / (sizes @ sizes)) if len(seen) else amplitudes
     ramp_s = float(np.mean([load.ramp_s for load in loads]))
     weights = np.zeros(len(seen))
     if len(seen):
         start, _ = exponentials(np.zeros(1), seen, ramp_s=ramp_s, frame_s=frame_s)
-        weights = np.array(common.fit.amplitudes) / start[0] / size
+        weights = relative / start[0]
     if len(seen) == 2:
         return weights, seen, np.array([_WEIGHT, _WEIGHT, _LOG_TIME, _LOG_TIME])
     if len(seen) == 1:

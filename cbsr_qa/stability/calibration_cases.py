@@ -9,8 +9,11 @@ from numpy.typing import NDArray
 
 from cbsr_qa.calibrate.baseline import predicted_change
 from cbsr_qa.calibrate.gauge_factor import sheet_gauge_factor
+from cbsr_qa.calibrate.matched import Matches
 from cbsr_qa.calibrate.quasi_static import fit_quasi_static
+from cbsr_qa.calibrate.relaxation_kernel import learn_kernel
 from cbsr_qa.calibrate.response_map import ResponseMap, learn_response
+from cbsr_qa.calibrate.seat import seat_of
 from cbsr_qa.domain.errors import CalibrationError, NumericsError
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
@@ -113,6 +116,26 @@ def collinear_registration() -> Answer:
 def registration(nominal_mm: Array, seen_mm: Array) -> Answer:
     """Scale of a registration that says nothing."""
     return Answer(register(nominal_mm, seen_mm).scale, 0.0)
+
+
+def kernel(unit: float, sizes: tuple[float, ...], *, releases: bool = False) -> Answer:
+    """Weights and time constants learned from exact holds (or releases) of these sizes, in this unit."""
+    time_s: Array = 2.5 * np.arange(25.0)
+    relaxing = 0.3 * np.exp(-time_s / 5) + 0.2 * np.exp(-time_s / 30)
+    traces = [(time_s, unit * (size * relaxing + (0.01 if releases else size))) for size in sizes]
+    found = learn_kernel(traces, released=[unit * size for size in sizes] if releases else None)
+    values = [*found.weights, *found.time_constants_s]
+    error = largest_relative_error(values, [0.3, 0.2, 5.0, 30.0]) if len(values) == 4 else 1.0
+    return Answer(error, 1e-9, note="exact but for a prior and a noise of 1e-6 of a load")
+
+
+def seat(seen_mm: Array, shift_mm: float) -> Answer:
+    """How far a sheet is said to lie off its place."""
+    nothing = np.zeros(len(seen_mm))
+    covariance = np.tile(np.diag([1e-4, 1e-2, 1e-2]), (len(seen_mm), 1, 1))
+    found = seat_of(NINE, Matches(seen_mm, nothing + 0.1, covariance, nothing, nothing), nothing + 1)
+    moved = float(np.abs(found.places_mm(NINE) - NINE - shift_mm).max())
+    return Answer(moved if np.isfinite(found.shift_stderr_mm) else 1.0, conditioned_bound(60.0), 60.0, unit="mm")
 
 
 def gauge_factor() -> Answer:
@@ -240,6 +263,20 @@ _REGISTRATIONS: Final = (
         collinear_registration,
     ),
     HardCase(
+        "seat-of-a-mirror-image",
+        _AREA,
+        "Loads found in the order of a mirror image: no rigid motion of the sheet explains them.",
+        "the sheet is left where it is",
+        partial(seat, NINE * [1.0, -1.0], 0.0),
+    ),
+    HardCase(
+        "seat-without-scatter",
+        _AREA,
+        "Loads all found exactly a millimetre off: a standard error of zero to divide by.",
+        "a millimetre along both axes",
+        partial(seat, NINE + 1.0, 1.0),
+    ),
+    HardCase(
         "registration-of-one-place",
         _AREA,
         "Nine loads at one place, which rounds to places that differ.",
@@ -257,4 +294,30 @@ _REGISTRATIONS: Final = (
     ),
 )
 
-CASES: Final[tuple[HardCase, ...]] = (*_LINES, *_MAPS, *_REGISTRATIONS)
+_KERNEL: Final = "the kernel the traces were made from"
+
+_KERNELS: Final = (
+    HardCase(
+        "kernel-of-values-of-1e100",
+        _AREA,
+        "Relaxations in a unit that makes their numbers huge: covariances of 1e200, determinants that are none.",
+        _KERNEL,
+        partial(kernel, 1e100, (0.9, 1.0, 1.1)),
+    ),
+    HardCase(
+        "kernel-of-loads-a-million-apart",
+        _AREA,
+        "Loads of which one is a million times as large as another.",
+        _KERNEL,
+        partial(kernel, 1.0, (1e-3, 1.0, 1e3)),
+    ),
+    HardCase(
+        "kernel-of-releases-of-both-signs",
+        _AREA,
+        "Releases whose changes sum to zero: nothing to divide their mean relaxation by.",
+        _KERNEL,
+        partial(kernel, 1.0, (1.0, -1.0, 2.0, -2.0), releases=True),
+    ),
+)
+
+CASES: Final[tuple[HardCase, ...]] = (*_LINES, *_MAPS, *_REGISTRATIONS, *_KERNELS)

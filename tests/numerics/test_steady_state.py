@@ -195,6 +195,24 @@ def test_exact_traces_give_the_exact_kernel_with_ramps_and_frames():
     assert found.weights == pytest.approx(WEIGHTS, rel=1e-3)
 
 
+@pytest.mark.parametrize("unit", [1e-100, 1e-9, 1e100])
+def test_a_kernel_has_no_unit(unit):
+    """At 1e100 weights of 8 and 0.1 came out, with time constants of 239 and 684 s."""
+    traces = [(TIME_S, unit * size * _curve(TIME_S, 1.0)) for size in (0.9, 1.0, 1.1)]
+    kernel = learn_kernel(traces, noise=[1e-4 * unit] * 3)
+    np.testing.assert_allclose(kernel.weights, WEIGHTS, rtol=1e-4)
+    np.testing.assert_allclose(kernel.time_constants_s, TAUS_S, rtol=1e-4)
+
+
+def test_releases_of_both_signs_have_one_kernel():
+    parts, _ = exponentials(TIME_S, TAUS_S)
+    released = [1.0, -1.0, 2.0, -2.0]
+    kernel = learn_kernel([(TIME_S, 0.01 + change * parts @ WEIGHTS) for change in released], released=released)
+    assert not kernel.why
+    np.testing.assert_allclose(kernel.weights, WEIGHTS, rtol=1e-4)
+    np.testing.assert_allclose(kernel.time_constants_s, TAUS_S, rtol=1e-4)
+
+
 def test_one_load_says_nothing_about_the_next():
     one, many = (learn_kernel(_run(loads, 0.01, 0.03, 5)) for loads in (1, 23))
     short = TIME_S[:3], _curve(TIME_S[:3])
