@@ -17,7 +17,7 @@ from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.domain.sensor import Response
 from cbsr_qa.imaging.noise_floor import noise_floor
 from cbsr_qa.interfaces import Reconstruction
-from cbsr_qa.reconstruct.scaling import scale_of
+from cbsr_qa.reconstruct.scaling import scale_doubts, scale_of
 
 
 def observe_run(
@@ -75,7 +75,8 @@ def observe_run(
         timelines=metric_timelines(setting, data.record) if over_time else (),
     )
     remarks = _remarks(observation.tested, settings.settling_multiple if over_time else None)
-    return replace(observation, warnings=(*data.warnings, *silent, *doubts, *remarks))
+    odd = scale_doubts(imager.reference, problem)
+    return replace(observation, warnings=(*data.warnings, *odd, *silent, *doubts, *remarks))
 
 
 def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: Reconstruction) -> Imager:

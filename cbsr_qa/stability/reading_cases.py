@@ -17,7 +17,7 @@ from cbsr_qa.domain.recording import ScanKind
 from cbsr_qa.reconstruct.folding import ReadingFold
 from cbsr_qa.reconstruct.noise_weights import reading_noise
 from cbsr_qa.reconstruct.problem import imaging_problem
-from cbsr_qa.reconstruct.scaling import changes, scale_of
+from cbsr_qa.reconstruct.scaling import changes, scale_doubts, scale_of
 from cbsr_qa.stability.case import Answer, HardCase, conditioned_bound
 from cbsr_qa.stability.problems import IMAGE_MM, prepared, usual_problem, usual_sensor, without_electrodes
 
@@ -186,6 +186,15 @@ def _faults() -> Answer:
     return Answer(float((faults.bad != made).sum()), 0.0, unit="channels", note="the bound is zero")
 
 
+def _doubts() -> Answer:
+    """Whether references on an offset, and only these, are said to have a scale that means little."""
+    problem, reference, _ = _frames()
+    offset = 1e6 * _SIGNAL * float(np.abs(reference).max())
+    wrong = [bool(scale_doubts(reference, problem)), bool(scale_doubts(-reference, problem))]
+    wrong += [not scale_doubts(reference + sign * offset, problem) for sign in (-1, 1)]
+    return Answer(float(sum(wrong)), 0.0, unit="wrong statements", note="the bound is zero")
+
+
 def _scaled(frame: Callable[[Array], ArrayLike]) -> Answer:
     """Take the scale of a frame made of the reference."""
     problem, reference, _ = _frames()
@@ -246,6 +255,12 @@ _NUMBERS: Final = (
         "All readings lie on an offset ten thousand million times the change: six digits of it are left.",
         partial(_offset, 1e10),
         _WHOLE,
+    ),
+    _case(
+        "scale-from-an-offset-of-1e6-signals",
+        "The unloaded frame lies on such an offset, and changes are to be taken over its scale.",
+        _doubts,
+        "the run warns where there is an offset, and only there",
     ),
     _case(
         "noise-under-an-offset-of-1e6",

@@ -9,7 +9,7 @@ from cbsr_qa.domain.reconstruction import ImagingProblem
 from cbsr_qa.reconstruct.dual import dual_matrix
 from cbsr_qa.reconstruct.priors import noser
 from cbsr_qa.reconstruct.problem import imaging_problem, target_signal
-from cbsr_qa.reconstruct.scaling import agreement, changes, scale_of
+from cbsr_qa.reconstruct.scaling import agreement, changes, scale_doubts, scale_of
 from cbsr_qa_plugins.reconstruction.gauss_newton_noser import GaussNewtonNoser
 
 
@@ -222,3 +222,16 @@ def test_images_refuse_readings_that_do_not_fit(problem):
     with pytest.raises(RefusedError, match="do not fit"):
         prepared.images(np.zeros((2, 207)))
     assert not prepared.images(np.zeros((2, 208))).any()
+
+
+@given(
+    unit=st.floats(-9, 9), seed=st.integers(0, 2**32 - 1), offset=st.floats(20, 1e6), sign=st.sampled_from([-1, 1])
+)
+@settings(max_examples=20, deadline=None)
+def test_a_reference_on_an_offset_has_a_doubtful_scale(problem, unit, seed, offset, sign):
+    frame = np.zeros(problem.used.shape)
+    frame[problem.used] = 10**unit * problem.reference
+    uneven = frame * np.exp(0.2 * np.random.default_rng(seed).standard_normal(frame.shape))
+    assert scale_doubts(uneven, problem) == ()
+    (doubt,) = scale_doubts(uneven + sign * offset * np.abs(frame[problem.used]).mean(), problem)
+    assert "offset" in doubt
