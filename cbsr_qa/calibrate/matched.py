@@ -79,7 +79,10 @@ class TemplateFilter:
         self._node_of = model.node.ravel()
         self._coarse = np.flatnonzero(_pressable(model.node, model.fits) & _every(_STRIDE, model.node))
         if not len(self._coarse):
-            raise CalibrationError("there is no place on the lattice that a head could be searched from")
+            raise CalibrationError(
+                "there is no place on the lattice that a head could be searched from",
+                remedy="press with a smaller head, or a larger sheet",
+            )
         self.bank: Array = np.ascontiguousarray(self.templates[self._node_of[self._coarse]].T)
         self.searched_mm: Array = model.lattice.places_mm()[self._coarse]
         self._number = np.full(model.node.size, -1)

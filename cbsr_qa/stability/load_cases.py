@@ -192,7 +192,7 @@ CASES: Final[tuple[HardCase, ...]] = (
         NumericsError,
     ),
     HardCase(
-        "frame-equal-to-its-reference",
+        "frame-without-any-change",
         _AREA,
         "A frame without any change: every place explains it as well as every other.",
         "no load",
