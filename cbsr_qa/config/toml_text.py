@@ -6,14 +6,22 @@ from typing import Any
 
 
 def toml_value(value: Any) -> str:
-    """Write a value: JSON's texts and arrays are TOML's too, but for one control character; tables stand inline."""
+    """Write a value; tables stand inline.
+
+    Raises
+    ------
+    TypeError
+        If TOML has no such value, as None.
+    """
     if isinstance(value, float):
-        return repr(value)
+        return float.__repr__(value)  # of numpy's floats too
     if isinstance(value, Mapping):
         return "{" + ", ".join(f"{_key(key)} = {toml_value(one)}" for key, one in value.items()) + "}"
     if isinstance(value, Sequence) and not isinstance(value, str):
         return "[" + ", ".join(map(toml_value, value)) + "]"
-    return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if not isinstance(value, str | int):
+        raise TypeError(f"TOML has no value like {value!r}")
+    return _text(value) if isinstance(value, str) else json.dumps(value)
 
 
 def toml_document(document: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
@@ -61,4 +69,9 @@ def _is_tables(value: Any) -> bool:
 
 def _key(key: str) -> str:
     bare = key.isascii() and key.replace("-", "").replace("_", "").isalnum()
-    return key if bare else json.dumps(key)
+    return key if bare else _text(key)
+
+
+def _text(text: str) -> str:
+    """Quote text: as in JSON, but for one control character."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
