@@ -58,11 +58,9 @@ def stability_page(results: Sequence[CaseResult]) -> Page:
 
 
 def stability_sections(results: Sequence[CaseResult]) -> tuple[Section, ...]:
-    """Return how to read the page, the two figures, and one section an area."""
+    """Return how to read the page, with errors against condition numbers, and one section an area."""
     numbers = [result for result in results if result.answer is not None]
     blocks: list[Block] = [Paragraph(words) for words in _READING]
-    if numbers:
-        blocks.append(error_figure(numbers))
     if any(result.answer is not None and result.answer.condition is not None for result in numbers):
         blocks.append(condition_figure(numbers))
     areas = dict.fromkeys(result.case.area for result in results)
@@ -73,7 +71,9 @@ def stability_sections(results: Sequence[CaseResult]) -> tuple[Section, ...]:
 def _area(area: str, results: Sequence[CaseResult]) -> Section:
     rows = [_row(result) for result in results]
     columns = ["case", "what is hard", "held against", "error", "bound", "condition", "outcome"]
-    blocks: list[Block] = [text_table(f"Cases of the area {area}", columns, rows, (3, 4, 5))]
+    numbers = [result for result in results if result.answer is not None]
+    blocks: list[Block] = [error_figure(area, numbers)] if numbers else []
+    blocks.append(text_table(f"Cases of the area {area}", columns, rows, (3, 4, 5)))
     for result in results:
         if result.outcome is not Ending.OK:
             tone = "warning" if result.outcome is Ending.BROKEN else "plain"
@@ -99,8 +99,8 @@ def _text(value: float, unit: str) -> str:
     return f"{number(value, 2)}{unit}" if np.isfinite(value) else "no number"
 
 
-def error_figure(results: Sequence[CaseResult]) -> Figure:
-    """Draw every error and its bound on a logarithmic axis."""
+def error_figure(area: str, results: Sequence[CaseResult]) -> Figure:
+    """Draw every error of an area and its bound on a logarithmic axis."""
 
     def build() -> Canvas:
         height = 0.8 + 0.15 * len(results)
@@ -108,13 +108,8 @@ def error_figure(results: Sequence[CaseResult]) -> Figure:
         axes = figure.add_axes((0.44, 0.5 / height, 0.54, 1 - 0.62 / height))
         light_grid(axes, "x")
         axes.set_xscale("log")
-        area = ""
         for row, result in enumerate(results):
             _error(axes, row, result)
-            if result.case.area != area:
-                area = result.case.area
-                axes.text(1, row, area, transform=axes.get_yaxis_transform(), fontweight="bold", ha="right")
-                axes.axhline(row - 0.5, color=FAINT, linewidth=0.6)
         _powers(axes.xaxis, *axes.get_xlim())
         axes.set_xlabel("error (dot) and bound (bar), relative or in the case's own unit")
         name_rows(axes, [result.case.name for result in results], most=len(results))
@@ -124,7 +119,7 @@ def error_figure(results: Sequence[CaseResult]) -> Figure:
         build,
         caption="Error of every case with a number (dot; hollow where it is exactly zero) and the bound it may not "
         "pass (bar). A red dot is out of its bound.",
-        alternative=f"Errors and bounds of {len(results)} cases; the tables below have the numbers.",
+        alternative=f"{area}: errors and bounds of {len(results)} cases; the table below has the numbers.",
     )
 
 
