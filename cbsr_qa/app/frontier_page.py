@@ -13,7 +13,6 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.report import Block, Figure, Paragraph, Section
 from cbsr_qa.frontier.point import Accuracy, Clock, Point
-from cbsr_qa.frontier.setting import Setting
 from cbsr_qa.frontier.station import PAPER
 from cbsr_qa.report.page import Banner, Page
 from cbsr_qa.report.style import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid
@@ -67,8 +66,7 @@ def frontier_page(found: "Frontier") -> Page:
 def frontier_sections(found: "Frontier") -> tuple[Section, ...]:
     """Return how to read it with the station's plot, then one section a series."""
     blocks: list[Block] = [Paragraph(words) for words in _READING]
-    station = [(p, on) for p, on in zip(found.points, found.pareto, strict=True) if p.clock is Clock.STATION]
-    if any("force_error" in point.accuracy for point, _ in station):
+    if any("force_error" in point.accuracy for point, _ in _station(found)):
         blocks.append(station_figure(found))
     series = dict.fromkeys((point.clock, point.series) for point in found.points)
     return (Section("How to read this page", tuple(blocks)), *(_series(found, *one) for one in series))
@@ -77,27 +75,39 @@ def frontier_sections(found: "Frontier") -> tuple[Section, ...]:
 def station_figure(found: "Frontier") -> Figure:
     """Draw force error against minutes of the station."""
     return drawn(
-        lambda: station_canvas(found),
+        lambda: station_canvas(_station(found), _chosen(found)),
         caption="Force error on loads the calibration has not seen, against what it takes of the station. Filled: "
-        "worth its time. Ring: recommended.",
+        "worth its time. Squares: transients predicted. Ring: recommended.",
         alternative="Force errors against station time; the tables below have the numbers.",
     )
 
 
-def station_canvas(found: "Frontier") -> Canvas:
-    """The station's plot, for a page or a file."""
+def _station(found: "Frontier") -> list[tuple[Point, bool]]:
+    return [(p, on) for p, on in zip(found.points, found.pareto, strict=True) if p.clock is Clock.STATION]
+
+
+def _chosen(found: "Frontier") -> Point | None:
+    return None if found.recommended is None else found.recommended.point
+
+
+def station_canvas(members: Sequence[tuple[Point, bool]], chosen: Point | None) -> Canvas:
+    """The station's plot, for a page or a file.
+
+    Parameters
+    ----------
+    members : points of the station, and whether each is worth its time; those without a force error are left out.
+    chosen : to be ringed; may be None.
+    """
     figure = canvas(_HEIGHT_IN)
     axes = figure.add_axes((0.09, 0.13, 0.66, 0.83))
     axes.set_xscale("log")
     axes.set_yscale("log")
     light_grid(axes, "both")
-    names = list(dict.fromkeys(found.points[k].series for k in found.settings))
-    for index, setting in found.settings.items():
-        point = found.points[index]
+    names = list(dict.fromkeys(point.series for point, _ in members))
+    for point, worth in members:
         if "force_error" in point.accuracy:
-            _place(axes, point, setting, CYCLE[names.index(point.series) % len(CYCLE)], found.pareto[index])
-    if found.recommended is not None:
-        chosen = found.recommended.point
+            _place(axes, point, CYCLE[names.index(point.series) % len(CYCLE)], worth)
+    if chosen is not None:
         at = (chosen.station_s or 0) / 60, chosen.accuracy["force_error"].value
         axes.plot(*at, "o", color=INK, markersize=10, markerfacecolor="none", markeredgewidth=1.2)
     _plain(axes.xaxis, (10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 360))
@@ -110,14 +120,14 @@ def station_canvas(found: "Frontier") -> Canvas:
     return figure
 
 
-def _place(axes: Axes, point: Point, setting: Setting, colour: str, worth: bool) -> None:
+def _place(axes: Axes, point: Point, colour: str, worth: bool) -> None:
     minutes, force = (point.station_s or 0) / 60, point.accuracy["force_error"]
     low = min(force.stderr or 0.0, 0.9 * force.value)
     axes.errorbar(minutes, force.value, yerr=[[low], [force.stderr or 0.0]], color=FAINT, linewidth=0.8)
-    marker = "s" if setting.predicted else "o"
+    marker = "s" if point.knobs.get("transients") == "predicted" else "o"
     face = colour if worth else "none"
     axes.plot(minutes, force.value, marker, color=colour, markersize=4, markerfacecolor=face, linestyle="none")
-    if setting == PAPER:
+    if point.knobs == PAPER.knobs:
         axes.text(minutes, force.value * 1.12, "paper's campaign ", color=QUIET, fontsize=7, ha="right", va="bottom")
 
 
@@ -140,7 +150,7 @@ def write_png(found: "Frontier", path: Path) -> None:
         raise RefusedError("there is no force error to draw", remedy="sweep the station's clock")
     try:
         with drawing(), mpl.rc_context({"svg.fonttype": "path"}):
-            station_canvas(found).savefig(path, dpi=200, metadata={"Software": None})
+            station_canvas(_station(found), _chosen(found)).savefig(path, dpi=200, metadata={"Software": None})
     except OSError as error:
         raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
 
