@@ -34,17 +34,15 @@ def test_offsets_and_units_cost_a_relaxation_only_its_condition(offset, unit, se
 @settings(max_examples=20, deadline=None)
 @given(gap=powers(-12, 0), share=st.floats(0.1, 0.9))
 def test_time_constants_ever_more_alike_settle_when_their_curve_does(gap, share):
-    """Whichever of one or two exponentials is kept, up to the factor of 2 from which on they are told apart."""
+    """One exponential stands for two less than a factor of 2 apart: off by their distance squared, 8 % at 2."""
     taus = np.array([12.0, 12.0 * (1 + gap)])
     amplitudes = 0.5 * np.array([share, 1 - share])
     time_s = 2.5 * np.arange(25.0)
     fit = fit_relaxation(time_s, 1 + np.exp(-time_s[:, None] / taus) @ amplitudes)
     truth = brentq(lambda t: np.exp(-t / taus) @ amplitudes - 0.15, 0, 60)
     found = settling_time(fit, window_s=60.0).value_s
-    assert abs(found / truth - 1) < 0.05
-    if gap < 1e-5:
-        assert abs(found / truth - 1) < 1e-9
-        assert len(fit.amplitudes) == 1
+    assert abs(found / truth - 1) < 0.15 * gap**2 + 1e-9
+    assert gap > 0.99 or len(fit.amplitudes) == 1
 
 
 @settings(max_examples=60, deadline=None)
