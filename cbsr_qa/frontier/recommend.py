@@ -64,7 +64,9 @@ def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Poin
     if not enough:
         raise _none(usable, wish)
     best = min(enough, key=_seconds)
-    return Recommended(*best, f"the cheapest of {len(usable)} with a force error of at most {wish.force_error_N:g} N")
+    room = "" if wish.budget_s is None else f" that take at most {wish.budget_s / 60:g} min"
+    why = f"the cheapest of {len(within)}{room} whose force error, with its standard error, is at most"
+    return Recommended(*best, f"{why} {wish.force_error_N:g} N")
 
 
 def _most_accurate(usable: Sequence[tuple[Setting, Point]], budget_s: float, paper: Point | None) -> Recommended:
@@ -85,11 +87,12 @@ def _most_accurate(usable: Sequence[tuple[Setting, Point]], budget_s: float, pap
 def _none(usable: Sequence[tuple[Setting, Point]], wish: Wish) -> RefusedError:
     if not usable:
         return RefusedError("no setting that was tried has a force error", remedy="run the sweep without --quick")
-    asked = [f"a force error of at most {wish.force_error_N:g} N"] if wish.force_error_N is not None else []
-    asked += [f"at most {wish.budget_s / 60:g} min"] if wish.budget_s is not None else []
+    time = f"at most {wish.budget_s / 60:g} min" if wish.budget_s is not None else ""
+    force = f"a force error, with its standard error, of at most {wish.force_error_N:g} N"
+    asked = f"takes {time}" if wish.force_error_N is None else f"has {force}" + (f" in {time}" if time else "")
     best, quickest = min(usable, key=_surely_N), min(usable, key=_seconds)
     return RefusedError(
-        f"none of the {len(usable)} settings that were tried has {' in '.join(asked)}",
+        f"none of the {len(usable)} settings that were tried {asked}",
         remedy=f"the most accurate has {_said(best)}, the quickest {_said(quickest)}",
     )
 

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.frontier.pareto import undominated_within_errors
 from cbsr_qa.frontier.point import Accuracy, Clock, Point
 from cbsr_qa.frontier.setting import Setting
@@ -29,12 +30,24 @@ def document_of(tried: Tried) -> dict[str, Any]:
 
 
 def tried_of(document: Mapping[str, Any]) -> Tried:
-    """Return the trial of a document."""
-    setting = dict(document["setting"])
-    setting["strains_percent"] = tuple(setting["strains_percent"])
-    return Tried(
-        document["series"], Setting(**setting), int(document["seed"]), dict(document["errors"]), document["why"]
-    )
+    """Return the trial of a document.
+
+    Raises
+    ------
+    StoreError
+        If something is missing in it or of another type.
+    """
+    try:
+        setting = dict(document["setting"])
+        setting["strains_percent"] = tuple(float(percent) for percent in setting["strains_percent"])
+        errors = {str(name): float(value) for name, value in document["errors"].items()}
+        series, why = str(document["series"]), str(document["why"])
+        return Tried(series, Setting(**setting), int(document["seed"]), errors, why)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise StoreError(
+            f"a stored trial of the frontier cannot be read ({type(error).__name__}: {error})",
+            remedy="begin again with --fresh; what was kept is simulated again",
+        ) from error
 
 
 def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float]) -> list[tuple[Setting, Point]]:
