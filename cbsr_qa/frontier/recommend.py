@@ -88,8 +88,10 @@ def _none(usable: Sequence[tuple[Setting, Point]], wish: Wish) -> RefusedError:
     if not usable:
         return RefusedError("no setting that was tried has a force error", remedy="run the sweep without --quick")
     time = f"at most {wish.budget_s / 60:g} min" if wish.budget_s is not None else ""
-    force = f"a force error, with its standard error, of at most {wish.force_error_N:g} N"
-    asked = f"takes {time}" if wish.force_error_N is None else f"has {force}" + (f" in {time}" if time else "")
+    asked = f"takes {time}"
+    if wish.force_error_N is not None:
+        force = f"has a force error, with its standard error, of at most {wish.force_error_N:g} N"
+        asked = f"{force} in {time}" if time else force
     best, quickest = min(usable, key=_surely_N), min(usable, key=_seconds)
     return RefusedError(
         f"none of the {len(usable)} settings that were tried {asked}",
