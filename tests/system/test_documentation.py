@@ -82,6 +82,15 @@ def test_the_page_on_fielded_sensors_runs_as_printed(tmp_path):
     assert len(list((tmp_path / "var" / "calibrations").iterdir())) == 1
 
 
+@pytest.mark.slow
+def test_the_page_on_choosing_a_recipe_runs_as_printed(tmp_path):
+    for command in _commands(_TOP / "docs" / "how-to" / "choose-a-recipe.md"):
+        done = cbsr_qa(tmp_path, *shlex.split(command)[1:])
+        assert done.stdout.strip(), command
+    assert "station time" in done.stdout
+    assert (tmp_path / "chosen.toml").exists()
+
+
 @pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
 def test_links_between_pages_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
