@@ -20,7 +20,7 @@ from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 from cbsr_qa.imaging.registration import register
 from cbsr_qa.stability.case import Answer, HardCase, conditioned_bound
 from cbsr_qa.stability.exact import largest_relative_error, relative_error
-from cbsr_qa.stability.exact_statistics import exact_line, exact_map
+from cbsr_qa.stability.exact_statistics import exact_line, exact_map, line_condition, map_condition
 
 Array = NDArray[np.float64]
 
@@ -38,10 +38,7 @@ def line(x: Array, change: Array, stderr: Array | None = None) -> Answer:
         _STRAINS.tolist(), x.tolist(), change.tolist(), None if stderr is None else stderr.tolist()
     )
     slope, _ = exact_line(x, change, np.ones_like(x) if stderr is None else stderr)
-    weight = np.ones_like(x) if stderr is None else stderr**-2
-    apart = x - np.average(x, weights=weight)
-    # The slope moves by as much as places round, over their spread.
-    condition = float(np.abs(x).max() / np.sqrt(np.average(apart**2, weights=weight)))
+    condition = line_condition(x, change, np.ones_like(x) if stderr is None else stderr)
     return Answer(relative_error(fit.slope, slope), conditioned_bound(condition), condition)
 
 
@@ -72,8 +69,7 @@ def response(places_mm: Array, log_response: Array, variance: Array) -> Answer:
     mean, spread = found.predict(wanted)
     exact_mean, exact_spread = exact_map(found, places_mm, log_response, variance, wanted)
     error = max(largest_relative_error(mean, exact_mean), largest_relative_error(spread, exact_spread))
-    least = float(variance.min()) + _LEAST_VARIANCE
-    condition = len(variance) * max(one.deviation for one in found.members) ** 2 / least
+    condition = map_condition(found, places_mm, variance)
     return Answer(
         error,
         conditioned_bound(condition),

@@ -33,6 +33,32 @@ def exact_line(x: Array, y: Array, stderr: Array) -> tuple[Any, Any]:
         return slope, y_mean - slope * x_mean
 
 
+def line_condition(x: Array, y: Array, stderr: Array) -> float:
+    """Σ |x ∂s/∂x| + Σ |y ∂s/∂y| over |s|: what small relative changes of every place and value make of a slope s."""
+    slope, intercept = exact_line(x, y, stderr)
+    with mpmath.workdps(DIGITS):
+        weight = [1 / mpmath.mpf(float(one)) ** 2 for one in stderr]
+        places, values = ([mpmath.mpf(float(one)) for one in some] for some in (x, y))
+        middle = mpmath.fsum(w * a for w, a in zip(weight, places, strict=True)) / mpmath.fsum(weight)
+        size = mpmath.fsum(w * (a - middle) ** 2 for w, a in zip(weight, places, strict=True))
+        moved = mpmath.fsum(
+            w * (abs(a * (b - intercept - slope * a - slope * (a - middle))) + abs(b * (a - middle)))
+            for w, a, b in zip(weight, places, values, strict=True)
+        )
+        return float(moved / size / abs(slope))
+
+
+def map_condition(learned: ResponseMap, places_mm: Array, variance: Array) -> float:
+    """Largest condition number of the loads' covariances, over the processes of a map."""
+    found = []
+    for one in learned.members:
+        with mpmath.workdps(DIGITS):
+            alike = np.array(_correlations(places_mm, places_mm, one.smooth, one.length_mm), dtype=np.float64)
+        noise = variance + one.scatter**2 + _LEAST_VARIANCE
+        found.append(float(np.linalg.cond(one.deviation**2 * alike + np.diag(noise))))
+    return max(found)
+
+
 def exact_map(
     learned: ResponseMap, places_mm: Array, values: Array, variance: Array, wanted_mm: Array
 ) -> tuple[list[Any], list[Any]]:

@@ -102,7 +102,9 @@ def settled(amplitudes: tuple[float, float], taus_s: tuple[float, float]) -> Ans
         def beyond(time_s: Any) -> Any:
             return abs(_deviation(amplitudes, taus_s, time_s)) - mpmath.mpf(0.15)
 
-        truth = mpmath.findroot(beyond, (mpmath.mpf(found), mpmath.mpf(found) + mpmath.mpf("1e-3")))
+        # The last crossing: looked for from the end of the window, and not from where it was found.
+        late = next(k for k in range(int(4 * _WINDOW_S), 0, -1) if beyond(mpmath.mpf(k - 1) / 4) > 0)
+        truth = mpmath.findroot(beyond, (mpmath.mpf(late - 1) / 4, mpmath.mpf(late) / 4), solver="anderson")
         slope = abs(mpmath.diff(beyond, truth))
         of_parts = sum(
             abs(a) * mpmath.exp(-truth / tau) * (1 + truth / tau) for a, tau in zip(amplitudes, taus_s, strict=True)

@@ -81,9 +81,15 @@ def rare_failures() -> Answer:
     found = count_needed(1 - 1e-12, 0.95, 2)
     with mpmath.workdps(DIGITS):
         outside = 1 - mpmath.mpf(1 - 1e-12)
-        truth = mpmath.findroot(lambda x: (1 + x) * mpmath.exp(-x) - mpmath.mpf(0.05), 4.7) / outside
-    condition = 1 / float(outside)  # of 1 − coverage
-    return Answer(relative_error(found, truth), conditioned_bound(condition), condition)
+
+        def doubt(x: Any) -> Any:
+            """Chance that fewer than two of x/p sensors are outside, beyond the one allowed."""
+            count = x / outside
+            return (1 - outside) ** (count - 1) * (1 - outside + x) - (1 - mpmath.mpf(0.95))
+
+        truth = mpmath.ceil(mpmath.findroot(doubt, 4.7) / outside)
+    # 1 − coverage is exact for a coverage above one half: nothing of it may be lost.
+    return Answer(relative_error(found, truth), conditioned_bound(1.0), 1.0)
 
 
 def limits_of(values: list[float]) -> Answer:
@@ -97,7 +103,8 @@ def limits_of(values: list[float]) -> Answer:
         mean = mpmath.fsum(exact) / len(exact)
         deviation = mpmath.sqrt(mpmath.fsum((x - mean) ** 2 for x in exact) / (len(exact) - 1))
         distance = one_sided_factor(0.95, 0.95, len(values), len(values) - 1) * deviation
-        error = float(abs(mpmath.mpf(found.upper.limit) - mean - distance) / distance)
+        beyond = float((mpmath.mpf(found.upper.limit) - mean - distance) / distance)
+    error = beyond if beyond >= 0 else 1.0  # a limit within the exact one promises too much
     return Answer(error, 0.011, note="limits are rounded outwards to a hundredth of their distance from the mean")
 
 
@@ -178,7 +185,7 @@ CASES: Final[tuple[HardCase, ...]] = (
         "sensors-for-rare-failures",
         _AREA,
         "All but 1e-12 of sensors: billions are needed, and one minus the share has four digits.",
-        "root of the Poisson law in fifty digits",
+        "the binomial law in fifty digits",
         rare_failures,
     ),
     HardCase(
