@@ -14,6 +14,7 @@ from cbsr_qa.app.reproduce_figures import SheetFigures, StripFigures
 from cbsr_qa.app.reproduce_runs import FULL_WORDS, QUICK_WORDS, SEED, Job, all_jobs, simulate
 from cbsr_qa.app.reproduce_tables import centre_presses, compared_tables
 from cbsr_qa.domain.published import ComparedTable, Comparison, Ours, Printed
+from cbsr_qa.frontier.sweep import begin_worker
 from cbsr_qa.report.figures_reproduce import CentreForces, reproduction_sections
 from cbsr_qa.report.page import Banner, Page
 from cbsr_qa.report.render import render_sections, write_report
@@ -146,7 +147,7 @@ def _simulated(
             tell(f"{job.words}: {figures.compute_s:.0f} s ({done} of {len(jobs)})")
             yield job, figures
         return
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), begin_worker) as pool:
         waiting = {pool.submit(simulate, job): job for job in jobs}
         try:
             for future in as_completed(waiting):

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from cbsr_qa.app.stability_page import stability_page, stability_sections
+from cbsr_qa.frontier.sweep import begin_worker
 from cbsr_qa.report.render import render_sections, write_report
 from cbsr_qa.stability.case import CaseResult, Ending, examine
 from cbsr_qa.stability.catalogue import case_named, chosen_cases
@@ -88,7 +89,7 @@ def _examined(names: Sequence[str], processes: int) -> Iterator[CaseResult]:
         for name in names:
             yield examine(case_named(name))
         return
-    with ProcessPoolExecutor(processes, mp_context=multiprocessing.get_context("spawn")) as pool:
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), begin_worker) as pool:
         waiting = {pool.submit(_bare, name): name for name in names}
         try:
             for future in as_completed(waiting):

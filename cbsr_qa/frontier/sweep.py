@@ -2,7 +2,9 @@
 
 import json
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import closing
@@ -135,7 +137,7 @@ def _finished(work: Sequence[Work], processes: int) -> Generator[tuple[Work, Doc
         return
     # Spawned: threads of numerical libraries do not survive a fork.
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(processes, mp_context=context, initializer=_deaf) as pool:
+    with ProcessPoolExecutor(processes, mp_context=context, initializer=_begin_deaf) as pool:
         others = multiprocessing.active_children()
         futures = {pool.submit(piece.run): piece for piece in work}
         failed: BaseException | None = None
@@ -156,9 +158,25 @@ def _finished(work: Sequence[Work], processes: int) -> Generator[tuple[Work, Doc
         raise failed
 
 
-def _deaf() -> None:
+def _begin_deaf() -> None:
     """Leave Ctrl-C to the process that hands out the work: it stops the others."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    begin_worker()
+
+
+def begin_worker() -> None:
+    """Let a process of a pool end with its parent, which, killed, cannot stop it.
+
+    Without this it would go on with all that was handed out.
+    """
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    never = threading.Event()
+    while os.getppid() == parent:
+        never.wait(1.0)
+    os._exit(1)
 
 
 def _stop(workers: Iterable[BaseProcess]) -> None:

@@ -2,9 +2,12 @@
 
 import os
 import signal
+import subprocess
+import sys
 import threading
 import time
 from functools import partial
+from pathlib import Path
 
 import pytest
 
@@ -187,3 +190,51 @@ def test_numbers_that_json_does_not_know_are_not_kept(path):
     with pytest.raises(ValueError, match="JSON"):
         sweep([Work("nan", "", lambda: [{"value": float("nan")}])], Kept(path))
     assert not path.exists()
+
+
+# --- a killed sweep --------------------------------------------------------------------------------------
+
+_KILLED = """
+import os, sys, time
+from functools import partial
+from pathlib import Path
+from pathlib import Path
+from cbsr_qa.frontier.sweep import Kept, Work, worked_out
+
+def piece(path):
+    Path(path).write_text(str(os.getpid()))
+    time.sleep(600)
+    return []
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1])
+    work = [Work(str(k), str(k), partial(piece, str(folder / f"{k}.pid"))) for k in range(2)]
+    worked_out(work, Kept(None), lambda *told: None, processes=2)
+"""
+
+
+def test_workers_of_a_killed_sweep_end_with_it(tmp_path):
+    script = tmp_path / "killed.py"
+    script.write_text(_KILLED)
+    sweep = subprocess.Popen([sys.executable, str(script), str(tmp_path)], stderr=subprocess.DEVNULL)
+    pids = [tmp_path / f"{k}.pid" for k in range(2)]
+    _until(lambda: all(path.exists() and path.read_text() for path in pids))
+    workers = [int(path.read_text()) for path in pids]
+    sweep.kill()
+    sweep.wait()
+    _until(lambda: not any(_runs(worker) for worker in workers))
+
+
+def _until(ready):
+    deadline = time.monotonic() + 60
+    while not ready():
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def _runs(pid):
+    try:
+        state = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+    except OSError:
+        return False
+    return state != "Z"
