@@ -18,6 +18,8 @@ from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.relaxation import RelaxationKernel
 
 Array = NDArray[np.float64]
+#: Phase of a load and its number there.
+LoadKey = tuple[str, int]
 
 #: Loads that stand out less say little about a shape and cost as much time.
 _LEAST_DETECTABILITY: Final = 15.0
@@ -41,7 +43,7 @@ def force_kernels(
     -------
     Both; None where there is none (short holds, weak loads, no relaxation that can be told from drift).
     """
-    traces = StrengthTraces(run, dict(zip(map(id, loads), places_mm, strict=True)), merging, filter_)
+    traces = StrengthTraces(run, dict(zip(map(key_of, loads), places_mm, strict=True)), merging, filter_)
     clear = sorted(loads, key=traces.detectability, reverse=True)[:_MOST]
     clear = [load for load in clear if traces.detectability(load) >= _LEAST_DETECTABILITY]
     if not clear:
@@ -55,21 +57,27 @@ def frames_of(run: RunObservation, load: LoadObservation, from_s: float, to_s: f
     return None if frames is None else frames.between(from_s, to_s)
 
 
+def key_of(load: LoadObservation) -> LoadKey:
+    """What a load is known by in its run."""
+    return load.phase, load.record.index
+
+
 class StrengthTraces:
     """Strengths over time at the places of loads."""
 
     def __init__(
-        self, run: RunObservation, places_mm: Mapping[int, Array], merging: Array, filter_: TemplateFilter
+        self, run: RunObservation, places_mm: Mapping[LoadKey, Array], merging: Array, filter_: TemplateFilter
     ) -> None:
         self._run, self._places_mm, self._merging, self._filter = run, places_mm, merging, filter_
-        self._known: dict[int, float] = {}
+        self._known: dict[LoadKey, float] = {}
 
     def detectability(self, load: LoadObservation) -> float:
         """Of the end of the hold, in the noise of one frame."""
-        if id(load) not in self._known:
+        key = key_of(load)
+        if key not in self._known:
             _, strength, noise = self.held(load)
-            self._known[id(load)] = abs(float(strength[-4:].mean())) / noise if len(strength) else 0.0
-        return self._known[id(load)]
+            self._known[key] = abs(float(strength[-4:].mean())) / noise if len(strength) else 0.0
+        return self._known[key]
 
     def loading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
         """The kernel of presses."""
@@ -127,7 +135,7 @@ class StrengthTraces:
         return float(self._strengths(load, before).strength.mean()) if len(before) else 0.0
 
     def _strengths(self, load: LoadObservation, frames: FrameBlock) -> Matches:
-        return self._filter.at(self._rows(frames), self._places_mm[id(load)])
+        return self._filter.at(self._rows(frames), self._places_mm[key_of(load)])
 
     def _rows(self, frames: FrameBlock) -> Array:
         rows: Array = (frames.voltages - self._run.reference)[:, self._run.usable] @ self._merging.T

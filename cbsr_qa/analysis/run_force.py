@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.force_kernels import StrengthTraces, force_kernels
+from cbsr_qa.analysis.force_kernels import StrengthTraces, force_kernels, key_of
 from cbsr_qa.analysis.run_estimates import model_scale, reading_variance
 from cbsr_qa.analysis.run_loads import load_window
 from cbsr_qa.analysis.transients import compensated
@@ -43,9 +43,9 @@ class ForceTest:
 
     Parameters
     ----------
-    load : of the run.
+    load : of the run; of a hold that was predicted with the force of that time.
     how : ``"held out"`` (a phase that does not calibrate) or ``"trial left out"``.
-    measured_N : by the load cell.
+    measured_N : by the load cell, predicted as the hold was.
     known_N, known_stderr_N : with the place of the head given.
     found_N, found_stderr_N : with the place estimated; None where no load was detected.
     place_error_mm : of that place; None where there is none.
@@ -70,7 +70,8 @@ class RunForce:
     Parameters
     ----------
     learned : None where nothing could be learned; ``why`` then says why.
-    used : loads it was learned from, in order of ``learned.refused``.
+    used : loads it was learned from, in order of ``learned.refused``; of a hold that was predicted with the force of
+        the time it was predicted to.
     tests : of loads that were not used: held out, or of a trial that was left out at places of the other trials.
     seat : how the sheet lies; places of the map, and of all loads, are on the sheet.
     """
@@ -118,7 +119,8 @@ def learned_from(run: RunObservation) -> RunForce:
     used = tuple(load for load, yes in zip(loads.loads, calibrating, strict=True) if yes)
     learned = loads.learn(calibrating)
     steady_s = learned.model.steady_s if loads.at_s is None else loads.at_s
-    return RunForce(replace(learned, model=replace(learned.model, steady_s=steady_s)), used, (), seat=loads.seat)
+    learned = replace(learned, model=replace(learned.model, steady_s=steady_s))
+    return RunForce(learned, used, (), seat=loads.seat)
 
 
 def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, ...]:
@@ -170,8 +172,20 @@ class _RunForce:
         self.loads = tuple(pressed)
         self.data, self.seat = self._seated(self._data())
         self.at_s: float | None = None
+        self.predicted = np.zeros(len(pressed), dtype=np.bool_)
         if run.settings.transients == "predicted":
-            self.data, self.at_s = compensated(run, self.loads, self.data, self.strengths())
+            self._compensate()
+
+    def _compensate(self) -> None:
+        """Bring short holds to where the longest ones end; their loads have the force of that time."""
+        done = compensated(self.run, self.loads, self.data, self.strengths())
+        self.data, self.at_s, self.predicted = done.data, done.at_s, done.predicted
+        self.loads = tuple(
+            replace(load, force_N=float(force), force_stderr_N=float(stderr)) if predicted else load
+            for load, force, stderr, predicted in zip(
+                self.loads, self.data.force_N, self.data.force_stderr_N, self.predicted, strict=True
+            )
+        )
 
     def _data(self) -> CalibrationLoads:
         if not self.loads:
@@ -193,7 +207,7 @@ class _RunForce:
 
     def strengths(self) -> StrengthTraces:
         """Strengths over time, of every load at its place on the sheet."""
-        places = dict(zip(map(id, self.loads), self.data.place_mm, strict=True))
+        places = dict(zip(map(key_of, self.loads), self.data.place_mm, strict=True))
         return StrengthTraces(
             self.run, places, self.merging, TemplateFilter(unlearned_model(self.bank, self.merging))
         )
@@ -241,7 +255,7 @@ class _RunForce:
 
     def learn(self, which: NDArray[np.bool_]) -> LearnedForce:
         """Learn from some loads."""
-        return learn_force(
+        learned = learn_force(
             self.bank,
             self.merging,
             self.data.select(which),
@@ -249,6 +263,7 @@ class _RunForce:
             self.head,
             radius_mm=self.run.record.sensor_type.radius_mm,
         )
+        return replace(learned, predicted=tuple(self.predicted[which].tolist()))
 
     def _pressed_in(self, others: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Whether each load's place was pressed by others: elsewhere it is not the repetition that is tested."""

@@ -5,7 +5,7 @@ cell); with that as prior, the others are predicted to the time at which those w
 """
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -23,13 +23,32 @@ Array = NDArray[np.float64]
 
 #: Loads held for this share of the longest hold are looked at as they are.
 LONG: Final = 0.9
+#: Most that a prediction may raise or lower readings. After a second of hold a third of a change is there; more is
+#: noise over noise, of loads that say nothing.
+LARGEST_FACTOR: Final = 5.0
 #: Force samples are averaged over this before a kernel is learned from them: relaxations take seconds.
 _BIN_S: Final = 1.0
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Compensated:
+    """Loads of which short holds were predicted.
+
+    Parameters
+    ----------
+    data : with predicted rows and forces.
+    at_s : time after the press they are of [s]; None where nothing was predicted.
+    predicted : (n,) whether each load was.
+    """
+
+    data: CalibrationLoads
+    at_s: float | None
+    predicted: NDArray[np.bool_]
+
+
 def compensated(
     run: RunObservation, loads: Sequence[LoadObservation], data: CalibrationLoads, traces: StrengthTraces
-) -> tuple[CalibrationLoads, float | None]:
+) -> Compensated:
     """Bring loads that were held for a shorter time to where the longest holds were looked at.
 
     Parameters
@@ -39,8 +58,7 @@ def compensated(
 
     Returns
     -------
-    The loads with predicted rows and forces, and the time after the press they are of [s]; as they were, and None,
-    where all were held alike.
+    Compensated, with the loads as they were where all were held alike.
 
     Raises
     ------
@@ -50,7 +68,7 @@ def compensated(
     held_s = np.array([load.record.release_start_s - load.record.hold_start_s for load in loads])
     long = held_s >= LONG * held_s.max()
     if long.all():
-        return data, None
+        return Compensated(data, None, ~long)
     steady_s = [_steady_s(run, load) for load, yes in zip(loads, long, strict=True) if yes]
     at_s = float(np.mean(steady_s))
     references = [load for load, yes in zip(loads, long, strict=True) if yes]
@@ -62,7 +80,8 @@ def compensated(
     for k in np.flatnonzero(~long).tolist():
         rows[k], frames[k] = _predicted_rows(loads[k], data, k, traces, strength, at_s)
         force[k], stderr[k] = _predicted_force(loads[k], forces[k], stress, at_s)
-    return replace(data, rows=rows, frames=frames, force_N=force, force_stderr_N=stderr), at_s
+    done = replace(data, rows=rows, frames=frames, force_N=force, force_stderr_N=stderr)
+    return Compensated(done, at_s, ~long)
 
 
 def _usable(what: str, kernel: RelaxationKernel | None, loads: int | None) -> RelaxationKernel:
@@ -99,9 +118,14 @@ def _predicted_rows(
     last = slice(-int(data.frames[k]), None)
     fade = float(fading[last].mean())
     window = float(strength[last].mean()) - left * fade
-    factor = float(seen.values[0]) / window if window else 1.0
+    factor = _within(float(seen.values[0]), window)
     rows: Array = factor * (data.rows[k] - fade * data.before[k]) + RESIDUE_SHARE * data.before[k]
     return rows, float((noise / seen.stderr[0]) ** 2)
+
+
+def _within(predicted: float, seen: float) -> float:
+    """What readings are scaled by: no load rises or falls by more than noise can make it seem to."""
+    return float(np.clip(predicted / seen, 1 / LARGEST_FACTOR, LARGEST_FACTOR)) if seen else 1.0
 
 
 def _force_trace(run: RunObservation, load: LoadObservation) -> tuple[Array, Array, float]:

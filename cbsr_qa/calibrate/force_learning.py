@@ -91,6 +91,7 @@ class LearnedForce:
     refused : (n,) why a load was left out; empty where it was used.
     ratio, ratio_stderr : (n,) seen over predicted change, relative to the nominal response; NaN where left out.
     fitted_intercept : whether the loads said something about the intercept.
+    predicted : (n,) whether readings and force of a load were predicted from a hold shorter than the run's longest.
     """
 
     model: ForceModel
@@ -100,6 +101,7 @@ class LearnedForce:
     ratio: Array
     ratio_stderr: Array
     fitted_intercept: bool
+    predicted: tuple[bool, ...] = ()
 
 
 def learn_force(

@@ -32,6 +32,8 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
             used.append(load)
     for why, members in refused.items():
         yield f"no force was learned from {_names(members)}: {why}"
+    if words := prediction_words(learned):
+        yield words
     places = {(load.record.load.x_mm, load.record.load.y_mm) for load in used}
     if len(places) < _FEW_PLACES:
         yield (
@@ -46,6 +48,17 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
         yield f"{one or alike}: the intercept of the response cannot be told from the map and is assumed"
     elif one:
         yield one
+
+
+def prediction_words(learned: LearnedForce) -> str:
+    """Return how many loads of a model were predicted from short holds, and to when; empty where none was."""
+    count = sum(learned.predicted)
+    if not count:
+        return ""
+    return (
+        f"{count} of {len(learned.predicted)} loads were held for a shorter time than the run's longest: their readings"
+        f" and forces were predicted to {learned.model.steady_s:.0f} s after the press"
+    )
 
 
 def tried_beyond(used: Sequence[LoadObservation], confirmed: Sequence[LoadObservation]) -> Iterator[str]:

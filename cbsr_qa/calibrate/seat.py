@@ -42,8 +42,10 @@ class Seat:
         if not self.moved:
             return nominal_mm
         angle = np.radians(self.rotation_deg)
-        turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
-        found: Array = nominal_mm @ turn.T + np.array(self.shift_mm)
+        x, y = nominal_mm.T
+        cos, sin = np.cos(angle), np.sin(angle)
+        # Number by number, unlike a product of matrices: places that are equal stay so to the last bit.
+        found: Array = np.column_stack([cos * x - sin * y, sin * x + cos * y]) + np.array(self.shift_mm)
         return found
 
 

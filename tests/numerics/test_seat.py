@@ -76,3 +76,13 @@ def test_the_report_says_how_the_sheet_lay():
     said = _seat_words(Seat((1.04, -0.5), -2.0, 0.05, 0.1, moved=True))
     assert "(+1.0, −0.5) ± 0.1 mm from the sheet's" in said
     assert "turned by −2.0 ± 0.1°" in said
+
+
+def test_places_that_are_pressed_again_stay_equal_to_the_last_bit():
+    random = np.random.default_rng(3)
+    for count in (1, 3, 9, 13, 64):
+        places = random.uniform(-40, 40, (count, 2))
+        moved = Seat((0.3, -1.1), 3.7, moved=True).places_mm(np.vstack([places, places[::-1], places]))
+        one_by_one = [Seat((0.3, -1.1), 3.7, moved=True).places_mm(place[None])[0] for place in places]
+        for again in (moved[:count], moved[count : 2 * count][::-1], moved[2 * count :], np.array(one_by_one)):
+            assert again.tobytes() == moved[:count].tobytes()

@@ -17,6 +17,7 @@ from cbsr_qa.analysis.force_quality import (
 )
 from cbsr_qa.analysis.run_force import HELD_OUT, TRIAL_LEFT_OUT, ForceTest, RunForce, run_force
 from cbsr_qa.calibrate.force_learning import LearnedForce
+from cbsr_qa.calibrate.force_validity import prediction_words
 from cbsr_qa.calibrate.matched import interpolated
 from cbsr_qa.calibrate.seat import Seat
 from cbsr_qa.domain.load_events import RecordingResult
@@ -58,6 +59,7 @@ class Force:
         tests = tests_of(run, found, HELD_OUT)
         blocks: list[Block] = [Paragraph(_learned_words(run, found, found.learned))]
         blocks += [Paragraph(_seat_words(found.seat), "note")] if found.seat.moved else []
+        blocks += _predicted(run, found.learned)
         blocks += [Paragraph(words) for words in _tested_words(tests)]
         blocks += [_map(run, found, found.learned), Paragraph(_map_words(run, found, found.learned))]
         blocks += [*_scatter(found, tests), *_results(result)]
@@ -77,6 +79,16 @@ def _learned_words(run: RunObservation, found: RunForce, learned: LearnedForce) 
         f" ({phases}), {_between(low, high)}, up to {calibrated_radius_mm(found):.0f} mm from the"
         " centre."
     )
+
+
+def _predicted(run: RunObservation, learned: LearnedForce) -> list[Block]:
+    """How loads of short holds were used; nothing where all count as they were seen."""
+    words = prediction_words(learned)
+    if words:
+        return [Paragraph(f"{words}, with the relaxation of the longest holds (transients = predicted).", "note")]
+    if run.settings.transients == "predicted":
+        return [Paragraph("No hold of the calibration was predicted: all were held about as long.", "note")]
+    return []
 
 
 def _seat_words(seat: Seat) -> str:
@@ -315,7 +327,10 @@ def _reduced(run: RunObservation, found: RunForce, learned: LearnedForce, tests:
             f" {plural(len(tests), 'held-out load')} press less or more. Places pressed at other strains in a"
             " calibrating phase would tell."
         )
-    unsettled = sum(load.settled is False for load in found.used)
+    predicted = learned.predicted or (False,) * len(found.used)
+    unsettled = sum(
+        load.settled is False and not of_later for load, of_later in zip(found.used, predicted, strict=True)
+    )
     if unsettled:
         words.append(
             f"{plural(unsettled, 'load')} of the calibration had not settled for 1.5 settling times: forces of loads"
