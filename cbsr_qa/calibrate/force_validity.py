@@ -56,8 +56,8 @@ def prediction_words(learned: LearnedForce) -> str:
     if not count:
         return ""
     return (
-        f"{count} of {len(learned.predicted)} loads were held for a shorter time than the run's longest: their readings"
-        f" and forces were predicted to {learned.model.steady_s:.0f} s after the press"
+        f"{count} of {len(learned.predicted)} loads were held for a shorter time than the run's longest: their"
+        f" readings and forces were predicted to {learned.model.steady_s:.0f} s after the press"
     )
 
 

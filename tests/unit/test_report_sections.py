@@ -111,6 +111,20 @@ def test_the_location_table_holds_the_measured_values(result):
     assert all(row[2].outcome is Outcome.PASS for row in table.rows)
 
 
+def test_a_recipe_that_does_not_measure_places_is_not_said_to_have_seen_none(result):
+    kept = tuple(m for m in result.measurements if m.name != "centre_of_mass_error")
+    words, figure, *_ = NineLocations().render(replace(result, measurements=kept)).blocks
+    assert "does not measure how far" in words.text
+    assert "a cross was not measured" in figure.caption
+    unseen = tuple(
+        replace(m, value=None, uncertainty=None) if m.name == "centre_of_mass_error" else m
+        for m in result.measurements
+    )
+    words, figure, *_ = NineLocations().render(replace(result, measurements=unseen)).blocks
+    assert "none of the presses was seen" in words.text
+    assert "a cross was not detected" in figure.caption
+
+
 @pytest.mark.parametrize(
     ("shift_mm", "said"), [(1.14, "the station's part"), (0.2, "no more than their own scatter")]
 )

@@ -49,14 +49,15 @@ class NineLocations:
 def _figure(loads: Sequence[LoadObservation], run: RunObservation, measured: Measured, phase: str) -> Figure:
     seen = seen_loads(loads, run, measured)
     scale = arrow_scale(seen)
+    cross = "was not detected" if _placed(loads, measured) else "was not measured"
     longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
     return location_map_figure(
         seen,
         run.record.sensor_type,
         caption=f"{phase}Where the loads were and where they were seen (mask {100 * run.main_mask:g} %). Dashed: the"
         f" indenter. Blue: outline of the sensed blob. Arrows: error from the indenter's centre to the blob's"
-        f" centre of mass, {longer}. Right: every press; a diamond is outside its limit, a cross was not"
-        " detected.",
+        f" centre of mass, {longer}. Right: every press; a diamond is outside its limit, a cross"
+        f" {cross}.",
         alternative=_in_words(loads, measured),
     )
 
@@ -77,8 +78,15 @@ def _by_strain(loads: Sequence[LoadObservation], measured: Measured) -> list[Blo
     return [text_table(caption, columns, rows, tuple(range(len(columns))))]
 
 
+def _placed(loads: Sequence[LoadObservation], measured: Measured) -> bool:
+    """Whether the recipe measures where presses are seen; where it does, one that is not seen says why."""
+    return any(measured.of_load("centre_of_mass_error", load) is not None for load in loads)
+
+
 def _in_words(loads: Sequence[LoadObservation], measured: Measured) -> str:
     errors = measured.values("centre_of_mass_error", loads)
+    if not _placed(loads, measured):
+        return "the recipe does not measure how far from the presses they are seen."
     if not errors:
         return "none of the presses was seen in the image."
     largest = max(errors)
