@@ -1,7 +1,7 @@
 """Walk a plan without moving anything: how long, how far, how hard, and what the station would not allow."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 from cbsr_qa.domain import kinematics
@@ -22,7 +22,7 @@ from cbsr_qa.domain.steps import (
 from cbsr_qa.runner.frame_count import frames_in_hold
 from cbsr_qa.runner.kinds import Kind, Spent
 from cbsr_qa.runner.plan import Plan
-from cbsr_qa.runner.rules import Violation, expected_force_N, load_violations, place_violations
+from cbsr_qa.runner.rules import Violation, expected_force_N, load_violations, place_violations, strain_violations
 from cbsr_qa.runner.schedule import LoadKey, ScheduledPhase, ScheduledStep, schedule
 from cbsr_qa.runner.wording import describe, duration
 
@@ -252,7 +252,7 @@ class _Walk:
         if self.depth_mm is None or self.load is None:
             yield Violation("order", "the head is not down")
             return
-        yield from load_violations(replace(self.load, strain=strain), self.plan)
+        yield from strain_violations(strain, self.plan)  # its place was looked at when it was pressed
         to_mm = strain * self.plan.sensor_type.thickness_mm
         self.spent.add(Kind.PRESS, kinematics.ease_s(self.plan.motion, self.depth_mm, to_mm))
         self._down(strain)

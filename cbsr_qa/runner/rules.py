@@ -75,11 +75,16 @@ def _stands_on(x_mm: float, y_mm: float, plan: Plan) -> bool:
 def load_violations(load: Load, plan: Plan) -> Iterator[Violation]:
     """Yield what is wrong with a load: its place, its strain, the force it is expected to take."""
     yield from place_violations(load.x_mm, load.y_mm, plan)
-    if not 0 < load.strain <= plan.safety.strain:
+    yield from strain_violations(load.strain, plan)
+
+
+def strain_violations(strain: float, plan: Plan) -> Iterator[Violation]:
+    """Yield what is wrong with a strain, wherever it is pressed: itself, the force it is expected to take."""
+    if not 0 < strain <= plan.safety.strain:
         yield Violation(
-            "strain", f"{100 * load.strain:.4g} % strain; the station allows up to {100 * plan.safety.strain:g} %"
+            "strain", f"{100 * strain:.4g} % strain; the station allows up to {100 * plan.safety.strain:g} %"
         )
-    force_N = expected_force_N(load.strain, plan)
+    force_N = expected_force_N(strain, plan)
     if not force_N <= plan.safety.force_N:
         yield Violation("force", f"{force_N:.3g} N expected; the station allows {plan.safety.force_N:g} N")
 

@@ -271,6 +271,18 @@ def test_steps_that_make_no_sense_are_refused(steps, said):
         dry.refuse()
 
 
+def test_a_loop_beside_the_sheet_is_refused_once_and_each_strain_for_itself():
+    press, *rest = loop(0.1, 0.2, 0.3, 0.2, 0.1)
+    plan = example_plan((Press(replace(press.load, x_mm=60.0)), *rest))
+    refused = dry_run(plan, 2.5).violations
+    assert refused
+    assert all("60 mm from the centre" in one or "would reach" in one for one in refused)
+    assert not any("easing" in one for one in refused)
+    weak = replace(plan, safety=replace(plan.safety, strain=0.15))
+    eased = [one for one in dry_run(weak, 2.5).violations if "easing" in one]
+    assert [one.partition(" %")[0].rpartition(" ")[2] for one in eased] == ["20", "30", "20"]
+
+
 def test_plans_without_an_end_or_a_beginning_are_refused():
     class Endless:
         def steps(self, context):

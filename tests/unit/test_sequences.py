@@ -105,6 +105,11 @@ def test_preconditioning_works_in_one_place_after_the_other_and_leaves_the_refer
     assert len(loads_of(PreconditioningSequence())) == 5 * 9
 
 
+def test_a_place_given_twice_is_refused_with_the_option_that_repeats():
+    with pytest.raises(ConfigError, match="cycles repeats them"):
+        HysteresisLoopSequence(locations_mm=[[0, 0], [0.0, 0.0]])
+
+
 def test_a_loop_reaches_every_strain_from_below_and_from_above_without_lifting():
     sequence = HysteresisLoopSequence(
         strains_percent=[5, 10.0, 20], cycles=2, locations_mm=[[0, 0], [10, 5]], rest_s=9

@@ -107,10 +107,10 @@ class Options:
             places.append((self._number(name, item[0], -1e3, 1e3), self._number(name, item[1], -1e3, 1e3)))
         return tuple(places)
 
-    def refuse_repeats(self, name: str, values: tuple[Any, ...]) -> None:
-        """Refuse a list that says the same thing twice: repeats are what ``trials`` is for."""
+    def refuse_repeats(self, name: str, values: tuple[Any, ...], by: str = "trials") -> None:
+        """Refuse a list that says the same thing twice: repeats are what the option ``by`` is for."""
         if len(set(values)) != len(values):
-            raise self._refused(name, self._given.get(name), "each entry once (trials repeats them)")
+            raise self._refused(name, self._given.get(name), f"each entry once ({by} repeats them)")
 
     def _number(self, name: str, value: object, low: float, high: float) -> float:
         allowed = f"a number from {low:g} to {high:g}"

@@ -66,7 +66,7 @@ class CharacterisationSequence:
         self._find_surface = given.flag("find_surface", True)
         self._unloaded_frames = given.whole("unloaded_frames", 60, UNLOADED_FRAMES, 100_000)
         self._place_mm = (given.number("x_mm", 0.0, -1e3, 1e3), given.number("y_mm", 0.0, -1e3, 1e3))
-        given.refuse_repeats("strains_percent", self._strains)
+        given.refuse_repeats("strains_percent", self._strains, "cycles")
         if self._order not in _ORDERS:
             raise ConfigError(
                 f"sequence {_NAME!r}: order is {self._order!r}", remedy=f"allowed: {', '.join(map(repr, _ORDERS))}"

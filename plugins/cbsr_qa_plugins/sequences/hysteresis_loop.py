@@ -67,7 +67,7 @@ class HysteresisLoopSequence:
         self._initial_rest_s = given.duration_s("initial_rest_s", 240.0)
         self._find_surface = given.flag("find_surface", True)
         self._unloaded_frames = given.whole("unloaded_frames", UNLOADED_FRAMES, UNLOADED_FRAMES, 100_000)
-        given.refuse_repeats("locations_mm", self._places_mm)
+        given.refuse_repeats("locations_mm", self._places_mm, "cycles")
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time."""

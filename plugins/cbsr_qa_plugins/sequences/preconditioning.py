@@ -45,7 +45,7 @@ class PreconditioningSequence:
         self._rest_s = given.duration_s("rest_s", 10.0, shortest_s=1.0)
         self._places_mm = given.places_mm("locations_mm", NINE_LOCATIONS_MM)
         self._find_surface = given.flag("find_surface", True)
-        given.refuse_repeats("locations_mm", self._places_mm)
+        given.refuse_repeats("locations_mm", self._places_mm, "cycles")
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time."""
