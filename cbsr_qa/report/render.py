@@ -72,8 +72,10 @@ def write_report(path: Path, html: str) -> None:
     Raises
     ------
     RefusedError
-        If the folder cannot be made or written to; names it, and leaves nothing behind.
+        If the path is a folder, or its folder cannot be made or written to; names it, and leaves nothing behind.
     """
+    if path.is_dir():
+        raise RefusedError(f"the report cannot be written to {path}: that is a folder", remedy="name a file in it")
     temporary = ""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -89,7 +91,7 @@ def write_report(path: Path, html: str) -> None:
             Path(temporary).unlink(missing_ok=True)
         raise RefusedError(
             f"the report cannot be written to {path.parent}: {error.strerror or error}",
-            remedy="make the folder writable, or set CBSR_QA_VAR to one that is",
+            remedy="make the folder writable, name another, or set CBSR_QA_VAR where no file was named",
         ) from error
 
 

@@ -165,3 +165,23 @@ def test_two_processes_find_what_one_finds():
 def test_names_of_cases_are_unique():
     names = [case.name for case in catalogue.CASES]
     assert len(set(names)) == len(names)
+
+
+@pytest.mark.parametrize(
+    ("asked", "told"),
+    [
+        ("offset-of-1e6-signal", "near are: offset-of-1e6-signals"),
+        ("qqqq", "cbsr-qa stability --area 'forward model'"),
+    ],
+)
+def test_a_name_that_is_no_case_is_answered_by_those_near_it_and_not_by_all(capsys, asked, told):
+    assert guarded(["stability", "--only", asked]) == 2
+    said = capsys.readouterr().err
+    assert told in said
+    assert len(said) < 600
+
+
+def test_a_folder_as_the_page_is_refused_by_its_own_name(catalogued, capsys, tmp_path):
+    catalogued(_GOOD)
+    assert guarded(["stability", "--output", str(tmp_path)]) == 2
+    assert f"cannot be written to {tmp_path}: that is a folder" in capsys.readouterr().err
