@@ -41,6 +41,7 @@ _NAMES: Final[Mapping[str, str]] = {
     "settling_error": "settling time",
 }
 _HEIGHT_IN: Final = 3.6
+_COLOURS: Final = (*CYCLE, INK)  # one a series
 
 
 def frontier_page(found: "Frontier") -> Page:
@@ -77,7 +78,8 @@ def station_figure(found: "Frontier") -> Figure:
     return drawn(
         lambda: station_canvas(_station(found), _chosen(found)),
         caption="Force error on loads the calibration has not seen, against what it takes of the station. Filled: "
-        "worth its time. Squares: transients predicted. Ring: recommended.",
+        "worth its time. Squares: transients predicted. Ring: recommended, the most accurate of those that were allowed; "
+        "a quicker one may be as good as far as anybody can tell.",
         alternative="Force errors against station time; the tables below have the numbers.",
     )
 
@@ -106,7 +108,7 @@ def station_canvas(members: Sequence[tuple[Point, bool]], chosen: Point | None) 
     names = list(dict.fromkeys(point.series for point, _ in members))
     for point, worth in members:
         if "force_error" in point.accuracy:
-            _place(axes, point, CYCLE[names.index(point.series) % len(CYCLE)], worth)
+            _place(axes, point, _COLOURS[names.index(point.series) % len(_COLOURS)], worth)
     if chosen is not None:
         at = (chosen.station_s or 0) / 60, chosen.accuracy["force_error"].value
         axes.plot(*at, "o", color=INK, markersize=10, markerfacecolor="none", markeredgewidth=1.2)
@@ -115,7 +117,7 @@ def station_canvas(members: Sequence[tuple[Point, bool]], chosen: Point | None) 
     axes.set_xlabel("station time a sensor [min]")
     axes.set_ylabel("force error [N]")
     for number, name in enumerate(names):
-        colour = CYCLE[number % len(CYCLE)]
+        colour = _COLOURS[number % len(_COLOURS)]
         axes.text(1.03, 0.97 - 0.06 * number, name, color=colour, transform=axes.transAxes, va="top")
     return figure
 
@@ -144,8 +146,10 @@ def write_png(found: "Frontier", path: Path) -> None:
     Raises
     ------
     RefusedError
-        If there is nothing to draw, or the file cannot be written.
+        If there is nothing to draw, the name is not one of a PNG file, or the file cannot be written.
     """
+    if path.suffix.lower() != ".png":
+        raise RefusedError(f"{path} is no name of a PNG picture", remedy="let it end in .png")
     if not any("force_error" in found.points[k].accuracy for k in found.settings):
         raise RefusedError("there is no force error to draw", remedy="sweep the station's clock")
     try:

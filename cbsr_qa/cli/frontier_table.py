@@ -42,11 +42,11 @@ def _recommended(found: "Frontier") -> Iterator[str]:
         yield from textwrap.wrap(f"recommended: none; {found.why_not}", WIDTH)
         return
     setting = found.recommended.setting
-    how = "predicted to their end" if setting.predicted else "as they are"
+    how = "holds predicted to where long ones end" if setting.predicted else "holds taken as they are"
     strains = ", ".join(f"{percent:g}" for percent in setting.strains_percent)
     words = (
         f"recommended: {setting.places} places at {strains} % strain,"
         f" {setting.trials} {'time' if setting.trials == 1 else 'times'}, held {setting.hold_s:g} s, rested"
-        f" {setting.rest_s:g} s, holds taken {how}: {found.recommended.why}"
+        f" {setting.rest_s:g} s, {how}: {found.recommended.why}"
     )
     yield from textwrap.wrap(words, WIDTH)

@@ -101,7 +101,8 @@ def _none(usable: Sequence[tuple[Setting, Point]], wish: Wish) -> RefusedError:
 
 def _said(one: tuple[Setting, Point]) -> str:
     force = one[1].accuracy[_FORCE]
-    return f"{force.value:.3f} ± {force.stderr or 0:.3f} N in {_seconds(one) / 60:.0f} min"
+    spread = "" if force.stderr is None else f" ± {force.stderr:.3f}"
+    return f"{force.value:.3f}{spread} N in {_seconds(one) / 60:.0f} min"
 
 
 def _seconds(one: tuple[Setting, Point]) -> float:

@@ -15,7 +15,7 @@ from cbsr_qa.frontier.station import Tried
 from cbsr_qa.frontier.trial import UNITS
 
 #: What settings are compared by.
-DECIDES: Final = ("force_error", "map_error")
+DECIDES: Final = ("force_error",)
 
 
 def document_of(tried: Tried) -> dict[str, Any]:
@@ -35,13 +35,15 @@ def tried_of(document: Mapping[str, Any]) -> Tried:
     Raises
     ------
     StoreError
-        If something is missing in it or of another type.
+        If something is missing in it, of another type, or no finite number.
     """
     try:
         setting = dict(document["setting"])
         setting["strains_percent"] = tuple(float(percent) for percent in setting["strains_percent"])
         errors = {str(name): float(value) for name, value in document["errors"].items()}
         series, why = str(document["series"]), str(document["why"])
+        if not all(map(math.isfinite, errors.values())):
+            raise ValueError("an error is no finite number")
         return Tried(series, Setting(**setting), int(document["seed"]), errors, why)
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise StoreError(

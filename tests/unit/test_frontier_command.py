@@ -159,3 +159,13 @@ def test_page_and_picture_are_written(sweeps, capsys, tmp_path):
     assert "<svg" in text
     assert picture.read_bytes().startswith(b"\x89PNG")
     assert "no force error to draw" in refused(capsys, "--clock", "computer", "--png", str(tmp_path / "no.png"))
+
+
+@pytest.mark.parametrize("name", ["plot.bmp", "plot", ""])
+def test_pictures_are_png_and_written_where_they_are_said_to_be(sweeps, capsys, tmp_path, name):
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    message = refused(capsys, "--clock", "station", "--png", str(folder / name))
+    assert f"{folder / name} is no name of a PNG picture" in message
+    assert list(folder.iterdir()) == []
+    assert not (tmp_path / "pictures.png").exists()

@@ -103,6 +103,12 @@ def test_a_wish_that_nothing_meets_is_refused_with_the_nearest(wish, asked):
     assert "0.200 ± 0.020 N in 12 min" in refused.value.remedy
 
 
+def test_one_sensor_says_nothing_of_a_spread():
+    with pytest.raises(RefusedError) as refused:
+        recommend([way(23, 0.1)], Wish(0.01), paper=None)
+    assert "0.100 N in 23 min" in refused.value.remedy
+
+
 def test_where_nothing_has_a_force_error_that_is_said():
     with pytest.raises(RefusedError, match="no setting that was tried has a force error"):
         recommend([REFUSED], Wish(), paper=None)

@@ -57,6 +57,7 @@ def test_a_trial_survives_its_document_and_json(one):
         {"setting": {"places": 3, "strains_percent": [20.0], "colour": "red"}},
         {"setting": None},
         {"errors": {"force_error": "small"}},
+        {"errors": {"force_error": math.nan}},
         {"errors": []},
         {"seed": "first"},
     ],
