@@ -191,7 +191,7 @@ def _recommended(tried: Sequence[tuple[Setting, Point]], wish: Wish) -> tuple[Re
     if not tried:
         return None, "only the computer's clock was swept"
     paper = next((point for setting, point in tried if setting == PAPER), None)
-    usable = [(setting, point) for setting, point in tried if setting.is_recipe]
+    usable = list({setting: (setting, point) for setting, point in tried if setting.is_recipe}.values())
     try:
         return recommend(usable, wish, paper=paper), ""
     except RefusedError as error:

@@ -78,8 +78,8 @@ def station_figure(found: "Frontier") -> Figure:
     return drawn(
         lambda: station_canvas(_station(found), _chosen(found)),
         caption="Force error on loads the calibration has not seen, against what it takes of the station. Filled: "
-        "worth its time. Squares: transients predicted. Ring: recommended, the most accurate of those that were allowed; "
-        "a quicker one may be as good as far as anybody can tell.",
+        "worth its time. Squares: transients predicted. Ring: recommended, the most accurate of those that were "
+        "allowed; a quicker one may be as good as far as anybody can tell.",
         alternative="Force errors against station time; the tables below have the numbers.",
     )
 

@@ -122,12 +122,12 @@ def choices_of_even() -> list[tuple[str, Setting]]:
 
 
 def simulated_alone(*, quick: bool) -> list[tuple[str, Setting]]:
-    """Ways with rests or frames of another length."""
+    """Ways with rests or frames of another length; one of them is in several series, and simulated once."""
     short = Setting(16, hold_s=15.0, rest_s=5.0, predicted=True)
     rests = [("rest", replace(short, rest_s=rest_s)) for rest_s in (5.0, 15.0, 30.0)]
-    places = [("places", replace(short, places=count)) for count in (9, 12, 20, 26)]
+    places = [("places", replace(short, places=count)) for count in (9, 12, 16, 20, 26)]
     hold = [("places", replace(short, places=19, hold_s=10.0))]
-    averaging = [("frame time", replace(short, frame_period_s=period_s)) for period_s in (1.25, 5.0)]
+    averaging = [("frame time", replace(short, frame_period_s=period_s)) for period_s in (1.25, 2.5, 5.0)]
     return [rests[0]] if quick else [*rests, *places, *hold, *averaging]
 
 
@@ -148,9 +148,10 @@ def tried_on_even(bench: Bench, seed: int, *, quick: bool) -> list[Tried]:
     return found + [run.tried(series, setting) for series, setting in chosen]
 
 
-def tried_alone(bench: Bench, seed: int, series: str, setting: Setting) -> list[Tried]:
-    """Simulate one way on one sensor."""
-    return [_Simulated(bench, setting, seed).tried(series, setting)]
+def tried_alone(bench: Bench, seed: int, series: Sequence[str], setting: Setting) -> list[Tried]:
+    """Simulate one way on one sensor, and say so in every series it belongs to."""
+    tried = _Simulated(bench, setting, seed).tried(series[0], setting)
+    return [replace(tried, series=name) for name in series]
 
 
 class _Simulated:
@@ -232,11 +233,14 @@ def station_work(bench: Bench, *, quick: bool) -> Iterator[tuple[str, str, Calla
                 partial(tried_on_paper, bench, seed, quick=quick),
             )
         yield f"even/{mode}/{seed}", f"thirty places, sensor {seed}", partial(tried_on_even, bench, seed, quick=quick)
+    alone: dict[Setting, list[str]] = {}
     for series, setting in simulated_alone(quick=quick):
+        alone.setdefault(setting, []).append(series)
+    for setting, names in alone.items():
+        what = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
         for seed in seeds:
-            what = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
             yield (
-                f"alone/{series}/{what}/{seed}",
-                f"{series}: {setting.places} places, sensor {seed}",
-                partial(tried_alone, bench, seed, series, setting),
+                f"alone/{'+'.join(names)}/{what}/{seed}",
+                f"{names[0]}: {setting.places} places, sensor {seed}",
+                partial(tried_alone, bench, seed, tuple(names), setting),
             )

@@ -1,8 +1,9 @@
-"""Write the tables of docs/explanation/what-accuracy-costs.md that are about the computer's clock.
+"""Write the tables of docs/explanation/what-accuracy-costs.md.
 
-``python docs/figures/write_frontier_tables.py`` measures the whole sweep (about two minutes) and puts its tables
-between the page's markers, ``<!-- table: series -->`` and ``<!-- end -->``; with a file of points, as a document
-``{"points": [...]}``, it takes them from there. Run it with OMP_NUM_THREADS=1 on a machine that does nothing else.
+``cbsr-qa frontier --json > frontier.json`` measures everything; ``python docs/figures/write_frontier_tables.py
+frontier.json`` puts its tables between the page's markers, ``<!-- table: series -->`` and ``<!-- end -->``. Tables of
+series that are not in the file stay as they are. Without a file the computer's sweep is measured (about two minutes);
+run it with OMP_NUM_THREADS=1 on a machine that does nothing else.
 """
 
 import json
@@ -12,10 +13,14 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
+from cbsr_qa.app.frontier_page import station_canvas, table_of
 from cbsr_qa.frontier.computer import computer_tasks, measured, worth_their_time
 from cbsr_qa.frontier.point import Accuracy, Clock, Point
+from cbsr_qa.frontier.station_points import worth_the_station
+from cbsr_qa.report.svg import drawn
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "explanation" / "what-accuracy-costs.md"
+FIGURE: Final = PAGE.parent / "figures" / "frontier" / "station.svg"
 
 _TABLE: Final = re.compile(r"(<!-- table: (.+?) -->\n).*?(<!-- end -->)", re.S)
 #: Of methods and smoothing the page shows all λ of one method, and of the others their own choice.
@@ -44,12 +49,18 @@ _SAID_ELSEWHERE: Final = frozenset({"noise_figure", "exponent"})
 
 def written(page: str, points: Sequence[Point]) -> str:
     """The page with its tables replaced."""
-    flags = dict(zip(map(id, points), worth_their_time(points), strict=True))
+    computer = [point for point in points if point.clock is Clock.COMPUTER]
+    station = [point for point in points if point.clock is Clock.STATION]
+    flags = dict(zip(map(id, computer), worth_their_time(computer), strict=True))
+    flags |= dict(zip(map(id, station), worth_the_station(station), strict=True))
 
     def table(found: re.Match[str]) -> str:
-        chosen = [point for point in points if point.series == found[2] and _shown(point, flags[id(point)])]
+        own = [point for point in points if point.series == found[2]]
+        chosen = [point for point in own if _shown(point, flags[id(point)])]
         if not chosen:
-            raise SystemExit(f"no points of series {found[2]!r}")
+            return found[0]
+        if chosen[0].clock is Clock.STATION:
+            return f"{found[1]}\n{_rows(*table_of([(point, flags[id(point)]) for point in chosen]))}\n\n{found[3]}"
         return f"{found[1]}\n{_table(chosen, lambda point: flags[id(point)])}\n\n{found[3]}"
 
     return _TABLE.sub(table, page)
@@ -74,8 +85,12 @@ def _table(points: Sequence[Point], worth: Callable[[Point], bool]) -> str:
     columns["time"] = [_seconds(point.compute_s) for point in points]
     told = {name: cells for name, cells in columns.items() if len(set(cells)) > 1}
     told["•"] = ["•" if worth(point) else "" for point in points]
-    rows = [list(told), ["---"] * len(told), *zip(*told.values(), strict=True)]
-    return "\n".join(f"| {' | '.join(row)} |".replace("|  |", "| |") for row in rows)
+    return _rows(list(told), list(zip(*told.values(), strict=True)))
+
+
+def _rows(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    every = [columns, ["---"] * len(columns), *rows]
+    return "\n".join(f"| {' | '.join(row)} |".replace("|  |", "| |") for row in every)
 
 
 def _place(name: str) -> int:
@@ -118,10 +133,21 @@ def main(arguments: Sequence[str]) -> None:
     """Take points from a file, or measure them, and write the page."""
     if arguments:
         documents = json.loads(Path(arguments[0]).read_text(encoding="utf-8"))["points"]
-        points = [Point.from_document(one) for one in documents if one["clock"] == Clock.COMPUTER]
+        points = [Point.from_document(one) for one in documents]
     else:
         points = list(measured(computer_tasks(), _tell))
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), points), encoding="utf-8")
+    station = [point for point in points if point.clock is Clock.STATION]
+    if station:
+        FIGURE.parent.mkdir(exist_ok=True)
+        draw(station, FIGURE)
+
+
+def draw(points: Sequence[Point], path: Path) -> None:
+    """Draw the station's frontier."""
+    members = list(zip(points, worth_the_station(points), strict=True))
+    found = drawn(lambda: station_canvas(members, None), caption="", alternative="")
+    path.write_text(found.svg + "\n", encoding="utf-8")
 
 
 def _tell(done: int, of: int, what: str) -> None:

@@ -23,6 +23,7 @@ from cbsr_qa.frontier.computer_precision import applied, error_bound, precision_
 from cbsr_qa.frontier.computer_readings import base_scene_readings
 from cbsr_qa.frontier.computer_timing import fastest_s, timed
 from cbsr_qa.frontier.point import Accuracy, Clock, Point
+from cbsr_qa.frontier.station import choices_of_even, simulated_alone, subsets_of_even, subsets_of_paper
 from cbsr_qa.reconstruct.problem import imaging_problem
 from cbsr_qa.testing.numerics import assert_expected_order
 
@@ -241,8 +242,12 @@ def test_readings_cost_memory_with_the_block_and_half_of_it_in_single_precision(
 def test_the_page_has_a_table_of_every_series():
     page = Path(__file__).parents[2] / "docs" / "explanation" / "what-accuracy-costs.md"
     tables = re.findall(r"<!-- table: (.+?) -->\n+(\|.+?\|)\n+<!-- end -->", page.read_text(), re.S)
-    series = {task.what.split(": ")[0] for task in computer_tasks()}
-    assert {name for name, _ in tables} == series
+    computer = {task.what.split(": ")[0] for task in computer_tasks()}
+    station = {
+        series for found in (subsets_of_paper, subsets_of_even, simulated_alone) for series, _ in found(quick=False)
+    }
+    station |= {series for series, _ in choices_of_even()}
+    assert {name for name, _ in tables} == computer | station
     assert all(len(table.splitlines()) > 4 for _, table in tables)
 
 

@@ -19,7 +19,7 @@ SEED = 5
 def test_short_holds_are_worth_something_only_where_they_are_predicted(monkeypatch):
     monkeypatch.setattr(station, "TEST_LOADS", 6)
     ((averaged,), (predicted,)) = (
-        tried_alone(the_bench(), SEED, "tried", replace(SHORT, predicted=predicted)) for predicted in (False, True)
+        tried_alone(the_bench(), SEED, ("tried",), replace(SHORT, predicted=predicted)) for predicted in (False, True)
     )
     for one in (averaged, predicted):
         assert (one.series, one.seed, one.why) == ("tried", SEED, "")

@@ -1,4 +1,4 @@
-"""Short holds brought to where the run's longest ones end, on a simulated sensor whose response is alike everywhere."""
+"""Short holds brought to where the run's longest ones end, on a simulated sensor that answers alike everywhere."""
 
 from dataclasses import replace
 
@@ -7,7 +7,7 @@ import pytest
 from simulated_runs import simulated_run
 
 from cbsr_qa.analysis.observe import observe_run
-from cbsr_qa.analysis.run_force import learned_from, run_force, force_tests
+from cbsr_qa.analysis.run_force import force_tests, learned_from, run_force
 from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
