@@ -28,9 +28,9 @@ _READING: Final = (
     "less. A hollow one is not: some filled point costs less and is as good, as far as anybody can tell.",
     "Station time is what a sensor occupies the rig: rests, travel and finding the surface are in it. Accuracy is "
     "against known truth, which only a simulation has: sensors whose response varies by 20 % over the sheet, with "
-    "noise, relaxation, and a residue of earlier presses. Force errors are root mean squares over random loads of 5 to "
-    "30 % strain (0.9 to 5.3 N), held for a minute after a minute's rest, that the calibration has not seen; bars are "
-    "one standard error over the simulated sensors. Ways to calibrate are compared by force and map together.",
+    "noise, relaxation, and a residue of earlier presses. Force errors are root mean squares over random loads of 5 "
+    "to 30 % strain (0.9 to 5.3 N), held for a minute after a minute's rest, that the calibration has not seen; bars "
+    "are one standard error over the simulated sensors. Ways to calibrate are compared by force and map together.",
     "Transients averaged: the last frames of a hold count as they are. Predicted: a short hold is brought to where a "
     "long one ends, with the sensor's own relaxation from three long holds.",
 )
