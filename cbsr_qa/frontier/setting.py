@@ -20,6 +20,9 @@ RADIUS_MM: Final = 40.0
 _GOLDEN: Final = 2 - (1 + 5**0.5) / 2
 _LONG_S: Final = 60.0
 _USUAL_FRAME_S: Final = 2.5
+#: Least rest around the random loads: they teach how the sensor relaxes, and what an earlier press leaves would be
+#: taught with it.
+_CHECK_REST_S: Final = 30.0
 #: Random loads that a scatter of forces can be judged by.
 _MANY: Final = 10
 
@@ -139,8 +142,8 @@ class Setting:
             "radius_mm": [0.0, RADIUS_MM],
             "strain_percent": [15.0, 30.0],
             "hold_s": _LONG_S,
-            "rest_s": self.rest_s,
-            "initial_rest_s": 0.0,
+            "rest_s": max(self.rest_s, _CHECK_REST_S),
+            "initial_rest_s": max(_CHECK_REST_S - self.rest_s, 0.0),
         }
         return [start, grid, check] if self.checks else [start, grid]
 
