@@ -15,7 +15,7 @@ from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
-from cbsr_qa.domain.plan import Motion, Scene
+from cbsr_qa.domain.plan import Motion, SafetyLimits, Scene
 from cbsr_qa.domain.reconstruction import ImagingProblem, PreparedReconstruction
 from cbsr_qa.domain.recording import ReadOptions, Recording
 from cbsr_qa.domain.report import RunResult, Section
@@ -43,6 +43,9 @@ class StationContext:
     motion : speeds and hover height of the station; :mod:`cbsr_qa.domain.kinematics` says how long moves take.
     resumed_at_s : last time an earlier session of the same run has stored; 0 for a new run. The clock of a session
         begins at zero: a simulated instrument addresses its random numbers with this time too, and repeats none.
+    safety : what the station allows; a driver that moves by itself (feeling for the surface) keeps to it. None where
+        an instrument is opened outside of a station.
+    ask : shows a text to the operator and returns the answer; None where nobody is there.
     """
 
     role: str
@@ -56,6 +59,8 @@ class StationContext:
     effect_factory: Callable[[str], Callable[..., Any]] | None = None
     motion: Motion | None = None
     resumed_at_s: float = 0.0
+    safety: SafetyLimits | None = None
+    ask: Callable[[str], str] | None = None
 
 
 class Instrument(Protocol):
@@ -147,6 +152,88 @@ class Sampler(Instrument, Protocol):
 
     def samples_since(self, time_s: float) -> SampleBlock:
         """Return the samples taken after a time on the station's clock, up to now."""
+        ...
+
+
+@runtime_checkable
+class Linked(Instrument, Protocol):
+    """An instrument that needs others of its bench: a scanner its meter, a head that feels for the surface its force.
+
+    Optional; asked for once, after every instrument was opened and before any is used.
+    """
+
+    def link(self, peers: Mapping[str, "Instrument"]) -> None:
+        """Be given every instrument of the bench by the roles it provides.
+
+        Raises
+        ------
+        ConfigError
+            If one that is needed is not there, or is not what it should be.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class MeterReading:
+    """One measurement of a source-measure unit.
+
+    Parameters
+    ----------
+    volts : the mean over the readings it was asked for [V].
+    current_A : what the source gave, where it is measured; else what it was told to give.
+    compliance : the source was at its voltage limit.
+    saturated : the meter was at the end of its range.
+    time_s : middle of the measurement on the station's clock.
+    """
+
+    volts: float
+    current_A: float
+    compliance: bool
+    saturated: bool
+    time_s: float
+
+
+@runtime_checkable
+class SourceMeter(Instrument, Protocol):
+    """Gives a current and measures a voltage (role ``source_meter``)."""
+
+    @property
+    def reading_period_s(self) -> float:
+        """How long one measurement takes the instrument [s]."""
+        ...
+
+    @property
+    def compliance_V(self) -> float:
+        """Voltage the source will not exceed [V]."""
+        ...
+
+    def source(self, current_A: float) -> None:
+        """Set the current and switch the output on; the value is read back and must agree."""
+        ...
+
+    def off(self) -> None:
+        """Switch the output off."""
+        ...
+
+    def measure(self) -> MeterReading:
+        """Take one measurement."""
+        ...
+
+
+@runtime_checkable
+class Multiplexer(Instrument, Protocol):
+    """Connects source and meter to pairs of electrodes (role ``multiplexer``)."""
+
+    def order(self) -> tuple[tuple[int, int], ...]:
+        """(drive, measure) indices into the sensor type's pattern, in the order the hardware steps through them."""
+        ...
+
+    def start(self) -> None:
+        """Connect the first combination of :meth:`order`, wherever it was before."""
+        ...
+
+    def step(self) -> None:
+        """Connect the next combination; after the last the first."""
         ...
 
 

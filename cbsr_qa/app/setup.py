@@ -1,7 +1,7 @@
 """From configuration files to a plan, a clock and a bench."""
 
 import inspect
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from difflib import get_close_matches
 from typing import Any
 
@@ -10,11 +10,15 @@ from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_s
 from cbsr_qa.config.merge import Configuration, merge
 from cbsr_qa.domain.errors import ConfigError, PluginError
 from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
+from cbsr_qa.emulate.clock import WatchedClock
+from cbsr_qa.emulate.rig import EmulatedRig
+from cbsr_qa.emulate.start import Emulation
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import Instrument, StationContext
 from cbsr_qa.plugins import Factory, Plugins
 from cbsr_qa.runner.bench import Bench, open_bench
 from cbsr_qa.runner.plan import Plan, PlannedPhase
+from cbsr_qa.simulate.world import SimulatedWorld
 
 
 def configure(
@@ -105,12 +109,27 @@ def _untaken(factory: Factory, kind: Kind, choice: PluginChoice, where: str) -> 
 
 
 def station_clock(configuration: Configuration) -> Clock:
-    """Return the clock the station file asks for."""
+    """Return the clock the station file asks for; emulated instruments live on one of their own kind."""
+    if configuration.station.emulated_scene is not None:
+        return WatchedClock()
     return VirtualClock() if configuration.station.clock == "virtual" else RealClock()
 
 
-def open_station(configuration: Configuration, plugins: Plugins, clock: Clock) -> Bench:
-    """Open every instrument of the station.
+def open_station(
+    configuration: Configuration,
+    plugins: Plugins,
+    clock: Clock,
+    *,
+    resumed_at_s: float = 0.0,
+    ask: Callable[[str], str] | None = None,
+    emulated: Callable[[Emulation], None] = lambda emulation: None,
+) -> Bench:
+    """Open every instrument of the station; those that are emulated are started first, and end with the bench.
+
+    Parameters
+    ----------
+    resumed_at_s, ask : as in :class:`~cbsr_qa.interfaces.StationContext`.
+    emulated : told the emulation, where there is one: to arm faults, or to look at its world.
 
     Raises
     ------
@@ -119,7 +138,16 @@ def open_station(configuration: Configuration, plugins: Plugins, clock: Clock) -
     ConfigError
         If one is not what the station file says, or a real one is put on a virtual clock.
     """
-    bench = open_bench(configuration.station.instruments, lambda spec: _opened(spec, configuration, plugins, clock))
+    emulation = _emulation(configuration, plugins, clock)
+    if emulation is not None:
+        emulated(emulation)
+
+    def opened(spec: InstrumentSpec) -> Instrument:
+        told = spec if emulation is None else emulation.addressed(spec)
+        return _opened(told, configuration, plugins, clock, resumed_at_s, ask)
+
+    after = () if emulation is None else (("emulated instruments", emulation.close),)
+    bench = open_bench(configuration.station.instruments, opened, after=after)
     try:
         _check_clock(configuration, bench)
     except BaseException:
@@ -137,7 +165,34 @@ def _check_clock(configuration: Configuration, bench: Bench) -> None:
         )
 
 
-def _opened(spec: InstrumentSpec, configuration: Configuration, plugins: Plugins, clock: Clock) -> Instrument:
+def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock) -> Emulation | None:
+    station = configuration.station
+    if station.emulated_scene is None:
+        return None
+    if station.clock != "virtual" or not isinstance(clock, WatchedClock):
+        raise ConfigError(
+            f"station {station.name!r} emulates instruments on a real clock",
+            remedy='set clock = "virtual": their world moves on by commands, and nobody waits for it',
+        )
+    world = SimulatedWorld(
+        load_scene(station.emulated_scene).value,
+        configuration.sensor_type,
+        configuration.material,
+        station.indenter,
+        seed=configuration.seed,
+        effect_factory=lambda name: plugins.factory(Kind.EFFECT, name),
+    )
+    return Emulation(station.instruments, EmulatedRig(clock, world, station.motion))
+
+
+def _opened(
+    spec: InstrumentSpec,
+    configuration: Configuration,
+    plugins: Plugins,
+    clock: Clock,
+    resumed_at_s: float,
+    ask: Callable[[str], str] | None,
+) -> Instrument:
     options: dict[str, Any] = dict(spec.options)
     scene: Mapping[str, Any] | None = options.pop("scene", None)
     context = StationContext(
@@ -151,6 +206,9 @@ def _opened(spec: InstrumentSpec, configuration: Configuration, plugins: Plugins
         motion=configuration.station.motion,
         scene=None if scene is None else load_scene(scene).value,
         effect_factory=lambda name: plugins.factory(Kind.EFFECT, name),
+        resumed_at_s=resumed_at_s,
+        safety=configuration.station.safety,
+        ask=ask,
     )
     factory = plugins.factory(Kind.INSTRUMENT, spec.driver)
     try:

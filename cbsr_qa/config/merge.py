@@ -61,6 +61,8 @@ def merge(
         for instrument in station.value.instruments
         if (name := instrument.options.get("scene")) is not None
     }
+    emulated = station.value.emulated_scene
+    world = None if emulated is None else load_scene(emulated, near=station.folder)
     content = {
         "layout": LAYOUT,
         "seed": seed,
@@ -69,9 +71,10 @@ def merge(
         "sensor_type": sensor_type.document.data,
         "material": material.document.data,
         "scenes": {role: scene.document.data for role, scene in scenes.items()},
+        **({} if world is None else {"emulated_scene": world.document.data}),
     }
     return Configuration(
-        _with_scenes(station.value, scenes),
+        _with_scenes(station.value, scenes, world),
         recipe.value,
         sensor_type.value,
         material.value,
@@ -96,8 +99,9 @@ def restore(canonical: str) -> Configuration:
         )
     station = load_station(content["station"])
     scenes = {role: load_scene(data) for role, data in content["scenes"].items()}
+    world = load_scene(content["emulated_scene"]) if "emulated_scene" in content else None
     return Configuration(
-        _with_scenes(station.value, scenes),
+        _with_scenes(station.value, scenes, world),
         load_recipe(content["recipe"]).value,
         load_sensor_type(content["sensor_type"]).value,
         load_material(content["material"]).value,
@@ -125,10 +129,11 @@ def _plain(value: object) -> object:
     raise TypeError(f"a configuration holds no {type(value).__name__}")
 
 
-def _with_scenes(station: Station, scenes: Mapping[str, Loaded[Scene]]) -> Station:
+def _with_scenes(station: Station, scenes: Mapping[str, Loaded[Scene]], world: Loaded[Scene] | None) -> Station:
     """Hand drivers the content of their scene, so that a stored run needs none of the files it began with."""
     instruments = tuple(
         replace(i, options={**i.options, "scene": scenes[i.role].document.data}) if i.role in scenes else i
         for i in station.instruments
     )
-    return replace(station, instruments=instruments)
+    emulated = station.emulated_scene if world is None else world.document.data
+    return replace(station, instruments=instruments, emulated_scene=emulated)

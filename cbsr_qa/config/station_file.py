@@ -11,7 +11,7 @@ from cbsr_qa.config.documents import reference_path
 from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table, Word
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.loads import Indenter
-from cbsr_qa.domain.plan import InstrumentSpec, Motion, SafetyLimits, Station
+from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, SafetyLimits, Station
 
 Positive = Annotated[float, Field(gt=0)]
 Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
@@ -86,6 +86,12 @@ class SafetyTable(Table):
     stale_s: Positive
 
 
+class EmulationTable(Table):
+    """``[emulation]``: the one simulated world behind every instrument whose address is "emulated"."""
+
+    scene: Name
+
+
 class InstrumentTable(OpenTable):
     """``[instruments.<role>]``: its driver, what it provides, and the driver's own options."""
 
@@ -102,10 +108,12 @@ class StationFile(FileModel[Station]):
     motion: MotionTable
     safety: SafetyTable
     instruments: Annotated[dict[Word, InstrumentTable], Field(min_length=1)]
+    emulation: EmulationTable | None = None
 
     def problems(self) -> Iterator[Problem]:
-        """Every role filled once; the head one thing only."""
+        """Every role filled once; the head one thing only; emulated instruments with a world."""
         yield from self.indenter.problems()
+        yield from self._unemulated()
         filled: dict[str, str] = {}
         for name, table in self.instruments.items():
             for role in table.provides:
@@ -116,6 +124,15 @@ class StationFile(FileModel[Station]):
         for role in NEEDED_ROLES:
             if role not in filled:
                 yield Problem(("instruments",), f"has nothing that provides {role!r}; every run needs it")
+
+    def _unemulated(self) -> Iterator[Problem]:
+        emulated = [name for name, table in self.instruments.items() if table.options.get("address") == EMULATED]
+        if self.emulation is None:
+            for name in emulated:
+                what = f"is {EMULATED!r}, but the station has no [emulation] table to say in which scene"
+                yield Problem(("instruments", name, "address"), what)
+        elif not emulated:
+            yield Problem(("emulation",), f"is given, but no instrument has address = {EMULATED!r}")
 
     def to_domain(self) -> Station:
         """Speeds become mm/s, percent a fraction, hours seconds."""
@@ -141,6 +158,7 @@ class StationFile(FileModel[Station]):
                 InstrumentSpec(name, t.driver, tuple(t.provides), t.options, t.calibration_due)
                 for name, t in sorted(self.instruments.items())  # tables have no order in TOML
             ),
+            emulated_scene=None if self.emulation is None else self.emulation.scene,
         )
 
 

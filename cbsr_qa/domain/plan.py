@@ -23,6 +23,10 @@ class PluginChoice:
 NO_RECONSTRUCTION = PluginChoice("none")
 
 
+#: Address of an instrument that the station itself emulates over a real byte stream.
+EMULATED = "emulated"
+
+
 @dataclass(frozen=True, slots=True)
 class InstrumentSpec:
     """One instrument table of a station file.
@@ -41,6 +45,11 @@ class InstrumentSpec:
     provides: tuple[str, ...]
     options: Mapping[str, Any]
     calibration_due: str | None
+
+    @property
+    def emulated(self) -> bool:
+        """Whether its address is the word for an instrument that the station emulates."""
+        return self.options.get("address") == EMULATED
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,6 +95,8 @@ class Station:
     ----------
     clock : ``"real"`` or ``"virtual"``; virtual only where every instrument is simulated.
     sensor_type, material : names of the files used unless the command line says otherwise.
+    emulated_scene : of the world that its emulated instruments share: a name, or a scene file's content; None where
+        it emulates none.
     """
 
     name: str
@@ -96,6 +107,7 @@ class Station:
     motion: Motion
     safety: SafetyLimits
     instruments: tuple[InstrumentSpec, ...]
+    emulated_scene: str | Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, slots=True)

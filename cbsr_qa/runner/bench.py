@@ -1,6 +1,6 @@
 """The instruments of a station, by the roles they fill."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final
@@ -8,15 +8,23 @@ from typing import Any, Final
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan import InstrumentSpec
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.interfaces import ForceApplicator, FrameSource, Instrument, Sampler
+from cbsr_qa.interfaces import ForceApplicator, FrameSource, Instrument, Linked, Multiplexer, Sampler, SourceMeter
 from cbsr_qa.runner.stopping import DEADLINE_S, Action, stop_all
 
 FRAME_SOURCE: Final = "frame_source"
 FORCE_APPLICATOR: Final = "force_applicator"
+SOURCE_METER: Final = "source_meter"
+MULTIPLEXER: Final = "multiplexer"
 #: Channel whose samples the force ceiling is held against.
 FORCE_CHANNEL: Final = "force"
 
-_PROTOCOLS: Final[dict[str, type]] = {FRAME_SOURCE: FrameSource, FORCE_APPLICATOR: ForceApplicator}
+#: What fills a role; every other role is a sampler's.
+_PROTOCOLS: Final[dict[str, type]] = {
+    FRAME_SOURCE: FrameSource,
+    FORCE_APPLICATOR: ForceApplicator,
+    SOURCE_METER: SourceMeter,
+    MULTIPLEXER: Multiplexer,
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,22 +41,26 @@ class Mounted:
 
 
 class Bench:
-    """Opened instruments, each known to do what the station file says it does.
+    """Opened instruments, each known to do what the station file says it does, and linked with those it needs.
 
     Parameters
     ----------
     mounted : in the station file's order, which is also the order they are stopped in.
     stop_within_s : how long all of them together may take to reach their safe state [s, real time].
+    after : what else is closed once all of them are.
 
     Raises
     ------
     ConfigError
         Naming role and driver, if an instrument does not provide what it is said to, a role is filled twice or
-        not at all, or nothing measures the force.
+        not at all, nothing measures the force, or an instrument that needs another does not find it.
     """
 
-    def __init__(self, mounted: Iterable[Mounted], *, stop_within_s: float = DEADLINE_S) -> None:
+    def __init__(
+        self, mounted: Iterable[Mounted], *, stop_within_s: float = DEADLINE_S, after: Sequence[Action] = ()
+    ) -> None:
         self._stop_within_s = stop_within_s
+        self._after = tuple(after)
         self.mounted = tuple(mounted)
         filled: dict[str, Mounted] = {}
         for one in self.mounted:
@@ -59,24 +71,17 @@ class Bench:
         self.frame_source: FrameSource = _filled(filled, FRAME_SOURCE)
         self.force_applicator: ForceApplicator = _filled(filled, FORCE_APPLICATOR)
         self.samplers = _samplers([one for role, one in filled.items() if role not in _PROTOCOLS])
+        _link(self.mounted, filled)
 
     def identities(self) -> tuple[InstrumentIdentity, ...]:
-        """Ask every instrument who it is.
+        """Ask every instrument who it is; one that the station emulates is simulated, whatever it says.
 
         Raises
         ------
         InstrumentError
             If one does not answer.
         """
-        return tuple(
-            replace(
-                one.instrument.identity(),
-                role=one.spec.role,
-                driver=one.spec.driver,
-                calibration_due=one.spec.calibration_due,
-            )
-            for one in self.mounted
-        )
+        return tuple(_identity(one) for one in self.mounted)
 
     def safe_state(self) -> tuple[str, ...]:
         """Bring every instrument to its safe state, whatever the others do.
@@ -89,18 +94,24 @@ class Bench:
 
     def close(self) -> tuple[str, ...]:
         """Close every instrument, whatever the others do; returns who did not, in words."""
-        return self._tell_all([(one.name, one.instrument.close) for one in self.mounted])
+        return self._tell_all([*((one.name, one.instrument.close) for one in self.mounted), *self._after])
 
     def _tell_all(self, actions: list[Action]) -> tuple[str, ...]:
         return stop_all(actions, deadline_s=self._stop_within_s)
 
 
-def open_bench(specs: Iterable[InstrumentSpec], make: Callable[[InstrumentSpec], Instrument]) -> Bench:
+def open_bench(
+    specs: Iterable[InstrumentSpec],
+    make: Callable[[InstrumentSpec], Instrument],
+    *,
+    after: Sequence[Action] = (),
+) -> Bench:
     """Open the instruments of a station; if one cannot be opened, those that were are closed again.
 
     Parameters
     ----------
     make : opens one instrument (finds its factory and calls it with its context).
+    after : (who, what to call) once the instruments are closed, also where one could not be opened.
 
     Raises
     ------
@@ -113,13 +124,34 @@ def open_bench(specs: Iterable[InstrumentSpec], make: Callable[[InstrumentSpec],
     try:
         for spec in specs:
             opened.append(Mounted(spec, make(spec)))
-        return Bench(opened)
+        return Bench(opened, after=after)
     except BaseException:
         # What went wrong first is what the reader needs; a second failure while closing would hide it.
         with suppress(Exception):
             stop_all([(one.name, one.instrument.safe_state) for one in opened])
-            stop_all([(one.name, one.instrument.close) for one in opened])
+            stop_all([*((one.name, one.instrument.close) for one in opened), *after])
         raise
+
+
+def _identity(one: Mounted) -> InstrumentIdentity:
+    said = one.instrument.identity()
+    return replace(
+        said,
+        role=one.spec.role,
+        driver=one.spec.driver,
+        simulated=said.simulated or one.spec.emulated,
+        calibration_due=one.spec.calibration_due,
+    )
+
+
+def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
+    peers = {role: one.instrument for role, one in filled.items()}
+    for one in mounted:
+        if isinstance(one.instrument, Linked):
+            try:
+                one.instrument.link(peers)
+            except ConfigError as error:
+                raise ConfigError(f"instrument {one.name}: {error.reason}", remedy=error.remedy) from error
 
 
 def _checked(one: Mounted, role: str) -> Mounted:

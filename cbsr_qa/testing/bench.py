@@ -96,17 +96,23 @@ def raising(error: BaseException) -> Action:
     return act
 
 
-class _Scripted:
-    """What all scripted instruments share."""
+class ScriptedInstrument:
+    """What all scripted instruments share; by itself one that only says who it is.
 
-    def __init__(self, role: str, script: Script) -> None:
+    Parameters
+    ----------
+    simulated : what it says of itself.
+    """
+
+    def __init__(self, role: str, script: Script, *, simulated: bool = True) -> None:
         self.role = role
         self.script = script
+        self.simulated = simulated
 
     def identity(self) -> InstrumentIdentity:
         """Say that it is scripted."""
         self.script.called(f"{self.role}.identity")
-        return InstrumentIdentity(self.role, "scripted", "scripted", "", "", simulated=True)
+        return InstrumentIdentity(self.role, "scripted", "scripted", "", "", simulated=self.simulated)
 
     def safe_state(self) -> None:
         """Write it down."""
@@ -117,7 +123,7 @@ class _Scripted:
         self.script.called(f"{self.role}.close")
 
 
-class ScriptedFrames(_Scripted):
+class ScriptedFrames(ScriptedInstrument):
     """Frames of ones."""
 
     def __init__(self, script: Script, shape: tuple[int, int], frame_period_s: float) -> None:
@@ -134,7 +140,7 @@ class ScriptedFrames(_Scripted):
         return FrameBlock(times_s, frames, np.zeros(frames.shape, np.uint8), VoltageUnit.VOLT, 1e-3)
 
 
-class ScriptedApplicator(_Scripted):
+class ScriptedApplicator(ScriptedInstrument):
     """A head that is down or up."""
 
     def __init__(self, script: Script) -> None:
@@ -170,7 +176,7 @@ class ScriptedApplicator(_Scripted):
         self.down = False
 
 
-class ScriptedLoadCell(_Scripted):
+class ScriptedLoadCell(ScriptedInstrument):
     """Ten samples a second of what the script says."""
 
     channel = FORCE_CHANNEL

@@ -1,0 +1,43 @@
+"""What emulated instruments can be told to do wrong."""
+
+import threading
+from collections import deque
+from enum import StrEnum
+from typing import Final
+
+
+class Fault(StrEnum):
+    """One misbehaviour, at the next command after it was armed."""
+
+    DROP = "drop"  #: the link hangs up and stays down
+    SILENCE = "silence"  #: commands are taken, and nothing is ever answered again
+    GARBLE = "garble"  #: one byte of the reply is another one
+    DELAY = "delay"  #: the reply comes after the driver has given up waiting for it
+    STALE = "stale"  #: the reply before comes once more, ahead of the right one
+    RESET = "reset"  #: the instrument restarts and has forgotten everything
+    COMPLIANCE = "compliance"  #: the source is at its voltage limit from now on
+    RESEND = "resend"  #: the line is asked for once more
+    BUSY = "busy"  #: it says it is busy for a while before it answers
+    OVERLOAD = "overload"  #: the force reads far above any ceiling from now on
+
+
+#: Faults of the link itself; the others are the instrument's, see :meth:`cbsr_qa.emulate.streams.Served.misbehave`.
+OF_THE_LINK: Final = frozenset({Fault.DROP, Fault.SILENCE, Fault.GARBLE, Fault.DELAY, Fault.STALE})
+
+
+class ArmedFaults:
+    """Faults waiting for the next command; armed in one thread, met in another."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[Fault] = deque()
+        self._lock = threading.Lock()
+
+    def arm(self, fault: Fault) -> None:
+        """Let the next command meet a fault; several are met by one command each."""
+        with self._lock:
+            self._waiting.append(fault)
+
+    def met(self) -> Fault | None:
+        """Take the fault the present command meets."""
+        with self._lock:
+            return self._waiting.popleft() if self._waiting else None
