@@ -3,12 +3,16 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from types import SimpleNamespace
 
 import numpy as np
 
 from cbsr_qa.calibrate.force_learning import CalibrationLoads, LearnedForce, learn_force
+from cbsr_qa.calibrate.runtime import Calibration
 from cbsr_qa.calibrate.templates import TemplateBank, template_bank
 from cbsr_qa.config.loader import load_material, load_sensor_type
+from cbsr_qa.domain.calibration import Validity
+from cbsr_qa.domain.force_model import ForceModel
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.sensor import QuasiStatic
 from cbsr_qa.forward.round_load import RoundLoadModel, RoundLoads
@@ -96,3 +100,20 @@ def learned(loads: CalibrationLoads, *, of: QuasiStatic | None = None) -> Learne
     here = setting()
     merging = here.readings.merging
     return learn_force(here.bank, merging, loads, of or line(), HEAD, radius_mm=50.0)
+
+
+def in_use(model: ForceModel, against_stress: QuasiStatic) -> Calibration:
+    """A calibration of the setting with this model, ready to be applied."""
+    here = setting()
+    issued = SimpleNamespace(
+        force=model,
+        calibration="c",
+        sensor=SimpleNamespace(serial="S-1"),
+        reference=here.model.unloaded(),
+        current_A=1.0,
+        indenter=HEAD,
+        against_stress=against_stress,
+        validity=Validity((0.5, 6.0), (0.05, 0.3), None, 40.0),
+        reconstruction=SimpleNamespace(problem=SimpleNamespace(used=here.used)),
+    )
+    return Calibration(issued)

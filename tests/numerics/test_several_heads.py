@@ -1,18 +1,15 @@
 """Several heads in one frame: found, told apart, or said not to be; with the field of each bent by the others."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from force_samples import HEAD, learned, line, pressed, setting, smooth_response, somewhere
+from force_samples import HEAD, in_use, learned, line, pressed, setting, smooth_response, somewhere
 
 from cbsr_qa.calibrate._head_size import SizeError
 from cbsr_qa.calibrate.force import Flag
-from cbsr_qa.calibrate.runtime import Calibration
 from cbsr_qa.calibrate.several import HeadCounter
 from cbsr_qa.config.loader import load_material, load_sensor_type
-from cbsr_qa.domain.calibration import Validity
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.scene import SheetDesign
@@ -31,19 +28,7 @@ def response():
 def calibration(response):
     random = np.random.default_rng(2)
     result = learned(pressed(random, response, somewhere(random, 40), random.uniform(1.5, 5, 40)))
-    here = setting()
-    issued = SimpleNamespace(
-        force=result.model,
-        calibration="c",
-        sensor=SimpleNamespace(serial="S-1"),
-        reference=here.model.unloaded(),
-        current_A=1.0,
-        indenter=HEAD,
-        against_stress=result.line,
-        validity=Validity((0.5, 6.0), (0.05, 0.3), None, 40.0),
-        reconstruction=SimpleNamespace(problem=SimpleNamespace(used=here.used)),
-    )
-    return Calibration(issued)
+    return in_use(result.model, result.line)
 
 
 @pytest.fixture(scope="module")

@@ -1,17 +1,14 @@
 """Loads followed over streams of frames that are known exactly: exact readings, relaxing as kernels say."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from force_samples import HEAD, NOISE, learned, line, pressed, setting, smooth_response, somewhere
+from force_samples import HEAD, NOISE, in_use, learned, line, pressed, setting, smooth_response, somewhere
 
 from cbsr_qa.calibrate._track import Track
 from cbsr_qa.calibrate.force import Flag
-from cbsr_qa.calibrate.runtime import Calibration
 from cbsr_qa.calibrate.tracking import ForceStream, LoadState
-from cbsr_qa.domain.calibration import Validity
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.relaxation import RelaxationKernel
@@ -52,19 +49,7 @@ def calibration(response):
     random = np.random.default_rng(1)
     result = learned(pressed(random, response, somewhere(random, 40), random.uniform(1.5, 5, 40)))
     model = replace(result.model, steady_s=STEADY_S, loading=LOADING, unloading=UNLOADING)
-    here = setting()
-    issued = SimpleNamespace(
-        force=model,
-        calibration="c",
-        sensor=SimpleNamespace(serial="S-1"),
-        reference=here.model.unloaded(),
-        current_A=1.0,
-        indenter=HEAD,
-        against_stress=result.line,
-        validity=Validity((0.5, 6.0), (0.05, 0.3), None, 40.0),
-        reconstruction=SimpleNamespace(problem=SimpleNamespace(used=here.used)),
-    )
-    return Calibration(issued)
+    return in_use(model, result.line)
 
 
 class Press:
