@@ -11,7 +11,7 @@ from cbsr_qa.analysis.run_force import HELD_OUT, ForceTest, RunForce
 from cbsr_qa.analysis.run_loads import load_window
 from cbsr_qa.calibrate.common_relaxation import TimedValues, fit_common_relaxation
 from cbsr_qa.calibrate.data_sheet import Estimate
-from cbsr_qa.calibrate.force import ForceInverse, map_gradient
+from cbsr_qa.calibrate.force import ForceInverse, map_tables
 from cbsr_qa.calibrate.force_learning import LearnedForce
 from cbsr_qa.calibrate.gauge_factor import sheet_gauge_factor, steady_share
 from cbsr_qa.calibrate.matched import Matches, TemplateFilter, interpolated
@@ -204,7 +204,7 @@ def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -
     strength = sign * model.threshold / np.linalg.norm(template, axis=1)
     nothing = np.zeros(len(places_mm))
     matches = Matches(places_mm, strength, np.zeros((len(places_mm), 3, 3)), nothing, nothing)
-    force, stderr = ForceInverse(model, learned.line, head.area_mm2, map_gradient(model)).force(matches)
+    force, stderr = ForceInverse(model, learned.line, head.area_mm2, map_tables(model)).force(matches)
     if not (np.isfinite(force).all() and (force > 0).all()):
         raise NumericsError("the intercept of the line alone counts as a load: no least force follows")
     at = (tuple(map(float, place)) for place in places_mm)

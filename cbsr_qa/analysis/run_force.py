@@ -13,7 +13,7 @@ from cbsr_qa.analysis.run_estimates import model_scale, reading_variance
 from cbsr_qa.analysis.run_loads import load_window
 from cbsr_qa.analysis.transients import compensated
 from cbsr_qa.calibrate.common_relaxation import TimedValues
-from cbsr_qa.calibrate.force import ForceInverse, map_gradient
+from cbsr_qa.calibrate.force import ForceInverse, map_tables
 from cbsr_qa.calibrate.force_learning import CalibrationLoads, LearnedForce, learn_force, unlearned_model
 from cbsr_qa.calibrate.matched import Matches, TemplateFilter, scattered
 from cbsr_qa.calibrate.seat import AS_PLACED, Seat, seat_of
@@ -277,9 +277,9 @@ class _RunForce:
         loads = [load for load, yes in zip(self.loads, which, strict=True) if yes]
         data = self.data.select(which)
         filter_ = TemplateFilter(learned.model)
-        inverse = ForceInverse(learned.model, learned.line, self.head.area_mm2, map_gradient(learned.model))
+        inverse = ForceInverse(learned.model, learned.line, self.head.area_mm2, map_tables(learned.model))
         everywhere = _global(learned)
-        flat = ForceInverse(everywhere, learned.line, self.head.area_mm2, map_gradient(everywhere))
+        flat = ForceInverse(everywhere, learned.line, self.head.area_mm2, map_tables(everywhere))
         rows, noise = data.changed()
         left = filter_.at(data.before, data.place_mm).strength
         given = _noisy(filter_.at(rows, data.place_mm), noise, left * learned.model.residue_stderr)

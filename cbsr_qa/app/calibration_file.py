@@ -9,7 +9,7 @@ import numpy as np
 
 from cbsr_qa.calibrate.file import read_calibration, verify_calibration, write_calibration
 from cbsr_qa.calibrate.firmware import firmware_document
-from cbsr_qa.calibrate.force import ForceInverse, least_force_N, map_gradient
+from cbsr_qa.calibrate.force import ForceInverse, least_force_N, map_tables
 from cbsr_qa.calibrate.json_file import json_document, read_json_calibration
 from cbsr_qa.calibrate.matched import TemplateFilter, interpolated
 from cbsr_qa.domain.calibration import BaselineConductance, Calibration, SettlingSummary
@@ -212,7 +212,7 @@ def _least_force_N(
     c: Calibration, model: ForceModel, places: np.ndarray[Any, np.dtype[np.float64]]
 ) -> np.ndarray[Any, np.dtype[np.float64]]:
     """Force at each place whose change of one frame just counts as a load (its detectability is the threshold)."""
-    inverse = ForceInverse(model, c.against_stress, c.indenter.area_mm2, map_gradient(model))
+    inverse = ForceInverse(model, c.against_stress, c.indenter.area_mm2, map_tables(model))
     return least_force_N(inverse, np.linalg.norm(TemplateFilter(model).template(places), axis=1), places)
 
 

@@ -22,28 +22,34 @@ _COEFFICIENTS: Final = (
 )
 
 
-def weights_at(part: Array) -> tuple[Array, Array]:
-    """Weights (…, 4) of cubic convolution at parts (…) of a cell, and their slopes per cell."""
+def weights_at(part: Array) -> Array:
+    """Weights of cubic convolution at parts (…) of a cell, and their slopes per cell: (…, 2, 4)."""
     powers = np.empty((*part.shape, 4))
     powers[..., 0], powers[..., 1] = 1.0, part
     np.multiply(part, part, out=powers[..., 2])
     np.multiply(powers[..., 2], part, out=powers[..., 3])
     both: Array = powers @ _COEFFICIENTS
-    return both[..., :4], both[..., 4:]
+    return both.reshape(*part.shape, 2, 4)
 
 
-def values_at(local: Array, offset: Array) -> tuple[Array, Array, Array]:
-    """Interpolate (n, 16) values about cells; value, and slopes along x and y per cell, (n,) each."""
-    weights = np.stack(weights_at(offset), axis=2)  # (n, axis, value or slope, 4)
-    found = weights[:, 1] @ local.reshape(-1, 4, 4) @ weights[:, 0].transpose(0, 2, 1)
-    return found[:, 0, 0], found[:, 0, 1], found[:, 1, 0]
+def surfaces_at(tables: Array, offset: Array) -> Array:
+    """Interpolate tables (n, 16, k) about cells at offsets (n, 2) from their corners.
+
+    Returns
+    -------
+    (n, 4, k) value, slopes along x, along y, and along both, per cell.
+    """
+    both = weights_at(offset)
+    weights = both[:, 1, :, None, :, None] * both[:, 0, None, :, None, :]
+    found: Array = weights.reshape(len(offset), 4, 16) @ tables
+    return found
 
 
-def tables_at(tables: Array, offset: Array) -> Array:
-    """Interpolate tables (n, 16, k) about cells: (n, k)."""
-    value, _ = weights_at(offset)
-    weights = (value[:, 1, :, None] * value[:, 0, None, :]).reshape(len(offset), 1, 16)
-    found: Array = (weights @ tables)[:, 0]
+def values_at(tables: Array, offset: Array) -> Array:
+    """Interpolate tables as :func:`surfaces_at`, without slopes: (n, k)."""
+    value = weights_at(offset)[:, :, 0]
+    weights = value[:, 1, :, None] * value[:, 0, None, :]
+    found: Array = (weights.reshape(len(offset), 1, 16) @ tables)[:, 0]
     return found
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.calibrate._content import Entry
 from cbsr_qa.calibrate._encode import encode
-from cbsr_qa.calibrate.force import Flag, ForceInverse, map_gradient
+from cbsr_qa.calibrate.force import Flag, ForceInverse, map_tables
 from cbsr_qa.calibrate.json_file import dataset
 from cbsr_qa.calibrate.matched import Matches, TemplateFilter
 from cbsr_qa.domain.calibration import Calibration
@@ -148,7 +148,7 @@ def lost_by(calibration: Calibration, thin: ForceModel) -> Loss:
     rows = fine.template(places) * (2 * contrast / (2 + contrast))
 
     def force(of: ForceModel, matches: Matches) -> Array:
-        return ForceInverse(of, line, area_mm2, map_gradient(of)).force(matches)[0]
+        return ForceInverse(of, line, area_mm2, map_tables(of)).force(matches)[0]
 
     true, found = force(model, fine.at(rows, places)), force(thin, TemplateFilter(thin).at(rows, places))
     there = np.isfinite(found)

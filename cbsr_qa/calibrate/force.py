@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibrate.matched import Matches, all_interpolated
+from cbsr_qa.calibrate.matched import Matches, interpolated
 from cbsr_qa.domain.calibration import Validity
 from cbsr_qa.domain.force_model import ForceModel
 from cbsr_qa.domain.sensor import QuasiStatic
@@ -123,18 +123,19 @@ class ForceInverse:
     line : α_σ [1/kPa] and β_σ with their covariance, that of the line through the calibrated stresses: errors the map
         shares are in the map.
     area_mm2 : of the head.
-    gradient : (nodes, 2) of the map [1/mm], see :func:`map_gradient`.
+    tables : (nodes, 4) of the map, see :func:`map_tables`.
     """
 
     model: ForceModel
     line: QuasiStatic
     area_mm2: float
-    gradient: Array
+    tables: Array
 
     def force(self, matches: Matches) -> tuple[Array, Array]:
         """Force and standard error (n,) [N]; NaN where the place has no map."""
         newtons = self.newtons(matches)
-        by_readings = np.einsum("ni,nij,nj->n", newtons.slope, matches.covariance, newtons.slope)
+        slope = newtons.slope[:, None]
+        by_readings = (slope @ matches.covariance @ slope.transpose(0, 2, 1))[:, 0, 0]
         return newtons.force, np.sqrt(np.maximum(by_readings, 0.0) + newtons.variance)
 
     def newtons(self, matches: Matches) -> Newtons:
@@ -143,14 +144,15 @@ class ForceInverse:
         A strength of 2 or more no contrast has: what is nearly that counts as so much, a force far above any range.
         """
         model, strength = self.model, np.minimum(matches.strength, _STRONGEST)
-        tables = (model.log_response, model.log_response_stderr, self.gradient)
-        log_response, stderr, slope = all_interpolated(model, tables, matches.place_mm)
+        mapped = interpolated(model, self.tables, matches.place_mm)
+        log_response, stderr, slope = mapped[:, 0], mapped[:, 1], mapped[:, 2:]
         response = np.exp(-log_response)
         relative = 2 * strength / (2 - strength) * response
         alpha, beta = self.line.slope.value, self.line.intercept.value
         stress = (relative - beta) / alpha
-        per_strength = 4 / (2 - strength) ** 2 * response
-        towards = np.column_stack([per_strength, -relative[:, None] * slope])
+        towards = np.empty((len(strength), 3))
+        towards[:, 0] = 4 / (2 - strength) ** 2 * response
+        towards[:, 1:] = -relative[:, None] * slope
         by_map = relative**2 * (stderr**2 + model.scatter**2)
         scale = self.area_mm2 / 1e3
         per = scale / alpha
@@ -170,8 +172,11 @@ def least_force_N(inverse: ForceInverse, size: Array, places_mm: Array) -> Array
     return np.maximum(force, 0.0)
 
 
-def map_gradient(model: ForceModel) -> Array:
-    """Gradient (nodes, 2) of the map by differences between neighbours [1/mm]; 0 where there are none."""
+def map_tables(model: ForceModel) -> Array:
+    """Map (nodes, 4): ln S, its standard error, and its gradient along x and y [1/mm].
+
+    The gradient is that of differences between neighbours; 0 where there are none.
+    """
     node, values = model.node, model.log_response
     padded = np.pad(node, 1, constant_values=-1)
     row, column = np.nonzero(node >= 0)
@@ -182,16 +187,15 @@ def map_gradient(model: ForceModel) -> Array:
         both = (ahead >= 0) & (behind >= 0)
         difference = values[ahead] - values[behind]
         found[here, axis] = np.where(both, difference / (2 * model.lattice.spacing_mm), 0.0)
-    return found
+    return np.column_stack([values, model.log_response_stderr, found])
 
 
 def range_flags(force_N: Array, stderr_N: Array, place_mm: Array, validity: Validity) -> NDArray[np.int64]:
     """Flags (n,) of forces and places outside what was calibrated; a force counts as outside by a standard error."""
-    flags = np.zeros(len(force_N), dtype=np.int64)
     distance = np.hypot(place_mm[:, 0], place_mm[:, 1])
-    flags[~(distance <= validity.radius_mm)] |= Flag.OUTSIDE
+    flags: NDArray[np.int64] = ~(distance <= validity.radius_mm) * int(Flag.OUTSIDE)
     if validity.force_N is not None:
         lowest, highest = validity.force_N
-        flags[force_N + stderr_N < lowest] |= Flag.BELOW_RANGE
-        flags[force_N - stderr_N > highest] |= Flag.ABOVE_RANGE
+        flags |= (force_N + stderr_N < lowest) * int(Flag.BELOW_RANGE)
+        flags |= (force_N - stderr_N > highest) * int(Flag.ABOVE_RANGE)
     return flags

@@ -6,14 +6,13 @@ g = t·t, the strength at a known place is a = b/g with variance 1/g; the most l
 found on the lattice and from there by Fisher scoring.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibrate._convolution import stencils, tables_at, values_at, weights_at
+from cbsr_qa.calibrate._convolution import stencils, surfaces_at, values_at, weights_at
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.force_model import ForceModel
 
@@ -76,6 +75,7 @@ class TemplateFilter:
         self.templates: Array = np.ascontiguousarray(grown / length[:, None])
         self._tables = np.column_stack([model.log_size + np.log(length), model.slopes])
         self._stencil = stencils(model.node)
+        self._whole: Mask = np.logical_and.reduce(self._stencil >= 0, axis=1)
         self._node_of = model.node.ravel()
         self._coarse = np.flatnonzero(_pressable(model.node, model.fits) & _every(_STRIDE, model.node))
         if not len(self._coarse):
@@ -85,8 +85,10 @@ class TemplateFilter:
             )
         self.bank: Array = np.ascontiguousarray(self.templates[self._node_of[self._coarse]].T)
         self.searched_mm: Array = model.lattice.places_mm()[self._coarse]
-        self._number = np.full(model.node.size, -1)
-        self._number[self._coarse] = np.arange(len(self._coarse))
+        number = np.full(model.node.size, -1)
+        number[self._coarse] = np.arange(len(self._coarse))
+        steps = np.array([-1, 1, -model.lattice.columns, model.lattice.columns])
+        self._next = number[self._coarse[:, None] + _STRIDE * steps]  # before and after, along x and along y
 
     def at(self, rows: Array, place_mm: Array) -> Matches:
         """Strength of a head at given places: (n, r) rows, places (2,) or (n, 2)."""
@@ -103,8 +105,8 @@ class TemplateFilter:
     def template(self, places_mm: Array) -> Array:
         """Changes per strength (n, r) at places (n, 2); NaN where there is no node about a place."""
         nodes, offset = self._cells(places_mm)
-        (weight_x, _), (weight_y, _) = weights_at(offset[:, 0]), weights_at(offset[:, 1])
-        weights = (weight_y[:, :, None] * weight_x[:, None, :]).reshape(len(nodes), 16)
+        value = weights_at(offset)[:, :, 0]
+        weights = (value[:, 1, :, None] * value[:, 0, None, :]).reshape(len(nodes), 16)
         found: Array = np.einsum("nk,nkr->nr", weights, self.templates[nodes])
         found *= np.exp(np.einsum("nk,nk->n", weights, self._tables[nodes, 0]))[:, None]
         found[(nodes < 0).any(axis=1)] = np.nan
@@ -116,7 +118,7 @@ class TemplateFilter:
         NaN where there is no node about a place.
         """
         nodes, offset = self._cells(places_mm)
-        (value_x, slope_x), (value_y, slope_y) = weights_at(offset[:, 0]), weights_at(offset[:, 1])
+        ((value_x, slope_x), (value_y, slope_y)) = weights_at(offset).transpose(1, 2, 0, 3)
         h = self.lattice.spacing_mm
         pairs = ((value_y, value_x), (value_y, slope_x / h), (slope_y / h, value_x))
         weights = np.stack(
@@ -132,7 +134,7 @@ class TemplateFilter:
     def size_slope(self, places_mm: Array) -> Array:
         """Slope (n, 2) of the logarithm of a change's size at places (n, 2) [1/mm]; 0 where there is no node."""
         nodes, offset = self._cells(places_mm)
-        slope = tables_at(self._tables[nodes], offset)[:, 1:3]
+        slope = values_at(self._tables[nodes], offset)[:, 1:3]
         slope[np.logical_or.reduce(nodes < 0, axis=1)] = 0.0
         return slope
 
@@ -168,96 +170,93 @@ class TemplateFilter:
 
     def _search(self, rows: Array) -> Matches:
         cell, offset = self._cell_of_best(rows @ self.bank)
-        local = self._local(cell, rows)
-        offset = self._scored(cell, local, offset)
+        offset, there = self._scored(self._about(cell, rows), offset)
         for _ in range(_MOVES):
             moved, aim = self._neighbours(cell, offset)
             if not moved.any():
                 break
             cell[moved] = aim[moved]
-            local[moved] = self._local(cell[moved], rows[moved])
-            offset[moved] = self._scored(cell[moved], local[moved], np.full((int(moved.sum()), 2), 0.5))
-        strength, covariance, gain = self._result(cell, local, offset)
+            offset[moved], there[moved] = self._scored(
+                self._about(cell[moved], rows[moved]), np.full((int(moved.sum()), 2), 0.5)
+            )
+        strength, covariance, gain = self._result(there)
         j, i = np.divmod(cell, self.lattice.columns)
         h = self.lattice.spacing_mm
-        place = np.column_stack(
-            [self.lattice.x_mm + h * (i + offset[:, 0]), self.lattice.y_mm + h * (j + offset[:, 1])]
-        )
+        place = np.empty((len(cell), 2))
+        place[:, 0] = self.lattice.x_mm + h * (i + offset[:, 0])
+        place[:, 1] = self.lattice.y_mm + h * (j + offset[:, 1])
         return Matches(place, strength, covariance, gain, np.einsum("nr,nr->n", rows, rows))
 
-    def _local(self, cell: Indices, rows: Array) -> Array:
-        """Scores (n, 16) about cells."""
-        found: Array = np.einsum("nkr,nr->nk", self.templates[self._stencil[cell]], rows)
-        return found
+    def _about(self, cell: Indices, rows: Array) -> Array:
+        """Tables (n, 16, 7) about cells: scores of the frames, and the columns of ``_tables``."""
+        nodes = self._stencil[cell]
+        about = np.empty((*nodes.shape, 7))
+        about[:, :, :1] = self.templates[nodes] @ rows[:, :, None]
+        about[:, :, 1:] = self._tables[nodes]
+        return about
 
     def _neighbours(self, cell: Indices, offset: Array) -> tuple[Mask, Indices]:
         """Which frames want to leave their cell for a neighbour that can be interpolated in, and for which."""
         step: Indices = (offset >= 1 + _FURTHEST).astype(np.int64) - (offset <= -_FURTHEST)
         aim = cell + step[:, 0] + self.lattice.columns * step[:, 1]
-        there: Mask = step.any(axis=1) & (self._stencil[aim] >= 0).all(axis=1)
+        there: Mask = step.any(axis=1) & self._whole[aim]
         return there, aim
 
     def _cell_of_best(self, score: Array) -> tuple[Indices, Array]:
-        """Lower left corner of the cell each head is in, and where in it, by a parabola through neighbours."""
+        """Lower left corner of the cell each head is in, and where in it, by parabolas through neighbours."""
         score = np.abs(score)
-        best = score.argmax(axis=1)
-        place = self._coarse[best]
-        peak = score[np.arange(len(best)), best]
-        columns = self.lattice.columns
-        shift = np.column_stack([self._vertex(score, place, peak, step) for step in (1, columns)])
-        down = np.floor(shift).astype(np.int64)
-        cell = place + down[:, 0] + columns * down[:, 1]
-        whole: Mask = (self._stencil[cell] >= 0).all(axis=1)
-        return np.where(whole, cell, place), np.where(whole[:, None], shift - down, 0.0)
-
-    def _vertex(self, score: Array, place: Indices, peak: Array, step: int) -> Array:
-        """Where between its neighbours along an axis the score is largest [nodes of the lattice]."""
-        behind, ahead = (self._number[place + sign * _STRIDE * step] for sign in (-1, 1))
-        frames = np.arange(len(place))
-        low = np.where(behind >= 0, score[frames, behind], -np.inf)
-        high = np.where(ahead >= 0, score[frames, ahead], -np.inf)
+        frames, best = np.arange(len(score)), score.argmax(axis=1)
+        place, beside = self._coarse[best], self._next[best]
+        around = np.where(beside >= 0, score[frames[:, None], beside], -np.inf)
+        low, high, peak = around[:, ::2], around[:, 1::2], score[frames, best][:, None]
         both = np.isfinite(low + high)
         bend = np.where(both, 2 * peak - low - high, 1.0)
         part = np.where(both, (high - low) / np.maximum(2 * bend, _NOTHING), 0.0)
-        found: Array = _STRIDE * np.clip(part, -0.5, 0.5)
-        return found
+        shift = _STRIDE * np.minimum(np.maximum(part, -0.5), 0.5)
+        down = np.floor(shift).astype(np.int64)
+        cell = place + down[:, 0] + self.lattice.columns * down[:, 1]
+        whole = self._whole[cell]
+        return np.where(whole, cell, place), np.where(whole[:, None], shift - down, 0.0)
 
-    def _scored(self, cell: Indices, local: Array, offset: Array) -> Array:
+    def _scored(self, about: Array, offset: Array) -> tuple[Array, Array]:
         """Offset (n, 2) from the cell's corner, in cells, where the score is largest, by Fisher scoring.
 
         A step that lowers the score is taken again, a quarter as long: beside a pin templates turn too unevenly for
         full steps.
-        """
-        h, tables = self.lattice.spacing_mm, self._tables[self._stencil[cell]]
-        at = np.column_stack(values_at(local, offset))  # score, and its slopes along x and y
-        damping = np.ones(len(local))
-        for _ in range(_STEPS):
-            xx, xy, yy = tables_at(tables, offset)[:, 3:].T
-            score, by_x, by_y = at.T
-            steepness = score * (xx * yy - xy**2) * h**2
-            scale = np.divide(damping, steepness, out=np.zeros_like(steepness), where=steepness != 0)
-            step = np.column_stack([yy * by_x - xy * by_y, xx * by_y - xy * by_x]) * scale[:, None]
-            aim = np.clip(offset + np.clip(step, -0.5, 0.5), -_FURTHEST, 1 + _FURTHEST)
-            there = np.column_stack(values_at(local, aim))
-            better = np.abs(there[:, 0]) > np.abs(score)
-            offset, at = np.where(better[:, None], aim, offset), np.where(better[:, None], there, at)
-            damping = np.where(better, 1.0, damping / 4)
-        return offset
 
-    def _result(self, cell: Indices, local: Array, offset: Array) -> tuple[Array, Array, Array]:
-        score = values_at(local, offset)[0]
-        values = tables_at(self._tables[self._stencil[cell]], offset)
-        size = np.exp(values[:, 0])
-        strength = score / size
-        along, (xx, xy, yy) = values[:, 1:3], values[:, 3:].T
+        Parameters
+        ----------
+        about : (n, 16, 7) of :meth:`_about`.
+
+        Returns
+        -------
+        The offset, and what is there (n, 4, 7): values, and slopes per cell, of score and tables.
+        """
+        at, squared = surfaces_at(about, offset), self.lattice.spacing_mm**2
+        damping = np.ones(len(about))
+        for _ in range(_STEPS):
+            aim = offset + _scoring_step(at, damping / squared)
+            aim = np.minimum(np.maximum(aim, -_FURTHEST), 1 + _FURTHEST)
+            there = surfaces_at(about, aim)
+            better = np.abs(there[:, 0, 0]) > np.abs(at[:, 0, 0])
+            if better.all():
+                offset, at, damping = aim, there, np.ones(len(about))
+                continue
+            offset, at = np.where(better[:, None], aim, offset), np.where(better[:, None, None], there, at)
+            damping = np.where(better, 1.0, damping / 4)
+        return offset, at
+
+    def _result(self, there: Array) -> tuple[Array, Array, Array]:
+        score, log_size, *_, xx, xy, yy = there[:, 0].T
+        strength, along = score / np.exp(log_size), there[:, 0, 2:4]
         squared = np.maximum(score**2, _NOTHING)
-        place = np.empty((len(local), 2, 2))
+        place = np.empty((len(there), 2, 2))
         place[:, 0, 0], place[:, 1, 1] = yy, xx
         place[:, 0, 1] = place[:, 1, 0] = -xy
         place /= ((xx * yy - xy**2) * squared)[:, None, None]
-        shared = -np.einsum("nij,nj->ni", place, along)  # of ln strength with the place
-        covariance = np.empty((len(local), 3, 3))
-        covariance[:, 0, 0] = strength**2 * (1 / squared - np.einsum("ni,ni->n", shared, along))
+        shared = -(place @ along[:, :, None])[:, :, 0]  # of ln strength with the place
+        covariance = np.empty((len(there), 3, 3))
+        covariance[:, 0, 0] = strength**2 * (1 / squared - (shared * along).sum(axis=1))
         covariance[:, 0, 1:] = covariance[:, 1:, 0] = strength[:, None] * shared
         covariance[:, 1:, 1:] = place
         return strength, covariance, score**2
@@ -265,14 +264,31 @@ class TemplateFilter:
     def _cells(self, places_mm: Array) -> tuple[Indices, Array]:
         """Nodes (n, 16) about places, and the places' offsets from the cells' corners, in cells."""
         h = self.lattice.spacing_mm
-        at = np.column_stack([(places_mm[:, 0] - self.lattice.x_mm) / h, (places_mm[:, 1] - self.lattice.y_mm) / h])
+        at = (places_mm - np.array([self.lattice.x_mm, self.lattice.y_mm])) / h
         last = np.array([self.lattice.columns - 2, self.lattice.rows - 2])
-        inside = np.logical_and.reduce(np.isfinite(at) & (at >= 0) & (at <= last + 1), axis=1)
-        at = np.where(inside[:, None], at, 0)
-        cell = np.clip(np.floor(at), 0, last).astype(np.int64)
+        inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # a place that is no number is not
+        at = np.where(inside[:, None], at, 0.0)
+        cell = np.minimum(at.astype(np.int64), last)
         nodes = self._stencil[cell[:, 1] * self.lattice.columns + cell[:, 0]].copy()
         nodes[np.logical_not(inside)] = -1
         return nodes, at - cell
+
+
+def _scoring_step(at: Array, damping: Array) -> Array:
+    """Step (n, 2) of Fisher scoring in cells, half of one at most, from what is there (n, 4, 7).
+
+    Parameters
+    ----------
+    damping : (n,) over the square of a cell [1/mm²].
+    """
+    score, by_x, by_y = at[:, 0, 0], at[:, 1, 0], at[:, 2, 0]
+    xx, xy, yy = at[:, 0, 4:].T
+    steepness = score * (xx * yy - xy * xy)
+    scale = np.divide(damping, steepness, out=np.zeros(len(at)), where=steepness != 0)
+    step = np.empty((len(at), 2))
+    step[:, 0] = (yy * by_x - xy * by_y) * scale
+    step[:, 1] = (xx * by_y - xy * by_x) * scale
+    return np.minimum(np.maximum(step, -0.5), 0.5)
 
 
 def scattered(matches: Matches, size_slope: Array, scatter_mm: float) -> Matches:
@@ -292,11 +308,6 @@ def scattered(matches: Matches, size_slope: Array, scatter_mm: float) -> Matches
 
 def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
     """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN where a node is missing."""
-    return all_interpolated(model, (values,), places_mm)[0]
-
-
-def all_interpolated(model: ForceModel, tables: Sequence[Array], places_mm: Array) -> list[Array]:
-    """Interpolate several tables (nodes, …) at the same places, as :func:`interpolated` does one."""
     lattice = model.lattice
     last = np.array([lattice.columns - 2, lattice.rows - 2])
     at = (places_mm - np.array([lattice.x_mm, lattice.y_mm])) / lattice.spacing_mm
@@ -304,13 +315,13 @@ def all_interpolated(model: ForceModel, tables: Sequence[Array], places_mm: Arra
     at = np.where(inside[:, None], at, 0.0)
     cell = np.minimum(at.astype(np.int64), last)
     part = np.stack([1 - (at - cell), at - cell], axis=2)
-    weights = (part[:, 1, :, None] * part[:, 0, None, :]).reshape(len(at), 4)
+    weights = (part[:, 1, :, None] * part[:, 0, None, :]).reshape(len(at), 1, 4)
     node = model.node[cell[:, 1, None] + _DOWN, cell[:, 0, None] + _ACROSS]
-    missing = ~inside | np.logical_or.reduce((node < 0) & (weights != 0), axis=1)
-    found: list[Array] = [np.einsum("nk,nk...->n...", weights, values[node]) for values in tables]
-    for values in found:
-        values[missing] = np.nan
-    return found
+    missing = ~inside | np.logical_or.reduce((node < 0) & (weights[:, 0] != 0), axis=1)
+    found: Array = (weights @ values.reshape(len(values), -1)[node])[:, 0]
+    found[missing] = np.nan
+    shaped: Array = found.reshape(len(at), *values.shape[1:])
+    return shaped
 
 
 _ONES: Final = np.eye(2)

@@ -1,5 +1,6 @@
 """A sensor's calibration in use: frames in, newtons out. Needs numpy, scipy and h5py, and nothing of a station."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Final, Self
 
@@ -15,7 +16,7 @@ from cbsr_qa.calibrate.force import (
     Forces,
     SeveralForces,
     least_force_N,
-    map_gradient,
+    map_tables,
     range_flags,
 )
 from cbsr_qa.calibrate.matched import Matches, TemplateFilter, scattered
@@ -72,11 +73,11 @@ class Calibration:
         self._used = issued.reconstruction.problem.used
         self._reference: Array = issued.reference[self._used]
         self._merging: Array = np.ascontiguousarray(self.model.merging.T)
-        self._gradient = map_gradient(self.model)
         self._size_error = SizeError(self.model, issued.indenter.radius_mm)
         self._filters: dict[float, TemplateFilter] = {}
         self.filter: TemplateFilter = self._filter(issued.indenter)
-        self.inverse = ForceInverse(self.model, issued.against_stress, issued.indenter.area_mm2, self._gradient)
+        tables = map_tables(self.model)
+        self.inverse = ForceInverse(self.model, issued.against_stress, issued.indenter.area_mm2, tables)
         self.sign = float(np.sign(issued.against_stress.slope.value))
         self.least_force_N = self._least_force_N()
 
@@ -194,7 +195,7 @@ class Calibration:
         return forces_together(
             heads.times(self.issued.indenter.area_mm2 / head.area_mm2),
             unexplained,
-            ForceInverse(self.model, self.issued.against_stress, head.area_mm2, self._gradient),
+            self._inverse(head),
             self.issued.validity,
             nearest_mm=_NEAREST * head.diameter_mm,
             sign=self.sign,
@@ -240,6 +241,9 @@ class Calibration:
                 self._filters.pop(next(reversed(self._filters)))
             self._filters[size] = TemplateFilter(self.model, size=size)
         return self._filters[size]
+
+    def _inverse(self, head: Indenter) -> ForceInverse:
+        return replace(self.inverse, area_mm2=head.area_mm2)
 
     def _size(self, head: Indenter) -> float:
         return head.squared_radius_mm2 / self.issued.indenter.squared_radius_mm2
@@ -297,30 +301,30 @@ class Calibration:
         *,
         searched: bool,
     ) -> Forces:
-        inverse = ForceInverse(self.model, self.issued.against_stress, head.area_mm2, self._gradient)
         error = self._size_error(self._size(head), matches.place_mm)
         matches.covariance[:, 0, 0] += (error * matches.strength) ** 2
-        force, stderr = inverse.force(matches)
+        force, stderr = self._inverse(head).force(matches)
         detectability = np.sqrt(matches.gain)
-        flags = np.where(bad, bad, self._flags(matches, detectability, searched=searched))
-        silent = (flags & Flag.NOT_DETECTED) != 0
+        usable = bad == 0
+        flags = np.where(usable, self._flags(matches, detectability, searched=searched), bad)
+        silent = (flags & int(Flag.NOT_DETECTED)) != 0
         if searched:
             # Nobody knows where a load would be that does not show: it may be where the sheet shows least.
             force[silent], stderr[silent] = 0.0, self.least_force_N
-        loaded = ~silent & (bad == 0)
+        loaded = ~silent & usable
         several = loaded & (others > 0)
-        flags[several] |= Flag.MORE_THAN_ONE
-        stderr[several] = np.hypot(stderr, np.abs(force) * others)[several]
-        flags[loaded] |= range_flags(force, stderr, matches.place_mm, self.issued.validity)[loaded]
-        flags[loaded & (error > LARGEST)] |= Flag.OTHER_HEAD
-        force[bad != 0] = np.nan
-        stderr[bad != 0] = np.nan
-        place = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1)
+        stderr = np.where(several, np.hypot(stderr, np.abs(force) * others), stderr)
+        flags |= several * int(Flag.MORE_THAN_ONE)
+        flags |= loaded * range_flags(force, stderr, matches.place_mm, self.issued.validity)
+        flags |= (loaded & (error > LARGEST)) * int(Flag.OTHER_HEAD)
+        force[~usable] = np.nan
+        stderr[~usable] = np.nan
+        place = (matches.covariance[:, 1, 1] + matches.covariance[:, 2, 2]) / 2
         place_stderr = np.sqrt(np.where(place >= 0, place, np.nan))
         where = matches.place_mm
         if searched:  # a frame that cannot be used was searched in vain
-            where[bad != 0] = np.nan
-            place_stderr[bad != 0] = np.nan
+            where[~usable] = np.nan
+            place_stderr[~usable] = np.nan
         return Forces(force, stderr, where, place_stderr, detectability, flags)
 
     def _least_force_N(self) -> float:
@@ -332,13 +336,11 @@ class Calibration:
         return float(np.nanmax(least_force_N(self.inverse, np.exp(model.log_size[where]), places[where])))
 
     def _flags(self, matches: Matches, detectability: Array, *, searched: bool) -> NDArray[np.int64]:
-        flags = np.zeros(len(detectability), dtype=np.int64)
         level = self.model.threshold if searched else _CLEAR
-        flags[detectability < level] |= Flag.NOT_DETECTED
-        flags[np.isnan(detectability)] |= Flag.OUTSIDE  # no head can be there
         there = detectability >= level
-        sign = np.sign(self.issued.against_stress.slope.value)
-        flags[there & (matches.strength * sign < 0)] |= Flag.WRONG_SIGN
+        flags: NDArray[np.int64] = (detectability < level) * int(Flag.NOT_DETECTED)
+        flags |= np.isnan(detectability) * int(Flag.OUTSIDE)  # no head can be there
+        flags |= (there & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
         return flags
 
 

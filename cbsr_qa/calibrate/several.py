@@ -82,7 +82,7 @@ class Heads:
         distance = float(np.hypot(*way))
         along = np.zeros(len(self.covariance))
         along[3 * one + 1 : 3 * one + 3], along[3 * other + 1 : 3 * other + 3] = way, -way
-        error = float(np.sqrt(along @ self.covariance @ along)) / max(distance, 1e-9)
+        error = float(np.sqrt(max(float(along @ self.covariance @ along), 0.0))) / max(distance, 1e-9)
         return distance > _RESOLVED * error and distance + error > nearest_mm
 
     def times(self, factor: float) -> Self:
@@ -241,16 +241,33 @@ class HeadCounter:
         return self._heads(rows, places, at, strength, squares)
 
     def _heads(self, rows: Array, places_mm: Array, at: Array, strength: Array, squares: float) -> Heads | None:
-        design = _design(at, strength)
         left = squares / max(len(rows) - 3 * len(strength), 1)
         try:
-            covariance = np.linalg.inv(design @ design.T) * max(left, 1.0)
-            alone = np.linalg.inv(at[:, 0] @ at[:, 0].T)
+            root = _inverse_root(_design(at, strength))
+            alone = _inverse_root(at[:, 0])
         except np.linalg.LinAlgError:
             return None
         gain = float(rows @ rows) - squares
-        detectability: Array = np.abs(strength) / np.sqrt(np.diag(alone))
-        return Heads(places_mm, strength, np.asarray(covariance, dtype=np.float64), gain, left, detectability)
+        detectability = np.abs(strength) / np.linalg.norm(alone, axis=1)
+        return Heads(places_mm, strength, root @ root.T * max(left, 1.0), gain, left, detectability)
+
+
+def _inverse_root(design: Array) -> Array:
+    """R⁻¹ (k, k) of the rows of a design (k, r), with (design · designᵀ)⁻¹ = R⁻¹ R⁻ᵀ, by QR of unit rows.
+
+    The product is not formed: of heads that are nearly one it has no correct digits, and variances came out negative.
+
+    Raises
+    ------
+    numpy.linalg.LinAlgError
+        If rows are zero or the same to the last digit.
+    """
+    length = np.linalg.norm(design, axis=1)
+    if not (length > 0).all():
+        raise np.linalg.LinAlgError("a row of the design is zero")
+    inverse = np.linalg.inv(np.linalg.qr((design / length[:, None]).T, mode="r"))
+    root: Array = inverse / length[:, None]
+    return root
 
 
 def _strengths(at: Array, rows: Array) -> Array:

@@ -7,7 +7,7 @@ import mpmath
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibrate.force import ForceInverse, map_gradient
+from cbsr_qa.calibrate.force import ForceInverse, map_tables
 from cbsr_qa.calibrate.matched import Matches, TemplateFilter
 from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.domain.errors import CalibrationError, NumericsError
@@ -111,7 +111,7 @@ def force_model(log_response: float, log_size: float = 0.0) -> ForceModel:
 def newtons(strength: float, log_response: float) -> tuple[float, float]:
     """Force and standard error [N] of a strength at the middle of an even sheet."""
     model = force_model(log_response)
-    inverse = ForceInverse(model, _LINE, 132.7, map_gradient(model))
+    inverse = ForceInverse(model, _LINE, 132.7, map_tables(model))
     nothing = np.zeros(1)
     match = Matches(np.zeros((1, 2)), np.array([strength]), 1e-6 * np.eye(3)[None], nothing, nothing)
     force, stderr = inverse.force(match)

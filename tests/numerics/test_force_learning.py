@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from force_samples import HEAD, learned, line, pressed, setting, smooth_response, somewhere
 
-from cbsr_qa.calibrate.force import ForceInverse, map_gradient
+from cbsr_qa.calibrate.force import ForceInverse, map_tables
 from cbsr_qa.calibrate.matched import Matches, TemplateFilter
 from cbsr_qa.calibrate.response_map import learn_response
 from cbsr_qa.domain.errors import CalibrationError
@@ -31,7 +31,7 @@ def trial(seed, response, result, *, count=60, truth=None):
     matches = Matches(
         matches.place_mm, matches.strength, matches.covariance / loads.frames[0], matches.gain, matches.energy
     )
-    inverse = ForceInverse(result.model, result.line, HEAD.area_mm2, map_gradient(result.model))
+    inverse = ForceInverse(result.model, result.line, HEAD.area_mm2, map_tables(result.model))
     found, stderr = inverse.force(matches)
     return force, found, stderr
 

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from force_samples import HEAD, in_use, learned, line, pressed, setting, smooth_response, somewhere
+from mpmath import mp
 
 from cbsr_qa.calibrate._head_size import SizeError
 from cbsr_qa.calibrate.force import Flag
-from cbsr_qa.calibrate.several import HeadCounter
+from cbsr_qa.calibrate.several import HeadCounter, _inverse_root
 from cbsr_qa.config.loader import load_material, load_sensor_type
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.loads import Indenter
@@ -199,3 +200,23 @@ def test_a_head_far_from_the_calibrated_one_is_flagged(calibration):
         (several,) = calibration.forces(frames, indenter=head)
         assert bool(one.flags[0] & Flag.OTHER_HEAD) is flagged
         assert bool(several.loads.flags[0] & Flag.OTHER_HEAD) is flagged
+
+
+@pytest.mark.parametrize("apart", [1e-3, 1e-7, 1e-11])
+def test_variances_of_heads_that_are_nearly_one_keep_the_digits_their_condition_leaves(apart):
+    """Against fifty digits; normal equations square the condition number, and their variances were negative."""
+    random = np.random.default_rng(17)
+    design = random.standard_normal((3, 60))
+    design[1] = design[0] + apart * design[1]
+    design[2] *= 1e-6  # a place beside strengths: rows have units of their own
+    with mp.workdps(50):
+        exact = mp.matrix(design.tolist())
+        covariance = (exact * exact.T) ** -1
+        expected = np.array([float(covariance[k, k]) for k in range(3)])
+    root = _inverse_root(design)
+    assert (root**2).sum(axis=1) == pytest.approx(expected, rel=200 * np.finfo(float).eps / apart)
+
+
+def test_heads_on_the_same_place_have_no_covariance():
+    with pytest.raises(np.linalg.LinAlgError):
+        _inverse_root(np.array([[1.0, 2.0, 0.0], [0.0, 0.0, 0.0]]))
