@@ -11,6 +11,7 @@ from serial.tools import list_ports
 
 from cbsr_qa.clock import RealClock
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.links.locks import AddressLock
 
 _USB: Final = "usb:"
 #: A waiting reader lets others have the line this often [s, real time].
@@ -134,6 +135,7 @@ class SerialLink:
     def close(self) -> None:
         """Give the port back; may be called more than once."""
         self._port.close()
+        self._lock.release()
 
     def _taken(self, count: int) -> bytes:
         data = bytes(self._held[:count])
@@ -159,11 +161,13 @@ class SerialLink:
 
     def _opened(self) -> serial.Serial:
         path = self._path()
+        self._lock = AddressLock(self.role, path)
         try:
             return serial.Serial(
                 path, self._baud, timeout=self.timeout_s, write_timeout=self.timeout_s, exclusive=True
             )
         except (serial.SerialException, OSError, ValueError) as error:
+            self._lock.release()
             raise self._not_opened(path, error) from error
 
     def _path(self) -> str:
