@@ -22,6 +22,7 @@ from cbsr_qa.domain.report import RunResult, Section
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.scene import Moment, SheetDesign, Transcript
 from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.domain.station_check import CheckResult
 from cbsr_qa.domain.steps import Step
 
 # --- instruments -----------------------------------------------------------------------------------------
@@ -198,6 +199,18 @@ class SourceMeter(Instrument, Protocol):
     """Gives a current and measures a voltage (role ``source_meter``)."""
 
     @property
+@runtime_checkable
+class SelfTesting(Instrument, Protocol):
+    """An instrument that can test itself. Optional; ``cbsr-qa station check`` asks."""
+
+    def self_test(self) -> tuple[CheckResult, ...]:
+        """Test yourself and say what came of it, a line for each thing; a finding is no exception.
+
+        Nothing may move and no current may flow when it returns. Raises InstrumentError if nobody answers.
+        """
+        ...
+
+
     def reading_period_s(self) -> float:
         """How long one measurement takes the instrument [s]."""
         ...

@@ -8,9 +8,9 @@ from typing import Final
 from cbsr_qa.analysis.run_weights import check_weighing
 from cbsr_qa.analysis.strip_measurements import MEASURES
 from cbsr_qa.app.setup import made
-from cbsr_qa.domain.errors import CbsrError, ConfigError
+from cbsr_qa.domain.errors import CbsrError, ConfigError, RefusedError
 from cbsr_qa.domain.measurement import Limit
-from cbsr_qa.domain.plan import Recipe
+from cbsr_qa.domain.plan import Recipe, Station
 from cbsr_qa.domain.reconstruction import linear
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.sensor import SensorType
@@ -96,12 +96,36 @@ def check_cycles(plan: Plan, recipe: Recipe) -> None:
         )
 
 
+def refuse_overdue(station: Station, today: date) -> None:
+    """Hold the calibration dates of a station file against its policy, before anything is opened or moved.
+
+    Raises
+    ------
+    RefusedError
+        If an instrument is past its date and the station refuses to run then; names every such role and date.
+    """
+    if station.overdue != "refuse":
+        return
+    late = [one for one in station.instruments if past_due(one.calibration_due, today)]
+    if late:
+        named = ", ".join(f"{one.role} ({one.driver}) was due on {one.calibration_due}" for one in late)
+        raise RefusedError(
+            f'station {station.name!r} has overdue = "refuse", and the calibration of {named}',
+            remedy="have it calibrated and give the new calibration_due in the station file",
+        )
+
+
+def past_due(calibration_due: str | None, today: date) -> bool:
+    """Whether an instrument is past its calibration date; the day itself is not."""
+    return calibration_due is not None and date.fromisoformat(calibration_due) < today
+
+
 def overdue(instruments: Iterable[InstrumentIdentity], today: date) -> tuple[str, ...]:
     """Say which instruments are past their calibration date."""
     return tuple(
         f"the calibration of {one.role} ({one.model}) was due on {one.calibration_due}"
         for one in instruments
-        if one.calibration_due is not None and date.fromisoformat(one.calibration_due) < today
+        if past_due(one.calibration_due, today)
     )
 
 

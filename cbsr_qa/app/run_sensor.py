@@ -8,7 +8,7 @@ from typing import Self
 
 from cbsr_qa.app.conclude import calibrated, conclude
 from cbsr_qa.app.outputs import RunOutcome, write_outputs
-from cbsr_qa.app.preflight import check_cycles, check_recipe, check_unloaded, overdue
+from cbsr_qa.app.preflight import check_cycles, check_recipe, check_unloaded, overdue, refuse_overdue
 from cbsr_qa.app.setup import configure, open_station, plan_of, station_clock
 from cbsr_qa.app.software import software_versions
 from cbsr_qa.app.stages import Stages
@@ -122,6 +122,7 @@ class _Session:
         self._warnings: list[str] = []
         # Once without a seed: what is wrong with the files is said before a database is looked at.
         first_look = request.configuration(0)
+        refuse_overdue(first_look.station, RealClock().wall().date())
         check_recipe(first_look.recipe, first_look.sensor_type, plugins)
         planned = plan_of(first_look, plugins)
         check_unloaded(planned, first_look.recipe)

@@ -28,6 +28,8 @@ Current = Annotated[float, Field(ge=1e-9, le=1e4)]
 #: that a computer holds.
 Period = Annotated[float, Field(ge=1e-6, le=600)]
 Duration = Annotated[float, Field(gt=0, le=1e6)]
+#: From a short to an open circuit that currents and voltages of it stay numbers for.
+Resistance = Annotated[float, Field(ge=1e-6, le=1e12)]
 #: Wider than any sheet, slower and faster than any head, longer than any recording: sums of times stay numbers.
 Length = Annotated[float, Field(ge=-1e6, le=1e6)]
 #: A head that covers some of the sheet's elements, and whose force is one.
@@ -50,6 +52,7 @@ class SceneTable(Table):
     frame_period_s: Period
     sheet_mesh_size_mm: Positive
     not_modelled: list[Line] = Field(default_factory=list)
+    reference_ring_ohm: Annotated[list[Resistance] | None, Field(min_length=3)] = None
 
 
 class SensorTable(Table):
@@ -155,4 +158,5 @@ class SceneFile(FileModel[ScenePlan]):
             frame_period_s=self.scene.frame_period_s,
             sheet_mesh_size_mm=self.scene.sheet_mesh_size_mm,
             not_modelled=tuple(self.scene.not_modelled),
+            reference_ring_ohm=tuple(self.scene.reference_ring_ohm or ()),
         )

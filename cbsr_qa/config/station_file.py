@@ -11,12 +11,13 @@ from cbsr_qa.config.documents import reference_path
 from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table, Word
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.loads import Indenter
-from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, SafetyLimits, Station
+from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, ReferenceRing, SafetyLimits, Station
 
 Positive = Annotated[float, Field(gt=0)]
 Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
 
+Resistance = Annotated[float, Field(ge=1e-3, le=1e9)]
 #: Roles that every run needs filled.
 NEEDED_ROLES = ("frame_source", "force_applicator")
 #: Option keys of instrument tables that name another configuration file.
@@ -43,6 +44,7 @@ class StationTable(Table):
     sensor_type: Name
     material: Name
 
+    overdue: Literal["warn", "refuse"] = "warn"
 
 class IndenterTable(Table):
     """``[indenter]``: the flat head, round (13 mm unless it says otherwise) or of any outline."""
@@ -118,6 +120,40 @@ class StationFile(FileModel[Station]):
         for name, table in self.instruments.items():
             for role in table.provides:
                 if role in filled:
+class ReferenceRingTable(Table):
+    """``[reference_ring]``: resistors in place of a sensor, and what ``cbsr-qa station check`` allows there."""
+
+    resistance_ohm: Resistance | None = None
+    resistances_ohm: Annotated[list[Resistance] | None, Field(min_length=3)] = None
+    tolerance_percent: Annotated[float, Field(ge=0, lt=100)] = 0.1
+    frames: Annotated[int, Field(ge=2, le=1000)] = 16
+    gain_percent: Positive = 1.0
+    reading_percent: Positive = 1.0
+    noise_ppm: Positive = 1000.0
+    offset_mV: Positive = 1.0
+    lead_ohm: Positive = 100.0
+
+    def problems(self) -> Iterator[Problem]:
+        """One resistance for all, or one each."""
+        if (self.resistance_ohm is None) == (self.resistances_ohm is None):
+            what = "needs either resistance_ohm, alike for all resistors, or resistances_ohm, one for each"
+            yield Problem(("reference_ring",), what)
+
+    def to_domain(self) -> ReferenceRing:
+        """Percent and ppm become fractions, millivolts volts."""
+        one = () if self.resistance_ohm is None else (self.resistance_ohm,)
+        return ReferenceRing(
+            resistance_ohm=tuple(self.resistances_ohm or one),
+            tolerance=self.tolerance_percent / 100,
+            frames=self.frames,
+            gain=self.gain_percent / 100,
+            reading=self.reading_percent / 100,
+            noise=self.noise_ppm / 1e6,
+            offset_V=self.offset_mV / 1000,
+            lead_ohm=self.lead_ohm,
+        )
+
+
                     what = f"names {role!r}, which instruments.{filled[role]} already provides"
                     yield Problem(("instruments", name, "provides"), what)
                 filled.setdefault(role, name)
@@ -149,12 +185,15 @@ class StationFile(FileModel[Station]):
             ),
             safety=SafetyLimits(
                 force_N=self.safety.force_N,
+    reference_ring: ReferenceRingTable | None = None
                 strain=self.safety.strain_percent / 100,
                 travel_radius_mm=self.safety.travel_radius_mm,
                 duration_s=self.safety.duration_h * 3600,
                 stale_s=self.safety.stale_s,
             ),
             instruments=tuple(
+        if self.reference_ring is not None:
+            yield from self.reference_ring.problems()
                 InstrumentSpec(name, t.driver, tuple(t.provides), t.options, t.calibration_due)
                 for name, t in sorted(self.instruments.items())  # tables have no order in TOML
             ),
@@ -171,3 +210,5 @@ def resolved_options(instrument: InstrumentSpec, near: Path | None) -> Instrumen
     return InstrumentSpec(
         instrument.role, instrument.driver, instrument.provides, options, instrument.calibration_due
     )
+            overdue=self.station.overdue,
+            reference_ring=None if self.reference_ring is None else self.reference_ring.to_domain(),

@@ -6,6 +6,7 @@ from typing import Any
 
 from cbsr_qa.domain.calibration import OverlapBand
 from cbsr_qa.domain.characterisation import CharacterisationSettings
+from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.limits_version import LimitsVersion
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.measurement import Limit
@@ -38,6 +39,7 @@ class InstrumentSpec:
     provides : roles it fills for the runner: ``frame_source``, ``force_applicator``, or any name for a sampler.
     options : everything else in the table, for the driver.
     calibration_due : ISO date or None.
+    model, serial : what the instrument must say it is; empty where the table does not say.
     """
 
     role: str
@@ -45,11 +47,18 @@ class InstrumentSpec:
     provides: tuple[str, ...]
     options: Mapping[str, Any]
     calibration_due: str | None
+    model: str = ""
+    serial: str = ""
 
     @property
     def emulated(self) -> bool:
         """Whether its address is the word for an instrument that the station emulates."""
         return self.options.get("address") == EMULATED
+
+    @property
+    def address(self) -> str:
+        """Where the station file says it is, for messages."""
+        return str(self.options.get("address", "an address of the driver's choice"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +87,11 @@ class SafetyLimits:
     travel_radius_mm : furthest the head's centre may go from the sheet's centre.
     duration_s : longest run.
     stale_s : force data older than this while pressed stop the run.
+    dwell_s : longest time the head may stay down.
+    compliance : share of a frame's readings at the source's compliance or the meter's limit that stops the run.
+    heartbeat_s : instruments that can say they are there are asked at least this often while the runner waits.
+    answer_s : beyond what its work takes, an instrument may be silent for this long before it counts as hanging.
+    temperature_C : lowest and highest; None where it does not matter.
     """
 
     force_N: float
@@ -85,6 +99,54 @@ class SafetyLimits:
     travel_radius_mm: float
     duration_s: float
     stale_s: float
+    dwell_s: float = 3600.0
+    compliance: float = 0.05
+    heartbeat_s: float = 10.0
+    answer_s: float = 120.0
+    temperature_C: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceRing:
+    """A ring of resistors that is connected in place of a sensor, and what a station's readings of it may be.
+
+    Parameters
+    ----------
+    resistance_ohm : of each resistor between neighbouring electrodes, the first between electrodes 0 and 1; a single
+        one where all are alike.
+    tolerance : of a resistor, as a fraction: readings may differ by this much with nothing wrong.
+    frames : how many are taken.
+    gain : largest error of the gain, as a fraction.
+    reading : largest deviation of a reading from the closed form, as a fraction, beside the tolerance.
+    noise : largest rms noise of a reading, as a fraction of it.
+    offset_V : largest common offset of all readings.
+    lead_ohm : largest resistance of a lead, with its switch and contact.
+    """
+
+    resistance_ohm: tuple[float, ...]
+    tolerance: float
+    frames: int
+    gain: float
+    reading: float
+    noise: float
+    offset_V: float
+    lead_ohm: float
+
+    def resistances_ohm(self, electrodes: int) -> tuple[float, ...]:
+        """Return one resistance for each electrode.
+
+        Raises
+        ------
+        ConfigError
+            If there are neither as many as electrodes nor a single one.
+        """
+        count = len(self.resistance_ohm)
+        if count not in (1, electrodes):
+            raise ConfigError(
+                f"[reference_ring] resistances_ohm has {count} values; the sensor type has {electrodes} electrodes",
+                remedy=f"give {electrodes}, one for each pair of neighbours, or a single one for all",
+            )
+        return self.resistance_ohm * (electrodes if count == 1 else 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,6 +159,8 @@ class Station:
     sensor_type, material : names of the files used unless the command line says otherwise.
     emulated_scene : of the world that its emulated instruments share: a name, or a scene file's content; None where
         it emulates none.
+    overdue : what happens to runs where an instrument is past its calibration date: ``"warn"`` or ``"refuse"``.
+    reference_ring : that ``cbsr-qa station check`` measures; None where the station has none.
     """
 
     name: str
@@ -108,6 +172,8 @@ class Station:
     safety: SafetyLimits
     instruments: tuple[InstrumentSpec, ...]
     emulated_scene: str | Mapping[str, Any] | None = None
+    overdue: str = "warn"
+    reference_ring: ReferenceRing | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -202,6 +268,8 @@ class Scene:
     frame_period_s : time of one frame (256 readings).
     sheet_mesh_size_mm : element size of the forward model far from the electrodes.
     not_modelled : what this world leaves out, in words.
+    reference_ring_ohm : resistors of a ring that is connected in place of the sheet, the first between electrodes 0
+        and 1; empty where the sheet is.
     """
 
     name: str
@@ -210,3 +278,4 @@ class Scene:
     frame_period_s: float
     sheet_mesh_size_mm: float
     not_modelled: tuple[str, ...]
+    reference_ring_ohm: tuple[float, ...] = ()

@@ -22,6 +22,7 @@ class InstrumentIdentity:
     model, serial, firmware : as the instrument reports them.
     simulated : whether no real instrument stands behind it.
     calibration_due : ISO date; None where the station file states none.
+    notes : what else traces it, as (what, value) in words: its address, a tare, a dead-weight check.
     """
 
     role: str
@@ -31,6 +32,7 @@ class InstrumentIdentity:
     firmware: str
     simulated: bool
     calibration_due: str | None = None
+    notes: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,7 +16,8 @@ from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import RunIdentity, RunRecord
 from cbsr_qa.domain.sensor import Material, SensorType
-from cbsr_qa.store import analyses, calibrations, incomplete, runs, schema
+from cbsr_qa.domain.station_check import RingReadings, StationCheck
+from cbsr_qa.store import analyses, calibrations, incomplete, runs, schema, station_checks
 from cbsr_qa.store.analyses import StoredAnalysis
 from cbsr_qa.store.calibration_forces import PrepareForce
 from cbsr_qa.store.calibrations import CalibrationSummary
@@ -157,6 +158,18 @@ class Repository:
     def analyses(self, run: str) -> tuple[StoredAnalysis, ...]:
         """Return every analysis of a run, the latest first: the first is the one that holds."""
         return analyses.analyses_of(self._engine, run)
+
+    def save_station_check(self, check: StationCheck, ring: RingReadings | None = None) -> None:
+        """Store a check of a station, with the frames of its reference ring where there are some."""
+        station_checks.save_check(self._engine, check, ring)
+
+    def latest_station_check(self, station: str, before: datetime | None = None) -> StationCheck | None:
+        """Return the latest check of a station (until a moment), or None where it was never checked."""
+        return station_checks.latest_check(self._engine, station, before)
+
+    def station_check_ring(self, check: str) -> RingReadings | None:
+        """Return the ring's frames of a check, digest checked; None where no ring was measured."""
+        return station_checks.ring_of(self._engine, check)
 
     def calibrations(self, serial: str) -> tuple[CalibrationSummary, ...]:
         """Return a sensor's calibrations, the latest first."""

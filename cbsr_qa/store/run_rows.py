@@ -1,8 +1,9 @@
 """Rows of a run: begun once, looked up by everybody."""
 
+from collections.abc import Mapping
 from typing import Any
 
-from sqlalchemy import Connection, Row, insert, select
+from sqlalchemy import Connection, Row, RowMapping, insert, select
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
@@ -36,7 +37,7 @@ def begin_run(connection: Connection, identity: RunIdentity, configuration: str,
     )
     for position, instrument in enumerate(identity.instruments):
         place = {"run": identity.run, "position": position}
-        connection.execute(insert(InstrumentRow), place | _instrument_values(instrument))
+        connection.execute(insert(InstrumentRow), place | instrument_values(instrument))
 
 
 def run_row(connection: Connection, run: str) -> Row[Any] | None:
@@ -66,14 +67,21 @@ def identity_of(connection: Connection, row: Row[Any]) -> RunIdentity:
         configuration_digest=row.configuration_digest,
         software=tuple((name, version) for name, version in row.software),
         instruments=tuple(
-            InstrumentIdentity(i.role, i.driver, i.model, i.serial, i.firmware, i.simulated, i.calibration_due)
-            for i in connection.execute(instruments.order_by(InstrumentRow.position))
+            instrument_of(row) for row in connection.execute(instruments.order_by(InstrumentRow.position)).mappings()
         ),
         simulated=tuple(row.simulated),
     )
 
 
-def _instrument_values(instrument: InstrumentIdentity) -> dict[str, Any]:
+def instrument_of(values: RowMapping | Mapping[str, Any]) -> InstrumentIdentity:
+    """Return an identity; the inverse of :func:`instrument_values`."""
+    said = ("role", "driver", "model", "serial", "firmware", "simulated", "calibration_due")
+    notes = tuple((what, value) for what, value in values["notes"] or ())
+    return InstrumentIdentity(**{name: values[name] for name in said}, notes=notes)
+
+
+def instrument_values(instrument: InstrumentIdentity) -> dict[str, Any]:
+    """Return what an instrument says of itself as plain columns."""
     return {
         "role": instrument.role,
         "driver": instrument.driver,
@@ -82,4 +90,5 @@ def _instrument_values(instrument: InstrumentIdentity) -> dict[str, Any]:
         "firmware": instrument.firmware,
         "simulated": bool(instrument.simulated),
         "calibration_due": instrument.calibration_due,
+        "notes": [list(note) for note in instrument.notes],
     }

@@ -96,6 +96,7 @@ class InstrumentRow(Base):
     firmware: Mapped[str]
     simulated: Mapped[bool]
     calibration_due: Mapped[str | None]
+    notes: Mapped[list[Any] | None]  #: [[what, value], …] in words; None: nobody noted any
 
 
 class PhaseRow(Base):

@@ -12,10 +12,15 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.store import schema
+from cbsr_qa.store import check_tables, schema
 from cbsr_qa.store.engine import open_engine, parsed_url, reading, writing
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_tables import Base
+
+CHECKS = {
+    table.__tablename__
+    for table in (check_tables.StationCheckRow, check_tables.StationCheckLineRow, check_tables.StationCheckFramesRow)
+}
 
 SERVER = "postgresql+psycopg://postgres@127.0.0.1:5432"
 
@@ -105,9 +110,9 @@ def test_data_survive_every_step_up_and_down(engine):
     schema.downgrade(engine, "0001")
     assert content(engine) == before
     schema.upgrade(engine)
-    concluded |= {"calibration_forces"}
-    never_eased = {"loads": [(*row, None) for row in before["loads"]]}
-    assert content(engine) == before | never_eased | {name: [] for name in concluded}
+    concluded |= {"calibration_forces", *CHECKS}
+    later = {name: [(*row, None) for row in before[name]] for name in ("loads", "instruments")}  # eased, notes
+    assert content(engine) == before | later | {name: [] for name in concluded}
 
     schema.downgrade(engine, "base")
     assert table_names(engine) == set()
@@ -180,6 +185,22 @@ def test_a_press_of_before_was_never_eased(engine):
         assert connection.execute(sa.text("SELECT eased FROM loads")).all() == [(None,)]
     schema.downgrade(engine, "0005")
     assert content(engine) == before
+
+
+def test_nothing_was_noted_of_an_instrument_of_before_and_checks_are_lost_on_the_way_back(engine):
+    schema.upgrade(engine, "0006")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0007")
+    with reading(engine) as connection:
+        assert connection.execute(sa.text("SELECT notes FROM instruments")).all() == [(None,)]
+    fill(engine, CHECKS)
+    full = content(engine)
+    assert {name: len(full[name]) for name in CHECKS} == dict.fromkeys(CHECKS, 1)
+    schema.downgrade(engine, "0006")
+    assert content(engine) == before
+    schema.upgrade(engine)
+    assert {name: content(engine)[name] for name in CHECKS} == {name: [] for name in CHECKS}
 
 
 def test_the_migrations_make_what_the_program_uses(engine):

@@ -400,11 +400,12 @@ def test_the_regularisation_parameter_stands_under_its_own_name(result, name, cr
 
 
 def test_instruments_are_traceable(result):
-    bench = replace(result.record.identity.instruments[0], simulated=False, calibration_due="2027-01-31")
-    identity = replace(result.record.identity, instruments=(bench, replace(bench, calibration_due=None)))
+    told = {"simulated": False, "calibration_due": "2027-01-31", "notes": (("address", "COM3"), ("tare", "0.02 N"))}
+    bench = replace(result.record.identity.instruments[0], **told)
+    identity = replace(result.record.identity, instruments=(bench, replace(bench, calibration_due=None, notes=())))
     section = Traceability().render(replace(result, record=replace(result.record, identity=identity)))
     rows = texts(tables(section)[0])
-    assert rows[0][-2:] == ["no", "2027-01-31"]
-    assert rows[1][-2:] == ["no", "not stated"]
+    assert rows[0][-3:] == ["no", "2027-01-31", "address: COM3; tare: 0.02 N"]
+    assert rows[1][-3:] == ["no", "not stated", "–"]
     words = " ".join(cell for table in tables(section) for row in texts(table) for cell in row)
     assert result.record.identity.configuration_digest in words

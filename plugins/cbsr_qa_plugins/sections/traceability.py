@@ -37,10 +37,10 @@ def _instruments(record: RunRecord) -> Table:
     rows = []
     for i in record.identity.instruments:
         due = i.calibration_due or ("not applicable" if i.simulated else "not stated")
-        rows.append(
-            [i.role, i.model, i.serial or "–", i.firmware or "–", i.driver, "yes" if i.simulated else "no", due]
-        )
-    columns = ("Role", "Model", "Serial", "Firmware", "Driver", "Simulated", "Calibration due")
+        notes = "; ".join(f"{what}: {value}" for what, value in i.notes) or "–"
+        simulated = "yes" if i.simulated else "no"
+        rows.append([i.role, i.model, i.serial or "–", i.firmware or "–", i.driver, simulated, due, notes])
+    columns = ("Role", "Model", "Serial", "Firmware", "Driver", "Simulated", "Calibration due", "Notes")
     return text_table("Instruments on the bench, as they identified themselves.", columns, rows)
 
 
