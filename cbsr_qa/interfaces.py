@@ -174,6 +174,18 @@ class Linked(Instrument, Protocol):
         ...
 
 
+@runtime_checkable
+class SelfTesting(Instrument, Protocol):
+    """An instrument that can test itself. Optional; ``cbsr-qa station check`` asks."""
+
+    def self_test(self) -> tuple[CheckResult, ...]:
+        """Test yourself and say what came of it, a line for each thing; a finding is no exception.
+
+        Nothing may move and no current may flow when it returns. Raises InstrumentError if nobody answers.
+        """
+        ...
+
+
 @dataclass(frozen=True, slots=True)
 class MeterReading:
     """One measurement of a source-measure unit.
@@ -199,18 +211,6 @@ class SourceMeter(Instrument, Protocol):
     """Gives a current and measures a voltage (role ``source_meter``)."""
 
     @property
-@runtime_checkable
-class SelfTesting(Instrument, Protocol):
-    """An instrument that can test itself. Optional; ``cbsr-qa station check`` asks."""
-
-    def self_test(self) -> tuple[CheckResult, ...]:
-        """Test yourself and say what came of it, a line for each thing; a finding is no exception.
-
-        Nothing may move and no current may flow when it returns. Raises InstrumentError if nobody answers.
-        """
-        ...
-
-
     def reading_period_s(self) -> float:
         """How long one measurement takes the instrument [s]."""
         ...

@@ -16,8 +16,8 @@ from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, ReferenceRing,
 Positive = Annotated[float, Field(gt=0)]
 Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
-
 Resistance = Annotated[float, Field(ge=1e-3, le=1e9)]
+
 #: Roles that every run needs filled.
 NEEDED_ROLES = ("frame_source", "force_applicator")
 #: Option keys of instrument tables that name another configuration file.
@@ -43,8 +43,8 @@ class StationTable(Table):
     clock: Literal["virtual", "real"]
     sensor_type: Name
     material: Name
-
     overdue: Literal["warn", "refuse"] = "warn"
+
 
 class IndenterTable(Table):
     """``[indenter]``: the flat head, round (13 mm unless it says otherwise) or of any outline."""
@@ -94,32 +94,6 @@ class EmulationTable(Table):
     scene: Name
 
 
-class InstrumentTable(OpenTable):
-    """``[instruments.<role>]``: its driver, what it provides, and the driver's own options."""
-
-    driver: Name
-    provides: Annotated[list[Word], Field(min_length=1)]
-    calibration_due: Annotated[str | None, BeforeValidator(_iso_date)] = None
-
-
-class StationFile(FileModel[Station]):
-    """A station file."""
-
-    station: StationTable
-    indenter: IndenterTable
-    motion: MotionTable
-    safety: SafetyTable
-    instruments: Annotated[dict[Word, InstrumentTable], Field(min_length=1)]
-    emulation: EmulationTable | None = None
-
-    def problems(self) -> Iterator[Problem]:
-        """Every role filled once; the head one thing only; emulated instruments with a world."""
-        yield from self.indenter.problems()
-        yield from self._unemulated()
-        filled: dict[str, str] = {}
-        for name, table in self.instruments.items():
-            for role in table.provides:
-                if role in filled:
 class ReferenceRingTable(Table):
     """``[reference_ring]``: resistors in place of a sensor, and what ``cbsr-qa station check`` allows there."""
 
@@ -154,6 +128,35 @@ class ReferenceRingTable(Table):
         )
 
 
+class InstrumentTable(OpenTable):
+    """``[instruments.<role>]``: its driver, what it provides, and the driver's own options."""
+
+    driver: Name
+    provides: Annotated[list[Word], Field(min_length=1)]
+    calibration_due: Annotated[str | None, BeforeValidator(_iso_date)] = None
+
+
+class StationFile(FileModel[Station]):
+    """A station file."""
+
+    station: StationTable
+    indenter: IndenterTable
+    motion: MotionTable
+    safety: SafetyTable
+    instruments: Annotated[dict[Word, InstrumentTable], Field(min_length=1)]
+    emulation: EmulationTable | None = None
+    reference_ring: ReferenceRingTable | None = None
+
+    def problems(self) -> Iterator[Problem]:
+        """Every role filled once; the head one thing only; emulated instruments with a world."""
+        yield from self.indenter.problems()
+        yield from self._unemulated()
+        if self.reference_ring is not None:
+            yield from self.reference_ring.problems()
+        filled: dict[str, str] = {}
+        for name, table in self.instruments.items():
+            for role in table.provides:
+                if role in filled:
                     what = f"names {role!r}, which instruments.{filled[role]} already provides"
                     yield Problem(("instruments", name, "provides"), what)
                 filled.setdefault(role, name)
@@ -185,19 +188,18 @@ class ReferenceRingTable(Table):
             ),
             safety=SafetyLimits(
                 force_N=self.safety.force_N,
-    reference_ring: ReferenceRingTable | None = None
                 strain=self.safety.strain_percent / 100,
                 travel_radius_mm=self.safety.travel_radius_mm,
                 duration_s=self.safety.duration_h * 3600,
                 stale_s=self.safety.stale_s,
             ),
             instruments=tuple(
-        if self.reference_ring is not None:
-            yield from self.reference_ring.problems()
                 InstrumentSpec(name, t.driver, tuple(t.provides), t.options, t.calibration_due)
                 for name, t in sorted(self.instruments.items())  # tables have no order in TOML
             ),
             emulated_scene=None if self.emulation is None else self.emulation.scene,
+            overdue=self.station.overdue,
+            reference_ring=None if self.reference_ring is None else self.reference_ring.to_domain(),
         )
 
 
@@ -210,5 +212,3 @@ def resolved_options(instrument: InstrumentSpec, near: Path | None) -> Instrumen
     return InstrumentSpec(
         instrument.role, instrument.driver, instrument.provides, options, instrument.calibration_due
     )
-            overdue=self.station.overdue,
-            reference_ring=None if self.reference_ring is None else self.reference_ring.to_domain(),

@@ -141,7 +141,14 @@ def _identity(one: Mounted) -> InstrumentIdentity:
         driver=one.spec.driver,
         simulated=said.simulated or one.spec.emulated,
         calibration_due=one.spec.calibration_due,
+        notes=(*_address(one.spec), *said.notes),
     )
+
+
+def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:
+    """Where the station file says an instrument is, as a note to its identity."""
+    address = spec.options.get("address")
+    return () if address is None else (("address", str(address)),)
 
 
 def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
@@ -167,32 +174,7 @@ def _checked(one: Mounted, role: str) -> Mounted:
 
 
 def _members(protocol: type) -> set[str]:
-        notes=(*_address(one.spec), *said.notes),
     return {name for kind in protocol.__mro__ for name in vars(kind) if not name.startswith("_")}
-
-
-def _recognise(spec: InstrumentSpec, said: InstrumentIdentity) -> None:
-    """Refuse another instrument than the station file asks for: limits and calibration dates are not its own."""
-    for what, expected, found in (("model", spec.model, said.model), ("serial", spec.serial, said.serial)):
-        if expected and not _names(expected, found):
-            raise InstrumentError(
-                spec.role,
-                spec.address,
-                f"it says its {what} is {found!r}; the station file expects {expected!r}",
-                remedy=f"connect the instrument that is meant, or mend address or {what} in the station file",
-            )
-
-
-def _names(expected: str, found: str) -> bool:
-    """Whether all words of the one follow each other in the other: "2634B" names a "Model 2634B"."""
-    wanted, said = expected.casefold().split(), found.casefold().split()
-    return any(said[first : first + len(wanted)] == wanted for first in range(len(said)))
-
-
-def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:
-    """Where the station file says an instrument is, as a note to its identity."""
-    address = spec.options.get("address")
-    return () if address is None else (("address", str(address)),)
 
 
 def _filled(filled: dict[str, Mounted], role: str) -> Any:
