@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from cbsr_qa.domain.plan import Motion
 from cbsr_qa.emulate.clock import WatchedClock
+from cbsr_qa.emulate.head import EmulatedHead
 from cbsr_qa.simulate.frames import SimulatedFrame
 from cbsr_qa.simulate.world import SimulatedWorld
 
@@ -48,6 +49,8 @@ class EmulatedRig:
         self.world = world
         self.motion = motion
         self.wiring = Wiring()
+        # It watches the clock before any instrument does: what they say of a moment rests on where the head was.
+        self.head = EmulatedHead(clock, world, motion)
         self._taken: tuple[int, SimulatedFrame] | None = None
 
     def frame(self) -> SimulatedFrame:
