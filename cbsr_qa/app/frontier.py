@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import cbsr_qa
+from cbsr_qa.app.frontier_files import WRITTEN_BY, check_recipe
 from cbsr_qa.app.frontier_runs import station_seconds, the_bench
 from cbsr_qa.config.paths import var_folder, writable_folder
 from cbsr_qa.config.toml_text import toml_document
@@ -89,13 +90,14 @@ class Frontier:
         Raises
         ------
         RefusedError
-            If there is none, or the file cannot be written.
+            If there is none, the file cannot be written, or one is there that was not written so.
         """
         if self.recommended is None:
             raise RefusedError(f"there is no recipe to write: {self.why_not}")
+        check_recipe(path)
         name = path.stem[:64] or "frontier"
         comments = (
-            f"Written by cbsr-qa frontier {cbsr_qa.__version__}: {self.recommended.why}.",
+            f"{WRITTEN_BY} {cbsr_qa.__version__}: {self.recommended.why}.",
             f"Simulated: {_said(self.recommended.point)}.",
             "A setting is as good as the simulation it was found in: check it on sensors of your own.",
         )

@@ -10,9 +10,10 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
+from cbsr_qa.app.frontier_files import check_png
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.report import Block, Figure, Paragraph, Section
-from cbsr_qa.frontier.point import Accuracy, Clock, Point
+from cbsr_qa.frontier.point import Accuracy, Clock, Knob, Point
 from cbsr_qa.frontier.station import PAPER
 from cbsr_qa.report.page import Banner, Page
 from cbsr_qa.report.style import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid
@@ -149,8 +150,7 @@ def write_png(found: "Frontier", path: Path) -> None:
     RefusedError
         If there is nothing to draw, the name is not one of a PNG file, or the file cannot be written.
     """
-    if path.suffix.lower() != ".png":
-        raise RefusedError(f"{path} is no name of a PNG picture", remedy="let it end in .png")
+    check_png(path)
     if not any("force_error" in found.points[k].accuracy for k in found.settings):
         raise RefusedError("there is no force error to draw", remedy="sweep the station's clock")
     try:
@@ -171,15 +171,16 @@ def _series(found: "Frontier", clock: Clock, series: str) -> Section:
     blocks: list[Block] = [
         text_table(f"Settings of the series {series}", columns, rows, tuple(range(len(columns) - 1)))
     ]
-    blocks += [Paragraph(f"{_knobs(point)}: {point.note}.", "note") for point, _ in members if point.note]
+    if alike := alike_in([point for point, _ in members], found.points):
+        blocks.append(Paragraph(f"Alike in all of this table: {alike}.", "note"))
+    blocks += [Paragraph(f"{_knobs(point.knobs)}: {point.note}.", "note") for point, _ in members if point.note]
     return Section(title, tuple(blocks))
 
 
 def table_of(members: Sequence[tuple[Point, bool]]) -> tuple[list[str], list[tuple[str, ...]]]:
     """Columns and rows of one series: knobs that differ, figures, cost, and whether it is worth it."""
     points = [point for point, _ in members]
-    knobs = [name for name in points[0].knobs if len({point.knobs.get(name) for point in points}) > 1]
-    knobs = knobs or list(points[0].knobs)[:1]
+    knobs = shown_knobs(points)
     figures = list(dict.fromkeys(name for point in points for name in point.accuracy))
     rows = [
         (
@@ -194,8 +195,26 @@ def table_of(members: Sequence[tuple[Point, bool]]) -> tuple[list[str], list[tup
     return [*(name.replace("_", " ") for name in knobs), *names, "time", "worth it"], rows
 
 
-def _knobs(point: Point) -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {_knob(value)}" for name, value in point.knobs.items())
+def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
+    """Knobs that a series' table does not show, because they are alike in it, and that other series set otherwise."""
+    shown = shown_knobs(members)
+    told = {
+        name: value
+        for name, value in members[0].knobs.items()
+        if name not in shown
+        and any(p.clock is members[0].clock and p.knobs.get(name, value) != value for p in points)
+    }
+    return _knobs(told)
+
+
+def shown_knobs(points: Sequence[Point]) -> list[str]:
+    """Knobs that differ between points; the first one where none does."""
+    knobs = [name for name in points[0].knobs if len({point.knobs.get(name) for point in points}) > 1]
+    return knobs or list(points[0].knobs)[:1]
+
+
+def _knobs(knobs: Mapping[str, Knob]) -> str:
+    return ", ".join(f"{name.replace('_', ' ')} {_knob(value)}" for name, value in knobs.items())
 
 
 def _knob(value: object) -> str:

@@ -33,15 +33,15 @@ def frontier(
     Finished parts are kept: a sweep that was stopped goes on where it was.
     """
     from cbsr_qa.app.frontier import frontier as sweep
+    from cbsr_qa.app.frontier_files import Files
     from cbsr_qa.cli.frontier_table import lines
     from cbsr_qa.frontier.recommend import Wish
 
-    wish = Wish(_newtons(force_error), _seconds(budget))
+    wish, clocks = Wish(_newtons(force_error), _seconds(budget)), _clocks(clock)
+    Files(recipe, output, png).check(clocks)
     with Counting("simulations and measurements") as counting:
         counting.stage("what accuracy costs in time")
-        found = sweep(
-            _clocks(clock), wish, quick=quick, fresh=fresh, tell=lambda done, of, _: counting.count(done, of)
-        )
+        found = sweep(clocks, wish, quick=quick, fresh=fresh, tell=lambda done, of, _: counting.count(done, of))
     _write(found, recipe, output, png)
     if as_json:
         emit_json(found.document(recipe if found.recommended else None))
@@ -52,8 +52,9 @@ def frontier(
 
 def _write(found: "Frontier", recipe: Path | None, output: Path | None, png: Path | None) -> None:
     if recipe is not None:
+        there = recipe.exists()
         found.write_recipe(recipe)
-        note(f"recipe       {recipe}")
+        note(f"recipe       {recipe}{', in place of the one that was there' if there else ''}")
     if output is not None:
         found.write(output)
         note(f"page         {output}")

@@ -5,6 +5,7 @@ import json
 import pytest
 
 from cbsr_qa.app import frontier as app
+from cbsr_qa.app.frontier_page import alike_in
 from cbsr_qa.cli.main import guarded
 from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.frontier.point import Accuracy, Clock, Point, Task
@@ -136,6 +137,52 @@ def test_files_that_cannot_be_written_are_refused_by_name(sweeps, capsys, tmp_pa
     for option, name in (("--recipe", "r.toml"), ("--output", "page.html"), ("--png", "plot.png")):
         message = refused(capsys, "--clock", "station", option, str(tmp_path / "file" / name))
         assert str(tmp_path / "file") in message, message
+    assert sweeps == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--output", "{}"), ["--output: {} is a folder"]),
+        (("--recipe", "{}/short"), ["{}/short is no name of a recipe file", ".toml"]),
+        (("--recipe", "{}/notes.toml"), ["{}/notes.toml exists already", "did not write it"]),
+        (("--recipe", "{}/new.toml", "--clock", "computer"), ["--recipe: there is no recipe to write"]),
+        (("--output", "{}/one.png", "--png", "{}/one.png"), ["--output, --png name the same file"]),
+    ],
+)
+def test_files_are_refused_before_anything_is_simulated(sweeps, capsys, tmp_path, arguments, said):
+    (tmp_path / "notes.toml").write_text("# mine\n")
+    message = refused(capsys, *(text.format(tmp_path) for text in arguments))
+    assert all(words.format(tmp_path) in message for words in said), message
+    assert sweeps == []
+    assert (tmp_path / "notes.toml").read_text() == "# mine\n"
+
+
+def test_a_recipe_that_was_written_here_is_written_over_and_it_is_said(sweeps, capsys, tmp_path):
+    path = tmp_path / "short.toml"
+    asked = ["frontier", "--clock", "station", "--recipe", str(path)]
+    assert guarded(asked) == 0
+    assert "in place of" not in capsys.readouterr().err
+    assert guarded([*asked, "--budget", "2h"]) == 0
+    assert f"{path}, in place of the one that was there" in capsys.readouterr().err
+    assert "at most 120 min" in path.read_text()
+
+
+def test_one_table_alone_has_nothing_else_to_be_told_from(sweeps, capsys):
+    assert guarded(["frontier", "--clock", "station"]) == 0
+    shown = capsys.readouterr().out
+    assert "hold s" in shown  # which differs
+    assert "in all:" not in shown  # there is no other table
+
+
+def test_knobs_that_one_row_hides_are_those_that_other_tables_set_otherwise():
+    def point(series, **knobs):
+        return Point(Clock.STATION, series, knobs, {}, None, 60.0, 1)
+
+    rest = [point("rest", places=16, hold_s=15.0, frames=4)]
+    hold = [point("hold", places=16, hold_s=60.0, frames=4), point("hold", places=16, hold_s=15.0, frames=4)]
+    assert alike_in(rest, [*rest, *hold]) == "hold s 15"
+    assert alike_in(hold, [*rest, *hold]) == ""
 
 
 def test_kept_pieces_of_somebody_else_are_refused_by_name(sweeps, capsys, tmp_path):
@@ -167,5 +214,6 @@ def test_pictures_are_png_and_written_where_they_are_said_to_be(sweeps, capsys, 
     folder.mkdir()
     message = refused(capsys, "--clock", "station", "--png", str(folder / name))
     assert f"{folder / name} is no name of a PNG picture" in message
+    assert sweeps == []
     assert list(folder.iterdir()) == []
     assert not (tmp_path / "pictures.png").exists()
