@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.scene import Moment, SimulatedPress
 from cbsr_qa.simulate.chain import Chain
+from cbsr_qa.simulate.ring import SimulatedRing
 from cbsr_qa.simulate.sheet import Place, SimulatedSheet
 
 Array = NDArray[np.float64]
@@ -50,7 +51,7 @@ class FrameMaker:
     sheet, chain : of the world.
     """
 
-    def __init__(self, sheet: SimulatedSheet, chain: Chain) -> None:
+    def __init__(self, sheet: SimulatedSheet | SimulatedRing, chain: Chain) -> None:
         self._sheet = sheet
         self._chain = chain
         self._pattern = sheet.sensor_type.pattern

@@ -25,6 +25,7 @@ from cbsr_qa.domain.scene import (
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.simulate.chain import EffectFactory, build_chain
 from cbsr_qa.simulate.frames import FrameMaker, SimulatedFrame
+from cbsr_qa.simulate.ring import SimulatedRing
 from cbsr_qa.simulate.sheet import SimulatedSheet, finest_mesh_mm
 
 Array = NDArray[np.float64]
@@ -53,7 +54,7 @@ class PressTruth:
 
 
 class SimulatedWorld:
-    """A sheet and what happens to it.
+    """A sheet and what happens to it; or a ring of resistors in its place, where the scene has one.
 
     Parameters
     ----------
@@ -87,8 +88,11 @@ class SimulatedWorld:
         self.setting = SceneSetting(sensor_type, material, indenter, seed, scene.current_A, scene.frame_period_s)
         self.chain = build_chain(scene, self.setting, effect_factory)
         self.sheet = self._made(scene, contact_length_mm) if sheet is None else sheet
+        # Noise is the station's, in volts: what is stated relative to the sheet's readings is so beside a ring too.
         self._scale_V = _mean_reading_ohm(self.sheet, sensor_type) * scene.current_A
-        self._frames = FrameMaker(self.sheet, self.chain)
+        ring = scene.reference_ring_ohm
+        self._connected = SimulatedRing(self.sheet.design, ring) if ring else self.sheet
+        self._frames = FrameMaker(self._connected, self.chain)
         self.presses: list[SimulatedPress] = []
         self._moving = _Moving()
         self._memory_s = self.chain.memory_s
@@ -143,7 +147,7 @@ class SimulatedWorld:
         moment = self._moment(time_s, index, touching)
         self.chain.apply("stress", moment)
         moment.force_N = 1e-3 * sum(
-            max(stress, 0.0) * self.sheet.pressed_mm2((press.x_mm, press.y_mm))
+            max(stress, 0.0) * self._connected.pressed_mm2((press.x_mm, press.y_mm))
             for press, stress in zip(touching, moment.stress_kPa, strict=True)
         )
         self.chain.apply("force", moment)
