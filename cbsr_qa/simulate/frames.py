@@ -32,11 +32,15 @@ class SimulatedFrame:
     voltages : (drives, measures) [V].
     flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.frames.ReadingFlag`.
     time_s : (drives, measures) of each reading on the station's clock; None where all are taken at once.
+    current_A : (drives, measures) what flowed while each reading was taken.
+    drive_ohm : (drives, measures) resistance that its driven pair showed to the source then.
     """
 
     voltages: Array
     flags: NDArray[np.uint8]
     time_s: Array | None
+    current_A: Array
+    drive_ohm: Array
 
 
 class FrameMaker:
@@ -81,7 +85,8 @@ class FrameMaker:
         self._chain.apply("source", moment)
         moment.voltages = per_ampere * moment.current_A
         self._chain.apply("voltages", moment)
-        return SimulatedFrame(moment.voltages, moment.flags, None if offsets is None else time_s + offsets)
+        own_s = None if offsets is None else time_s + offsets
+        return SimulatedFrame(moment.voltages, moment.flags, own_s, moment.current_A, moment.drive_ohm)
 
     def _solved(self, moment_at: Callable[[float], Moment], moment: Moment) -> tuple[Array, Array, Array, Array]:
         """Transfer impedance in the middle; readings per ampere and the ohms of their two pairs, at their times."""
