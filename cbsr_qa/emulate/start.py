@@ -10,7 +10,7 @@ from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan import EMULATED, InstrumentSpec
 from cbsr_qa.emulate.faults import Fault
 from cbsr_qa.emulate.rig import EmulatedRig
-from cbsr_qa.emulate.streams import Port, PtyPort, Served, TcpPort
+from cbsr_qa.emulate.streams import FreeRunning, Port, PtyPort, Served, TcpPort
 
 #: Driver → (module below this package, class, stream). Imported only where a station emulates one.
 EMULATORS: Final[Mapping[str, tuple[str, str, type[Port]]]] = {
@@ -19,6 +19,7 @@ EMULATORS: Final[Mapping[str, tuple[str, str, type[Port]]]] = {
     "marlin-applicator": ("applicator", "EmulatedApplicator", PtyPort),
     "serial-load-cell": ("load_cell", "EmulatedLoadCell", PtyPort),
     "serial-thermometer": ("thermometer", "EmulatedThermometer", PtyPort),
+    "ert-board-stream": ("ert_board", "EmulatedErtBoard", PtyPort),
 }
 
 
@@ -85,4 +86,6 @@ class Emulation:
         make = getattr(import_module(f"cbsr_qa.emulate.{module}"), name)
         port = self.ports[spec.role] = stream(f"emulated {spec.role}")
         instrument = self.instruments[spec.role] = make(self.rig, spec.options, port.send)
+        if isinstance(instrument, FreeRunning):
+            instrument.attached(port)
         port.serve(instrument)

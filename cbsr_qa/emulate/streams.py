@@ -1,15 +1,17 @@
 """Byte streams with an emulated instrument at the far end: a pseudo terminal, or a socket on the loopback."""
 
 import errno
+import fcntl
 import os
 import pty
 import select
 import socket
+import struct
 import termios
 import threading
 import tty
 from contextlib import suppress
-from typing import Final, Protocol
+from typing import Final, Protocol, runtime_checkable
 
 from cbsr_qa.emulate.faults import OF_THE_LINK, ArmedFaults, Fault
 
@@ -29,6 +31,15 @@ class Served(Protocol):
 
     def misbehave(self, fault: Fault) -> None:
         """Do a fault that is not one of the link; one it does not know is ignored."""
+        ...
+
+
+@runtime_checkable
+class FreeRunning(Served, Protocol):
+    """An emulated instrument that sends without being asked, and so looks by itself what faults wait for it."""
+
+    def attached(self, line: "Port") -> None:
+        """Be given the line it is on, before it is served."""
         ...
 
 
@@ -60,6 +71,10 @@ class Port:
     def send(self, data: bytes) -> None:
         """Send what nobody asked for; bytes for which there is no room are lost, as on a real line."""
         raise NotImplementedError
+
+    def unread(self) -> int:
+        """How many bytes were sent that no driver has read yet; 0 where nobody can tell."""
+        return 0
 
     def hang_up(self) -> None:
         """Take the link down, as a pulled cable does."""
@@ -118,6 +133,12 @@ class PtyPort(Port):
         """Send what nobody asked for; what finds no room is lost."""
         with self._writing, suppress(BlockingIOError, OSError):
             os.write(self._master, data)
+
+    def unread(self) -> int:
+        """How many bytes wait at the driver's end."""
+        with self._writing, suppress(OSError):
+            return int(struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)))[0])
+        return 0
 
     def hang_up(self) -> None:
         """Close both ends; a driver that has the line open sees it hang up."""

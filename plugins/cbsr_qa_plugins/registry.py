@@ -9,6 +9,7 @@ _HERE: Final = "cbsr_qa_plugins"
 #: (kind, name, module and factory below this package)
 BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.INSTRUMENT, "simulated-bench", "hardware.simulated_bench:open_bench"),
+    (Kind.INSTRUMENT, "ert-board-stream", "hardware.ert_board_stream:open_board"),
     (Kind.SEQUENCE, "noise-figure", "sequences.noise_figure:NoiseFigureSequence"),
     (Kind.SEQUENCE, "hysteresis-loop", "sequences.hysteresis_loop:HysteresisLoopSequence"),
     (Kind.SEQUENCE, "preconditioning", "sequences.preconditioning:PreconditioningSequence"),

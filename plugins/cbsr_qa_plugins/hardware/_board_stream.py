@@ -1,0 +1,238 @@
+"""Frames of counts out of the ERT board's bytes: the board is sent no commands, and it never stops."""
+
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+Counts = NDArray[np.int64]
+
+#: Of the board: current pairs, and voltages read for each.
+PAIRS: Final = 16
+_READINGS: Final = PAIRS * PAIRS
+_RECORD: Final = 3  # a count, low byte first, and a carriage return
+#: A frame in bytes: its records, then ``A`` and a carriage return.
+BINARY_FRAME: Final = _RECORD * _READINGS + 2
+_RETURN: Final = 0x0D
+_MARK: Final = ord("A")
+#: What the mark and its carriage return are taken for, read late and read early.
+_MARKS_AS_COUNTS: Final = (_MARK + 256 * _RETURN, _RETURN + 256 * _MARK)
+#: Readings are noisy: two places fit so often only in a stream that does not change at all.
+_MOST_ROUNDS: Final = 6
+#: A line of text that is longer holds no row: 17 numbers of at most 11 characters.
+_LONGEST_LINE: Final = 400
+
+
+@dataclass(frozen=True, slots=True)
+class BoardFrame:
+    """One whole frame as it was sent.
+
+    Parameters
+    ----------
+    counts : (16, 16) int64; rows and columns in the order of the stream.
+    after_loss : bytes between the frame before and this one belonged to no whole frame.
+    """
+
+    counts: Counts
+    after_loss: bool
+
+
+class BoardStream(Protocol):
+    """Takes the board's bytes apart."""
+
+    #: Bytes so far that belonged to no whole frame, since the first whole one.
+    spoilt: int
+
+    def feed(self, data: bytes) -> list[BoardFrame]:
+        """Take what has come, and return the frames that are whole by now."""
+        ...
+
+    def restart(self) -> None:
+        """Forget what has come: bytes were thrown away, and what comes next may begin anywhere in a frame."""
+        ...
+
+
+class BinaryStream:
+    r"""Frames of 770 bytes: 256 records of a count (uint16, low byte first) and ``\r``, then ``A\r``.
+
+    A byte of a count can be ``\r`` or ``A`` too, so that frames are cut by length: one begins where all 257
+    separators stand where they should. They also do so 3 k bytes beside a frame whose first or last k counts
+    happen to hold the right bytes; the mark is then taken for a count. Where a count looks like the mark, as
+    many frames are looked at as it takes until only one place is left, up to :data:`_MOST_ROUNDS`.
+
+    Counts carry no checksum: a changed byte is noticed only where it stands between counts.
+    """
+
+    def __init__(self) -> None:
+        self.spoilt = 0
+        self._held = bytearray()
+        self._locked = False
+        self._lost = False
+        self._any = False
+
+    def feed(self, data: bytes) -> list[BoardFrame]:
+        """Take what has come, and return the frames that are whole by now."""
+        self._held += data
+        frames: list[BoardFrame] = []
+        while self._locked or self._synchronised():
+            if len(self._held) < BINARY_FRAME:
+                break
+            if not _fits(self._held, 0):
+                self._locked = False
+                continue
+            frames.append(BoardFrame(_counts(self._held), self._lost))
+            self._any, self._lost = True, False
+            del self._held[:BINARY_FRAME]
+        return frames
+
+    def restart(self) -> None:
+        """Forget what has come; the stream may begin anywhere."""
+        self._held.clear()
+        self._locked = self._lost = self._any = False
+
+    def _synchronised(self) -> bool:
+        """Find where a frame begins, and drop what stands before it."""
+        held = self._held
+        start = next((k for k in range(len(held) - BINARY_FRAME + 1) if _fits(held, k)), None)
+        if start is None:
+            self._drop(max(len(held) - BINARY_FRAME + 1, 0))
+            return False
+        if np.isin(_counts(held, start), _MARKS_AS_COUNTS).any():
+            found = self._undoubted(start)
+            if found is None:
+                return False
+            start = found
+        self._drop(start)
+        self._locked = True
+        return True
+
+    def _undoubted(self, start: int) -> int | None:
+        """Of all places of a round that fit, the one that goes on fitting; None where more must come to tell."""
+        left = list(range(start, start + BINARY_FRAME))
+        for number in range(_MOST_ROUNDS):
+            if len(self._held) < start + (number + 2) * BINARY_FRAME - 1:
+                return None
+            left = [k for k in left if _fits(self._held, k + number * BINARY_FRAME)]
+            if len(left) < 2:
+                break
+        return left[0] if left else start
+
+    def _drop(self, count: int) -> None:
+        if self._any and count:
+            self.spoilt += count
+            self._lost = True
+        del self._held[:count]
+
+
+def _fits(data: bytearray, at: int) -> bool:
+    """Whether 770 bytes from a place on are a frame."""
+    end = at + BINARY_FRAME
+    if data[end - 2] != _MARK or data[end - 1] != _RETURN:
+        return False
+    return data[at + _RECORD - 1 : end - 2 : _RECORD].count(_RETURN) == _READINGS
+
+
+def _counts(data: bytearray, at: int = 0) -> Counts:
+    records = np.frombuffer(bytes(data[at : at + _RECORD * _READINGS]), np.uint8).reshape(_READINGS, _RECORD)
+    counts: Counts = (records[:, 0].astype(np.int64) + 256 * records[:, 1].astype(np.int64)).reshape(PAIRS, PAIRS)
+    return counts
+
+
+class TextStream:
+    """Frames of text: a line ``A``, then 16 rows of 16 counts, one a line, each count with a comma behind it.
+
+    A frame is whole when the next ``A`` follows its sixteenth row: a row that came twice would make one too early.
+
+    The board's clock [ms] may stand in front of a row. Logs that the board prints between rows are left out; a row
+    that is cut, joined with another or holds what is no count spoils its frame.
+
+    Parameters
+    ----------
+    lowest, highest : counts that the converter can say.
+    """
+
+    def __init__(self, lowest: int, highest: int) -> None:
+        self.spoilt = 0
+        self._range = (lowest, highest)
+        self._held = b""
+        self._rows: list[list[int]] | None = None
+        self._bytes = 0
+        self._lost = False
+        self._any = False
+
+    def feed(self, data: bytes) -> list[BoardFrame]:
+        """Take what has come, and return the frames that are whole by now."""
+        *lines, self._held = (self._held + data).split(b"\n")
+        if len(self._held) > _LONGEST_LINE:
+            self._spoil(len(self._held))
+            self._held = b""
+        return [frame for line in lines if (frame := self._line(line)) is not None]
+
+    def restart(self) -> None:
+        """Forget what has come; the stream may begin anywhere."""
+        self._held, self._rows, self._bytes = b"", None, 0
+        self._lost = self._any = False
+
+    def _line(self, line: bytes) -> BoardFrame | None:
+        self._bytes += len(line) + 1
+        text = line.decode("ascii", "replace").strip()
+        if text == "A":
+            return self._marked()
+        if self._rows is not None and _is_row(text):
+            row = self._row(text)
+            if row is None or len(self._rows) == PAIRS:
+                self._spoil(self._bytes)
+            else:
+                self._rows.append(row)
+        return None
+
+    def _marked(self) -> BoardFrame | None:
+        """End the frame before a mark, and begin the next."""
+        frame = None
+        if self._rows is not None and len(self._rows) == PAIRS:
+            frame = BoardFrame(np.array(self._rows, dtype=np.int64), self._lost)
+            self._any, self._lost = True, False
+        elif self._rows:
+            self._spoil(self._bytes)
+        self._rows, self._bytes = [], 0
+        return frame
+
+    def _row(self, text: str) -> list[int] | None:
+        """Return a row's counts, without the board's clock; None where one is missing or is none."""
+        if not text.endswith(","):
+            return None
+        try:
+            numbers = [int(field) for field in text[:-1].split(",")]
+        except ValueError:
+            return None
+        counts = numbers[-PAIRS:]
+        low, high = self._range
+        right = len(numbers) in (PAIRS, PAIRS + 1) and all(low <= count <= high for count in counts)
+        return counts if right else None
+
+    def _spoil(self, count: int) -> None:
+        """Give up the frame that is under way."""
+        if self._any:
+            self.spoilt += count
+            self._lost = True
+        self._rows, self._bytes = None, 0
+
+
+def _is_row(text: str) -> bool:
+    """Whether a line was meant as a row of counts, right or wrong; a log is none."""
+    fields = text.rstrip(",").split(",")
+    return len(fields) > 2 and sum(field.strip().lstrip("-").isdigit() for field in fields) > len(fields) / 2
+
+
+def scan_order(order: str, first: int) -> NDArray[np.int64]:
+    """Index into the flattened canonical frame of each reading, in the order of the stream, (256,) int64.
+
+    Parameters
+    ----------
+    order : ``"measure"`` (the voltage pair steps faster) or ``"drive"``.
+    first : how many readings later in that order the stream begins.
+    """
+    canonical = np.arange(_READINGS, dtype=np.int64).reshape(PAIRS, PAIRS)
+    scanned = canonical if order == "measure" else canonical.T
+    return np.roll(scanned.ravel(), -first)

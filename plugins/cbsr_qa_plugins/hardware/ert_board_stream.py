@@ -1,0 +1,363 @@
+"""The authors' ERT board, and a multiplexer with streaming firmware: frames that come without being asked for."""
+
+import logging
+import math
+from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording_memory import correct_memory
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.interfaces import StationContext
+from cbsr_qa.links.serial_link import SerialLink
+from cbsr_qa_plugins.hardware._board_stream import (
+    BINARY_FRAME,
+    PAIRS,
+    BinaryStream,
+    BoardFrame,
+    BoardStream,
+    TextStream,
+    scan_order,
+)
+from cbsr_qa_plugins.hardware._options import InstrumentTable
+
+_DRIVER: Final = "ert-board-stream"
+_KEYS: Final = (
+    "address",
+    "format",
+    "frame_period_s",
+    "baud",
+    "signed",
+    "zero_counts",
+    "range_counts",
+    "order",
+    "first_reading",
+    "current_mA",
+    "memory_share",
+)
+_BINARY_BAUD: Final = 1_400_000
+_UNSIGNED, _SIGNED = (0, 2**16 - 1), (-(2**15), 2**15 - 1)
+_SHAPE: Final = (PAIRS, PAIRS)
+_BITS_A_BYTE: Final = 10  # with start and stop bit
+#: Between two calls nothing on the bench moves within this time: a frame that goes on across them counts [s].
+_GOES_ON_S: Final = 0.05
+#: A row is waited for a little longer than it takes, so that each waiting finds one.
+_WAITED_ROWS: Final = 1.05
+#: How long bytes that were sent may be on their way through the computer [s, real time].
+_ON_ITS_WAY_S: Final = 0.05
+#: A board that sends no whole frame for so many periods and this much time sends none at all.
+_SILENT_PERIODS, _SILENT_S = 3.0, 0.5
+#: The table's frame period is believed within this share.
+_PERIOD_SHARE: Final = 0.2
+#: More than the line can send while it is waited for once: it was there before.
+_BACKLOG_BYTES: Final = 3500
+_BACKLOG_S: Final = 0.01
+
+_log: Final = logging.getLogger(__name__)
+
+
+def open_board(context: StationContext) -> "ErtBoardStream":
+    """Open the board's port, and see that frames come as its table says.
+
+    Options of its table: ``address``; ``frame_period_s``; ``format`` (``"binary"`` or ``"ascii"``); ``baud`` (binary:
+    1 400 000 by default); ``signed`` (counts of −32 768 to 32 767 instead of 0 to 65 535); ``range_counts`` (the
+    converter's ends, where they lie elsewhere); ``zero_counts`` (the count of 0 V, taken off; default 0); ``order``
+    (``"measure"`` where the voltage pair steps faster, or ``"drive"``); ``first_reading`` (where in that order a
+    frame begins); ``current_mA`` (stated where it is known); ``memory_share`` (how much each
+    reading keeps of the one before, as :func:`cbsr_qa.analysis.recording_memory.estimate_memory` finds it from
+    reciprocity: it is taken out of the readings; those after a saturated one are then flagged as saturated too).
+
+    Raises
+    ------
+    ConfigError
+        If an option is unknown, missing or out of range, the line is too slow for the frames, or the sensor type is
+        none of 16 × 16 readings.
+    InstrumentError
+        If the port cannot be opened, or what comes from it are no frames of this format and period.
+    """
+    return ErtBoardStream(context)
+
+
+class ErtBoardStream:
+    """Takes frames out of a stream that never stops.
+
+    A frame counts if it began after it was asked for, or where the frame before it was asked for: what the board sent
+    in between is thrown away. Its time is that of its last byte, less half a period. The board is sent no commands:
+    it cannot be switched off, and its drive current flows while it has power.
+    """
+
+    def __init__(self, context: StationContext) -> None:
+        table = InstrumentTable(context, _DRIVER, _KEYS)
+        if context.sensor_type.pattern.shape != _SHAPE:
+            rows, columns = context.sensor_type.pattern.shape
+            raise ConfigError(
+                f"instrument {context.role!r} ({_DRIVER}) sends 16 x 16 readings; sensor type"
+                f" {context.sensor_type.name!r} has {rows} x {columns}",
+                remedy="use a sensor type of 16 drive and 16 measure pairs, or another driver",
+            )
+        self._role, self._clock = context.role, context.clock
+        self._format = table.choice("format", ("binary", "ascii"), "binary")
+        self._address = table.text("address", remedy="give it the port, or usb:VID:PID of the board")
+        baud = _baud(table, self._format)
+        self._period_s = _period(context, table, self._format, baud)
+        self._range = _range(context, table, self._format)
+        self._zero = table.number("zero_counts", 0)
+        order = table.choice("order", ("measure", "drive"), "measure")
+        self._order = scan_order(order, table.whole("first_reading", 0, at_least=0, at_most=255))
+        self._current_A = 1e-3 * table.number("current_mA", at_least=1e-6) if table.has("current_mA") else None
+        self._memory = table.number("memory_share", 0.0, at_least=0.0, at_most=0.5)
+        self._stream: BoardStream = BinaryStream() if self._format == "binary" else TextStream(*self._range)
+        self._ready: deque[tuple[float, BoardFrame]] = deque()
+        self._read_s = -math.inf
+        self._heard = 0
+        self._down = False
+        #: Frames the board sent and nobody got, within calls and from one to the next that follows it at once.
+        self.frames_lost = 0
+        self._link = SerialLink(context.role, self._address, baud=baud)
+        try:
+            self._check_stream()
+        except BaseException:
+            self._link.close()
+            raise
+
+    # --- instrument ---
+
+    def identity(self) -> InstrumentIdentity:
+        """Say what the table says: a board without commands cannot be asked."""
+        model = f"ERT board, {self._format} stream of {self._period_s:g} s a frame"
+        if self._memory:
+            model += f", reading memory of {self._memory:g} taken out"
+        return InstrumentIdentity(self._role, _DRIVER, model, "", "", simulated=False)
+
+    def alive(self) -> None:
+        """Return as soon as the board has sent anything; what it sent is thrown away.
+
+        Raises
+        ------
+        InstrumentError
+            If nothing comes for the time of some frames, or the link is down (retryable).
+        """
+        with self._retried():
+            self._drain()
+            asked_s, self._heard = self._clock.now(), 0
+            while not self._heard:
+                self._check_patience(asked_s)
+                self._receive()
+
+    def safe_state(self) -> None:
+        """Do nothing: the board takes no commands, so that its current cannot be switched off."""
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._link.close()
+
+    # --- frame source ---
+
+    @property
+    def frame_period_s(self) -> float:
+        """Time of one frame, as the table says [s]."""
+        return self._period_s
+
+    def acquire(self, count: int) -> FrameBlock:
+        """Take frames one after the other, none of which began before this call.
+
+        Raises
+        ------
+        InstrumentError
+            If none comes in time or the link is down (retryable: the port is opened again).
+        """
+        if count < 1:
+            raise self._error(f"{count} frames were asked for; at least 1 is needed")
+        with self._retried():
+            since_s = self._begun_since()
+            taken = [self._next(since_s) for _ in range(count)]
+        return self._block(taken)
+
+    def _begun_since(self) -> float:
+        """Return from when on a frame may have begun; throw away what nobody asked for."""
+        now_s = self._clock.now()
+        slack_s = _WAITED_ROWS * self._row_s
+        if now_s - self._read_s <= _GOES_ON_S:
+            return now_s - _GOES_ON_S - slack_s
+        self._drain()
+        return now_s - slack_s
+
+    def _next(self, since_s: float) -> tuple[float, BoardFrame]:
+        """Return the next frame that began after a time, with the time of its end."""
+        asked_s, self._heard = self._clock.now(), 0
+        while True:
+            while self._ready:
+                end_s, frame = self._ready.popleft()
+                if end_s - self._period_s >= since_s:
+                    return self._counted(end_s, frame), frame
+            self._check_patience(asked_s)
+            self._receive()
+
+    def _counted(self, end_s: float, frame: BoardFrame) -> float:
+        """Notice frames that are missing before this one."""
+        missing = round((end_s - self._read_s) / self._period_s) - 1 if math.isfinite(self._read_s) else 0
+        lost = max(missing, int(frame.after_loss))
+        if lost:
+            self.frames_lost += lost
+            _log.warning("%s at %s: %d frames were lost before one at %.3f s", self._role, self._address, lost, end_s)
+        self._read_s = end_s
+        return end_s
+
+    def _receive(self) -> None:
+        """Wait for about a row, and take in what has come."""
+        data = self._link.read_available()
+        if not data:
+            self._clock.sleep(_WAITED_ROWS * self._row_s)
+            data = self._waited()
+        self._heard += len(data)
+        frames = self._stream.feed(data)
+        now_s = self._clock.now()
+        self._ready.extend(
+            (now_s - (len(frames) - 1 - number) * self._period_s, frame) for number, frame in enumerate(frames)
+        )
+
+    def _waited(self) -> bytes:
+        """Return what has come by now, waiting a moment for what is on its way."""
+        try:
+            first = self._link.read(1, timeout_s=_ON_ITS_WAY_S)
+        except InstrumentError as error:
+            if not error.retryable:
+                raise
+            return b""
+        return first + self._link.read_available()
+
+    def _drain(self) -> None:
+        """Throw away all that was sent before now, also what the computer has not handed on yet."""
+        self._ready.clear()
+        self._stream.restart()
+        self._read_s = -math.inf
+        try:
+            while True:
+                self._link.read(_BACKLOG_BYTES, timeout_s=_BACKLOG_S)
+        except InstrumentError as error:
+            if not error.retryable:
+                raise
+        self._link.flush_input()
+
+    def _block(self, taken: list[tuple[float, BoardFrame]]) -> FrameBlock:
+        ends_s = np.array([end_s for end_s, _ in taken])
+        counts = self._canonical(np.array([frame.counts for _, frame in taken], dtype=np.float64))
+        flags = np.zeros(counts.shape, dtype=np.uint8)
+        flags[(counts <= self._range[0]) | (counts >= self._range[1])] = ReadingFlag.SATURATED
+        values = counts - self._zero
+        if self._memory:
+            values = correct_memory(values, self._memory, self._order)
+            flags |= self._after_saturated(flags)
+        times_s = ends_s - self._period_s / 2
+        # The board reads one after the other: the n-th of 256 in the middle of the n-th part of the frame.
+        offsets = np.empty(counts[0].size)
+        offsets[self._order] = (np.arange(counts[0].size) + 0.5) / counts[0].size - 0.5
+        own_s = times_s[:, None, None] + self._period_s * offsets.reshape(_SHAPE)
+        return FrameBlock(times_s, values, flags, VoltageUnit.COUNT, self._current_A, own_s)
+
+    def _after_saturated(self, flags: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Flags of readings that follow a saturated one: nobody knows how much of it they keep."""
+        scanned = flags.reshape(len(flags), -1)[:, self._order].ravel()
+        follow = np.concatenate([[0], scanned[:-1]]).astype(np.uint8)
+        return self._canonical(follow.reshape(len(flags), -1)).astype(np.uint8)
+
+    def _canonical(self, scanned: NDArray[Any]) -> NDArray[np.float64]:
+        frames = np.empty((len(scanned), PAIRS * PAIRS))
+        frames[:, self._order] = scanned.reshape(len(scanned), -1)
+        return frames.reshape(-1, *_SHAPE)
+
+    # --- the port ---
+
+    @property
+    def _row_s(self) -> float:
+        return self._period_s / PAIRS
+
+    def _check_stream(self) -> None:
+        """See that frames come, as often as the table says."""
+        self._drain()
+        _, first = self._next(-math.inf), self._clock.now()
+        self._next(-math.inf)
+        found_s = self._clock.now() - first
+        if abs(found_s - self._period_s) > _PERIOD_SHARE * self._period_s:
+            raise self._error(
+                f"a frame came after {found_s:.3g} s; frame_period_s is {self._period_s:g}",
+                remedy="mend frame_period_s in its table: the dry run and the times of frames count with it",
+            )
+        self._read_s = -math.inf
+
+    def _reopen(self) -> None:
+        self._link.reopen()
+        self._down = False
+        self._drain()
+
+    @contextmanager
+    def _retried(self) -> Iterator[None]:
+        """Open the port again where it was lost; let whoever meets a failure try again, with a new stream."""
+        try:
+            if self._down:
+                self._reopen()
+            yield
+        except InstrumentError as error:
+            self._read_s = -math.inf
+            if error.retryable:
+                raise
+            self._down = True
+            said = error.reason.removeprefix(f"{self._role} at {self._address}: ")
+            raise self._error(said, remedy=error.remedy) from error
+
+    def _check_patience(self, asked_s: float) -> None:
+        """Give up where no frame has come for too long."""
+        after_s = self._clock.now() - asked_s
+        if after_s <= _SILENT_PERIODS * self._period_s + _SILENT_S:
+            return
+        held = f"{self._heard} bytes, but no whole frame," if self._heard else "nothing"
+        expected = f"frames of {BINARY_FRAME} bytes" if self._format == "binary" else "A and 16 lines of 16 counts"
+        raise self._error(
+            f"sent {held} for {after_s:.3g} s; expected are {expected} every {self._period_s:g} s",
+            remedy="check address, baud and format, and that the board has power",
+        )
+
+    def _error(self, reason: str, *, remedy: str = "") -> InstrumentError:
+        return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=True)
+
+
+def _baud(table: InstrumentTable, format_: str) -> int:
+    if format_ == "binary":
+        return table.whole("baud", _BINARY_BAUD, at_least=9600, at_most=12_000_000)
+    return table.whole("baud", at_least=9600, at_most=12_000_000)
+
+
+def _period(context: StationContext, table: InstrumentTable, format_: str, baud: int) -> float:
+    """Return how long a frame takes; a line that cannot send it in that time is refused."""
+    period_s = table.number("frame_period_s", at_least=1e-3, at_most=60.0)
+    least_s = BINARY_FRAME * _BITS_A_BYTE / baud
+    if format_ == "binary" and period_s < least_s:
+        raise ConfigError(
+            f"instrument {context.role!r} ({_DRIVER}): frame_period_s is {period_s:g}, but {BINARY_FRAME} bytes at"
+            f" {baud} baud take {least_s:.3g} s",
+            remedy="mend frame_period_s or baud",
+        )
+    return period_s
+
+
+def _range(context: StationContext, table: InstrumentTable, format_: str) -> tuple[int, int]:
+    """Return the ends of the converter's range."""
+    signed = table.flag("signed", False)
+    if signed and format_ == "binary":
+        raise ConfigError(
+            f"instrument {context.role!r} ({_DRIVER}): signed is true, but binary counts are unsigned",
+            remedy="leave it out; zero_counts says which count is 0 V",
+        )
+    low, high = table.numbers("range_counts", 2, _SIGNED if signed else _UNSIGNED)
+    if not _SIGNED[0] <= low < high <= _UNSIGNED[1]:
+        raise ConfigError(
+            f"instrument {context.role!r} ({_DRIVER}): range_counts is [{low:g}, {high:g}]",
+            remedy="it is the lowest and the highest count of a 16-bit converter, e.g. [0, 65535]",
+        )
+    return int(low), int(high)
