@@ -1,7 +1,7 @@
 """From configuration files to a plan, a clock and a bench."""
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
 from typing import Any
 
@@ -10,6 +10,7 @@ from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_s
 from cbsr_qa.config.merge import Configuration, merge
 from cbsr_qa.domain.errors import ConfigError, PluginError
 from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
+from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.emulate.clock import WatchedClock
 from cbsr_qa.emulate.rig import EmulatedRig
 from cbsr_qa.emulate.start import Emulation
@@ -18,6 +19,7 @@ from cbsr_qa.interfaces import Instrument, StationContext
 from cbsr_qa.plugins import Factory, Plugins
 from cbsr_qa.runner.bench import Bench, open_bench
 from cbsr_qa.runner.plan import Plan, PlannedPhase
+from cbsr_qa.runner.stopping import Action
 from cbsr_qa.simulate.world import SimulatedWorld
 
 
@@ -138,6 +140,31 @@ def open_station(
     ConfigError
         If one is not what the station file says, or a real one is put on a virtual clock.
     """
+    opened, after = opener(configuration, plugins, clock, resumed_at_s=resumed_at_s, ask=ask, emulated=emulated)
+    bench = open_bench(configuration.station.instruments, opened, after=after)
+    try:
+        check_clock(configuration, bench.identities())
+    except BaseException:
+        bench.close()
+        raise
+    return bench
+
+
+def opener(
+    configuration: Configuration,
+    plugins: Plugins,
+    clock: Clock,
+    *,
+    resumed_at_s: float = 0.0,
+    ask: Callable[[str], str] | None = None,
+    emulated: Callable[[Emulation], None] = lambda emulation: None,
+) -> tuple[Callable[[InstrumentSpec], Instrument], tuple[Action, ...]]:
+    """Start what the station emulates; parameters and errors as of :func:`open_station`.
+
+    Returns
+    -------
+    What opens one instrument, and what is called once all of them are closed.
+    """
     emulation = _emulation(configuration, plugins, clock)
     if emulation is not None:
         emulated(emulation)
@@ -146,18 +173,12 @@ def open_station(
         told = spec if emulation is None else emulation.addressed(spec)
         return _opened(told, configuration, plugins, clock, resumed_at_s, ask)
 
-    after = () if emulation is None else (("emulated instruments", emulation.close),)
-    bench = open_bench(configuration.station.instruments, opened, after=after)
-    try:
-        _check_clock(configuration, bench)
-    except BaseException:
-        bench.close()
-        raise
-    return bench
+    return opened, () if emulation is None else (("emulated instruments", emulation.close),)
 
 
-def _check_clock(configuration: Configuration, bench: Bench) -> None:
-    real = [one.role for one in bench.identities() if not one.simulated]
+def check_clock(configuration: Configuration, instruments: Iterable[InstrumentIdentity]) -> None:
+    """Make sure that no real instrument is put on a virtual clock; ConfigError where one is."""
+    real = [one.role for one in instruments if not one.simulated]
     if real and configuration.station.clock == "virtual":
         raise ConfigError(
             f"station {configuration.station.name!r} has a virtual clock, but {', '.join(real)} is a real instrument",
