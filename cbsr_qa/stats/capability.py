@@ -1,0 +1,188 @@
+"""Capability: how a process's spread and place fit between its limits.
+
+With the deviation σ̂ within subgroups (short term, ν = N − k degrees of freedom) and s of all values (ν = N − 1),
+
+    Cp = (U − L)/6σ̂,  Cpk = min(U − x̄, x̄ − L)/3σ̂,  Pp and Ppk the same with s;  one limit: that side's index only.
+
+Intervals, for normal values: Cp exact by χ² (e-Handbook 7.1.6); an index of one limit exact by the noncentral t,
+3√N Ĉ ~ t'_ν(3√N C); Cpk of two limits by Bissell 1990, Ĉ ± z √(1/9N + Ĉ²/2ν). Where subgroups differ, the mean moves
+by more than σ̂/√N, and only the intervals of Pp and Ppk, which take all values for one sample, mean what they say.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import fsum, inf, sqrt
+
+import numpy as np
+from scipy import optimize, stats
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.stats.samples import Interval, constant, sample, share
+from cbsr_qa.stats.univariate import centred
+
+
+@dataclass(frozen=True, slots=True)
+class Index:
+    """A capability index without unit, its interval, and the method of the interval."""
+
+    value: float
+    interval: Interval
+    method: str
+
+
+@dataclass(frozen=True, slots=True)
+class Capability:
+    """Indices of one metric.
+
+    Parameters
+    ----------
+    count : N.
+    mean : of all values.
+    within, overall : σ̂ and s, in the values' unit.
+    cp, pp : None where there is one limit.
+    """
+
+    count: int
+    mean: float
+    within: float
+    overall: float
+    cp: Index | None
+    cpk: Index
+    pp: Index | None
+    ppk: Index
+
+
+@dataclass(frozen=True, slots=True)
+class _Spread:
+    """A deviation, its degrees of freedom, and the number of values behind the mean."""
+
+    deviation: float
+    freedom: int
+    count: int
+
+
+def capability(
+    groups: Sequence[Iterable[float]],
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+    confidence: float = 0.95,
+    what: str = "values",
+) -> Capability:
+    """Return Cp, Cpk, Pp and Ppk of values in subgroups (one subgroup: both pairs are the same).
+
+    Parameters
+    ----------
+    groups : values of each subgroup made under like conditions (batch, day), in the unit of the limits.
+    lower, upper : limits; at least one.
+    what : the metric, for messages.
+
+    Raises
+    ------
+    NumericsError
+        No limit, limits in the wrong order, too few or missing values, or no spread.
+    """
+    _check_limits(lower, upper, what)
+    share(confidence, "confidence")
+    arrays = [sample(values, f"{what}, subgroup {index + 1}") for index, values in enumerate(groups)]
+    every = sample(np.concatenate(arrays) if arrays else (), what, least=2, spread=True)
+    within, overall = _within(arrays, what), _within([every], what)
+    mean, _ = centred(every)
+    limits = mean, lower, upper, confidence
+    return Capability(
+        count=len(every),
+        mean=mean,
+        within=within.deviation,
+        overall=overall.deviation,
+        cp=_both(within, *limits[1:]),
+        cpk=_nearest(within, *limits),
+        pp=_both(overall, *limits[1:]),
+        ppk=_nearest(overall, *limits),
+    )
+
+
+def capability_of(
+    mean: float,
+    deviation: float,
+    count: int,
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+    confidence: float = 0.95,
+) -> tuple[Index | None, Index]:
+    """Return Cp (None for one limit) and Cpk of a mean and a deviation with ``count`` − 1 degrees of freedom."""
+    _check_limits(lower, upper, "values")
+    share(confidence, "confidence")
+    if count < 2 or not deviation > 0:
+        raise NumericsError(f"capability: {count} values with a deviation of {deviation:g} have no index")
+    spread = _Spread(deviation, count - 1, count)
+    return _both(spread, lower, upper, confidence), _nearest(spread, mean, lower, upper, confidence)
+
+
+def _check_limits(lower: float | None, upper: float | None, what: str) -> None:
+    if lower is None and upper is None:
+        raise NumericsError(f"{what}: there is no limit, and so no capability")
+    if not (-inf if lower is None else lower) < (inf if upper is None else upper):
+        raise NumericsError(f"{what}: the lower limit {lower} is not below the upper one {upper}")
+
+
+def _within(arrays: Sequence["np.ndarray[tuple[int, ...], np.dtype[np.float64]]"], what: str) -> _Spread:
+    """Pool the deviation within subgroups, √(ΣΣ(x − x̄_g)²/(N − k))."""
+    count = sum(map(len, arrays))
+    freedom = count - len(arrays)
+    if freedom < 1:
+        raise NumericsError(f"{what}: every subgroup has one value", remedy="give all values as one subgroup")
+    if all(constant(array) for array in arrays):
+        raise NumericsError(f"{what}: values within the subgroups do not differ, which leaves no short-term spread")
+    squares = fsum(square for array in arrays for square in centred(array)[1] ** 2)
+    return _Spread(sqrt(squares / freedom), freedom, count)
+
+
+def _both(spread: _Spread, lower: float | None, upper: float | None, confidence: float) -> Index | None:
+    if lower is None or upper is None:
+        return None
+    value, tail = (upper - lower) / (6 * spread.deviation), (1 - confidence) / 2
+    low, high = (sqrt(float(stats.chi2.ppf(p, spread.freedom)) / spread.freedom) for p in (tail, 1 - tail))
+    return Index(value, Interval(value * low, value * high, confidence), "chi-square, exact for normal values")
+
+
+def _nearest(spread: _Spread, mean: float, lower: float | None, upper: float | None, confidence: float) -> Index:
+    room = [upper - mean] if upper is not None else []
+    room += [mean - lower] if lower is not None else []
+    value = min(room) / (3 * spread.deviation)
+    if len(room) == 1:
+        interval = _exact(value, spread, confidence)
+        return Index(value, interval, "noncentral t, exact for normal values")
+    z = float(stats.norm.isf((1 - confidence) / 2))
+    half = z * sqrt(1 / (9 * spread.count) + value**2 / (2 * spread.freedom))
+    return Index(value, Interval(value - half, value + half, confidence), "Bissell 1990, for normal values")
+
+
+def _exact(value: float, spread: _Spread, confidence: float) -> Interval:
+    scale, tail = 3 * sqrt(spread.count), (1 - confidence) / 2
+    ends = [noncentrality(scale * value, spread.freedom, p) / scale for p in (1 - tail, tail)]
+    return Interval(ends[0], ends[1], confidence)
+
+
+def noncentrality(t: float, freedom: float, below: float) -> float:
+    """Return δ for which a noncentral t of these degrees of freedom lies below ``t`` with this probability.
+
+    Parameters
+    ----------
+    t : observed statistic.
+    freedom : ν > 0.
+    below : share between 0 and 1; the larger, the smaller δ.
+    """
+
+    def excess(delta: float) -> float:
+        # The reflected tail keeps its digits where the statistic is far out on the other side.
+        shown = stats.nct.cdf(t, freedom, delta) if t >= 0 else stats.nct.sf(-t, freedom, -delta)
+        return float(shown) - below
+
+    step = 5 + abs(t)
+    low, high = t - step, t + step
+    while excess(low) < 0:
+        low -= step
+    while excess(high) > 0:
+        high += step
+    return float(optimize.brentq(excess, low, high, xtol=1e-10, rtol=1e-12))
