@@ -249,6 +249,10 @@ class Multiplexer(Instrument, Protocol):
         """Connect the next combination; after the last the first."""
         ...
 
+    def position(self) -> int:
+        """Ask which combination is connected, as an index into :meth:`order`: a lost step must not stay unseen."""
+        ...
+
 
 # --- sequences -------------------------------------------------------------------------------------------
 

@@ -9,6 +9,9 @@ _HERE: Final = "cbsr_qa_plugins"
 #: (kind, name, module and factory below this package)
 BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.INSTRUMENT, "simulated-bench", "hardware.simulated_bench:open_bench"),
+    (Kind.INSTRUMENT, "keithley-2600", "hardware.keithley_2600:open_source_meter"),
+    (Kind.INSTRUMENT, "esp32-multiplexer", "hardware.esp32_multiplexer:open_multiplexer"),
+    (Kind.INSTRUMENT, "scanned-frames", "hardware.scanned_frames:open_frames"),
     (Kind.INSTRUMENT, "ert-board-stream", "hardware.ert_board_stream:open_board"),
     (Kind.SEQUENCE, "noise-figure", "sequences.noise_figure:NoiseFigureSequence"),
     (Kind.SEQUENCE, "hysteresis-loop", "sequences.hysteresis_loop:HysteresisLoopSequence"),

@@ -40,6 +40,7 @@ def multiplexer(script):
     one.order = lambda: ((0, 0),)
     one.start = lambda: script.called("multiplexer.start")
     one.step = lambda: script.called("multiplexer.step")
+    one.position = lambda: 0
     return one
 
 

@@ -1,0 +1,240 @@
+"""As much of TSP (the Lua of Keithley's 2600 series) as drivers send: assignments, calls, functions, loops."""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Protocol
+
+#: Codes of the instrument's error queue.
+SYNTAX_ERROR: Final = -285
+RUNTIME_ERROR: Final = -286
+
+_TOKEN: Final = re.compile(
+    r"\s*(?:(?P<number>-?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)|(?P<name>[A-Za-z_]\w*(?:\.[A-Za-z_]\w*)*)"
+    r'|"(?P<text>[^"\\]*)"|(?P<sign>[(),=]))'
+)
+_KEYWORDS: Final = frozenset({"function", "for", "do", "end"})
+_CONSTANTS: Final = {"true": True, "false": False, "nil": None}
+
+Locals = dict[str, Any]
+Statement = Callable[[Locals], object]
+Expression = Callable[[Locals], tuple[Any, ...]]
+
+
+class TspError(Exception):
+    """A line that was not run, or stopped; goes into the instrument's error queue."""
+
+    def __init__(self, code: int, message: str) -> None:
+        super().__init__(message)
+        self.code = code
+
+
+class Machine(Protocol):
+    """What the language acts on. Names have dots: ``smua.source.leveli``."""
+
+    def value(self, name: str) -> Any:
+        """Return what a name stands for; TspError if it stands for nothing."""
+        ...
+
+    def assign(self, name: str, value: Any) -> None:
+        """Give an attribute a value; TspError if it takes none, or not this one."""
+        ...
+
+    def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
+        """Call a built-in function; TspError if it is none."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class _Function:
+    parameters: tuple[str, ...]
+    body: tuple[Statement, ...]
+
+
+class Interpreter:
+    """Runs one line after the other. Lines are parsed wholly before anything in them is run.
+
+    Parameters
+    ----------
+    machine : the instrument.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self._machine = machine
+        self._functions: dict[str, _Function] = {}
+
+    def run(self, line: str) -> None:
+        """Run a line.
+
+        Raises
+        ------
+        TspError
+            With -285 if it is not in the language (nothing is run), -286 or the machine's if something fails in it.
+        """
+        parser = _Parser(line, self)
+        statements = parser.block(within=False)
+        for statement in statements:
+            statement({})
+
+    def define(self, name: str, parameters: tuple[str, ...], body: tuple[Statement, ...]) -> None:
+        """Take a function."""
+        self._functions[name] = _Function(parameters, body)
+
+    def named(self, name: str, local: Locals) -> Any:
+        """Return what a name stands for here."""
+        if name in _CONSTANTS:
+            return _CONSTANTS[name]
+        return local[name] if name in local else self._machine.value(name)
+
+    def assign(self, name: str, value: Any) -> None:
+        """Give an attribute a value."""
+        self._machine.assign(name, value)
+
+    def call(self, name: str, arguments: tuple[Any, ...]) -> tuple[Any, ...]:
+        """Call a function that was defined, or else a built-in one."""
+        function = self._functions.get(name)
+        if function is None:
+            return self._machine.call(name, arguments)
+        local = dict(zip(function.parameters, arguments, strict=False))
+        for statement in function.body:
+            statement(local)
+        return ()
+
+
+class _Parser:
+    """Turns one line into statements that can be run again and again."""
+
+    def __init__(self, line: str, interpreter: Interpreter) -> None:
+        self._tokens = _tokens(line)
+        self._at = 0
+        self._interpreter = interpreter
+
+    def block(self, *, within: bool) -> tuple[Statement, ...]:
+        statements: list[Statement] = []
+        while self._peek() != ("end", "end"):
+            if self._peek() == ("", ""):
+                if within:
+                    raise self._unexpected()
+                return tuple(statements)
+            statements.append(self._statement())
+        if not within:
+            raise self._unexpected()
+        return tuple(statements)
+
+    def _statement(self) -> Statement:
+        kind, text = self._next()
+        if kind == "function":
+            return self._definition()
+        if kind == "for":
+            return self._loop()
+        if kind != "name":
+            self._at -= 1
+            raise self._unexpected()
+        if self._peek()[1] == "(":
+            return self._call(text)
+        self._expect("=")
+        value, interpreter = self._expression(), self._interpreter
+        return lambda local: interpreter.assign(text, _one(value(local)))
+
+    def _definition(self) -> Statement:
+        name = self._expect("name")
+        self._expect("(")
+        parameters: list[str] = []
+        while self._peek()[1] != ")":
+            parameters.append(self._expect("name"))
+            if self._peek()[1] == ",":
+                self._next()
+        self._expect(")")
+        body = self.block(within=True)
+        self._expect("end")
+        return lambda _: self._interpreter.define(name, tuple(parameters), body)
+
+    def _loop(self) -> Statement:
+        variable = self._expect("name")
+        self._expect("=")
+        first = self._expression()
+        self._expect(",")
+        last = self._expression()
+        self._expect("do")
+        body = self.block(within=True)
+        self._expect("end")
+
+        def run(local: Locals) -> None:
+            for number in range(int(_one(first(local))), int(_one(last(local))) + 1):
+                local[variable] = number
+                for statement in body:
+                    statement(local)
+
+        return run
+
+    def _call(self, name: str) -> Expression:
+        self._expect("(")
+        arguments: list[Expression] = []
+        while self._peek()[1] != ")":
+            arguments.append(self._expression())
+            if self._peek()[1] != ")":
+                self._expect(",")
+        self._expect(")")
+        interpreter = self._interpreter
+
+        def run(local: Locals) -> tuple[Any, ...]:
+            values: list[Any] = [_one(one(local)) for one in arguments[:-1]]
+            for one in arguments[-1:]:  # of the last argument all values count, as in Lua
+                values += one(local)
+            return interpreter.call(name, tuple(values))
+
+        return run
+
+    def _expression(self) -> Expression:
+        kind, text = self._next()
+        if kind == "number":
+            number = float(text)
+            return lambda _: (number,)
+        if kind == "text":
+            return lambda _: (text,)
+        if kind != "name":
+            self._at -= 1
+            raise self._unexpected()
+        if self._peek()[1] == "(":
+            return self._call(text)
+        interpreter = self._interpreter
+        return lambda local: (interpreter.named(text, local),)
+
+    def _peek(self) -> tuple[str, str]:
+        return self._tokens[self._at]
+
+    def _next(self) -> tuple[str, str]:
+        self._at += 1
+        return self._tokens[self._at - 1]
+
+    def _expect(self, wanted: str) -> str:
+        kind, text = self._peek()
+        if wanted not in (kind, text) or (kind == "text" and wanted != "text"):
+            raise self._unexpected()
+        return self._next()[1]
+
+    def _unexpected(self) -> TspError:
+        near = self._peek()[1] or "<eof>"
+        return TspError(SYNTAX_ERROR, f"TSP Syntax error at line 1: unexpected symbol near `{near}'")
+
+
+def _one(values: tuple[Any, ...]) -> Any:
+    return values[0] if values else None
+
+
+def _tokens(line: str) -> list[tuple[str, str]]:
+    """Cut a line into (kind, text); keywords are their own kind, the end is two empty texts."""
+    found: list[tuple[str, str]] = []
+    at = 0
+    line = line.rstrip()
+    while at < len(line):
+        match = _TOKEN.match(line, at)
+        if match is None:
+            raise TspError(
+                SYNTAX_ERROR, f"TSP Syntax error at line 1: unexpected symbol near `{line[at:].strip()[:1]}'"
+            )
+        kind = str(match.lastgroup)
+        text = match[kind]
+        found.append((text if text in _KEYWORDS and kind == "name" else kind, text))
+        at = match.end()
+    return [*found, ("", "")]

@@ -1,0 +1,337 @@
+"""The 16-channel multiplexer on an ESP32 with its command firmware: one byte a command, each echoed."""
+
+import re
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Final
+
+from cbsr_qa.clock import RealClock
+from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.domain.scan_order import Order, scan_order
+from cbsr_qa.interfaces import StationContext
+from cbsr_qa.links.serial_link import SerialLink
+from cbsr_qa_plugins.hardware._options import InstrumentTable
+
+_DRIVER: Final = "esp32-multiplexer"
+_OPTIONS: Final = (
+    "address",
+    "baud",
+    "inner",
+    "current_skip",
+    "voltage_skip",
+    "settle_ms",
+    "boot_s",
+    "timeout_s",
+    "reconnect_s",
+)
+
+#: The firmware's labels of source and sink are swapped; which of the two voltage pins is the positive one is a matter
+#: of how the meter is wired, and not looked at here.
+_ELECTRODES: Final = re.compile(rb"isrc(\d+),isnk(\d+),vn(\d+),vp(\d+)")
+_COLOUR: Final = re.compile(rb"\x1b\[[0-9;]*m")
+_LOG_LINE: Final = re.compile(rb"[EWIDV] \(\d+\) ")
+_ESCAPE: Final = b"\x1b"
+#: The counter comes with the next log line, up to a second after it was asked for.
+_COUNTER_S: Final = 1.5
+#: Out of step, this long a silence says that nothing more is to come [s, real time].
+_QUIET_S: Final = 0.15
+#: Out of step, an answer may come this many timeouts late.
+_PATIENCE: Final = 8.0
+#: How often a pulled cable is looked for [s, real time].
+_LOOK_AGAIN_S: Final = 0.2
+
+
+def open_multiplexer(context: StationContext) -> "Esp32Multiplexer":
+    """Open a multiplexer (role ``multiplexer``); opening its port restarts it.
+
+    Options of its table: ``address`` (path of the port, or ``usb:VID:PID:SERIAL``), ``baud`` (115200), ``inner``
+    (``"current"`` where the driven pair changes with every step, else ``"voltage"``), ``current_skip`` and
+    ``voltage_skip`` (electrodes between the two of a pair, 0 for neighbours), ``settle_ms`` (waited after a step),
+    ``boot_s`` (longest time it takes to start), ``timeout_s``, ``reconnect_s`` (how long a pulled cable is waited
+    for).
+
+    Raises
+    ------
+    ConfigError
+        If an option is unknown or out of range, or the firmware's pairs are not the sensor type's.
+    InstrumentError
+        If the port cannot be opened, something else answers, or it steps in another order than ``inner`` says.
+    """
+    return Esp32Multiplexer(context)
+
+
+class Esp32Multiplexer:
+    """Steps by ``i``, and is asked where it is by ``g``: a step that was lost or done twice does not stay unseen.
+
+    After any failure it is brought back into step before it is used again; where that does not help, its port is
+    opened anew, which restarts it.
+    """
+
+    def __init__(self, context: StationContext) -> None:
+        table = InstrumentTable(context, _DRIVER, _OPTIONS)
+        self._role = context.role
+        self._clock = context.clock
+        self._time = RealClock()
+        self._pattern = context.sensor_type.pattern
+        self._address = table.text("address", remedy='e.g. "/dev/ttyUSB0" or "usb:10C4:EA60"')
+        self._inner = table.choice("inner", ("current", "voltage"))
+        self._order = self._declared(table)
+        self._settle_s = 1e-3 * table.number("settle_ms", 1.0, at_least=0.0, at_most=1000.0)
+        self._boot_s = table.number("boot_s", 3.0, at_least=0.0, at_most=60.0)
+        self._timeout_s = table.number("timeout_s", 0.5, at_least=0.01, at_most=60.0)
+        self._reconnect_s = table.number("reconnect_s", 10.0, at_least=0.0, at_most=600.0)
+        self._lock = threading.RLock()
+        self._in_step = False
+        #: Index of the combination that is connected; None where only asking tells.
+        self._at: int | None = None
+        baud = table.whole("baud", 115200, at_least=300, at_most=4_000_000)
+        self._link = SerialLink(self._role, self._address, baud=baud, timeout_s=self._timeout_s)
+        try:
+            self._await_boot()
+            self._check_order()
+        except BaseException:
+            self._link.close()
+            raise
+
+    # --- instrument ---
+
+    def identity(self) -> InstrumentIdentity:
+        """Its firmware says nothing of itself; what it does is its identity."""
+        with self._talking():
+            self._asked()
+        notes = (("order", f"{self._inner} pair inner"), ("address", self._address))
+        return InstrumentIdentity(
+            self._role, _DRIVER, "ESP32 16-channel multiplexer", "", "command firmware", simulated=False, notes=notes
+        )
+
+    def safe_state(self) -> None:
+        """Nothing to do: it connects pins, and drives nothing."""
+
+    def close(self) -> None:
+        """Give the port back."""
+        self._link.close()
+
+    def alive(self) -> None:
+        """Ask whether it is where it was left.
+
+        Raises
+        ------
+        InstrumentError
+            If it does not answer, or has been restarted.
+        """
+        with self._talking():
+            before = self._at
+            if self._asked() != before and before is not None:
+                raise self._error("it has been restarted: it is not where it was left", retryable=True)
+
+    # --- multiplexer ---
+
+    def order(self) -> Order:
+        """Return the combinations in the order it steps through them."""
+        return self._order
+
+    def start(self) -> None:
+        """Step on to the first combination, and see that it is there.
+
+        Raises
+        ------
+        InstrumentError
+            If it does not get there, or an answer is lost (both retryable).
+        """
+        with self._talking():
+            moved = self._started()
+        if moved:
+            self._clock.sleep(self._settle_s)
+
+    def step(self) -> None:
+        """Connect the next combination; returns when it has settled.
+
+        Raises
+        ------
+        InstrumentError
+            If the step is not echoed (retryable).
+        """
+        with self._talking():
+            self._stepped()
+        self._clock.sleep(self._settle_s)
+
+    def position(self) -> int:
+        """Ask which combination is connected; its index in :meth:`order`."""
+        with self._talking():
+            return self._asked()
+
+    # --- how ---
+
+    def _declared(self, table: InstrumentTable) -> Order:
+        most = self._pattern.electrode_count - 2
+        skips = [table.whole(key, 0, at_least=0, at_most=most) for key in ("current_skip", "voltage_skip")]
+        try:
+            return scan_order(self._pattern, inner=self._inner, current_skip=skips[0], voltage_skip=skips[1])
+        except RefusedError as error:
+            raise ConfigError(
+                f"instrument {self._role!r} ({_DRIVER}): {error.reason}", remedy=error.remedy
+            ) from error
+
+    def _await_boot(self) -> None:
+        """Ask until it answers: while it starts, what it is sent is lost."""
+        until_s = self._time.now() + self._boot_s
+        while True:
+            try:
+                self._asked()
+            except InstrumentError:
+                if self._time.now() >= until_s:
+                    raise
+            else:
+                self._in_step = True
+                return
+
+    def _check_order(self) -> None:
+        """See by two steps and the counter that it does what the station file says."""
+        with self._talking():
+            self._check_counter(self._asked())
+            self._started()
+            self._stepped()
+            expected, found = self._at, self._asked()
+            if found != expected:
+                (drive, measure), declared = self._order[found], self._order[1]
+                raise self._error(
+                    f"after the first step it connects drive pair {drive} and measure pair {measure};"
+                    f" with inner = {self._inner!r} it is to be {declared[0]} and {declared[1]}",
+                    remedy="mend inner in its table: the pair that changes with every step is the inner one",
+                )
+
+    def _started(self) -> bool:
+        """Step on to the first combination; false where it is there already."""
+        at = self._asked() if self._at is None else self._at
+        if at == 0:
+            return False
+        for _ in range(len(self._order) - at):
+            self._stepped()
+        if (found := self._asked()) != 0:
+            raise self._error(f"told to go to its first combination, it is at number {found + 1}", retryable=True)
+        return True
+
+    def _check_counter(self, at: int) -> None:
+        """Hold its counter against where it says it is; a counter that stays out is let pass."""
+        self._link.flush_input()
+        self._link.write(b"c")
+        until_s, said = self._time.now() + _COUNTER_S, b""
+        while self._time.now() < until_s and (counter := _counter(said)) is None:
+            with suppress(InstrumentError):
+                said += self._link.read(1, timeout_s=_QUIET_S)
+        if counter is not None and counter % len(self._order) != at:
+            raise self._error(f"its counter is at {counter}, and it connects combination number {at + 1}")
+
+    @contextmanager
+    def _talking(self) -> Iterator[None]:
+        """Have it alone and in step; what ends an exchange early leaves it to be brought back into step."""
+        with self._lock:
+            in_step, self._in_step = self._in_step, False
+            if not in_step:
+                self._recover()
+            try:
+                yield
+            except InstrumentError as error:
+                # Also a line that hung up: it may be plugged in again by the next attempt.
+                retryable = error.retryable or "link is down" in error.reason
+                raise self._error(error.reason, remedy=error.remedy, retryable=retryable) from error
+            self._in_step = True
+
+    def _recover(self) -> None:
+        self._at = None
+        with suppress(InstrumentError):
+            self._asked(late=True)
+            return
+        until_s = self._time.now() + self._reconnect_s
+        while True:
+            try:
+                self._link.reopen()
+                return self._await_boot()
+            except InstrumentError as error:
+                if self._time.now() >= until_s:
+                    raise self._error(error.reason, remedy=error.remedy) from error
+            self._time.sleep(_LOOK_AGAIN_S)
+
+    def _stepped(self) -> None:
+        before, self._at = self._at, None
+        self._forget()
+        self._link.write(b"i")
+        echo = self._link.read(1)
+        while echo == _ESCAPE:  # a log line came in between
+            self._link.read_line()
+            echo = self._link.read(1)
+        if echo != b"i":
+            raise self._error(f"echoed {echo!r} to 'i'", retryable=True)
+        self._at = None if before is None else (before + 1) % len(self._order)
+
+    def _forget(self) -> None:
+        """Throw away what it said unasked; of a log line the rest as well."""
+        said = self._link.read_available()
+        if said.rfind(_ESCAPE) > said.rfind(b"\n") or _LOG_LINE.search(said.rpartition(b"\n")[2]):
+            self._link.read_line()
+
+    def _asked(self, *, late: bool = False) -> int:
+        """Ask where it is.
+
+        Parameters
+        ----------
+        late : answers to earlier questions may still come: wait until there are no more, and take the last.
+        """
+        self._forget()
+        self._link.write(b"g")
+        said, found = b"", None
+        until_s = self._time.now() + self._timeout_s * (_PATIENCE if late else 1.0)
+        while found is None and self._time.now() < until_s:
+            said += self._line(self._timeout_s)
+            found = _last(said)
+        while late and (more := self._line(_QUIET_S)):
+            found = _last(more) or found
+        found = _last(self._link.read_available()) or found
+        if found is None:
+            raise self._error(
+                f"asked which electrodes it connects, it says {said[-80:]!r}",
+                remedy="a multiplexer with the command firmware is expected; check address and firmware",
+                retryable=True,
+            )
+        self._at = self._index(found)
+        return self._at
+
+    def _line(self, timeout_s: float) -> bytes:
+        """Return the next line, or nothing where none comes in time."""
+        try:
+            return self._link.read_line(timeout_s) + b"\n"
+        except InstrumentError as error:
+            if not error.retryable:
+                raise
+            return b""
+
+    def _index(self, found: re.Match[bytes]) -> int:
+        sink, source, *voltage = map(int, found.groups())
+        drives = [index for index, pair in enumerate(self._pattern.drive) if pair == (source, sink)]
+        measures = [index for index, pair in enumerate(self._pattern.measure) if set(pair) == set(voltage)]
+        for drive in drives:
+            for measure in measures:
+                if (drive, measure) in self._order:
+                    return self._order.index((drive, measure))
+        raise self._error(
+            f"it drives from electrode {source} to {sink} and measures between {voltage[0]} and {voltage[1]},"
+            " which are no pairs of the sensor type",
+            remedy="mend current_skip and voltage_skip in its table, or the sensor type's pattern",
+        )
+
+    def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
+        return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=retryable)
+
+
+def _last(said: bytes) -> re.Match[bytes] | None:
+    """Find the last answer to ``g``; log lines and echoes may be glued to it."""
+    found = list(_ELECTRODES.finditer(_COLOUR.sub(b"", said)))
+    return found[-1] if found else None
+
+
+def _counter(said: bytes) -> int | None:
+    """Find the counter: digits between the echo and the log line that is glued to it."""
+    found = re.search(rb"c(\d+)(?=[^\d])", said)
+    return None if found is None else int(found[1])

@@ -1,0 +1,392 @@
+"""Keithley 2600 series source-measure unit: one channel drives the sheet, the other measures (TSP over VISA)."""
+
+import itertools
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.interfaces import MeterReading, StationContext
+from cbsr_qa.links.visa_link import VisaLink
+from cbsr_qa_plugins.hardware._options import InstrumentTable
+
+_DRIVER: Final = "keithley-2600"
+_OPTIONS: Final = (
+    "address",
+    "source_channel",
+    "meter_channel",
+    "compliance_V",
+    "range_V",
+    "largest_current_mA",
+    "nplc",
+    "readings",
+    "timeout_s",
+    "visa_backend",
+)
+#: Status bits of a reading in a buffer.
+_OVER_TEMPERATURE, _COMPLIANCE = 0x02, 0x40
+#: The instrument says 9.91e37 where a reading is beyond the range, or a buffer has none.
+_NO_NUMBER: Final = 9e37
+#: A voltage above this share of the compliance is taken for the limit, as in the rig's own script.
+_AT_THE_LIMIT: Final = 0.99
+#: Set values may be rounded to the instrument's resolution; what is further off was not taken.
+_TOLERANCE: Final = 1e-4
+#: The source's own current is read this fast: it costs 20 µs and brings the status bit of its limit [NPLC].
+_CURRENT_NPLC: Final = 0.001
+#: What the instrument needs for a reading beside the aperture [s], from its data sheet's rates at 0.001 NPLC.
+_OVERHEAD_S: Final = 1e-4
+#: How long the safe state waits for a thread that hangs in a question before it goes around it [s, real time].
+_PATIENCE_S: Final = 0.1
+
+
+def open_source_meter(context: StationContext) -> "Keithley2600":
+    """Open a source-measure unit (role ``source_meter``), switched off.
+
+    Options of its table: ``address`` (VISA resource), ``source_channel`` and ``meter_channel`` (``"a"`` or ``"b"``;
+    the rig drives with b), ``compliance_V``, ``range_V`` of the meter (by default the compliance),
+    ``largest_current_mA``, ``nplc`` (aperture in power line cycles), ``readings`` (averaged on the instrument),
+    ``timeout_s``, ``visa_backend``.
+
+    Raises
+    ------
+    ConfigError
+        If an option is unknown or out of range.
+    InstrumentError
+        If nobody answers, another instrument does, or it does not take its settings.
+    """
+    return Keithley2600(context)
+
+
+class Keithley2600:
+    """A two-channel source-measure unit of the 2600 series.
+
+    Every question carries a word of its own which the answer must repeat: an answer that comes late is never taken
+    for that to the next question. After any failure the instrument is brought back into step, reset and set up
+    anew before it is used again; its output is then off until :meth:`source` is called.
+    """
+
+    def __init__(self, context: StationContext) -> None:
+        table = InstrumentTable(context, _DRIVER, _OPTIONS)
+        self._role = context.role
+        self._clock = context.clock
+        self._address = table.text("address", remedy='e.g. "TCPIP::192.168.0.5::5025::SOCKET"')
+        self._source = f"smu{table.choice('source_channel', ('a', 'b'), 'b')}"
+        self._meter = f"smu{table.choice('meter_channel', ('a', 'b'), 'a')}"
+        if self._source == self._meter:
+            raise ConfigError(
+                f"instrument {self._role!r} ({_DRIVER}): {self._source} both drives and measures",
+                remedy="give source_channel and meter_channel different letters",
+            )
+        self._compliance_V = table.number("compliance_V", 20.0, at_least=0.02, at_most=200.0)
+        self._range_V = table.number("range_V", self._compliance_V, at_least=0.02, at_most=200.0)
+        self._largest_A = 1e-3 * table.number("largest_current_mA", 1.0, at_least=1e-4, at_most=1000.0)
+        self._nplc = table.number("nplc", 0.1, at_least=0.001, at_most=25.0)
+        self._readings = table.whole("readings", 1, at_least=1, at_most=1000)
+        self._line_Hz = 50.0
+        self._lock = threading.RLock()
+        self._words = itertools.count(1)
+        self._ready = False
+        self._given_A: float | None = None
+        self._link = VisaLink(
+            self._role,
+            self._address,
+            timeout_s=table.number("timeout_s", 1.0, at_least=0.01, at_most=60.0) + self.reading_period_s,
+            backend=table.text("visa_backend", "@py"),
+        )
+        try:
+            self._greet()
+            with self._talking():
+                pass
+        except BaseException:
+            self._link.close()
+            raise
+
+    # --- instrument ---
+
+    def identity(self) -> InstrumentIdentity:
+        """Ask who it is."""
+        with self._talking():
+            maker, model, serial, firmware = self._asked_identity()
+        notes = (("address", self._address),)
+        return InstrumentIdentity(
+            self._role, _DRIVER, f"{maker} {model}", serial, firmware, simulated=False, notes=notes
+        )
+
+    def safe_state(self) -> None:
+        """Switch both outputs off, going around a thread that hangs in a question; checked by reading back.
+
+        Raises
+        ------
+        InstrumentError
+            If the instrument does not confirm it.
+        """
+        held = self._lock.acquire(timeout=_PATIENCE_S)
+        try:
+            if not held:
+                with suppress(InstrumentError):
+                    self._switch_off()
+                # The one who hangs gives up at its timeout; only then can an answer be read.
+                held = self._lock.acquire(timeout=2 * self._link.timeout_s)
+                if not held:
+                    raise self._error("told to switch off; another question hangs, so that it cannot confirm it")
+            self._confirmed_off()
+        finally:
+            if held:
+                self._lock.release()
+
+    def close(self) -> None:
+        """Give the connection back."""
+        self._link.close()
+
+    def alive(self) -> None:
+        """Ask whether its outputs are as they were left.
+
+        Raises
+        ------
+        InstrumentError
+            If it does not answer, or has been reset.
+        """
+        with self._talking():
+            output = self._numbers(f"{self._source}.source.output")[0]
+            if (output == 1) != (self._given_A is not None):
+                raise self._error("it has been reset: its output is not as it was left", retryable=True)
+
+    # --- source meter ---
+
+    @property
+    def reading_period_s(self) -> float:
+        """How long one measurement takes the instrument [s]."""
+        return self._readings * ((self._nplc + _CURRENT_NPLC) / self._line_Hz + _OVERHEAD_S)
+
+    @property
+    def compliance_V(self) -> float:
+        """Voltage the source will not exceed [V]."""
+        return self._compliance_V
+
+    @property
+    def largest_current_A(self) -> float:
+        """Current the station allows [A]."""
+        return self._largest_A
+
+    def source(self, current_A: float) -> None:
+        """Set the current and switch both channels on; level and output are read back.
+
+        Raises
+        ------
+        InstrumentError
+            If the current is more than the station allows, or the instrument does not take it.
+        """
+        if not 0 < abs(current_A) <= self._largest_A:
+            raise self._error(
+                f"{1e3 * current_A:g} mA were asked for; the station allows {1e3 * self._largest_A:g} mA",
+                remedy="change largest_current_mA of its table, or the current of the frame source",
+            )
+        with self._talking():
+            if self._given_A == current_A:
+                return
+            self._link.write(f"{self._source}.source.leveli = {current_A:.9e}")
+            for channel in (self._meter, self._source):
+                self._link.write(f"{channel}.source.output = {channel}.OUTPUT_ON")
+            self._check_errors("switching the source on")
+            self._check({f"{self._source}.source.leveli": current_A, f"{self._source}.source.output": 1.0})
+            self._given_A = current_A
+
+    def off(self) -> None:
+        """Switch both channels off, and read back that they are."""
+        with self._lock:
+            self._confirmed_off()
+
+    def measure(self) -> MeterReading:
+        """Take one measurement: the readings are averaged, and all must have come.
+
+        Raises
+        ------
+        InstrumentError
+            If the source is off, an answer is lost (retryable) or the instrument too warm.
+        """
+        with self._talking():
+            if self._given_A is None:
+                raise self._error("asked to measure while the source is off", retryable=True)
+            word = f"{next(self._words) % 1000000:06d}"
+            before_s = self._clock.now()
+            values = self._link.query_binary(
+                f'cbsr_measure({self._readings}, "{word}")', 4 * self._readings, mark=word
+            ).reshape(-1, 4)
+            time_s = (before_s + self._clock.now()) / 2
+            return self._reading(values, time_s)
+
+    # --- how ---
+
+    def _reading(self, values: NDArray[np.float64], time_s: float) -> MeterReading:
+        volts, meter_status, amperes, source_status = values.T
+        if (meter_status > _NO_NUMBER).any() or (source_status > _NO_NUMBER).any():
+            got = int((meter_status < _NO_NUMBER).sum())
+            raise self._error(f"took {got} of {self._readings} readings", retryable=True)
+        bits_meter, bits_source = (np.bitwise_or.reduce(s.astype(np.int64)) for s in (meter_status, source_status))
+        if (bits_meter | bits_source) & _OVER_TEMPERATURE:
+            raise self._error(
+                "it is too warm to go on", remedy="let it cool down; look at its fan and its surroundings"
+            )
+        beyond = np.abs(volts) > _NO_NUMBER
+        volts = np.where(beyond, self._range_V, volts)
+        at_limit = np.abs(volts) >= _AT_THE_LIMIT * self._compliance_V
+        given_A = float(self._given_A or 0.0)
+        return MeterReading(
+            volts=float(volts.mean()),
+            current_A=given_A if (np.abs(amperes) > _NO_NUMBER).any() else float(amperes.mean()),
+            compliance=bool(bits_source & _COMPLIANCE),
+            saturated=bool(beyond.any() or at_limit.any() or bits_meter & _COMPLIANCE),
+            time_s=time_s,
+        )
+
+    @contextmanager
+    def _talking(self) -> Iterator[None]:
+        """Have the instrument alone, in step and set up; what ends an exchange early leaves it to be set up anew."""
+        with self._lock:
+            ready, self._ready = self._ready, False
+            if not ready:
+                self._set_up()
+            yield
+            self._ready = True
+
+    def _set_up(self) -> None:
+        """Get back into step, make sure who it is, and bring it from anywhere to its settings, switched off."""
+        self._given_A = None
+        self._link.recover()
+        self._switch_off()
+        self._asked_identity()
+        for line in self._settings():
+            self._link.write(line)
+        self._check_errors("its settings")
+        self._line_Hz = self._numbers("localnode.linefreq")[0]
+        self._check(
+            {
+                f"{self._source}.source.limitv": self._compliance_V,
+                f"{self._source}.source.output": 0.0,
+                f"{self._meter}.source.limitv": self._compliance_V,
+                f"{self._meter}.measure.nplc": self._nplc,
+            }
+        )
+
+    def _settings(self) -> list[str]:
+        source, meter = self._source, self._meter
+        lines = [
+            "reset()",
+            "errorqueue.clear()",
+            "format.data = format.REAL32",
+            "format.byteorder = format.LITTLEENDIAN",
+            "format.asciiprecision = 10",
+        ]
+        for smu in (source, meter):
+            lines += [
+                f"{smu}.sense = {smu}.SENSE_LOCAL",
+                f"{smu}.source.offmode = {smu}.OUTPUT_HIGH_Z",
+                f"{smu}.source.func = {smu}.OUTPUT_DCAMPS",
+                f"{smu}.source.leveli = 0",
+                f"{smu}.source.limitv = {self._compliance_V:.9e}",
+                f"{smu}.measure.autozero = {smu}.AUTOZERO_ONCE",
+                f"{smu}.nvbuffer1.appendmode = 1",
+            ]
+        return [
+            *lines,
+            f"{source}.source.rangei = {self._largest_A:.9e}",
+            f"{source}.measure.rangei = {self._largest_A:.9e}",
+            f"{source}.measure.nplc = {_CURRENT_NPLC:.9e}",
+            f"{meter}.measure.rangev = {self._range_V:.9e}",
+            f"{meter}.measure.nplc = {self._nplc:.9e}",
+            _measure_function(source, meter),
+        ]
+
+    def _switch_off(self) -> None:
+        """Tell both channels, whatever the instrument is doing; a script that runs is ended first."""
+        self._link.write("abort")
+        for channel in (self._source, self._meter):
+            self._link.write(f"{channel}.source.output = 0")
+
+    def _confirmed_off(self) -> None:
+        """Switch off and read back, a second time where the link was out of step."""
+        self._given_A = None
+        ready, self._ready = self._ready, False
+        if ready:
+            with suppress(InstrumentError):
+                self._ready = self._says_off()
+                return
+        with suppress(InstrumentError):  # before anything is asked: the link may be deaf on our side only
+            self._switch_off()
+        self._link.recover()
+        self._says_off()
+
+    def _says_off(self) -> bool:
+        """Switch off; true where reading back confirms it."""
+        self._switch_off()
+        outputs = self._numbers(f"{self._source}.source.output", f"{self._meter}.source.output")
+        if any(outputs):
+            raise self._error(f"told to switch off, it says its outputs are {outputs}")
+        return True
+
+    def _greet(self) -> None:
+        """Ask a stranger who it is, in words every instrument knows: the next ones only the right one knows."""
+        try:
+            self._asked_identity()
+        except InstrumentError as stranger:
+            # An answer left over from before is no stranger: then it comes back into step.
+            try:
+                self._link.recover()
+            except InstrumentError:
+                raise stranger from None
+
+    def _asked_identity(self) -> tuple[str, str, str, str]:
+        said = self._link.query("*IDN?")
+        parts = [part.strip() for part in said.split(",")]
+        if len(parts) != 4 or "keithley" not in parts[0].lower() or not parts[1].lower().startswith("model 26"):
+            raise self._error(
+                f"it says it is {said[:80]!r}; a Keithley 2600 series unit is expected",
+                remedy="mend the address in the station file",
+            )
+        return parts[0], parts[1], parts[2], parts[3]
+
+    def _numbers(self, *names: str) -> tuple[float, ...]:
+        """Ask for attributes."""
+        word = f"w{next(self._words)}"
+        said = self._link.query(f'print("{word}", {", ".join(names)})', mark=word)
+        try:
+            values = tuple(float(one) for one in said.split("\t"))
+        except ValueError:
+            values = ()
+        if len(values) != len(names):
+            raise self._error(f"answered {said[:80]!r} when asked for {', '.join(names)}", retryable=True)
+        return values
+
+    def _check(self, wanted: dict[str, float]) -> None:
+        """Read settings back and compare."""
+        for (name, value), found in zip(wanted.items(), self._numbers(*wanted), strict=True):
+            if abs(found - value) > _TOLERANCE * abs(value):
+                raise self._error(f"{name} was set to {value:.9g}, and reads back as {found:.9g}")
+
+    def _check_errors(self, doing: str) -> None:
+        """Empty the error queue; anything in it is refused."""
+        found = []
+        for _ in range(int(self._numbers("errorqueue.count")[0])):
+            word = f"w{next(self._words)}"
+            code, message, *_ = [*self._link.query(f'print("{word}", errorqueue.next())', mark=word).split("\t"), ""]
+            found.append(f"{float(code):.0f} {message}")
+        if found:
+            raise self._error(f"refused {doing}: {'; '.join(found)}")
+
+    def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
+        return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=retryable)
+
+
+def _measure_function(source: str, meter: str) -> str:
+    """Lua of one measurement: a loop on the instrument, one block of numbers, and the asker's word behind it."""
+    return (
+        f"function cbsr_measure(n, word) {meter}.nvbuffer1.clear() {source}.nvbuffer1.clear()"
+        f" for k = 1, n do {source}.measure.i({source}.nvbuffer1) {meter}.measure.v({meter}.nvbuffer1) end"
+        f" printbuffer(1, n, {meter}.nvbuffer1.readings, {meter}.nvbuffer1.statuses,"
+        f" {source}.nvbuffer1.readings, {source}.nvbuffer1.statuses) print(word) end"
+    )

@@ -1,0 +1,260 @@
+"""Frames taken reading by reading: a source-measure unit, and a multiplexer that connects it to the pins."""
+
+import logging
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.contact_check import ContactState, contact_faults
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit, join_frames
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.interfaces import Instrument, MeterReading, Multiplexer, SourceMeter, StationContext
+from cbsr_qa_plugins.hardware._options import InstrumentTable
+
+_DRIVER: Final = "scanned-frames"
+_OPTIONS: Final = ("current", "current_mA", "largest_current_mA", "headroom_percent", "contacts", "polarity")
+#: The contacts are looked at with this share of the largest current: 200 kΩ and more count as open at 20 V and 1 mA.
+_TEST_SHARE: Final = 0.1
+#: Currents that are chosen are one of these times a power of ten: the same sensor is read with the same current
+#: tomorrow.
+_STEPS: Final = (1.0, 1.2, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 6.0, 8.0)
+_WHERE: Final = "the bench"
+
+_log: Final = logging.getLogger(__name__)
+
+
+def open_frames(context: StationContext) -> "ScannedFrames":
+    """Open a frame source that scans with the bench's ``source_meter`` and ``multiplexer``.
+
+    Options of its table: ``current_mA``, or ``current = "auto"`` (the default: as much as leaves the headroom on this
+    sensor, at most ``largest_current_mA``); ``headroom_percent`` (of the source's voltage limit, 25); ``contacts``
+    (``"refuse"`` sensors with open pins or pins that touch, or ``"warn"``); ``polarity`` (``"reversed"`` where the
+    meter's leads are the other way round).
+
+    Raises
+    ------
+    ConfigError
+        If an option is unknown or out of range.
+    """
+    return ScannedFrames(context)
+
+
+class ScannedFrames:
+    """Whole frames in canonical order, whatever order the multiplexer steps in.
+
+    Where it is linked it looks at the contacts and settles the current. A frame is only given away if the
+    multiplexer says at its end that it is where a whole round ends; else it is an error that may be tried again, and
+    the next attempt begins with the first reading.
+    """
+
+    def __init__(self, context: StationContext) -> None:
+        table = InstrumentTable(context, _DRIVER, _OPTIONS)
+        self._role = context.role
+        self._clock = context.clock
+        self._pattern = context.sensor_type.pattern
+        self._stated_A = _stated_A(table, context.role)
+        self._largest_A = 1e-3 * table.number("largest_current_mA", 1.0, at_least=1e-4, at_most=1000.0)
+        self._used = 1 - table.number("headroom_percent", 25.0, at_least=0.0, at_most=90.0) / 100
+        self._refuses = table.choice("contacts", ("refuse", "warn"), "refuse") == "refuse"
+        self._sign = -1.0 if table.choice("polarity", ("normal", "reversed"), "normal") == "reversed" else 1.0
+        self._meter: SourceMeter
+        self._multiplexer: Multiplexer
+        self._period_s = 0.0
+        self._current_A = 0.0
+        self._contacts = ""
+
+    # --- instrument ---
+
+    def identity(self) -> InstrumentIdentity:
+        """Name what it scans with; the meter and the multiplexer say themselves who they are."""
+        notes = (("current", f"{1e3 * self._current_A:g} mA"), ("contacts", self._contacts))
+        return InstrumentIdentity(
+            self._role, _DRIVER, "source-measure unit and multiplexer", "", "", simulated=False, notes=notes
+        )
+
+    def safe_state(self) -> None:
+        """Nothing to do: the meter switches itself off."""
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
+    def link(self, peers: Mapping[str, Instrument]) -> None:
+        """Take meter and multiplexer, look at the contacts, and settle the current.
+
+        Raises
+        ------
+        ConfigError
+            If the bench has none.
+        InstrumentError
+            If pins are open or touch (in words), the stated current leaves too little headroom, or the meter's
+            leads are the other way round.
+        """
+        meter, multiplexer = peers.get("source_meter"), peers.get("multiplexer")
+        if not isinstance(meter, SourceMeter) or not isinstance(multiplexer, Multiplexer):
+            lacks = "multiplexer" if isinstance(meter, SourceMeter) else "source_meter"
+            raise ConfigError(
+                f"no instrument of the station provides {lacks!r}, which frames are scanned with",
+                remedy=f'name one whose table has provides = ["{lacks}"]',
+            )
+        self._meter, self._multiplexer = meter, multiplexer
+        ohm = self._driven_ohm()
+        self._check_contacts(ohm)
+        self._current_A = self._chosen_A(ohm)
+
+    # --- frame source ---
+
+    @property
+    def frame_period_s(self) -> float:
+        """Time of one frame [s]: of the last one; before the first, as steps and readings took at the link."""
+        return self._period_s
+
+    def acquire(self, count: int) -> FrameBlock:
+        """Take frames one after the other, each from its first reading on.
+
+        Raises
+        ------
+        InstrumentError
+            If an answer is lost, or the multiplexer has lost a step (retryable: nothing of the frame is kept).
+        """
+        if count < 1:
+            raise InstrumentError(self._role, _WHERE, f"{count} frames were asked for; at least 1 is needed")
+        return join_frames([self._frame() for _ in range(count)])
+
+    # --- how ---
+
+    def _frame(self) -> FrameBlock:
+        shape = self._pattern.shape
+        volts, times, flags = np.empty(shape), np.empty(shape), np.empty(shape, dtype=np.uint8)
+        start_s = self._clock.now()
+        meter, multiplexer = self._meter, self._multiplexer
+        multiplexer.start()
+        meter.source(self._current_A)
+        for drive, measure in multiplexer.order():
+            reading = meter.measure()
+            volts[drive, measure] = self._sign * reading.volts
+            times[drive, measure] = reading.time_s
+            flags[drive, measure] = _flag(reading)
+            multiplexer.step()
+        self._check_round()
+        self._period_s = self._clock.now() - start_s
+        middle_s = (times.min() + times.max()) / 2
+        return FrameBlock(
+            np.array([middle_s]), volts[None], flags[None], VoltageUnit.VOLT, self._current_A, times[None]
+        )
+
+    def _check_round(self) -> None:
+        """See that a whole round has brought the multiplexer back to its first combination."""
+        at = self._multiplexer.position()
+        if at != 0:
+            count = len(self._multiplexer.order())
+            raise InstrumentError(
+                self._role,
+                _WHERE,
+                f"after {count} steps the multiplexer is {min(at, count - at)} combinations from where it began:"
+                " steps were lost or done twice, and the frame is thrown away",
+                retryable=True,
+            )
+
+    def _driven_ohm(self) -> NDArray[np.float64]:
+        """Resistance of each driven pair (drives,): infinite with the source at its limit, NaN where not measured."""
+        pattern, multiplexer, meter = self._pattern, self._multiplexer, self._meter
+        columns = {frozenset(pair): index for index, pair in enumerate(pattern.measure)}
+        ohm = np.full(len(pattern.drive), np.nan)
+        multiplexer.start()
+        start_s, reading_s = self._clock.now(), 0.0
+        meter.source(_TEST_SHARE * self._largest_A)
+        for drive, measure in multiplexer.order():
+            pair = pattern.drive[drive]
+            if columns.get(frozenset(pair)) == measure:
+                before_s = self._clock.now()
+                turned = -1.0 if pattern.measure[measure] != pair else 1.0
+                ohm[drive] = self._ohm(meter.measure(), turned)
+                reading_s += self._clock.now() - before_s
+            multiplexer.step()
+        meter.off()
+        self._check_round()
+        stepping_s = self._clock.now() - start_s - reading_s
+        taken = int((~np.isnan(ohm)).sum())
+        each_s = reading_s / taken if taken else meter.reading_period_s
+        self._period_s = stepping_s + each_s * len(multiplexer.order())
+        return ohm
+
+    def _ohm(self, reading: MeterReading, turned: float) -> float:
+        if reading.compliance or reading.current_A == 0:
+            return np.inf
+        return self._sign * turned * reading.volts / reading.current_A
+
+    def _check_contacts(self, ohm: NDArray[np.float64]) -> None:
+        measured = ohm[~np.isnan(ohm)]
+        if not measured.size:
+            self._contacts = "not checked: no driven pair is measured itself"
+            return
+        if not np.isfinite(measured).any():
+            limit_V = self._meter.compliance_V
+            raise self._refused(
+                f"no driven pair takes the current within {limit_V:g} V",
+                "is a sensor connected, and its cable whole?",
+            )
+        if np.median(measured) < 0:
+            raise self._refused(
+                f"driven pairs read {np.median(measured) / 1e3:.3g} kΩ: the meter's leads are the other way round",
+                'exchange them, or set polarity to the other of "normal" and "reversed"',
+            )
+        faults = contact_faults(self._pattern, np.where(np.isnan(ohm), np.nanmedian(measured), np.abs(ohm)))
+        known = np.abs(measured[np.isfinite(measured)])
+        said = [fault.words() for fault in faults]
+        self._contacts = "; ".join([f"pairs of {known.min() / 1e3:.3g} to {known.max() / 1e3:.3g} kΩ", *said])
+        if self._refuses and any(fault.state is not ContactState.POOR for fault in faults):
+            raise self._refused("; ".join(said), 'mend the contact, or set contacts = "warn" to measure all the same')
+        for text in said:
+            _log.warning("%s: %s", self._role, text)
+
+    def _chosen_A(self, ohm: NDArray[np.float64]) -> float:
+        """Return the stated current if it leaves the headroom, or the largest round one that does."""
+        known = np.abs(ohm[np.isfinite(ohm)])
+        most_A = self._largest_A
+        if known.size and known.max() > 0:
+            most_A = self._used * self._meter.compliance_V / float(known.max())
+        if self._stated_A is None:
+            return _round_down(min(most_A, self._largest_A))
+        if self._stated_A > most_A:
+            worst = self._pattern.drive[int(np.nanargmax(np.where(np.isfinite(ohm), np.abs(ohm), np.nan)))]
+            volts = self._stated_A * float(known.max())
+            raise self._refused(
+                f"{1e3 * self._stated_A:g} mA need {volts:.3g} V on pair {worst[0]}-{worst[1]};"
+                f" the source ends at {self._meter.compliance_V:g} V,"
+                f" and {100 * (1 - self._used):g} % of it are to be left",
+                f"state at most {1e3 * _round_down(most_A):g} mA, or raise compliance_V",
+            )
+        return self._stated_A
+
+    def _refused(self, reason: str, remedy: str) -> InstrumentError:
+        return InstrumentError(self._role, _WHERE, reason, remedy=remedy)
+
+
+def _stated_A(table: InstrumentTable, role: str) -> float | None:
+    if not table.has("current_mA"):
+        table.choice("current", ("auto",), "auto")
+        return None
+    if table.has("current"):
+        raise ConfigError(
+            f"instrument {role!r} ({_DRIVER}) has both current and current_mA", remedy="leave one of them out"
+        )
+    return 1e-3 * table.number("current_mA", at_least=1e-4, at_most=1000.0)
+
+
+def _round_down(current_A: float) -> float:
+    power = 10.0 ** np.floor(np.log10(current_A))
+    return float(power * max(step for step in _STEPS if step <= current_A / power * (1 + 1e-9)))
+
+
+def _flag(reading: MeterReading) -> int:
+    flag = ReadingFlag.NONE
+    if reading.compliance:
+        flag |= ReadingFlag.COMPLIANCE
+    if reading.saturated:
+        flag |= ReadingFlag.SATURATED
+    return int(flag)
