@@ -51,7 +51,8 @@ def cbsr_run_started(identity: RunIdentity) -> None:
     """A run begins: its instruments are open and have said who they are, nothing has moved yet.
 
     All implementations are called; None is expected. An exception is reported as a warning of the run; it stops
-    nothing and no other implementation. The same holds for the hooks below.
+    nothing and no other implementation; only ``AbortedError(by)`` stops the run in order and says by whom. The same
+    holds for the hook below.
     """
 
 
@@ -62,4 +63,7 @@ def cbsr_phase_finished(identity: RunIdentity, phase: str) -> None:
 
 @hookspec
 def cbsr_calibration_issued(calibration: Calibration) -> None:
-    """A calibration was stored and its file written. All implementations are called; None is expected."""
+    """A calibration was stored and its file written.
+
+    All implementations are called; None is expected. An exception is reported as a warning.
+    """

@@ -42,11 +42,13 @@ class StationContext:
     scene : what a simulated instrument's world contains; None on a real bench.
     effect_factory : finds an effect's factory by name, for simulated instruments; None on a real bench.
     motion : speeds and hover height of the station; :mod:`cbsr_qa.domain.kinematics` says how long moves take.
-    resumed_at_s : last time an earlier session of the same run has stored; 0 for a new run. The clock of a session
-        begins at zero: a simulated instrument addresses its random numbers with this time too, and repeats none.
+    resumed_at_s : when on the run's own time line this session's clock began; 0 for a new run. What changes with the
+        time of the run (a drift, a contact that opens now and then) goes on from there.
     safety : what the station allows; a driver that moves by itself (feeling for the surface) keeps to it. None where
         an instrument is opened outside of a station.
     ask : shows a text to the operator and returns the answer; None where nobody is there.
+    read_recording : reads a recording (file, format or None to recognise it, data set or None), for drivers that play
+        one back; None where an instrument is opened outside of a station.
     """
 
     role: str
@@ -62,6 +64,7 @@ class StationContext:
     resumed_at_s: float = 0.0
     safety: SafetyLimits | None = None
     ask: Callable[[str], str] | None = None
+    read_recording: Callable[[Path, str | None, str | None], Recording] | None = None
 
 
 class Instrument(Protocol):
@@ -153,6 +156,31 @@ class Sampler(Instrument, Protocol):
 
     def samples_since(self, time_s: float) -> SampleBlock:
         """Return the samples taken after a time on the station's clock, up to now."""
+        ...
+
+
+@runtime_checkable
+class Alive(Instrument, Protocol):
+    """An instrument that can be asked whether it is there, without anything else coming of it.
+
+    Optional. The runner asks while it rests or holds, at least every ``heartbeat_s`` of the station's safety limits,
+    between frames: one that has fallen silent is noticed in the rest, not when it is needed next.
+    """
+
+    def alive(self) -> None:
+        """Return if it answers, soon; raise InstrumentError if it does not, or has been reset since it was used."""
+        ...
+
+
+@runtime_checkable
+class Addressed(Instrument, Protocol):
+    """A simulated instrument whose random numbers are addressed by what is measured, not by when.
+
+    Optional. A step that is done again after an interruption then gives the numbers it would have given at first.
+    """
+
+    def begin_step(self, phase: int, number: int) -> None:
+        """Be told, before each step, which one of which phase of the recipe it is (both from 0)."""
         ...
 
 

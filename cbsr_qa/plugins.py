@@ -10,7 +10,7 @@ from typing import Any
 import pluggy
 
 from cbsr_qa import hookspecs
-from cbsr_qa.domain.errors import PluginError
+from cbsr_qa.domain.errors import AbortedError, PluginError
 from cbsr_qa.hookspecs import PROJECT, Kind
 
 Factory = Callable[..., Any]
@@ -85,19 +85,27 @@ class Plugins:
             ) from error
         return factory
 
-    def tell(self, hook: str, warn: Callable[[str], None], **arguments: object) -> None:
+    def tell(self, hook: str, warn: Callable[[str], None], *, may_abort: bool = False, **arguments: object) -> None:
         """Call every implementation of a hook, each in its own ``try``: one that fails silences no other.
 
         Parameters
         ----------
         hook : name of the hook.
         warn : told about implementations that fail.
+        may_abort : whether an implementation may stop the run.
         arguments : of the hook.
+
+        Raises
+        ------
+        AbortedError
+            If one wants the run stopped, and may.
         """
         for implementation in getattr(self.manager.hook, hook).get_hookimpls():
             try:
                 implementation.function(**{name: arguments[name] for name in implementation.argnames})
-            except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+            except Exception as error:
+                if may_abort and isinstance(error, AbortedError):
+                    raise
                 warn(f"plugin {implementation.plugin_name} failed in {hook}: {_said(error)}")
 
     def add(self, plugin: object, distribution: str, version: str, entry_point: str) -> None:

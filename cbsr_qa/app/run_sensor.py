@@ -192,11 +192,11 @@ class _Session:
         def plugin_hooks(event: RunEvent) -> None:
             match event:
                 case RunStarted():
-                    tell("cbsr_run_started", warn, identity=identity)
+                    tell("cbsr_run_started", warn, may_abort=True, identity=identity)
                 case PhaseStarted():
                     names[event.index] = event.name
                 case PhaseFinished():
-                    tell("cbsr_phase_finished", warn, identity=identity, phase=names[event.index])
+                    tell("cbsr_phase_finished", warn, may_abort=True, identity=identity, phase=names[event.index])
 
         return plugin_hooks
 

@@ -1,6 +1,7 @@
 """Station files: what is on the bench and what the bench may do."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from datetime import date, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -86,6 +87,31 @@ class SafetyTable(Table):
     travel_radius_mm: Positive
     duration_h: Positive
     stale_s: Positive
+    dwell_s: Positive = 3600.0
+    compliance_percent: Annotated[float, Field(gt=0, le=100)] = 5.0
+    heartbeat_s: Positive = 10.0
+    answer_s: Positive = 120.0
+    temperature_C: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+
+    def problems(self) -> Iterator[Problem]:
+        """Yield what does not fit together within the table."""
+        if self.temperature_C is not None and not self.temperature_C[0] < self.temperature_C[1]:
+            yield Problem(("safety", "temperature_C"), "is no range; give the lowest and then the highest")
+
+    def to_domain(self) -> SafetyLimits:
+        """Percent become fractions, hours seconds."""
+        return SafetyLimits(
+            force_N=self.force_N,
+            strain=self.strain_percent / 100,
+            travel_radius_mm=self.travel_radius_mm,
+            duration_s=self.duration_h * 3600,
+            stale_s=self.stale_s,
+            dwell_s=self.dwell_s,
+            compliance=self.compliance_percent / 100,
+            heartbeat_s=self.heartbeat_s,
+            answer_s=self.answer_s,
+            temperature_C=None if self.temperature_C is None else (self.temperature_C[0], self.temperature_C[1]),
+        )
 
 
 class EmulationTable(Table):
@@ -129,11 +155,25 @@ class ReferenceRingTable(Table):
 
 
 class InstrumentTable(OpenTable):
-    """``[instruments.<role>]``: its driver, what it provides, and the driver's own options."""
+    """``[instruments.<role>]``: its driver, what it provides, who it must be, and the driver's own options."""
 
     driver: Name
     provides: Annotated[list[Word], Field(min_length=1)]
+    model: Name | None = None
+    serial: Name | None = None
     calibration_due: Annotated[str | None, BeforeValidator(_iso_date)] = None
+
+    def to_domain(self, role: str) -> InstrumentSpec:
+        """Return the instrument of this role."""
+        return InstrumentSpec(
+            role,
+            self.driver,
+            tuple(self.provides),
+            self.options,
+            self.calibration_due,
+            self.model or "",
+            self.serial or "",
+        )
 
 
 class StationFile(FileModel[Station]):
@@ -150,6 +190,7 @@ class StationFile(FileModel[Station]):
     def problems(self) -> Iterator[Problem]:
         """Every role filled once; the head one thing only; emulated instruments with a world."""
         yield from self.indenter.problems()
+        yield from self.safety.problems()
         yield from self._unemulated()
         if self.reference_ring is not None:
             yield from self.reference_ring.problems()
@@ -186,16 +227,10 @@ class StationFile(FileModel[Station]):
                 travel_speed_mm_s=self.motion.travel_speed_mm_per_min / 60,
                 hover_mm=self.motion.hover_mm,
             ),
-            safety=SafetyLimits(
-                force_N=self.safety.force_N,
-                strain=self.safety.strain_percent / 100,
-                travel_radius_mm=self.safety.travel_radius_mm,
-                duration_s=self.safety.duration_h * 3600,
-                stale_s=self.safety.stale_s,
-            ),
+            safety=self.safety.to_domain(),
             instruments=tuple(
-                InstrumentSpec(name, t.driver, tuple(t.provides), t.options, t.calibration_due)
-                for name, t in sorted(self.instruments.items())  # tables have no order in TOML
+                table.to_domain(name)
+                for name, table in sorted(self.instruments.items())  # tables have no order in TOML
             ),
             emulated_scene=None if self.emulation is None else self.emulation.scene,
             overdue=self.station.overdue,
@@ -209,6 +244,4 @@ def resolved_options(instrument: InstrumentSpec, near: Path | None) -> Instrumen
     for key in REFERENCES:
         if isinstance(name := options.get(key), str) and (path := reference_path(name, near)):
             options[key] = str(path.resolve())
-    return InstrumentSpec(
-        instrument.role, instrument.driver, instrument.provides, options, instrument.calibration_due
-    )
+    return replace(instrument, options=options)

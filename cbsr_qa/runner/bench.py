@@ -5,10 +5,19 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.plan import InstrumentSpec
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.interfaces import ForceApplicator, FrameSource, Instrument, Linked, Multiplexer, Sampler, SourceMeter
+from cbsr_qa.interfaces import (
+    Alive,
+    ForceApplicator,
+    FrameSource,
+    Instrument,
+    Linked,
+    Multiplexer,
+    Sampler,
+    SourceMeter,
+)
 from cbsr_qa.runner.stopping import DEADLINE_S, Action, stop_all
 
 FRAME_SOURCE: Final = "frame_source"
@@ -25,6 +34,8 @@ _PROTOCOLS: Final[dict[str, type]] = {
     SOURCE_METER: SourceMeter,
     MULTIPLEXER: Multiplexer,
 }
+#: Who is made safe first: what presses, then what drives current.
+_FIRST_SAFE: Final = (FORCE_APPLICATOR, SOURCE_METER, FRAME_SOURCE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +56,7 @@ class Bench:
 
     Parameters
     ----------
-    mounted : in the station file's order, which is also the order they are stopped in.
+    mounted : in the station file's order, which is also the order they are closed in.
     stop_within_s : how long all of them together may take to reach their safe state [s, real time].
     after : what else is closed once all of them are.
 
@@ -79,18 +90,27 @@ class Bench:
         Raises
         ------
         InstrumentError
-            If one does not answer.
+            If one does not answer, or is not the one that the station file asks for.
         """
-        return tuple(_identity(one) for one in self.mounted)
+        return tuple(identity_of(one) for one in self.mounted)
+
+    def name_of(self, instrument: object) -> str:
+        """Return role and driver of an instrument, as messages name it."""
+        return next((one.name for one in self.mounted if one.instrument is instrument), "an unknown instrument")
+
+    def alive(self) -> tuple[Alive, ...]:
+        """Return the instruments that can be asked whether they are there."""
+        return tuple(one.instrument for one in self.mounted if isinstance(one.instrument, Alive))
 
     def safe_state(self) -> tuple[str, ...]:
-        """Bring every instrument to its safe state, whatever the others do.
+        """Bring every instrument to its safe state, whatever the others do: the head first, then current sources.
 
         Returns
         -------
         In words, who did not get there; empty if all did.
         """
-        return self._tell_all([(one.name, one.instrument.safe_state) for one in self.mounted])
+        by_urgency = sorted(self.mounted, key=_urgency)
+        return self._tell_all([(one.name, one.instrument.safe_state) for one in by_urgency])
 
     def close(self) -> tuple[str, ...]:
         """Close every instrument, whatever the others do; returns who did not, in words."""
@@ -133,8 +153,16 @@ def open_bench(
         raise
 
 
-def _identity(one: Mounted) -> InstrumentIdentity:
+def _urgency(one: Mounted) -> int:
+    """Rank in which instruments are made safe; one that hangs delays the next."""
+    ranks = [_FIRST_SAFE.index(role) for role in one.spec.provides if role in _FIRST_SAFE]
+    return min(ranks, default=len(_FIRST_SAFE))
+
+
+def identity_of(one: Mounted) -> InstrumentIdentity:
+    """Ask one instrument who it is; see :meth:`Bench.identities`."""
     said = one.instrument.identity()
+    _recognise(one.spec, said)
     return replace(
         said,
         role=one.spec.role,
@@ -143,6 +171,24 @@ def _identity(one: Mounted) -> InstrumentIdentity:
         calibration_due=one.spec.calibration_due,
         notes=(*_address(one.spec), *said.notes),
     )
+
+
+def _recognise(spec: InstrumentSpec, said: InstrumentIdentity) -> None:
+    """Refuse another instrument than the station file asks for: limits and calibration dates are not its own."""
+    for what, expected, found in (("model", spec.model, said.model), ("serial", spec.serial, said.serial)):
+        if expected and not _names(expected, found):
+            raise InstrumentError(
+                spec.role,
+                spec.address,
+                f"it says its {what} is {found!r}; the station file expects {expected!r}",
+                remedy=f"connect the instrument that is meant, or mend address or {what} in the station file",
+            )
+
+
+def _names(expected: str, found: str) -> bool:
+    """Whether all words of the one follow each other in the other: "2634B" names a "Model 2634B"."""
+    wanted, said = expected.casefold().split(), found.casefold().split()
+    return any(said[first : first + len(wanted)] == wanted for first in range(len(said)))
 
 
 def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:

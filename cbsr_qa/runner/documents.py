@@ -1,6 +1,7 @@
 """The stream of documents: the journal has them first, everybody else only what the journal has."""
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import replace
 
 from cbsr_qa.domain.errors import AbortedError, SafetyError
@@ -18,7 +19,7 @@ class Documents:
     Parameters
     ----------
     subscribers : the first is the journal and must store a document before it returns. The others only
-        watch: one that raises is warned about and not called again.
+        watch: one that raises is warned about and not called again, unless it raises AbortedError to stop the run.
     interrupts : signals wait until a document is delivered.
     warn : is told about listeners that fail.
     """
@@ -54,7 +55,8 @@ class Documents:
             event = replace(
                 event, end=EndReason.BROKEN, detail=f"{detail}: {event.detail}" if event.detail else detail
             )
-        self._tell(event)
+        with suppress(AbortedError):  # it has ended
+            self._tell(event)
         return event
 
     def _store(self, event: RunEvent) -> None:
@@ -71,6 +73,8 @@ class Documents:
         for listener in tuple(self._listeners):
             try:
                 listener(event)
+            except AbortedError:  # it stops the run, and says who wants that
+                raise
             except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
                 self._listeners.remove(listener)
                 self._warn(f"{_name(listener)} failed and is not told more: {type(error).__name__}: {error}")

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import chain
 from typing import Any
 
 from cbsr_qa.domain import kinematics
@@ -22,7 +23,14 @@ from cbsr_qa.domain.steps import (
 from cbsr_qa.runner.frame_count import frames_in_hold
 from cbsr_qa.runner.kinds import Kind, Spent
 from cbsr_qa.runner.plan import Plan
-from cbsr_qa.runner.rules import Violation, expected_force_N, load_violations, place_violations, strain_violations
+from cbsr_qa.runner.rules import (
+    Violation,
+    dwell_violations,
+    expected_force_N,
+    load_violations,
+    place_violations,
+    strain_violations,
+)
 from cbsr_qa.runner.schedule import LoadKey, ScheduledPhase, ScheduledStep, schedule
 from cbsr_qa.runner.wording import describe, duration
 
@@ -131,14 +139,19 @@ class DryRun:
 
 
 def dry_run(
-    plan: Plan, frame_period_s: float, *, done: frozenset[LoadKey] = frozenset(), answered: bool = True
+    plan: Plan,
+    frame_period_s: float,
+    *,
+    done: frozenset[LoadKey] = frozenset(),
+    ended: frozenset[int] = frozenset(),
+    answered: bool = True,
 ) -> DryRun:
     """Walk a plan's steps with nothing but arithmetic.
 
     Parameters
     ----------
     frame_period_s : of the bench's frame source.
-    done : loads finished in an earlier session of the same run.
+    done, ended : loads and phases finished in an earlier session of the same run.
     answered : whether somebody is there to answer prompts.
 
     Raises
@@ -150,7 +163,7 @@ def dry_run(
         If a sequence's role is none.
     """
     walk = _Walk(plan, frame_period_s, answered)
-    phases = tuple(walk.phase(scheduled) for scheduled in schedule(plan, done))
+    phases = tuple(walk.phase(scheduled) for scheduled in schedule(plan, done, ended))
     walk.finish()
     return DryRun(
         phases,
@@ -179,6 +192,8 @@ class _Walk:
     place_mm: tuple[float, float] = (0.0, 0.0)
     depth_mm: float | None = None  #: None while the head is up
     load: Load | None = None  #: pressed last
+    down_s: float = 0.0  #: station time when the head was down
+    dwelt: bool = False  #: this press has been down for too long, which was said
     frames: int = 0
 
     def phase(self, scheduled: ScheduledPhase) -> DryPhase:
@@ -188,7 +203,7 @@ class _Walk:
         for step in scheduled.steps:
             before_s = self.spent.total_s()
             where = f"phase {scheduled.name!r}, {describe(step.step)}"
-            self.violations += [f"{where}: {v.what}" for v in self._step(step)]
+            self.violations += [f"{where}: {v.what}" for v in chain(self._step(step), self._dwell())]
             durations_s.append(self.spent.total_s() - before_s)
         if self.depth_mm is not None:
             self.violations.append(f"phase {scheduled.name!r} ends with the head down")
@@ -241,12 +256,20 @@ class _Walk:
             case _:
                 yield Violation("order", f"this runner does not know steps of type {type(step).__name__}")
 
+    def _dwell(self) -> Iterator[Violation]:
+        """Say once of a press that it is held for too long."""
+        if self.depth_mm is not None and not self.dwelt:
+            for violation in dwell_violations(self.spent.total_s() - self.down_s, self.plan):
+                self.dwelt = True
+                yield violation
+
     def _press(self, load: Load) -> None:
         depth_mm = load.strain * self.plan.sensor_type.thickness_mm
         self._travel(load.x_mm, load.y_mm)
         self.spent.add(Kind.PRESS, kinematics.stroke_s(self.plan.motion, depth_mm))
         self.load = load
         self._down(load.strain)
+        self.down_s, self.dwelt = self.spent.total_s(), False
 
     def _ease(self, strain: float) -> Iterator[Violation]:
         if self.depth_mm is None or self.load is None:

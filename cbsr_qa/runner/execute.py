@@ -2,22 +2,24 @@
 
 import logging
 from collections.abc import Sequence
-from contextlib import suppress
 from typing import Final
 
 from cbsr_qa.clock import Clock
-from cbsr_qa.domain.errors import AbortedError, InstrumentError, SafetyError
+from cbsr_qa.domain.errors import AbortedError
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run import RunIdentity
 from cbsr_qa.domain.run_events import PhaseFinished, PhaseStarted, RunEnded, RunStarted, StepStarted
 from cbsr_qa.runner.bench import Bench
 from cbsr_qa.runner.documents import Documents, Subscriber, Warn
 from cbsr_qa.runner.dry_run import DryPhase, DryRun, dry_run
-from cbsr_qa.runner.interrupts import Interrupts, Stopped
+from cbsr_qa.runner.ending import Ending, ending, unsafe
+from cbsr_qa.runner.interrupts import Interrupts, on_stderr
+from cbsr_qa.runner.limits import check_samplers
 from cbsr_qa.runner.performing import Ask, Performer
 from cbsr_qa.runner.plan import Plan
-from cbsr_qa.runner.safety import Interlock, State
+from cbsr_qa.runner.safety import Interlock
 from cbsr_qa.runner.schedule import LoadKey, ScheduledStep
+from cbsr_qa.runner.watchdog import Watchdog
 from cbsr_qa.runner.wording import describe
 
 _log: Final = logging.getLogger(__name__)
@@ -31,20 +33,26 @@ def execute(
     subscribers: Sequence[Subscriber],
     *,
     done: frozenset[LoadKey] = frozenset(),
+    ended: frozenset[int] = frozenset(),
     ask: Ask | None = None,
     retries: int = 2,
     warn: Warn = _log.warning,
+    tell: Warn = on_stderr,
 ) -> RunEnded:
     """Run a plan on an open bench and leave the bench safe.
+
+    The bench is brought to its safe state before anything else: an earlier session may have been killed.
 
     Parameters
     ----------
     subscribers : told every document in order. The first is the journal: it has stored a document before
         anybody else sees it, and a document it cannot store breaks the run. The others cannot stop the run.
     done : loads (phase, index) finished in an earlier session of the same run; they are not pressed again.
+    ended : phases that ended in an earlier session; only homing and surface finding of them are done again.
     ask : shows a prompt and returns when it is answered.
     retries : how often an operation that failed retryably is tried again.
     warn : is told about subscribers that fail.
+    tell : is told what a signal did and what another would do, at once and from a signal's handler.
 
     Returns
     -------
@@ -54,27 +62,37 @@ def execute(
     Raises
     ------
     RefusedError
-        Before anything is told or moved: the plan breaks the station's limits, or there is no journal.
+        Before anything is told or moved: the plan breaks the station's limits, a limit cannot be watched, or there is
+        no journal.
+    SafetyError
+        If the bench could not be brought to its safe state before the run; nothing was told.
     """
-    dry = dry_run(plan, bench.frame_source.frame_period_s, done=done, answered=ask is not None)
+    dry = dry_run(plan, bench.frame_source.frame_period_s, done=done, ended=ended, answered=ask is not None)
     dry.refuse()
-    with Interrupts() as interrupts:
+    check_samplers(plan, bench.samplers)
+    interlock = Interlock()
+    with (
+        Interrupts(tell) as interrupts,
+        Watchdog(
+            plan.safety.answer_s, break_in=interrupts.break_in, make_safe=bench.safe_state, tell=tell
+        ) as watchdog,
+    ):
+        interlock.clear(bench)
+        interrupts.hurry = watchdog.hurry
         documents = Documents(subscribers, interrupts, warn)
-        interlock = Interlock(plan, clock.now())
-        performer = Performer(plan, bench, clock, documents, interlock, retries=retries, ask=ask)
+        performer = Performer(
+            plan,
+            bench,
+            clock,
+            documents,
+            interlock,
+            interrupts=interrupts,
+            watchdog=watchdog,
+            retries=retries,
+            ask=ask,
+        )
         walk = _Walk(dry, performer, documents, interlock, clock)
-        end, detail = EndReason.BROKEN, ""
-        try:
-            walk.through(identity)
-            interrupts.mask()
-            end = EndReason.FINISHED
-        except BaseException as error:  # noqa: BLE001 - whatever it is, the head comes up
-            interrupts.mask()
-            end, detail = _ending(error, walk.where())
-        finally:
-            silent = interlock.stop(bench)
-        if silent:
-            end, detail = EndReason.BROKEN, "; ".join([*filter(None, [detail]), *map(_not_safe, silent)])
+        end, detail = walk.to_its_end(identity, bench, interrupts)
         return documents.finish(RunEnded(end, detail, clock.now(), performer.spent.table()))
 
 
@@ -91,20 +109,45 @@ class _Walk:
         self._clock = clock
         self._left_s = dry.duration_s
         self._at: tuple[DryPhase, ScheduledStep] | None = None
+        self._end: Ending | None = None
 
-    def through(self, identity: RunIdentity) -> None:
-        """Tell and carry out everything."""
+    def to_its_end(self, identity: RunIdentity, bench: Bench, interrupts: Interrupts) -> Ending:
+        """Carry out everything, and leave the bench safe whatever comes up; nothing is raised."""
+        silent: tuple[str, ...] = ()
+        try:
+            with interrupts.heard():
+                self._through_or_back(identity, interrupts)
+        except BaseException as error:  # noqa: BLE001 - whatever it is, the head comes up
+            interrupts.mask()
+            self._end = ending(error, self.where(), at_once=interrupts.urgent, before=self._end)
+        finally:
+            interrupts.mask()
+            silent = self._interlock.stop(bench)
+        assert self._end is not None
+        return unsafe(self._end, silent) if silent else self._end
+
+    def _through_or_back(self, identity: RunIdentity, interrupts: Interrupts) -> None:
+        """Carry out everything; where somebody stops it, lift the head as after any press."""
+        try:
+            self._through(identity)
+        except (AbortedError, KeyboardInterrupt) as error:
+            self._end = ending(error, self.where(), at_once=interrupts.urgent)
+            if not interrupts.urgent:
+                self._performer.retreat()
+        else:
+            self._end = EndReason.FINISHED, ""
+
+    def _through(self, identity: RunIdentity) -> None:
         self._documents.emit(RunStarted(identity))
-        self._interlock.to(State.ARMED)
         for phase in self._dry.phases:
             self._phase(phase)
 
     def where(self) -> str:
-        """Say which step was under way, and what the bench was doing."""
+        """Say while which step it was, and what the bench was doing."""
         if self._at is None:
-            return f"before the first step, bench {self._interlock.state}"
+            return "before the first step"
         phase, step = self._at
-        said = f"{describe(step.step)} (phase {phase.scheduled.name!r}, step {step.number})"
+        said = f"while {describe(step.step)} (phase {phase.scheduled.name!r}, step {step.number})"
         return f"{said}, bench {self._interlock.state}"
 
     def _phase(self, phase: DryPhase) -> None:
@@ -122,23 +165,3 @@ class _Walk:
         self._performer.finish_load()
         if not told.finished:
             self._documents.emit(PhaseFinished(told.index, self._clock.now()))
-
-
-def _ending(error: BaseException, where: str) -> tuple[EndReason, str]:
-    with suppress(Exception):
-        _log.debug("the run ended while %s", where, exc_info=error)
-    match error:
-        case AbortedError() | Stopped():
-            return EndReason.ABORTED, f"by {error.by}, while {where}"
-        case KeyboardInterrupt():
-            return EndReason.ABORTED, f"by the operator (Ctrl-C), while {where}"
-        case SafetyError():
-            return EndReason.BROKEN, f"rule {error.rule!r}: {error.reason}, while {where}"
-        case InstrumentError():
-            return EndReason.BROKEN, f"{error.reason}, while {where}"
-        case _:
-            return EndReason.BROKEN, f"{type(error).__name__}: {error}, while {where}"
-
-
-def _not_safe(said: str) -> str:
-    return f"NOT SAFE: {said}; look at the bench before touching it"

@@ -1,13 +1,22 @@
-"""Ctrl-C, termination and hang-up during a run: heard once, never in the middle of a commit or of stopping."""
+"""Ctrl-C, termination and hang-up during a run: the first ends it in order, the second at once."""
 
+import os
 import signal
+import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, Final, Self
 
 _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP")  # the last is unknown on Windows
+
+#: Said on the first signal and on the second.
+FIRST: Final = (
+    "{}: the run stops in order. What is under way is completed and stored, the head comes up at its press speed,"
+    " the bench is made safe. A second signal makes it safe at once."
+)
+SECOND: Final = "{}: everything is made safe at once. Further signals are ignored until it is."
 
 
 class Stopped(KeyboardInterrupt):
@@ -18,60 +27,133 @@ class Stopped(KeyboardInterrupt):
         self.by = by
 
 
-class Interrupts:
-    """While entered, signals end the run by an exception at a moment when nothing can be torn.
+def on_stderr(line: str) -> None:
+    """Write a line past Python's buffers, which a signal may have found half written."""
+    with suppress(OSError, AttributeError, ValueError):  # no terminal, or one that has gone
+        os.write((sys.__stderr__ or sys.stderr).fileno(), f"{line}\n".encode())
 
-    The first signal raises where the run is, or after the document being delivered; a second one breaks
-    through a delivery that hangs. From :meth:`mask` on every signal is ignored: the bench is being made safe,
-    and an impatient second Ctrl-C must not leave the head down. Handlers the application installed are called;
-    where there is none the signal raises :class:`Stopped`. A signal the process inherited as ignored (SIGHUP under
-    nohup, SIGINT in a script's background) stays ignored: whoever started it wanted that. Outside the main thread
-    nothing is installed, because Python delivers no signals there.
+
+class Interrupts:
+    """While entered, signals end the run at a moment when nothing can be torn.
+
+    The first signal is only remembered: :meth:`poll` raises it where the run may end, which is after every
+    document and within :meth:`idle`. The second raises wherever the run is, also in a delivery or a driver that
+    hangs, and :attr:`urgent` says so. Both do that only within :meth:`heard`; outside, and from :meth:`mask` on,
+    nothing is raised: the bench is being made safe, and impatience must not leave the head down. Handlers the
+    application installed are asked who it was; where there is none the signal raises :class:`Stopped`. A signal the
+    process inherited as ignored (SIGHUP under nohup, SIGINT in a script's background) stays ignored: whoever started
+    it wanted that. Outside the main thread nothing is installed, because Python delivers no signals there.
+
+    Parameters
+    ----------
+    tell : told in words what a signal does, and what another would do.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, tell: Callable[[str], None] = on_stderr) -> None:
+        #: The run is to end at once, not in order.
+        self.urgent = False
+        #: Called on the first signal: what is under way gets little time from now on.
+        self.hurry: Callable[[], None] = lambda: None
+        self._tell = tell
         self._before: dict[signal.Signals, Any] = {}
+        self._alarm_before: Any = None
+        self._first: signal.Signals | None = None
+        self._overdue: BaseException | None = None
+        self._raised = False
         self._masked = False
-        self._delivering = False
-        self._pending: signal.Signals | None = None
+        self._heard_now = False
+        self._idle = False
 
     def __enter__(self) -> Self:
         if threading.current_thread() is threading.main_thread():
             for number in [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]:
                 if signal.getsignal(number) not in (signal.SIG_IGN, None):  # None: not set from Python
-                    self._before[number] = signal.signal(number, self._heard)
+                    self._before[number] = signal.signal(number, self._hear)
+            if hasattr(signal, "SIGALRM"):
+                self._alarm_before = signal.signal(signal.SIGALRM, self._broken_into)
         return self
 
     def __exit__(self, *_: object) -> None:
         for number, handler in self._before.items():
             signal.signal(number, handler)
+        if self._alarm_before is not None:
+            signal.signal(signal.SIGALRM, self._alarm_before)
 
     def mask(self) -> None:
-        """Ignore signals from here on."""
+        """Take no notice of signals from here on."""
         self._masked = True
 
     @contextmanager
-    def deferred(self) -> Iterator[None]:
-        """Let a signal wait until what is inside has been done."""
-        self._delivering = True
+    def heard(self) -> Iterator[None]:
+        """Let signals end what is inside; what comes up while this is left is raised to whoever entered it."""
+        self._heard_now = True
         try:
             yield
         finally:
-            self._delivering = False
-        if self._pending is not None and not self._masked:
-            self._raise(self._pending)
+            self._heard_now = False
 
-    def _heard(self, number: int, _: FrameType | None) -> None:
+    @contextmanager
+    def idle(self) -> Iterator[None]:
+        """Let the first signal end at once what is inside: nothing happens but waiting."""
+        self._idle = True
+        try:
+            self.poll()
+            yield
+        finally:
+            self._idle = False
+
+    @contextmanager
+    def deferred(self) -> Iterator[None]:
+        """Let the first signal end the run once what is inside has been done."""
+        yield
+        self.poll()
+
+    def poll(self) -> None:
+        """Raise the first signal, if there was one: here the run may end.
+
+        Raises
+        ------
+        Stopped, KeyboardInterrupt, AbortedError
+            Saying who stopped the run; once.
+        """
+        if self._first is not None and self._heard_now and not self._raised:
+            self._raise()
+
+    def break_in(self, error: BaseException) -> None:
+        """Raise an error in the main thread, wherever it hangs; called by another thread.
+
+        It does nothing where no signal was installed. A call that waits in C is woken where the system can do that.
+        """
+        self._overdue = error
+        if self._alarm_before is not None:
+            ident = threading.main_thread().ident
+            assert ident is not None
+            signal.pthread_kill(ident, signal.SIGALRM)
+
+    def _hear(self, number: int, _: FrameType | None) -> None:
         if self._masked:
             return
-        if self._delivering and self._pending is None:
-            self._pending = signal.Signals(number)
-            return
-        self._raise(signal.Signals(number))
+        name = signal.Signals(number).name
+        if self._first is None:
+            self._first = signal.Signals(number)
+            self._tell(FIRST.format(name))
+            self.hurry()
+            if self._idle:
+                self.poll()
+        elif self._heard_now and not self.urgent:
+            self.urgent = self._masked = True
+            self._tell(SECOND.format(name))
+            self._raise()
 
-    def _raise(self, number: signal.Signals) -> None:
-        self._masked = True
-        before = self._before[number]
+    def _broken_into(self, _: int, __: FrameType | None) -> None:
+        if self._heard_now and not self._masked and self._overdue is not None:
+            self._masked = True
+            raise self._overdue
+
+    def _raise(self) -> None:
+        self._raised = True
+        assert self._first is not None
+        before = self._before[self._first]
         if callable(before):
-            before(number, None)
-        raise Stopped(f"signal {number.name}")
+            before(self._first, None)
+        raise Stopped(f"signal {self._first.name}")

@@ -1,6 +1,7 @@
 """Carries out one step after the other on the bench."""
 
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import replace
 from functools import partial
 from typing import Final, TypeVar
@@ -10,22 +11,24 @@ from cbsr_qa.domain import kinematics
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.frames import FrameBlock
 from cbsr_qa.domain.loads import Load
-from cbsr_qa.domain.run_events import FramesTaken, LoadFinished, SamplesTaken, StepRetried, Unloaded
+from cbsr_qa.domain.run_events import FramesTaken, LoadFinished, StepRetried, Unloaded
 from cbsr_qa.domain.steps import AcquireFrames, Ease, FindSurface, Hold, Home, MarkUnloaded, Press, Prompt, Release
-from cbsr_qa.interfaces import Sampler
+from cbsr_qa.interfaces import Addressed
 from cbsr_qa.runner.bench import FRAME_SOURCE, Bench
 from cbsr_qa.runner.documents import Documents
 from cbsr_qa.runner.frame_count import another_frame
+from cbsr_qa.runner.interrupts import Interrupts
 from cbsr_qa.runner.kinds import Kind, Spent
+from cbsr_qa.runner.limits import Limits
 from cbsr_qa.runner.load_log import LoadLog
 from cbsr_qa.runner.plan import Plan
 from cbsr_qa.runner.safety import Interlock, State
 from cbsr_qa.runner.schedule import ScheduledStep, ends_rest
+from cbsr_qa.runner.watchdog import Watchdog
+from cbsr_qa.runner.watching import Watch
 
 T = TypeVar("T")
 
-#: While nothing else happens, force and duration are looked at this often [s].
-WATCH_S: Final = 5.0
 #: Pause before an operation that failed is tried again [s].
 RETRY_PAUSE_S: Final = 0.5
 #: Shorter rests of a hold than this are over: below the resolution of any clock after hours [s].
@@ -39,6 +42,8 @@ class Performer:
 
     Parameters
     ----------
+    interrupts : signals end a wait at once.
+    watchdog : is told whatever is asked of an instrument.
     retries : how often an operation that failed retryably is tried again.
     ask : shows a prompt and returns when it is answered; None where nobody is there.
     """
@@ -51,6 +56,8 @@ class Performer:
         documents: Documents,
         interlock: Interlock,
         *,
+        interrupts: Interrupts,
+        watchdog: Watchdog,
         retries: int,
         ask: Ask | None,
     ) -> None:
@@ -60,11 +67,16 @@ class Performer:
         self._clock = clock
         self._documents = documents
         self._interlock = interlock
+        self._interrupts = interrupts
+        self._watchdog = watchdog
+        self._limits = Limits(plan, clock.now())
+        self._watch = Watch(plan, bench, clock, documents, interlock, self._limits, self._asked)
+        self._head = bench.name_of(bench.force_applicator)
         self._retries = retries
         self._ask = ask
         self._loads = LoadLog()
         self._at = ScheduledStep(0, 0, Home(), None)
-        self._drained_s = dict.fromkeys(range(len(bench.samplers)), clock.now())
+        self._addressed = [one.instrument for one in bench.mounted if isinstance(one.instrument, Addressed)]
 
     def perform(self, scheduled: ScheduledStep) -> None:
         """Carry out one step.
@@ -77,6 +89,8 @@ class Performer:
         if ends_rest(scheduled.step):
             self.finish_load()
         self._at = scheduled
+        for instrument in self._addressed:
+            instrument.begin_step(scheduled.phase, scheduled.number)
         match scheduled.step:
             case Press(load=load):
                 self._press(load)
@@ -94,7 +108,13 @@ class Performer:
                 self._documents.emit(Unloaded(scheduled.phase, self._clock.now()))
             case _:
                 self._set_up(scheduled)
-        self._watch()
+        self._look()
+
+    def retreat(self) -> None:
+        """Lift a head that is down and still as after any press: in order, before the bench is made safe."""
+        if self._interlock.state is State.PRESSED:
+            with self.spent.on(Kind.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
+                self._lift()
 
     def finish_load(self) -> None:
         """Tell about the last load, once its rest is over."""
@@ -106,59 +126,71 @@ class Performer:
         applicator = self._bench.force_applicator
         match scheduled.step:
             case Home():
+                reach_mm = self._plan.safety.travel_radius_mm
                 with self.spent.on(Kind.HOME, self._clock):
-                    self._move(applicator.home)
+                    self._move(applicator.home, "homing", kinematics.homing_s(self._plan.motion, reach_mm))
             case FindSurface(x_mm=x_mm, y_mm=y_mm):
                 self._travel(x_mm, y_mm)
                 self._feel(partial(applicator.find_surface, x_mm, y_mm))
             case Prompt(text=text):
                 assert self._ask is not None  # the dry run refuses prompts that nobody can answer
-                with self.spent.on(Kind.PROMPT, self._clock):
+                with self.spent.on(Kind.PROMPT, self._clock), self._interrupts.idle():
                     self._ask(text)
 
     def _press(self, load: Load) -> None:
-        self._interlock.check_load(load)
+        self._limits.check_load(load)
         self._travel(load.x_mm, load.y_mm)
         motion = self._plan.motion
         depth_mm = load.strain * self._plan.sensor_type.thickness_mm
         assert self._at.load is not None
         with self._interlock.passing(State.PRESSING, State.PRESSED):
-            self._watch()  # the head does not go down on a load cell that has fallen silent
+            self._look()  # the head does not go down on a load cell that has fallen silent
             self._loads.begin(self._at.load, load, self._clock.now(), kinematics.lift_off_s(motion, depth_mm))
-            # A press that failed is not tried again: nobody knows how deep the head is.
-            with self.spent.on(Kind.PRESS, self._clock):
-                self._bench.force_applicator.press(depth_mm, motion.press_speed_mm_s)
+            self._go_down(depth_mm)
         self._loads.mark(self._clock.now())
 
     def _ease(self, strain: float) -> None:
         """Go to another depth; everything a press is held against holds, and a failure is not tried again either."""
         load, motion = self._loads.load, self._plan.motion
         assert load is not None  # the dry run refuses to ease a head that is up
-        self._interlock.check_load(replace(load, strain=strain))
+        self._limits.check_load(replace(load, strain=strain))
         depth_mm = strain * self._plan.sensor_type.thickness_mm
         with self._interlock.passing(State.EASING, State.PRESSED):
-            self._watch()
+            self._look()
             start_s = self._clock.now()
-            with self.spent.on(Kind.PRESS, self._clock):
-                self._bench.force_applicator.press(depth_mm, motion.press_speed_mm_s)
+            self._go_down(depth_mm)
         self._loads.ease(strain, start_s, self._clock.now(), kinematics.lift_off_s(motion, depth_mm))
+
+    def _go_down(self, depth_mm: float) -> None:
+        """Press, or ease; where that failed it is not tried again: nobody knows how deep the head is."""
+        motion = self._plan.motion
+        with self.spent.on(Kind.PRESS, self._clock), self._expect("pressing", kinematics.stroke_s(motion, depth_mm)):
+            self._bench.force_applicator.press(depth_mm, motion.press_speed_mm_s)
 
     def _release(self) -> None:
         self._loads.mark(self._clock.now())
         with self.spent.on(Kind.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
             # Going up is safe however often.
-            self._attempt(self._bench.force_applicator.release, before_another=self._loads.lose_track)
+            self._attempt(self._lift, before_another=self._loads.lose_track)
         self._loads.mark(self._clock.now())
 
-    def _travel(self, x_mm: float, y_mm: float) -> None:
-        self._interlock.check_place(x_mm, y_mm)
-        with self.spent.on(Kind.TRAVEL, self._clock):
-            self._move(partial(self._bench.force_applicator.move_to, x_mm, y_mm))
+    def _lift(self) -> None:
+        deepest_mm = self._plan.safety.strain * self._plan.sensor_type.thickness_mm
+        with self._expect("lifting the head", kinematics.stroke_s(self._plan.motion, deepest_mm)):
+            self._bench.force_applicator.release()
 
-    def _move(self, motion: Callable[[], object]) -> None:
+    def _travel(self, x_mm: float, y_mm: float) -> None:
+        self._limits.check_place(x_mm, y_mm)
+        across_mm = 2 * self._plan.safety.travel_radius_mm
+        with self.spent.on(Kind.TRAVEL, self._clock):
+            there = partial(self._bench.force_applicator.move_to, x_mm, y_mm)
+            self._move(there, "travelling", kinematics.travel_s(self._plan.motion, across_mm))
+        self._interrupts.poll()  # what comes next goes down
+
+    def _move(self, motion: Callable[[], object], what: str, work_s: float) -> None:
         """Move with the head up; before another attempt the head is lifted, wherever the first one left it."""
         with self._interlock.passing(State.MOVING, State.ARMED):
-            self._attempt(motion, before_another=self._bench.force_applicator.release)
+            self._attempt(self._expected(motion, what, work_s), before_another=self._lift)
 
     def _feel(self, search: Callable[[], object]) -> None:
         """Let the applicator feel for the surface; it touches the sheet, so the force must be known.
@@ -167,9 +199,10 @@ class Performer:
         checks before and right after it.
         """
         with self.spent.on(Kind.SURFACE, self._clock), self._interlock.passing(State.FEELING, State.ARMED):
-            self._watch()
-            self._attempt(search, before_another=self._bench.force_applicator.release)
-            self._watch()
+            self._look()
+            work_s = kinematics.surface_search_s(self._plan.motion)
+            self._attempt(self._expected(search, "feeling for the surface", work_s), before_another=self._lift)
+            self._look()
 
     def _hold(self, hold: Hold) -> None:
         end_s = self._clock.now() + hold.hold_s
@@ -182,17 +215,19 @@ class Performer:
             self._wait_until(end_s)
 
     def _wait_until(self, end_s: float) -> None:
-        safety_s = self._plan.safety.stale_s / 2 if self._interlock.touching else WATCH_S
         while (left_s := end_s - self._clock.now()) > _OVER_S:
-            self._clock.sleep(min(left_s, safety_s, WATCH_S))
-            self._watch()
+            with self._interrupts.idle():
+                self._clock.sleep(min(left_s, self._watch.next_look_s()))
+            self._look()
 
     def _take_frame(self) -> None:
-        before_s = self._clock.now()
-        block = self._attempt(partial(self._bench.frame_source.acquire, 1))
+        source, before_s = self._bench.frame_source, self._clock.now()
+        who = self._bench.name_of(source)
+        block = self._asked(partial(source.acquire, 1), f"{who}: a frame", source.frame_period_s)
         self._check_frame(block, self._clock.now() - before_s)
         self._documents.emit(FramesTaken(self._at.phase, block))
-        self._watch()
+        self._limits.check_frame(block, who)  # after the journal has it: it is the evidence
+        self._look()
 
     def _check_frame(self, block: FrameBlock, took_s: float) -> None:
         expected = (1, *self._plan.sensor_type.pattern.shape)
@@ -203,18 +238,29 @@ class Performer:
         if not took_s > 0:  # a hold would never end
             raise InstrumentError(FRAME_SOURCE, "the bench", "a frame took no time on the station's clock")
 
-    def _watch(self) -> None:
-        """Take over what the samplers have, and check the limits."""
-        for number, sampler in enumerate(self._bench.samplers):
-            self._drain(number, sampler)
-        self._interlock.check_time(self._clock.now())
+    def _look(self) -> None:
+        self._watch.look(self._at.phase)
 
-    def _drain(self, number: int, sampler: Sampler) -> None:
-        block = self._attempt(partial(sampler.samples_since, self._drained_s[number]))
-        if len(block):
-            self._drained_s[number] = float(block.time_s[-1])
-            self._documents.emit(SamplesTaken(self._at.phase, block))
-            self._interlock.check_samples(block)  # after the journal has it: it is the evidence
+    def _expect(self, what: str, work_s: float) -> AbstractContextManager[None]:
+        return self._watchdog.expect(f"{self._head}: {what}", work_s)
+
+    def _expected(self, motion: Callable[[], T], what: str, work_s: float) -> Callable[[], T]:
+        """Return the motion with the watchdog told what it is and how long it takes when all is well."""
+
+        def watched() -> T:
+            with self._expect(what, work_s):
+                return motion()
+
+        return watched
+
+    def _asked(self, operation: Callable[[], T], what: str, work_s: float = 0.0) -> T:
+        """Ask an instrument, and again where that is harmless, under the eyes of the watchdog."""
+
+        def watched() -> T:
+            with self._watchdog.expect(what, work_s):
+                return operation()
+
+        return self._attempt(watched)
 
     def _attempt(self, operation: Callable[[], T], *, before_another: Callable[[], object] | None = None) -> T:
         attempt = 0

@@ -3,11 +3,15 @@
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from cbsr_qa.domain.loads import Load
 from cbsr_qa.runner.plan import Plan
+
+#: Sums of durations are compared with this much room: below the resolution of any clock after hours [s].
+_ROUNDING_S: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +20,7 @@ class Violation:
 
     Parameters
     ----------
-    rule : ``"strain"``, ``"force"``, ``"travel"``, ``"duration"`` or ``"order"``.
+    rule : ``"strain"``, ``"force"``, ``"travel"``, ``"dwell"``, ``"duration"`` or ``"order"``.
     what : what is asked for and what is allowed.
     """
 
@@ -87,6 +91,13 @@ def strain_violations(strain: float, plan: Plan) -> Iterator[Violation]:
     force_N = expected_force_N(strain, plan)
     if not force_N <= plan.safety.force_N:
         yield Violation("force", f"{force_N:.3g} N expected; the station allows {plan.safety.force_N:g} N")
+
+
+def dwell_violations(dwell_s: float, plan: Plan) -> Iterator[Violation]:
+    """Yield what is wrong with a head that has been down, and still or eased, for this long."""
+    if not dwell_s <= plan.safety.dwell_s + _ROUNDING_S:
+        allowed_s = plan.safety.dwell_s
+        yield Violation("dwell", f"the head is down for {dwell_s:.4g} s; the station allows {allowed_s:g} s")
 
 
 def expected_force_N(strain: float, plan: Plan) -> float:

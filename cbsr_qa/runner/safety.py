@@ -1,24 +1,19 @@
 """Safety as a state machine: what the bench may do next, and how it comes to rest whatever happens."""
 
-import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from typing import Final
 
 from cbsr_qa.domain.errors import SafetyError
-from cbsr_qa.domain.frames import SampleBlock
-from cbsr_qa.domain.loads import Load
-from cbsr_qa.runner.bench import FORCE_CHANNEL, Bench
-from cbsr_qa.runner.plan import Plan
-from cbsr_qa.runner.rules import Violation, load_violations, place_violations
-from cbsr_qa.runner.wording import duration
+from cbsr_qa.runner.bench import Bench
 
 
 class State(StrEnum):
     """States of the bench as the runner knows it."""
 
     IDLE = "idle"  #: nothing was touched yet
+    CLEARING = "clearing"  #: every instrument is being told to reach its safe state, whatever it was left in
     ARMED = "armed"  #: the head is up and still; steps may begin
     MOVING = "moving"  #: the head travels or homes
     FEELING = "feeling"  #: the head feels for the surface, and touches it
@@ -33,7 +28,8 @@ class State(StrEnum):
 
 #: Which state may follow which. STOPPING may follow every one but the two it ends in.
 TRANSITIONS: Final[dict[State, frozenset[State]]] = {
-    State.IDLE: frozenset({State.ARMED, State.STOPPING}),
+    State.IDLE: frozenset({State.CLEARING, State.STOPPING}),
+    State.CLEARING: frozenset({State.ARMED, State.STOPPING}),
     State.ARMED: frozenset({State.MOVING, State.FEELING, State.PRESSING, State.STOPPING}),
     State.MOVING: frozenset({State.ARMED, State.STOPPING}),
     State.FEELING: frozenset({State.ARMED, State.STOPPING}),
@@ -48,25 +44,15 @@ TRANSITIONS: Final[dict[State, frozenset[State]]] = {
 
 #: States in which the head touches, or may touch, the sheet.
 TOUCHING: Final = frozenset({State.FEELING, State.PRESSING, State.PRESSED, State.EASING, State.RELEASING})
+#: States in which it is in the sheet and stays there.
+DWELLING: Final = frozenset({State.PRESSED, State.EASING})
 
 
 class Interlock:
-    """Holds the state, allows transitions, and checks the station's limits while steps are executed.
+    """Holds the state and allows transitions."""
 
-    The limits were checked by the dry run; they are checked again here because the dry run only knows what
-    was planned. Every check raises :class:`SafetyError` naming its rule.
-
-    Parameters
-    ----------
-    plan : with the station's limits.
-    started_s : on the run's clock.
-    """
-
-    def __init__(self, plan: Plan, started_s: float) -> None:
+    def __init__(self) -> None:
         self.state = State.IDLE
-        self._plan = plan
-        self._started_s = started_s
-        self._force_time_s = started_s
 
     def to(self, state: State) -> None:
         """Go to a state.
@@ -92,40 +78,30 @@ class Interlock:
         """Whether the head touches, or may touch, the sheet."""
         return self.state in TOUCHING
 
-    def check_load(self, load: Load) -> None:
-        """Check strain, expected force and place of a press before it."""
-        self._refuse(load_violations(load, self._plan))
+    @property
+    def dwelling(self) -> bool:
+        """Whether the head is in the sheet and stays there, still or eased."""
+        return self.state in DWELLING
 
-    def check_place(self, x_mm: float, y_mm: float) -> None:
-        """Check a place before the head goes there."""
-        self._refuse(place_violations(x_mm, y_mm, self._plan))
+    def clear(self, bench: Bench) -> None:
+        """Bring the bench to its safe state before anything else: what was killed left the head where it was.
 
-    def check_samples(self, block: SampleBlock) -> None:
-        """Hold measured force against the ceiling, pull as well as push, and remember how fresh it is."""
-        if block.channel != FORCE_CHANNEL or not len(block):
-            return
-        peak_N = float(abs(block.values).max())
-        if not math.isfinite(peak_N):
-            raise SafetyError("force", "the force is not a number", remedy="check the load cell and its cable")
-        if peak_N > self._plan.safety.force_N:
-            raise SafetyError("force", f"{peak_N:.3g} N measured; the station allows {self._plan.safety.force_N:g} N")
-        self._force_time_s = max(self._force_time_s, float(block.time_s[-1]))
-
-    def check_time(self, now_s: float) -> None:
-        """Check the run's duration, and while the head touches the age of the last force sample."""
-        safety = self._plan.safety
-        if now_s - self._started_s > safety.duration_s:
+        Raises
+        ------
+        SafetyError
+            With rule ``"safe start"`` if an instrument did not get there; nothing has moved on purpose.
+        """
+        self.to(State.CLEARING)
+        failed = bench.safe_state()
+        if failed:
+            self.to(State.STOPPING)
+            self.to(State.UNSAFE)
             raise SafetyError(
-                "duration", f"the run takes longer than the station allows ({duration(safety.duration_s)})"
+                "safe start",
+                f"the bench could not be brought to its safe state before the run: {'; '.join(failed)}",
+                remedy="nothing was moved or stored; look at the bench before touching it",
             )
-        age_s = now_s - self._force_time_s
-        if self.touching and age_s > safety.stale_s:
-            raise SafetyError(
-                "stale force",
-                f"the last force sample is {age_s:.3g} s old; the station allows {safety.stale_s:g} s while the head"
-                " touches the sheet",
-                remedy="check the load cell and its cable",
-            )
+        self.to(State.ARMED)
 
     def stop(self, bench: Bench) -> tuple[str, ...]:
         """Bring the whole bench to its safe state; returns who did not get there, in words."""
@@ -133,8 +109,3 @@ class Interlock:
         failed = bench.safe_state()
         self.to(State.UNSAFE if failed else State.SAFE)
         return failed
-
-    @staticmethod
-    def _refuse(violations: Iterator[Violation]) -> None:
-        for violation in violations:
-            raise SafetyError(violation.rule, violation.what)

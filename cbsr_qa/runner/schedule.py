@@ -55,7 +55,7 @@ class ScheduledPhase:
     ----------
     role : what the sequence says it is for.
     loads : how many loads it presses, finished ones included.
-    finished : every load of it was finished in an earlier session; only what sets the bench up is left.
+    finished : it ended in an earlier session; only what sets the bench up is left.
     """
 
     index: int
@@ -67,16 +67,21 @@ class ScheduledPhase:
     finished: bool
 
 
-def schedule(plan: Plan, done: frozenset[LoadKey] = frozenset()) -> tuple[ScheduledPhase, ...]:
+def schedule(
+    plan: Plan, done: frozenset[LoadKey] = frozenset(), ended: frozenset[int] = frozenset()
+) -> tuple[ScheduledPhase, ...]:
     """Ask every sequence for its steps.
 
     Nobody knows where the head is when a run begins, so a run begins with homing whether its first sequence
     asks for it or not. Loads that are ``done`` are left out with their holds and rests; homing and surface
-    finding are not, because the applicator forgets them with the power.
+    finding are not, because the applicator forgets them with the power. A phase that goes on with a later load
+    begins again with what came before its first load (the rest, the unloaded frames), and then with the rest before
+    the load that is next: it is pressed on a sheet that has rested as it was meant to.
 
     Parameters
     ----------
     done : loads finished in an earlier session of the same run.
+    ended : phases whose last step was carried out in an earlier session.
 
     Raises
     ------
@@ -87,10 +92,10 @@ def schedule(plan: Plan, done: frozenset[LoadKey] = frozenset()) -> tuple[Schedu
     """
     if not plan.phases:
         raise RefusedError("the recipe has no phase", remedy="give it at least one [[phases]] table")
-    return tuple(_scheduled(plan, index, phase, done) for index, phase in enumerate(plan.phases))
+    return tuple(_scheduled(plan, index, phase, done, index in ended) for index, phase in enumerate(plan.phases))
 
 
-def _scheduled(plan: Plan, index: int, phase: PlannedPhase, done: frozenset[LoadKey]) -> ScheduledPhase:
+def _scheduled(plan: Plan, index: int, phase: PlannedPhase, done: frozenset[LoadKey], ended: bool) -> ScheduledPhase:
     steps = tuple(islice(phase.sequence.steps(plan.context), MOST_STEPS + 1))
     if not 0 < len(steps) <= MOST_STEPS:
         found = "no step" if not steps else f"more than {MOST_STEPS} steps"
@@ -99,9 +104,14 @@ def _scheduled(plan: Plan, index: int, phase: PlannedPhase, done: frozenset[Load
         steps = tuple(chain([Home()], steps))
     numbered = tuple(_numbered(index, steps))
     loads = sum(isinstance(step, Press) for step in steps)
-    finished = loads > 0 and all((index, load) in done for load in range(loads))
-    left = tuple(s for s in numbered if _is_left(s, done, finished))
-    return ScheduledPhase(index, phase.name, phase.sequence_name, _role(phase), left, loads, finished)
+    first_open = next((load for load in range(loads) if (index, load) not in done), loads)
+    if ended:
+        left = tuple(s for s in numbered if isinstance(s.step, Home | FindSurface))
+    elif first_open:
+        left = tuple(_left(numbered, first_open, loads))
+    else:
+        left = numbered
+    return ScheduledPhase(index, phase.name, phase.sequence_name, _role(phase), left, loads, ended)
 
 
 def _role(phase: PlannedPhase) -> Role:
@@ -125,10 +135,22 @@ def _numbered(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:
         yield ScheduledStep(phase, number, step, pressed if inside else None)
 
 
-def _is_left(scheduled: ScheduledStep, done: frozenset[LoadKey], finished: bool) -> bool:
-    if finished:
-        return isinstance(scheduled.step, Home | FindSurface)
-    return scheduled.load is None or (scheduled.phase, scheduled.load) not in done
+def _left(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> Iterator[ScheduledStep]:
+    """Yield what is left of a phase whose first loads are done, at least one of them."""
+    pressed = -1
+    released = False
+    for scheduled in numbered:
+        step = scheduled.step
+        if isinstance(step, Press):
+            pressed, released = pressed + 1, False
+        if isinstance(step, Home | FindSurface) or pressed >= first_open:
+            yield scheduled
+        elif first_open == loads:  # nothing is pressed any more: only what comes after the last load
+            if pressed == loads - 1 and scheduled.load is None:
+                yield scheduled
+        elif pressed == -1 or (pressed == first_open - 1 and (released or scheduled.load is None)):
+            yield scheduled
+        released = released or isinstance(step, Release)
 
 
 def ends_rest(step: Step) -> bool:

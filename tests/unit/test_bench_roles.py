@@ -1,13 +1,18 @@
 """Roles of a bench that is put together from several instruments: meters, scanners, heads that say where they are."""
 
+import threading
+import time
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from cbsr_qa.clock import VirtualClock
-from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.plan import EMULATED, InstrumentSpec
+from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.run_events import SamplesTaken
 from cbsr_qa.domain.steps import Hold
 from cbsr_qa.interfaces import MeterReading
@@ -90,7 +95,7 @@ def test_a_head_that_says_where_it_is_fills_two_roles():
     assert ended.end is EndReason.FINISHED
     channels = {d.samples.channel for d in told if isinstance(d, SamplesTaken)}
     assert channels == {"force", "head depth"}
-    assert script.count("force_applicator.safe_state") == 1  # one object is told once
+    assert script.count("force_applicator.safe_state") == 2  # at the start and at the end, and once each
     assert [one.role for one in bench.identities()] == ["head", "scanner", "smu", "mux", "cell"]
 
 
@@ -142,3 +147,83 @@ def test_an_emulated_instrument_is_simulated_whatever_it_says():
         one.instrument.simulated = False
     said = {one.role: one.simulated for one in Bench(mounted).identities()}
     assert said == {"head": False, "scanner": False, "smu": True, "mux": False, "cell": False}
+
+
+# --- who is there ----------------------------------------------------------------------------------------
+
+
+class Told(ScriptedInstrument):
+    """One that says who it is."""
+
+    def __init__(self, model, serial):
+        super().__init__("source_meter", Script(VirtualClock()))
+        self.said = InstrumentIdentity("source_meter", "scripted", model, serial, "3.2.1", simulated=False)
+
+    def identity(self):
+        return self.said
+
+
+def identified(says_model, says_serial, **expected):
+    script = Script(VirtualClock())
+    mounted = [one for one in parts(script) if one.spec.role != "smu"]
+    one = meter(script)
+    one.identity = Told(says_model, says_serial).identity
+    told = replace(spec("smu", "source_meter", address="TCPIP::10.0.0.7::5025::SOCKET"), **expected)
+    return Bench([*mounted, Mounted(told, one)]).identities()
+
+
+@pytest.mark.parametrize(
+    "expected",
+    [
+        {},
+        {"model": "2634B"},
+        {"model": "model 2634b"},
+        {"serial": "4031823"},
+        {"model": "Keithley Instruments Inc. Model 2634B", "serial": " 4031823 "},
+    ],
+)
+def test_an_instrument_that_is_who_the_station_file_says_is_accepted(expected):
+    said = identified("Keithley Instruments Inc. Model 2634B", "4031823", **expected)
+    assert said[-1].model == "Keithley Instruments Inc. Model 2634B"
+
+
+@pytest.mark.parametrize(
+    ("expected", "said"),
+    [
+        ({"model": "2636B"}, "it says its model is 'Keithley Model 2634B'; the station file expects '2636B'"),
+        ({"model": "2634"}, "the station file expects '2634'"),
+        ({"model": "2634B Keithley"}, "the station file expects '2634B Keithley'"),
+        ({"model": "2634B", "serial": "403"}, "it says its serial is '4031823'; the station file expects '403'"),
+    ],
+)
+def test_another_instrument_at_the_address_is_refused_with_role_address_found_and_expected(expected, said):
+    with pytest.raises(InstrumentError) as refused:
+        identified("Keithley Model 2634B", "4031823", **expected)
+    assert refused.value.reason.startswith("smu at TCPIP::10.0.0.7::5025::SOCKET: ")
+    assert said in refused.value.reason
+    assert not refused.value.retryable
+    assert "mend address or" in refused.value.remedy
+
+
+# --- who is made safe first ------------------------------------------------------------------------------
+
+
+def test_the_head_is_made_safe_first_then_what_drives_current_whatever_the_files_order():
+    script = Script(VirtualClock())
+    Bench(reversed(parts(script))).safe_state()
+    order = [name.partition(".")[0] for name in script.names() if name.endswith("safe_state")]
+    assert order[:3] == ["force_applicator", "source_meter", "frame_source"]
+    assert sorted(order[3:]) == ["load_cell", "multiplexer"]
+
+
+def test_four_that_hang_keep_the_head_down_for_no_longer_than_one_call():
+    script, never = Script(VirtualClock()), threading.Event()
+    for role in ("source_meter", "frame_source", "load_cell", "multiplexer"):
+        script.on(f"{role}.safe_state", lambda: never.wait(5))
+    mounted = list(reversed(parts(script)))
+    began = time.monotonic()
+    failed = Bench(mounted, stop_within_s=0.6).safe_state()
+    never.set()
+    assert len(failed) == 4
+    assert script.names()[1] == "force_applicator.safe_state"  # after the link
+    assert time.monotonic() - began < 2.5

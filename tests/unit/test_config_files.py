@@ -258,6 +258,39 @@ def test_a_calibration_date_that_is_none_is_refused(spoilt):
     assert "calibration_due is 'next spring'; it must be a date like 2027-03-31" in said
 
 
+def test_safety_limits_are_converted_at_the_edge_and_have_the_documented_defaults(tmp_path):
+    text = shipped_text(DocumentKind.STATION, "simulated")
+    safety = load_station("simulated").value.safety
+    assert (safety.dwell_s, safety.compliance, safety.heartbeat_s, safety.answer_s) == (3600.0, 0.05, 10.0, 120.0)
+    assert safety.temperature_C is None
+    keys = ("dwell_s = 90.0", "compliance_percent = 12.0", "heartbeat_s = 3.0", "answer_s = 30.0")
+    more = "\n".join((*keys, "temperature_C = [18.0, 26.5]", ""))
+    path = tmp_path / "mine.toml"
+    path.write_text(text.replace("[safety]\n", f"[safety]\n{more}") + 'model = "2634B"\nserial = "17"\n')
+    station = load_station(path).value
+    safety = station.safety
+    assert (safety.dwell_s, safety.compliance, safety.heartbeat_s, safety.answer_s) == (90.0, 0.12, 3.0, 30.0)
+    assert safety.temperature_C == (18.0, 26.5)
+    (instrument,) = station.instruments
+    assert (instrument.model, instrument.serial, dict(instrument.options)) == ("2634B", "17", {"scene": "base"})
+
+
+@pytest.mark.parametrize(
+    ("given", "said"),
+    [
+        ("dwell_s = 0.0", "safety.dwell_s is 0.0; it must be greater than 0"),
+        ("compliance_percent = 101.0", "safety.compliance_percent is 101.0; it must be less than or equal to 100"),
+        ("temperature_C = [26.0, 18.0]", "safety.temperature_C is no range; give the lowest and then the highest"),
+        ("temperature_C = [26.0]", "safety.temperature_C is [26.0]; it must have at least 2 items"),
+        ("heartbeat_s = -1.0", "safety.heartbeat_s is -1.0; it must be greater than 0"),
+        ("answer_s = 0.0", "safety.answer_s is 0.0; it must be greater than 0"),
+        ("dwel_s = 10.0", "did you mean 'dwell_s'"),
+    ],
+)
+def test_safety_limits_that_cannot_be(spoilt, given, said):
+    assert said in spoilt(DocumentKind.STATION, "simulated", ("[safety]", f"[safety]\n{given}"))
+
+
 def test_malformed_toml_is_refused_with_its_line(spoilt):
     said = spoilt(DocumentKind.STATION, "simulated", ("[indenter]", "[indenter"))
     at = line_in(DocumentKind.STATION, "simulated", "[indenter]")

@@ -37,7 +37,16 @@ from cbsr_qa.domain.steps import (
 from cbsr_qa.runner.bench import Bench, Mounted, open_bench
 from cbsr_qa.runner.execute import execute
 from cbsr_qa.runner.plan import PlannedPhase
-from cbsr_qa.testing.bench import FixedSequence, Script, example_identity, example_plan, raising, scripted_bench
+from cbsr_qa.runner.schedule import schedule
+from cbsr_qa.testing.bench import (
+    FixedSequence,
+    Script,
+    ScriptedInstrument,
+    example_identity,
+    example_plan,
+    raising,
+    scripted_bench,
+)
 
 TOOK_S = {
     "force_applicator.home": 6.0,
@@ -293,7 +302,7 @@ def test_a_journal_that_cannot_store_breaks_the_run(kind):
     assert "'journal'" in ended.detail
     assert "disk full" in ended.detail
     assert not any(isinstance(event, kind) for event in seen)  # not stored, so nobody saw it
-    assert script.count("force_applicator.safe_state") == 1
+    assert script.count("force_applicator.safe_state") == 2
     assert told[-1] is ended
 
 
@@ -371,7 +380,7 @@ def test_the_head_is_lifted_before_a_surface_search_is_tried_again():
 def test_finished_loads_are_not_pressed_again():
     phases = ((*SET_UP, *cycle(0), *cycle(1), *cycle(2)), (*SET_UP, *cycle(3), *cycle(4)))
     done = frozenset({(0, 0), (0, 1), (0, 2), (1, 0)})
-    ended, documents, script = run(*phases, done=done)
+    ended, documents, script = run(*phases, done=done, ended=frozenset({0}))
     assert ended.end is EndReason.FINISHED
     (finished,) = kinds(documents, LoadFinished)
     assert (finished.phase, finished.record.index, finished.record.load.label) == (1, 1, "L4")
@@ -381,6 +390,60 @@ def test_finished_loads_are_not_pressed_again():
     assert script.count("force_applicator.home") == 1
     assert script.count("force_applicator.find_surface") == 2
     assert len(kinds(documents, Unloaded)) == 1
+
+
+def resumed(*phases, done=frozenset(), ended=frozenset()):
+    """Steps of a resumed session, as (number, step) by phase."""
+    told = schedule(example_plan(*phases), frozenset(done), frozenset(ended))
+    return [[(scheduled.number, scheduled.step) for scheduled in phase.steps] for phase in told]
+
+
+def test_a_phase_that_goes_on_begins_with_its_rest_and_the_rest_before_the_next_load():
+    steps = (Home(), *SET_UP, *cycle(0), *cycle(1), *cycle(2))
+    ((*left,),) = resumed(steps, done={(0, 0), (0, 1)})
+    # Homing, the set-up, the rest after the second load (step 12), and the third load: all with their numbers.
+    assert left == [(number, steps[number]) for number in (0, 1, 2, 3, 4, 12, 13, 14, 15, 16)]
+    assert resumed(steps)[0] == list(enumerate(steps))
+
+
+def test_what_stands_between_finished_loads_is_not_repeated_but_for_surfaces():
+    between = (FindSurface(10, 0), MarkUnloaded(), Hold(30, acquire=False))
+    steps = (Home(), *cycle(0), *between, *cycle(1), *between, *cycle(2))
+    ((*left,),) = resumed(steps, done={(0, 0), (0, 1)})
+    assert left == [(number, steps[number]) for number in (0, 5, 11, *range(12, len(steps)))]
+
+
+def test_a_phase_cut_off_between_its_last_load_and_its_end_only_ends():
+    steps = (Home(), *SET_UP, *cycle(0))
+    after = (FindSurface(10, 0), Hold(30, acquire=True))
+    assert resumed(steps, done={(0, 0)}) == [[(0, Home()), (1, SET_UP[0])]]
+    ((*left,),) = resumed((*steps, *after), done={(0, 0)})
+    assert left == [(0, Home()), (1, SET_UP[0]), (9, after[0]), (10, after[1])]
+    _, documents, _ = run(steps, done=frozenset({(0, 0)}))
+    assert [document.index for document in kinds(documents, PhaseFinished)] == [0]
+    assert kinds(documents, LoadFinished, Unloaded) == []
+
+
+def test_a_phase_without_loads_is_not_repeated_once_it_ended():
+    phases = ((Home(), AcquireFrames(3)), cycle(0))
+    assert resumed(*phases, ended={0})[0] == [(0, Home())]
+    assert len(resumed(*phases)[0]) == 2
+
+
+def test_instruments_with_addresses_are_told_each_step_before_it_begins():
+    class Counted(ScriptedInstrument):
+        def begin_step(self, phase, number):
+            told.append((phase, number, len(kinds(documents, StepStarted))))
+
+    documents, told = [], []
+    script = Script(VirtualClock(), TOOK_S)
+    plan = example_plan(cycle(0), cycle(1))
+    bench = scripted_bench(script, plan.sensor_type)
+    counted = Mounted(InstrumentSpec("counted", "scripted", (), {}, None), Counted("counted", script))
+    execute(plan, example_identity(), Bench([*bench.mounted, counted]), script.clock, [documents.append])
+    steps = [(d.phase, d.number) for d in kinds(documents, StepStarted)]
+    assert [place[:2] for place in told] == steps
+    assert [count for *_, count in told] == list(range(1, len(steps) + 1))
 
 
 # --- refusals --------------------------------------------------------------------------------------------

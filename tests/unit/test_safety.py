@@ -16,10 +16,12 @@ from cbsr_qa.domain.run_events import FramesTaken, LoadFinished, PhaseStarted, R
 from cbsr_qa.domain.steps import AcquireFrames, Ease, FindSurface, Hold, MarkUnloaded, Press, Release
 from cbsr_qa.runner.execute import execute
 from cbsr_qa.runner.interrupts import Interrupts, Stopped
+from cbsr_qa.runner.limits import Limits
 from cbsr_qa.runner.performing import Performer
 from cbsr_qa.runner.safety import TRANSITIONS, Interlock, State
 from cbsr_qa.runner.schedule import ScheduledStep
 from cbsr_qa.runner.stopping import stop_all
+from cbsr_qa.runner.watchdog import Watchdog
 from cbsr_qa.testing.bench import Script, example_identity, example_plan, raising, scripted_bench
 
 LOAD = Load("L0", 0.0, 0.0, 0.2, 0)
@@ -50,10 +52,15 @@ def run(steps=SHORT, *, script=None, listeners=()):
     return ended, documents, script, bench
 
 
+SAFE = [f"{role}.safe_state" for role in ROLES]
+
+
 def calls_of_a_good_run():
+    """What a run calls between making the bench safe at its start and at its end."""
     ended, _, script, _ = run()
     assert ended.end is EndReason.FINISHED
-    return script.names()[: -len(ROLES)]
+    assert script.names()[: len(SAFE)] == script.names()[-len(SAFE) :] == SAFE
+    return script.names()[len(SAFE) : -len(SAFE)]
 
 
 GOOD = calls_of_a_good_run()
@@ -61,15 +68,23 @@ GOOD = calls_of_a_good_run()
 
 def assert_safe(script, bench):
     """Every instrument was told to reach its safe state, after everything else, and the head is up."""
-    assert script.names()[-len(ROLES) :] == [f"{role}.safe_state" for role in ROLES]
+    assert script.names()[-len(SAFE) :] == SAFE
     assert not bench.force_applicator.down
 
 
 # --- a fault at every step -------------------------------------------------------------------------------
 
 FAULTS = {
-    "instrument": (lambda: InstrumentError("some_role", "COM3", "no answer"), EndReason.BROKEN, "some_role at COM3"),
-    "bug": (lambda: ZeroDivisionError("in a driver"), EndReason.BROKEN, "ZeroDivisionError: in a driver"),
+    "instrument": (
+        lambda: InstrumentError("some_role", "COM3", "no answer"),
+        EndReason.BROKEN,
+        "instrument some_role at COM3: no answer, while",
+    ),
+    "bug": (
+        lambda: ZeroDivisionError("in a driver"),
+        EndReason.BROKEN,
+        "error ZeroDivisionError: in a driver, while",
+    ),
     "ctrl-c": (KeyboardInterrupt, EndReason.ABORTED, "by the operator (Ctrl-C)"),
     "abort": (lambda: AbortedError("the foreman"), EndReason.ABORTED, "by the foreman"),
     "exit": (SystemExit, EndReason.BROKEN, "SystemExit"),
@@ -81,10 +96,14 @@ FAULTS = {
 def test_a_fault_at_any_call_ends_safe_and_says_where(number, fault):
     make, reason, said = FAULTS[fault]
     script = Script(VirtualClock())
-    script.at(number, raising(make()))
+    script.at(len(SAFE) + number, raising(make()))
     ended, documents, script, bench = run(script=script)
     assert_safe(script, bench)
-    assert script.names()[:-3] == GOOD[: number + 1]  # nothing else was touched after the fault
+    called = script.names()[len(SAFE) : -len(SAFE)]
+    assert called[: number + 1] == GOOD[: number + 1]
+    # Nothing else is touched after the fault, but that a head somebody stopped in the sheet goes up as usual.
+    lifts = reason is EndReason.ABORTED and "bench pressed" in ended.detail
+    assert called[number + 1 :] == (["force_applicator.release"] if lifts else [])
     assert ended.end is reason
     assert said in ended.detail
     last = [d for d in documents if isinstance(d, StepStarted)][-1]
@@ -110,7 +129,7 @@ def test_an_abort_by_a_listener_ends_safe(kind):
 @pytest.mark.parametrize("begun_by", ["a fault", "the end"])
 def test_a_safe_state_that_raises_keeps_nobody_from_theirs(role, begun_by):
     script = Script(VirtualClock())
-    script.on(f"{role}.safe_state", raising(OSError("cable pulled")))
+    script.on(f"{role}.safe_state", raising(OSError("cable pulled")), call=2)
     if begun_by == "a fault":
         script.on("force_applicator.press", raising(InstrumentError("force_applicator", "COM3", "stalled")))
     ended, _, script, _ = run(script=script)
@@ -123,10 +142,10 @@ def test_a_safe_state_that_raises_keeps_nobody_from_theirs(role, begun_by):
 def test_a_safe_state_that_hangs_keeps_nobody_from_theirs():
     release = threading.Event()
     script = Script(VirtualClock())
-    script.on("force_applicator.safe_state", release.wait)
+    script.on("force_applicator.safe_state", release.wait, call=2)
     ended, documents, script, _ = run(script=script)
     release.set()
-    assert {f"{r}.safe_state" for r in ROLES} <= set(script.names())
+    assert script.names()[-len(SAFE) :] == SAFE
     assert ended.end is EndReason.BROKEN
     assert "force_applicator (scripted) did not answer within 0.5 s" in ended.detail
     assert documents[-1] is ended
@@ -150,7 +169,7 @@ def test_force_above_the_ceiling_stops_with_the_evidence_stored():
     ended, documents, script, bench = run(script=script)
     assert_safe(script, bench)
     assert ended.end is EndReason.BROKEN
-    assert "rule 'force': 21 N measured; the station allows 20 N" in ended.detail
+    assert "rule 'force': 21 N measured by load_cell (scripted); the station allows 20 N" in ended.detail
     stored = [d.samples.values.max() for d in documents if type(d).__name__ == "SamplesTaken"]
     assert max(stored) == 21.0
     # The first samples after the head came down decide; the hold's second frame is never taken.
@@ -268,15 +287,16 @@ def test_an_ease_that_fails_is_not_tried_again():
     assert "bench easing" in ended.detail
 
 
-def test_the_interlock_holds_an_ease_against_the_limits_of_a_press():
+def test_the_runner_holds_an_ease_against_the_limits_of_a_press():
     """The dry run refuses it first; here the step comes as if it had not been looked at."""
     for bad, rule in ((0.36, "strain"), (0.0, "strain"), (float("nan"), "strain")):
         script = Script(VirtualClock())
         plan = example_plan(EASED)
         bench = scripted_bench(script, plan.sensor_type)
-        interlock = Interlock(plan, 0.0)
-        interlock.to(State.ARMED)
-        performer = Performer(plan, bench, script.clock, _Nobody(), interlock, retries=0, ask=None)
+        interlock = Interlock()
+        interlock.clear(bench)
+        watchers = {"interrupts": Interrupts(), "watchdog": _watchdog()}
+        performer = Performer(plan, bench, script.clock, _Nobody(), interlock, **watchers, retries=0, ask=None)
         performer.perform(ScheduledStep(0, 0, Press(LOAD), 0))
         with pytest.raises(SafetyError) as broken:
             performer.perform(ScheduledStep(0, 1, Ease(bad), 0))
@@ -287,6 +307,10 @@ def test_the_interlock_holds_an_ease_against_the_limits_of_a_press():
 class _Nobody:
     def emit(self, event):
         pass
+
+
+def _watchdog(answer_s=60.0):
+    return Watchdog(answer_s, break_in=lambda error: None, make_safe=lambda: None, tell=lambda line: None)
 
 
 # --- the state machine -----------------------------------------------------------------------------------
@@ -309,14 +333,15 @@ def test_no_way_leads_from_a_touching_state_to_travel_but_through_release():
 def test_a_head_is_eased_from_where_it_is_pressed_and_nowhere_else():
     assert [state for state, following in TRANSITIONS.items() if State.EASING in following] == [State.PRESSED]
     assert TRANSITIONS[State.EASING] == {State.PRESSED, State.STOPPING}
-    interlock = Interlock(example_plan([]), 0.0)
+    interlock = Interlock()
     interlock.state = State.EASING
     assert interlock.touching
+    assert interlock.dwelling
 
 
 @pytest.mark.parametrize("state", list(State))
 def test_transitions_that_are_not_listed_are_refused(state):
-    interlock = Interlock(example_plan([]), 0.0)
+    interlock = Interlock()
     interlock.state = state
     for other in set(State) - TRANSITIONS[state]:
         with pytest.raises(SafetyError, match=f"is {state}"):
@@ -324,7 +349,8 @@ def test_transitions_that_are_not_listed_are_refused(state):
 
 
 def test_an_error_leaves_the_state_it_happened_in():
-    interlock = Interlock(example_plan([]), 0.0)
+    interlock = Interlock()
+    interlock.to(State.CLEARING)
     interlock.to(State.ARMED)
     with pytest.raises(OSError, match="x"), interlock.passing(State.PRESSING, State.PRESSED):
         raise OSError("x")
@@ -332,22 +358,22 @@ def test_an_error_leaves_the_state_it_happened_in():
     assert interlock.touching
 
 
-def test_the_interlock_checks_again_what_the_dry_run_checked():
-    interlock = Interlock(example_plan([]), 0.0)
+def test_the_runner_checks_again_what_the_dry_run_checked():
+    limits = Limits(example_plan([]), 0.0)
     for bad, rule in ((Load("A", 0, 0, 0.36, 0), "strain"), (Load("A", 43, 0, 0.2, 0), "travel")):
         with pytest.raises(SafetyError) as broken:
-            interlock.check_load(bad)
+            limits.check_load(bad)
         assert broken.value.rule == rule
     with pytest.raises(SafetyError):
-        interlock.check_place(float("nan"), 0.0)
-    interlock.check_load(LOAD)
+        limits.check_place(float("nan"), 0.0)
+    limits.check_load(LOAD)
 
 
 def test_only_the_force_channel_is_held_against_the_ceiling():
-    interlock = Interlock(example_plan([]), 0.0)
-    interlock.check_samples(SampleBlock("temperature", "°C", np.array([1.0]), np.array([25.0])))
-    with pytest.raises(SafetyError):
-        interlock.check_samples(SampleBlock("force", "N", np.array([1.0]), np.array([25.0])))
+    limits = Limits(example_plan([]), 0.0)
+    limits.check_samples(SampleBlock("temperature", "°C", np.array([1.0]), np.array([25.0])), "a thermometer")
+    with pytest.raises(SafetyError, match="measured by a cell"):
+        limits.check_samples(SampleBlock("force", "N", np.array([1.0]), np.array([25.0])), "a cell")
 
 
 # --- signals ---------------------------------------------------------------------------------------------
@@ -411,7 +437,7 @@ def test_an_impatient_second_ctrl_c_does_not_keep_the_head_down():
     script = Script(VirtualClock())
     script.on("force_applicator.press", send(signal.SIGINT))
     for role in ROLES:
-        script.on(f"{role}.safe_state", send(signal.SIGINT))
+        script.on(f"{role}.safe_state", send(signal.SIGINT), call=2)
     ended, documents, script, bench = run(script=script)
     assert_safe(script, bench)
     assert ended.end is EndReason.ABORTED
@@ -441,7 +467,7 @@ def test_a_second_signal_breaks_through_a_delivery_that_hangs():
     reached = []
 
     def hang(interrupts):
-        with interrupts.deferred():
+        with interrupts.heard(), interrupts.deferred():
             os.kill(os.getpid(), signal.SIGTERM)
             reached.append("after the first signal")
             os.kill(os.getpid(), signal.SIGTERM)

@@ -1,0 +1,426 @@
+"""A first signal ends a run in order, a second at once; whoever hangs, the head comes up."""
+
+import os
+import signal
+import threading
+import time
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from cbsr_qa.clock import RealClock, VirtualClock
+from cbsr_qa.domain.errors import AbortedError, InstrumentError, RefusedError, SafetyError
+from cbsr_qa.domain.loads import Load
+from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.domain.plan import Motion
+from cbsr_qa.domain.run_events import FramesTaken, LoadFinished, PhaseFinished, RunEnded, RunStarted, StepStarted
+from cbsr_qa.domain.steps import AcquireFrames, Ease, FindSurface, Hold, MarkUnloaded, Press, Prompt, Release
+from cbsr_qa.runner import interrupts, watchdog
+from cbsr_qa.runner.execute import execute
+from cbsr_qa.runner.watchdog import Watchdog
+from cbsr_qa.testing.bench import Script, example_identity, example_plan, raising, scripted_bench
+
+LOAD = Load("L0", 0.0, 0.0, 0.2, 0)
+CYCLE = (Press(LOAD), Hold(10, acquire=True), Release(), Hold(10, acquire=True))
+ROLES = ("force_applicator", "frame_source", "load_cell")
+SAFE = [f"{role}.safe_state" for role in ROLES]
+ABORTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+BY = {
+    signal.SIGINT: "by the operator (Ctrl-C)",
+    signal.SIGTERM: "by signal SIGTERM",
+    signal.SIGHUP: "by signal SIGHUP",
+}
+
+
+@pytest.fixture(autouse=True)
+def _as_at_a_terminal():
+    """Signals as an interactive shell hands them down."""
+    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
+    before = {number: signal.signal(number, handler) for number, handler in usual.items()}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def send(number, times=1):
+    def act():
+        for _ in range(times):
+            os.kill(os.getpid(), number)
+
+    return act
+
+
+def run(steps=CYCLE, *, script=None, listeners=(), answer_s=60.0, motion=None, **options):
+    """Execute steps; return how it ended, the documents, the script, the bench and what was said at once."""
+    script = script or Script(VirtualClock())
+    plan = example_plan(steps)
+    plan = replace(plan, safety=replace(plan.safety, answer_s=answer_s), motion=motion or plan.motion)
+    bench = scripted_bench(script, plan.sensor_type)
+    told, said = [], []
+    subscribers = [told.append, *listeners]
+    ended = execute(plan, example_identity(), bench, script.clock, subscribers, tell=said.append, **options)
+    return ended, told, script, bench, said
+
+
+def after(script, name, call=1):
+    """Names of the calls after the n-th of a name."""
+    places = [number for number, one in enumerate(script.names()) if one == name]
+    return script.names()[places[call - 1] + 1 :]
+
+
+# --- the start -------------------------------------------------------------------------------------------
+
+
+def test_the_bench_is_made_safe_before_anything_is_told_or_moved():
+    script, told = Script(VirtualClock()), []
+    for role in ROLES:
+        script.on(f"{role}.safe_state", lambda: told.append("safe"))
+    ended, documents, script, _, _ = run(script=script, listeners=[told.append])
+    assert script.names()[:3] == SAFE
+    assert told[:4] == ["safe", "safe", "safe", documents[0]]
+    assert isinstance(documents[0], RunStarted)
+    assert ended.end is EndReason.FINISHED
+
+
+@pytest.mark.parametrize("role", ROLES)
+def test_a_bench_that_cannot_be_made_safe_is_not_run(role):
+    script, told = Script(VirtualClock()), []
+    script.on(f"{role}.safe_state", raising(InstrumentError(role, "COM3", "no reply")))
+    plan = example_plan(CYCLE)
+    bench = scripted_bench(script, plan.sensor_type)
+    with pytest.raises(SafetyError) as refused:
+        execute(plan, example_identity(), bench, script.clock, [told.append])
+    assert refused.value.rule == "safe start"
+    assert f"{role} (scripted): InstrumentError: {role} at COM3: no reply" in refused.value.reason
+    assert (script.names(), told) == (SAFE, [])
+
+
+def test_what_is_refused_is_not_touched_and_a_signal_before_the_first_step_aborts():
+    script = Script(VirtualClock())
+    with pytest.raises(RefusedError):
+        run((Press(replace(LOAD, strain=0.9)), Release()), script=script)
+    assert script.calls == []
+    script.on("frame_source.safe_state", send(signal.SIGTERM))
+    ended, told, script, _, _ = run(script=script)
+    assert script.names() == [*SAFE, *SAFE]
+    assert (ended.end, [type(one) for one in told]) == (EndReason.ABORTED, [RunStarted, RunEnded])
+    assert ended.detail == "by signal SIGTERM, before the first step"
+
+
+# --- the first signal ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", ABORTS)
+def test_the_first_signal_completes_the_frame_and_lifts_the_head_as_after_any_press(number):
+    script = Script(VirtualClock())
+    script.on("frame_source.acquire", send(number), call=2)
+    ended, told, script, bench, said = run(script=script)
+    assert ended.end is EndReason.ABORTED
+    assert ended.detail.startswith(f"{BY[number]}, while holding still for 10 s, taking frames (phase 'phase 0'")
+    assert sum(isinstance(d, FramesTaken) for d in told) == 2
+    assert after(script, "frame_source.acquire", 2) == ["force_applicator.release", *SAFE]
+    assert not bench.force_applicator.down
+    (line,) = said
+    assert line.startswith(f"{number.name}: the run stops in order.")
+    assert "A second signal makes it safe at once." in line
+    assert not any(isinstance(d, LoadFinished | PhaseFinished) for d in told)
+    assert told[-1] is ended
+
+
+def test_a_press_under_way_is_completed_and_taken_back():
+    script = Script(VirtualClock(), {"force_applicator.press": 3.0, "force_applicator.release": 3.0})
+    script.on("force_applicator.press", send(signal.SIGTERM))
+    ended, _, script, _, _ = run(script=script)
+    rest = [name for name in after(script, "force_applicator.press") if not name.startswith("load_cell.samples")]
+    assert rest == ["force_applicator.release", *SAFE]
+    assert dict(ended.spent)["release"] == 3.0
+    assert sum(seconds for _, seconds in ended.spent) == pytest.approx(ended.time_s)
+
+
+@pytest.mark.parametrize("name", ["force_applicator.home", "force_applicator.move_to", "force_applicator.release"])
+def test_a_head_that_is_up_stays_up(name):
+    script = Script(VirtualClock())
+    script.on(name, send(signal.SIGINT))
+    ended, _, script, bench, _ = run(script=script)
+    assert ended.end is EndReason.ABORTED
+    rest = [one for one in after(script, name) if not one.startswith("load_cell.samples")]
+    assert rest == SAFE
+    assert not bench.force_applicator.down
+
+
+def test_a_wait_is_ended_at_once():
+    script = Script(RealClock())
+    timer = threading.Timer(0.3, send(signal.SIGTERM))
+    timer.start()
+    began = time.monotonic()
+    ended, *_ = run((Hold(60, acquire=False),), script=script)
+    timer.join()
+    assert ended.end is EndReason.ABORTED
+    assert time.monotonic() - began < 1.5
+
+
+def test_a_prompt_that_nobody_answers_is_ended_at_once():
+    def ask(text):
+        send(signal.SIGINT)()
+        pytest.fail("somebody answered")
+
+    ended, *_ = run((Prompt("turn it"), *CYCLE), ask=ask)
+    assert ended.end is EndReason.ABORTED
+    assert "by the operator (Ctrl-C), while asking: turn it" in ended.detail
+
+
+def test_a_lift_that_fails_is_said_and_the_bench_made_safe_all_the_same():
+    script = Script(VirtualClock())
+    script.on("frame_source.acquire", send(signal.SIGTERM))
+    script.on("force_applicator.release", raising(InstrumentError("force_applicator", "COM3", "stalled")))
+    ended, _, script, bench, _ = run(script=script)
+    assert ended.end is EndReason.ABORTED
+    assert "by signal SIGTERM, while" in ended.detail
+    assert "; the head was not lifted in order: instrument force_applicator at COM3: stalled" in ended.detail
+    assert script.names()[-3:] == SAFE
+    assert not bench.force_applicator.down
+
+
+# --- the second signal -----------------------------------------------------------------------------------
+
+
+def test_the_second_signal_makes_everything_safe_where_the_run_is():
+    script = Script(VirtualClock())
+    script.on("frame_source.acquire", send(signal.SIGINT, 2))
+    ended, told, script, bench, said = run(script=script)
+    assert ended.end is EndReason.ABORTED
+    assert ended.detail.startswith("by the operator (Ctrl-C) and at once by a second signal, while holding")
+    assert not any(isinstance(d, FramesTaken) for d in told)  # the frame was torn, and is not stored
+    assert after(script, "frame_source.acquire") == SAFE
+    assert not bench.force_applicator.down
+    assert [line.split(":")[0] for line in said] == ["SIGINT", "SIGINT"]
+    assert "everything is made safe at once" in said[1]
+
+
+def test_the_second_signal_breaks_into_the_lift():
+    script = Script(VirtualClock())
+    script.on("frame_source.acquire", send(signal.SIGTERM))
+    script.on("force_applicator.release", send(signal.SIGHUP))
+    ended, _, script, bench, _ = run(script=script)
+    assert ended.end is EndReason.ABORTED
+    assert "by signal SIGTERM, while" in ended.detail
+    assert ended.detail.endswith("; a second signal ended it at once")
+    assert after(script, "force_applicator.release") == SAFE
+    assert not bench.force_applicator.down
+
+
+def test_the_second_signal_ends_what_hangs():
+    script, never = Script(VirtualClock()), threading.Event()
+
+    def hang():
+        threading.Timer(0.2, send(signal.SIGTERM)).start()
+        threading.Timer(0.4, send(signal.SIGTERM)).start()
+        never.wait(30)
+
+    script.on("frame_source.acquire", hang)
+    began = time.monotonic()
+    ended, _, script, bench, _ = run(script=script)
+    assert time.monotonic() - began < 3
+    assert ended.end is EndReason.ABORTED
+    assert script.names()[-3:] == SAFE
+    assert not bench.force_applicator.down
+
+
+@pytest.mark.parametrize("hears", ["frame_source.acquire", "force_applicator.press", "force_applicator.release"])
+def test_a_third_signal_and_more_are_ignored_while_everything_is_made_safe(hears):
+    script = Script(VirtualClock())
+    script.on(hears, send(signal.SIGTERM, 2))
+    for name in SAFE:
+        script.on(name, send(signal.SIGTERM, 3), call=2)
+    ended, told, script, bench, said = run(script=script)
+    assert script.names()[-3:] == SAFE
+    assert not bench.force_applicator.down
+    assert (ended.end, told[-1] is ended, len(said)) == (EndReason.ABORTED, True, 2)
+
+
+def test_signals_are_the_applications_again_after_the_run():
+    before = [signal.getsignal(number) for number in (*ABORTS, signal.SIGALRM)]
+    run()
+    assert [signal.getsignal(number) for number in (*ABORTS, signal.SIGALRM)] == before
+
+
+def test_what_is_said_reaches_stderr_past_all_buffers(capfd):
+    script, plan = Script(VirtualClock()), example_plan(CYCLE)
+    script.on("frame_source.acquire", send(signal.SIGTERM))
+    bench = scripted_bench(script, plan.sensor_type)
+    execute(plan, example_identity(), bench, script.clock, [lambda event: None])
+    assert capfd.readouterr().err == interrupts.FIRST.format("SIGTERM") + "\n"
+
+
+# --- a plugin stops the run ------------------------------------------------------------------------------
+
+
+def test_a_listener_may_stop_the_run_in_order_and_says_who():
+    def hook(event):
+        if isinstance(event, FramesTaken):
+            raise AbortedError("the plugin climate-watch")
+
+    ended, told, script, _, _ = run(listeners=[hook])
+    assert ended.end is EndReason.ABORTED
+    assert ended.detail.startswith("by the plugin climate-watch, while holding still")
+    assert after(script, "frame_source.acquire") == ["force_applicator.release", *SAFE]
+    assert told[-1] is ended
+
+
+def test_a_listener_that_stops_a_run_that_has_ended_changes_nothing():
+    def hook(event):
+        if isinstance(event, RunEnded):
+            raise AbortedError("somebody late")
+
+    assert run(listeners=[hook])[0].end is EndReason.FINISHED
+
+
+# --- what hangs ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["frame_source.acquire", "force_applicator.press", "load_cell.samples_since"])
+def test_an_instrument_that_hangs_is_noticed_and_the_head_comes_up(name):
+    script, never = Script(VirtualClock()), threading.Event()
+    script.on(name, lambda: never.wait(30), call=2 if name.startswith("load") else 1)
+    began = time.monotonic()
+    motion = Motion(press_speed_mm_s=100.0, travel_speed_mm_s=1000.0, hover_mm=25.0)
+    ended, told, script, bench, _ = run((*CYCLE, *CYCLE), script=script, answer_s=0.3, motion=motion)
+    work_s = 2.5 if name.startswith("frame") else 0.1  # of which twice as long is allowed
+    assert time.monotonic() - began < 2 * work_s + 0.3 + 1.5
+    assert ended.end is EndReason.BROKEN
+    assert f"rule 'no answer': {name.partition('.')[0]} (scripted): " in ended.detail
+    assert script.names()[-3:] == SAFE
+    assert not bench.force_applicator.down
+    assert told[-1] is ended
+    never.set()
+
+
+def test_what_cannot_be_broken_into_is_made_safe_without_it_and_said():
+    """Outside of the main thread no signal arrives: the watchdog does it by itself, and the run ends broken."""
+    script, late, results = Script(VirtualClock()), threading.Event(), []
+    script.on("load_cell.samples_since", lambda: late.wait(30), call=2)
+
+    def one():
+        results.append(run(script=script, answer_s=0.3))
+
+    thread = threading.Thread(target=one)
+    thread.start()
+    for _ in range(100):
+        if script.names().count("force_applicator.safe_state") == 2:
+            break
+        time.sleep(0.05)
+    assert script.names()[-3:] == SAFE  # while it still hangs
+    late.set()
+    thread.join(10)
+    ended, told, script, bench, said = results[0]
+    assert ended.end is EndReason.BROKEN
+    assert "rule 'no answer': load_cell (scripted): its samples has not come back for" in ended.detail
+    assert "the bench is made safe without it" in said[0]
+    assert not bench.force_applicator.down
+    assert told[-1] is ended
+
+
+def test_a_call_may_take_twice_its_work_and_the_answer_time():
+    late = []
+    with Watchdog(0.3, break_in=late.append, make_safe=lambda: None, tell=lambda line: None) as dog:
+        with dog.expect("a frame", 0.1):
+            time.sleep(0.35)
+        assert late == []
+        with pytest.raises(SafetyError, match="a frame has not come back"), dog.expect("a frame", 0.1):
+            time.sleep(1.5)
+    assert len(late) == 1
+
+
+def test_a_signal_leaves_little_time_to_what_hangs(monkeypatch):
+    monkeypatch.setattr(watchdog, "GRACE_S", 0.3)
+    script, never = Script(VirtualClock()), threading.Event()
+
+    def hang():
+        send(signal.SIGTERM)()
+        never.wait(30)
+
+    script.on("load_cell.samples_since", hang, call=2)
+    began = time.monotonic()
+    ended, _, script, bench, _ = run(script=script, answer_s=1000.0)
+    assert time.monotonic() - began < 3
+    assert ended.end is EndReason.BROKEN
+    assert "rule 'no answer'" in ended.detail
+    assert not bench.force_applicator.down
+
+
+# --- whatever happens ------------------------------------------------------------------------------------
+
+STEPS = (
+    FindSurface(0, 0), Hold(6, acquire=False), MarkUnloaded(), AcquireFrames(2), *CYCLE, Press(LOAD), Ease(0.3),
+    Hold(5, acquire=True), Release(), Hold(5, acquire=False),
+)  # fmt: skip
+TOOK_S = {
+    "force_applicator.home": 6.0,
+    "force_applicator.find_surface": 9.0,
+    "force_applicator.move_to": 3.0,
+    "force_applicator.press": 3.5,
+    "force_applicator.release": 3.25,
+}
+NUMBER_OF_CALLS = len(run(STEPS, script=Script(VirtualClock(), TOOK_S))[2].calls)
+ACTIONS = {
+    "lost": lambda: raising(InstrumentError("some_role", "COM3", "no reply", retryable=True)),
+    "broken": lambda: raising(InstrumentError("some_role", "COM3", "burnt")),
+    "bug": lambda: raising(ZeroDivisionError("in a driver")),
+    "interrupted": lambda: raising(KeyboardInterrupt()),
+    "aborted": lambda: raising(AbortedError("the foreman")),
+    "SIGINT": lambda: send(signal.SIGINT),
+    "SIGTERM": lambda: send(signal.SIGTERM),
+    "SIGHUP twice": lambda: send(signal.SIGHUP, 2),
+}
+
+
+@settings(max_examples=300, deadline=None)
+@given(faults=st.dictionaries(st.integers(3, NUMBER_OF_CALLS + 3), st.sampled_from(sorted(ACTIONS)), max_size=5))
+def test_whatever_happens_the_head_is_up_the_bench_safe_and_the_record_consistent(faults):
+    """Faults at any calls, also in the safe state: every instrument is told it all the same, in its turn, at once."""
+    script = Script(VirtualClock(), TOOK_S)
+    for number, action in faults.items():
+        script.at(number, ACTIONS[action]())
+    ended, told, script, bench, _ = run(STEPS, script=script)
+    names = script.names()
+    assert names[-3:] == SAFE
+    first_safe = len(names) - 3
+    in_safe_state = {action for number, action in faults.items() if number >= first_safe}
+    failed = in_safe_state & {"lost", "broken", "bug", "interrupted", "aborted"}
+    assert ("NOT SAFE" in ended.detail) == bool(failed & {faults.get(first_safe + k) for k in range(3)})
+    if faults.get(first_safe) not in failed:
+        assert not bench.force_applicator.down
+    assert_consistent(ended, told, script)
+    before = [faults[number] for number in sorted(faults) if number < first_safe]
+    if not before and "NOT SAFE" not in ended.detail:
+        assert ended.end is EndReason.FINISHED
+
+
+def assert_consistent(ended, told, script):
+    """One first document, one last; times that do not go back; every press with its rest, or none."""
+    assert [isinstance(one, RunStarted) for one in told].count(True) == isinstance(told[0], RunStarted)
+    assert told[-1] is ended
+    assert sum(isinstance(one, RunEnded) for one in told) == 1
+    times = [one.time_s for one in told if isinstance(one, StepStarted | RunEnded)]
+    assert times == sorted(times)
+    assert sum(seconds for _, seconds in ended.spent) <= ended.time_s + 1e-6
+    finished = [one.record for one in told if isinstance(one, LoadFinished)]
+    assert [record.index for record in finished] == list(range(len(finished)))
+    for record in finished:
+        stamps = (record.press_start_s, record.hold_start_s, record.release_start_s, record.release_end_s)
+        assert list(stamps) == sorted(stamps)
+        assert record.rest_end_s >= record.release_end_s
+    safe_s = [call.time_s for call in script.calls if call.name.endswith("safe_state")][-3:]
+    last_s = max(call.time_s for call in script.calls if not call.name.endswith("safe_state"))
+    # From the last thing that was asked of the bench, its own time included.
+    assert max(safe_s) - last_s <= max(TOOK_S.values()) + 1.0
+    if ended.end is EndReason.FINISHED:
+        assert ended.detail == ""
+    else:
+        assert (
+            "(phase 'phase 0', step" in ended.detail
+            or "before the first step" in ended.detail
+            or (ended.detail.startswith("NOT SAFE"))
+        )
