@@ -3,6 +3,8 @@
 import inspect
 from collections.abc import Callable, Iterable, Mapping
 from difflib import get_close_matches
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 from cbsr_qa.clock import Clock, RealClock, VirtualClock
@@ -10,6 +12,7 @@ from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_s
 from cbsr_qa.config.merge import Configuration, merge
 from cbsr_qa.domain.errors import ConfigError, PluginError
 from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
+from cbsr_qa.domain.recording import Recording
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.emulate.clock import WatchedClock
 from cbsr_qa.emulate.rig import EmulatedRig
@@ -206,6 +209,12 @@ def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock) -> 
     return Emulation(station.instruments, EmulatedRig(clock, world, station.motion))
 
 
+def _recording(plugins: Plugins, path: Path, format_: str | None, dataset: str | None) -> Recording:
+    from cbsr_qa.app.read_recording import read_recording_file  # it imports the analysis, which most benches do not
+
+    return read_recording_file(path, plugins, format_=format_, dataset=dataset)
+
+
 def _opened(
     spec: InstrumentSpec,
     configuration: Configuration,
@@ -230,6 +239,7 @@ def _opened(
         resumed_at_s=resumed_at_s,
         safety=configuration.station.safety,
         ask=ask,
+        read_recording=partial(_recording, plugins),
     )
     factory = plugins.factory(Kind.INSTRUMENT, spec.driver)
     try:

@@ -11,7 +11,7 @@ LONGEST_LINE: Final = 96
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One line: its number, its command, and what is wrong with it in the firmware's words; empty where nothing is."""
+    """One line: its number, its command, and what is wrong with it in the firmware's words, if anything."""
 
     number: int | None
     command: str

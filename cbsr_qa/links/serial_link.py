@@ -47,6 +47,8 @@ class SerialLink:
         self.address = address
         self.timeout_s = timeout_s
         self._baud = baud
+        #: Whether the line was found to be down; only reopening mends that.
+        self.down = False
         self._time = RealClock()
         self._held = bytearray()
         self._reading = threading.RLock()
@@ -131,6 +133,7 @@ class SerialLink:
         with self._reading:
             self._held.clear()
             self._port = self._opened()
+            self.down = False
 
     def close(self) -> None:
         """Give the port back; may be called more than once."""
@@ -209,9 +212,11 @@ class SerialLink:
             said = f"took no more bytes for {self.timeout_s:g} s"
             raise self._error(said, remedy=_SILENT, retryable=True) from error
         except serial.PortNotOpenError as error:
+            self.down = True
             raise self._error("the link is closed") from error
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
             # pyserial leaks a TypeError where the port is closed by another thread while it reads.
+            self.down = True
             raise self._error(f"the link is down ({error})", remedy=_CABLE) from error
 
     def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:

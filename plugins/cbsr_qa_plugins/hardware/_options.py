@@ -43,7 +43,7 @@ class InstrumentTable:
         """Return a text that is not empty."""
         value = self._value(key, default, remedy or "give it a text")
         if not isinstance(value, str) or not value.strip():
-            raise self._wrong(key, value, "it is a text")
+            raise self.wrong(key, value, "it is a text")
         return value
 
     def choice(self, key: str, allowed: Sequence[str], default: Any = _MISSING) -> str:
@@ -52,14 +52,14 @@ class InstrumentTable:
         if value not in allowed:
             near = get_close_matches(str(value), allowed, n=1)
             meant = f"did you mean {near[0]!r}? " if near else ""
-            raise self._wrong(key, value, f"{meant}it is one of {', '.join(allowed)}")
+            raise self.wrong(key, value, f"{meant}it is one of {', '.join(allowed)}")
         return str(value)
 
     def flag(self, key: str, default: bool) -> bool:
         """Return true or false."""
         value = self._value(key, default, "")
         if not isinstance(value, bool):
-            raise self._wrong(key, value, "it is true or false")
+            raise self.wrong(key, value, "it is true or false")
         return value
 
     def number(
@@ -69,7 +69,7 @@ class InstrumentTable:
         allowed = f"it is a finite number{_bounds(at_least, at_most)}"
         value = self._value(key, default, allowed)
         if not _is_number(value) or not at_least <= value <= at_most:
-            raise self._wrong(key, value, allowed)
+            raise self.wrong(key, value, allowed)
         return float(value)
 
     def whole(self, key: str, default: Any = _MISSING, *, at_least: int, at_most: int) -> int:
@@ -77,7 +77,7 @@ class InstrumentTable:
         allowed = f"it is a whole number{_bounds(at_least, at_most)}"
         value = self._value(key, default, allowed)
         if not isinstance(value, int) or isinstance(value, bool) or not at_least <= value <= at_most:
-            raise self._wrong(key, value, allowed)
+            raise self.wrong(key, value, allowed)
         return value
 
     def numbers(self, key: str, count: int, default: Any = _MISSING) -> tuple[float, ...]:
@@ -85,7 +85,7 @@ class InstrumentTable:
         allowed = f"it is a list of {count} finite numbers"
         value = self._value(key, default, allowed)
         if not isinstance(value, list | tuple) or len(value) != count or not all(map(_is_number, value)):
-            raise self._wrong(key, value, allowed)
+            raise self.wrong(key, value, allowed)
         return tuple(float(one) for one in value)
 
     def _value(self, key: str, default: Any, remedy: str) -> Any:
@@ -94,7 +94,8 @@ class InstrumentTable:
             raise ConfigError(f"{self._who} needs option {key!r}", remedy=remedy)
         return value
 
-    def _wrong(self, key: str, value: Any, allowed: str) -> ConfigError:
+    def wrong(self, key: str, value: Any, allowed: str) -> ConfigError:
+        """Return the refusal of a value."""
         return ConfigError(f"{self._who}: {key} is {value!r}", remedy=allowed)
 
 

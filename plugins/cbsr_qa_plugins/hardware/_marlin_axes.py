@@ -1,0 +1,273 @@
+"""Three axes of a Marlin printer: where they are, motions that are watched, and what is done when they must stop."""
+
+import math
+import re
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final
+
+from cbsr_qa.clock import Clock
+from cbsr_qa.domain.errors import CbsrError, InstrumentError
+from cbsr_qa_plugins.hardware._marlin_link import MarlinLink
+
+Position = tuple[float, float, float]
+
+_NUMBER: Final = r"\s*(-?\d+(?:\.\d+)?)"
+_REPORT: Final = re.compile(
+    rf"^X:{_NUMBER}\s+Y:{_NUMBER}\s+Z:{_NUMBER}.*\bCount\s+X:{_NUMBER}\s+Y:{_NUMBER}\s+Z:{_NUMBER}"
+)
+#: While it moves, the head is asked this often where it is [s].
+POLL_S: Final = 0.1
+#: How far from where it was told to be counts as there: firmware says positions to 0.01 mm.
+_THERE_MM: Final = 0.05
+#: How far off its way a moving head may be said to be.
+_ASTRAY_MM: Final = 1.0
+#: How long a thread that hangs on the line is waited for before it is gone around [s, real time].
+_PATIENCE_S: Final = 0.25
+_REPORTS: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Machine:
+    """How the sheet lies in the machine.
+
+    Parameters
+    ----------
+    centre_mm : of the sheet, in the machine's x and y.
+    hover_z_mm : z of the head at its hover height.
+    hover_mm : that height above the nominal surface.
+    upward : 1 where z grows upwards, -1 where it grows downwards.
+    per_mm : what ``Count`` says in, per axis: 1 for millimetres, else steps per mm.
+    acceleration_mm_s2 : of every axis.
+    """
+
+    centre_mm: tuple[float, float]
+    hover_z_mm: float
+    hover_mm: float
+    upward: int
+    per_mm: Position
+    acceleration_mm_s2: float
+
+    def position(self, x_mm: float, y_mm: float, depth_mm: float) -> Position:
+        """Return machine coordinates of a place from the sheet's centre and a depth below its nominal surface."""
+        z = self.hover_z_mm - self.upward * (self.hover_mm + depth_mm)
+        return self.centre_mm[0] + x_mm, self.centre_mm[1] + y_mm, z
+
+    def depth_mm(self, z: float) -> float:
+        """Return the depth below the nominal surface."""
+        return self.upward * (self.hover_z_mm - z) - self.hover_mm
+
+
+class MarlinAxes:
+    """Moves a head in machine coordinates.
+
+    The position is known from homing to the next restart of the printer, and nothing moves without it but upwards.
+
+    Parameters
+    ----------
+    link : to the printer.
+    machine : where the sheet lies in it.
+    clock : the station's.
+    lift_mm_s : speed at which it goes up where it must.
+    fail : makes an InstrumentError of a reason and a remedy.
+    """
+
+    def __init__(
+        self,
+        link: MarlinLink,
+        machine: Machine,
+        clock: Clock,
+        *,
+        lift_mm_s: float,
+        fail: Callable[[str, str], InstrumentError],
+    ) -> None:
+        self._link = link
+        self.machine = machine
+        self._clock = clock
+        self._lift_mm_s = lift_mm_s
+        self._fail = fail
+        self._homed_at: int | None = None
+        self._lifted_at: int | None = None
+        self._at: Position | None = None  # where it was told to be and has got to; None while nobody has looked
+        self._stops = 0
+        self._allowed_stops = 0
+
+    @property
+    def ever_homed(self) -> bool:
+        """Whether it has homed since it was opened."""
+        return self._homed_at is not None
+
+    @property
+    def homed(self) -> bool:
+        """Whether its position is known."""
+        return self._homed_at == self._link.restarts
+
+    def check_homed(self) -> None:
+        """Raise InstrumentError where the position is not known."""
+        if not self.homed:
+            lost = "its position is lost: it has restarted" if self.ever_homed else "it has not homed yet"
+            raise self._fail(lost, "home it before it moves; see that the head is clear of the sheet")
+
+    def begin(self) -> None:
+        """Begin something new: stops until now were meant for what was done before."""
+        self._allowed_stops = self._stops
+
+    def home(self) -> None:
+        """Find the end stops: first upwards, out of a sheet the head may be in."""
+        if self._link.down:
+            self._link.reopen()
+        self._lift()
+        self._link.command("M400")
+        self._link.command("G21")
+        self._link.command("G90")
+        a = self.machine.acceleration_mm_s2
+        self._link.command(f"M201 X{a:g} Y{a:g} Z{a:g}")
+        self._link.command(f"M204 P{a:g} T{a:g}")
+        # Named axes: a plain G28 levels the mesh as well on a Prusa, tapping where the sheet lies.
+        self._link.command("G28 X Y Z")
+        self._homed_at, self._at = self._link.restarts, None
+
+    def at(self) -> Position:
+        """Return where it stands, once all motions are over; told and live position must agree."""
+        if self._at is None:
+            self._link.command("M400")
+            target, live = self._report()
+            if math.dist(target, live) > _THERE_MM:
+                raise self._fail(f"it stands at {_words(live)} and means to be at {_words(target)}", _LOOK)
+            self._at = live
+        return self._at
+
+    def live(self) -> Position:
+        """Return where it is at this moment."""
+        return self._report()[1]
+
+    def go(self, goal: Position, speed_mm_s: float, look: Callable[[Position], None] | None = None) -> None:
+        """Move in a straight line; returns when there.
+
+        Parameters
+        ----------
+        look : called with the live position while it moves; what it raises stops and lifts the head.
+
+        Raises
+        ------
+        InstrumentError
+            If the position is lost, the head does not get there, or it was stopped meanwhile.
+        """
+        self.check_homed()
+        origin = self.at()
+        length_mm = math.dist(origin, goal)
+        if length_mm < 1e-4:
+            return
+        end_s = self._send_off(goal, speed_mm_s) + length_mm / speed_mm_s
+        while (left_s := end_s - self._clock.now()) > 0:
+            self._clock.sleep(min(left_s, POLL_S))
+            self._check_not_stopped()
+            self._look(self._on_the_way(origin, goal), look)
+        self._link.command("M400")
+        self._check_arrived(goal)
+        self._at = goal
+
+    def stop_and_lift(self) -> None:
+        """Stop at once and begin to lift; returns before the head is up. May be called from any thread, repeatedly.
+
+        Where the position is known the head goes to its hover height. Where it is lost, it goes up by as much, once:
+        that is out of the sheet from wherever it was, and further up is not known to be free.
+
+        Raises
+        ------
+        InstrumentError
+            If the printer does not say that it does.
+        """
+        self._stops += 1
+        self._at = None
+        with self._link.alone(_PATIENCE_S) as mine:
+            if not mine:
+                self._link.shout("M410", *self._lifting())
+                raise self._fail("it was told to stop and lift, and did not answer: another command hangs", _LOOK)
+            if self._link.down:
+                self._link.reopen()
+            restarts = self._link.restarts
+            try:
+                self._stop_and_lift()
+            except InstrumentError:
+                if self._link.restarts == restarts:
+                    raise
+                self._stop_and_lift()  # it has restarted in between: now upwards from wherever it is
+
+    def _stop_and_lift(self) -> None:
+        self._link.command("M410")
+        self._lift()
+
+    def _lift(self) -> None:
+        self._at = None
+        for line in self._lifting():
+            self._link.command(line)
+        self._lifted_at = self._link.restarts
+
+    def _lifting(self) -> list[str]:
+        feed = f"F{60 * self._lift_mm_s:.6g}"
+        if self.homed:
+            return ["G90", f"G1 Z{self.machine.hover_z_mm:.4f} {feed}"]
+        if self._lifted_at == self._link.restarts:
+            return []
+        return ["G91", f"G1 Z{self.machine.upward * self.machine.hover_mm:.4f} {feed}", "G90"]
+
+    def _send_off(self, goal: Position, speed_mm_s: float) -> float:
+        """Queue a motion; return when it began."""
+        x, y, z = goal
+        with self._link.alone(2 * _PATIENCE_S) as mine:
+            if not mine:
+                raise self._fail("another command hangs", _LOOK)
+            self._check_not_stopped()
+            began_s = self._clock.now()
+            self._at = None
+            self._link.command(f"G1 X{x:.4f} Y{y:.4f} Z{z:.4f} F{60 * speed_mm_s:.6g}")
+        return began_s
+
+    def _look(self, live: Position, look: Callable[[Position], None] | None) -> None:
+        if look is None:
+            return
+        try:
+            look(live)
+        except CbsrError:
+            with suppress(InstrumentError):  # what was seen first is what must be known
+                self.stop_and_lift()
+            raise
+
+    def _check_not_stopped(self) -> None:
+        if self._stops != self._allowed_stops:
+            raise self._fail("it was stopped on its way", "nothing: somebody told the bench to stop")
+
+    def _on_the_way(self, origin: Position, goal: Position) -> Position:
+        """Return the live position; one that is off the way is asked for once more, since digits may be garbled."""
+        for _ in range(2):
+            live = self.live()
+            length = math.dist(origin, live) + math.dist(live, goal)
+            if length <= math.dist(origin, goal) + 2 * _ASTRAY_MM:
+                return live
+        raise self._fail(f"it is at {_words(live)}, off its way from {_words(origin)} to {_words(goal)}", _LOOK)
+
+    def _check_arrived(self, goal: Position) -> None:
+        for _ in range(2):
+            target, live = self._report()
+            if math.dist(live, goal) <= _THERE_MM and math.dist(target, goal) <= _THERE_MM:
+                return
+        raise self._fail(f"it stands at {_words(live)} and was told to go to {_words(goal)}", _LOOK)
+
+    def _report(self) -> tuple[Position, Position]:
+        """Return target and live position."""
+        for _ in range(_REPORTS):
+            for line in self._link.query("M114"):
+                if found := _REPORT.match(line):
+                    x, y, z, *count = map(float, found.groups())
+                    live = [c / per for c, per in zip(count, self.machine.per_mm, strict=True)]
+                    return (x, y, z), (live[0], live[1], live[2])
+        raise self._fail("it does not say where it is", "check 'firmware' in its table, and its cable")
+
+
+_LOOK: Final = "look whether the head is clear of the sheet before anything else is done"
+
+
+def _words(position: Position) -> str:
+    return f"({', '.join(f'{one:.2f}' for one in position)}) mm"

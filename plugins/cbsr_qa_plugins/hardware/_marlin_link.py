@@ -1,0 +1,222 @@
+"""Marlin's serial protocol from the host's side: every command is done exactly once, or it is said that it was not.
+
+Lines carry a number and a checksum, so that one that was garbled is asked for again, and one whose answer was lost
+can be sent again without being done twice: a printer that has it already says which number it expects next.
+"""
+
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import reduce
+from operator import xor
+from typing import Final
+
+from cbsr_qa.clock import RealClock
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.links.serial_link import SerialLink
+
+#: Lines are counted from here on after a start: a printer that asks for number 1 has restarted.
+_FIRST_NUMBER: Final = 1000
+_LONGEST_LINE: Final = 96
+_ATTEMPTS: Final = 4
+#: How long a printer may go on saying that it is busy [s, real time]: homing with mesh levelling takes minutes.
+_BUSY_AT_MOST_S: Final = 600.0
+#: While it starts, it is asked this often whether it is there [s, real time].
+_KNOCK_S: Final = 0.5
+_TOKENS: Final = 3
+
+
+class MarlinLink:
+    """Sends commands to a printer and waits for their acknowledgements.
+
+    Parameters
+    ----------
+    link : the open serial port.
+    boot_s : how long the printer may take from the opening of its port to its first answer [s, real time].
+
+    Raises
+    ------
+    InstrumentError
+        If nobody answers within this time.
+    """
+
+    def __init__(self, link: SerialLink, *, boot_s: float) -> None:
+        self._link = link
+        self._boot_s = boot_s
+        self._time = RealClock()
+        self._number = _FIRST_NUMBER
+        self._tokens = 0
+        self._exchanging = threading.RLock()
+        self._lost = False
+        #: How often the printer has restarted or halted since the port was first opened: its position is lost then.
+        self.restarts = 0
+        self._begin()
+
+    @property
+    def down(self) -> bool:
+        """Whether the line was found to be down; only reopening mends that."""
+        return self._link.down
+
+    def command(self, text: str) -> list[str]:
+        """Let a command be done, and return what the printer said before its acknowledgement.
+
+        After a restart lines are counted anew: whether the command may be done is the caller's to know.
+
+        Raises
+        ------
+        InstrumentError
+            If it is not acknowledged, the printer does not know it, or has restarted.
+        """
+        with self._exchanging:
+            self._look_back()
+            if self._lost:
+                self._begin()
+            self._number += 1
+            said = self._exchange(self._number, text)
+        if any("unknown command" in line.lower() for line in said):
+            raise self._error(f"it does not know the command {text!r}", remedy="check its firmware")
+        return said
+
+    def query(self, text: str) -> list[str]:
+        """Ask what may be asked again, until there is one answer and not an old one beside it."""
+        with self._exchanging:
+            for _ in range(_ATTEMPTS):
+                said = self.command(text)
+                if said and not self._look_back():
+                    return said
+        raise self._error(f"it does not answer {text!r} in a way that is understood", remedy=_CHECK, retryable=True)
+
+    @contextmanager
+    def alone(self, patience_s: float) -> Iterator[bool]:
+        """Keep other threads from the line; false if one of them did not leave it within this time."""
+        held = self._exchanging.acquire(timeout=patience_s)
+        try:
+            yield held
+        finally:
+            if held:
+                self._exchanging.release()
+
+    def shout(self, *commands: str) -> None:
+        """Send commands without number, and wait for no answer: another thread hangs on the line."""
+        self._link.write(b"\n" + b"".join(f"{text}\n".encode("ascii") for text in commands))
+
+    def reopen(self) -> None:
+        """Open the port again; printers restart on that, so the position is lost.
+
+        Raises
+        ------
+        InstrumentError
+            If it does not open, or nobody answers.
+        """
+        with self._exchanging:
+            self._forget()
+            self._link.reopen()
+            self._begin()
+
+    # --- start ---
+
+    def _begin(self) -> None:
+        """Wait until the printer has booted, and count lines from here on."""
+        self._number = _FIRST_NUMBER
+        until_s = self._time.now() + self._boot_s
+        while not self._answers_token(_KNOCK_S):
+            if self._time.now() > until_s:
+                raise self._error(
+                    f"nobody answers as a Marlin printer within {self._boot_s:g} s", remedy=_CHECK, retryable=False
+                )
+        self._exchange(self._number, f"M110 N{self._number}")
+        self._lost = False
+
+    def _answers_token(self, patience_s: float) -> bool:
+        """Send a text that comes back, whether the firmware knows M118 or not; what came before it is old."""
+        self._tokens += 1
+        token = f"sync-{self._tokens}."
+        self._link.write(f"\nM118 {token}\n".encode("ascii"))
+        try:
+            while token not in self._line(patience_s):
+                pass
+            while not self._line(patience_s).startswith("ok"):
+                pass
+        except InstrumentError as error:
+            if not error.retryable:
+                raise
+            return False
+        return True
+
+    # --- exchange ---
+
+    def _exchange(self, number: int, text: str) -> list[str]:
+        """Send a numbered line until it was done."""
+        body = f"N{number} {text}"
+        line = f"{body}*{reduce(xor, body.encode('ascii'), 0)}\n".encode("ascii")
+        assert len(line) <= _LONGEST_LINE, f"{text!r} is too long for the printer's buffer"
+        for _ in range(_ATTEMPTS):
+            self._link.write(line)
+            try:
+                said, wanted = self._answer()
+            except InstrumentError as error:
+                if not error.retryable:
+                    raise
+                self._resynchronise()
+                continue
+            if wanted in (None, number + 1):  # the latter: it was done before, and its answer was lost
+                return said
+            if wanted != number:
+                self._forget()
+                raise self._error(f"it asks for line {wanted} instead of {number}: it has restarted", remedy=_HOME)
+        raise self._error(f"{text!r} did not get through in {_ATTEMPTS} attempts", remedy=_CHECK)
+
+    def _answer(self) -> tuple[list[str], int | None]:
+        """Read up to the acknowledgement; return what was said before, and the line it asks for, if it does."""
+        said: list[str] = []
+        wanted: int | None = None
+        began_s = self._time.now()
+        until_s = began_s + self._link.timeout_s
+        while True:
+            line = self._line(max(until_s - self._time.now(), 0.0))
+            if line.startswith("ok"):
+                return said, wanted
+            if line.startswith("echo:busy") and self._time.now() < began_s + _BUSY_AT_MOST_S:
+                until_s = self._time.now() + max(self._link.timeout_s, _BUSY_EVERY_S)
+            elif line.startswith("Resend:"):
+                digits = line.partition(":")[2].strip()
+                wanted = int(digits) if digits.isdigit() else wanted
+            elif not line.startswith("Error:"):
+                said.append(line)
+
+    def _line(self, timeout_s: float) -> str:
+        line = self._link.read_line(timeout_s).decode("ascii", "replace").strip()
+        self._notice(line)
+        return line
+
+    def _notice(self, line: str) -> None:
+        """Raise where a line says that the position is lost."""
+        if line == "start" or "Printer halted" in line or "kill()" in line:
+            self._forget()
+            if self._number > _FIRST_NUMBER:
+                raise self._error(f"it has restarted (it said {line!r}): its position is lost", remedy=_HOME)
+
+    def _forget(self) -> None:
+        self.restarts += 1
+        self._lost = True
+
+    def _look_back(self) -> bool:
+        """Throw away what came since the last answer, but for the news of a restart; whether there was anything."""
+        lines = self._link.read_available().decode("ascii", "replace").splitlines()
+        for line in lines:
+            self._notice(line.strip())
+        return bool(lines)
+
+    def _resynchronise(self) -> None:
+        """After an answer that did not come: what comes from here on belongs to what is sent from here on."""
+        if not any(self._answers_token(self._link.timeout_s) for _ in range(_TOKENS)):
+            raise self._error("it does not answer any more", remedy=_CHECK)
+
+    def _error(self, reason: str, *, remedy: str, retryable: bool = False) -> InstrumentError:
+        return InstrumentError(self._link.role, self._link.address, reason, remedy=remedy, retryable=retryable)
+
+
+#: A busy printer says so this often [s]; half as much again is allowed.
+_BUSY_EVERY_S: Final = 3.0
+_CHECK: Final = "check its address, its cable and its power"
+_HOME: Final = "it must home before it moves again"

@@ -1,0 +1,356 @@
+"""Cartesian force applicator: a Prusa MK3 or another printer with Marlin, with the head instead of the nozzle.
+
+Its quick stop (``M410``) and its halt (``M112``) are software: neither is a safety-rated stop. ``M112`` is never sent
+from here, because a halted printer leaves the head in the sheet.
+"""
+
+import math
+import re
+from collections import deque
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain.errors import CbsrError, ConfigError, InstrumentError
+from cbsr_qa.domain.frames import SampleBlock
+from cbsr_qa.domain.kinematics import (
+    CLEARANCE_MM,
+    SEARCH_CONTACT_STEPS,
+    SEARCH_DWELL_S,
+    SEARCH_FROM_MM,
+    SEARCH_STEP_MM,
+)
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.interfaces import Instrument, StationContext
+from cbsr_qa.links.serial_link import SerialLink
+from cbsr_qa_plugins.hardware._force_watch import ForceWatch, force_among
+from cbsr_qa_plugins.hardware._marlin_axes import Machine, MarlinAxes, Position
+from cbsr_qa_plugins.hardware._marlin_link import MarlinLink
+from cbsr_qa_plugins.hardware._options import InstrumentTable
+
+_DRIVER: Final = "marlin-applicator"
+_OPTIONS: Final = (
+    "address",
+    "baud",
+    "timeout_s",
+    "boot_s",
+    "firmware",
+    "steps_per_mm",
+    "centre_mm",
+    "hover_height_mm",
+    "z_axis",
+    "acceleration_mm_s2",
+    "contact_force_N",
+    "search_depth_mm",
+)
+_FIRMWARES: Final = ("prusa", "marlin")
+#: Positions of the last hours are kept; what is drained every few seconds needs only the last ones.
+_KEPT: Final = 100_000
+
+
+def open_applicator(context: StationContext) -> "MarlinApplicator":
+    """Open a printer as force applicator; it also samples ``head depth`` [mm below the nominal surface].
+
+    Options of its table
+    --------------------
+    address : serial port, or ``usb:VID:PID:SERIAL``.
+    centre_mm : [x, y] of the sheet's centre, in the machine's coordinates.
+    hover_height_mm : the machine's z where the head is at the station's hover height above the nominal surface.
+    firmware : ``"prusa"`` (``Count`` in mm; default) or ``"marlin"`` (``Count`` in steps: state ``steps_per_mm``).
+    z_axis : ``"up"`` (z grows upwards; default) or ``"down"``.
+    steps_per_mm : of x, y and z, for stock Marlin.
+    baud, timeout_s, boot_s : 115200; 1 s for an acknowledgement; 10 s from opening to the first answer.
+    acceleration_mm_s2 : 200, the rig's.
+    contact_force_N : from which the sheet counts as touched when feeling for it; 0.2.
+    search_depth_mm : how far below the nominal surface is felt for it at most; 1.
+
+    Raises
+    ------
+    ConfigError
+        If an option is unknown, missing or out of range.
+    InstrumentError
+        If nobody answers at the address, or another instrument or firmware does.
+    """
+    table = InstrumentTable(context, _DRIVER, _OPTIONS)
+    if context.motion is None:
+        raise ConfigError(
+            f"instrument {context.role!r} ({_DRIVER}) was given no motion", remedy="open it by a station"
+        )
+    machine = _machine(table, context.motion.hover_mm)
+    address = table.text("address", remedy='name its serial port, e.g. address = "usb:2C99:0002"')
+    baud = table.whole("baud", 115200, at_least=1200, at_most=4_000_000)
+    timeout_s = table.number("timeout_s", 1.0, at_least=0.05, at_most=60.0)
+    boot_s = table.number("boot_s", 10.0, at_least=0.5, at_most=120.0)
+    firmware = table.choice("firmware", _FIRMWARES, "prusa")
+    contact_N = table.number("contact_force_N", 0.2, at_least=0.01, at_most=5.0)
+    search_mm = table.number("search_depth_mm", 1.0, at_least=0.1, at_most=context.sensor_type.thickness_mm)
+    link = SerialLink(context.role, address, baud=baud, timeout_s=timeout_s)
+    try:
+        marlin = MarlinLink(link, boot_s=boot_s)
+        return MarlinApplicator(
+            context, link, marlin, machine, firmware=firmware, contact_force_N=contact_N, search_depth_mm=search_mm
+        )
+    except BaseException:
+        link.close()
+        raise
+
+
+class MarlinApplicator:
+    """A head on a printer: homes, feels for the surface, presses by depth and watches the force meanwhile.
+
+    Parameters
+    ----------
+    context : of the station.
+    link, marlin : the open port, and the protocol on it.
+    machine : where the sheet lies in the machine.
+    firmware, contact_force_N, search_depth_mm : as in :func:`open_applicator`.
+
+    Raises
+    ------
+    InstrumentError
+        If it is not the printer that the station file says; nothing has moved then.
+    """
+
+    channel = "head depth"
+    unit = "mm"
+
+    def __init__(
+        self,
+        context: StationContext,
+        link: SerialLink,
+        marlin: MarlinLink,
+        machine: Machine,
+        *,
+        firmware: str,
+        contact_force_N: float,
+        search_depth_mm: float,
+    ) -> None:
+        assert context.motion is not None
+        self._context, self._motion, self._clock = context, context.motion, context.clock
+        self._link, self._marlin, self._machine = link, marlin, machine
+        self._firmware = firmware
+        self._contact_force_N, self._search_depth_mm = contact_force_N, search_depth_mm
+        self._axes = MarlinAxes(
+            marlin, machine, context.clock, lift_mm_s=self._motion.travel_speed_mm_s, fail=self._error
+        )
+        self._speed_mm_s = self._motion.press_speed_mm_s
+        self._found: dict[tuple[float, float], float] = {}
+        self._depths: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+        self._watch: ForceWatch | None = None
+        self.identity()
+        marlin.command("M410")  # whatever it was doing; where it stands is not known, so it does not move
+
+    # --- instrument ---
+
+    def identity(self) -> InstrumentIdentity:
+        """Ask the firmware who it is."""
+        said = " ".join(self._marlin.query("M115"))
+        names = dict(re.findall(r"([A-Z_]+):(.*?)(?=\s+[A-Z_]+:|$)", said))
+        name = names.get("FIRMWARE_NAME", "")
+        found = "prusa" if "prusa" in name.lower() else "marlin" if "marlin" in name.lower() else ""
+        if found != self._firmware:
+            raise self._error(
+                f"firmware {name or said[:60]!r} was found; {self._firmware!r} was expected",
+                "check its address, and 'firmware' in its table: it says what positions are told in",
+            )
+        return InstrumentIdentity(
+            self._context.role, _DRIVER, names.get("MACHINE_TYPE", ""), names.get("UUID", ""), name, simulated=False
+        )
+
+    def alive(self) -> None:
+        """Return if it answers and has not restarted since it homed."""
+        self._marlin.query("M114")
+        if self._axes.ever_homed:
+            self._axes.check_homed()
+
+    def safe_state(self) -> None:
+        """Stop and begin to lift, and return; see :meth:`MarlinAxes.stop_and_lift`."""
+        self._axes.stop_and_lift()
+
+    def close(self) -> None:
+        """Give the port back; what moves goes on to where it was told."""
+        self._link.close()
+
+    def link(self, peers: Mapping[str, Instrument]) -> None:
+        """Take the force from the bench's load cell."""
+        force = force_among(peers)
+        self._watch = ForceWatch(
+            force, self._clock, self._context.safety, role=self._context.role, address=self._link.address
+        )
+
+    # --- sampler: where the head is ---
+
+    def samples_since(self, time_s: float) -> SampleBlock:
+        """Return the depths that were asked for while it moved, and the present one."""
+        if self._axes.ever_homed:
+            self._axes.check_homed()
+            if not self._depths or self._depths[-1][0] < self._clock.now():
+                self._note(self._axes.live())
+        taken: list[tuple[float, float]] = []
+        for sample in reversed(self._depths):
+            if sample[0] <= time_s:
+                break
+            taken.append(sample)
+        block = np.array(taken[::-1], dtype=np.float64).reshape(-1, 2)
+        return SampleBlock(self.channel, self.unit, block[:, 0].copy(), block[:, 1].copy())
+
+    # --- force applicator ---
+
+    def home(self) -> None:
+        """Lift, find the zero of all axes, and go to the sheet's centre at the hover height."""
+        self._axes.begin()
+        self._axes.home()
+        x, y, _ = self._axes.at()
+        self._go((x, y, self._machine.hover_z_mm), self._motion.travel_speed_mm_s)
+        self._travel(0.0, 0.0)
+
+    def find_surface(self, x_mm: float, y_mm: float) -> float:
+        """Step down at a place until the contact force; return the surface's depth from the hover height [mm]."""
+        self.move_to(x_mm, y_mm)
+        depths, forces = self._search()
+        self._lift()
+        stiffness, offset = np.polyfit(depths, forces, 1)
+        if stiffness <= 0:
+            raise self._error("the force does not rise with depth at the surface", "look whether a sheet is in place")
+        self._found[(x_mm, y_mm)] = float(-offset / stiffness)
+        return self._motion.hover_mm + self._found[(x_mm, y_mm)]
+
+    def move_to(self, x_mm: float, y_mm: float) -> None:
+        """Travel at the hover height, lifting first if need be."""
+        self._axes.begin()
+        outline = self._context.sensor_type.outline
+        if not outline.clearance_mm(np.array([[x_mm, y_mm]]))[0] >= 0:
+            raise self._error(f"({x_mm:g}, {y_mm:g}) mm is outside the sheet", f"the sheet {outline.words()}")
+        self._lift()
+        self._travel(x_mm, y_mm)
+
+    def press(self, depth_mm: float, speed_mm_s: float) -> None:
+        """Go this far below the surface found here, or else found nearest, or else nominal."""
+        self._axes.begin()
+        thickness_mm = self._context.sensor_type.thickness_mm
+        if not (0 <= depth_mm < thickness_mm and speed_mm_s > 0):
+            raise self._error(
+                f"cannot press {depth_mm:g} mm deep at {speed_mm_s:g} mm/s",
+                f"the depth is from 0 to below the sheet's {thickness_mm:g} mm, the speed above 0",
+            )
+        self._axes.check_homed()
+        surface = self._surface_mm()
+        self._speed_mm_s = speed_mm_s
+        self._watched().look()
+        if self._depth_mm() < surface - CLEARANCE_MM:
+            self._go_to_depth(surface - CLEARANCE_MM, self._motion.travel_speed_mm_s, watched=True)
+        self._go_to_depth(surface + depth_mm, speed_mm_s, watched=True)
+
+    def release(self) -> None:
+        """Go up to the hover height: out of the sheet at the speed of the last press, then faster."""
+        self._axes.begin()
+        self._lift()
+
+    # --- how ---
+
+    def _search(self) -> tuple[list[float], list[float]]:
+        """Step down past the contact force; return the last depths [mm] and their forces [N]."""
+        watch, press_mm_s = self._watched(), self._motion.press_speed_mm_s
+        self._speed_mm_s = press_mm_s
+        watch.look()
+        self._go_to_depth(-SEARCH_FROM_MM, self._motion.travel_speed_mm_s, watched=True)
+        depths: list[float] = []
+        forces: list[float] = []
+        while sum(force >= self._contact_force_N for force in forces) < SEARCH_CONTACT_STEPS:
+            depth_mm = self._depth_mm()
+            if depth_mm > self._search_depth_mm:
+                raise self._given_up(
+                    f"no contact force of {self._contact_force_N:g} N"
+                    f" down to {self._search_depth_mm:g} mm below nominal",
+                    "look whether a sheet is in place, and whether the load cell reads pushes as positive",
+                )
+            self._go_to_depth(depth_mm + SEARCH_STEP_MM, press_mm_s, watched=True)
+            stepped_s = self._clock.now()
+            self._clock.sleep(SEARCH_DWELL_S)
+            forces.append(self._mean_since(watch, stepped_s))
+            depths.append(self._depth_mm())
+            if len(forces) == 1 and abs(forces[0]) >= self._contact_force_N:
+                raise self._given_up(
+                    f"the load cell reads {forces[0]:.3g} N {SEARCH_FROM_MM:g} mm above the nominal surface",
+                    "tare it with the head in the air, and check 'hover_height_mm' in the applicator's table",
+                )
+        return depths[-SEARCH_CONTACT_STEPS:], forces[-SEARCH_CONTACT_STEPS:]
+
+    def _mean_since(self, watch: ForceWatch, time_s: float) -> float:
+        try:
+            return watch.mean_since(time_s)
+        except CbsrError:
+            with suppress(InstrumentError):  # up first; what was seen is the message
+                self.safe_state()
+            raise
+
+    def _given_up(self, reason: str, remedy: str) -> InstrumentError:
+        """Lift the head, and return why the surface was not found."""
+        with suppress(InstrumentError):
+            self._lift()
+        return self._error(reason, remedy)
+
+    def _lift(self) -> None:
+        self._axes.check_homed()
+        clear_mm = self._surface_mm() - CLEARANCE_MM
+        if self._depth_mm() > clear_mm:
+            self._go_to_depth(clear_mm, self._speed_mm_s)
+        self._go_to_depth(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
+
+    def _travel(self, x_mm: float, y_mm: float) -> None:
+        self._go(self._machine.position(x_mm, y_mm, -self._motion.hover_mm), self._motion.travel_speed_mm_s)
+
+    def _go_to_depth(self, depth_mm: float, speed_mm_s: float, *, watched: bool = False) -> None:
+        x, y, _ = self._axes.at()
+        self._go((x, y, self._machine.position(0.0, 0.0, depth_mm)[2]), speed_mm_s, watched=watched)
+
+    def _go(self, goal: Position, speed_mm_s: float, *, watched: bool = False) -> None:
+        watch = self._watched() if watched else None
+
+        def look(live: Position) -> None:
+            self._note(live)
+            if watch is not None:
+                watch.look()
+
+        self._axes.go(goal, speed_mm_s, look)
+
+    def _note(self, live: Position) -> None:
+        self._depths.append((self._clock.now(), self._machine.depth_mm(live[2])))
+
+    def _depth_mm(self) -> float:
+        """Depth below the nominal surface where it stands."""
+        return self._machine.depth_mm(self._axes.at()[2])
+
+    def _surface_mm(self) -> float:
+        """Where the surface is taken to be below nominal: found here, or else found nearest, or else nominal."""
+        x, y, _ = self._axes.at()
+        here = (x - self._machine.centre_mm[0], y - self._machine.centre_mm[1])
+        return min(((math.dist(place, here), depth) for place, depth in self._found.items()), default=(0.0, 0.0))[1]
+
+    def _watched(self) -> ForceWatch:
+        if self._watch is None:
+            raise self._error("nobody measures the force", "link it with a load cell before it presses")
+        return self._watch
+
+    def _error(self, reason: str, remedy: str) -> InstrumentError:
+        return InstrumentError(self._context.role, self._link.address, reason, remedy=remedy)
+
+
+def _machine(table: InstrumentTable, hover_mm: float) -> Machine:
+    x, y = table.numbers("centre_mm", 2)
+    steps = (1.0, 1.0, 1.0)
+    if table.choice("firmware", _FIRMWARES, "prusa") == "marlin":
+        per_x, per_y, per_z = table.numbers("steps_per_mm", 3)
+        steps = (per_x, per_y, per_z)
+        if min(steps) <= 0:
+            raise table.wrong("steps_per_mm", list(steps), "they are above 0")
+    return Machine(
+        centre_mm=(x, y),
+        hover_z_mm=table.number("hover_height_mm"),
+        hover_mm=hover_mm,
+        upward=1 if table.choice("z_axis", ("up", "down"), "up") == "up" else -1,
+        per_mm=steps,
+        acceleration_mm_s2=table.number("acceleration_mm_s2", 200.0, at_least=1.0, at_most=20_000.0),
+    )

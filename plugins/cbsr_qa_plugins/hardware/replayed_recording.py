@@ -1,0 +1,226 @@
+"""A recording played back as a bench: what was measured once, to a run that believes it measures now."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain import kinematics
+from cbsr_qa.domain.errors import ConfigError, InstrumentError, PluginError, RecordingError
+from cbsr_qa.domain.frames import FrameBlock, SampleBlock
+from cbsr_qa.domain.plan import Motion
+from cbsr_qa.domain.recording import Recording, ScanKind
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.interfaces import StationContext
+from cbsr_qa_plugins.hardware._options import InstrumentTable
+
+_DRIVER: Final = "replayed-recording"
+_KEYS: Final = ("file", "format", "dataset", "channel", "start_s")
+#: Where the station states no motion: the rig's.
+_RIG_MOTION: Final = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hover_mm=25.0)
+
+
+def open_replay(context: StationContext) -> "ReplayedRecording":
+    """Open a recording as frame source, sampler of one of its channels, and head that only keeps time.
+
+    Options of its table: ``file``; ``format`` (by default the file is recognised) and ``dataset`` (of a file that
+    holds several); ``channel`` (of its samples; default ``"force"``); ``start_s`` (the recording's time at which it
+    begins to play; by default that of the first thing in it).
+
+    Raises
+    ------
+    ConfigError
+        If an option is wrong, the file cannot be read, or its frames are none of the station's sensor type.
+    """
+    return ReplayedRecording(context)
+
+
+class ReplayedRecording:
+    """Plays a recording on the station's clock, from the moment it is opened.
+
+    Recorded time passes as the station's does, whatever the station does meanwhile. A frame is delivered when the
+    station's clock is at its end, and counts if its middle was still to come when it was asked for; those that nobody
+    asked for are passed over, as on a board that never stops. Samples come at their recorded times. The head moves
+    nothing: it takes the time that the station's motion says.
+    """
+
+    def __init__(self, context: StationContext) -> None:
+        table = InstrumentTable(context, _DRIVER, _KEYS)
+        self._role, self._clock = context.role, context.clock
+        self._motion = context.motion or _RIG_MOTION
+        self._who = f"instrument {context.role!r} ({_DRIVER})"
+        self._recording = recording = _read(context, table)
+        _check_frames(recording, context, self._who)
+        self._wanted = table.text("channel", "force")
+        self._samples = next((block for block in recording.samples if block.channel == self._wanted), None)
+        self._period_s = float(np.median(np.diff(recording.frames.time_s)))
+        begins_s = [float(recording.frames.time_s[0]) - self._period_s / 2]
+        begins_s += [float(block.time_s[0]) for block in recording.samples if len(block)]
+        start_s = table.number("start_s", min(begins_s))
+        #: What is added to the recording's time to get the station's.
+        self._shift_s = context.clock.now() - context.resumed_at_s - start_s
+        self._place = (0.0, 0.0)
+        self._depth_mm: float | None = None
+        self._speed_mm_s = self._motion.press_speed_mm_s
+
+    # --- instrument ---
+
+    def identity(self) -> InstrumentIdentity:
+        """Say that nothing is measured, and what is played instead."""
+        one = self._recording
+        origin = f"; itself of {'; '.join(one.simulated)}" if one.simulated else ""
+        dataset = f", data set {one.dataset}" if one.dataset else ""
+        model = f"replay of {one.path.name} ({one.format}{dataset}){origin}"
+        return InstrumentIdentity(self._role, _DRIVER, model, "", "", simulated=True)
+
+    def safe_state(self) -> None:
+        """Take the head for up; nothing moves."""
+        self._depth_mm = None
+
+    def close(self) -> None:
+        """Do nothing: the file was read whole."""
+
+    # --- frame source ---
+
+    @property
+    def frame_period_s(self) -> float:
+        """Median time from one frame to the next [s]."""
+        return self._period_s
+
+    def acquire(self, count: int) -> FrameBlock:
+        """Deliver the next frames of which at least half is still to come.
+
+        Raises
+        ------
+        InstrumentError
+            If the recording ends before; it is not to be tried again.
+        """
+        frames = self._recording.frames
+        if count < 1:
+            raise self._error(f"{count} frames were asked for; at least 1 is needed")
+        first = int(np.searchsorted(frames.time_s, self._clock.now() - self._shift_s))
+        if first + count > len(frames):
+            raise self._over(len(frames) - first, count)
+        taken = frames.select(slice(first, first + count))
+        end_s = float(taken.time_s[-1]) + self._period_s / 2 + self._shift_s
+        self._clock.sleep(end_s - self._clock.now())
+        own = None if taken.reading_time_s is None else taken.reading_time_s + self._shift_s
+        return replace(taken, time_s=taken.time_s + self._shift_s, reading_time_s=own)
+
+    def _over(self, left: int, asked: int) -> InstrumentError:
+        played_s = self._clock.now() - self._shift_s
+        held, end_s = len(self._recording.frames), float(self._recording.frames.time_s[-1])
+        return self._error(
+            f"the recording is over: at {played_s:.4g} s of it {left} of {held} frames are left,"
+            f" {asked} asked for; the last is at {end_s:.4g} s",
+            remedy="use a recipe that takes no longer than what was recorded",
+        )
+
+    # --- sampler ---
+
+    @property
+    def channel(self) -> str:
+        """Name of the channel that is played.
+
+        Raises
+        ------
+        ConfigError
+            If the recording does not hold it.
+        """
+        return self._played().channel
+
+    @property
+    def unit(self) -> str:
+        """Its unit."""
+        return self._played().unit
+
+    def samples_since(self, time_s: float) -> SampleBlock:
+        """Return what was recorded after a time of the station's clock, up to now."""
+        block = self._played()
+        times_s = block.time_s + self._shift_s
+        which = (times_s > time_s) & (times_s <= self._clock.now())
+        return SampleBlock(block.channel, block.unit, times_s[which], block.values[which])
+
+    def _played(self) -> SampleBlock:
+        if self._samples is None:
+            name = self._recording.path.name
+            held = ", ".join(block.channel for block in self._recording.samples) or "none"
+            raise ConfigError(
+                f"{self._who}: {name} holds no channel {self._wanted!r}",
+                remedy=f"channels it holds: {held}; take that role out of 'provides', or replay another recording",
+            )
+        return self._samples
+
+    # --- force applicator ---
+
+    def home(self) -> None:
+        """Take the time that homing takes."""
+        self.release()
+        self._clock.sleep(kinematics.homing_s(self._motion, math.hypot(*self._place)))
+        self._place = (0.0, 0.0)
+
+    def find_surface(self, x_mm: float, y_mm: float) -> float:
+        """Take the time of a search, and find the nominal surface."""
+        self.move_to(x_mm, y_mm)
+        self._clock.sleep(kinematics.surface_search_s(self._motion))
+        return self._motion.hover_mm
+
+    def move_to(self, x_mm: float, y_mm: float) -> None:
+        """Take the time of the way."""
+        self.release()
+        self._clock.sleep(kinematics.travel_s(self._motion, math.dist(self._place, (x_mm, y_mm))))
+        self._place = (x_mm, y_mm)
+
+    def press(self, depth_mm: float, speed_mm_s: float) -> None:
+        """Take the time of a stroke down, or from one depth to another."""
+        motion = replace(self._motion, press_speed_mm_s=speed_mm_s)
+        if self._depth_mm is None:
+            self._clock.sleep(kinematics.stroke_s(motion, depth_mm))
+        else:
+            self._clock.sleep(kinematics.ease_s(motion, self._depth_mm, depth_mm))
+        self._depth_mm, self._speed_mm_s = depth_mm, speed_mm_s
+
+    def release(self) -> None:
+        """Take the time of a stroke up, if the head counts as down."""
+        if self._depth_mm is not None:
+            motion = replace(self._motion, press_speed_mm_s=self._speed_mm_s)
+            self._clock.sleep(kinematics.stroke_s(motion, self._depth_mm))
+            self._depth_mm = None
+
+    def _error(self, reason: str, *, remedy: str = "") -> InstrumentError:
+        return InstrumentError(self._role, str(self._recording.path), reason, remedy=remedy)
+
+
+def _read(context: StationContext, table: InstrumentTable) -> Recording:
+    if context.read_recording is None:
+        raise ConfigError(
+            f"instrument {context.role!r} ({_DRIVER}) was given no way to read recordings",
+            remedy="open it by a station file",
+        )
+    path = Path(table.text("file", remedy="name the recording to replay")).expanduser()
+    format_ = table.text("format") if table.has("format") else None
+    dataset = table.text("dataset") if table.has("dataset") else None
+    try:
+        return context.read_recording(path, format_, dataset)
+    except (RecordingError, PluginError) as error:
+        raise ConfigError(f"instrument {context.role!r} ({_DRIVER}): {error.reason}", remedy=error.remedy) from error
+
+
+def _check_frames(recording: Recording, context: StationContext, who: str) -> None:
+    """Refuse a recording whose frames are not those of a run."""
+    name, shape = recording.path.name, context.sensor_type.pattern.shape
+    found = recording.frames.voltages.shape[1:]
+    if recording.scan is not ScanKind.FULL or found != shape:
+        raise ConfigError(
+            f"{who}: frames of {name} have {found[0]} x {found[1]} readings; sensor type {context.sensor_type.name!r}"
+            f" has {shape[0]} x {shape[1]}",
+            remedy="give the station the sensor type that was recorded",
+        )
+    if recording.still or len(recording.frames) < 2:
+        raise ConfigError(
+            f"{who}: {name} holds {len(recording.frames)} frames"
+            + (" whose times say nothing" if recording.still else ""),
+            remedy="only a recording over time can be played on a clock",
+        )
