@@ -13,6 +13,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.INSTRUMENT, "esp32-multiplexer", "hardware.esp32_multiplexer:open_multiplexer"),
     (Kind.INSTRUMENT, "scanned-frames", "hardware.scanned_frames:open_frames"),
     (Kind.INSTRUMENT, "ert-board-stream", "hardware.ert_board_stream:open_board"),
+    (Kind.INSTRUMENT, "replayed-recording", "hardware.replayed_recording:open_replay"),
     (Kind.INSTRUMENT, "marlin-applicator", "hardware.marlin_applicator:open_applicator"),
     (Kind.SEQUENCE, "noise-figure", "sequences.noise_figure:NoiseFigureSequence"),
     (Kind.SEQUENCE, "hysteresis-loop", "sequences.hysteresis_loop:HysteresisLoopSequence"),

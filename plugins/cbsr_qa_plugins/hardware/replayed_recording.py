@@ -156,10 +156,8 @@ class ReplayedRecording:
     # --- force applicator ---
 
     def home(self) -> None:
-        """Take the time that homing takes."""
-        self.release()
-        self._clock.sleep(kinematics.homing_s(self._motion, math.hypot(*self._place)))
-        self._place = (0.0, 0.0)
+        """Take the time of the way up and to the sheet's centre, as the simulated bench does."""
+        self.move_to(0.0, 0.0)
 
     def find_surface(self, x_mm: float, y_mm: float) -> float:
         """Take the time of a search, and find the nominal surface."""
