@@ -82,20 +82,27 @@ def laplace_matrix(mesh: Mesh) -> sparse.csc_matrix:
     xᵀRx = 2 Σ (x_i − x_j)² over neighbours; edge lengths and distances do not enter, so on graded meshes it is no
     discrete Laplacian (Vauhkonen et al. 1998 weigh alike).
     """
+    differences = _differences(mesh)
+    return sparse.csc_matrix(2 * (differences.T @ differences))
+
+
+def _differences(mesh: Mesh) -> sparse.csr_matrix:
+    """Differences (edges, e) between elements that share an edge."""
+    edge = np.arange(len(mesh.neighbours))
+    ones = np.ones(len(edge))
     first, second = mesh.neighbours.T
-    count = len(mesh.elements)
-    ones = np.full(len(first), 2.0)
-    joined = sparse.coo_matrix((ones, (first, second)), shape=(count, count))
-    joined = joined + joined.T
-    return sparse.csc_matrix(sparse.diags_array(np.asarray(joined.sum(axis=1)).ravel()) - joined)
+    entries = np.concatenate([ones, -ones]), (np.concatenate([edge, edge]), np.concatenate([first, second]))
+    return sparse.csr_matrix(entries, shape=(len(edge), len(mesh.elements)))
 
 
 def laplace(mesh: Mesh) -> Prior:
     """Prior of :func:`laplace_matrix`; a constant image costs nothing.
 
     P is the inverse with the last element held at zero. It differs from any other generalised inverse by constants,
-    which the dual form determines from the readings.
+    which the dual form determines from the readings. R = 2 DᵀD with D the differences between neighbours; √2 DP is a
+    root of P.
     """
+    differences = np.sqrt(2.0) * _differences(mesh)
     factors = splu(
         laplace_matrix(mesh)[:-1, :-1].tocsc(),
         permc_spec="MMD_AT_PLUS_A",
@@ -108,4 +115,8 @@ def laplace(mesh: Mesh) -> Prior:
         held[:-1] = factors.solve(np.asfortranarray(columns[:-1]))
         return held
 
-    return Prior(covariance, np.ones((len(mesh.elements), 1)))
+    def half(columns: Array) -> Array:
+        product: Array = differences @ covariance(columns)
+        return product
+
+    return Prior(covariance, np.ones((len(mesh.elements), 1)), half)

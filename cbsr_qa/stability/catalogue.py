@@ -14,6 +14,7 @@ from cbsr_qa.stability import (
     reading_cases,
     reconstruction_cases,
     relaxation_cases,
+    smoothness_cases,
     statistics_cases,
     time_cases,
 )
@@ -24,6 +25,7 @@ CASES: Final[tuple[HardCase, ...]] = (
     *forward_cases.CASES,
     *reading_cases.CASES,
     *reconstruction_cases.CASES,
+    *smoothness_cases.CASES,
     *imaging_cases.CASES,
     *geometry_cases.CASES,
     *relaxation_cases.CASES,

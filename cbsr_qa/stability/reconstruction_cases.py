@@ -311,12 +311,6 @@ _NUMBERS: Final = (
 
 _REFUSED: Final = (
     _refusal(
-        "no-regularisation-of-a-squared-system",
-        "λ = 0 with the Laplace prior, which is solved for by normal equations.",
-        partial(_prepare, "gauss-newton-laplace", {"hyperparameter": 0.0}),
-        "by λ",
-    ),
-    _refusal(
         "parameter-beyond-doubles",
         "λ = 1e60, whose square leaves an image of nothing but rounding.",
         partial(_prepare, "gauss-newton-noser", {"hyperparameter": 1e60}),
