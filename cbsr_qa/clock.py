@@ -1,15 +1,35 @@
-"""Time, real and virtual. No other module sleeps or asks for the time."""
+"""Time, real and virtual. No other module sleeps or asks for the time.
 
+Both clocks tell multiples of one tick, a power of two: sums and differences of such times are exact in double
+precision for two and a half centuries, so that what rests on differences of times is the same, bit for bit, at
+whatever time of a run it happens (decision 0019).
+"""
+
+import math
 import time
 from datetime import UTC, datetime, timedelta
-from typing import Protocol
+from typing import Final, Protocol
+
+#: What times are multiples of [s]; 0.95 µs.
+TICK_S: Final = 2.0**-20
+
+
+def in_ticks(duration_s: float) -> float:
+    """Return the multiple of a tick nearest to a duration, at least one tick if it is above zero [s]."""
+    ticks = round(duration_s / TICK_S)
+    return TICK_S * (1 if ticks == 0 and duration_s > 0 else ticks)
+
+
+def on_tick(time_s: float) -> float:
+    """Return the first multiple of a tick that is not before a time [s]."""
+    return TICK_S * math.ceil(time_s / TICK_S)
 
 
 class Clock(Protocol):
     """The station's time."""
 
     def now(self) -> float:
-        """Seconds since the clock was made; never steps back [s]."""
+        """Seconds since the clock was made, in whole ticks; never steps back [s]."""
         ...
 
     def wall(self) -> datetime:
@@ -17,7 +37,7 @@ class Clock(Protocol):
         ...
 
     def sleep(self, duration_s: float) -> None:
-        """Let this much of the station's time pass [s]."""
+        """Let this much of the station's time pass, at least a tick if it is above zero [s]."""
         ...
 
 
@@ -28,17 +48,17 @@ class RealClock:
         self._start = time.monotonic()
 
     def now(self) -> float:
-        """Seconds since this clock was made [s]."""
-        return time.monotonic() - self._start
+        """Whole ticks that have passed since this clock was made [s]."""
+        return TICK_S * math.floor((time.monotonic() - self._start) / TICK_S)
 
     def wall(self) -> datetime:
         """Date and time of day, UTC."""
         return datetime.now(UTC)
 
     def sleep(self, duration_s: float) -> None:
-        """Wait [s]."""
+        """Wait, at least a tick [s]; a negative duration is ignored."""
         if duration_s > 0:
-            time.sleep(duration_s)
+            time.sleep(max(duration_s, TICK_S))
 
 
 class VirtualClock:
@@ -62,5 +82,5 @@ class VirtualClock:
         return self._start + timedelta(seconds=self._now)
 
     def sleep(self, duration_s: float) -> None:
-        """Advance at once by this much [s]; a negative duration is ignored."""
-        self._now += max(duration_s, 0.0)
+        """Advance at once by the nearest number of ticks, at least one [s]; a negative duration is ignored."""
+        self._now += in_ticks(max(duration_s, 0.0))

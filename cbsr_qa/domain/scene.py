@@ -73,6 +73,7 @@ class SceneSetting:
     seed : of the run; random numbers are addressed with it.
     current_A : drive current.
     frame_period_s : time of one frame.
+    began_s : when on the run's time line the station's clock began; above 0 in a resumed session.
     """
 
     sensor_type: SensorType
@@ -81,6 +82,7 @@ class SceneSetting:
     seed: int
     current_A: float
     frame_period_s: float = 2.5
+    began_s: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -244,3 +246,8 @@ class Moment:
     drive_ohm: Array | None = None
     measure_ohm: Array | None = None
     flags: NDArray[np.uint8] | None = None
+
+    @property
+    def run_s(self) -> float:
+        """When it is on the run's time line: what drifts with the time of a run goes on in a resumed session."""
+        return self.time_s + self.setting.began_s

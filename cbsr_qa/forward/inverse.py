@@ -46,33 +46,67 @@ class InverseEntries:
         ----------
         nodes : (p,) int64, each once.
         """
-        missing = nodes[self._place[nodes] < 0]
-        if missing.size:
-            if len(self._known) + missing.size > self._most:
-                self._forget()
-                missing = nodes
-            self._add(missing)
+        missing = self._missing(nodes)
+        self._reserve(missing)
+        for first in range(0, len(missing), _AT_ONCE):
+            part = missing[first : first + _AT_ONCE]
+            self._keep(part, self._columns(part))
         place = self._place[nodes]
         return self._entries[np.ix_(place, place)]
+
+    def alone(self, nodes: Indices) -> Array:
+        """Return the entries between nodes as solving for these alone gives them: (p, p) [V/A].
+
+        The same to the last bit whatever was asked before, unlike :meth:`between`, whose entries come from the column
+        of whichever node was asked for later. What is solved for is known to :meth:`between` from then on.
+
+        Parameters
+        ----------
+        nodes : (p,) int64, each once.
+        """
+        missing = self._missing(nodes)
+        self._reserve(missing)
+        entries = np.empty((len(nodes), len(nodes)))
+        for first in range(0, len(nodes), _AT_ONCE):
+            here = slice(first, first + _AT_ONCE)
+            columns = self._columns(nodes[here])
+            entries[:, here] = columns[nodes]
+            new = np.isin(nodes[here], missing)
+            self._keep(nodes[here][new], columns[:, new])
+        return entries
+
+    def _missing(self, nodes: Indices) -> Indices:
+        """Which of these are not known; all of them where the known ones had to be forgotten."""
+        missing = nodes[self._place[nodes] < 0]
+        if missing.size and len(self._known) + missing.size > self._most:
+            self._forget()
+            return nodes
+        return missing
 
     def _forget(self) -> None:
         self._place[self._known] = -1
         self._known = self._known[:0]
         self._entries = np.empty((0, 0))
 
-    def _add(self, nodes: Indices) -> None:
+    def _reserve(self, nodes: Indices) -> None:
+        """Give nodes their places."""
         before, after = len(self._known), len(self._known) + len(nodes)
         self._known = np.concatenate([self._known, nodes])
         self._place[nodes] = np.arange(before, after)
         self._make_room(before, after)
-        for first in range(0, len(nodes), _AT_ONCE):
-            part = nodes[first : first + _AT_ONCE]
-            load = np.zeros((len(self._place), len(part)))
-            load[part, np.arange(len(part))] = 1
-            columns = self._model.solve(load)[self._known]
-            here = slice(before + first, before + first + len(part))
-            self._entries[:after, here] = columns
-            self._entries[here, :after] = columns.T
+
+    def _columns(self, nodes: Indices) -> Array:
+        """Whole columns of K⁻¹, (n, p)."""
+        load = np.zeros((len(self._place), len(nodes)))
+        load[nodes, np.arange(len(nodes))] = 1
+        columns: Array = self._model.solve(load)
+        return columns
+
+    def _keep(self, nodes: Indices, columns: Array) -> None:
+        """Keep what columns of nodes that have a place say about all that have one."""
+        count, here = len(self._known), self._place[nodes]
+        self._entries[:count, here] = columns[self._known]
+        self._entries[here, :count] = columns[self._known].T
 
     def _make_room(self, used: int, needed: int) -> None:
         """Grow by doubling, so that adding nodes one after the other costs no more than a few copies in all."""

@@ -17,7 +17,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.forward.inverse import InverseEntries
 from cbsr_qa.forward.model import ForwardModel
 from cbsr_qa.forward.patches import ElementChanges, PatchStack, check_change
-from cbsr_qa.forward.rims import between_rims, seen_outside
+from cbsr_qa.forward.rims import own_rim, seen_outside
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -174,8 +174,7 @@ class Patch:
         self._matrices = ElementChanges(model, self._elements)
         #: (b,) nodes of its rim
         self.rim: Indices = self._stack.rims[0]
-        between, _ = between_rims(model, inverse, [self.rim], [slice(0, len(self.rim))])
-        self._own = between
+        self._own = own_rim(inverse, self.rim)
         shape = len(self._elements), len(model.elements.shapes.points), 2, 2
         places = [np.searchsorted(self._elements, family.elements) for family in families]
         self._stacked = StackedSeries([family.change for family in families], places, shape)

@@ -60,6 +60,14 @@ def between_rims(
     return between, fields
 
 
+def own_rim(inverse: InverseEntries, rim: Indices) -> Array:
+    """K₀⁻¹ between the nodes of one rim, without its means: the same whatever loads came before."""
+    own = inverse.alone(rim)
+    own -= own.mean(axis=0)
+    own -= own.mean(axis=1)[:, None]
+    return own
+
+
 def met_bases(between: Array, fields: Array, spans: Sequence[slice], least: Sequence[float]) -> list[Array]:
     """Orthonormal bases (b, r) of what reaches each rim from other rims and electrodes, but for the least of it."""
     found = []

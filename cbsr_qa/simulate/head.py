@@ -2,11 +2,11 @@
 
 import math
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 
-from cbsr_qa.clock import Clock
+from cbsr_qa.clock import Clock, in_ticks
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.kinematics import (
     CLEARANCE_MM,
@@ -16,28 +16,10 @@ from cbsr_qa.domain.kinematics import (
     SEARCH_STEP_MM,
 )
 from cbsr_qa.domain.plan import Motion
-from cbsr_qa.domain.scene import HeadPosition, SimulatedPress, StrainStep
+from cbsr_qa.simulate.press_writer import PressWriter, Sheet
 
 _CONTACT_FORCE_N: Final = 0.2  # the rig's
 _SEARCH_DEPTH_MM: Final = 1.0  # below the nominal surface; deeper than any seat is wrong
-
-
-class Sheet(Protocol):
-    """What a head meets."""
-
-    presses: list[SimulatedPress]
-
-    def surface_mm(self, x_mm: float, y_mm: float, time_s: float) -> float:
-        """How far the true surface lies below nominal."""
-        ...
-
-    def thickness_mm(self, x_mm: float, y_mm: float) -> float:
-        """How thick it is."""
-        ...
-
-    def head_at(self, to: HeadPosition, before: HeadPosition, time_s: float, index: int) -> HeadPosition:
-        """Where the head gets to from where it was, told to go somewhere; the index counts its movements."""
-        ...
 
 
 class SimulatedHead:
@@ -52,23 +34,25 @@ class SimulatedHead:
     sheet : what it meets; presses are appended to its list.
     motion : the station's speeds and hover height.
     role : in the station file, for messages.
-    first_index : of its movements, the addresses of their random numbers; a resumed session has others.
+    first_index : of its movements, the addresses of their random numbers.
+
+    Its movements take whole ticks of the clock, and so do the ramps they leave: see :mod:`cbsr_qa.clock`.
     """
 
     def __init__(self, clock: Clock, sheet: Sheet, motion: Motion, *, role: str, first_index: int = 0) -> None:
         self._role = role
         self._clock = clock
-        self._sheet = sheet
         self._motion = motion
         self._place = (0.0, 0.0)
         self._depth_mm = -motion.hover_mm
-        #: where it is indeed
-        self._true: HeadPosition = (*self._place, self._depth_mm)
-        self._movements = first_index
+        self._written = PressWriter(sheet, (*self._place, self._depth_mm), first_index=first_index)
         self._speed_mm_s = motion.press_speed_mm_s
         self._found: dict[tuple[float, float], float] = {}
-        self._pressing: SimulatedPress | None = None
         self._free_at_s = 0.0
+
+    def count_from(self, index: int) -> None:
+        """Address the movements that follow from here on."""
+        self._written.count_from(index)
 
     @property
     def place_mm(self) -> tuple[float, float]:
@@ -80,7 +64,7 @@ class SimulatedHead:
         self.lift()
         self._clock.sleep(math.dist(self._place, (x_mm, y_mm)) / self._motion.travel_speed_mm_s)
         self._place = (x_mm, y_mm)
-        self._true = self._arrival()
+        self._written.travel((*self._place, self._depth_mm), self._clock.now())
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
         """Go this far below the surface found here (or else found nearest, or else nominal)."""
@@ -166,32 +150,11 @@ class SimulatedHead:
         self._clock.sleep(self._start(depth_mm, speed_mm_s) - self._clock.now())
 
     def _start(self, depth_mm: float, speed_mm_s: float) -> float:
-        """Begin a movement now; write the part of it below the true surface; return when it will be over."""
+        """Begin a movement now; the part of it below the true surface is written; return when it will be over."""
         start = self._clock.now()
         if depth_mm == self._depth_mm:
             return start  # told to stay, it does: no new error, no ramp of no length
-        x_mm, y_mm, true_mm = self._true
-        surface = self._sheet.surface_mm(x_mm, y_mm, start)
-        duration_s = abs(depth_mm - self._depth_mm) / speed_mm_s
+        duration_s = in_ticks(abs(depth_mm - self._depth_mm) / speed_mm_s)
         self._depth_mm = depth_mm
-        self._true = (x_mm, y_mm, self._arrival()[2])
-        before, after = max(true_mm - surface, 0.0), max(self._true[2] - surface, 0.0)
-        if before != after:
-            ramp_s = min(abs(after - before) / speed_mm_s, duration_s)
-            begins = start if after < before else start + duration_s - ramp_s
-            self._write(StrainStep(begins, ramp_s, (after - before) / self._sheet.thickness_mm(x_mm, y_mm)))
-        if after == 0:
-            self._pressing = None
+        self._written.stroke((*self._place, depth_mm), start, duration_s, speed_mm_s)
         return start + duration_s
-
-    def _arrival(self) -> HeadPosition:
-        """Where the head gets to from where it is, told to be where it now is told to be."""
-        self._movements += 1
-        to = (*self._place, self._depth_mm)
-        return self._sheet.head_at(to, self._true, self._clock.now(), self._movements)
-
-    def _write(self, step: StrainStep) -> None:
-        if self._pressing is None:
-            self._pressing = SimulatedPress(len(self._sheet.presses), *self._true[:2])
-            self._sheet.presses.append(self._pressing)
-        self._pressing.steps.append(step)

@@ -63,6 +63,7 @@ class SimulatedWorld:
     seed : of the run.
     effect_factory : finds an effect's factory by name; see :func:`cbsr_qa.simulate.chain.build_chain`.
     contact_length_mm : contact impedance over sheet resistance, where no effect says otherwise.
+    began_s : when on the run's time line the station's clock began, see :class:`~cbsr_qa.domain.scene.SceneSetting`.
     sheet : made already for another scene with the same effects on the sheet; by default it is made.
 
     Raises
@@ -83,9 +84,12 @@ class SimulatedWorld:
         seed: int,
         effect_factory: EffectFactory,
         contact_length_mm: float = CONTACT_LENGTH_MM,
+        began_s: float = 0.0,
         sheet: SimulatedSheet | None = None,
     ) -> None:
-        self.setting = SceneSetting(sensor_type, material, indenter, seed, scene.current_A, scene.frame_period_s)
+        self.setting = SceneSetting(
+            sensor_type, material, indenter, seed, scene.current_A, scene.frame_period_s, began_s
+        )
         self.chain = build_chain(scene, self.setting, effect_factory)
         self.sheet = self._made(scene, contact_length_mm) if sheet is None else sheet
         # Noise is the station's, in volts: what is stated relative to the sheet's readings is so beside a ring too.

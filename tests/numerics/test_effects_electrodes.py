@@ -92,11 +92,11 @@ def test_an_opening_that_ends_before_it_begins_is_refused():
 # --- intermittent ---
 
 
-def open_at(effect, times_s, index=0):
+def open_at(effect, times_s, of=OF):
     """Whether the lead is open at each time."""
     found = []
     for time_s in times_s:
-        at = moment(OF, float(time_s), index=index)
+        at = moment(of, float(time_s))
         at.impedance_ohm = np.zeros((16, 16))
         effect.apply(at)
         found.append(at.impedance_ohm[5, 5] == OPEN_OHM)
@@ -110,7 +110,7 @@ def intermittent(open_s=2.0, closed_s=6.0, seed=1):
 
 def runs_s(effect, end_s):
     """Lengths of the whole open and closed runs up to an end, from the effect's own events [s]."""
-    events = [event for block in range(int(end_s / effect._block_s)) for event in effect._events(block, 0)]
+    events = [event for block in range(int(end_s / effect._block_s)) for event in effect._events(block)]
     changes = [
         (at_s, mark) for (at_s, mark), (_, before) in zip(events[1:], events[:-1], strict=True) if mark != before
     ]
@@ -150,17 +150,31 @@ def test_times_may_be_asked_for_in_any_order(times, open_s):
 
 def test_the_state_holds_between_its_events_across_blocks():
     effect = intermittent()
-    events = [event for block in range(20) for event in effect._events(block, 0)]
+    events = [event for block in range(20) for event in effect._events(block)]
     ends = [at_s for at_s, _ in events[1:]] + [20 * effect._block_s]
     for (at_s, mark), end_s in zip(events, ends, strict=True):
         assert open_at(effect, [at_s, (at_s + end_s) / 2]).tolist() == [mark, mark]
 
 
-def test_a_resumed_session_has_another_history():
+def test_a_resumed_session_goes_on_with_the_history():
     times = np.arange(0.0, 400.0, 4.0)
-    first, resumed = (open_at(intermittent(), times, index=millisecond << 32) for millisecond in (0, 120_000))
-    assert not np.array_equal(first, resumed)
-    assert np.array_equal(resumed, open_at(intermittent(), times, index=(120_000 << 32) + 77))
+    whole = open_at(intermittent(), times + 120.0)
+    assert 0 < whole.sum() < len(whole)
+    resumed = replace(OF, began_s=120.0)
+    assert np.array_equal(open_at(intermittent(), times, of=resumed), whole)
+    # Its switches come 120 s earlier on the session's clock.
+    effect = intermittent()
+    late = effect.switches(moment(OF, 130.0), 125.0, 175.0)
+    early = effect.switches(moment(resumed, 10.0), 5.0, 55.0)
+    assert late
+    assert early == pytest.approx([at_s - 120.0 for at_s in late])
+
+
+def test_a_lead_that_opens_at_a_time_of_the_run_opens_then_in_a_resumed_session_too():
+    effect = ElectrodeOpen(OF, electrode=5, from_s=100.0, to_s=200.0)
+    times = np.array([0.0, 50.0, 110.0])
+    assert open_at(effect, times + 90.0).tolist() == open_at(effect, times, of=replace(OF, began_s=90.0)).tolist()
+    assert effect.switches(moment(replace(OF, began_s=90.0), 0.0), 0.0, 20.0) == [10.0]
 
 
 def test_closed_frames_are_those_of_a_whole_electrode_and_open_ones_those_of_an_open_one():

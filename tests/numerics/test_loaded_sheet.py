@@ -69,6 +69,16 @@ def test_a_single_load_is_right_to_rounding_within_its_series_and_beyond(model, 
     assert error(model, found, afresh(model, loads)) < 1e-11
 
 
+def test_a_single_load_answers_the_same_to_the_bit_whatever_was_loaded_before(model):
+    places = [(12.0 + 3.1 * (k % 3), -7.0 + 2.7 * (k // 3)) for k in range(9)]
+    loads = [{family(model, *place): -0.25} for place in places]
+    fresh = [LoadedSheet(model).transfer_impedances([load])[0] for load in loads]
+    for order in (range(8, -1, -1), (4, 0, 8, 3, 5, 1, 7, 2, 6)):
+        used = LoadedSheet(model)
+        for number in order:  # their rims share nodes
+            np.testing.assert_array_equal(used.transfer_impedances([loads[number]])[0], fresh[number])
+
+
 @given(strengths=st.lists(st.floats(-0.3, 0.4), min_size=9, max_size=9))
 @settings(max_examples=15, deadline=None)
 def test_nine_loads_together(model, loaded, nine, strengths):

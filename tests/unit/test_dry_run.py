@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from cbsr_qa.clock import VirtualClock
+from cbsr_qa.clock import VirtualClock, on_tick
 from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type, load_station
 from cbsr_qa.domain import kinematics
 from cbsr_qa.domain.errors import RefusedError
@@ -50,14 +50,14 @@ def cycle(**options):
 
 @given(hold_s=st.floats(0, 400), period_s=st.floats(0.02, 5), start_s=st.floats(0, 2e4))
 def test_frames_of_a_hold_are_counted_as_they_are_taken(hold_s, period_s, start_s):
-    clock = VirtualClock()
+    clock, period_s = VirtualClock(), on_tick(period_s)
     clock.sleep(start_s)
     end_s, taken = clock.now() + hold_s, 0
     while taken == 0 or another_frame(end_s - clock.now(), period_s):
         clock.sleep(period_s)
         taken += 1
     share = hold_s / period_s % 1
-    near_the_edge = abs(share - 0.1) < 1e-6
+    near_the_edge = abs(share - 0.1) < 1e-4  # the clock's ticks
     assert abs(taken - frames_in_hold(hold_s, period_s)) <= near_the_edge
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from simulated_setting import HEAD, installed, material, scene, sensor_type, world
 
+from cbsr_qa.clock import TICK_S
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan import Motion
 from cbsr_qa.domain.scene import Dump, SceneSetting, Transcript
@@ -50,9 +51,9 @@ def test_heads_press_when_and_where_they_are_told():
         down, up = one.press.steps
         ramp_s = depth_mm / 0.5
         assert (one.press.x_mm, one.press.y_mm) == one.load.place_mm
-        assert (down.start_s, down.ramp_s) == pytest.approx((one.load.start_s, ramp_s), abs=1e-9)
+        assert (down.start_s, down.ramp_s) == pytest.approx((one.load.start_s, ramp_s), abs=2 * TICK_S)
         assert (down.change, up.change) == pytest.approx((one.load.strain, -one.load.strain))
-        assert up.start_s == pytest.approx(one.load.start_s + ramp_s + one.load.hold_s, abs=1e-9)
+        assert up.start_s == pytest.approx(one.load.start_s + ramp_s + one.load.hold_s, abs=2 * TICK_S)
         assert one.true_strain == pytest.approx(one.load.strain)
 
 
@@ -126,7 +127,7 @@ def test_the_cell_reads_the_sum_of_all_heads():
         (47.0, 0.2 - 0.2 * 0.4 / 1.6),
         (60.0, 0),
     ):
-        assert both.values[int(8 * time_s)] == pytest.approx(newton * strain, abs=1e-9), time_s
+        assert both.values[int(8 * time_s)] == pytest.approx(newton * strain, abs=newton * TICK_S), time_s
 
 
 def test_frames_are_those_of_the_world_at_their_times():

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from simulated_setting import MOTION, base_scene, context, installed, scene
 
-from cbsr_qa.clock import VirtualClock
+from cbsr_qa.clock import VirtualClock, in_ticks
 from cbsr_qa.config.loader import load_station
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock
@@ -86,29 +86,73 @@ def test_an_effect_more_changes_no_number_of_the_others():
     np.testing.assert_array_equal(force.values, other_force.values)
 
 
-def test_a_bench_opened_late_goes_on_with_the_same_numbers():
-    early_clock, early = _bench()
-    whole = early.acquire(8)
-    force = early.samples_since(-1.0)
-    late_clock = VirtualClock()
-    late_clock.sleep(12.5)
-    _, late = _bench(clock=late_clock)
-    np.testing.assert_array_equal(late.acquire(3).voltages, whole.voltages[5:])
-    np.testing.assert_array_equal(late.samples_since(12.5).values, force.between(12.6, 99.0).values)
-    assert early_clock.now() == late_clock.now()
+def _load(bench: SimulatedBench, number: int) -> tuple[FrameBlock, SampleBlock]:
+    """One press as the runner makes it, as step numbers from a given one on."""
+    bench.begin_step(0, number)
+    bench.move_to(12.0, -7.0)
+    start = bench.samples_since(-1.0).time_s.max(initial=0.0)
+    bench.press(0.8, SPEED)
+    bench.begin_step(0, number + 1)
+    frames = bench.acquire(3)
+    bench.begin_step(0, number + 2)
+    bench.release()
+    return frames, bench.samples_since(start)
 
 
-def test_a_resumed_session_repeats_none_of_the_numbers_before_it():
-    numbers: list[float] = []
-    for resumed_at_s in (0.0, 11.25, 13.7, 13.825):
-        _, bench = _bench(lying(None), resumed_at_s=resumed_at_s)
-        numbers += [*bench.acquire(6).voltages.ravel(), *bench.samples_since(-1.0).values]
-    assert len(set(numbers)) == len(numbers)
+def _quiet_but_for_noise() -> Scene:
+    return scene("piezoresistivity", "elastic-stress", "measurement-noise", "load-cell-noise", "time-skew",
+                 "applicator-position-error", load_cell_noise={"rms_N": 0.01},
+                 applicator_position_error={"error_mm": 0.1, "depth_error_mm": 0.01})  # fmt: skip
 
 
-def test_the_same_resumption_gives_the_same_numbers():
-    one, other = (_bench(resumed_at_s=11.25)[1].acquire(2).voltages for _ in range(2))
-    np.testing.assert_array_equal(one, other)
+@pytest.mark.parametrize("earlier_s", [0.1, 77.7777, 12345.678])
+def test_a_step_gives_the_same_numbers_whenever_it_is_done_and_wherever_the_head_came_from(earlier_s: float):
+    _, bench = _bench(_quiet_but_for_noise())
+    bench.begin_step(0, 4)
+    first, force = _load(bench, 5)
+    began_s = first.time_s[0]
+    later_clock, later = _bench(_quiet_but_for_noise(), resumed_at_s=99.0)
+    later_clock.sleep(earlier_s)
+    later.begin_step(0, 4)
+    later.move_to(9.0, -9.0)
+    later.acquire(2)
+    later.press(0.5, SPEED)  # on some of the nodes of the place that follows
+    later.acquire(1)
+    later.move_to(14.0, -3.0)
+    later.press(0.5, SPEED)
+    later.acquire(1)
+    later.release()
+    second, second_force = _load(later, 5)
+    shift_s = second.time_s[0] - began_s
+    assert shift_s > 0
+    np.testing.assert_array_equal(second.time_s - shift_s, first.time_s)
+    np.testing.assert_array_equal(second.reading_time_s - shift_s, first.reading_time_s)
+    np.testing.assert_array_equal(second.voltages, first.voltages)
+    # Samples from the press on; before it the head travelled for another time.
+    count = len(force.between(force.time_s[-1] - 8.0, 1e9))
+    assert count > 50
+    np.testing.assert_array_equal(second_force.time_s[-count:] - shift_s, force.time_s[-count:])
+    np.testing.assert_array_equal(second_force.values[-count:], force.values[-count:])
+    assert bench.world.presses[-1].steps[0].change == later.world.presses[-1].steps[0].change
+
+
+def test_no_two_steps_share_their_numbers():
+    _, bench = _bench(scene("measurement-noise"))
+    frames = []
+    for phase, number in [(0, 0), (0, 1), (1, 0), (0, 99_999), (2046, 99_999)]:
+        bench.begin_step(phase, number)
+        frames += [*bench.acquire(2).voltages]
+        bench.move_to(1.0, 0.0)
+        frames += [*bench.acquire(1).voltages]
+    assert len({frame.tobytes() for frame in frames}) == len(frames) == 15
+
+
+def test_what_drifts_with_the_time_of_a_run_goes_on_in_a_resumed_session():
+    of = scene("temperature-drift", temperature_drift={"coefficient_per_K": 0.02, "rate_K_per_h": 10.0})
+    clock, whole = _bench(of)
+    clock.sleep(600.0)
+    resumed = _bench(of, resumed_at_s=600.0)[1]
+    assert whole.acquire(1).voltages.tolist() == resumed.acquire(1).voltages.tolist()
 
 
 def test_no_two_frames_share_their_noise_whenever_they_begin():
@@ -291,7 +335,7 @@ def test_samples_come_eight_a_second_each_once():
     clock.sleep(1.0)
     second = bench.samples_since(float(first.time_s[-1]))
     times = np.concatenate([first.time_s, second.time_s])
-    np.testing.assert_array_equal(times, np.arange(25) / 8)
+    np.testing.assert_array_equal(times, np.arange(1, 25) / 8)
     assert (first.channel, first.unit) == ("force", "N")
     assert len(bench.samples_since(clock.now())) == 0
 
@@ -390,13 +434,16 @@ def test_a_head_told_to_stay_stays_whatever_its_position_errors():
     assert np.isfinite(bench.world.force_N(clock.now(), 0))
 
 
-def test_a_resumed_session_has_position_errors_of_its_own():
-    def place(resumed_at_s):
-        of = scene("applicator-position-error", applicator_position_error={"error_mm": 0.5})
-        bench = open_bench(context(of, resumed_at_s=resumed_at_s))
-        bench.move_to(10.0, 0.0)
-        bench.press(0.8, 0.5)
-        return bench.world.presses[0].x_mm, bench.world.presses[0].y_mm
-
-    assert place(0.0) == place(0.0)
-    assert place(0.0) != place(120.0)
+def test_samples_of_a_step_begin_again_with_what_the_head_is_told():
+    clock, bench = _bench(lying(None))
+    clock.sleep(0.3)
+    bench.begin_step(0, 1)
+    bench.move_to(10.0, 0.0)  # a second
+    clock.sleep(0.05)
+    bench.begin_step(0, 2)
+    clock.sleep(0.15)
+    times = bench.samples_since(-1.0).time_s
+    at_s = in_ticks(0.3)
+    after_s = at_s + 1.0 + in_ticks(0.05)
+    expected = [0.125, 0.25, *(at_s + np.arange(1, 9) / 8), after_s + 0.125]
+    np.testing.assert_array_equal(times, expected)

@@ -32,11 +32,11 @@ class ContactDrift:
         """Change the contacts by what has passed since the run began."""
         if moment.contact_mm is None:
             return
-        grown = self._rate_per_s * moment.time_s
+        grown = self._rate_per_s * moment.run_s
         worst = int(np.abs(grown).argmax())
         if abs(grown[worst]) > _MOST:
             raise RefusedError(
-                f"contact-drift makes contact {worst} e^{grown[worst]:.0f} of what it was at {moment.time_s:g} s",
+                f"contact-drift makes contact {worst} e^{grown[worst]:.0f} of what it was at {moment.run_s:g} s",
                 remedy="take a smaller deviation_per_hour",
             )
         moment.contact_mm = moment.contact_mm * np.exp(grown)

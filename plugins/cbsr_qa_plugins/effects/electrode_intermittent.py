@@ -10,7 +10,6 @@ from cbsr_qa.simulate.streams import RandomStream
 from cbsr_qa_plugins.effects._leads import BESIDE_THE_SHEET, in_series
 
 _A_BLOCK: Final = 16.0  # events on average; one of e^16 blocks is empty
-_A_SESSION: Final = 1 << 32  # indices, as the simulated bench counts them
 
 
 class ElectrodeIntermittent:
@@ -19,7 +18,8 @@ class ElectrodeIntermittent:
     The two-state Markov process by uniformisation: events come as a Poisson process of the rate 1/open + 1/closed,
     and at each the lead is found open with the probability open/(open + closed), whatever it was before. So the
     state at a time is the mark of the last event, events of separate blocks of time are independent, and each block
-    has random numbers of its own: any time can be asked for in any order. A resumed session has other blocks.
+    has random numbers of its own: any time of a run can be asked for in any order, and a resumed session goes on
+    with the same history.
 
     Parameters
     ----------
@@ -51,33 +51,34 @@ class ElectrodeIntermittent:
 
     def apply(self, moment: Moment) -> None:
         """Open the lead if this is a time at which it is."""
-        if self._is_open(moment.time_s, moment.index // _A_SESSION):
+        if self._is_open(moment.run_s):
             in_series(moment, self._electrode, self._ohm)
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
         """When it opens or closes."""
-        session = moment.index // _A_SESSION
+        began_s = moment.setting.began_s
+        first_s, last_s = first_s + began_s, last_s + began_s
         blocks = range(math.floor(max(first_s, 0.0) / self._block_s), math.floor(last_s / self._block_s) + 1)
-        was, found = self._is_open(first_s, session), []
-        for at_s, mark in (event for block in blocks for event in self._events(block, session)):
+        was, found = self._is_open(first_s), []
+        for at_s, mark in (event for block in blocks for event in self._events(block)):
             if first_s < at_s <= last_s and mark != was:
                 was = mark
-                found.append(at_s)
+                found.append(at_s - began_s)
         return found
 
-    def _is_open(self, time_s: float, session: int) -> bool:
+    def _is_open(self, time_s: float) -> bool:
         block = math.floor(time_s / self._block_s)
         while block >= 0:
-            events = [mark for at_s, mark in self._events(block, session) if at_s <= time_s]
+            events = [mark for at_s, mark in self._events(block) if at_s <= time_s]
             if events:
                 return events[-1]
             block -= 1
-        # Before the first event: as the session found it.
-        return bool(self._stream.generator(session * _A_SESSION).uniform() < self._share_open)
+        # Before the first event: as the run found it.
+        return bool(self._stream.generator(0).uniform() < self._share_open)
 
-    def _events(self, block: int, session: int) -> list[tuple[float, bool]]:
+    def _events(self, block: int) -> list[tuple[float, bool]]:
         """Times of a block's events, rising, and whether the lead is open after each."""
-        random = self._stream.generator(session * _A_SESSION + 1 + block)
+        random = self._stream.generator(1 + block)
         count = int(random.poisson(_A_BLOCK))
         times = (block + random.uniform(size=count)) * self._block_s
         times.sort()

@@ -16,7 +16,7 @@ class ElectrodeOpen:
     ----------
     electrode : its number.
     resistance_ohm : of the open lead; 1 GΩ is chosen by us (surface leakage of a connector).
-    from_s, to_s : when, on the station's clock; by default always.
+    from_s, to_s : when, on the run's time line; by default always.
     """
 
     needs: tuple[str, ...] = ("source-compliance",)
@@ -39,9 +39,10 @@ class ElectrodeOpen:
 
     def apply(self, moment: Moment) -> None:
         """Open the lead."""
-        if self._from_s <= moment.time_s < self._to_s:
+        if self._from_s <= moment.run_s < self._to_s:
             in_series(moment, self._electrode, self._ohm)
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
         """When it begins and ends."""
-        return [at_s for at_s in (self._from_s, self._to_s) if first_s < at_s <= last_s]
+        began_s = moment.setting.began_s
+        return [at_s - began_s for at_s in (self._from_s, self._to_s) if first_s < at_s - began_s <= last_s]

@@ -16,7 +16,7 @@ class LeadResistance:
     ----------
     electrode : its number.
     resistance_ohm : in series.
-    from_s, to_s : when, on the station's clock; by default always.
+    from_s, to_s : when, on the run's time line; by default always.
     """
 
     needs: tuple[str, ...] = ()
@@ -39,9 +39,10 @@ class LeadResistance:
 
     def apply(self, moment: Moment) -> None:
         """Put it in series."""
-        if self._from_s <= moment.time_s < self._to_s:
+        if self._from_s <= moment.run_s < self._to_s:
             in_series(moment, self._electrode, self._ohm)
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
         """When it begins and ends."""
-        return [at_s for at_s in (self._from_s, self._to_s) if first_s < at_s <= last_s]
+        began_s = moment.setting.began_s
+        return [at_s - began_s for at_s in (self._from_s, self._to_s) if first_s < at_s - began_s <= last_s]

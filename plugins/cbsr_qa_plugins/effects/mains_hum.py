@@ -34,5 +34,5 @@ class MainsHum:
     def apply(self, moment: Moment) -> None:
         """Add the hum of each reading's own time."""
         if moment.voltages is not None and moment.reading_offsets_s is not None:
-            turned = self._rate_rad_s * (moment.time_s + moment.reading_offsets_s) + self._phase
+            turned = self._rate_rad_s * (moment.run_s + moment.reading_offsets_s) + self._phase
             moment.voltages = moment.voltages + self._amplitude_V * np.sin(turned)

@@ -39,12 +39,12 @@ class TemperatureDrift:
     def apply(self, moment: Moment) -> None:
         """Scale what the electrodes see."""
         if moment.impedance_ohm is not None:
-            warmer_K = self._rate_K_per_s * moment.time_s
-            warmer_K += self._swing_K * math.sin(2 * math.pi * moment.time_s / self._period_s)
+            warmer_K = self._rate_K_per_s * moment.run_s
+            warmer_K += self._swing_K * math.sin(2 * math.pi * moment.run_s / self._period_s)
             factor = 1 + self._coefficient * warmer_K
             if factor <= 0:
                 raise RefusedError(
-                    f"temperature-drift leaves no conductance at {moment.time_s:g} s, {warmer_K:g} K from the start",
+                    f"temperature-drift leaves no conductance at {moment.run_s:g} s, {warmer_K:g} K from the start",
                     remedy="take a smaller coefficient_per_K, rate_K_per_h or swing_K",
                 )
             moment.impedance_ohm = moment.impedance_ohm / factor

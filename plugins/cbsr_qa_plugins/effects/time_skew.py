@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from cbsr_qa.clock import TICK_S
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.simulate.parameters import number
@@ -28,7 +29,8 @@ class TimeSkew:
         count = np.arange(drives * measures, dtype=np.float64)
         order = count.reshape(drives, measures) if inner == "measure" else count.reshape(measures, drives).T
         spent_s = number("share", share, most=1.0) * setting.frame_period_s
-        self._offsets_s = ((order + 0.5) / order.size - 0.5) * spent_s
+        # In the clock's ticks: whatever rests on differences of times is then the same at any time of a run.
+        self._offsets_s = TICK_S * np.rint(((order + 0.5) / order.size - 0.5) * spent_s / TICK_S)
 
     def apply(self, moment: Moment) -> None:
         """Give every reading its time."""

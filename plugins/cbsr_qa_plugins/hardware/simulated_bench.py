@@ -8,12 +8,14 @@ from typing import Any, Final
 
 import numpy as np
 
+from cbsr_qa.clock import in_ticks, on_tick
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.plan import Motion
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.scene import CONTACT_LENGTH_MM
 from cbsr_qa.interfaces import StationContext
+from cbsr_qa.simulate.addresses import StepAddresses
 from cbsr_qa.simulate.head import SimulatedHead
 from cbsr_qa.simulate.world import SimulatedWorld
 
@@ -68,17 +70,15 @@ class SimulatedBench:
             seed=context.seed,
             effect_factory=context.effect_factory,
             contact_length_mm=options.get("contact_length_mm", CONTACT_LENGTH_MM),
+            began_s=context.resumed_at_s,
         )
-        # A resumed session has addresses of its own: a block of 2³² for each millisecond it may have begun at.
-        self._first_index = math.ceil(1e3 * context.resumed_at_s) << 32
-        self._head = SimulatedHead(
-            context.clock,
-            self.world,
-            _motion(context, options),
-            role=context.role,
-            first_index=self._first_index,
-        )
+        self._addresses = StepAddresses(context.clock, _FORCE_RATE_HZ)
+        self._head = SimulatedHead(context.clock, self.world, _motion(context, options), role=context.role)
         self._open = True
+
+    def begin_step(self, phase: int, number: int) -> None:
+        """Address random numbers by this step from here on."""
+        self._head.count_from(self._addresses.begin_step(phase, number))
 
     # --- instrument ---
 
@@ -100,8 +100,8 @@ class SimulatedBench:
 
     @property
     def frame_period_s(self) -> float:
-        """Time of one frame [s]."""
-        return self._scene.frame_period_s
+        """Time of one frame, in whole ticks of the clock [s]."""
+        return on_tick(self._scene.frame_period_s)
 
     def acquire(self, count: int) -> FrameBlock:
         """Take frames one after the other, all readings in a frame's middle where no effect says otherwise."""
@@ -111,13 +111,11 @@ class SimulatedBench:
                 self._context.role, "simulated", f"{count} frames were asked for; at least 1 is needed"
             )
         clock, period_s = self._context.clock, self.frame_period_s
+        half_s = in_ticks(period_s / 2)
         times, frames = [], []
         for _ in range(count):
-            middle_s = clock.now() + period_s / 2
-            # Addressed by time in half periods: frames never share an index, and a bench opened late goes on with
-            # the numbers of one that ran all the while.
-            index = round(middle_s / (period_s / 2))
-            frames.append(self.world.frame(middle_s, self._first_index + index))
+            middle_s = clock.now() + half_s
+            frames.append(self.world.frame(middle_s, self._addresses.frame()))
             times.append(middle_s)
             clock.sleep(period_s)
         voltages, flags = np.stack([one.voltages for one in frames]), np.stack([one.flags for one in frames])
@@ -128,13 +126,14 @@ class SimulatedBench:
     # --- sampler: the load cell ---
 
     def samples_since(self, time_s: float) -> SampleBlock:
-        """Return the force samples after a time up to now, 8 a second, worked out only now."""
+        """Return the force samples after a time up to now, worked out only now.
+
+        They come 8 a second from the beginning of each step, and from each order to the head within it.
+        """
         self._check_open()
-        first = max(math.floor(time_s * _FORCE_RATE_HZ) + 1, 0)
-        last = math.floor(self._context.clock.now() * _FORCE_RATE_HZ)
-        numbers = range(first, last + 1)
-        forces = [self.world.force_N(number / _FORCE_RATE_HZ, self._first_index + number) for number in numbers]
-        times = np.arange(first, first + len(forces)) / _FORCE_RATE_HZ
+        taken = list(self._addresses.samples(time_s, self._context.clock.now()))
+        forces = [self.world.force_N(at_s, address) for at_s, address in taken]
+        times = np.array([at_s for at_s, _ in taken], dtype=np.float64)
         return SampleBlock(self.channel, self.unit, times, np.array(forces, dtype=np.float64))
 
     # --- force applicator ---
@@ -142,11 +141,13 @@ class SimulatedBench:
     def home(self) -> None:
         """Lift the head and take it to the sheet's centre."""
         self._check_open()
+        self._begin_act()
         self._head.travel(0.0, 0.0)
 
     def find_surface(self, x_mm: float, y_mm: float) -> float:
         """Step down at a place until the contact force; returns the depth from the hover height [mm]."""
         self.move_to(x_mm, y_mm)
+        self._begin_act()
         return self._head.find_surface(self._mean_force_N)
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
@@ -158,6 +159,7 @@ class SimulatedBench:
             raise InstrumentError(
                 self._context.role, place, "outside the sheet", remedy=f"the sheet {outline.words()}"
             )
+        self._begin_act()
         self._head.travel(x_mm, y_mm)
 
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
@@ -171,12 +173,17 @@ class SimulatedBench:
                 f"cannot press {depth_mm:g} mm deep at {speed_mm_s:g} mm/s",
                 remedy=f"the depth is from 0 to below the sheet's {thickness_mm:g} mm, the speed above 0",
             )
+        self._begin_act()
         self._head.press(depth_mm, speed_mm_s)
 
     def release(self) -> None:
         """Go up to the hover height."""
         self._check_open()
+        self._begin_act()
         self._head.lift()
+
+    def _begin_act(self) -> None:
+        self._head.count_from(self._addresses.begin_act())
 
     def _mean_force_N(self, window_s: float) -> float:
         return float(self.samples_since(self._context.clock.now() - window_s).values.mean())
