@@ -1,0 +1,169 @@
+"""Two groups without normal distributions: shift of medians, ranks, and the chance that one value exceeds another.
+
+Mann & Whitney 1947 with Hodges & Lehmann's 1963 shift, the median of all x_i − y_j, and its interval from ordered
+differences (Hollander & Wolfe 1999, sections 4.1 to 4.3); both suppose that the distributions differ by a shift only.
+Brunner & Munzel 2000 does not, and judges P(x < y) + ½ P(x = y).
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from math import sqrt
+
+import numpy as np
+from scipy import stats
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.stats.pairwise import ordered_differences
+from cbsr_qa.stats.samples import Interval, constant, sample, share
+from cbsr_qa.stats.worst_value import FloatArray
+
+#: Without ties and up to this many pairs the distribution of U is counted, beyond it is normal to three digits.
+MOST_COUNTED = 2500
+
+
+@dataclass(frozen=True, slots=True)
+class Shift:
+    """How far one group lies above the other.
+
+    Parameters
+    ----------
+    value : Hodges–Lehmann estimate of first − second, in the values' unit.
+    interval : None where the groups are too small for the confidence.
+    statistic : U, number of pairs in which the first exceeds the second (ties half).
+    p_value : two-sided, of Mann & Whitney's test.
+    exact : whether U was counted; else its normal approximation with ties and continuity allowed for.
+    """
+
+    value: float
+    interval: Interval | None
+    statistic: float
+    p_value: float
+    exact: bool
+
+
+@dataclass(frozen=True, slots=True)
+class RelativeEffect:
+    """P(first < second) + ½ P(equal), its interval (cut at 0 and 1), and Brunner & Munzel's test of ½."""
+
+    value: float
+    interval: Interval
+    statistic: float
+    freedom: float
+    p_value: float
+
+
+def shift(
+    first: Iterable[float],
+    second: Iterable[float],
+    *,
+    confidence: float = 0.95,
+    names: tuple[str, str] = ("first", "second"),
+) -> Shift:
+    """Return the shift first − second.
+
+    Parameters
+    ----------
+    first, second : values of independent sensors, at least one each, in one unit.
+
+    Raises
+    ------
+    NumericsError
+        An empty group, missing values, or no value that differs from any other.
+    """
+    share(confidence, "confidence")
+    x, y = (sample(values, name) for values, name in zip((first, second), names, strict=True))
+    every = np.concatenate([x, y])
+    if constant(every):
+        raise NumericsError(f"{names[0]} − {names[1]}: all values are {every[0]:.6g}, which leaves nothing to rank")
+    ranks, pairs = stats.rankdata(every), len(x) * len(y)
+    statistic = float(ranks[: len(x)].sum()) - len(x) * (len(x) + 1) / 2
+    exact = pairs <= MOST_COUNTED and len(np.unique(every)) == len(every)
+    spread = _deviation_of_u(every, len(x), len(y))
+    p_value = _counted(statistic, len(x), len(y)) if exact else _approximate(statistic, pairs, spread)
+    rank = _critical(len(x), len(y), confidence) if exact else _normal_critical(pairs, spread, confidence)
+    interval = None
+    if rank >= 1:
+        low, high = ordered_differences(x, y, (rank, pairs + 1 - rank))
+        interval = Interval(low, high, confidence)
+    middle = ordered_differences(x, y, ((pairs + 1) // 2, pairs // 2 + 1))
+    return Shift(0.5 * (middle[0] + middle[1]), interval, statistic, p_value, exact)
+
+
+def brunner_munzel(
+    first: Iterable[float],
+    second: Iterable[float],
+    *,
+    confidence: float = 0.95,
+    names: tuple[str, str] = ("first", "second"),
+) -> RelativeEffect:
+    """Return the relative effect of two groups whose distributions may have any shapes.
+
+    Raises
+    ------
+    NumericsError
+        Fewer than two values each, missing ones, or groups that do not overlap: the test has no variance then.
+    """
+    share(confidence, "confidence")
+    x, y = (sample(values, name, least=2) for values, name in zip((first, second), names, strict=True))
+    both = stats.rankdata(np.concatenate([x, y]))
+    ranks = both[: len(x)], both[len(x) :]
+    value = float(ranks[1].mean() - ranks[0].mean()) / (len(x) + len(y)) + 0.5
+    # Placements: how many of the other group each value exceeds.
+    placements = [rank - stats.rankdata(group) for rank, group in zip(ranks, (x, y), strict=True)]
+    parts = [
+        float(np.var(placed, ddof=1)) / (other**2 * len(placed))
+        for placed, other in zip(placements, (len(y), len(x)), strict=True)
+    ]
+    variance = sum(parts)
+    if not variance:
+        raise NumericsError(
+            f"{names[0]} and {names[1]}: the groups do not overlap, which leaves Brunner–Munzel's test no variance",
+            remedy="take the Mann–Whitney test",
+        )
+    freedom = 1 / sum((part / variance) ** 2 / (len(g) - 1) for part, g in zip(parts, (x, y), strict=True))
+    error, statistic = sqrt(variance), (value - 0.5) / sqrt(variance)
+    half = float(stats.t.isf((1 - confidence) / 2, freedom)) * error
+    interval = Interval(max(value - half, 0.0), min(value + half, 1.0), confidence)
+    return RelativeEffect(value, interval, statistic, freedom, float(2 * stats.t.sf(abs(statistic), freedom)))
+
+
+@lru_cache(maxsize=64)
+def _shares_up_to(first: int, second: int) -> FloatArray:
+    """P(U ≤ u) for u = 0 … n₁n₂, without ties: coefficients of the Gaussian binomial ∏ (1 − q^(n₂+i))/(1 − q^i)."""
+    counts = np.zeros(first * second + 1)
+    counts[0] = 1.0
+    for i in range(1, first + 1):
+        step = second + i
+        counts[step:] = counts[step:] - counts[: len(counts) - step] if step < len(counts) else counts[step:]
+        for start in range(i):
+            counts[start::i] = np.cumsum(counts[start::i])
+    shares: FloatArray = np.cumsum(counts) / counts.sum()
+    return shares
+
+
+def _counted(statistic: float, first: int, second: int) -> float:
+    smaller = min(statistic, first * second - statistic)
+    return float(min(2 * _shares_up_to(first, second)[int(smaller)], 1.0))
+
+
+def _approximate(statistic: float, pairs: int, spread: float) -> float:
+    z = max(abs(statistic - pairs / 2) - 0.5, 0.0) / spread
+    return float(2 * stats.norm.sf(z))
+
+
+def _deviation_of_u(every: FloatArray, first: int, second: int) -> float:
+    """√(n₁n₂/12 (N + 1 − Σ(t³ − t)/(N(N − 1)))), t the sizes of ties."""
+    ties, count = np.unique(every, return_counts=True)[1].astype(float), first + second
+    lost = float(np.sum(ties**3 - ties)) / (count * (count - 1))
+    return sqrt(first * second / 12 * (count + 1 - lost))
+
+
+def _critical(first: int, second: int, confidence: float) -> int:
+    """Rank C of the interval's lower end among ordered differences: the largest with P(U ≤ C − 1) ≤ α/2."""
+    return int(np.searchsorted(_shares_up_to(first, second), (1 - confidence) / 2, side="right"))
+
+
+def _normal_critical(pairs: int, spread: float, confidence: float) -> int:
+    z = float(stats.norm.isf((1 - confidence) / 2))
+    return int(np.floor(pairs / 2 - z * spread))
