@@ -18,7 +18,7 @@ from cbsr_qa.runner.plan import Plan, PlannedPhase
 from cbsr_qa_plugins.sequences.characterisation import CharacterisationSequence
 
 
-def strip_run(*, effects=(), without=(), seed=1, material="cbsr-8wt", **options):
+def strip_run(*, effects=(), without=(), seed=1, material="cbsr-8wt", compliance=0.05, **options):
     """Run press cycles on the shipped strip; effects are added to those of its scene, or taken out."""
     station, sensor = load_station("simulated-strip").value, load_sensor_type("strip-40x20mm").value
     material, scene = load_material(material).value, load_scene("strip").value
@@ -34,7 +34,8 @@ def strip_run(*, effects=(), without=(), seed=1, material="cbsr-8wt", **options)
     bench = open_bench([spec], lambda _: factory(context))
     sequence = CharacterisationSequence(**{"strains_percent": [10.0, 20.0, 30.0], "cycles": 3, **options})
     phase = PlannedPhase("press cycles", "characterisation", sequence)
-    plan = Plan((phase,), sensor, material, station.indenter, station.motion, station.safety, seed)
+    safety = replace(station.safety, compliance=compliance)
+    plan = Plan((phase,), sensor, material, station.indenter, station.motion, safety, seed)
     identity = RunIdentity(
         "run", SensorIdentity("S", "", sensor.name), "test", "test", "", clock.wall(), "", (), bench.identities()
     )
