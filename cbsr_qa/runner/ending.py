@@ -7,6 +7,7 @@ from typing import Final
 from cbsr_qa.domain.errors import AbortedError, InstrumentError, SafetyError
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.runner.interrupts import Stopped
+from cbsr_qa.runner.watchdog import BrokenInto
 
 #: Reason and detail.
 Ending = tuple[EndReason, str]
@@ -51,6 +52,8 @@ def _by(error: BaseException) -> str:
 
 def _what(error: BaseException) -> str:
     match error:
+        case BrokenInto():
+            return _what(error.error)
         case SafetyError():
             return f"rule {error.rule!r}: {error.reason}"
         case InstrumentError():

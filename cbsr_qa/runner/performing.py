@@ -155,8 +155,8 @@ class Performer:
         assert load is not None  # the dry run refuses to ease a head that is up
         self._limits.check_load(replace(load, strain=strain))
         depth_mm = strain * self._plan.sensor_type.thickness_mm
+        self._look()
         with self._interlock.passing(State.EASING, State.PRESSED):
-            self._look()
             start_s = self._clock.now()
             self._go_down(depth_mm)
         self._loads.ease(strain, start_s, self._clock.now(), kinematics.lift_off_s(motion, depth_mm))
@@ -240,6 +240,7 @@ class Performer:
 
     def _look(self) -> None:
         self._watch.look(self._at.phase)
+        self._interrupts.poll()
 
     def _expect(self, what: str, work_s: float) -> AbstractContextManager[None]:
         return self._watchdog.expect(f"{self._head}: {what}", work_s)

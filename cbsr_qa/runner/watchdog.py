@@ -17,7 +17,15 @@ REACTION_S: Final = 0.5
 LOOK_S: Final = 0.1
 
 
-@dataclass(frozen=True, slots=True)
+class BrokenInto(BaseException):
+    """Raised in the run's thread, in the middle of the call that hangs."""
+
+    def __init__(self, error: SafetyError) -> None:
+        super().__init__(error.reason)
+        self.error = error
+
+
+@dataclass(slots=True)
 class _Call:
     """What is under way: who is asked for what, since when, and how long that takes when all is well."""
 
@@ -62,12 +70,13 @@ class Watchdog:
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
+        self._thread.join()  # it breaks into nothing from here on
 
     def hurry(self) -> None:
         """Give what is under way, and all that follows, little time from now on; a signal's handler may call it."""
         self._answer_s = min(self._answer_s, GRACE_S)
         if (call := self._call) is not None:
-            self._call = _Call(call.what, self._clock.now(), call.work_s)
+            call.since_s = self._clock.now()
 
     @contextmanager
     def expect(self, what: str, work_s: float = 0.0) -> Iterator[None]:
@@ -81,13 +90,19 @@ class Watchdog:
         Raises
         ------
         SafetyError
-            With rule ``"no answer"`` if it came back too late, after the bench had been made safe.
+            With rule ``"no answer"`` if it was broken into or came back too late, and for every call after that.
         """
+        self._raise_late()
         self._call = _Call(what, self._clock.now(), work_s)
         try:
             yield
+        except BrokenInto as broken:
+            raise broken.error from None
         finally:
             self._call = None
+        self._raise_late()
+
+    def _raise_late(self) -> None:
         if self._late is not None:
             raise self._late
 
@@ -100,13 +115,12 @@ class Watchdog:
 
     def _end(self, call: _Call) -> None:
         took_s = self._clock.now() - call.since_s
-        late = SafetyError(
+        late = self._late = SafetyError(
             "no answer",
             f"{call.what} has not come back for {took_s:.3g} s",
             remedy="look whether this instrument hangs, and at its cable",
         )
-        self._break_in(late)
+        self._break_in(BrokenInto(late))
         if not self._ended.wait(REACTION_S) and self._call is call:
-            self._late = late
             self._tell(f"{late.reason}; the bench is made safe without it")
             self._make_safe()

@@ -240,6 +240,18 @@ def test_a_third_signal_and_more_are_ignored_while_everything_is_made_safe(hears
     assert (ended.end, told[-1] is ended, len(said)) == (EndReason.ABORTED, True, 2)
 
 
+def test_a_head_that_is_about_to_be_eased_is_lifted_in_order():
+    script = Script(VirtualClock(), {"force_applicator.press": 3.0})
+    steps = (Press(LOAD), Hold(10, acquire=False), Ease(0.3), Hold(10, acquire=False), Release())
+    looks = run(steps, script=script)[2].names()
+    ease = [number for number, name in enumerate(looks) if name == "force_applicator.press"][1]
+    script = Script(VirtualClock(), {"force_applicator.press": 3.0})
+    script.at(ease - 1, send(signal.SIGTERM))
+    _, _, script, _, _ = run(steps, script=script)
+    assert script.count("force_applicator.press") == 1
+    assert script.names()[ease:] == ["force_applicator.release", *SAFE]
+
+
 def test_signals_are_the_applications_again_after_the_run():
     before = [signal.getsignal(number) for number in (*ABORTS, signal.SIGALRM)]
     run()
@@ -295,6 +307,37 @@ def test_an_instrument_that_hangs_is_noticed_and_the_head_comes_up(name):
     assert not bench.force_applicator.down
     assert told[-1] is ended
     never.set()
+
+
+@pytest.mark.parametrize("retryable", [False, True])
+def test_a_driver_that_makes_an_error_of_its_own_of_every_exception_does_not_hide_that_it_hung(retryable):
+    script, never = Script(VirtualClock()), threading.Event()
+
+    def hang():
+        try:
+            never.wait(30)
+        except Exception as error:
+            raise InstrumentError("load_cell", "COM3", "something", retryable=retryable) from error
+
+    script.on("load_cell.samples_since", hang, call=2)
+    ended, _, script, _, _ = run(script=script, answer_s=0.3)
+    assert "rule 'no answer': load_cell (scripted): its samples has not come back for" in ended.detail
+    assert script.names()[-3:] == SAFE
+
+
+def test_a_driver_that_swallows_everything_is_stopped_at_its_next_call():
+    script, never = Script(VirtualClock()), threading.Event()
+
+    def hang():
+        try:
+            never.wait(30)
+        except BaseException:  # noqa: BLE001 - what a bad driver does
+            return
+
+    script.on("load_cell.samples_since", hang, call=2)
+    ended, _, script, _, _ = run(script=script, answer_s=0.3)
+    assert "rule 'no answer'" in ended.detail
+    assert script.names()[-3:] == SAFE
 
 
 def test_what_cannot_be_broken_into_is_made_safe_without_it_and_said():

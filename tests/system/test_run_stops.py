@@ -1,0 +1,48 @@
+"""A run of the installed program that gets signals: what it says, how it ends, what it leaves."""
+
+import json
+import os
+import signal
+import subprocess
+
+import pytest
+from command import PROGRAM
+
+
+def _stopped(folder, *signals, at="nine locations (2 of 4)"):
+    """Start a run, send signals when it says it is somewhere; return exit code, document, stderr."""
+    files = ["--station", "simulated", "--recipe", "nine-locations", "--serial", "S-1", "--seed", "3", "--json"]
+    process = subprocess.Popen(
+        [str(PROGRAM), "run", *files],
+        cwd=folder,
+        env={**os.environ, "CBSR_QA_VAR": "var"},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
+    said = []
+    for line in process.stderr:
+        said.append(line)
+        if line.startswith(at):
+            for number in signals:
+                process.send_signal(number)
+            break
+    out, err = process.communicate(timeout=120)
+    return process.returncode, json.loads(out), "".join(said) + err
+
+
+@pytest.mark.parametrize(
+    ("number", "by"),
+    [(signal.SIGTERM, "by signal SIGTERM, while "), (signal.SIGINT, "by the operator (Ctrl-C), while ")],
+)
+def test_one_signal_ends_a_run_in_order_with_its_record_and_exit_code_3(tmp_path, number, by):
+    code, run, said = _stopped(tmp_path, number)
+    assert (code, run["end"], run["outcome"]) == (3, "aborted", "not measured")
+    assert run["end_detail"].startswith(by)
+    assert "(phase 'nine locations', step" in run["end_detail"]
+    assert f"{number.name}: the run stops in order." in said
+    assert "A second signal makes it safe at once." in said
+    assert "Traceback" not in said
+    assert run["reason"] == f"the run was aborted: {run['end_detail']}"
+    assert (tmp_path / run["report"]).is_file()
+    assert run["calibration"] is None
