@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
@@ -16,12 +17,13 @@ from cbsr_qa.clock import RealClock
 from cbsr_qa.config.merge import Configuration
 from cbsr_qa.config.paths import calibrations_folder, database_url, reports_folder, writable_folder
 from cbsr_qa.config.serials import validate_batch, validate_operator, validate_serial
-from cbsr_qa.domain.errors import BrokenRunError, StoreError
+from cbsr_qa.domain.errors import BrokenRunError, RefusedError, StoreError
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import RunIdentity
 from cbsr_qa.domain.run_events import PhaseFinished, PhaseStarted, RunEvent, RunStarted
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.plugins import Plugins, discover
+from cbsr_qa.runner.asking import Asking
 from cbsr_qa.runner.dry_run import DryRun, dry_run
 from cbsr_qa.runner.execute import execute
 from cbsr_qa.runner.progress import RunProgress
@@ -71,16 +73,27 @@ def plan_run(request: RunRequest) -> DryRun:
     RefusedError
         As :func:`run_sensor`, before anything moves; broken limits are listed in the result instead.
     """
-    with _Session(request.checked(), discover(), Stages()) as session:
+    with _Session(request.checked(), discover(), Stages(), _nobody_in_a_dry_run) as session:
         return session.walk()
 
 
-def run_sensor(request: RunRequest, *, tell: Callable[[str], None] = lambda stage: None) -> RunOutcome:
+def _nobody_in_a_dry_run(text: str) -> str:
+    raise RefusedError(f"a dry run asks nobody, and was to ask: {text}")
+
+
+def run_sensor(
+    request: RunRequest,
+    *,
+    tell: Callable[[str], None] = lambda stage: None,
+    ask: Callable[[str], str] | None = None,
+) -> RunOutcome:
     """Test one sensor.
 
     Parameters
     ----------
     tell : told what the computer is busy with.
+    ask : shows a text to the operator and returns the answer; None where nobody is there: then a recipe with prompts,
+        and a station with instruments that are worked by hand, are refused.
 
     Returns
     -------
@@ -93,7 +106,7 @@ def run_sensor(request: RunRequest, *, tell: Callable[[str], None] = lambda stag
     InstrumentError
         If an instrument does not answer at the start.
     """
-    with _Session(request.checked(), discover(), Stages(tell)) as session:
+    with _Session(request.checked(), discover(), Stages(tell), ask) as session:
         session.walk().refuse()
         for folder in (reports_folder(), calibrations_folder()):
             writable_folder(folder)
@@ -115,8 +128,12 @@ def _seed(request: RunRequest) -> int:
 class _Session:
     """One run with everything it needs at hand: files checked, plugins found, the bench open."""
 
-    def __init__(self, request: RunRequest, plugins: Plugins, stages: Stages) -> None:
+    def __init__(
+        self, request: RunRequest, plugins: Plugins, stages: Stages, ask: Callable[[str], str] | None
+    ) -> None:
         self._request = request
+        self._asks = ask
+        self._progress: RunProgress | None = None
         self._plugins = plugins
         self._stages = stages
         self._warnings: list[str] = []
@@ -130,7 +147,8 @@ class _Session:
         self._configuration = request.configuration(_seed(request))
         self._plan = plan_of(self._configuration, plugins)
         self._clock = station_clock(self._configuration)
-        self._bench = open_station(self._configuration, plugins, self._clock)
+        self._ask = None if ask is None else Asking(self._asked)
+        self._bench = open_station(self._configuration, plugins, self._clock, ask=self._ask)
 
     def __enter__(self) -> Self:
         return self
@@ -147,7 +165,13 @@ class _Session:
 
     def walk(self) -> DryRun:
         """Count what the recipe asks for, and what the station would not allow."""
-        return dry_run(self._plan, self._bench.frame_source.frame_period_s)
+        return dry_run(self._plan, self._bench.frame_source.frame_period_s, answered=self._ask is not None)
+
+    def _asked(self, text: str) -> str:
+        """Ask the operator; what shows progress on the terminal makes room meanwhile."""
+        assert self._asks is not None
+        with nullcontext() if self._progress is None else self._progress.paused():
+            return self._asks(text)
 
     def run(self, store: Repository) -> RunOutcome:
         """Drive the bench, then work out from the store what it came to.
@@ -175,12 +199,14 @@ class _Session:
             indenter=configuration.station.indenter,
         )
         with RunProgress(len(self._plan.phases), self._clock) as progress:
+            self._progress = progress
             execute(
                 self._plan,
                 identity,
                 self._bench,
                 self._clock,
                 [journal, progress, self._hooks(identity)],
+                ask=self._ask,
                 warn=self._warnings.append,
             )
 

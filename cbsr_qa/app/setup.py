@@ -245,5 +245,7 @@ def _opened(
     try:
         instrument: Instrument = factory(context)
     except (PluginError, ConfigError) as error:
-        raise ConfigError(f"instrument {spec.role} ({spec.driver}): {error.reason}", remedy=error.remedy) from error
+        named = f"instrument {spec.role!r} ({spec.driver})"
+        reason = error.reason if error.reason.startswith(named) else f"{named}: {error.reason}"
+        raise ConfigError(reason, remedy=error.remedy) from error
     return instrument

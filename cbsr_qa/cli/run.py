@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from cbsr_qa.cli.asking import operator_at_terminal
 from cbsr_qa.cli.output import emit_json, note, say
 
 if TYPE_CHECKING:
@@ -43,7 +44,7 @@ def run(
     if dry_run:
         _show_dry_run(plan_run(request), as_json)
         return 0
-    outcome = run_sensor(request, tell=lambda stage: note(f"{stage} …"))
+    outcome = run_sensor(request, tell=lambda stage: note(f"{stage} …"), ask=operator_at_terminal())
     if as_json:
         emit_json(outcome.document())
     else:

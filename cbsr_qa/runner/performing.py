@@ -34,7 +34,7 @@ RETRY_PAUSE_S: Final = 0.5
 #: Shorter rests of a hold than this are over: below the resolution of any clock after hours [s].
 _OVER_S: Final = 1e-9
 
-Ask = Callable[[str], None]
+Ask = Callable[[str], object]
 
 
 class Performer:

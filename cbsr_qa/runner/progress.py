@@ -1,8 +1,8 @@
 """What a person who waits sees of a run: phase, what the head does, how long it will take. Only on stderr."""
 
 import sys
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Self, TextIO
 
 from cbsr_qa.clock import Clock, VirtualClock
@@ -63,6 +63,18 @@ class RunProgress:
             self._announced = True
             self._say(f"{self._name()}: {duration(event.remaining_s)} of station time left")
 
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Take the bar away while somebody is asked, and show it again."""
+        bar = self._bar
+        if bar is not None:
+            bar.close()
+        try:
+            yield
+        finally:
+            if bar is not None and self._bar is bar:
+                bar.show_again()
+
     def _name(self) -> str:
         if self._phase is None:
             return "setting up"
@@ -101,6 +113,10 @@ class _Bar:
     def say(self, line: str) -> None:
         """Print a line above the bar."""
         self._bar.console.print(line, markup=False, highlight=False)
+
+    def show_again(self) -> None:
+        """Put the bar back."""
+        self._bar.start()
 
     def close(self) -> None:
         """Take the bar away."""

@@ -94,3 +94,21 @@ def test_a_terminal_that_went_away_does_not_stop_the_run():
     (warning,) = shown(SlowTerminal(), listeners=[lambda event: kinds.append(type(event).__name__)])
     assert "gone" in warning
     assert kinds[-1] == "RunEnded"
+
+
+def test_the_bar_makes_room_while_somebody_is_asked():
+    stream, seen = Terminal(), []
+    plan = example_plan(PlannedPhase("first", "fixed", CYCLE))
+    script = Script(VirtualClock())
+    with RunProgress(1, script.clock, stream=stream) as progress:
+
+        def asking():
+            with progress.paused():
+                seen.append(progress._bar._bar.live.is_started)
+            seen.append(progress._bar._bar.live.is_started)
+
+        script.on("force_applicator.press", asking)
+        execute(plan, example_identity(), scripted_bench(script, plan.sensor_type), script.clock, [progress])
+    with progress.paused():
+        seen.append(progress._bar)
+    assert seen == [False, True, None]

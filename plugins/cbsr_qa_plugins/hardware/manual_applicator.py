@@ -1,0 +1,167 @@
+"""A head that an operator moves by hand: a stand with a spindle and scales, or weights put on a guided plunger."""
+
+from typing import Final
+
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.plan import Motion
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.interfaces import StationContext
+from cbsr_qa_plugins.hardware._by_hand import Operator
+from cbsr_qa_plugins.hardware._options import InstrumentTable
+
+_DRIVER: Final = "manual-applicator"
+_KEYS: Final = ("label", "number", "tolerance_mm")
+#: Where the station states no motion: the rig's.
+_RIG_MOTION: Final = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hover_mm=25.0)
+#: A depth that was missed so often is not going to be met.
+_MOST_PRESSED: Final = 5
+
+
+def open_applicator(context: StationContext) -> "ManualApplicator":
+    """Open a head that is moved by hand.
+
+    Options of its table: ``label`` and ``number`` of the stand, for the record; ``tolerance_mm`` (how far a depth may
+    be from what was asked for; default 0.05).
+
+    Raises
+    ------
+    ConfigError
+        If an option is wrong, or there is no operator to be asked.
+    """
+    return ManualApplicator(context)
+
+
+class ManualApplicator:
+    """Asks for every movement, and takes the head to be where the operator says.
+
+    Depths are read from a scale that is zero at the hover height and grows downwards.
+    """
+
+    def __init__(self, context: StationContext) -> None:
+        table = InstrumentTable(context, _DRIVER, _KEYS)
+        self._role = context.role
+        self._operator = Operator(context, _DRIVER)
+        self._motion = context.motion or _RIG_MOTION
+        self._model = table.text("label", "head moved by hand")
+        self._serial = table.text("number") if table.has("number") else ""
+        self._tolerance_mm = table.number("tolerance_mm", 0.05, at_least=1e-3, at_most=1.0)
+        self._surfaces: dict[tuple[float, float], float] = {}
+        self._place: tuple[float, float] | None = None
+        self._down = False
+        self._orders = 0
+
+    # --- instrument ---
+
+    def identity(self) -> InstrumentIdentity:
+        """Say what the table says: the stand cannot be asked."""
+        return InstrumentIdentity(self._role, _DRIVER, self._model, self._serial, "", simulated=False)
+
+    def safe_state(self) -> None:
+        """Say that a head which is down can only be lifted by hand; nobody is asked, so that nobody is waited for.
+
+        Raises
+        ------
+        InstrumentError
+            If the head is down, by all that was told.
+        """
+        if self._down:
+            raise InstrumentError(self._role, "the operator", "the head is down and is moved by hand: LIFT IT NOW")
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    # --- moved by hand ---
+
+    @property
+    def orders(self) -> int:
+        """How often it was told to go anywhere."""
+        return self._orders
+
+    @property
+    def down(self) -> bool:
+        """Whether it is in the sheet, by all that was told."""
+        return self._down
+
+    # --- force applicator ---
+
+    def home(self) -> None:
+        """Ask for the head to be lifted, and for its scales to be set to zero over the sheet's centre."""
+        self._orders += 1
+        hover = f"{self._motion.hover_mm:g} mm above the sheet"
+        self._operator.told(f"lift the head to {hover}, bring it over the sheet's centre and set its scales to zero")
+        self._place, self._down = (0.0, 0.0), False
+        self._surfaces.clear()  # the scale they were read from has a new zero
+
+    def find_surface(self, x_mm: float, y_mm: float) -> float:
+        """Ask for the depth at which the head just touches; the head is up again when it is answered."""
+        self.move_to(x_mm, y_mm)
+        self._down = True
+        depth_mm = self._operator.number(
+            f"lower the head until it just touches the sheet at {_words((x_mm, y_mm))}, read its depth below the"
+            " hover height, and lift it again; the depth",
+            "mm",
+            least=1e-3,
+            most=2 * self._motion.hover_mm,
+        )
+        self._down = False
+        self._surfaces[(x_mm, y_mm)] = depth_mm
+        return depth_mm
+
+    def move_to(self, x_mm: float, y_mm: float) -> None:
+        """Ask for the head to be brought over a place, lifting it first if it is down."""
+        self.release()
+        self._orders += 1
+        if self._place != (x_mm, y_mm):
+            self._place = None  # until it is answered, it may be anywhere between
+            self._operator.told(f"bring the head over {_words((x_mm, y_mm))}, at the hover height")
+            self._place = (x_mm, y_mm)
+
+    def press(self, depth_mm: float, speed_mm_s: float) -> None:
+        """Ask for a depth below the surface found here (or else found nearest, or else hover height).
+
+        Raises
+        ------
+        InstrumentError
+            If the depth was missed again and again: the head is then down, wherever it is.
+        """
+        self._orders += 1
+        scale_mm = self._surface_mm() + depth_mm
+        self._down = True
+        asked = f"{'go' if depth_mm else 'come'} to {depth_mm:g} mm below the surface at {60 * speed_mm_s:.3g} mm/min"
+        for _ in range(_MOST_PRESSED):
+            found_mm = self._operator.number(
+                f"{asked}: {scale_mm:.2f} mm on the scale. What the scale says (Enter: exactly that)",
+                "mm",
+                least=0.0,
+                most=3 * self._motion.hover_mm,
+                default=scale_mm,
+            )
+            if abs(found_mm - scale_mm) <= self._tolerance_mm:
+                return
+            asked = f"{found_mm:g} mm is {found_mm - scale_mm:+.2f} mm off; go straight to {depth_mm:g} mm"
+        raise InstrumentError(
+            self._role,
+            "the operator",
+            f"the head was told to be at {scale_mm:.2f} mm on its scale and was last at {found_mm:.2f} mm",
+            remedy="tolerance_mm in its table says how near it must come",
+        )
+
+    def release(self) -> None:
+        """Ask for a head that is down to be lifted."""
+        if self._down:
+            self._orders += 1
+            self._operator.told("lift the head straight up to the hover height")
+            self._down = False
+
+    def _surface_mm(self) -> float:
+        """Depth of the surface on the scale, here or where found nearest; nominal where found nowhere."""
+        if not self._surfaces:
+            return self._motion.hover_mm
+        if self._place in self._surfaces:
+            return self._surfaces[self._place]
+        x, y = self._place or (0.0, 0.0)
+        return self._surfaces[min(self._surfaces, key=lambda at: (at[0] - x) ** 2 + (at[1] - y) ** 2)]
+
+
+def _words(place: tuple[float, float]) -> str:
+    return f"x = {place[0]:g} mm, y = {place[1]:g} mm from the sheet's centre"
