@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Sequence
+from functools import partial
 from typing import Final
 
 from cbsr_qa.clock import Clock
@@ -9,6 +10,7 @@ from cbsr_qa.domain.errors import AbortedError
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run import RunIdentity
 from cbsr_qa.domain.run_events import PhaseFinished, PhaseStarted, RunEnded, RunStarted, StepStarted
+from cbsr_qa.runner.asking import Asking
 from cbsr_qa.runner.bench import Bench
 from cbsr_qa.runner.documents import Documents, Subscriber, Warn
 from cbsr_qa.runner.dry_run import DryPhase, DryRun, dry_run
@@ -49,7 +51,8 @@ def execute(
         anybody else sees it, and a document it cannot store breaks the run. The others cannot stop the run.
     done : loads (phase, index) finished in an earlier session of the same run; they are not pressed again.
     ended : phases that ended in an earlier session; only homing and surface finding of them are done again.
-    ask : shows a prompt and returns when it is answered.
+    ask : shows a prompt and returns when it is answered; an :class:`~cbsr_qa.runner.asking.Asking` where instruments
+        ask through it as well, so that one which waits for the operator does not count as hanging.
     retries : how often an operation that failed retryably is tried again.
     warn : is told about subscribers that fail.
     tell : is told what a signal did and what another would do, at once and from a signal's handler.
@@ -71,14 +74,19 @@ def execute(
     dry.refuse()
     check_samplers(plan, bench.samplers)
     interlock = Interlock()
+    waiting = partial(_is_waiting, ask)
     with (
         Interrupts(tell) as interrupts,
         Watchdog(
-            plan.safety.answer_s, break_in=interrupts.break_in, make_safe=bench.safe_state, tell=tell
+            plan.safety.answer_s,
+            break_in=interrupts.break_in,
+            make_safe=bench.safe_state,
+            tell=tell,
+            excused=waiting,
         ) as watchdog,
     ):
         interlock.clear(bench)
-        interrupts.hurry = watchdog.hurry
+        interrupts.hurry, interrupts.waiting = watchdog.hurry, waiting
         documents = Documents(subscribers, interrupts, warn)
         performer = Performer(
             plan,
@@ -94,6 +102,10 @@ def execute(
         walk = _Walk(dry, performer, documents, interlock, clock)
         end, detail = walk.to_its_end(identity, bench, interrupts)
         return documents.finish(RunEnded(end, detail, clock.now(), performer.spent.table()))
+
+
+def _is_waiting(ask: Ask | None) -> bool:
+    return isinstance(ask, Asking) and ask.waiting
 
 
 class _Walk:

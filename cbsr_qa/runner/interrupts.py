@@ -52,6 +52,8 @@ class Interrupts:
     def __init__(self, tell: Callable[[str], None] = on_stderr) -> None:
         #: The run is to end at once, not in order.
         self.urgent = False
+        #: Whether the run only waits, for reasons of its own: as within :meth:`idle`.
+        self.waiting: Callable[[], bool] = lambda: False
         #: Called on the first signal: what is under way gets little time from now on.
         self.hurry: Callable[[], None] = lambda: None
         self._tell = tell
@@ -138,7 +140,7 @@ class Interrupts:
             self._first = signal.Signals(number)
             self._tell(FIRST.format(name))
             self.hurry()
-            if self._idle:
+            if self._idle or self.waiting():
                 self.poll()
         elif self._heard_now and not self.urgent:
             self.urgent = self._masked = True

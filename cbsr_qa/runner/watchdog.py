@@ -43,6 +43,7 @@ class Watchdog:
     break_in : raises an error in the run's thread, wherever that hangs.
     make_safe : what is done where that does not help.
     tell : told in words when it comes to that.
+    excused : whether somebody is being asked right now: an operator is waited for.
     """
 
     def __init__(
@@ -52,11 +53,13 @@ class Watchdog:
         break_in: Callable[[BaseException], None],
         make_safe: Callable[[], object],
         tell: Callable[[str], None],
+        excused: Callable[[], bool] = lambda: False,
     ) -> None:
         self._answer_s = answer_s
         self._break_in = break_in
         self._make_safe = make_safe
         self._tell = tell
+        self._excused = excused
         self._clock = RealClock()
         # One assignment each, so that a signal's handler and two threads need no lock.
         self._call: _Call | None = None
@@ -109,7 +112,9 @@ class Watchdog:
     def _watch(self) -> None:
         while not self._ended.wait(LOOK_S):
             call = self._call
-            if call is not None and self._clock.now() - call.since_s > 2 * call.work_s + self._answer_s:
+            if call is not None and self._excused():
+                call.since_s = self._clock.now()
+            elif call is not None and self._clock.now() - call.since_s > 2 * call.work_s + self._answer_s:
                 self._end(call)
                 return
 

@@ -18,6 +18,7 @@ from cbsr_qa.domain.plan import Motion
 from cbsr_qa.domain.run_events import FramesTaken, LoadFinished, PhaseFinished, RunEnded, RunStarted, StepStarted
 from cbsr_qa.domain.steps import AcquireFrames, Ease, FindSurface, Hold, MarkUnloaded, Press, Prompt, Release
 from cbsr_qa.runner import interrupts, watchdog
+from cbsr_qa.runner.asking import Asking
 from cbsr_qa.runner.execute import execute
 from cbsr_qa.runner.watchdog import Watchdog
 from cbsr_qa.testing.bench import Script, example_identity, example_plan, raising, scripted_bench
@@ -374,6 +375,32 @@ def test_a_call_may_take_twice_its_work_and_the_answer_time():
         with pytest.raises(SafetyError, match="a frame has not come back"), dog.expect("a frame", 0.1):
             time.sleep(1.5)
     assert len(late) == 1
+
+
+def test_an_instrument_that_waits_for_the_operator_does_not_hang():
+    asking = Asking(lambda text: time.sleep(1.0) or "done")
+    script = Script(VirtualClock())
+    script.on("load_cell.samples_since", lambda: asking("read the scale"), call=2)
+    assert run(script=script, answer_s=0.3, ask=asking)[0].end is EndReason.FINISHED
+    script.on("load_cell.samples_since", lambda: time.sleep(1.0), call=script.count("load_cell.samples_since") + 2)
+    assert "rule 'no answer'" in run(script=script, answer_s=0.3, ask=asking)[0].detail
+
+
+def test_a_signal_ends_what_waits_for_the_operator_at_once():
+    asking, never = Asking(lambda text: never.wait(30) and "done"), threading.Event()
+    script = Script(VirtualClock())
+
+    def wait():
+        threading.Timer(0.2, send(signal.SIGINT)).start()
+        asking("press to 0.8 mm")
+
+    script.on("force_applicator.press", wait)
+    began = time.monotonic()
+    ended, _, script, _, _ = run(script=script, ask=asking)
+    assert time.monotonic() - began < 3
+    assert ended.detail.startswith("by the operator (Ctrl-C), while pressing")
+    assert not asking.waiting
+    assert after(script, "force_applicator.press") == SAFE
 
 
 def test_a_signal_leaves_little_time_to_what_hangs(monkeypatch):
