@@ -137,6 +137,9 @@ class EmulatedSourceMeter:
         if not isinstance(value, float | int) or not bounds[1] <= value <= bounds[2]:
             raise TspError(_OUT_OF_RANGE, "Parameter data out of range")
         self._attributes[name] = float(value)
+        ranges_itself = name.replace(".range", ".autorange")
+        if ranges_itself != name and ranges_itself in self._attributes:
+            self._attributes[ranges_itself] = 0.0  # as in the instrument: a range that is set is kept
         self._wire()
 
     def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:

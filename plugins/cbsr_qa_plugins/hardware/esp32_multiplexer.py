@@ -234,9 +234,8 @@ class Esp32Multiplexer:
             try:
                 yield
             except InstrumentError as error:
-                # Also a line that hung up: it may be plugged in again by the next attempt.
-                retryable = error.retryable or "link is down" in error.reason
-                raise self._error(error.reason, remedy=error.remedy, retryable=retryable) from error
+                # Also a line that hung up may be tried again: by then it may be plugged in again.
+                raise self._again(error, retryable=error.retryable or "link is down" in error.reason) from error
             self._in_step = True
 
     def _recover(self) -> None:
@@ -251,7 +250,7 @@ class Esp32Multiplexer:
                 return self._await_boot()
             except InstrumentError as error:
                 if self._time.now() >= until_s:
-                    raise self._error(error.reason, remedy=error.remedy) from error
+                    raise self._again(error, retryable=False) from error
             self._time.sleep(_LOOK_AGAIN_S)
 
     def _stepped(self) -> None:
@@ -320,6 +319,11 @@ class Esp32Multiplexer:
             " which are no pairs of the sensor type",
             remedy="mend current_skip and voltage_skip in its table, or the sensor type's pattern",
         )
+
+    def _again(self, error: InstrumentError, *, retryable: bool) -> InstrumentError:
+        """Say the same, with or without another attempt."""
+        reason = error.reason.removeprefix(f"{error.role} at {error.address}: ")
+        return self._error(reason, remedy=error.remedy, retryable=retryable)
 
     def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
         return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=retryable)

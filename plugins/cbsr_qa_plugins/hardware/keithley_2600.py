@@ -13,6 +13,7 @@ from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.interfaces import MeterReading, StationContext
 from cbsr_qa.links.visa_link import VisaLink
+from cbsr_qa_plugins.hardware._keithley_tsp import MEASURE, settings
 from cbsr_qa_plugins.hardware._options import InstrumentTable
 
 _DRIVER: Final = "keithley-2600"
@@ -215,7 +216,7 @@ class Keithley2600:
             word = f"{next(self._words) % 1000000:06d}"
             before_s = self._clock.now()
             values = self._link.query_binary(
-                f'cbsr_measure({self._readings}, "{word}")', 4 * self._readings, mark=word
+                f'{MEASURE}({self._readings}, "{word}")', 4 * self._readings, mark=word
             ).reshape(-1, 4)
             time_s = (before_s + self._clock.now()) / 2
             return self._reading(values, time_s)
@@ -260,7 +261,15 @@ class Keithley2600:
         self._link.recover()
         self._switch_off()
         self._asked_identity()
-        for line in self._settings():
+        for line in settings(
+            self._source,
+            self._meter,
+            compliance_V=self._compliance_V,
+            range_V=self._range_V,
+            largest_A=self._largest_A,
+            nplc=self._nplc,
+            current_nplc=_CURRENT_NPLC,
+        ):
             self._link.write(line)
         self._check_errors("its settings")
         self._line_Hz = self._numbers("localnode.linefreq")[0]
@@ -272,35 +281,6 @@ class Keithley2600:
                 f"{self._meter}.measure.nplc": self._nplc,
             }
         )
-
-    def _settings(self) -> list[str]:
-        source, meter = self._source, self._meter
-        lines = [
-            "reset()",
-            "errorqueue.clear()",
-            "format.data = format.REAL32",
-            "format.byteorder = format.LITTLEENDIAN",
-            "format.asciiprecision = 10",
-        ]
-        for smu in (source, meter):
-            lines += [
-                f"{smu}.sense = {smu}.SENSE_LOCAL",
-                f"{smu}.source.offmode = {smu}.OUTPUT_HIGH_Z",
-                f"{smu}.source.func = {smu}.OUTPUT_DCAMPS",
-                f"{smu}.source.leveli = 0",
-                f"{smu}.source.limitv = {self._compliance_V:.9e}",
-                f"{smu}.measure.autozero = {smu}.AUTOZERO_ONCE",
-                f"{smu}.nvbuffer1.appendmode = 1",
-            ]
-        return [
-            *lines,
-            f"{source}.source.rangei = {self._largest_A:.9e}",
-            f"{source}.measure.rangei = {self._largest_A:.9e}",
-            f"{source}.measure.nplc = {_CURRENT_NPLC:.9e}",
-            f"{meter}.measure.rangev = {self._range_V:.9e}",
-            f"{meter}.measure.nplc = {self._nplc:.9e}",
-            _measure_function(source, meter),
-        ]
 
     def _switch_off(self) -> None:
         """Tell both channels, whatever the instrument is doing; a script that runs is ended first."""
@@ -380,13 +360,3 @@ class Keithley2600:
 
     def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
         return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=retryable)
-
-
-def _measure_function(source: str, meter: str) -> str:
-    """Lua of one measurement: a loop on the instrument, one block of numbers, and the asker's word behind it."""
-    return (
-        f"function cbsr_measure(n, word) {meter}.nvbuffer1.clear() {source}.nvbuffer1.clear()"
-        f" for k = 1, n do {source}.measure.i({source}.nvbuffer1) {meter}.measure.v({meter}.nvbuffer1) end"
-        f" printbuffer(1, n, {meter}.nvbuffer1.readings, {meter}.nvbuffer1.statuses,"
-        f" {source}.nvbuffer1.readings, {source}.nvbuffer1.statuses) print(word) end"
-    )

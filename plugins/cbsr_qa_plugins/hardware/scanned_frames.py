@@ -248,7 +248,8 @@ def _stated_A(table: InstrumentTable, role: str) -> float | None:
 
 def _round_down(current_A: float) -> float:
     power = 10.0 ** np.floor(np.log10(current_A))
-    return float(power * max(step for step in _STEPS if step <= current_A / power * (1 + 1e-9)))
+    step = max(step for step in _STEPS if step <= current_A / power * (1 + 1e-9))
+    return float(f"{power * step:.2g}")
 
 
 def _flag(reading: MeterReading) -> int:
