@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from cbsr_qa.clock import VirtualClock
+from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError, SafetyError
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, SampleBlock, VoltageUnit
 from cbsr_qa.domain.loads import Load
@@ -184,6 +185,15 @@ def test_the_share_is_of_readings_that_touch_no_driven_electrode_and_of_the_wors
     with pytest.raises(SafetyError, match="11 of 208 readings of a frame of the meter") as broken:
         check()
     assert broken.value.rule == "compliance"
+
+
+def test_on_a_strip_with_two_pins_the_driven_ones_count():
+    """Every reading touches a driven electrode there."""
+    plan = replace(allowing(()), sensor_type=load_sensor_type("strip-40x20mm").value)
+    flags = np.full((1, *plan.sensor_type.pattern.shape), ReadingFlag.COMPLIANCE.value, np.uint8)
+    frames = FrameBlock(np.zeros(1), np.ones(flags.shape), flags, VoltageUnit.VOLT, 1e-3)
+    with pytest.raises(SafetyError, match=r"1 of 1 readings .* all of those driven through electrodes 0–1;"):
+        Limits(plan, 0.0).check_frame(frames, "the meter")
 
 
 # --- temperature -----------------------------------------------------------------------------------------
