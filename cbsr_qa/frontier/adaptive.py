@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.fewer_places import farthest_first
 from cbsr_qa.analysis.run_force import learned_from
-from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.frontier.setting import GRID
 from cbsr_qa.frontier.trial import only
@@ -23,27 +23,6 @@ FIRST: Final = 6
 _AT_A_TIME: Final = 3
 #: Places chosen together are at least so far apart: one press says much of its neighbourhood.
 _APART_MM: Final = 15.0
-
-
-def farthest_first(places_mm: Array, count: int) -> list[int]:
-    """Choose places one by one, each the farthest from those before it, the first nearest to the centre.
-
-    Parameters
-    ----------
-    places_mm : (n, 2).
-
-    Raises
-    ------
-    NumericsError
-        If there are fewer places than asked for.
-    """
-    if count > len(places_mm):
-        raise NumericsError(f"{count} places cannot be chosen from {len(places_mm)}")
-    chosen = [int(np.hypot(*places_mm.T).argmin())]
-    while len(chosen) < count:
-        apart = np.hypot(*(places_mm[:, None] - places_mm[chosen]).transpose(2, 0, 1)).min(axis=1)
-        chosen.append(int(apart.argmax()))
-    return chosen
 
 
 def least_sure_first(run: RunObservation, count: int) -> list[int]:

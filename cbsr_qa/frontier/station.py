@@ -12,13 +12,14 @@ from typing import Any, Final, Protocol
 
 import numpy as np
 
+from cbsr_qa.analysis.fewer_places import farthest_first
 from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.loads import LoadRecord
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.plan import AnalysisSettings
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.domain.scene import SheetDesign
-from cbsr_qa.frontier.adaptive import farthest_first, grid_places, least_sure_first
+from cbsr_qa.frontier.adaptive import grid_places, least_sure_first
 from cbsr_qa.frontier.setting import FARTHEST, GRID, HELD_OUT, LEAST_SURE, SUNFLOWER, Setting, held_out_phase
 from cbsr_qa.frontier.trial import errors_of, only
 

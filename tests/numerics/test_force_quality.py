@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from simulated_runs import simulated_run
 
 from cbsr_qa.analysis import force_quality
-from cbsr_qa.analysis.force_quality import FEWEST_COVERED, ForceErrors, map_quality
+from cbsr_qa.analysis.force_quality import FEWEST_COVERED, ForceErrors, calibrated_radius_mm, map_quality
 from cbsr_qa.analysis.observe import observe_run
 from cbsr_qa.analysis.run_force import TRIAL_LEFT_OUT, run_force
 from cbsr_qa.calibrate.common_relaxation import fit_common_relaxation
@@ -25,9 +25,11 @@ from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 from cbsr_qa.domain.steps import Role
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.plugins import discover
+from cbsr_qa.report.numbers import number
 from cbsr_qa.report.svg import checked_svg
 from cbsr_qa_plugins.metrics.force_error import ForceError
 from cbsr_qa_plugins.sections.force import Force
+from cbsr_qa_plugins.sections.time_and_accuracy import TimeAndAccuracy
 
 _GAUGE = 0.85  #: of the simulated sensor over that of the material the analysis is told
 _PLACES = np.array([(x, y) for x in (-30.0, 0.0, 30.0) for y in (-30.0, 0.0, 30.0)])
@@ -246,6 +248,22 @@ def test_the_section_shows_map_errors_and_line(observed, measured):
     assert "On 5 loads it was not learned from" in words
     (table,) = [block for block in section.blocks if isinstance(block, Table)]
     assert [row[0].text for row in table.rows][:2] == ["place known", "place estimated"]
+
+
+def test_the_report_says_what_fewer_places_would_have_told(observed, measured):
+    result = RunResult(observed.record, observed, tuple(measured.values()), decide(()), None, "test")
+    section = TimeAndAccuracy().render(replace(result, compute_s=(("imaging", 1.0),)))
+    table = [block for block in section.blocks if isinstance(block, Table)][-1]
+    rows = [[cell.text for cell in row] for row in table.rows]
+    assert [row[:2] for row in rows[-2:]] == [["9", "9"], ["9", "13"]]  # one load a place, and all
+    assert [int(row[0]) for row in rows] == [4, 6, 9, 9]
+    assert [row[4] for row in rows[-2:]] == ["–", "–"]
+    words = " ".join(block.text for block in section.blocks if isinstance(block, Paragraph))
+    assert "for 13 loads at 9 places" in words
+    quality = map_quality(run_force(observed).learned, calibrated_radius_mm(run_force(observed)))
+    assert rows[-1][3] == number(100 * quality.rms_error, 2)
+    blind = replace(result, compute_s=(("imaging", 1.0),), measurements=())
+    assert "Left out" not in str(TimeAndAccuracy().render(blind).blocks)
 
 
 def test_loads_that_are_refused_are_named_with_their_reason(observed):

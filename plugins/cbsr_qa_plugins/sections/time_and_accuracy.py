@@ -1,12 +1,16 @@
 """Where the time went, and what accuracy it bought."""
 
+from collections.abc import Sequence
+
+from cbsr_qa.analysis.fewer_places import MapCost, map_costs
+from cbsr_qa.analysis.run_force import run_force
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
 from cbsr_qa.domain.run import PhaseRecord
 from cbsr_qa.report.figures_budget import Budget, budget_figure
 from cbsr_qa.report.figures_metrics import Held, waiting_figure
-from cbsr_qa.report.numbers import duration
+from cbsr_qa.report.numbers import duration, number, plural
 from cbsr_qa.report.select import SPATIAL, Measured, observed, spread_text
 from cbsr_qa.report.tables import text_table
 
@@ -39,6 +43,7 @@ class TimeAndAccuracy:
         run = observed(result)
         if run is not None:
             blocks.append(_bought(result, run))
+            blocks += _map_bought(result, run)
             blocks += _waiting(run)
         return Section("Time, and what accuracy it bought", tuple(blocks))
 
@@ -65,6 +70,60 @@ def _phase_row(phase: PhaseRecord, run: RunObservation, measured: Measured) -> l
     averaged = str(counts[0]) if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
     spatial = [spread_text(measured.values(name, loads), unit) for name, _, unit in SPATIAL[:2]]
     return [phase.name, duration(seconds), str(len(loads)), duration(cycle), averaged, *spatial]
+
+
+def _map_bought(result: RunResult, run: RunObservation) -> list[Block]:
+    """What the map of the response cost, and what fewer loads would have given; only where forces are measured."""
+    if not any(m.name == "force_error_sd" for m in result.measurements):
+        return []
+    costs = map_costs(run, run_force(run))
+    if not costs:
+        return []
+    rows = [
+        [
+            str(cost.places),
+            str(cost.loads),
+            duration(cost.station_s),
+            _percent(cost.stated),
+            _seen(cost),
+            _percent(cost.expected),
+        ]
+        for cost in costs
+    ]
+    columns = ("Places", "Loads", "Station time", "Stated error [%]", "Left out: error [%]", "Left out: stated [%]")
+    caption = (
+        "What fewer loads would have given: standard error of the map in the calibrated area, and its error at the"
+        " places left out, without the noise of their loads, beside what it states there (all root mean squares; fewer"
+        " places: over three ways to choose them). Places left out lie further from all others than most of the area."
+    )
+    return [Paragraph(_map_words(costs)), text_table(caption, columns, rows, (0, 1, 2, 3, 4, 5))]
+
+
+def _map_words(costs: Sequence[MapCost]) -> str:
+    whole, before = costs[-1], costs[-2]
+    words = (
+        f"The map of how strongly each place answers took {duration(whole.station_s)} for"
+        f" {plural(whole.loads, 'load')} at {plural(whole.places, 'place')}; its standard error is"
+        f" {_percent(whole.stated)} %."
+    )
+    if before.places == whole.places:
+        words += (
+            f" One load at each of them would have taken {duration(before.station_s)} and left"
+            f" {_percent(before.stated)} %."
+        )
+    return (
+        f"{words} With fewer places, as far apart as they can be, it would have been as in the table: learned again"
+        " from them, and held against the places left out."
+    )
+
+
+def _seen(cost: MapCost) -> str:
+    """Error at the places left out; it cannot be told where their noise explains all of it."""
+    return "in the noise" if cost.seen == 0 else _percent(cost.seen)
+
+
+def _percent(value: float | None) -> str:
+    return "–" if value is None else number(100 * value, 2)
 
 
 def _waiting(run: RunObservation) -> list[Figure]:
