@@ -128,6 +128,7 @@ class PtyPort(Port):
         os.set_blocking(self._master, False)
         self.address = os.ttyname(self._slave)
         self._writing = threading.Lock()
+        self._wakes, self._wake = os.pipe()
 
     def send(self, data: bytes) -> None:
         """Send what nobody asked for; what finds no room is lost."""
@@ -144,16 +145,30 @@ class PtyPort(Port):
         """Close both ends; a driver that has the line open sees it hang up."""
         with self._writing:
             ends, self._master, self._slave = (self._master, self._slave), -1, -1
+            if ends[0] >= 0:
+                os.write(self._wake, b"!")
+        if self._thread is not None and self._thread is not threading.current_thread():
+            # A descriptor somebody waits on stays open behind its closing: the driver would not see it hang up.
+            self._thread.join(timeout=_LOOK_S)
         for end in ends:
             if end >= 0:
                 with suppress(OSError):
                     os.close(end)
 
+    def close(self) -> None:
+        """End the thread and give everything back."""
+        super().close()
+        with self._writing:
+            ends, self._wakes, self._wake = (self._wakes, self._wake), -1, -1
+        for end in ends:
+            if end >= 0:
+                os.close(end)
+
     def _serve(self, instrument: Served) -> None:
         while not self._over.is_set() and (master := self._master) >= 0:
             try:
-                ready, _, _ = select.select([master], [], [], _LOOK_S)
-                data = os.read(master, _READ_BYTES) if ready else b""
+                ready, _, _ = select.select([master, self._wakes], [], [], _LOOK_S)
+                data = os.read(master, _READ_BYTES) if master in ready and self._master >= 0 else b""
             except BlockingIOError:
                 continue
             except (OSError, ValueError) as error:

@@ -15,6 +15,8 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.INSTRUMENT, "ert-board-stream", "hardware.ert_board_stream:open_board"),
     (Kind.INSTRUMENT, "replayed-recording", "hardware.replayed_recording:open_replay"),
     (Kind.INSTRUMENT, "marlin-applicator", "hardware.marlin_applicator:open_applicator"),
+    (Kind.INSTRUMENT, "serial-load-cell", "hardware.serial_load_cell:open_load_cell"),
+    (Kind.INSTRUMENT, "serial-thermometer", "hardware.serial_thermometer:open_thermometer"),
     (Kind.INSTRUMENT, "manual-applicator", "hardware.manual_applicator:open_applicator"),
     (Kind.INSTRUMENT, "manual-load-cell", "hardware.manual_load_cell:open_load_cell"),
     (Kind.SEQUENCE, "noise-figure", "sequences.noise_figure:NoiseFigureSequence"),

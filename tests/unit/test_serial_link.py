@@ -1,41 +1,15 @@
 """The serial link over a real pseudo terminal: whole answers, lost ones, pulled cables, devices by identity."""
 
-import os
-import pty
 import threading
-import tty
 from types import SimpleNamespace
 
 import pytest
+from terminal import Terminal
 
 from cbsr_qa.clock import RealClock
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.links import serial_link
 from cbsr_qa.links.serial_link import SerialLink
-
-
-class Terminal:
-    """The far end of a serial line."""
-
-    def __init__(self):
-        self.master, self.slave = pty.openpty()
-        tty.setraw(self.slave)
-        self.path = os.ttyname(self.slave)
-
-    def say(self, data):
-        os.write(self.master, data)
-
-    def heard(self, count):
-        data = b""
-        while len(data) < count:
-            data += os.read(self.master, count - len(data))
-        return data
-
-    def hang_up(self):
-        for end in (self.master, self.slave):
-            if end >= 0:
-                os.close(end)
-        self.master = self.slave = -1
 
 
 @pytest.fixture

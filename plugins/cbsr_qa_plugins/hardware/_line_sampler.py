@@ -1,0 +1,230 @@
+"""A free-running instrument that sends one number a line, with the time of its own clock before it or without."""
+
+import re
+import threading
+from array import array
+from bisect import bisect_right
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.clock import Clock, RealClock
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.links.serial_link import SerialLink
+from cbsr_qa_plugins.hardware._device_time import DeviceTime
+
+_VALUE: Final = r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*"
+_PLAIN: Final = re.compile(rf"^{_VALUE}$")
+_TIMED: Final = re.compile(rf"^\s*(\d+)\s*,{_VALUE}$")
+#: So many lines after each other that cannot be read are another instrument, or another baud rate.
+_UNREADABLE: Final = 20
+#: An instrument that has sent nothing for so many periods, and a second, has fallen silent.
+_SILENT_PERIODS: Final = 10
+#: Samples are kept for an hour: whoever wants them comes every few seconds [s].
+_KEPT_S: Final = 3600.0
+#: A thread that reads looks this often whether it should end, and after a pulled cable whether it is back [s].
+_LOOK_S: Final = 0.2
+#: After a full buffer of the kernel's there may be more behind it [s, real time].
+_MORE_S: Final = 0.01
+_FULL: Final = 2048
+
+
+class LineSampler:
+    """Reads lines, puts their times on the station's clock, and keeps the samples.
+
+    On a real clock a thread reads, so that every line is stamped when it comes. On a virtual clock time passes only
+    where somebody sleeps, and whoever asks for the samples reads.
+
+    A line that cannot be read is counted and skipped: no value is ever made up for it.
+
+    Parameters
+    ----------
+    link : the open port.
+    clock : the station's.
+    timed : whether lines are ``<milliseconds>,<value>``; else ``<value>``, stamped at their arrival.
+    rate_hz : of the lines, as the station file states it.
+    convert : from the number of a line to the quantity.
+    """
+
+    def __init__(
+        self, link: SerialLink, clock: Clock, *, timed: bool, rate_hz: float, convert: Callable[[float], float]
+    ) -> None:
+        self._link, self._clock, self._timed, self._convert = link, clock, timed, convert
+        self._period_s = 1 / rate_hz
+        self._device = DeviceTime()
+        self._times, self._values = array("d"), array("d")
+        self._partial = b""
+        self._fresh = True  # what came first may be the rest of a line
+        self._unread = 0
+        self._example = ""
+        #: Lines that could not be read.
+        self.skipped = 0
+        self._began_s = clock.now()
+        self._failure: InstrumentError | None = None
+        self._keeping = threading.RLock()
+        self._over = threading.Event()
+        self._thread: threading.Thread | None = None
+        if isinstance(clock, RealClock):
+            self._thread = threading.Thread(target=self._read, name=f"reads {link.role}", daemon=True)
+            self._thread.start()
+
+    @property
+    def restarts(self) -> int:
+        """How often the instrument's own clock began again."""
+        return self._device.restarts
+
+    def samples_since(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return times [s] and values, both (n,), of what was sent after a time up to now.
+
+        Raises
+        ------
+        InstrumentError
+            If the line is down and cannot be opened again, or what comes on it are no such lines.
+        """
+        if self._thread is None:
+            self._drain()
+        with self._keeping:
+            if self._failure is not None:
+                raise self._failure
+            if self._unread >= _UNREADABLE:
+                raise self._error(
+                    f"{self._unread} lines after each other could not be read, the last is {self._example!r};"
+                    f" {self._expected()} was expected",
+                    "check its address, its baud rate, and 'time' in its table",
+                )
+            first = bisect_right(self._times, time_s)
+            return np.array(self._times[first:]), np.array(self._values[first:])
+
+    def newest(self, count: int) -> NDArray[np.float64]:
+        """Return the last values, at most so many, (n,)."""
+        with self._keeping:
+            return np.array(self._values[-count:])
+
+    def wait_for_first(self, allowed_s: float) -> None:
+        """Let time pass until there is a sample.
+
+        Raises
+        ------
+        InstrumentError
+            If none comes in time, saying what came instead.
+        """
+        until_s = self._clock.now() + allowed_s
+        while not len(self.samples_since(-np.inf)[0]):
+            if self._clock.now() >= until_s:
+                found = f"{self._example!r}" if self._example else "nothing"
+                raise self._error(
+                    f"{found} was found within {allowed_s:g} s; {self._expected()} was expected",
+                    "check that it is switched on, its address, its baud rate, and 'time' in its table",
+                )
+            self._clock.sleep(self._period_s)
+
+    def check_alive(self) -> None:
+        """Raise InstrumentError if it has fallen silent."""
+        times, _ = self.samples_since(self._clock.now() - self._silent_s())
+        if not len(times) and self._clock.now() - self._began_s > self._silent_s():
+            raise self._error(
+                f"it has sent nothing that can be read for {self._silent_s():.3g} s", "check its power and its cable"
+            )
+
+    def close(self) -> None:
+        """End the reading and give the port back."""
+        self._over.set()
+        self._link.close()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(timeout=5 * _LOOK_S)
+
+    # --- reading ---
+
+    def _drain(self) -> None:
+        """Read what has come up to now, in the calling thread."""
+        try:
+            self._mend()
+            data = self._link.read_available()
+            self._take(data)
+            while len(data) >= _FULL:
+                with suppress(InstrumentError):
+                    self._take(self._link.read(1, _MORE_S))
+                data = self._link.read_available()
+                self._take(data)
+        except InstrumentError as error:
+            with self._keeping:
+                self._failure = error
+
+    def _read(self) -> None:
+        """Read line by line until it is closed, in a thread."""
+        while not self._over.is_set():
+            try:
+                self._mend()
+                self._take(self._link.read_line(_LOOK_S) + b"\n")
+            except InstrumentError as error:
+                if not error.retryable:  # the other only says that nothing came
+                    with self._keeping:
+                        self._failure = error
+                    self._over.wait(_LOOK_S)
+
+    def _mend(self) -> None:
+        """Open the port again where its cable was pulled: a device named by its identity may be back elsewhere."""
+        if self._link.down and not self._over.is_set():
+            self._link.reopen()
+            with self._keeping:
+                self._failure, self._partial, self._fresh = None, b"", True
+
+    def _take(self, data: bytes) -> None:
+        now_s = self._clock.now()
+        *lines, self._partial = (self._partial + data).split(b"\n")
+        with self._keeping:
+            read = [found for line in lines if (found := self._understood(line)) is not None]
+            for number, (device_s, value) in enumerate(read):
+                waited = len(read) - 1 - number
+                time_s = (
+                    self._device.on_station(device_s, now_s)
+                    if device_s is not None
+                    else self._arrived(now_s - waited * self._period_s, now_s)
+                )
+                if time_s is None:
+                    self.skipped += 1
+                    continue
+                self._times.append(time_s)
+                self._values.append(self._convert(value))
+            self._forget(now_s)
+
+    def _understood(self, line: bytes) -> tuple[float | None, float] | None:
+        """Return (device time [s] or None, number) of a line; None where it is none."""
+        text = line.decode("ascii", "replace").strip()
+        found = (_TIMED if self._timed else _PLAIN).match(text)
+        if found is None:
+            if text and not self._fresh:
+                self.skipped += 1
+                self._unread += 1
+                self._example = text[:40]
+            self._fresh = False
+            return None
+        # The first line that is read may be the end of a longer one: its digits would be another number.
+        whole, self._fresh, self._unread = not self._fresh, False, 0
+        if not whole:
+            return None
+        if self._timed:
+            return int(found[1]) / 1e3, float(found[2])
+        return None, float(found[1])
+
+    def _arrived(self, about_s: float, now_s: float) -> float:
+        """Return a time for a line without one: lines read together came a period apart, and after those before."""
+        last_s = self._times[-1] if self._times else self._began_s
+        return min(max(about_s, last_s + 1e-6), max(now_s, last_s + 1e-6))
+
+    def _forget(self, now_s: float) -> None:
+        old = bisect_right(self._times, now_s - _KEPT_S)
+        if old > len(self._times) // 2:
+            del self._times[:old], self._values[:old]
+
+    def _silent_s(self) -> float:
+        return 1.0 + _SILENT_PERIODS * self._period_s
+
+    def _expected(self) -> str:
+        return "'<milliseconds>,<value>'" if self._timed else "'<value>'"
+
+    def _error(self, reason: str, remedy: str) -> InstrumentError:
+        return InstrumentError(self._link.role, self._link.address, reason, remedy=remedy)
