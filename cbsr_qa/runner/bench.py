@@ -87,12 +87,19 @@ class Bench:
     def identities(self) -> tuple[InstrumentIdentity, ...]:
         """Ask every instrument who it is; one that the station emulates is simulated, whatever it says.
 
+        So is one without an address of its own that is linked with those, such as frames scanned with a meter.
+
         Raises
         ------
         InstrumentError
             If one does not answer, or is not the one that the station file asks for.
         """
-        return tuple(identity_of(one) for one in self.mounted)
+        emulates = any(one.spec.emulated for one in self.mounted)
+        said = [identity_of(one) for one in self.mounted]
+        return tuple(
+            replace(who, simulated=who.simulated or (emulates and _works_through_others(one)))
+            for one, who in zip(self.mounted, said, strict=True)
+        )
 
     def name_of(self, instrument: object) -> str:
         """Return role and driver of an instrument, as messages name it."""
@@ -157,6 +164,11 @@ def _urgency(one: Mounted) -> int:
     """Rank in which instruments are made safe; one that hangs delays the next."""
     ranks = [_FIRST_SAFE.index(role) for role in one.spec.provides if role in _FIRST_SAFE]
     return min(ranks, default=len(_FIRST_SAFE))
+
+
+def _works_through_others(one: Mounted) -> bool:
+    """Whether it has no address of its own: it is then as real as those it is linked with."""
+    return isinstance(one.instrument, Linked) and "address" not in one.spec.options
 
 
 def identity_of(one: Mounted) -> InstrumentIdentity:

@@ -140,13 +140,13 @@ def test_what_fills_the_role_of_a_meter_or_a_multiplexer_must_be_one(role, lacks
     assert lacks in refused.value.reason
 
 
-def test_an_emulated_instrument_is_simulated_whatever_it_says():
+def test_an_emulated_instrument_is_simulated_whatever_it_says_and_so_is_what_works_through_it():
     script = Script(VirtualClock())
     mounted = parts(script)
     for one in mounted:
         one.instrument.simulated = False
     said = {one.role: one.simulated for one in Bench(mounted).identities()}
-    assert said == {"head": False, "scanner": False, "smu": True, "mux": False, "cell": False}
+    assert said == {"head": False, "scanner": True, "smu": True, "mux": False, "cell": False}
 
 
 # --- who is there ----------------------------------------------------------------------------------------

@@ -101,7 +101,7 @@ class Esp32Multiplexer:
         """Its firmware says nothing of itself; what it does is its identity."""
         with self._talking():
             self._asked()
-        notes = (("order", f"{self._inner} pair inner"), ("address", self._address))
+        notes = (("order", f"{self._inner} pair inner"),)
         return InstrumentIdentity(
             self._role, _DRIVER, "ESP32 16-channel multiplexer", "", "command firmware", simulated=False, notes=notes
         )

@@ -113,10 +113,7 @@ class Keithley2600:
         """Ask who it is."""
         with self._talking():
             maker, model, serial, firmware = self._asked_identity()
-        notes = (("address", self._address),)
-        return InstrumentIdentity(
-            self._role, _DRIVER, f"{maker} {model}", serial, firmware, simulated=False, notes=notes
-        )
+        return InstrumentIdentity(self._role, _DRIVER, f"{maker} {model}", serial, firmware, simulated=False)
 
     def safe_state(self) -> None:
         """Switch both outputs off, going around a thread that hangs in a question; checked by reading back.
