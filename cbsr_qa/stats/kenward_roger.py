@@ -1,0 +1,101 @@
+"""Small-sample covariance and degrees of freedom of the fixed effects of a model with a random sensor.
+
+With V = σ²(I + θZZᵀ), Φ = (XᵀV⁻¹X)⁻¹, the covariance W of the two variances' estimates (inverse of the expected
+restricted information), P_i = −XᵀV⁻¹V_iV⁻¹X and Q_ij = XᵀV⁻¹V_iV⁻¹V_jV⁻¹X,
+
+    Φ_A = Φ + 2 Φ {Σ_ij W_ij (Q_ij − P_i Φ P_j)} Φ
+
+allows for the variances being estimated. One contrast has 2/A₁ degrees of freedom (Satterthwaite's); several together
+are tested by the scaled F of Kenward & Roger 1997, sections 2 and 3. Everything is in units of σ², which cancels.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cbsr_qa.stats.sensor_sums import SensorSums
+from cbsr_qa.stats.worst_value import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmallSample:
+    """Covariances over σ² of p fixed effects, and what their degrees of freedom are worked out from.
+
+    Parameters
+    ----------
+    plain, adjusted : (p, p) ndarrays, Φ/σ² and Φ_A/σ².
+    slopes : (2, p, p) ndarray, P of run and sensor variance.
+    variances : (2, 2) ndarray, W/σ⁴.
+    """
+
+    plain: FloatArray
+    adjusted: FloatArray
+    slopes: FloatArray
+    variances: FloatArray
+
+    def freedom(self, contrast: FloatArray) -> float:
+        """Return the degrees of freedom of one contrast, (p,) → number."""
+        return 2 / self._moments(contrast[None, :])[0]
+
+    def scaled_test(self, contrasts: FloatArray) -> tuple[float, float]:
+        """Return the denominator's degrees of freedom m and the factor λ of F = λ (Lβ)ᵀ(LΦ_ALᵀ)⁻¹(Lβ)/l.
+
+        Parameters
+        ----------
+        contrasts : (l, p) ndarray of rank l.
+        """
+        count = len(contrasts)
+        first, second = self._moments(contrasts)
+        b = (first + 6 * second) / (2 * count)
+        g = ((count + 1) * first - (count + 4) * second) / ((count + 2) * second)
+        below = 3 * count + 2 * (1 - g)
+        c1, c2, c3 = g / below, (count - g) / below, (count + 2 - g) / below
+        mean = 1 / (1 - second / count)
+        variance = 2 / count * (1 + c1 * b) / ((1 - c2 * b) ** 2 * (1 - c3 * b))
+        spread = variance / (2 * mean**2)
+        freedom = 4 + (count + 2) / (count * spread - 1)
+        return freedom, freedom / (mean * (freedom - 2))
+
+    def _moments(self, contrasts: FloatArray) -> tuple[float, float]:
+        """A₁ = Σ W_ij tr(ΘΦP_iΦ) tr(ΘΦP_jΦ) and A₂ = Σ W_ij tr(ΘΦP_iΦΘΦP_jΦ), Θ = Lᵀ(LΦLᵀ)⁻¹L."""
+        rows = contrasts @ self.plain
+        inverse = np.linalg.inv(rows @ contrasts.T)
+        moved = [inverse @ rows @ slope @ rows.T for slope in self.slopes]
+        traces = np.array([np.trace(one) for one in moved])
+        crossed = np.array([[np.trace(one @ two) for two in moved] for one in moved])
+        return float(traces @ self.variances @ traces), float(np.sum(self.variances * crossed))
+
+
+def small_sample(sums: SensorSums, ratio: float) -> SmallSample:
+    """Return the covariances at a ratio of variances θ ≥ 0."""
+    inner = sums.within[:-1, :-1]
+
+    def between(power: int, times: int) -> FloatArray:
+        return sums.products(ratio, power, times)[:-1, :-1]
+
+    plain = np.asarray(np.linalg.inv(inner + between(1, 0)), dtype=np.float64)
+    slopes: FloatArray = -np.stack([inner + between(2, 0), between(2, 1)])
+    mixed = between(3, 1)
+    curves: FloatArray = np.array([[inner + between(3, 0), mixed], [mixed, between(3, 2)]])
+    variances = np.asarray(np.linalg.inv(_information(sums, ratio, plain, slopes, curves)), dtype=np.float64)
+    lost = np.einsum("ij,ijkl->kl", variances, curves - np.einsum("iab,bc,jcd->ijad", slopes, plain, slopes))
+    adjusted = plain + 2 * plain @ lost @ plain
+    return SmallSample(plain, 0.5 * (adjusted + adjusted.T), slopes, variances)
+
+
+def _information(
+    sums: SensorSums, ratio: float, plain: FloatArray, slopes: FloatArray, curves: FloatArray
+) -> FloatArray:
+    """Expected restricted information ½ [tr(V⁻¹V_iV⁻¹V_j) − 2 tr(ΦQ_ij) + tr(ΦP_iΦP_j)] of both variances."""
+    inside = sums.runs - sums.total_sensors
+    traces = np.array(
+        [
+            [inside + sums.trace(ratio, 2, 0), sums.trace(ratio, 2, 1)],
+            [sums.trace(ratio, 2, 1), sums.trace(ratio, 2, 2)],
+        ]
+    )
+    turned = [plain @ slope for slope in slopes]
+    crossed = np.array([[np.sum(one * two.T) for two in turned] for one in turned])
+    fitted = np.einsum("ab,ijba->ij", plain, curves)
+    information: FloatArray = 0.5 * (traces - 2 * fitted + crossed)
+    return information

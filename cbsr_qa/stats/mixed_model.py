@@ -1,0 +1,303 @@
+"""Groups compared across stations with the sensors as a random effect, so that a station is not taken for a batch.
+
+    y = group (fixed) + station (fixed) + sensor (random, σ²θ) + run (σ²)
+
+by restricted maximum likelihood after the sensor effect is eliminated (:mod:`cbsr_qa.stats.sensor_sums`), intervals
+by Kenward & Roger's covariance and degrees of freedom. The model is additive: a station that treats one batch
+otherwise than another is not in it. Where no sensor has more than one run, sensor and run cannot be told apart, and
+ordinary least squares says the same with exact t intervals.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import log, sqrt
+
+import numpy as np
+from scipy import stats
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.stats.contrast import Contrast, checked
+from cbsr_qa.stats.crossing import Crossing
+from cbsr_qa.stats.kenward_roger import SmallSample, small_sample
+from cbsr_qa.stats.reml import Ratio, variance_ratio
+from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, sample
+from cbsr_qa.stats.sensor_sums import SensorSums, sensor_sums
+from cbsr_qa.stats.univariate import centred
+from cbsr_qa.stats.worst_value import FloatArray
+
+
+class Model(StrEnum):
+    """What was fitted."""
+
+    MIXED = "mixed: group and station fixed, sensor random"
+    FIXED = "fixed: group and station, one run a sensor"
+
+
+@dataclass(frozen=True, slots=True)
+class JointTest:
+    """F test of several contrasts."""
+
+    statistic: float
+    freedom: tuple[int, float]
+    p_value: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A fitted model, in the unit of its values.
+
+    Parameters
+    ----------
+    model : which.
+    design : of the runs it was fitted to.
+    effects : (groups + stations,) of every group, and of every station against the first of its connected part.
+    run_deviation : σ; of sensor and run together where the model is fixed.
+    sensor_deviation : σ√θ; None where the model is fixed.
+    ratio : interval of θ; None where the model is fixed.
+    criterion : minus twice the restricted log likelihood; None where the model is fixed.
+    notes : weaknesses of design and fit, in sentences.
+    covariance : (p, p) ndarray of the columns that :meth:`Crossing.kept` names, in the square of the values' unit.
+    freedom : of σ where the model is fixed, of the sensors' variance where it is mixed.
+    small : what degrees of freedom follow from; None where the model is fixed.
+    """
+
+    model: Model
+    design: Crossing
+    effects: FloatArray
+    run_deviation: float
+    sensor_deviation: float | None
+    ratio: Interval | None
+    criterion: float | None
+    notes: tuple[str, ...]
+    small: SmallSample | None
+    covariance: FloatArray
+    freedom: float
+
+    def group_difference(self, first: str, second: str) -> Contrast:
+        """Return first − second with the stations' differences taken out.
+
+        Raises
+        ------
+        NumericsError
+            An unknown or the same group twice, or two that no stations connect.
+        """
+        self.design.same_part(first, second)
+        weights = self._weights()
+        weights[self.design.index("group", first)] += 1
+        weights[self.design.index("group", second)] -= 1
+        return self._contrast(weights, f"{first} − {second}")
+
+    def group_mean(self, name: str) -> Contrast:
+        """Return a group's mean as if all stations of its connected part had measured it alike often."""
+        weights, place = self._weights(), self.design.index("group", name)
+        beside = np.flatnonzero(self.design.station_parts == self.design.group_parts[place])
+        weights[place] = 1
+        weights[len(self.design.groups) + beside] = 1 / len(beside)
+        return self._contrast(weights, f"mean of {name}")
+
+    def station_difference(self, first: str, second: str) -> Contrast:
+        """Return what station ``first`` reads above ``second``, with the groups' differences taken out.
+
+        Raises
+        ------
+        NumericsError
+            An unknown or the same station twice, or two that no groups connect.
+        """
+        places = [self.design.index("station", name) for name in (first, second)]
+        one, two = (int(self.design.station_parts[place]) for place in places)
+        if one != two:
+            raise NumericsError(
+                f"stations {first} and {second} cannot be compared: no group ran on stations that connect them",
+                remedy="measure the same sensors on both",
+            )
+        weights = self._weights()
+        weights[len(self.design.groups) + places[0]] += 1
+        weights[len(self.design.groups) + places[1]] -= 1
+        return self._contrast(weights, f"station {first} − {second}")
+
+    def groups_alike(self) -> JointTest:
+        """Test whether all groups that can be compared are alike.
+
+        Raises
+        ------
+        NumericsError
+            No two groups can be compared.
+        """
+        rows = []
+        for part in self.design.parts:
+            for name in part.groups[1:]:
+                row = self._weights()
+                row[self.design.index("group", name)], row[self.design.index("group", part.groups[0])] = 1, -1
+                rows.append(row)
+        if not rows:
+            raise NumericsError("groups: there are no two of them that could be compared")
+        return self._joint(np.array(rows)[:, self.design.kept()], np.array(rows) @ self.effects)
+
+    def _weights(self) -> FloatArray:
+        return np.zeros(len(self.effects))
+
+    def _contrast(self, weights: FloatArray, what: str) -> Contrast:
+        inner = weights[self.design.kept()]
+        if not inner.any() and not weights.any():
+            raise NumericsError(f"{what}: there is nothing to compare with itself")
+        freedom = self.small.freedom(inner) if self.small else self.freedom
+        return checked(float(weights @ self.effects), sqrt(float(inner @ self.covariance @ inner)), freedom, what)
+
+    def _joint(self, rows: FloatArray, values: FloatArray) -> JointTest:
+        count = len(rows)
+        freedom, factor = self.small.scaled_test(rows) if self.small else (self.freedom, 1.0)
+        solved = np.linalg.solve(rows @ self.covariance @ rows.T, values)
+        statistic = factor * float(values @ solved) / count
+        return JointTest(statistic, (count, freedom), float(stats.f.sf(statistic, count, freedom)))
+
+
+def fit(design: Crossing, values: FloatArray, what: str = "values") -> Fit:
+    """Fit the model to one metric.
+
+    Parameters
+    ----------
+    design : of N runs.
+    values : (N,) ndarray, one of each run; leave missing ones out with :meth:`Crossing.only`.
+    what : the metric, for messages.
+
+    Raises
+    ------
+    NumericsError
+        Missing values, no variance, or no more sensors than effects to tell.
+    """
+    array = sample(values, what)
+    if len(array) != len(design.group):
+        raise NumericsError(f"{what}: {len(array)} values for {len(design.group)} runs")
+    reduced = _reduce(design, array, what)
+    reason = _inseparable(reduced.sums)
+    if not reason:
+        return _mixed(design, reduced, what)
+    first = design.first_runs()
+    if len(first) < len(array):
+        design, reduced = design.only(first), _reduce(design.only(first), array[first], what)
+    return _fixed(design, reduced, reason, what)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reduced:
+    """Response as origin + scale (X start + r), and the sums of X and r; the start changes nothing but rounding."""
+
+    sums: SensorSums
+    origin: float
+    scale: float
+    start: FloatArray
+
+    def effects(self, design: Crossing, inner: FloatArray) -> FloatArray:
+        """Return the effects in the response's unit, zeros for the stations that are left out."""
+        every = np.zeros(len(design.groups) + len(design.stations))
+        every[design.kept()] = self.scale * (self.start + inner)
+        every[: len(design.groups)] += self.origin
+        return every
+
+
+def _reduce(design: Crossing, array: FloatArray, what: str) -> _Reduced:
+    origin, away = centred(array)
+    scale = float(np.abs(away).max())
+    if scale <= LEAST_SPREAD * float(np.abs(array).max()):
+        raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}, which leaves no variance")
+    matrix = design.columns()
+    start = np.asarray(np.linalg.solve(matrix.T @ matrix, matrix.T @ (away / scale)), dtype=np.float64)
+    rest = away / scale - matrix @ start
+    if float(np.abs(rest).max()) * scale <= LEAST_SPREAD * max(float(np.abs(array).max()), scale):
+        raise NumericsError(f"{what}: values do not differ within groups and stations, which leaves no variance")
+    return _Reduced(sensor_sums(matrix, rest, design.sensor), origin, scale, start)
+
+
+def _inseparable(sums: SensorSums) -> str:
+    """Say why sensor and run cannot be told apart; empty where they can."""
+    free = sums.runs - sums.total_sensors - sums.within_rank()
+    if sums.runs == sums.total_sensors:
+        return "no sensor has more than one run, so that sensors and runs cannot be told apart"
+    if free < 1:
+        return "the sensors' repeated runs are used up by the stations' differences: first runs only"
+    inner = sums.within[:-1, :-1]
+    left = sums.within[-1, -1] - sums.within[-1, :-1] @ np.linalg.pinv(inner, hermitian=True) @ sums.within[:-1, -1]
+    if left <= sums.runs * LEAST_SPREAD**2 or left <= 1e-12 * float(sums.products(0.0)[-1, -1]):
+        return "runs of one sensor do not differ: first runs only"
+    return ""
+
+
+def _mixed(design: Crossing, reduced: _Reduced, what: str) -> Fit:
+    sums = reduced.sums
+    between = sums.total_sensors + sums.within_rank() - sums.columns
+    if between < 1:
+        raise NumericsError(
+            f"{what}: sensors are {sums.total_sensors}, which leaves nothing to judge {sums.columns} effects of "
+            "groups and stations by",
+            remedy="measure more than one sensor of each group",
+        )
+    ratio = variance_ratio(sums)
+    small = small_sample(sums, ratio.value)
+    whole = sums.within + sums.products(ratio.value)
+    inner = np.asarray(np.linalg.solve(whole[:-1, :-1], whole[:-1, -1]), dtype=np.float64)
+    deviation = reduced.scale * sqrt(ratio.variance)
+    return Fit(
+        model=Model.MIXED,
+        design=design,
+        effects=reduced.effects(design, inner),
+        run_deviation=deviation,
+        sensor_deviation=deviation * sqrt(ratio.value),
+        ratio=ratio.interval,
+        criterion=ratio.criterion + 2 * (sums.runs - sums.columns) * log(reduced.scale),
+        notes=(*_notes(ratio), *_weaknesses(design)),
+        small=small,
+        covariance=deviation**2 * small.adjusted,
+        freedom=float(between),
+    )
+
+
+def _fixed(design: Crossing, reduced: _Reduced, reason: str, what: str) -> Fit:
+    sums = reduced.sums
+    whole = sums.within + sums.products(0.0)
+    freedom = sums.runs - sums.columns
+    if freedom < 1:
+        raise NumericsError(
+            f"{what}: sensors are {sums.runs}, which leaves nothing to judge {sums.columns} effects of groups and "
+            "stations by",
+            remedy="measure more sensors of each group",
+        )
+    inverse = np.asarray(np.linalg.inv(whole[:-1, :-1]), dtype=np.float64)
+    variance = float(np.linalg.cholesky(whole)[-1, -1]) ** 2 / freedom * reduced.scale**2
+    return Fit(
+        model=Model.FIXED,
+        design=design,
+        effects=reduced.effects(design, inverse @ whole[:-1, -1]),
+        run_deviation=sqrt(variance),
+        sensor_deviation=None,
+        ratio=None,
+        criterion=None,
+        notes=(reason, *_weaknesses(design)),
+        small=None,
+        covariance=variance * inverse,
+        freedom=float(freedom),
+    )
+
+
+def _notes(ratio: Ratio) -> tuple[str, ...]:
+    if ratio.value:
+        return ()
+    return ("sensors differ no more than runs of one sensor do: their variance is estimated as zero",)
+
+
+def _weaknesses(design: Crossing) -> tuple[str, ...]:
+    """Name what rests on the model more than on the design."""
+    notes = []
+    for part in design.parts if len(design.parts) > 1 else ():
+        notes.append(
+            f"{', '.join(part.groups)} on {', '.join(part.stations)}: not compared with groups on other stations, "
+            "whose difference cannot be told from the stations'"
+        )
+    for index, name in enumerate(design.groups):
+        seen = np.unique(design.station[design.group == index])
+        part = design.parts[int(design.group_parts[index])]
+        if len(seen) == 1 and len(part.stations) > 1:
+            notes.append(
+                f"{name} ran on {design.stations[seen[0]]} only: its differences from groups on other stations rest "
+                "on those that ran on both"
+            )
+    return tuple(notes)

@@ -1,0 +1,95 @@
+"""What a model with a random sensor needs of its data: cross-products within sensors and between their means.
+
+A sensor's n runs have the covariance σ²(I + θ 11ᵀ), whose inverse is I − 11ᵀ/n + (1/(1 + nθ)) 11ᵀ/n over σ². So for
+Z = [X y] and H = V/σ²,
+
+    ZᵀH⁻¹Z = W + Σ_n n h_n B_n,   h_n = 1/(1 + nθ),
+
+with W the cross-products of deviations from the sensors' means and B_n those of the means of sensors with n runs: the
+sensor effect is eliminated, and whatever the number of sensors one evaluation costs a few p × p matrices. Nothing is
+subtracted, so that no digits are lost at any θ.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from cbsr_qa.stats.crossing import IntArray
+from cbsr_qa.stats.worst_value import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorSums:
+    """Sums over sensors, Z having p columns of X and the response as the last.
+
+    Parameters
+    ----------
+    runs : N.
+    sizes : (m,) distinct numbers n of runs a sensor.
+    sensors : (m,) how many sensors have as many.
+    within : (p + 1, p + 1), W.
+    between : (m, p + 1, p + 1), B_n.
+    """
+
+    runs: int
+    sizes: FloatArray
+    sensors: FloatArray
+    within: FloatArray
+    between: FloatArray
+
+    @property
+    def columns(self) -> int:
+        """Return p."""
+        return len(self.within) - 1
+
+    def products(self, ratio: FloatArray | float, power: int = 1, times: int = 0) -> FloatArray:
+        """Return the between part Σ_n n^(1 + times) h_n^power B_n, without W.
+
+        Parameters
+        ----------
+        ratio : θ, any shape.
+        power : of h.
+        times : how often ZZᵀ, the sensors' covariance, stands in the product.
+
+        Returns
+        -------
+        (…, p + 1, p + 1) ndarray
+        """
+        h = 1 / (1 + np.multiply.outer(np.asarray(ratio, dtype=float), self.sizes))
+        summed: FloatArray = np.tensordot(h**power * self.sizes ** (1 + times), self.between, axes=1)
+        return summed
+
+    def trace(self, ratio: float, power: int, times: int) -> float:
+        """Return Σ_n q_n n^times h_n^power, the between part of a trace of powers of H⁻¹ and ZZᵀ."""
+        h = 1 / (1 + ratio * self.sizes)
+        return float(np.sum(self.sensors * self.sizes**times * h**power))
+
+    @property
+    def total_sensors(self) -> int:
+        """Number of sensors q."""
+        return int(self.sensors.sum())
+
+    def within_rank(self) -> int:
+        """Return how many of the effects in X differ between runs of one sensor."""
+        inner = self.within[:-1, :-1]
+        largest = float(np.diagonal(inner).max(initial=0.0))
+        return int(np.linalg.matrix_rank(inner, tol=1e-9 * largest, hermitian=True)) if largest > 0 else 0
+
+
+def sensor_sums(matrix: FloatArray, response: FloatArray, sensor: IntArray) -> SensorSums:
+    """Return the sums.
+
+    Parameters
+    ----------
+    matrix : (N, p) ndarray, X.
+    response : (N,) ndarray, y.
+    sensor : (N,) index of each run's sensor, 0 … q − 1 without gaps.
+    """
+    both = np.column_stack([matrix, response])
+    counts = np.bincount(sensor)
+    means = np.column_stack([np.bincount(sensor, column) for column in both.T]) / counts[:, None]
+    inside = both - means[sensor]
+    sizes, place = np.unique(counts, return_inverse=True)
+    between = np.stack([means[place == index].T @ means[place == index] for index in range(len(sizes))])
+    sensors = np.bincount(place).astype(float)
+    return SensorSums(len(both), sizes.astype(float), sensors, inside.T @ inside, between)
