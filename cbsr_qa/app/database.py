@@ -4,6 +4,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.store.engine import open_engine, parsed_url
 from cbsr_qa.store.incomplete import IncompleteRun, counts, incomplete_runs
 from cbsr_qa.store.schema import HEAD, Age, found_version, refusal, upgrade
@@ -37,7 +38,11 @@ class DatabaseStatus:
     schema, head : version found (None: empty or absent) and version this program reads and writes.
     state : ``"empty"``, ``"current"``, ``"older"``, ``"newer"`` or ``"of another program"``.
     remedy : what to do where it is not current.
-    counts : rows by kind, and ``incomplete`` the runs that were cut off or are under way; both empty unless current.
+    counts : rows by kind.
+    incomplete : runs that were cut off or are under way.
+    stopped : runs that were aborted or broken, which can be resumed too.
+
+    All of them are empty unless the database is current.
     """
 
     url: str
@@ -47,10 +52,24 @@ class DatabaseStatus:
     remedy: str
     counts: dict[str, int]
     incomplete: tuple[IncompleteRun, ...]
+    stopped: tuple[IncompleteRun, ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Return the same for ``--json``."""
-        return {**asdict(self), "incomplete": [asdict(run) for run in self.incomplete]}
+        incomplete = [{**_place(run), "state": state_words(run)} for run in self.incomplete]
+        stopped = [{**_place(run), "end": run.end, "detail": run.detail} for run in self.stopped]
+        return {**asdict(self), "incomplete": incomplete, "stopped": stopped}
+
+
+def _place(run: IncompleteRun) -> dict[str, str]:
+    return {"run": run.run, "serial": run.serial, "phase": run.phase, "next": run.next}
+
+
+def state_words(run: IncompleteRun) -> str:
+    """Say how a run that did not finish stands: cut off, under way and by whom, aborted or broken."""
+    if run.end != EndReason.RUNNING:
+        return run.end
+    return f"under way: {run.writer}" if run.writer else "cut off"
 
 
 def upgrade_database(option: str | None) -> Upgrade:
@@ -85,6 +104,7 @@ def database_status(option: str | None) -> DatabaseStatus:
     try:
         version = found_version(engine)
         current = version.age is Age.CURRENT
+        unfinished = incomplete_runs(engine) if current else ()
         return DatabaseStatus(
             url=engine.url.render_as_string(hide_password=True),
             schema=version.revision,
@@ -92,7 +112,8 @@ def database_status(option: str | None) -> DatabaseStatus:
             state=version.age.value,
             remedy="" if current else refusal(engine, version).remedy,
             counts=counts(engine) if current else {},
-            incomplete=incomplete_runs(engine) if current else (),
+            incomplete=tuple(run for run in unfinished if run.end == EndReason.RUNNING),
+            stopped=tuple(run for run in unfinished if run.end != EndReason.RUNNING),
         )
     finally:
         engine.dispose()

@@ -28,8 +28,8 @@ def upgrade(database: Database = None, as_json: AsJson = False) -> None:
 
 @app.command()
 def status(database: Database = None, as_json: AsJson = False) -> None:
-    """Say which database is used, its version, how much is in it, and which runs were cut off."""
-    from cbsr_qa.app.database import database_status
+    """Say which database is used, its version, how much is in it, and which runs did not finish."""
+    from cbsr_qa.app.database import database_status, state_words
 
     found = database_status(database)
     if as_json:
@@ -41,6 +41,9 @@ def status(database: Database = None, as_json: AsJson = False) -> None:
         say(f"            {found.remedy}")
     for kind, count in found.counts.items():
         say(f"{kind:<11} {count}")
-    for run in found.incomplete:
-        phase = f" in {run.phase!r}" if run.phase else ""
-        say(f"incomplete  run {run.run} of {run.serial}: stopped{phase}; next: {run.next}")
+    for kind, runs in (("incomplete", found.incomplete), ("stopped", found.stopped)):
+        for run in runs:
+            phase = f" in {run.phase!r}" if run.phase else ""
+            say(f"{kind:<11} run {run.run} of {run.serial}: {state_words(run)}{phase}; next: {run.next}")
+    if any(not run.writer for run in (*found.incomplete, *found.stopped)):
+        say("            cbsr-qa run --resume RUN goes on with one of them")

@@ -97,6 +97,27 @@ class PhaseRecord:
 
 
 @dataclass(frozen=True, slots=True)
+class RunSession:
+    """One go at a run: from where it was begun or resumed to where it ended or was cut off.
+
+    Parameters
+    ----------
+    started_s, ended_s : on the run's time line [s]; no end where it was cut off.
+    end, detail : how it ended; RUNNING where it was cut off.
+    operator, software : who began or resumed it, and with what; empty where nobody noted it.
+    noted_at : when by the wall clock, for people; None where nobody noted it.
+    """
+
+    started_s: float
+    ended_s: float | None
+    end: EndReason
+    detail: str = ""
+    operator: str = ""
+    software: tuple[tuple[str, str], ...] = ()
+    noted_at: datetime | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class RunRecord:
     """A whole run, the sole input of its analysis.
 
@@ -107,6 +128,8 @@ class RunRecord:
     end : how it ended.
     end_detail : by whom it was aborted, or which rule or instrument broke it.
     station_s : time the sensor occupied the station [s].
+    sessions : in order; one where the run was not interrupted.
+    set_aside : frames that are stored and do not count: a load that was cut off was pressed again.
     """
 
     identity: RunIdentity
@@ -118,6 +141,8 @@ class RunRecord:
     end_detail: str = ""
     station_s: float = 0.0
     spent: tuple[tuple[str, float], ...] = field(default=())  #: station seconds by kind of step
+    sessions: tuple[RunSession, ...] = field(default=())
+    set_aside: int = 0
 
     def phase(self, name: str) -> PhaseRecord:
         """Return a phase by the recipe's name for it.

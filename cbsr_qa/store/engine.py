@@ -1,19 +1,21 @@
 """Connections: SQLite set up for journalling, PostgreSQL as it is."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import URL, Connection, Engine, create_engine, event, make_url
-from sqlalchemy.exc import ArgumentError
+from sqlalchemy import URL, Connection, Engine, RootTransaction, create_engine, event, make_url
+from sqlalchemy.exc import ArgumentError, OperationalError
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.failures import shown, translated
 
 #: How long a writer waits for another one before it gives up [ms].
 BUSY_TIMEOUT_MS = 10_000
+#: How long it waits before it says so [ms].
+_PATIENCE_MS = 1_000
 
 _DRIVERS = {"sqlite": "sqlite", "postgresql": "postgresql+psycopg"}
 
@@ -81,12 +83,40 @@ def reading(engine: Engine) -> Iterator[Connection]:
 
 
 @contextmanager
-def writing(engine: Engine) -> Iterator[Connection]:
-    """One transaction that writes: committed at the end, undone on any error."""
+def writing(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Iterator[Connection]:
+    """One transaction that writes: committed at the end, undone on any error.
+
+    Parameters
+    ----------
+    tell : told where another program is waited for for more than a second; the wait ends after
+        :data:`BUSY_TIMEOUT_MS`.
+    """
     with translated(engine.url), engine.connect() as connection:
         writer = connection.execution_options(cbsr_writes=True)
-        with writer.begin():
+        with _begun(writer, tell):
             yield writer
+
+
+def _begun(writer: Connection, tell: Callable[[str], None] | None) -> RootTransaction:
+    """Begin a transaction; a SQLite file that another program writes is waited for, at first in silence."""
+    if tell is None or writer.dialect.name != "sqlite":
+        return writer.begin()
+    _wait_at_most(writer, _PATIENCE_MS)
+    try:
+        return writer.begin()
+    except OperationalError as error:
+        if "database is locked" not in str(error):
+            raise
+    finally:
+        _wait_at_most(writer, BUSY_TIMEOUT_MS)
+    tell(f"{shown(writer.engine.url)} is in use by another program; waiting {BUSY_TIMEOUT_MS // 1000} s at most")
+    return writer.begin()
+
+
+def _wait_at_most(connection: Connection, timeout_ms: int) -> None:
+    cursor = connection.connection.cursor()
+    cursor.execute(f"PRAGMA busy_timeout = {timeout_ms}")
+    cursor.close()
 
 
 def use_write_ahead_log(engine: Engine) -> None:

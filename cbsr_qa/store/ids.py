@@ -2,7 +2,7 @@
 
 import secrets
 from collections.abc import Callable
-from datetime import datetime
+from datetime import UTC, datetime
 from threading import Lock
 from uuid import UUID
 
@@ -26,6 +26,18 @@ class IdSource:
         self._counter = 0
         self._lock = Lock()
 
+    def follow(self, latest: str) -> None:
+        """Make only identifiers that come after another one from here on: a clock that was set back changes no order.
+
+        Parameters
+        ----------
+        latest : an identifier; one that is not of this kind is followed by any.
+        """
+        found = _parts(latest)
+        with self._lock:
+            if found is not None and found > (self._last_ms, self._counter):
+                self._last_ms, self._counter = found
+
     def new(self) -> str:
         """Return a new identifier as text."""
         now_ms = int(self._wall().timestamp() * 1000)
@@ -38,3 +50,20 @@ class IdSource:
                     self._last_ms, self._counter = self._last_ms + 1, secrets.randbits(_COUNTER_BITS - 1)
             millisecond, counter = self._last_ms, self._counter
         return str(UUID(int=millisecond << 80 | 7 << 76 | counter << 64 | 2 << 62 | secrets.randbits(62)))
+
+
+def made_at(identifier: str) -> datetime | None:
+    """Return when an identifier was made, by the clock of whoever made it; None where it does not say."""
+    found = _parts(identifier)
+    return None if found is None else datetime.fromtimestamp(found[0] / 1000, UTC)
+
+
+def _parts(identifier: str) -> tuple[int, int] | None:
+    """Millisecond and counter of an identifier; None where it is not of version 7."""
+    try:
+        number = UUID(identifier)
+    except ValueError:
+        return None
+    if number.version != 7:
+        return None
+    return number.int >> 80, (number.int >> 64) & ((1 << _COUNTER_BITS) - 1)

@@ -1,4 +1,4 @@
-"""Runs that were begun and not ended: what a power cut leaves behind."""
+"""Runs that were begun and did not finish: what a power cut, a fault or an operator leaves behind."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -6,7 +6,11 @@ from typing import Any
 from sqlalchemy import Connection, Engine, func, select
 
 from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.store.check_tables import StationCheckRow
 from cbsr_qa.store.engine import reading
+from cbsr_qa.store.ids import made_at
+from cbsr_qa.store.locks import writer_of
+from cbsr_qa.store.result_tables import AnalysisRow, CalibrationRow
 from cbsr_qa.store.run_tables import (
     FrameBlockRow,
     LoadRow,
@@ -21,33 +25,58 @@ from cbsr_qa.store.run_tables import (
 
 @dataclass(frozen=True, slots=True)
 class IncompleteRun:
-    """A run that is under way, or was cut off.
+    """A run that did not finish.
 
     Parameters
     ----------
     phase : name of the phase it stands in; empty before the first.
     next : what would be done next, in words: the press that was not finished, or the step under way.
+    end, detail : ``"running"`` where it is under way or was cut off; ``"aborted"`` or ``"broken"``, and by what.
+    writer : who writes it at this moment; empty where nobody does.
     """
 
     run: str
     serial: str
     phase: str
     next: str
+    end: str = str(EndReason.RUNNING)
+    detail: str = ""
+    writer: str = ""
 
 
 def incomplete_runs(engine: Engine) -> tuple[IncompleteRun, ...]:
-    """Return every run whose last state is "running", oldest first."""
+    """Return every run whose last state is not "finished", oldest first."""
     last = select(RunStateRow.run, func.max(RunStateRow.number).label("number")).group_by(RunStateRow.run).subquery()
-    running = (
-        select(RunRow.run, RunRow.serial)
+    unfinished = (
+        select(RunRow.run, RunRow.serial, RunStateRow.end, RunStateRow.detail)
         .join(RunStateRow, RunStateRow.run == RunRow.run)
         .join(last, (last.c.run == RunStateRow.run) & (last.c.number == RunStateRow.number))
-        .where(RunStateRow.end == str(EndReason.RUNNING))
+        .where(RunStateRow.end != str(EndReason.FINISHED))
         .order_by(RunRow.run)
     )
     with reading(engine) as connection:
-        rows = connection.execute(running).all()
-        return tuple(IncompleteRun(row.run, row.serial, *_stands(connection, row.run)) for row in rows)
+        rows = connection.execute(unfinished).all()
+        found = [(row, _stands(connection, row.run)) for row in rows]
+    return tuple(
+        IncompleteRun(
+            row.run,
+            row.serial,
+            *stands,
+            row.end,
+            row.detail,
+            writer_of(engine, row.run) if row.end == EndReason.RUNNING else "",
+        )
+        for row, stands in found
+    )
+
+
+def latest_id(engine: Engine) -> str:
+    """Return the highest identifier of anything stored; empty where there is nothing."""
+    columns = (RunRow.run, AnalysisRow.analysis, CalibrationRow.calibration, StationCheckRow.check_id)
+    with reading(engine) as connection:
+        found = [connection.scalar(select(func.max(column))) for column in columns]
+    # By their text, of those of our kind: others (of databases that were put together by hand) say nothing of time.
+    return max((one for one in found if one is not None and made_at(one) is not None), default="")
 
 
 def counts(engine: Engine) -> dict[str, int]:
@@ -68,13 +97,21 @@ def _stands(connection: Connection, run: str) -> tuple[str, str]:
     phase = connection.execute(phases.order_by(PhaseRow.phase).limit(1)).one_or_none()
     if phase is None:
         return "", "the next phase"
-    steps = select(StepRow.step).where(StepRow.run == run, StepRow.phase == phase.phase, StepRow.attempt == 0)
-    begun = connection.scalars(steps.order_by(StepRow.entry)).all()
-    finished = connection.scalar(select(func.count()).where(LoadRow.run == run, LoadRow.phase == phase.phase))
-    presses = [step for step in begun if step["step"] == "Press"]
-    if len(presses) > (finished or 0):
-        return phase.name, _words(presses[-1])
-    return phase.name, _words(begun[-1]) if begun else "its first step"
+    steps = select(StepRow.step, StepRow.time_s).where(
+        StepRow.run == run, StepRow.phase == phase.phase, StepRow.attempt == 0
+    )
+    begun = connection.execute(steps.order_by(StepRow.entry)).all()
+    presses = [row for row in begun if row.step["step"] == "Press"]
+    if presses and not _finished(connection, run, phase.phase, presses[-1].time_s):
+        return phase.name, _words(presses[-1].step)
+    return phase.name, _words(begun[-1].step) if begun else "its first step"
+
+
+def _finished(connection: Connection, run: str, phase: int, pressed_s: float) -> bool:
+    """Whether a press that began at a time was held to its end."""
+    loads = select(func.max(LoadRow.press_start_s)).where(LoadRow.run == run, LoadRow.phase == phase)
+    last_s = connection.scalar(loads)
+    return last_s is not None and last_s >= pressed_s
 
 
 def _words(step: dict[str, Any]) -> str:

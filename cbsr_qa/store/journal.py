@@ -2,6 +2,7 @@
 
 import hashlib
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import asdict
 from functools import singledispatchmethod
 from typing import Any
@@ -9,9 +10,11 @@ from typing import Any
 from sqlalchemy import Connection, Engine, func, insert, select, update
 from sqlalchemy.orm import InstrumentedAttribute
 
+from cbsr_qa.clock import on_tick
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.domain.run import RunIdentity
 from cbsr_qa.domain.run_events import (
     FramesTaken,
     LoadFinished,
@@ -54,6 +57,7 @@ class Journal:
     engine : of an up-to-date database.
     configuration : canonical JSON whose SHA-256 is the identity's digest.
     sensor_type, material, indenter : what is tested, and with which head.
+    tell : told while the database is waited for.
     """
 
     def __init__(
@@ -64,8 +68,10 @@ class Journal:
         sensor_type: SensorType,
         material: Material,
         indenter: Indenter,
+        tell: Callable[[str], None] | None = None,
     ) -> None:
         self._engine = engine
+        self._tell = tell
         self._configuration = configuration
         self._setting = encoded(sensor_type, indenter, material)
         self._run = ""
@@ -82,7 +88,7 @@ class Journal:
         """
         if not self._run and not isinstance(event, RunStarted):
             raise StoreError(f"{type(event).__name__} came before the run was started")
-        with writing(self._engine) as connection:
+        with writing(self._engine, tell=self._tell) as connection:
             self._store(shifted(event, self._offset_s), connection)
 
     @singledispatchmethod
@@ -105,9 +111,9 @@ class Journal:
         elif current_state(connection, identity.run).end == EndReason.FINISHED:
             raise StoreError(f"run {identity.run} is finished", remedy="begin a new run")
         else:
-            self._offset_s = last_time_s(connection, identity.run)
+            self._offset_s = on_tick(last_time_s(connection, identity.run))
         self._run = identity.run
-        self._state(connection, EndReason.RUNNING, "", self._offset_s, ())
+        self._state(connection, EndReason.RUNNING, "", self._offset_s, (), identity)
 
     @_store.register
     def _(self, event: PhaseStarted, connection: Connection) -> None:
@@ -165,11 +171,22 @@ class Journal:
         self._state(connection, event.end, event.detail, event.time_s, event.spent)
 
     def _state(
-        self, connection: Connection, end: EndReason, detail: str, time_s: float, spent: tuple[tuple[str, float], ...]
+        self,
+        connection: Connection,
+        end: EndReason,
+        detail: str,
+        time_s: float,
+        spent: tuple[tuple[str, float], ...],
+        begun: RunIdentity | None = None,
     ) -> None:
         number = connection.scalar(select(func.count()).where(RunStateRow.run == self._run))
         values = {"run": self._run, "number": number, "end": str(end), "detail": detail, "time_s": time_s}
-        connection.execute(insert(RunStateRow), {**values, "spent": [[kind, float(s)] for kind, s in spent]})
+        who = {
+            "operator": None if begun is None else begun.operator,
+            "software": None if begun is None else [list(pair) for pair in begun.software],
+            "noted_at": None if begun is None else begun.started_at,
+        }
+        connection.execute(insert(RunStateRow), {**values, **who, "spent": [[kind, float(s)] for kind, s in spent]})
 
     def _add(
         self, connection: Connection, column: InstrumentedAttribute[int], phase: int, values: dict[str, Any]

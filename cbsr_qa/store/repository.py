@@ -1,9 +1,10 @@
 """The store's front door: open a database, journal runs into it, ask it about them."""
 
 from collections.abc import Callable, Sequence
-from datetime import datetime
+from contextlib import AbstractContextManager
+from datetime import datetime, timedelta
 from types import TracebackType
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,19 +15,22 @@ from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.domain.report import RunResult
-from cbsr_qa.domain.run import RunIdentity, RunRecord
+from cbsr_qa.domain.run import RunIdentity, RunRecord, RunSession
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.domain.station_check import RingReadings, StationCheck
-from cbsr_qa.store import analyses, calibrations, incomplete, runs, schema, station_checks
+from cbsr_qa.store import analyses, calibrations, incomplete, locks, runs, schema, station_checks
 from cbsr_qa.store.analyses import StoredAnalysis
 from cbsr_qa.store.calibration_forces import PrepareForce
 from cbsr_qa.store.calibrations import CalibrationSummary
 from cbsr_qa.store.engine import open_engine, parsed_url
 from cbsr_qa.store.failures import shown
-from cbsr_qa.store.ids import IdSource
-from cbsr_qa.store.incomplete import IncompleteRun
+from cbsr_qa.store.ids import IdSource, made_at
+from cbsr_qa.store.incomplete import IncompleteRun, latest_id
 from cbsr_qa.store.journal import Journal
 from cbsr_qa.store.runs import RunSummary
+
+#: Clocks of computers that share a database may differ by this much without anybody being told.
+_CLOCKS_DIFFER: Final = timedelta(minutes=1)
 
 
 def open_store(
@@ -90,20 +94,52 @@ class Repository:
         return shown(self._engine.url)
 
     def new_id(self) -> str:
-        """Return a new time-ordered identifier for a run, an analysis or a calibration."""
+        """Return a new time-ordered identifier for a run, an analysis or a calibration.
+
+        It comes after all that are stored, also where the clock was set back: the latest was made last.
+        """
+        self._ids.follow(latest_id(self._engine))
         return self._ids.new()
 
+    def from_the_future(self) -> str:
+        """Return in words that the latest thing stored is from later than the clock says; empty where it is not."""
+        latest, now = made_at(latest_id(self._engine)), self._wall()
+        if latest is None or latest - now < _CLOCKS_DIFFER:
+            return ""
+        return (
+            f"{self.shown} holds something made at {latest:%Y-%m-%d %H:%M} UTC, and this computer's clock says"
+            f" {now:%Y-%m-%d %H:%M}: one of the clocks was wrong, or was set back; the order of runs is kept"
+        )
+
     def journal(
-        self, *, configuration: str, sensor_type: SensorType, material: Material, indenter: Indenter
+        self,
+        *,
+        configuration: str,
+        sensor_type: SensorType,
+        material: Material,
+        indenter: Indenter,
+        tell: Callable[[str], None] | None = None,
     ) -> Journal:
-        """Return the journal of one session: call it with every document of the run."""
+        """Return the journal of one session: call it with every document of the run.
+
+        ``tell`` is told while another program's writing is waited for.
+        """
         return Journal(
             self._engine,
             configuration=configuration,
             sensor_type=sensor_type,
             material=material,
             indenter=indenter,
+            tell=tell,
         )
+
+    def writing_alone(self, run: str, operator: str = "") -> AbstractContextManager[None]:
+        """Hold the right to write a run while entered; StoreError naming who does, where another process does."""
+        return locks.writing_alone(self._engine, run, locks.this_process(operator))
+
+    def writer_of(self, run: str) -> str:
+        """Return who writes a run at this moment; empty where nobody does."""
+        return locks.writer_of(self._engine, run)
 
     def load_run(self, run: str) -> RunRecord:
         """Load a run with every frame, digests checked. StoreError if it is not there or not what was measured."""
@@ -121,6 +157,18 @@ class Repository:
         """Return (phase, index) of the presses of a run that were held to their end."""
         return runs.finished_loads(self._engine, run)
 
+    def ended_phases(self, run: str) -> frozenset[int]:
+        """Return the phases of a run whose last step was carried out."""
+        return runs.ended_phases(self._engine, run)
+
+    def state_of(self, run: str) -> RunSession:
+        """Return the latest session of a run: how it stands. StoreError if there is no such run."""
+        return runs.state_of(self._engine, run)
+
+    def goes_on_at_s(self, run: str) -> float:
+        """Return when on the run's time line a resumed session begins [s]."""
+        return runs.goes_on_at_s(self._engine, run)
+
     def find_runs(self, serial: str | None = None) -> tuple[RunSummary, ...]:
         """Return runs, the latest first: of one sensor, or all."""
         return runs.find_runs(self._engine, serial)
@@ -130,7 +178,7 @@ class Repository:
         return runs.resolve(self._engine, run_or_serial)
 
     def incomplete_runs(self) -> tuple[IncompleteRun, ...]:
-        """Return runs that are under way or were cut off, oldest first."""
+        """Return runs that did not finish, oldest first: under way, cut off, aborted or broken."""
         return incomplete.incomplete_runs(self._engine)
 
     def counts(self) -> dict[str, int]:

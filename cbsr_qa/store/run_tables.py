@@ -80,6 +80,9 @@ class RunStateRow(Base):
     detail: Mapped[str]
     time_s: Mapped[float]  #: on the run's clock
     spent: Mapped[list[Any]]  #: [[kind of step, seconds], …] of the session that ended
+    operator: Mapped[str | None]  #: who began or resumed the session; None where nobody noted it, and at its end
+    software: Mapped[list[Any] | None]  #: [[distribution, version], …] it was begun or resumed with
+    noted_at: Mapped[datetime | None]  #: by the wall clock, which anybody may set; order is the number's
 
 
 class InstrumentRow(Base):

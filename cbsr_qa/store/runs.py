@@ -9,11 +9,12 @@ from typing import Any
 from sqlalchemy import Connection, Engine, Row, select
 from sqlalchemy.orm import Session
 
+from cbsr_qa.clock import on_tick
 from cbsr_qa.domain.errors import RefusedError, StoreError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, join_frames, join_samples
 from cbsr_qa.domain.loads import EasedStrain, Load, LoadRecord
 from cbsr_qa.domain.outcome import EndReason, Outcome
-from cbsr_qa.domain.run import PhaseRecord, RunIdentity, RunRecord
+from cbsr_qa.domain.run import PhaseRecord, RunIdentity, RunRecord, RunSession
 from cbsr_qa.domain.steps import Role
 from cbsr_qa.store.blocks import frame_block, sample_block
 from cbsr_qa.store.codec import decoded_indenter, decoded_material, decoded_sensor_type
@@ -30,6 +31,7 @@ from cbsr_qa.store.run_tables import (
     SampleBlockRow,
     UnloadedMarkRow,
 )
+from cbsr_qa.store.sessions import Span, counted_spans, sessions_of, within
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,9 @@ class RunSummary:
 
 
 def load_run(engine: Engine, run: str) -> RunRecord:
-    """Load a run with every frame, each block's digest checked.
+    """Load a run with every frame that counts, each block's digest checked.
+
+    Frames and samples of a press that was cut off and made again do not count; how many frames is said.
 
     Raises
     ------
@@ -67,16 +71,20 @@ def load_run(engine: Engine, run: str) -> RunRecord:
         states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
         spent = _summed(pair for one in connection.scalars(states) for pair in one)
         try:
+            sessions = sessions_of(connection, run)
+            phases, set_aside = _phases(connection, run, sessions)
             return RunRecord(
                 identity=identity_of(connection, row),
                 sensor_type=decoded_sensor_type(row.setting),
                 material=decoded_material(row.setting),
                 indenter=decoded_indenter(row.setting),
-                phases=_phases(connection, run),
+                phases=phases,
                 end=EndReason(state.end),
                 end_detail=state.detail,
                 station_s=last_time_s(connection, run),
                 spent=spent,
+                sessions=sessions,
+                set_aside=set_aside,
             )
         except (KeyError, TypeError, ValueError, RefusedError) as error:
             if isinstance(error, StoreError):
@@ -102,6 +110,26 @@ def finished_loads(engine: Engine, run: str) -> frozenset[tuple[int, int]]:
         _known(connection, run)
         rows = connection.execute(select(LoadRow.phase, LoadRow.load_index).where(LoadRow.run == run))
         return frozenset((phase, load) for phase, load in rows)
+
+
+def ended_phases(engine: Engine, run: str) -> frozenset[int]:
+    """Return the phases whose last step was carried out: what a resumed run does not go through again."""
+    with reading(engine) as connection:
+        rows = connection.scalars(select(PhaseRow.phase).where(PhaseRow.run == run, PhaseRow.ended_s.is_not(None)))
+        return frozenset(rows)
+
+
+def state_of(engine: Engine, run: str) -> RunSession:
+    """Return the latest session of a run: how it stands."""
+    with reading(engine) as connection:
+        _known(connection, run)
+        return sessions_of(connection, run)[-1]
+
+
+def goes_on_at_s(engine: Engine, run: str) -> float:
+    """Return when on the run's time line a resumed session begins [s]."""
+    with reading(engine) as connection:
+        return on_tick(last_time_s(connection, run))
 
 
 def find_runs(engine: Engine, serial: str | None = None) -> tuple[RunSummary, ...]:
@@ -164,43 +192,61 @@ def _summed(pairs: Iterable[list[Any]]) -> tuple[tuple[str, float], ...]:
     return tuple(seconds.items())
 
 
-def _phases(connection: Connection, run: str) -> tuple[PhaseRecord, ...]:
+def _phases(
+    connection: Connection, run: str, sessions: tuple[RunSession, ...]
+) -> tuple[tuple[PhaseRecord, ...], int]:
+    """Phases of a run, and how many frames of them do not count."""
     with Session(bind=connection) as session:
         rows = session.scalars(select(PhaseRow).where(PhaseRow.run == run).order_by(PhaseRow.phase)).all()
-        return tuple(_phase(connection, session, row) for row in rows)
+        found = [_phase(connection, session, row, sessions) for row in rows]
+        return tuple(phase for phase, _ in found), sum(aside for _, aside in found)
 
 
-def _phase(connection: Connection, session: Session, row: PhaseRow) -> PhaseRecord:
+def _phase(
+    connection: Connection, session: Session, row: PhaseRow, sessions: tuple[RunSession, ...]
+) -> tuple[PhaseRecord, int]:
     loads = _loads(session, row)
+    spans = counted_spans(connection, row, sessions, loads)
+    frames, aside = _frames(session, row, spans)
     marks = select(UnloadedMarkRow.time_s).where(UnloadedMarkRow.run == row.run, UnloadedMarkRow.phase == row.phase)
-    return PhaseRecord(
+    phase = PhaseRecord(
         index=row.phase,
         name=row.name,
         sequence=row.sequence,
         started_s=row.started_s,
         # A phase that was cut off ends with the last thing known about it.
         ended_s=last_time_s(connection, row.run, row.phase) if row.ended_s is None else row.ended_s,
-        frames=_frames(session, row),
-        samples=_samples(session, row),
+        frames=frames,
+        samples=_samples(session, row, spans),
         loads=tuple(load for load in loads if not load.eased),
         loops=tuple(load for load in loads if load.eased),
         # A resumed phase rested again: the latest mark is followed by its presses.
         unloaded_from_s=connection.scalar(marks.order_by(UnloadedMarkRow.mark.desc()).limit(1)),
         role=Role(row.role),
     )
+    return phase, aside
 
 
-def _frames(session: Session, phase: PhaseRow) -> FrameBlock | None:
+def _frames(session: Session, phase: PhaseRow, spans: list[Span]) -> tuple[FrameBlock | None, int]:
+    """Frames that count, and how many do not."""
     query = select(FrameBlockRow).where(FrameBlockRow.run == phase.run, FrameBlockRow.phase == phase.phase)
     blocks = [frame_block(row) for row in session.scalars(query.order_by(FrameBlockRow.block))]
-    return join_frames(blocks) if blocks else None
+    counted = [within(block.time_s, spans) for block in blocks]
+    kept = [block.select(inside) for block, inside in zip(blocks, counted, strict=True) if inside.any()]
+    return join_frames(kept) if kept else None, sum(int((~inside).sum()) for inside in counted)
 
 
-def _samples(session: Session, phase: PhaseRow) -> tuple[SampleBlock, ...]:
+def _samples(session: Session, phase: PhaseRow, spans: list[Span]) -> tuple[SampleBlock, ...]:
     query = select(SampleBlockRow).where(SampleBlockRow.run == phase.run, SampleBlockRow.phase == phase.phase)
     blocks = [sample_block(row) for row in session.scalars(query.order_by(SampleBlockRow.block))]
     by_channel = groupby(sorted(blocks, key=lambda b: b.channel), key=lambda b: b.channel)  # sorting is stable
-    return tuple(join_samples(list(group)) for _, group in by_channel)
+    joined = [join_samples(list(group)) for _, group in by_channel]
+    kept = [(block, within(block.time_s, spans)) for block in joined]
+    return tuple(
+        SampleBlock(block.channel, block.unit, block.time_s[inside], block.values[inside])
+        for block, inside in kept
+        if inside.any()
+    )
 
 
 def _loads(session: Session, phase: PhaseRow) -> tuple[LoadRecord, ...]:

@@ -111,7 +111,11 @@ def test_data_survive_every_step_up_and_down(engine):
     assert content(engine) == before
     schema.upgrade(engine)
     concluded |= {"calibration_forces", *CHECKS}
-    later = {name: [(*row, None) for row in before[name]] for name in ("loads", "instruments")}  # eased, notes
+    # Eased, notes; operator, software and time of a session.
+    later = {
+        name: [(*row, *[None] * columns) for row in before[name]]
+        for name, columns in (("loads", 1), ("instruments", 1), ("run_states", 3))
+    }
     assert content(engine) == before | later | {name: [] for name in concluded}
 
     schema.downgrade(engine, "base")

@@ -8,7 +8,8 @@ from stored_runs import CONFIGURATION, SETTING, frames, journalled, short_run
 
 from cbsr_qa.app.database import database_status, upgrade_database
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.domain.run_events import FramesTaken
+from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.domain.run_events import FramesTaken, RunEnded
 from cbsr_qa.store import engine as engines
 from cbsr_qa.store import schema
 from cbsr_qa.store.engine import open_engine, parsed_url
@@ -204,5 +205,17 @@ def test_the_status_document_hides_the_password_and_names_runs_that_were_cut_off
             "serial": "S-1",
             "phase": "nine locations",
             "next": "press L0 at (15, -15) mm to 20 %, trial 1",
+            "state": "cut off",
         }
     ]
+    assert document["stopped"] == []
+
+
+def test_aborted_and_broken_runs_are_told_apart_from_those_that_were_cut_off(filled):
+    with open_store(f"sqlite:///{filled}") as repository:
+        ended = RunEnded(EndReason.BROKEN, "rule 'force': 21 N measured", 160.0, ())
+        journalled(repository, [*short_run("run-2")[:11], ended])
+    document = database_status(str(filled)).document()
+    assert document["incomplete"] == []
+    (stopped,) = document["stopped"]
+    assert (stopped["run"], stopped["end"], stopped["detail"]) == ("run-2", "broken", "rule 'force': 21 N measured")

@@ -1,0 +1,157 @@
+"""One writer a run: a lock that goes with the process, however it ends."""
+
+import hashlib
+import os
+import platform
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import IO, Final
+
+from sqlalchemy import Connection, Engine, text
+from sqlalchemy.exc import SQLAlchemyError
+
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store.engine import sqlite_file
+from cbsr_qa.store.failures import shown, translated
+
+if sys.platform == "win32":
+    import msvcrt
+
+    def _lock(file: IO[str]) -> None:
+        file.seek(_FAR)  # beyond what is written in it, which others may read
+        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        file.seek(0)
+
+else:
+    import fcntl
+
+    def _lock(file: IO[str]) -> None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+
+_FAR: Final = 1 << 20
+_NAME_LENGTH: Final = 63  # of an application's name in PostgreSQL
+
+
+def this_process(operator: str) -> str:
+    """Say who writes a run: operator, computer and process."""
+    return f"{operator or 'somebody'} on {platform.node() or 'this computer'}, process {os.getpid()}"
+
+
+@contextmanager
+def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
+    """Hold the right to write a run; it falls back when the process ends, also by a kill.
+
+    On SQLite a locked file beside the database, on PostgreSQL an advisory lock of a connection of its own. A database
+    in memory has one process anyway.
+
+    Raises
+    ------
+    StoreError
+        If another process holds it; the message says who.
+    """
+    release = _acquired(engine, run, who)
+    if isinstance(release, str):
+        raise StoreError(
+            f"run {run} is being written by {release} ({shown(engine.url)})",
+            remedy="wait until it has ended, or stop it first: cbsr-qa run --resume then goes on",
+        )
+    try:
+        yield
+    finally:
+        release()
+
+
+def writer_of(engine: Engine, run: str) -> str:
+    """Return who writes a run at this moment; empty where nobody does."""
+    file = sqlite_file(engine.url)
+    if file is not None and not _lock_file(file, run).exists():
+        return ""
+    release = _acquired(engine, run, this_process(""))
+    if isinstance(release, str):
+        return release
+    release()
+    return ""
+
+
+def _acquired(engine: Engine, run: str, who: str) -> Callable[[], None] | str:
+    """Return what gives the lock back, or who holds it."""
+    if engine.url.get_backend_name() == "postgresql":
+        return _advisory(engine, run, who)
+    file = sqlite_file(engine.url)
+    return (lambda: None) if file is None else _file_lock(engine, _lock_file(file, run), who)
+
+
+def _lock_file(database: Path, run: str) -> Path:
+    return database.with_name(f"{database.name}-{run}.lock")
+
+
+def _file_lock(engine: Engine, path: Path, who: str) -> Callable[[], None] | str:
+    while True:
+        try:
+            file = path.open("a+", encoding="utf-8")
+        except OSError as error:
+            raise StoreError(
+                f"{shown(engine.url)}: no lock can be made beside it ({error.strerror})",
+                remedy="make its folder writable, or name another database",
+            ) from error
+        try:
+            _lock(file)
+        except OSError:
+            with file:
+                file.seek(0)
+                return file.read().strip() or "another process"
+        if _is(file, path):
+            break
+        file.close()  # its holder took it away between our opening and locking it
+    file.truncate(0)
+    file.write(who)
+    file.flush()
+
+    def release() -> None:
+        with file, suppress(OSError):
+            path.unlink()
+
+    return release
+
+
+def _is(file: IO[str], path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file.fileno()), path.stat())
+    except OSError:
+        return False
+
+
+def _advisory(engine: Engine, run: str, who: str) -> Callable[[], None] | str:
+    number = int.from_bytes(hashlib.sha256(f"cbsr-qa run {run}".encode()).digest()[:8], signed=True)
+    with translated(engine.url):
+        connection = engine.connect().execution_options(isolation_level="AUTOCOMMIT")
+        try:
+            connection.execute(
+                text("SELECT set_config('application_name', :who, false)"), {"who": who[:_NAME_LENGTH]}
+            )
+            if connection.scalar(text("SELECT pg_try_advisory_lock(:number)"), {"number": number}):
+                return lambda: _unlock(connection, number)
+            return _holder(connection, number)
+        except BaseException:
+            connection.close()
+            raise
+
+
+def _unlock(connection: Connection, number: int) -> None:
+    with suppress(SQLAlchemyError), connection:  # a connection that is gone has let go of it
+        connection.execute(text("SELECT pg_advisory_unlock(:number)"), {"number": number})
+
+
+def _holder(connection: Connection, number: int) -> str:
+    query = (
+        "SELECT a.application_name FROM pg_locks l JOIN pg_stat_activity a USING (pid)"
+        " WHERE l.locktype = 'advisory' AND l.granted AND l.objsubid = 1"
+        " AND l.classid::bigint = :high AND l.objid::bigint = :low"
+    )
+    unsigned = number % (1 << 64)
+    with connection:
+        found = connection.scalar(text(query), {"high": unsigned >> 32, "low": unsigned & 0xFFFFFFFF})
+    return str(found or "another process")
