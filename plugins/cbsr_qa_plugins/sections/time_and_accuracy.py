@@ -93,8 +93,8 @@ def _map_bought(result: RunResult, run: RunObservation) -> list[Block]:
     columns = ("Places", "Loads", "Station time", "Stated error [%]", "Left out: error [%]", "Left out: stated [%]")
     caption = (
         "What fewer loads would have given: standard error of the map in the calibrated area, and its error at the"
-        " places left out, without the noise of their loads, beside what it states there (all root mean squares; fewer"
-        " places: over three ways to choose them). Places left out lie further from all others than most of the area."
+        " places left out, without the noise of their loads, beside what it states there (root mean squares; fewer"
+        " places: over three ways to choose them). Places left out lie further from others than most places do."
     )
     return [Paragraph(_map_words(costs)), text_table(caption, columns, rows, (0, 1, 2, 3, 4, 5))]
 
