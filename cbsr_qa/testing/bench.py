@@ -12,6 +12,7 @@ import numpy as np
 
 from cbsr_qa.clock import Clock
 from cbsr_qa.config.loader import load_material, load_sensor_type, load_station
+from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.plan import InstrumentSpec
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
@@ -134,6 +135,8 @@ class ScriptedFrames(ScriptedInstrument):
     def acquire(self, count: int) -> FrameBlock:
         """Take frames, each in its period."""
         self.script.called(f"{self.role}.acquire", count)
+        if count < 1:
+            raise InstrumentError(self.role, "the script", f"{count} frames were asked for; at least 1 is needed")
         times_s = self.script.clock.now() + self.frame_period_s * (np.arange(count, dtype=np.float64) + 0.5)
         self.script.clock.sleep(count * self.frame_period_s)
         frames = np.ones((count, *self._shape))
