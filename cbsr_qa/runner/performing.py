@@ -29,8 +29,8 @@ from cbsr_qa.runner.watching import Watch
 
 T = TypeVar("T")
 
-#: Pause before an operation that failed is tried again [s].
-RETRY_PAUSE_S: Final = 0.5
+#: Pause before an operation that failed is tried again [s]; two of them must leave the bench safe within a second.
+RETRY_PAUSE_S: Final = 0.25
 #: Shorter rests of a hold than this are over: below the resolution of any clock after hours [s].
 _OVER_S: Final = 1e-9
 
