@@ -173,7 +173,7 @@ def _series(found: "Frontier", clock: Clock, series: str) -> Section:
     ]
     if alike := alike_in([point for point, _ in members], found.points):
         blocks.append(Paragraph(f"Alike in all of this table: {alike}.", "note"))
-    blocks += [Paragraph(f"{_knobs(point.knobs)}: {point.note}.", "note") for point, _ in members if point.note]
+    blocks += [Paragraph(f"{words}.", "note") for words in notes_of([point for point, _ in members])]
     return Section(title, tuple(blocks))
 
 
@@ -207,17 +207,30 @@ def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
     return _knobs(told)
 
 
+def notes_of(members: Sequence[Point]) -> list[str]:
+    """Notes on rows of one table, each with the knobs that name its row; once where it is that of all."""
+    notes = {point.note for point in members}
+    if len(notes) == 1:
+        return [note for note in notes if note]
+    shown = shown_knobs(members)
+    return [
+        f"{_knobs({name: point.knobs.get(name) for name in shown})}: {point.note}" for point in members if point.note
+    ]
+
+
 def shown_knobs(points: Sequence[Point]) -> list[str]:
     """Knobs that differ between points; the first one where none does."""
     knobs = [name for name in points[0].knobs if len({point.knobs.get(name) for point in points}) > 1]
     return knobs or list(points[0].knobs)[:1]
 
 
-def _knobs(knobs: Mapping[str, Knob]) -> str:
+def _knobs(knobs: Mapping[str, Knob | None]) -> str:
     return ", ".join(f"{name.replace('_', ' ')} {_knob(value)}" for name, value in knobs.items())
 
 
 def _knob(value: object) -> str:
+    if value is None:  # of another method's knob
+        return "–"
     return f"{value:g}" if isinstance(value, int | float) and not isinstance(value, bool) else str(value)
 
 

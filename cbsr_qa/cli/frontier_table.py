@@ -12,7 +12,7 @@ WIDTH = 110
 
 def lines(found: "Frontier") -> Iterator[str]:
     """Lay out every series, then what is recommended."""
-    from cbsr_qa.app.frontier_page import alike_in, table_of
+    from cbsr_qa.app.frontier_page import alike_in, notes_of, table_of
 
     for clock, series in dict.fromkeys((point.clock, point.series) for point in found.points):
         members = [
@@ -24,9 +24,10 @@ def lines(found: "Frontier") -> Iterator[str]:
         seeds = members[0][0].seeds
         yield f"{clock} clock, {series} ({seeds} {'repetition' if seeds == 1 else 'repetitions'})"
         yield from _table(columns, rows)
-        if alike := alike_in([point for point, _ in members], found.points):
+        own = [point for point, _ in members]
+        if alike := alike_in(own, found.points):
             yield from textwrap.wrap(f"in all: {alike}", WIDTH, initial_indent="    ", subsequent_indent="    ")
-        for note in dict.fromkeys(point.note for point, _ in members if point.note):
+        for note in notes_of(own):
             yield from textwrap.wrap(note, WIDTH, initial_indent="    ", subsequent_indent="    ")
         yield ""
     yield "• nothing that was tried is as accurate for less time"

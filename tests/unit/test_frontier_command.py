@@ -5,7 +5,7 @@ import json
 import pytest
 
 from cbsr_qa.app import frontier as app
-from cbsr_qa.app.frontier_page import alike_in
+from cbsr_qa.app.frontier_page import alike_in, notes_of
 from cbsr_qa.cli.main import guarded
 from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.frontier.point import Accuracy, Clock, Point, Task
@@ -183,6 +183,18 @@ def test_knobs_that_one_row_hides_are_those_that_other_tables_set_otherwise():
     hold = [point("hold", places=16, hold_s=60.0, frames=4), point("hold", places=16, hold_s=15.0, frames=4)]
     assert alike_in(rest, [*rest, *hold]) == "hold s 15"
     assert alike_in(hold, [*rest, *hold]) == ""
+
+
+def test_notes_name_the_row_they_are_on():
+    def point(size, note, method="a"):
+        knobs = {"method": method, "size_mm": size}
+        return Point(Clock.COMPUTER, "mesh", knobs, {}, 1.0, None, 1, note)
+
+    assert notes_of([point(6, "527 elements"), point(3, "2025 elements"), point(2, "")]) == [
+        "size mm 6: 527 elements",
+        "size mm 3: 2025 elements",
+    ]
+    assert notes_of([point(6, "208 readings"), point(3, "208 readings")]) == ["208 readings"]
 
 
 def test_kept_pieces_of_somebody_else_are_refused_by_name(sweeps, capsys, tmp_path):
