@@ -142,7 +142,7 @@ class Interrupts:
             self.hurry()
             if self._idle or self.waiting():
                 self.poll()
-        elif self._heard_now and not self.urgent:
+        elif self._heard_now:
             self.urgent = self._masked = True
             self._tell(SECOND.format(name))
             self._raise()

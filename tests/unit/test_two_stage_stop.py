@@ -253,6 +253,38 @@ def test_a_head_that_is_about_to_be_eased_is_lifted_in_order():
     assert script.names()[ease:] == ["force_applicator.release", *SAFE]
 
 
+def test_a_signal_while_a_finished_run_is_made_safe_changes_nothing_and_says_nothing():
+    script = Script(VirtualClock())
+    for name in SAFE:
+        script.on(name, send(signal.SIGTERM), call=2)
+    ended, _, _, _, said = run(script=script)
+    assert (ended.end, ended.detail, said) == (EndReason.FINISHED, "", [])
+
+
+def test_a_signal_is_raised_once_where_the_run_may_end():
+    said = []
+    with interrupts.Interrupts(said.append) as heard:
+        send(signal.SIGTERM)()
+        heard.poll()  # outside of what may be ended
+        with heard.heard():
+            with pytest.raises(interrupts.Stopped, match="signal SIGTERM"):
+                heard.poll()
+            heard.poll()
+            with pytest.raises(interrupts.Stopped):
+                send(signal.SIGTERM)()
+            send(signal.SIGTERM, 2)()
+            heard.break_in(watchdog.BrokenInto(SafetyError("no answer", "too late")))
+    assert (heard.urgent, len(said)) == (True, 2)
+
+
+def test_nothing_is_broken_into_once_signals_are_masked():
+    with interrupts.Interrupts(lambda line: None) as heard, heard.heard():
+        heard.mask()
+        heard.break_in(watchdog.BrokenInto(SafetyError("no answer", "too late")))
+        send(signal.SIGTERM)()
+        heard.poll()
+
+
 def test_signals_are_the_applications_again_after_the_run():
     before = [signal.getsignal(number) for number in (*ABORTS, signal.SIGALRM)]
     run()
