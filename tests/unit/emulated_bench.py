@@ -66,10 +66,10 @@ class EmulatedStation:
     def head(self):
         return self.rig.head
 
-    def open(self, role, factory, *, safety=SAFETY, **more):
+    def open(self, role, factory, *, safety=SAFETY, ask=None, **more):
         addressed = self.emulation.addressed(self.specs[role])
         told = context(None, clock=self.rig.clock)
-        one = factory(replace(told, role=role, options={**addressed.options, **more}, safety=safety))
+        one = factory(replace(told, role=role, options={**addressed.options, **more}, safety=safety, ask=ask))
         self.opened.append(one)
         return one
 

@@ -10,8 +10,9 @@ from terminal import Terminal
 
 from cbsr_qa.clock import RealClock
 from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError, SafetyError
+from cbsr_qa.domain.station_check import CheckOutcome
 from cbsr_qa.emulate.faults import Fault
-from cbsr_qa.interfaces import Alive, Sampler
+from cbsr_qa.interfaces import Alive, Sampler, SelfTesting
 from cbsr_qa_plugins.hardware._device_time import DeviceTime
 from cbsr_qa_plugins.hardware.serial_load_cell import open_load_cell
 from cbsr_qa_plugins.hardware.serial_thermometer import open_thermometer
@@ -47,6 +48,11 @@ def cell(station):
     return station.open("cell", open_load_cell)
 
 
+def skipped(cell):
+    """Lines it could not read."""
+    return cell._source.skipped
+
+
 def true_N(station, times):
     numbers = np.round(np.asarray(times) * 8).astype(int)
     return [station.rig.world.force_N(n / 8, int(n)) for n in numbers]
@@ -58,8 +64,9 @@ def true_N(station, times):
 def test_they_are_samplers(station, cell):
     assert isinstance(cell, Sampler)
     assert isinstance(cell, Alive)
+    assert isinstance(cell, SelfTesting)
     assert (cell.channel, cell.unit) == ("force", "N")
-    assert "at /dev/pts/" in cell.identity().model
+    assert cell.identity().model == "load cell that sends lines of text, N"
 
 
 @pytest.mark.parametrize(
@@ -82,7 +89,7 @@ def test_the_force_is_the_worlds_whatever_the_line_says_it_in(make, one_world, o
     assert len(block) >= 23
     np.testing.assert_allclose(block.values, true_N(station, block.time_s), atol=2e-4)
     assert block.values.max() > 1.0
-    assert cell.skipped == 0
+    assert skipped(cell) == 0
 
 
 def test_all_that_was_sent_up_to_now_is_there_at_once(station, cell):
@@ -153,7 +160,7 @@ def test_a_tare_makes_the_unloaded_cell_zero(make):
 def test_a_load_is_no_zero(make, one_world):
     station = make()
     one_world.presses.append(held(0, 0.0, 0.0, 0.2, start_s=-20.0))
-    with pytest.raises(InstrumentError, match=r"reads \d\.\d+ N before it is tared; more than 0\.5 N is a load"):
+    with pytest.raises(InstrumentError, match=r"reads \d\.\d+ N before it is tared; more than 0\.5 N is no zero"):
         station.open("cell", open_load_cell, tare_s=1.0)
 
 
@@ -189,6 +196,44 @@ def test_a_dead_weight_is_found_and_a_wrong_one_is_told(make, one_world):
         cell.dead_weight_check(0.0)
 
 
+def test_a_self_test_looks_at_zero_and_noise_and_says_what_it_did_not_do(station, cell):
+    zero, noise, weight = cell.self_test()
+    assert (zero.name, noise.name, weight.name) == ("zero", "noise", "dead weight")
+    assert zero.outcome is CheckOutcome.OK
+    assert abs(zero.value) < 0.02
+    assert 0 < noise.value < 0.01
+    assert weight.outcome is CheckOutcome.NOT_DONE
+    assert "dead_weight_g" in weight.remedy
+
+
+@pytest.mark.parametrize(("share", "outcome"), [(1.0, "ok"), (1.05, "failed")])
+def test_a_self_test_with_a_known_mass_asks_for_it(station, one_world, share, outcome):
+    press = held(0, 0.0, 0.0, 0.2, start_s=-5000.0)  # relaxed: a steady force
+    asked = []
+
+    def ask(text):
+        asked.append(text)
+        one_world.presses[:] = [press] if "Put" in text else []
+        return ""
+
+    one_world.presses.append(press)
+    force_N = float(np.mean([one_world.force_N(2.0, n) for n in range(100)]))
+    one_world.presses.clear()
+    cell = station.open("cell", open_load_cell, ask=ask, dead_weight_g=share * force_N / 9.80665e-3)
+    _, _, weight = cell.self_test()
+    assert weight.outcome == outcome
+    assert weight.value == pytest.approx(force_N, rel=0.01)
+    assert [text.split()[0] for text in asked] == ["Put", "Take"]
+    assert abs(cell.self_test()[0].value) < 0.02
+
+
+def test_a_self_test_warns_of_a_load(station, one_world):
+    one_world.presses.append(held(0, 0.0, 0.0, 0.2, start_s=-20.0))
+    zero = station.open("cell", open_load_cell).self_test()[0]
+    assert zero.outcome is CheckOutcome.WARNING
+    assert zero.value > 1.0
+
+
 # --- faults ---
 
 
@@ -209,9 +254,9 @@ def test_a_line_that_stumbles_makes_up_no_sample(station, one_world, fault):
     cell = station.open("cell", open_load_cell)
     block = run_through(station, cell, fault)
     if fault is Fault.DELAY:  # what came late is there, with the time it was sent at
-        assert cell.skipped == 0
+        assert skipped(cell) == 0
     if fault in (Fault.GARBLE, Fault.STALE):
-        assert cell.skipped == 1
+        assert skipped(cell) == 1
     assert (np.diff(block.time_s) > 0).all()
     late_s = block.time_s - np.round(block.time_s * 8) / 8
     assert abs(late_s).max() < 0.03
@@ -249,7 +294,7 @@ def test_a_pulled_cable_is_said(station, cell):
 @pytest.mark.parametrize("fault", [Fault.RESEND, Fault.BUSY, Fault.COMPLIANCE])
 def test_faults_that_a_load_cell_cannot_have_change_nothing(station, cell, fault):
     assert len(run_through(station, cell, fault)) >= 8 * 15 - 2
-    assert cell.skipped == 0
+    assert skipped(cell) == 0
 
 
 # --- bad input ---
@@ -353,7 +398,7 @@ def test_what_is_no_such_line_is_skipped_and_counted(line, bad):
     line.say(f"{bad}\r\n1250,3.0\r\n".encode())
     until(lambda: len(cell.samples_since(-1.0)) == 2, clock)
     assert cell.samples_since(-1.0).values.tolist() == [1.0, 3.0]
-    assert cell.skipped == 1
+    assert skipped(cell) == 1
     cell.close()
 
 

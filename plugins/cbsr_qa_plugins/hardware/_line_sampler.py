@@ -2,8 +2,6 @@
 
 import re
 import threading
-from array import array
-from bisect import bisect_right
 from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
@@ -15,6 +13,7 @@ from cbsr_qa.clock import Clock, RealClock
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.links.serial_link import SerialLink
 from cbsr_qa_plugins.hardware._device_time import DeviceTime
+from cbsr_qa_plugins.hardware._sample_log import SampleLog
 
 _VALUE: Final = r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*"
 _PLAIN: Final = re.compile(rf"^{_VALUE}$")
@@ -23,8 +22,6 @@ _TIMED: Final = re.compile(rf"^\s*(\d+)\s*,{_VALUE}$")
 _UNREADABLE: Final = 20
 #: An instrument that has sent nothing for so many periods, and a second, has fallen silent.
 _SILENT_PERIODS: Final = 10
-#: Samples are kept for an hour: whoever wants them comes every few seconds [s].
-_KEPT_S: Final = 3600.0
 #: A thread that reads looks this often whether it should end, and after a pulled cable whether it is back [s].
 _LOOK_S: Final = 0.2
 #: After a full buffer of the kernel's there may be more behind it [s, real time].
@@ -55,7 +52,7 @@ class LineSampler:
         self._link, self._clock, self._timed, self._convert = link, clock, timed, convert
         self._period_s = 1 / rate_hz
         self._device = DeviceTime()
-        self._times, self._values = array("d"), array("d")
+        self._log = SampleLog()
         self._partial = b""
         self._fresh = True  # what came first may be the rest of a line
         self._unread = 0
@@ -95,13 +92,11 @@ class LineSampler:
                     f" {self._expected()} was expected",
                     "check its address, its baud rate, and 'time' in its table",
                 )
-            first = bisect_right(self._times, time_s)
-            return np.array(self._times[first:]), np.array(self._values[first:])
+        return self._log.since(time_s)
 
     def newest(self, count: int) -> NDArray[np.float64]:
         """Return the last values, at most so many, (n,)."""
-        with self._keeping:
-            return np.array(self._values[-count:])
+        return self._log.newest(count)
 
     def wait_for_first(self, allowed_s: float) -> None:
         """Let time pass until there is a sample.
@@ -187,9 +182,7 @@ class LineSampler:
                 if time_s is None:
                     self.skipped += 1
                     continue
-                self._times.append(time_s)
-                self._values.append(self._convert(value))
-            self._forget(now_s)
+                self._log.append(time_s, self._convert(value))
 
     def _understood(self, line: bytes) -> tuple[float | None, float] | None:
         """Return (device time [s] or None, number) of a line; None where it is none."""
@@ -212,13 +205,8 @@ class LineSampler:
 
     def _arrived(self, about_s: float, now_s: float) -> float:
         """Return a time for a line without one: lines read together came a period apart, and after those before."""
-        last_s = self._times[-1] if self._times else self._began_s
+        last_s = max(self._log.last_s, self._began_s)
         return min(max(about_s, last_s + 1e-6), max(now_s, last_s + 1e-6))
-
-    def _forget(self, now_s: float) -> None:
-        old = bisect_right(self._times, now_s - _KEPT_S)
-        if old > len(self._times) // 2:
-            del self._times[:old], self._values[:old]
 
     def _silent_s(self) -> float:
         return 1.0 + _SILENT_PERIODS * self._period_s

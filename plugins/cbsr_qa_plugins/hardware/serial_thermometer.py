@@ -52,7 +52,7 @@ def open_thermometer(context: StationContext) -> "SerialThermometer":
     except BaseException:
         lines.close()
         raise
-    return SerialThermometer(context, link, lines)
+    return SerialThermometer(context, lines)
 
 
 class SerialThermometer:
@@ -61,24 +61,19 @@ class SerialThermometer:
     Parameters
     ----------
     context : of the station.
-    link, lines : the open port, and what reads on it.
+    lines : what reads from it.
     """
 
     channel = "temperature"
     unit = "°C"
 
-    def __init__(self, context: StationContext, link: SerialLink, lines: LineSampler) -> None:
-        self._context, self._link, self._lines = context, link, lines
-
-    @property
-    def skipped(self) -> int:
-        """Lines so far that could not be read, or were sent twice."""
-        return self._lines.skipped
+    def __init__(self, context: StationContext, lines: LineSampler) -> None:
+        self._context, self._lines = context, lines
 
     def identity(self) -> InstrumentIdentity:
         """Name it by its address: lines of numbers do not say who sends them."""
         self._lines.check_alive()
-        model = f"thermometer that sends lines at {self._link.address}"
+        model = "thermometer that sends lines of text"
         return InstrumentIdentity(self._context.role, _DRIVER, model, "", "", simulated=False)
 
     def alive(self) -> None:

@@ -1,0 +1,267 @@
+"""What load cells have in common, whatever they are read by: zero, limit, and a known mass."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import InstrumentError, SafetyError
+from cbsr_qa.domain.frames import SampleBlock
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.domain.station_check import CheckOutcome, CheckResult
+from cbsr_qa.interfaces import StationContext
+from cbsr_qa_plugins.hardware._dead_weight import NEWTON_PER_G, DeadWeightCheck, dead_weight_check
+from cbsr_qa_plugins.hardware._options import InstrumentTable
+
+#: Keys of every load cell's table beside those of its link.
+CELL_OPTIONS: Final = ("scale", "offset", "sign", "limit_N", "tare_s", "tare_limit_N", "dead_weight_g")
+#: Beyond this share of its limit a cell is at its limit: amplifiers end a digit or two before it.
+_AT_LIMIT: Final = 0.999
+#: So many samples there after each other are flat.
+_FLAT: Final = 2
+_TEST_S: Final = 2.0
+_UNITS: Final = {"N": 1.0, "counts": 1.0, "g": NEWTON_PER_G}
+
+
+class ForceSource(Protocol):
+    """What a cell is read by; forces in newtons before any tare."""
+
+    def samples_since(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return times [s] and forces [N], both (n,), after a time."""
+        ...
+
+    def newest(self, count: int) -> NDArray[np.float64]:
+        """Return the last forces [N], at most so many, (n,)."""
+        ...
+
+    def check_alive(self) -> None:
+        """Raise InstrumentError if it has fallen silent."""
+        ...
+
+    def close(self) -> None:
+        """Give the connection back."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """From a number to the force.
+
+    Parameters
+    ----------
+    per_unit_N : newtons per unit.
+    scale, offset : quantity in that unit = scale × number + offset.
+    sign : 1 where compression reads positive, -1 where it reads negative.
+    """
+
+    per_unit_N: float
+    scale: float
+    offset: float
+    sign: int
+
+    @classmethod
+    def of(cls, table: InstrumentTable, unit: str, *, stated: bool) -> "Scale":
+        """Read the scale from an instrument's table; where it must be stated, there is no default."""
+        scale = table.number("scale") if stated else table.number("scale", 1.0)
+        if scale == 0:
+            raise table.wrong("scale", scale, "it is a number other than 0")
+        sign = table.whole("sign", 1, at_least=-1, at_most=1)
+        if sign == 0:
+            raise table.wrong("sign", sign, "it is 1, or -1 where compression reads negative")
+        return cls(_UNITS[unit], scale, table.number("offset", 0.0), sign)
+
+    def force_N(self, number: float) -> float:
+        """Return the force, compression positive [N]."""
+        return self.sign * self.per_unit_N * (self.scale * number + self.offset)
+
+
+@dataclass(frozen=True, slots=True)
+class CellSettings:
+    """What a load cell's table says beside its link.
+
+    Parameters
+    ----------
+    limit_N : where the cell ends; None where nobody says.
+    tare_s : how long its zero is averaged at the opening; 0 for no tare.
+    tare_limit_N : more than this is a load and no zero.
+    dead_weight_g : mass for the check of the station; None where there is none.
+    """
+
+    limit_N: float | None
+    tare_s: float
+    tare_limit_N: float
+    dead_weight_g: float | None
+
+    @classmethod
+    def of(cls, table: InstrumentTable) -> "CellSettings":
+        """Read them from an instrument's table."""
+        return cls(
+            table.number("limit_N", at_least=1e-3) if table.has("limit_N") else None,
+            table.number("tare_s", 0.0, at_least=0.0, at_most=60.0),
+            table.number("tare_limit_N", 0.5, at_least=0.0),
+            table.number("dead_weight_g", at_least=0.1) if table.has("dead_weight_g") else None,
+        )
+
+
+class ForceCell:
+    """Samples ``force`` all the time, compression positive.
+
+    Parameters
+    ----------
+    context : of the station.
+    source : what it is read by.
+    settings : of its table.
+    who : says who it is; called only while it answers.
+    address : for messages.
+    """
+
+    channel = "force"
+    unit = "N"
+
+    def __init__(
+        self,
+        context: StationContext,
+        source: ForceSource,
+        settings: CellSettings,
+        *,
+        who: Callable[[], InstrumentIdentity],
+        address: str,
+    ) -> None:
+        self._context, self._source, self._settings = context, source, settings
+        self._who, self._address = who, address
+        self._zero_N = 0.0
+
+    def identity(self) -> InstrumentIdentity:
+        """Say who it is, while it sends."""
+        self._source.check_alive()
+        return self._who()
+
+    def alive(self) -> None:
+        """Raise InstrumentError if it has fallen silent."""
+        self._source.check_alive()
+
+    def safe_state(self) -> None:
+        """Nothing: it only listens."""
+
+    def close(self) -> None:
+        """Give the connection back."""
+        self._source.close()
+
+    def samples_since(self, time_s: float) -> SampleBlock:
+        """Return the force after a time on the station's clock, up to now.
+
+        Raises
+        ------
+        InstrumentError
+            If the link is down, or carries something else.
+        SafetyError
+            With rule ``force``, while the cell stands at its limit: the force may be anything above it.
+        """
+        times, values = self._source.samples_since(time_s)
+        self._check_limit()
+        return SampleBlock(self.channel, self.unit, times, values - self._zero_N)
+
+    def tare(self) -> float:
+        """Take the mean of the coming seconds as zero, as its table says; returns by how much it was shifted [N].
+
+        Raises
+        ------
+        InstrumentError
+            If something presses on the cell.
+        """
+        settings = self._settings
+        if settings.tare_s == 0:
+            return 0.0
+        mean_N, _ = self._mean_N(settings.tare_s)
+        shift_N = mean_N - self._zero_N
+        if abs(shift_N) > settings.tare_limit_N:
+            raise self._error(
+                f"it reads {shift_N:.3g} N before it is tared; more than {settings.tare_limit_N:g} N is no zero",
+                "take off what presses on it, lift the head, or mend 'offset' in its table",
+            )
+        self._zero_N = mean_N
+        return shift_N
+
+    def dead_weight_check(self, mass_g: float, *, tolerance_percent: float = 1.0) -> DeadWeightCheck:
+        """Compare two seconds under a known mass with its weight.
+
+        Raises
+        ------
+        RefusedError
+            If mass or tolerance is not above 0.
+        """
+        mean_N, error_N = self._mean_N(_TEST_S)
+        return dead_weight_check(mean_N - self._zero_N, error_N, mass_g, tolerance_percent)
+
+    def self_test(self) -> tuple[CheckResult, ...]:
+        """Look at zero and noise for two seconds, and hold a known mass against what is read if there is one.
+
+        Returns
+        -------
+        Lines ``zero``, ``noise`` and ``dead weight``; for the last the operator is asked to put the mass on.
+        """
+        mean_N, error_N = self._mean_N(_TEST_S)
+        zero_N, limit_N = mean_N - self._zero_N, self._settings.tare_limit_N
+        well = abs(zero_N) <= limit_N
+        zero = CheckResult(
+            "zero",
+            CheckOutcome.OK if well else CheckOutcome.WARNING,
+            zero_N,
+            "N",
+            f"within {limit_N:g} N",
+            "" if well else "take off what presses on it, or tare it",
+        )
+        noise = CheckResult("noise", CheckOutcome.OK, error_N, "N", said=f"standard error over {_TEST_S:g} s")
+        return zero, noise, self._dead_weight()
+
+    def _dead_weight(self) -> CheckResult:
+        mass_g, ask = self._settings.dead_weight_g, self._context.ask
+        if mass_g is None:
+            return _not_done("state a mass as 'dead_weight_g' in its table")
+        if ask is None:
+            return _not_done("somebody must put the mass on: start the check on a terminal")
+        ask(f"Put {mass_g:g} g on the load cell {self._context.role!r}.")
+        found = self.dead_weight_check(mass_g)
+        ask(f"Take the {mass_g:g} g off again.")
+        return CheckResult(
+            "dead weight",
+            CheckOutcome.OK if found.passed else CheckOutcome.FAILED,
+            found.found_N,
+            "N",
+            f"{found.expected_N:.4g} N ± {found.tolerance_N:.2g} N",
+            "" if found.passed else "mend 'scale' and 'offset' in its table, or have it calibrated",
+            found.words(),
+        )
+
+    def _mean_N(self, window_s: float) -> tuple[float, float]:
+        """Return the mean over the coming seconds, before the tare, and its standard error [N]."""
+        since_s = self._context.clock.now()
+        self._context.clock.sleep(window_s)
+        _, values = self._source.samples_since(since_s)
+        if not len(values):
+            raise self._error(f"it sent nothing for {window_s:g} s", "check its power and its cable")
+        self._check_limit()
+        spread_N = float(values.std(ddof=1)) if len(values) > 1 else 0.0
+        return float(values.mean()), spread_N / float(np.sqrt(len(values)))
+
+    def _check_limit(self) -> None:
+        """Refuse a cell that stands at its limit now, and is flat there."""
+        limit_N = self._settings.limit_N
+        if limit_N is None:
+            return
+        last = np.abs(self._source.newest(_FLAT))
+        if len(last) == _FLAT and (last >= _AT_LIMIT * limit_N).all():
+            raise SafetyError(
+                "force",
+                f"{self._context.role} stands at its limit of {limit_N:g} N: the force may be anything above",
+                remedy="check what presses on it; a cell that stays there unloaded is broken",
+            )
+
+    def _error(self, reason: str, remedy: str) -> InstrumentError:
+        return InstrumentError(self._context.role, self._address, reason, remedy=remedy)
+
+
+def _not_done(remedy: str) -> CheckResult:
+    return CheckResult("dead weight", CheckOutcome.NOT_DONE, remedy=remedy)
