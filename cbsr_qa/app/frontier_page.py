@@ -18,7 +18,7 @@ from cbsr_qa.frontier.station import PAPER
 from cbsr_qa.report.page import Banner, Page
 from cbsr_qa.report.style import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid
 from cbsr_qa.report.svg import drawn
-from cbsr_qa.report.tables import text_table
+from cbsr_qa.report.tables import text_table, unit_column
 
 if TYPE_CHECKING:
     from cbsr_qa.app.frontier import Frontier
@@ -35,13 +35,29 @@ _READING: Final = (
     "Transients averaged: the last frames of a hold count as they are. Predicted: a short hold is brought to where a "
     "long one ends, with the sensor's own relaxation from three long holds.",
 )
+_OF_COMPUTER: Final = (
+    "Of the computer, time is that of one core for a new conductance, an image, or a frame. Voltages are held "
+    "against exact ones (multipoles, Fourier series): their error unloaded and with an inclusion in the sheet, and that "
+    "of the change that a load makes, which is what images are made of.",
+    "Images are of simulated sensors pressed at nine known places. E_CoM is how far the middle of the region that is "
+    "found lies from the head's, A_OL how much of the two areas overlaps (100 % were the head's own outline), SD the "
+    "area by which their shapes differ; missed is the share of loads that leave no region. Smoothing over own is the "
+    "method's regularisation parameter over the one it chooses itself.",
+)
 _NAMES: Final[Mapping[str, str]] = {
     "force_error": "force error, place known",
     "force_error_found": "force error, place found",
     "map_error": "map",
     "gauge_factor_error": "gauge factor",
     "settling_error": "settling time",
+    "voltage_error_inclusion": "voltage error, inclusion",
+    "load_signal_error": "error of a load's signal",
+    "image_error": "error of the image",
+    "E_CoM": "E_CoM",
+    "A_OL": "A_OL",
 }
+#: Units that names of knobs end in.
+_UNITS: Final = ("s", "mm")
 _HEIGHT_IN: Final = 3.6
 _COLOURS: Final = (*CYCLE, INK)  # one a series
 
@@ -68,7 +84,10 @@ def frontier_page(found: "Frontier") -> Page:
 
 def frontier_sections(found: "Frontier") -> tuple[Section, ...]:
     """Return how to read it with the station's plot, then one section a series."""
-    blocks: list[Block] = [Paragraph(words) for words in _READING]
+    clocks = {point.clock for point in found.points}
+    words = _READING if Clock.STATION in clocks else _READING[:1]
+    words += _OF_COMPUTER if Clock.COMPUTER in clocks else ()
+    blocks: list[Block] = [Paragraph(one) for one in words]
     if any("force_error" in point.accuracy for point, _ in _station(found)):
         blocks.append(station_figure(found))
     series = dict.fromkeys((point.clock, point.series) for point in found.points)
@@ -192,7 +211,7 @@ def table_of(members: Sequence[tuple[Point, bool]]) -> tuple[list[str], list[tup
         for point, on in members
     ]
     names = [_NAMES.get(name, name.replace("_", " ")) for name in figures]
-    return [*(name.replace("_", " ") for name in knobs), *names, "time", "worth it"], rows
+    return [*(unit_column(*_named(name)) for name in knobs), *names, "time", "worth it"], rows
 
 
 def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
@@ -225,7 +244,15 @@ def shown_knobs(points: Sequence[Point]) -> list[str]:
 
 
 def _knobs(knobs: Mapping[str, Knob | None]) -> str:
-    return ", ".join(f"{name.replace('_', ' ')} {_knob(value)}" for name, value in knobs.items())
+    told = ((*_named(name), _knob(value)) for name, value in knobs.items())
+    return ", ".join(f"{name} {value} {unit}".rstrip() for name, unit, value in told)
+
+
+def _named(knob: str) -> tuple[str, str]:
+    """Name of a knob in words, and its unit; empty where it has none."""
+    name, _, last = knob.rpartition("_")
+    words, unit = (name, last) if name and last in _UNITS else (knob, "")
+    return words.replace("_", " "), unit
 
 
 def _knob(value: object) -> str:

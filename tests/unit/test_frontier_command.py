@@ -171,7 +171,7 @@ def test_a_recipe_that_was_written_here_is_written_over_and_it_is_said(sweeps, c
 def test_one_table_alone_has_nothing_else_to_be_told_from(sweeps, capsys):
     assert guarded(["frontier", "--clock", "station"]) == 0
     shown = capsys.readouterr().out
-    assert "hold s" in shown  # which differs
+    assert "hold [s]" in shown  # which differs
     assert "in all:" not in shown  # there is no other table
 
 
@@ -181,7 +181,7 @@ def test_knobs_that_one_row_hides_are_those_that_other_tables_set_otherwise():
 
     rest = [point("rest", places=16, hold_s=15.0, frames=4)]
     hold = [point("hold", places=16, hold_s=60.0, frames=4), point("hold", places=16, hold_s=15.0, frames=4)]
-    assert alike_in(rest, [*rest, *hold]) == "hold s 15"
+    assert alike_in(rest, [*rest, *hold]) == "hold 15 s"
     assert alike_in(hold, [*rest, *hold]) == ""
 
 
@@ -191,8 +191,8 @@ def test_notes_name_the_row_they_are_on():
         return Point(Clock.COMPUTER, "mesh", knobs, {}, 1.0, None, 1, note)
 
     assert notes_of([point(6, "527 elements"), point(3, "2025 elements"), point(2, "")]) == [
-        "size mm 6: 527 elements",
-        "size mm 3: 2025 elements",
+        "size 6 mm: 527 elements",
+        "size 3 mm: 2025 elements",
     ]
     assert notes_of([point(6, "208 readings"), point(3, "208 readings")]) == ["208 readings"]
 
@@ -214,6 +214,7 @@ def test_page_and_picture_are_written(sweeps, capsys, tmp_path):
     assert guarded(["frontier", "--output", str(page), "--png", str(picture)]) == 0
     text = page.read_text()
     assert "What accuracy costs in time" in text
+    assert "E_CoM is how far" in text
     assert "made up" in text
     assert "<svg" in text
     assert picture.read_bytes().startswith(b"\x89PNG")
