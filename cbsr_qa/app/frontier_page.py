@@ -37,8 +37,8 @@ _READING: Final = (
 )
 _OF_COMPUTER: Final = (
     "Of the computer, time is that of one core for a new conductance, an image, or a frame. Voltages are held "
-    "against exact ones (multipoles, Fourier series): their error unloaded and with an inclusion in the sheet, and that "
-    "of the change that a load makes, which is what images are made of.",
+    "against exact ones (multipoles, Fourier series): their error unloaded and with an inclusion in the sheet, and "
+    "that of the change that a load makes, which is what images are made of.",
     "Images are of simulated sensors pressed at nine known places. E_CoM is how far the middle of the region that is "
     "found lies from the head's, A_OL how much of the two areas overlaps (100 % were the head's own outline), SD the "
     "area by which their shapes differ; missed is the share of loads that leave no region. Smoothing over own is the "
@@ -85,7 +85,7 @@ def frontier_page(found: "Frontier") -> Page:
 def frontier_sections(found: "Frontier") -> tuple[Section, ...]:
     """Return how to read it with the station's plot, then one section a series."""
     clocks = {point.clock for point in found.points}
-    words = _READING if Clock.STATION in clocks else _READING[:1]
+    words: tuple[str, ...] = _READING if Clock.STATION in clocks else _READING[:1]
     words += _OF_COMPUTER if Clock.COMPUTER in clocks else ()
     blocks: list[Block] = [Paragraph(one) for one in words]
     if any("force_error" in point.accuracy for point, _ in _station(found)):
