@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Sequence
-from functools import partial
 from typing import Final
 
 from cbsr_qa.clock import Clock
@@ -74,7 +73,7 @@ def execute(
     dry.refuse()
     check_samplers(plan, bench.samplers)
     interlock = Interlock()
-    waiting = partial(_is_waiting, ask)
+    asking = ask if isinstance(ask, Asking) else Asking(ask)
     with (
         Interrupts(tell) as interrupts,
         Watchdog(
@@ -82,11 +81,11 @@ def execute(
             break_in=interrupts.break_in,
             make_safe=bench.safe_state,
             tell=tell,
-            excused=waiting,
+            excused=asking.is_waiting,
         ) as watchdog,
     ):
         interlock.clear(bench)
-        interrupts.hurry, interrupts.waiting = watchdog.hurry, waiting
+        interrupts.hurry, interrupts.waiting = watchdog.hurry, asking.is_waiting
         documents = Documents(subscribers, interrupts, warn)
         performer = Performer(
             plan,
@@ -97,27 +96,30 @@ def execute(
             interrupts=interrupts,
             watchdog=watchdog,
             retries=retries,
-            ask=ask,
+            ask=None if ask is None else asking,
         )
-        walk = _Walk(dry, performer, documents, interlock, clock)
+        walk = _Walk(dry, performer, documents, interlock, watchdog, clock)
         end, detail = walk.to_its_end(identity, bench, interrupts)
         return documents.finish(RunEnded(end, detail, clock.now(), performer.spent.table()))
-
-
-def _is_waiting(ask: Ask | None) -> bool:
-    return isinstance(ask, Asking) and ask.waiting
 
 
 class _Walk:
     """Goes through the scheduled steps and remembers where it is."""
 
     def __init__(
-        self, dry: DryRun, performer: Performer, documents: Documents, interlock: Interlock, clock: Clock
+        self,
+        dry: DryRun,
+        performer: Performer,
+        documents: Documents,
+        interlock: Interlock,
+        watchdog: Watchdog,
+        clock: Clock,
     ) -> None:
         self._dry = dry
         self._performer = performer
         self._documents = documents
         self._interlock = interlock
+        self._watchdog = watchdog
         self._clock = clock
         self._left_s = dry.duration_s
         self._at: tuple[DryPhase, ScheduledStep] | None = None
@@ -134,6 +136,7 @@ class _Walk:
             self._end = ending(error, self.where(), at_once=interrupts.urgent, before=self._end)
         finally:
             interrupts.mask()
+            self._watchdog.end()
             silent = self._interlock.stop(bench)
         assert self._end is not None
         return unsafe(self._end, silent) if silent else self._end

@@ -216,8 +216,9 @@ class Performer:
 
     def _wait_until(self, end_s: float) -> None:
         while (left_s := end_s - self._clock.now()) > _OVER_S:
-            with self._interrupts.idle():
-                self._clock.sleep(min(left_s, self._watch.next_look_s()))
+            pause_s = min(left_s, self._watch.next_look_s())
+            with self._watchdog.expect("the station's clock", pause_s), self._interrupts.idle():
+                self._clock.sleep(pause_s)
             self._look()
 
     def _take_frame(self) -> None:

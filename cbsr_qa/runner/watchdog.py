@@ -37,6 +37,9 @@ class _Call:
 class Watchdog:
     """A thread that ends what takes too long. Its time is real on every clock: what hangs does so in real time.
 
+    It watches from when it is entered to :meth:`end`: calls to instruments one by one, and between them whatever else
+    the run does, a journal that waits for its disk or a listener for a terminal that has been stopped.
+
     Parameters
     ----------
     answer_s : how long a call may take beyond twice what its work takes.
@@ -62,24 +65,28 @@ class Watchdog:
         self._excused = excused
         self._clock = RealClock()
         # One assignment each, so that a signal's handler and two threads need no lock.
-        self._call: _Call | None = None
+        self._call = self._between()
         self._late: SafetyError | None = None
         self._ended = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
 
     def __enter__(self) -> Self:
+        self._call = self._between()
         self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Watch no longer: nothing is broken into from here on."""
         self._ended.set()
-        self._thread.join()  # it breaks into nothing from here on
+        self._thread.join()
 
     def hurry(self) -> None:
         """Give what is under way, and all that follows, little time from now on; a signal's handler may call it."""
         self._answer_s = min(self._answer_s, GRACE_S)
-        if (call := self._call) is not None:
-            call.since_s = self._clock.now()
+        self._call.since_s = self._clock.now()
 
     @contextmanager
     def expect(self, what: str, work_s: float = 0.0) -> Iterator[None]:
@@ -102,8 +109,11 @@ class Watchdog:
         except BrokenInto as broken:
             raise broken.error from None
         finally:
-            self._call = None
+            self._call = self._between()
         self._raise_late()
+
+    def _between(self) -> _Call:
+        return _Call("the journal, or whoever listens,", self._clock.now(), 0.0)
 
     def _raise_late(self) -> None:
         if self._late is not None:
@@ -112,9 +122,9 @@ class Watchdog:
     def _watch(self) -> None:
         while not self._ended.wait(LOOK_S):
             call = self._call
-            if call is not None and self._excused():
+            if self._excused():
                 call.since_s = self._clock.now()
-            elif call is not None and self._clock.now() - call.since_s > 2 * call.work_s + self._answer_s:
+            elif self._clock.now() - call.since_s > 2 * call.work_s + self._answer_s:
                 self._end(call)
                 return
 
@@ -123,7 +133,7 @@ class Watchdog:
         late = self._late = SafetyError(
             "no answer",
             f"{call.what} has not come back for {took_s:.3g} s",
-            remedy="look whether this instrument hangs, and at its cable",
+            remedy="look what hangs, and at its cable",
         )
         self._break_in(BrokenInto(late))
         if not self._ended.wait(REACTION_S) and self._call is call:

@@ -424,6 +424,36 @@ def test_an_instrument_that_waits_for_the_operator_does_not_hang():
     assert "rule 'no answer'" in run(script=script, answer_s=0.3, ask=asking)[0].detail
 
 
+def test_a_prompt_may_take_as_long_as_it_takes():
+    steps = (Prompt("turn it"), *CYCLE)
+    assert run(steps, answer_s=0.3, ask=lambda text: time.sleep(1.0))[0].end is EndReason.FINISHED
+
+
+@pytest.mark.parametrize("who", ["journal", "listener"])
+def test_a_journal_or_a_listener_that_hangs_keeps_no_head_down(who):
+    """A terminal that was stopped by Ctrl-S, a disk that is away."""
+    never = threading.Event()
+
+    def hang(event):
+        if isinstance(event, FramesTaken):
+            never.wait(30)
+
+    script, plan = Script(VirtualClock()), example_plan(CYCLE)
+    plan = replace(plan, safety=replace(plan.safety, answer_s=0.3))
+    bench = scripted_bench(script, plan.sensor_type)
+    told = []
+    subscribers = [hang, told.append] if who == "journal" else [told.append, hang]
+    ended = execute(plan, example_identity(), bench, script.clock, subscribers, tell=lambda line: None)
+    assert ended.end is EndReason.BROKEN
+    assert "rule 'no answer': the journal, or whoever listens, has not come back for" in ended.detail
+    assert_made_safe(script)
+    assert not bench.force_applicator.down
+
+
+def test_a_wait_is_no_call_that_hangs():
+    assert run((Hold(1.5, acquire=False),), script=Script(RealClock()), answer_s=0.3)[0].end is EndReason.FINISHED
+
+
 def test_a_signal_ends_what_waits_for_the_operator_at_once():
     asking, never = Asking(lambda text: never.wait(30) and "done"), threading.Event()
     script = Script(VirtualClock())
@@ -437,7 +467,7 @@ def test_a_signal_ends_what_waits_for_the_operator_at_once():
     ended, _, script, _, _ = run(script=script, ask=asking)
     assert time.monotonic() - began < 15  # it would hang for 30
     assert ended.detail.startswith("by the operator (Ctrl-C), while pressing")
-    assert not asking.waiting
+    assert not asking.is_waiting()
     assert after(script, "force_applicator.press") == SAFE
 
 
