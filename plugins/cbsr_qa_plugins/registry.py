@@ -16,6 +16,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.INSTRUMENT, "replayed-recording", "hardware.replayed_recording:open_replay"),
     (Kind.INSTRUMENT, "marlin-applicator", "hardware.marlin_applicator:open_applicator"),
     (Kind.INSTRUMENT, "serial-load-cell", "hardware.serial_load_cell:open_load_cell"),
+    (Kind.INSTRUMENT, "phidget-bridge", "hardware.phidget_bridge:open_bridge"),
     (Kind.INSTRUMENT, "serial-thermometer", "hardware.serial_thermometer:open_thermometer"),
     (Kind.INSTRUMENT, "manual-applicator", "hardware.manual_applicator:open_applicator"),
     (Kind.INSTRUMENT, "manual-load-cell", "hardware.manual_load_cell:open_load_cell"),

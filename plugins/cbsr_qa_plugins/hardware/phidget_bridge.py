@@ -1,0 +1,245 @@
+"""Load cell at a PhidgetBridge (1046 and others with a bridge input), through the library Phidget22.
+
+Not tried on the hardware: there was none where this was written. Its calls are those of Phidget22 1.26, whose library
+was loaded and asked for a device that was not there; everything else is tested against a stand-in for the library.
+"""
+
+import ctypes
+import sys
+from contextlib import suppress
+from importlib import import_module
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.clock import Clock
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.interfaces import StationContext
+from cbsr_qa.links.locks import AddressLock
+from cbsr_qa_plugins.hardware._force_cell import CELL_OPTIONS, CellSettings, ForceCell, Scale
+from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa_plugins.hardware._sample_log import SampleLog
+
+_DRIVER: Final = "phidget-bridge"
+_OPTIONS: Final = ("device_serial", "channel", "gain", "data_interval_ms", "attach_s", *CELL_OPTIONS)
+_GAINS: Final = (1, 8, 16, 32, 64, 128)
+_TIMEOUT: Final = 0x3  # nobody attached in time
+_SILENT_INTERVALS: Final = 10
+_INSTALL: Final = 'install it with: pip install "cbsr-qa[phidget]"'
+_LIBUSB: Final = (
+    "install libusb with your system's packages (Debian: apt install libusb-1.0-0), or: pip install libusb-package"
+)
+_PLUG: Final = "plug it in; on Linux its udev rule (99-libphidget22.rules) must let this user open it"
+
+
+def open_bridge(context: StationContext) -> ForceCell:
+    """Open a bridge input as load cell; it samples ``force`` [N], compression positive.
+
+    Options of its table
+    --------------------
+    device_serial : of the bridge; the first that is found where it is not stated.
+    channel : of the bridge; 0.
+    gain : 1, 8, 16, 32, 64 or 128 (default).
+    data_interval_ms : between samples, 8 at best; 125.
+    attach_s : how long the bridge is waited for; 5.
+    scale, offset : grams = scale × ratio + offset, ratio in V/V; the rig's are 4.94462e6 and 70.13.
+    sign : -1 where compression reads negative, as on the rig; 1.
+    limit_N, tare_s, tare_limit_N, dead_weight_g : as of the driver ``serial-load-cell``; the rig's cell stands flat
+        at -749 g, which is ``limit_N = 7.34``.
+
+    Raises
+    ------
+    ConfigError
+        If an option is unknown, missing or out of range, or the library is not installed.
+    InstrumentError
+        If the bridge does not attach, or something presses on the cell while it is tared.
+    """
+    table = InstrumentTable(context, _DRIVER, _OPTIONS)
+    scale, settings = Scale.of(table, "g", stated=True), CellSettings.of(table)
+    gain = table.whole("gain", 128, at_least=1, at_most=128)
+    if gain not in _GAINS:
+        raise table.wrong("gain", gain, f"it is one of {', '.join(map(str, _GAINS))}")
+    source = PhidgetSource(
+        context.role,
+        context.clock,
+        scale,
+        device_serial=table.whole("device_serial", at_least=0, at_most=2**31) if table.has("device_serial") else None,
+        channel=table.whole("channel", 0, at_least=0, at_most=7),
+        gain=gain,
+        interval_ms=table.whole("data_interval_ms", 125, at_least=8, at_most=60_000),
+        attach_s=table.number("attach_s", 5.0, at_least=0.01, at_most=60.0),
+    )
+    try:
+        cell = ForceCell(context, source, settings, who=source.identity, address=source.address)
+        cell.tare()
+    except BaseException:
+        source.close()
+        raise
+    return cell
+
+
+class PhidgetSource:
+    """Forces from one input of a bridge; the library calls from a thread of its own.
+
+    A bridge that is unplugged is told of at the next look, and used again once it is back: the library knows it by
+    its serial number.
+
+    Parameters
+    ----------
+    role, clock : of the station.
+    scale : from the ratio to the force.
+    device_serial, channel, gain, interval_ms, attach_s : as in :func:`open_bridge`.
+
+    Raises
+    ------
+    ConfigError
+        If the library is not installed, or libusb is missing.
+    InstrumentError
+        If the bridge does not attach.
+    """
+
+    def __init__(
+        self,
+        role: str,
+        clock: Clock,
+        scale: Scale,
+        *,
+        device_serial: int | None,
+        channel: int,
+        gain: int,
+        interval_ms: int,
+        attach_s: float,
+    ) -> None:
+        self.address = f"phidget:{'any' if device_serial is None else device_serial}:{channel}"
+        self._role, self._clock, self._scale = role, clock, scale
+        self._gain, self._interval_ms = gain, interval_ms
+        self._log = SampleLog()
+        self._attached = False
+        self._said = ""  # the last thing the library complained of
+        self._began_s = clock.now()
+        self._input = _bridge_input(role)
+        self._lock = AddressLock(role, self.address)
+        try:
+            self._open(device_serial, channel, attach_s)
+        except BaseException:
+            self.close()
+            raise
+        self._began_s = clock.now()
+
+    def identity(self) -> InstrumentIdentity:
+        """Ask the bridge who it is."""
+        try:
+            model, serial = self._input.getDeviceName(), self._input.getDeviceSerialNumber()
+            version = self._input.getDeviceVersion()
+        except Exception as error:
+            raise self._failed("does not say who it is", error) from error
+        return InstrumentIdentity(self._role, _DRIVER, str(model), str(serial), str(version), simulated=False)
+
+    def samples_since(self, time_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Return times [s] and forces [N], both (n,), after a time.
+
+        Raises
+        ------
+        InstrumentError
+            While it is unplugged.
+        """
+        if not self._attached:
+            said = f" ({self._said})" if self._said else ""
+            raise self._error(f"the bridge is unplugged{said}", _PLUG)
+        return self._log.since(time_s)
+
+    def newest(self, count: int) -> NDArray[np.float64]:
+        """Return the last forces [N], at most so many, (n,)."""
+        return self._log.newest(count)
+
+    def check_alive(self) -> None:
+        """Raise InstrumentError if it is unplugged or has fallen silent."""
+        self.samples_since(np.inf)
+        silent_s = 1.0 + _SILENT_INTERVALS * self._interval_ms / 1e3
+        if self._clock.now() - max(self._log.last_s, self._began_s) > silent_s:
+            said = f"; its library said: {self._said}" if self._said else ""
+            raise self._error(f"it has sent nothing for {silent_s:.3g} s{said}", "check cell, cable and bridge")
+
+    def close(self) -> None:
+        """Give the input back."""
+        with suppress(Exception):  # the library raises where it is not open
+            self._input.setOnVoltageRatioChangeHandler(None)
+            self._input.close()
+        self._lock.release()
+
+    def _open(self, device_serial: int | None, channel: int, attach_s: float) -> None:
+        bridge = self._input
+        try:
+            if device_serial is not None:
+                bridge.setDeviceSerialNumber(device_serial)
+            bridge.setChannel(channel)
+            bridge.setOnAttachHandler(self._on_attach)
+            bridge.setOnDetachHandler(self._on_detach)
+            bridge.setOnErrorHandler(self._on_error)
+            bridge.setOnVoltageRatioChangeHandler(self._on_ratio)
+            bridge.openWaitForAttachment(round(1e3 * attach_s))
+            self._set_up(bridge)
+        except Exception as error:
+            if getattr(error, "code", None) == _TIMEOUT:
+                raise self._error(f"no bridge attached within {attach_s:g} s", _PLUG) from error
+            raise self._failed("does not open", error) from error
+        self._attached = True
+
+    def _set_up(self, bridge: Any) -> None:
+        """Set what a bridge forgets when it is unplugged; every interval is a sample, also where nothing changes."""
+        gains = import_module("Phidget22.BridgeGain").BridgeGain
+        bridge.setBridgeGain(getattr(gains, f"BRIDGE_GAIN_{self._gain}"))
+        bridge.setDataInterval(self._interval_ms)
+        bridge.setVoltageRatioChangeTrigger(0.0)
+
+    # --- called by the library, in its thread; nothing may be raised into it ---
+
+    def _on_attach(self, bridge: Any) -> None:
+        try:
+            self._set_up(bridge)
+            self._attached = True
+        except Exception as error:  # noqa: BLE001 - told at the next look
+            self._said = str(error)
+
+    def _on_detach(self, bridge: Any) -> None:
+        self._attached = False
+
+    def _on_error(self, bridge: Any, code: int, description: str) -> None:
+        self._said = f"{description} ({code})"
+
+    def _on_ratio(self, bridge: Any, ratio: float) -> None:
+        now_s = self._clock.now()
+        if now_s > self._log.last_s:  # a virtual clock may not have moved: one sample a moment
+            self._log.append(now_s, self._scale.force_N(ratio))
+
+    def _failed(self, what: str, error: Exception) -> InstrumentError:
+        details = getattr(error, "details", "") or getattr(error, "description", "") or error
+        return self._error(f"the bridge {what}: {details}", _PLUG)
+
+    def _error(self, reason: str, remedy: str) -> InstrumentError:
+        return InstrumentError(self._role, self.address, reason, remedy=remedy)
+
+
+def _bridge_input(role: str) -> Any:
+    """Make a bridge input of the library, which loads libusb at this moment."""
+    try:
+        devices = import_module("Phidget22.Devices.VoltageRatioInput")
+    except ImportError as error:
+        raise ConfigError(
+            f"instrument {role!r} needs the library Phidget22, which is missing", remedy=_INSTALL
+        ) from error
+    _preload_libusb()
+    try:
+        return devices.VoltageRatioInput()
+    except OSError as error:
+        raise ConfigError(f"instrument {role!r}: Phidget22 finds no libusb ({error})", remedy=_LIBUSB) from error
+
+
+def _preload_libusb() -> None:
+    """Load the libusb of the package libusb-package, if it is there: Phidget22 then finds it in the process."""
+    if not sys.platform.startswith("linux"):
+        return
+    with suppress(ImportError, OSError, TypeError):
+        ctypes.CDLL(str(import_module("libusb_package").get_library_path()), mode=ctypes.RTLD_GLOBAL)
