@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from cbsr_qa.domain.errors import PluginError
+from cbsr_qa.domain.errors import AbortedError, PluginError
 from cbsr_qa.hookspecs import Kind, hookimpl
 from cbsr_qa.plugins import Plugins, discover
 
@@ -107,6 +107,20 @@ def test_a_hook_that_fails_silences_no_other():
     assert len(warnings) == 1
     assert "d1" in warnings[0]
     assert "deaf" in warnings[0]
+
+
+def test_a_hook_may_stop_the_run_where_there_is_one():
+    class Stopping:
+        @hookimpl
+        def cbsr_phase_finished(self, phase):
+            raise AbortedError("the plugin climate-watch")
+
+    plugins, warnings = Plugins(), []
+    plugins.add(Stopping(), "climate", "1", "x")
+    plugins.tell("cbsr_phase_finished", warnings.append, identity=None, phase="grid")
+    assert len(warnings) == 1
+    with pytest.raises(AbortedError, match="climate-watch"):
+        plugins.tell("cbsr_phase_finished", warnings.append, may_abort=True, identity=None, phase="grid")
 
 
 def test_order_of_discovery_changes_nothing():

@@ -361,6 +361,7 @@ def test_a_driver_that_makes_an_error_of_its_own_of_every_exception_does_not_hid
     script.on("load_cell.samples_since", hang, call=2)
     ended, _, script, _, _ = run(script=script, answer_s=0.3)
     assert "rule 'no answer': load_cell (scripted): its samples has not come back for" in ended.detail
+    assert script.count("load_cell.samples_since") == 2  # nobody is asked for anything any more
     assert_made_safe(script)
 
 
@@ -413,6 +414,19 @@ def test_a_call_may_take_twice_its_work_and_the_answer_time():
         with pytest.raises(SafetyError, match="a frame has not come back"), dog.expect("a frame", 0.1):
             time.sleep(1.5)
     assert len(late) == 1
+
+
+def test_a_call_that_was_under_way_for_long_still_has_its_grace(monkeypatch):
+    monkeypatch.setattr(watchdog, "GRACE_S", 0.6)
+    late = []
+    with Watchdog(1000.0, break_in=late.append, make_safe=lambda: None, tell=lambda line: None) as dog:
+        with dog.expect("a frame"):
+            time.sleep(0.8)
+            dog.hurry()
+            time.sleep(0.3)
+        assert late == []
+        with pytest.raises(SafetyError), dog.expect("a frame"):
+            time.sleep(1.2)
 
 
 def test_an_instrument_that_waits_for_the_operator_does_not_hang():
