@@ -267,7 +267,17 @@ def _shared_by(pairs: Iterable[tuple[LotRun, str]]) -> dict[str, list[str]]:
 
 
 def _recipe_words(run: LotRun, configuration: str) -> str:
-    """Name a recipe with a digest of all that decides its numbers: not its limits, not the seed of a simulation."""
+    """Name a recipe with the digest of all that decides its numbers."""
+    return f"{run.summary.recipe} {measuring_digest(configuration)[:8]}"
+
+
+def measuring_digest(configuration: str) -> str:
+    """SHA-256 of all that decides a run's numbers: not of its limits, nor of the seed of a simulation.
+
+    Parameters
+    ----------
+    configuration : canonical JSON, as stored with a run.
+    """
     content = json.loads(configuration)
     recipe = _table(content, "recipe")
     measuring = {
@@ -276,8 +286,7 @@ def _recipe_words(run: LotRun, configuration: str) -> str:
         "material": _table(content, "material"),
         "indenter": _table(_table(content, "station"), "indenter"),
     }
-    digest = hashlib.sha256(canonical_json(measuring).encode()).hexdigest()
-    return f"{run.summary.recipe} {digest[:8]}"
+    return hashlib.sha256(canonical_json(measuring).encode()).hexdigest()
 
 
 def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:

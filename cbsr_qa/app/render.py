@@ -113,8 +113,9 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
     """
     record, recipe = store.load_run(run), restore(store.configuration(run)).recipe
     stored = next(iter(store.analyses(run)), None)
+    check = store.latest_station_check(record.identity.station, record.identity.started_at)
     if stored is None:
-        return _analysed_now(record, recipe, plugins), recipe.sections
+        return replace(_analysed_now(record, recipe, plugins), station_check=check), recipe.sections
     observation, why = _observed(record, recipe, plugins)
     characterisation, why = _characterised(record, recipe) if recipe.characterisation else (None, why)
     calibration, unseen = _calibration(store, stored, observation)
@@ -129,6 +130,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
         warnings=_warnings(stored, why),
         limits_version=recipe.limits_version,
         characterisation=characterisation,
+        station_check=check,
     )
     return result, recipe.sections
 

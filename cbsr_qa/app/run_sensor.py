@@ -244,6 +244,7 @@ class _Session:
             warnings=(*conclusion.warnings, *self._warnings),
             limits_version=recipe.limits_version,
             characterisation=conclusion.characterisation,
+            station_check=store.latest_station_check(record.identity.station, record.identity.started_at),
         )
         store.save_result(result)
         return write_outputs(result, recipe, self._plugins, self._stages, self._plan.seed)

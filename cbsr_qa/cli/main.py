@@ -22,6 +22,7 @@ from cbsr_qa.cli import (
     run,
     scene,
     stability,
+    station,
 )
 from cbsr_qa.cli.output import emit_json, note
 from cbsr_qa.domain.errors import CbsrError
@@ -43,6 +44,7 @@ app.add_typer(calibration.app, name="calibration")
 app.add_typer(limits.app, name="limits")
 app.add_typer(scene.app, name="scene")
 app.add_typer(reproduce.app, name="reproduce")
+app.add_typer(station.app, name="station")
 app.add_typer(plugins.app, name="plugins")
 app.add_typer(db.app, name="db")
 

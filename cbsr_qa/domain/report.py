@@ -9,6 +9,7 @@ from cbsr_qa.domain.measurement import Measurement, Verdict
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.domain.station_check import StationCheck
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,6 +82,7 @@ class RunResult:
     compute_s : seconds of computing by stage.
     limits_version : of those limits that carry one.
     characterisation : of the material, where the recipe is for that; there is no observation then.
+    station_check : the station's latest one when the run began; None where it had never been checked.
     """
 
     record: RunRecord
@@ -93,3 +95,4 @@ class RunResult:
     warnings: tuple[str, ...] = field(default=())
     limits_version: LimitsVersion | None = None
     characterisation: Characterisation | None = None
+    station_check: StationCheck | None = None

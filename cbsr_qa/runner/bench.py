@@ -95,11 +95,7 @@ class Bench:
             If one does not answer, or is not the one that the station file asks for.
         """
         emulates = any(one.spec.emulated for one in self.mounted)
-        said = [identity_of(one) for one in self.mounted]
-        return tuple(
-            replace(who, simulated=who.simulated or (emulates and _works_through_others(one)))
-            for one, who in zip(self.mounted, said, strict=True)
-        )
+        return tuple(identity_of(one, emulated=emulates and _works_through_others(one)) for one in self.mounted)
 
     def name_of(self, instrument: object) -> str:
         """Return role and driver of an instrument, as messages name it."""
@@ -171,15 +167,20 @@ def _works_through_others(one: Mounted) -> bool:
     return isinstance(one.instrument, Linked) and "address" not in one.spec.options
 
 
-def identity_of(one: Mounted) -> InstrumentIdentity:
-    """Ask one instrument who it is; see :meth:`Bench.identities`."""
+def identity_of(one: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
+    """Ask one instrument who it is; see :meth:`Bench.identities`.
+
+    Parameters
+    ----------
+    emulated : it works through instruments that the station emulates, so that it is simulated with them.
+    """
     said = one.instrument.identity()
     _recognise(one.spec, said)
     return replace(
         said,
         role=one.spec.role,
         driver=one.spec.driver,
-        simulated=said.simulated or one.spec.emulated,
+        simulated=said.simulated or one.spec.emulated or emulated,
         calibration_due=one.spec.calibration_due,
         notes=(*_address(one.spec), *said.notes),
     )

@@ -131,6 +131,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.SECTION, "noise-and-contacts", "sections.noise_and_contacts:NoiseAndContacts"),
     (Kind.SECTION, "time-and-accuracy", "sections.time_and_accuracy:TimeAndAccuracy"),
     (Kind.SECTION, "limits", "sections.limits:Limits"),
+    (Kind.SECTION, "station-check", "sections.station_check:StationChecked"),
     (Kind.SECTION, "traceability", "sections.traceability:Traceability"),
     (Kind.SECTION, "recording-events", "sections.recording_events:RecordingEvents"),
     (Kind.SECTION, "recording-channels", "sections.recording_channels:RecordingChannels"),

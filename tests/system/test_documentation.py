@@ -14,6 +14,8 @@ import pytest
 from command import cbsr_qa
 
 from cbsr_qa.domain.frames import SampleBlock
+from cbsr_qa.domain.patterns import adjacent_pattern
+from cbsr_qa.forward.resistor_ring import ring_readings
 
 _TOP = Path(__file__).resolve().parents[2]
 _PAGES = sorted([_TOP / "README.md", *(_TOP / "docs").rglob("*.md")])
@@ -82,6 +84,16 @@ def test_the_page_on_fielded_sensors_runs_as_printed(tmp_path):
     assert len(list((tmp_path / "var" / "calibrations").iterdir())) == 1
 
 
+def test_the_page_on_bringing_up_a_station_runs_as_printed(tmp_path):
+    page = _TOP / "docs" / "how-to" / "bring-up-a-station.md"
+    for command in _commands(page):
+        done = cbsr_qa(tmp_path, *shlex.split(command)[1:])
+        assert "OK: 0 failed" in done.stdout, command
+    ring = ring_readings([1e4] * 16, adjacent_pattern(16))
+    assert (ring[0, 0], round(ring[0, 5])) == (9375.0, -625)
+    assert "9.375 kΩ and\n−625 Ω for 16 of 10 kΩ" in page.read_text()
+
+
 @pytest.mark.slow
 def test_the_page_on_choosing_a_recipe_runs_as_printed(tmp_path):
     for command in _commands(_TOP / "docs" / "how-to" / "choose-a-recipe.md"):
@@ -113,7 +125,7 @@ def test_commands_that_are_shown_exist(page):
         if words[0] != "cbsr-qa":
             continue
         group = [word for word in words[1:3] if re.fullmatch(r"[a-z]+", word)]
-        known = group[:2] if group[0] in ("calibration", "plugins", "db", "scene", "limits") else group[:1]
+        known = group[:2] if group[0] in ("calibration", "plugins", "db", "scene", "limits", "station") else group[:1]
         assert guarded([*known, "--help"]) == 0, command
 
 

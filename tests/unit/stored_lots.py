@@ -55,6 +55,7 @@ def store_run(repository, serial, measurements, *, batch="golden", recipe="short
         started.identity,
         sensor=replace(started.identity.sensor, batch=batch),
         recipe=recipe,
+        station=changes.get("station", started.identity.station),
         configuration_digest=hashlib.sha256(configuration.encode()).hexdigest(),
         started_at=started.identity.started_at + timedelta(days=day),
     )
