@@ -16,6 +16,8 @@ from cbsr_qa.links.locks import AddressLock
 _USB: Final = "usb:"
 #: A waiting reader lets others have the line this often [s, real time].
 _SLICE_S: Final = 0.02
+#: How long a port may not take any bytes: only a driver of the system that hangs does [s, real time].
+_WRITE_S: Final = 3.0
 #: No instrument of a bench sends longer lines; what does is not the instrument that was expected.
 _LONGEST_LINE: Final = 4096
 
@@ -71,7 +73,7 @@ class SerialLink:
         with self._writing, self._mapped():
             sent = self._port.write(data)
         if sent is not None and sent < len(data):
-            raise self._error(f"took {sent} of {len(data)} bytes within {self.timeout_s:g} s", retryable=True)
+            raise self._error(f"took {sent} of {len(data)} bytes within {_WRITE_S:g} s", retryable=True)
 
     def read(self, count: int, timeout_s: float | None = None) -> bytes:
         """Return exactly so many bytes.
@@ -166,9 +168,7 @@ class SerialLink:
         path = self._path()
         self._lock = AddressLock(self.role, path)
         try:
-            return serial.Serial(
-                path, self._baud, timeout=self.timeout_s, write_timeout=self.timeout_s, exclusive=True
-            )
+            return serial.Serial(path, self._baud, timeout=self.timeout_s, write_timeout=_WRITE_S, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
             self._lock.release()
             raise self._not_opened(path, error) from error
@@ -209,14 +209,15 @@ class SerialLink:
         try:
             yield
         except serial.SerialTimeoutException as error:
-            said = f"took no more bytes for {self.timeout_s:g} s"
+            said = f"took no more bytes for {_WRITE_S:g} s"
             raise self._error(said, remedy=_SILENT, retryable=True) from error
         except serial.PortNotOpenError as error:
             self.down = True
             raise self._error("the link is closed") from error
         except (serial.SerialException, OSError, TypeError, ValueError) as error:
-            # pyserial leaks a TypeError where the port is closed by another thread while it reads.
             self.down = True
+            if not self._port.is_open:  # pyserial leaks a TypeError where it is closed
+                raise self._error("the link is closed") from error
             raise self._error(f"the link is down ({error})", remedy=_CABLE) from error
 
     def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:

@@ -2,6 +2,7 @@
 
 import threading
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,8 @@ from cbsr_qa.clock import VirtualClock
 from cbsr_qa.domain import kinematics
 from cbsr_qa.domain.errors import ConfigError, InstrumentError, SafetyError
 from cbsr_qa.emulate.faults import Fault
-from cbsr_qa.interfaces import ForceApplicator, Linked, Sampler
+from cbsr_qa.interfaces import Alive, ForceApplicator, Linked, Sampler
+from cbsr_qa.links import serial_link
 from cbsr_qa.simulate.head import SimulatedHead
 from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa_plugins.hardware.marlin_applicator import open_applicator
@@ -73,7 +75,7 @@ def took(station, what, *arguments):
 
 
 def test_it_is_what_it_says(homed):
-    for role in (ForceApplicator, Sampler, Linked):
+    for role in (ForceApplicator, Sampler, Linked, Alive):
         assert isinstance(homed, role)
     identity = homed.identity()
     assert (identity.model, identity.driver) == ("Prusa i3 MK3S", "marlin-applicator")
@@ -452,6 +454,77 @@ def test_a_pulled_cable_is_said(station, homed):
         homed.move_to(10.0, 0.0)
     with pytest.raises(InstrumentError, match=r"there is no port|link is down|does not open|nobody answers"):
         homed.safe_state()
+
+
+def plugged_in(monkeypatch, path):
+    """Let a printer with an identity of its own be at a port."""
+    there = [SimpleNamespace(device=path, vid=0x2C99, pid=2, serial_number="CZPX1")]
+    monkeypatch.setattr(serial_link.list_ports, "comports", lambda: there)
+
+
+def test_a_printer_named_by_its_identity_is_used_again_once_it_is_back(monkeypatch, station):
+    plugged_in(monkeypatch, station.emulation.ports["applicator"].address)
+    homed = linked(station, address="usb:2C99:0002:CZPX1")
+    homed.home()
+    homed.press(0.8, SPEED)
+    homed._link.close()  # as a pulled cable
+    station.clock.sleep(1.0)
+    with pytest.raises(InstrumentError, match="usb:2C99:0002:CZPX1: the link is closed"):
+        homed.samples_since(station.clock.now() - 1)
+    homed.safe_state()
+    station.clock.sleep(5.0)
+    assert not station.head.touching
+    with pytest.raises(InstrumentError, match="position is lost"):
+        homed.move_to(0.0, 0.0)  # printers restart when their port is opened
+    homed.home()
+    homed.press(0.4, SPEED)
+    assert station.head.height_mm == pytest.approx(-0.4, abs=1e-3)
+
+
+def test_a_head_that_a_killed_program_left_in_the_sheet_comes_up(station, homed):
+    homed.press(0.8, SPEED)
+    homed.close()
+    assert station.head.touching
+    again = linked(station)
+    assert station.head.touching  # opening moves nothing
+    again.safe_state()
+    station.clock.sleep(5.0)
+    assert not station.head.touching
+    again.home()
+    assert station.head.dragged == 0
+
+
+def test_homing_from_within_the_sheet_lifts_first(station, homed):
+    homed.press(0.8, SPEED)
+    homed.close()
+    linked(station).home()
+    assert station.head.dragged == 0
+    assert station.head.up
+
+
+def test_an_answer_that_is_off_the_way_is_asked_for_again(station, homed):
+    """Digits that were garbled into others have no checksum in Marlin's answers."""
+    real, spoilt = station.emulation.instruments["applicator"]._m114, []
+
+    def m114(parameters):
+        said = real(parameters)
+        if not spoilt and station.head.moving:
+            spoilt.append(said)
+            return said.replace("Count X: 1", "Count X: 9")
+        return said
+
+    station.emulation.instruments["applicator"]._m114 = m114
+    homed.press(0.8, SPEED)
+    assert spoilt
+    assert station.head.height_mm == pytest.approx(-0.8, abs=1e-3)
+
+
+def test_a_head_that_does_not_get_there_is_said(station, homed):
+    """As when something is in its way, or an end stop is met."""
+    real = station.head.go
+    station.head.go = lambda goal, speed: real((goal[0] - 0.3, *goal[1:]), speed)
+    with pytest.raises(InstrumentError, match=r"it stands at \(134\.70, .* and was told to go to \(135\.00"):
+        homed.move_to(10.0, 0.0)
 
 
 # --- opening ---

@@ -1,6 +1,7 @@
 """Drivers of load cells and thermometers that send lines, over emulated ones and over a bare terminal."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError, Sa
 from cbsr_qa.domain.station_check import CheckOutcome
 from cbsr_qa.emulate.faults import Fault
 from cbsr_qa.interfaces import Alive, Sampler, SelfTesting
+from cbsr_qa.links import serial_link
 from cbsr_qa_plugins.hardware._device_time import DeviceTime
 from cbsr_qa_plugins.hardware.serial_load_cell import open_load_cell
 from cbsr_qa_plugins.hardware.serial_thermometer import open_thermometer
@@ -289,6 +291,28 @@ def test_a_pulled_cable_is_said(station, cell):
         run_through(station, cell, Fault.DROP)
     with pytest.raises(InstrumentError, match=r"link is down|no port|does not open"):
         cell.samples_since(-1.0)
+
+
+def test_a_cell_named_by_its_identity_is_read_again_once_it_is_back(monkeypatch, station):
+    adapter = SimpleNamespace(
+        device=station.emulation.ports["cell"].address, vid=0x1A86, pid=0x7523, serial_number=None
+    )
+    there = [adapter]
+    monkeypatch.setattr(serial_link.list_ports, "comports", lambda: there)
+    cell = station.open("cell", open_load_cell, address="usb:1A86:7523")
+    station.clock.sleep(2.0)
+    cell._source._link.close()  # as a pulled cable
+    there.clear()
+    for _ in range(2):
+        station.clock.sleep(1.0)
+        with pytest.raises(InstrumentError, match=r"no such device is plugged in|link is closed"):
+            cell.samples_since(-1.0)
+    there.append(adapter)
+    cell.samples_since(-1.0)
+    station.clock.sleep(2.0)
+    block = cell.samples_since(-1.0)
+    assert station.clock.now() - block.time_s[-1] < 0.2
+    assert (np.diff(block.time_s) > 0).all()
 
 
 @pytest.mark.parametrize("fault", [Fault.RESEND, Fault.BUSY, Fault.COMPLIANCE])
