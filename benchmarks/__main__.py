@@ -14,6 +14,7 @@ from benchmarks.rows import Row
 _PAGE = Path(__file__).resolve().parents[1] / "docs" / "reference" / "performance.md"
 PARTS = (
     "commands",
+    "bench",
     "forward",
     "outlines",
     "simulated_world",
