@@ -5,7 +5,7 @@ from math import sqrt
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -59,6 +59,7 @@ def test_short_and_long_term_are_told_apart():
     assert alone.cp is alone.pp is None
 
 
+@settings(deadline=None)
 @given(
     st.lists(st.integers(-80, 80), min_size=3, max_size=20).filter(lambda lot: len(set(lot)) > 1),
     st.sampled_from([0.25, 3.0, 1e6]),
@@ -105,6 +106,7 @@ def test_intervals_of_a_yield_are_the_printed_ones():
         assert (found.clopper_pearson.low, found.clopper_pearson.high) == pytest.approx(exact, abs=6e-5)
 
 
+@settings(deadline=None)
 @given(st.integers(1, 300), st.data())
 def test_yield_intervals_mirror_and_hold_the_share(count, data):
     passed = data.draw(st.integers(0, count))
@@ -137,6 +139,7 @@ def test_published_p_values():
     assert benjamini_hochberg(PUBLISHED) == pytest.approx(stats.false_discovery_control(PUBLISHED))
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 1000).map(lambda number: number / 1000), max_size=30), st.randoms())
 def test_adjusted_values_follow_their_tests(p_values, random):
     order = list(range(len(p_values)))

@@ -6,7 +6,7 @@ from math import pi, sqrt
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -40,12 +40,14 @@ def test_equivalence_is_the_printed_one(printed):
     assert not contrast.equivalence(printed["eps"], level=0.04).equivalent
 
 
+@settings(deadline=None)
 @given(st.floats(-3, 3), st.floats(0.1, 2), st.floats(2, 60), st.sampled_from([0.5, 1.0, 2.0]))
 def test_equivalent_where_the_interval_lies_within_the_margin(value, error, freedom, margin):
     found = Contrast(value, error, freedom).equivalence(margin)
     assert found.equivalent == (-margin <= found.interval.low and found.interval.high <= margin)
 
 
+@settings(deadline=None)
 @given(groups, groups, st.sampled_from([0.5, 1.0, 1e3]), st.sampled_from([-1e5, 0.0, 3.0]))
 def test_differences_are_scipys_in_any_unit(first, second, scale, origin):
     one, two = ([scale * x + origin for x in group] for group in (first, second))
@@ -73,6 +75,7 @@ def test_effect_sizes_are_unbiased_and_covered():
     assert 0.935 <= np.mean([one.interval.holds(1.5) for one in found]) <= 0.965
 
 
+@settings(deadline=None)
 @given(groups, groups)
 def test_effect_size_turns_with_its_groups(first, second):
     here, there = hedges(first, second), hedges(second, first)
@@ -163,6 +166,7 @@ def test_counted_ranks_are_those_of_all_orders(first, second):
         assert found.p_value == pytest.approx(np.mean(np.abs(statistics - first * second / 2) >= away - 1e-9))
 
 
+@settings(deadline=None)
 @given(groups, groups)
 def test_ranks_are_scipys(first, second):
     found = shift(first, second)

@@ -1,0 +1,124 @@
+"""A gauge against known values: bias, linearity of the bias over the range, and stability over time.
+
+Source: AIAG MSA 4th edition, chapter III, sections B (guidelines for determining stability, bias and linearity). The
+reference values (of golden sensors) are taken as exact: their uncertainty must be small beside the gauge's.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.stats.contrast import Contrast, checked
+from cbsr_qa.stats.control_charts import Chart, individuals
+from cbsr_qa.stats.samples import sample
+from cbsr_qa.stats.straight_line import Line, straight_line
+from cbsr_qa.stats.univariate import summary
+
+
+@dataclass(frozen=True, slots=True)
+class Linearity:
+    """How the bias depends on the value measured.
+
+    Parameters
+    ----------
+    line : of bias over reference value.
+    references : the distinct ones, ascending.
+    """
+
+    line: Line
+    references: tuple[float, ...]
+
+    @property
+    def intercept(self) -> Contrast:
+        """Return the bias at a reference value of zero."""
+        return self.line.at(0.0)
+
+    def acceptable(self, confidence: float = 0.95) -> bool:
+        """Say whether a bias of zero lies within the confidence band at every reference value."""
+        return all(self.line.at(reference).interval(confidence).holds(0.0) for reference in self.references)
+
+
+@dataclass(frozen=True, slots=True)
+class Stability:
+    """What one reference did over time.
+
+    Parameters
+    ----------
+    drift : slope of the bias, per day.
+    bias : of all readings.
+    chart : of the bias in order of time; limits from its reference period.
+    """
+
+    drift: Contrast
+    bias: Contrast
+    chart: Chart
+
+
+def bias(readings: Iterable[float], reference: float, what: str = "bias") -> Contrast:
+    """Return mean reading − reference with its standard error s/√n.
+
+    Parameters
+    ----------
+    readings : repeated ones of one reference, at least two.
+
+    Raises
+    ------
+    NumericsError
+        Too few or missing readings, or readings that do not differ.
+    """
+    array = sample(readings, what, least=2, spread=True)
+    found = summary(array, what)
+    return checked(found.mean - reference, float(found.deviation or 0) / sqrt(len(array)), len(array) - 1, what)
+
+
+def linearity(references: Sequence[float], readings: Sequence[float], what: str = "linearity") -> Linearity:
+    """Return how the bias goes with the reference value.
+
+    Parameters
+    ----------
+    references, readings : (n,) of each reading the value of its reference, of two references at least.
+
+    Raises
+    ------
+    NumericsError
+        One reference only, fewer than three or missing readings, or biases that lie exactly on a line.
+    """
+    known = sample(references, f"{what}, references", least=3)
+    biases = sample(readings, f"{what}, readings", least=3)
+    if len(known) != len(biases):
+        raise NumericsError(f"{what}: {len(known)} reference values for {len(biases)} readings")
+    distinct = tuple(float(value) for value in np.unique(known))
+    if len(distinct) < 2:
+        raise NumericsError(f"{what}: all readings are of one reference", remedy="measure references over the range")
+    return Linearity(straight_line(known, biases - known, what), distinct)
+
+
+def stability(
+    times_day: Sequence[float],
+    readings: Sequence[float],
+    reference: float,
+    *,
+    first: int | None = None,
+    what: str = "stability",
+) -> Stability:
+    """Return drift and control chart of one reference.
+
+    Parameters
+    ----------
+    times_day : (n,) in days from any origin, in any order.
+    readings : (n,), n ≥ 3.
+    first : how many of the earliest readings set the chart's limits; None for all.
+
+    Raises
+    ------
+    NumericsError
+        Too few or missing readings, all at one time, or readings that do not differ.
+    """
+    line = straight_line(times_day, readings, what)
+    order = np.argsort(np.asarray(times_day, dtype=float), kind="stable")
+    ordered = np.asarray(readings, dtype=float)[order]
+    chart = individuals(ordered - reference, reference=first, what=what)
+    return Stability(line.rise(), bias(ordered, reference, what), chart)

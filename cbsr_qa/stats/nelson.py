@@ -1,0 +1,118 @@
+"""Nelson's eight tests for special causes (Journal of Quality Technology 16, 1984, 237), on standardised points.
+
+A signal is given at the point that completes a pattern. In two-of-three and four-of-five the completing point itself
+is beyond its line. A false alarm is given at a point of an undisturbed process with the probability that is named.
+"""
+
+from collections.abc import Callable, Collection
+from enum import StrEnum
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.stats.worst_value import FloatArray
+
+Flags = NDArray[np.bool_]
+
+
+class Rule(StrEnum):
+    """The tests, by what they see."""
+
+    BEYOND = "1: one point beyond 3σ"
+    SAME_SIDE = "2: nine points in a row on one side of the centre"
+    TREND = "3: six points in a row rising or falling"
+    ALTERNATING = "4: fourteen points in a row alternating up and down"
+    TWO_OF_THREE = "5: two of three points beyond 2σ on one side"
+    FOUR_OF_FIVE = "6: four of five points beyond 1σ on one side"
+    HUGGING = "7: fifteen points in a row within 1σ of the centre"
+    AVOIDING = "8: eight points in a row beyond 1σ, on either side"
+
+
+ALL_RULES = tuple(Rule)
+
+
+def nelson(standard: FloatArray, rules: Collection[Rule] = ALL_RULES) -> dict[Rule, Flags]:
+    """Return at which points each rule gives a signal.
+
+    Parameters
+    ----------
+    standard : (n,) ndarray, (point − centre)/σ of the plotted statistic.
+
+    Returns
+    -------
+    (n,) flags of each rule asked for, in the order of the rules
+    """
+    return {rule: _TESTS[rule](standard) for rule in Rule if rule in rules}
+
+
+def _last(flags: Flags, window: int) -> NDArray[np.intp]:
+    """Return how many of the last ``window`` flags, up to and with each one, are set."""
+    counts = np.concatenate([np.zeros(window, dtype=np.intp), np.cumsum(flags)])
+    ends: NDArray[np.intp] = counts[window:] - counts[:-window]
+    return ends
+
+
+def _lasting(flags: Flags, window: int) -> Flags:
+    """Return where all of the last ``window`` flags are set."""
+    whole: Flags = _last(flags, window) == window
+    return whole
+
+
+def _beyond(z: FloatArray) -> Flags:
+    """0.0027."""
+    return _lasting(np.abs(z) > 3, 1)
+
+
+def _same_side(z: FloatArray) -> Flags:
+    """2/2⁹ = 0.0039."""
+    return _lasting(z > 0, 9) | _lasting(z < 0, 9)
+
+
+def _trend(z: FloatArray) -> Flags:
+    """2/6! = 0.0028."""
+    steps = np.diff(z, prepend=np.nan)
+    return _lasting(steps > 0, 5) | _lasting(steps < 0, 5)
+
+
+def _alternating(z: FloatArray) -> Flags:
+    """2 E₁₄/14! = 0.0046, E₁₄ the number of alternating orders."""
+    steps = np.diff(z, prepend=np.nan)
+    turns = np.concatenate([[False], steps[1:] * steps[:-1] < 0]) if len(z) else np.zeros(0, dtype=bool)
+    return _lasting(turns, 12)
+
+
+def _two_of_three(z: FloatArray) -> Flags:
+    """2 q (1 − (1 − q)²) = 0.0020, q = 0.0228."""
+    return _most_beyond(z, 2, 2, 3) | _most_beyond(-z, 2, 2, 3)
+
+
+def _four_of_five(z: FloatArray) -> Flags:
+    """2 q P(3 or 4 of 4) = 0.0044, q = 0.159."""
+    return _most_beyond(z, 1, 4, 5) | _most_beyond(-z, 1, 4, 5)
+
+
+def _hugging(z: FloatArray) -> Flags:
+    """0.683¹⁵ = 0.0033."""
+    return _lasting(np.abs(z) < 1, 15)
+
+
+def _avoiding(z: FloatArray) -> Flags:
+    """0.317⁸ = 0.0001."""
+    return _lasting(np.abs(z) > 1, 8)
+
+
+def _most_beyond(z: FloatArray, line: float, least: int, window: int) -> Flags:
+    found: Flags = (z > line) & (_last(z > line, window) >= least)
+    return found
+
+
+_TESTS: dict[Rule, Callable[[FloatArray], Flags]] = {
+    Rule.BEYOND: _beyond,
+    Rule.SAME_SIDE: _same_side,
+    Rule.TREND: _trend,
+    Rule.ALTERNATING: _alternating,
+    Rule.TWO_OF_THREE: _two_of_three,
+    Rule.FOUR_OF_FIVE: _four_of_five,
+    Rule.HUGGING: _hugging,
+    Rule.AVOIDING: _avoiding,
+}
