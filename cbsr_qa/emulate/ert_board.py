@@ -1,5 +1,6 @@
 """The ERT board, emulated: it scans from the moment it has power, sends what it reads, and is told nothing."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -54,7 +55,8 @@ class EmulatedErtBoard:
         self._origin_s = rig.clock.now()
         self._next_row = 0
         self._frame: tuple[int, Counts] | None = None
-        self._session = 0
+        # Addresses of random numbers: others after a restart, and in a session that goes on with a run.
+        self._session = math.ceil(1e3 * rig.world.setting.began_s)
         self._silent = False
         self._last = b""
         self._scale = self._counts_per_volt()

@@ -32,13 +32,13 @@ def told(options, clock, of=None):
 class Bench:
     """An emulated board over a sheet without noise, and the driver that reads it."""
 
-    def __init__(self, *effects, board=None, presses=(), **options):
+    def __init__(self, *effects, board=None, began_s=0.0, **options):
         table, board = TABLE | options, dict(board or {})
         self.clock = WatchedClock()
         memory = {"share": board.pop("memory", 0.0), "inner": table.get("order", "measure")}
         effects = (*effects, "reading-memory") if memory["share"] else effects
         self.world = world(replace(scene(*effects, reading_memory=memory), frame_period_s=PERIOD_S))
-        self.world.presses.extend(presses)
+        self.world.setting = replace(self.world.setting, began_s=began_s)
         spec = InstrumentSpec("frames", "ert-board-stream", ("frame_source",), table | board, None)
         self.emulation = Emulation([spec], EmulatedRig(self.clock, self.world, MOTION))
         options = table | {"address": self.emulation.ports["frames"].address}
@@ -126,6 +126,15 @@ def test_a_press_is_in_the_frames_after_it_and_in_none_before(opened):
     assert np.abs(change).max() > 20
     usable = sensor_type().pattern.usable()
     np.testing.assert_array_equal(after.voltages[0][usable], bench.counts(after)[usable])
+
+
+def test_noise_repeats_with_the_seed_and_not_in_a_session_that_goes_on(opened):
+    first, again, later = (
+        opened("measurement-noise", began_s=began_s).driver.acquire(2).voltages for began_s in (0.0, 0.0, 100.0)
+    )
+    np.testing.assert_array_equal(first, again)
+    assert (first[0] != first[1]).any()
+    assert not any((before == after).all() for before in first for after in later)
 
 
 def test_counts_at_the_ends_of_the_range_are_flagged(opened):

@@ -50,7 +50,7 @@ _GOES_ON_S: Final = 0.05
 #: A row is waited for a little longer than it takes, so that each waiting finds one.
 _WAITED_ROWS: Final = 1.05
 #: How long bytes that were sent may be on their way through the computer [s, real time].
-_ON_ITS_WAY_S: Final = 0.05
+_ON_ITS_WAY_S: Final = 0.2
 #: A board that sends no whole frame for so many periods and this much time sends none at all.
 _SILENT_PERIODS, _SILENT_S = 3.0, 0.5
 #: The table's frame period is believed within this share.
@@ -115,7 +115,7 @@ class ErtBoardStream:
         self._stream: BoardStream = BinaryStream() if self._format == "binary" else TextStream(*self._range)
         self._ready: deque[tuple[float, BoardFrame]] = deque()
         self._read_s = -math.inf
-        self._heard = 0
+        self._heard = self._waits = 0
         self._down = False
         #: Frames the board sent and nobody got, within calls and from one to the next that follows it at once.
         self.frames_lost = 0
@@ -213,8 +213,10 @@ class ErtBoardStream:
         """Wait for about a row, and take in what has come."""
         data = self._link.read_available()
         if not data:
-            self._clock.sleep(_WAITED_ROWS * self._row_s)
+            # One that has sent nothing for some rows is not looked after row by row.
+            self._clock.sleep((1 + self._waits) * _WAITED_ROWS * self._row_s)
             data = self._waited()
+        self._waits = 0 if data else self._waits + 1
         self._heard += len(data)
         frames = self._stream.feed(data)
         now_s = self._clock.now()
