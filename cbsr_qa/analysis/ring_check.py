@@ -110,8 +110,8 @@ def _leads(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
         _judged(ok),
         value=float(fit.lead_ohm[worst]),
         unit="ohm",
-        allowed=_within(allowed.lead_ohm, "ohm"),
-        said=f"largest at electrode {worst}; mean of all {fit.lead_ohm.mean():.3g} ohm",
+        allowed=_within(allowed.lead_ohm, "Ω"),
+        said=f"largest at electrode {worst}; mean of all {_number(float(fit.lead_ohm.mean()), 3)} Ω",
         remedy="" if ok else f"check plug, lead and switch of electrode {worst}",
         subject=RING,
     )
@@ -123,7 +123,7 @@ def _worst(fit: RingFit, ring: RingReadings, pattern: DrivePattern, allowed: Ref
     ok, unit = abs(residual) <= limit, str(ring.frames.unit)
     words = pair_words(pattern, (int(drive), int(measure)))
     mean, expected = float(fit.mean[drive, measure]), float(fit.expected[drive, measure])
-    said = f"{words}: {mean:.4g} {unit} where {expected:.4g} {unit} is expected"
+    said = f"{words}: {_number(mean)} {unit} where {_number(expected)} {unit} is expected"
     return CheckResult(
         "worst reading",
         _judged(ok),
@@ -169,6 +169,10 @@ def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> Check
         remedy="" if ok else "look for loose plugs and mains hum; average longer",
         subject=RING,
     )
+
+
+def _number(value: float, digits: int = 4) -> str:
+    return f"{value:.{digits}g}".replace("-", "−")
 
 
 def _within(limit: float, unit: str) -> str:

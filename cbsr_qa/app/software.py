@@ -9,6 +9,8 @@ from cbsr_qa.plugins import Plugins
 
 #: What numbers rest on, besides this package and its plugins.
 _NUMERICS: Final = ("numpy", "scipy", "scikit-image", "h5py", "sqlalchemy")
+#: What instruments are spoken to through.
+_LINKS: Final = ("pyserial", "pyvisa", "pyvisa-py")
 
 
 def software_versions(plugins: Plugins) -> tuple[tuple[str, str], ...]:
@@ -25,7 +27,7 @@ def software_versions(plugins: Plugins) -> tuple[tuple[str, str], ...]:
 
 def _installed() -> tuple[tuple[str, str], ...]:
     found = []
-    for name in _NUMERICS:
+    for name in (*_NUMERICS, *_LINKS):
         try:
             found.append((name, version(name)))
         except PackageNotFoundError:

@@ -12,13 +12,14 @@ from cbsr_qa.app.preflight import past_due
 from cbsr_qa.app.setup import check_clock, opener
 from cbsr_qa.clock import Clock
 from cbsr_qa.config.merge import Configuration
-from cbsr_qa.domain.errors import CbsrError, RefusedError
+from cbsr_qa.domain.errors import AbortedError, CbsrError, RefusedError
 from cbsr_qa.domain.plan import InstrumentSpec, ReferenceRing, Station
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.station_check import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.forward.resistor_ring import FEWEST_RESISTORS
 from cbsr_qa.interfaces import Instrument, Linked, Sampler, SelfTesting
 from cbsr_qa.plugins import Plugins
+from cbsr_qa.report.numbers import number, unit_shown
 from cbsr_qa.runner.bench import FORCE_APPLICATOR, FORCE_CHANNEL, FRAME_SOURCE, Bench, Mounted, identity_of
 from cbsr_qa.runner.stopping import Action, stop_all
 
@@ -251,6 +252,9 @@ class _Look:
 
 
 def _failed(subject: str, name: str, error: Exception) -> CheckResult:
+    """Line of something that went wrong; an operator who stops the check while being asked is none."""
+    if isinstance(error, AbortedError):
+        raise error
     if isinstance(error, CbsrError):
         return CheckResult(name, CheckOutcome.FAILED, said=error.reason, remedy=error.remedy, subject=subject)
     said = f"{type(error).__name__}: {error}"
@@ -304,7 +308,8 @@ def _sampled(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale_s: fl
     said = f"no sample in {stale_s:g} s"
     if len(block):
         mean, deviation = float(block.values.mean()), float(block.values.std())
-        said = f"mean {mean:.4g} {block.unit}, standard deviation {deviation:.2g} {block.unit}"
+        shown = unit_shown(block.unit)
+        said = f"mean {number(mean)} {shown}, standard deviation {number(deviation, 2)} {shown}"
     return CheckResult(
         name,
         CheckOutcome.OK if finite else CheckOutcome.FAILED,
@@ -319,5 +324,5 @@ def _sampled(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale_s: fl
 
 def _connect_words(resistances_ohm: tuple[float, ...]) -> str:
     alike = len(set(resistances_ohm)) == 1
-    of = f"{resistances_ohm[0]:g} ohm each" if alike else f"{min(resistances_ohm):g} to {max(resistances_ohm):g} ohm"
+    of = f"{resistances_ohm[0]:g} Ω each" if alike else f"{min(resistances_ohm):g} to {max(resistances_ohm):g} Ω"
     return f"Connect the reference ring ({len(resistances_ohm)} resistors, {of}) in place of the sensor"

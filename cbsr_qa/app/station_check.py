@@ -162,21 +162,14 @@ def check_station(
     AbortedError
         If a signal stopped it; the bench is safe then, and nothing is stored.
     """
-    plugins = discover()
-    configuration = _configuration(request)
-    station = configuration.station
-    ring = _ring(request, station.reference_ring)
-    real = not simulates_frames(station)
-    if real and request.golden and ring is not None and request.ring_connected:
-        raise RefusedError(
-            "the reference ring and a golden sensor cannot both be connected",
-            remedy="leave out --ring-connected and be asked for each, or check the golden sensor with --no-ring",
-        )
+    plugins, configuration = discover(), _configuration(request)
+    ring = _ring(request, configuration.station.reference_ring)
+    simulated = simulates_frames(configuration.station)
+    _refuse_both(request, ring, simulated)
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)
+    confirm: Confirm = None if ask is None else lambda words: _confirmed(ask, words)
     with open_store(database_url(request.database)) as store:
-        confirm: Confirm = None if ask is None else lambda words: _confirmed(ask, words)
-        ready = (lambda words: True) if request.ring_connected else confirm
         with _stoppable():
             found = look_at_bench(
                 configuration,
@@ -184,29 +177,48 @@ def check_station(
                 station_clock(configuration),
                 today=RealClock().wall().date(),
                 ring=ring,
-                confirm=ready,
+                confirm=(lambda words: True) if request.ring_connected else confirm,
                 ask=ask,
                 tell=tell,
             )
         _refuse_untried(found, configuration)
-        golden_run = None
-        if request.golden is not None and _may_press(request.golden, found, confirm if real else None):
-            golden_run = _golden(request, request.golden, found, store, ask, tell)
-        check = StationCheck(
-            check=store.new_id(),
-            station=station.name,
-            operator=request.operator,
-            checked_at=RealClock().wall(),
-            sensor_type=configuration.sensor_type.name,
-            configuration_digest=configuration.digest,
-            software=software_versions(plugins),
-            instruments=tuple(found.instruments),
-            results=tuple(found.lines),
-            golden_run=golden_run,
-        )
+        run = None
+        if request.golden is not None and _may_press(request.golden, found, None if simulated else confirm):
+            run = _golden(request, request.golden, found, store, ask, tell)
+        check = _check(store.new_id(), request, configuration, software_versions(plugins), found, run)
         store.save_station_check(check, found.ring)
     page, why = _written(check, found.ring, configuration, ring)
     return CheckedStation(check, page, why, bool(found.instruments))
+
+
+def _refuse_both(request: CheckRequest, ring: ReferenceRing | None, simulated: bool) -> None:
+    if request.golden and ring is not None and request.ring_connected and not simulated:
+        raise RefusedError(
+            "the reference ring and a golden sensor cannot both be connected",
+            remedy="leave out --ring-connected and be asked for each, or check the golden sensor with --no-ring",
+        )
+
+
+def _check(
+    name: str,
+    request: CheckRequest,
+    configuration: Configuration,
+    software: tuple[tuple[str, str], ...],
+    found: BenchFindings,
+    golden_run: str | None,
+) -> StationCheck:
+    return StationCheck(
+        check=name,
+        station=configuration.station.name,
+        operator=request.operator,
+        checked_at=RealClock().wall(),
+        sensor_type=configuration.sensor_type.name,
+        configuration_digest=configuration.digest,
+        software=software,
+        instruments=tuple(found.instruments),
+        results=tuple(found.lines),
+        golden_run=golden_run,
+    )
 
 
 def _configuration(request: CheckRequest) -> Configuration:

@@ -64,7 +64,7 @@ def test_a_bad_lead_is_named_and_takes_nothing_else_down():
     found = lines(ring(ring_readings((1e4,) * 16, PATTERN) + lead_readings(PATTERN) @ leads))
     assert outcomes(found) == {"lead resistance"}
     assert found["lead resistance"].value == pytest.approx(236.0)
-    assert found["lead resistance"].said.startswith("largest at electrode 7; mean of all 26 ohm")
+    assert found["lead resistance"].said.startswith("largest at electrode 7; mean of all 26 Ω")
     assert "electrode 7" in found["lead resistance"].remedy
 
 

@@ -193,6 +193,14 @@ def test_what_is_wrong_with_the_question_is_refused_and_nothing_is_written(check
     assert list(tmp_path.iterdir()) == []
 
 
+def test_ring_and_golden_sensor_at_once_are_refused_where_nobody_can_exchange_them(check, tmp_path):
+    content = load_station("simulated").document.text.replace('scene = "base"', "")
+    (tmp_path / "real.toml").write_text(content)
+    code, document = check("--station", "real.toml", "--golden", "G-1", "--ring-ohm", "5", "--ring-connected")
+    assert code == 2
+    assert "cannot both be connected" in document["refused"]["reason"]
+
+
 def test_a_scene_that_is_wrong_is_refused_like_that_of_a_run(check, tmp_path):
     code, document = check("--station", faulty(tmp_path, 'name = "reading-ofset"\noffset_V = 1.0'))
     assert code == 2

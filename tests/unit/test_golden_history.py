@@ -72,6 +72,17 @@ def test_fewer_than_three_earlier_runs_are_no_verdict(earlier):
     assert "no verdict" in found["history"].remedy
 
 
+@pytest.mark.parametrize(("runs", "deviations"), [(3, 38.3), (5, 9.7), (10, 5.1)])
+def test_intervals_reach_as_far_as_the_documentation_says(runs, deviations):
+    random = np.random.default_rng(9)
+    earlier = history(random, runs)
+    of = [run.figures["force"].value for run in earlier.runs]
+    reach = deviations * np.std(of, ddof=1)
+    for outside, outcome in ((1.03, FAILED), (0.97, WARNING)):
+        new = {**values(random), "force": float(np.mean(of)) + outside * reach}
+        assert compared(new, earlier)["force"].outcome is outcome
+
+
 def test_while_nothing_changes_one_check_in_a_hundred_fails_and_one_in_twenty_says_anything():
     random, trials, failed, said = np.random.default_rng(5), 400, 0, 0
     for _ in range(trials):

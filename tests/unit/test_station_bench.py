@@ -9,7 +9,7 @@ import pytest
 from cbsr_qa.app.setup import configure
 from cbsr_qa.app.station_bench import look_at_bench, with_ring
 from cbsr_qa.clock import VirtualClock
-from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError
+from cbsr_qa.domain.errors import AbortedError, ConfigError, InstrumentError, RefusedError
 from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.plan import InstrumentSpec, ReferenceRing
 from cbsr_qa.domain.station_check import CheckOutcome, CheckResult
@@ -171,7 +171,7 @@ def test_one_that_does_not_reach_its_safe_state_fails_the_check(bench):
 def test_on_a_real_bench_the_operator_connects_the_ring_first(bench):
     asked = []
     found = bench.look(RING, lambda words: asked.append(words) or True)
-    assert asked == ["Connect the reference ring (16 resistors, 10000 ohm each) in place of the sensor"]
+    assert asked == ["Connect the reference ring (16 resistors, 10000 Ω each) in place of the sensor"]
     assert len(found.ring.frames) == RING.frames
     assert [call.arguments for call in bench.script.calls if call.name == "frame_source.acquire"] == [(5,)]
     assert bench.lines["reference ring", "gain error"].value == pytest.approx(-100.0)  # ones are nothing but offset
@@ -277,3 +277,11 @@ def test_a_head_that_does_not_move_has_no_samples_and_nothing_is_wrong_with_it(b
     bench.look()
     line = bench.lines["force_applicator", "samples of head depth"]
     assert (line.outcome, line.value) == (NOT_DONE, None)
+
+
+def test_an_operator_who_stops_the_check_while_being_asked_ends_it_and_leaves_the_bench_safe(bench):
+    bench.instruments["load_cell"].self_test = raising(AbortedError("the operator, who answered 'stop'"))
+    with pytest.raises(AbortedError):
+        bench.look()
+    assert [bench.script.count(f"{role}.safe_state") for role in ROLES] == [1, 1, 1]
+    assert [bench.script.count(f"{role}.close") for role in ROLES] == [1, 1, 1]

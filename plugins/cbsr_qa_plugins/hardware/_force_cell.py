@@ -1,7 +1,7 @@
 """What load cells have in common, whatever they are read by: zero, limit, and a known mass."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Protocol
 
 import numpy as np
@@ -134,9 +134,13 @@ class ForceCell:
         self._zero_N = 0.0
 
     def identity(self) -> InstrumentIdentity:
-        """Say who it is, while it sends."""
+        """Say who it is, while it sends, and what was taken for zero at the opening."""
         self._source.check_alive()
-        return self._who()
+        said = self._who()
+        if self._settings.tare_s == 0:
+            return said
+        tare = f"{self._zero_N:.4g} N, mean of {self._settings.tare_s:g} s".replace("-", "−")
+        return replace(said, notes=(*said.notes, ("tare", tare)))
 
     def alive(self) -> None:
         """Raise InstrumentError if it has fallen silent."""
