@@ -1,5 +1,6 @@
 """The instruments of a station, by the roles they fill."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -200,8 +201,8 @@ def _recognise(spec: InstrumentSpec, said: InstrumentIdentity) -> None:
 
 def _names(expected: str, found: str) -> bool:
     """Whether all words of the one follow each other in the other: "2634B" names a "Model 2634B"."""
-    wanted, said = expected.casefold().split(), found.casefold().split()
-    return any(said[first : first + len(wanted)] == wanted for first in range(len(said)))
+    wanted, said = (re.findall(r"[^\s,;]+", words.casefold()) for words in (expected, found))
+    return bool(wanted) and any(said[first : first + len(wanted)] == wanted for first in range(len(said)))
 
 
 def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:

@@ -178,6 +178,7 @@ def identified(says_model, says_serial, **expected):
         {},
         {"model": "2634B"},
         {"model": "model 2634b"},
+        {"model": "Instruments Inc., Model 2634B"},
         {"serial": "4031823"},
         {"model": "Keithley Instruments Inc. Model 2634B", "serial": " 4031823 "},
     ],
