@@ -10,6 +10,8 @@ from cbsr_qa.emulate.head import EmulatedHead
 from cbsr_qa.simulate.frames import SimulatedFrame
 from cbsr_qa.simulate.world import SimulatedWorld
 
+#: More rounds than a session has.
+_ROUNDS_BITS: Final = 32
 #: A round that takes so many times as long as expected was broken off.
 _LATEST_ROUNDS: Final = 3.0
 
@@ -69,7 +71,8 @@ class EmulatedRig:
         self.lock = clock.lock
         self.world = world
         self.motion = motion
-        self.wiring = Wiring()
+        # Rounds count on from elsewhere in a session that goes on with a run: their noise is addressed by the count.
+        self.wiring = Wiring(frame=math.ceil(1e3 * world.setting.began_s) << _ROUNDS_BITS)
         # It watches the clock before any instrument does: what they say of a moment rests on where the head was.
         self.head = EmulatedHead(clock, world, motion)
         self._taken: tuple[int, float, SimulatedFrame] | None = None

@@ -26,10 +26,10 @@ OHM = np.add.outer(100.0 * np.arange(1, 17), np.arange(1, 17)) + np.diag(np.full
 class TabledWorld:
     """A sheet that is a table of readings per ampere; it counts how often it was solved."""
 
-    def __init__(self, ohm=OHM):
+    def __init__(self, ohm=OHM, *, began_s=0.0):
         self.ohm = np.array(ohm, dtype=float)
         self.drive_ohm = np.abs(np.diag(self.ohm)).copy()
-        self.setting = SceneSetting(SENSOR, MATERIAL, Indenter(13.0), 1, SCENE_A)
+        self.setting = SceneSetting(SENSOR, MATERIAL, Indenter(13.0), 1, SCENE_A, began_s=began_s)
         self.presses = []
         self.asked = []
 

@@ -8,6 +8,7 @@ from scanning_rig import MATERIAL, PATTERN, SENSOR, Scanning
 from cbsr_qa.clock import RealClock
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.station_check import CheckOutcome
 from cbsr_qa.emulate import multiplexer as emulated
 from cbsr_qa.emulate import streams
 from cbsr_qa.emulate.clock import WatchedClock
@@ -235,6 +236,18 @@ def test_a_board_that_was_unplugged_is_opened_again(bench, monkeypatch):
     scanner.start()
     assert scanner._link._port is not port
     assert connected(bench) == (0, 0)
+
+
+def test_it_tests_itself_by_a_whole_round(bench, monkeypatch):
+    scanner = bench.open_multiplexer()
+    (line,) = scanner.self_test()
+    assert line.outcome is CheckOutcome.OK
+    board = bench.emulation.instruments["multiplexer"]
+    connect, steps = board._connect, []
+    monkeypatch.setattr(board, "_connect", lambda n: (steps.append(n), len(steps) == 100 or connect(n)))
+    (line,) = scanner.self_test()
+    assert line.outcome is CheckOutcome.FAILED
+    assert line.said == "256 steps lead from the first combination to number 256"
 
 
 class Stranger:

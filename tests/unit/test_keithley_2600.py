@@ -7,10 +7,11 @@ from scanning_rig import OHM, Scanning, TabledWorld, context
 
 from cbsr_qa.clock import RealClock
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.station_check import CheckOutcome
 from cbsr_qa.emulate import source_meter, streams
 from cbsr_qa.emulate.faults import Fault
 from cbsr_qa.emulate.streams import TcpPort
-from cbsr_qa.interfaces import Alive, SourceMeter
+from cbsr_qa.interfaces import Alive, SelfTesting, SourceMeter
 from cbsr_qa_plugins.hardware.keithley_2600 import open_source_meter
 
 
@@ -204,6 +205,26 @@ def test_an_instrument_that_is_gone_is_an_error_with_role_and_address(hasty, fau
         with pytest.raises(InstrumentError, match="meter at TCPIP::") as gone:
             meter.measure()
         assert gone.value.remedy
+
+
+def test_it_tests_itself_without_current_and_is_off_after_it(bench, monkeypatch):
+    meter = bench.open_meter()
+    assert isinstance(meter, SelfTesting)
+    meter.source(1e-4)
+    lines = {line.name: line for line in meter.self_test()}
+    assert [line.outcome for line in lines.values()] == [CheckOutcome.OK] * 3
+    assert lines["zero voltage"].allowed == "within 0.02 V"
+    assert bench.rig.wiring.current_A is None
+    meter.source(1e-4)  # and may be used again
+    instrument = bench.emulation.instruments["meter"]
+    instrument.received(b"?\n")
+    monkeypatch.setattr(instrument, "_volts", lambda channel: 0.05)
+    lines = {line.name: line for line in meter.self_test()}
+    assert lines["errors"].outcome is CheckOutcome.FAILED
+    assert lines["errors"].said.startswith("-285 TSP Syntax error")
+    assert lines["zero voltage"].outcome is CheckOutcome.FAILED
+    assert lines["zero voltage"].value == pytest.approx(0.05)
+    assert lines["zero current"].outcome is CheckOutcome.OK
 
 
 # --- safe state ---

@@ -8,6 +8,7 @@ from scanning_rig import OHM, SCENE_A, Scanning, TabledWorld
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.frames import ReadingFlag, VoltageUnit
+from cbsr_qa.domain.station_check import CheckOutcome
 from cbsr_qa.emulate import streams
 from cbsr_qa.emulate.faults import Fault
 from cbsr_qa.interfaces import FrameSource, Linked
@@ -75,6 +76,16 @@ def test_the_sheet_is_solved_once_a_frame_of_the_moment_in_its_middle(bench):
     assert len({index for _, index in bench.world.asked}) == 3
 
 
+def test_the_noise_of_a_session_that_goes_on_with_a_run_is_another():
+    first, later = (Scanning(TabledWorld(began_s=began_s)) for began_s in (0.0, 12.3456))
+    with first, later:
+        for bench in (first, later):
+            bench.open_frames(current_mA=0.2).acquire(2)
+        indices = [{index for _, index in bench.world.asked} for bench in (first, later)]
+    assert not indices[0] & indices[1]
+    assert min(indices[1]) >= 12346 << 32
+
+
 @pytest.mark.parametrize(("limit_V", "largest_mA", "chosen_mA"), [(20, 1, 0.6), (10, 1, 0.3), (20, 0.5, 0.5)])
 def test_the_current_is_chosen_to_leave_a_quarter_of_the_limit(limit_V, largest_mA, chosen_mA):
     # The largest driven pair reads 19.6 kΩ; 0.8 and 0.4 mA would take more than 15 and 7.5 V.
@@ -134,6 +145,21 @@ def test_leads_the_other_way_round_are_noticed_and_can_be_told():
     with Scanning(TabledWorld(-OHM)) as bench:
         block = bench.open_frames(polarity="reversed", current_mA=0.2).acquire(1)
         assert np.allclose(block.voltages[0], 0.2e-3 * OHM, rtol=1e-6)
+
+
+def test_it_tests_itself_by_the_contacts(bench):
+    frames = bench.open_frames(current_mA=0.2)
+    contacts, current = frames.self_test()
+    assert contacts.outcome is current.outcome is CheckOutcome.OK
+    assert contacts.said == "pairs of 18.1 to 19.6 kΩ"
+    assert current.value == pytest.approx(0.2)
+    assert "3.92 V of the source's 20 V" in current.said
+    assert bench.rig.wiring.current_A is None
+    for pair, ohm, outcome in ((4, 45e3, CheckOutcome.WARNING), (9, 1e9, CheckOutcome.FAILED)):
+        bench.world.drive_ohm[pair] = bench.world.ohm[pair, pair] = ohm
+        contacts, _ = frames.self_test()
+        assert contacts.outcome is outcome
+        assert f"pair {pair}-{pair + 1} reads" in contacts.said
 
 
 def lose_a_step(bench, at):

@@ -1,6 +1,5 @@
 """The 16-channel multiplexer on an ESP32 with its command firmware: one byte a command, each echoed."""
 
-import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -10,8 +9,10 @@ from cbsr_qa.clock import RealClock
 from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.scan_order import Order, scan_order
+from cbsr_qa.domain.station_check import CheckOutcome, CheckResult
 from cbsr_qa.interfaces import StationContext
 from cbsr_qa.links.serial_link import SerialLink
+from cbsr_qa_plugins.hardware._esp32_replies import Position, counter_in, is_log, last_position
 from cbsr_qa_plugins.hardware._options import InstrumentTable
 
 _DRIVER: Final = "esp32-multiplexer"
@@ -27,11 +28,6 @@ _OPTIONS: Final = (
     "reconnect_s",
 )
 
-#: The firmware's labels of source and sink are swapped; which of the two voltage pins is the positive one is a matter
-#: of how the meter is wired, and not looked at here.
-_ELECTRODES: Final = re.compile(rb"isrc(\d+),isnk(\d+),vn(\d+),vp(\d+)")
-_COLOUR: Final = re.compile(rb"\x1b\[[0-9;]*m")
-_LOG_LINE: Final = re.compile(rb"[EWIDV] \(\d+\) ")
 _ESCAPE: Final = b"\x1b"
 #: The counter comes with the next log line, up to a second after it was asked for.
 _COUNTER_S: Final = 1.5
@@ -126,6 +122,20 @@ class Esp32Multiplexer:
             if self._asked() != before and before is not None:
                 raise self._error("it has been restarted: it is not where it was left", retryable=True)
 
+    def self_test(self) -> tuple[CheckResult, ...]:
+        """Step through a whole round, and see that it ends where it began (line ``round``)."""
+        with self._talking():
+            self._started()
+            for _ in self._order:
+                self._stepped()
+            found = self._asked()
+        count = len(self._order)
+        said = f"{count} steps lead from the first combination to number {found + 1}"
+        if found == 0:
+            return (CheckResult("round", CheckOutcome.OK, said=said),)
+        remedy = "steps are lost or done twice: look at the cable, and at what else is on its supply"
+        return (CheckResult("round", CheckOutcome.FAILED, said=said, remedy=remedy),)
+
     # --- multiplexer ---
 
     def order(self) -> Order:
@@ -218,7 +228,7 @@ class Esp32Multiplexer:
         self._link.flush_input()
         self._link.write(b"c")
         until_s, said = self._time.now() + _COUNTER_S, b""
-        while self._time.now() < until_s and (counter := _counter(said)) is None:
+        while self._time.now() < until_s and (counter := counter_in(said)) is None:
             with suppress(InstrumentError):
                 said += self._link.read(1, timeout_s=_QUIET_S)
         if counter is not None and counter % len(self._order) != at:
@@ -268,7 +278,7 @@ class Esp32Multiplexer:
     def _forget(self) -> None:
         """Throw away what it said unasked; of a log line the rest as well."""
         said = self._link.read_available()
-        if said.rfind(_ESCAPE) > said.rfind(b"\n") or _LOG_LINE.search(said.rpartition(b"\n")[2]):
+        if said.rfind(_ESCAPE) > said.rfind(b"\n") or is_log(said.rpartition(b"\n")[2]):
             self._link.read_line()
 
     def _asked(self, *, late: bool = False) -> int:
@@ -284,10 +294,10 @@ class Esp32Multiplexer:
         until_s = self._time.now() + self._timeout_s * (_PATIENCE if late else 1.0)
         while found is None and self._time.now() < until_s:
             said += self._line(self._timeout_s)
-            found = _last(said)
+            found = last_position(said)
         while late and (more := self._line(_QUIET_S)):
-            found = _last(more) or found
-        found = _last(self._link.read_available()) or found
+            found = last_position(more) or found
+        found = last_position(self._link.read_available()) or found
         if found is None:
             raise self._error(
                 f"asked which electrodes it connects, it says {said[-80:]!r}",
@@ -306,8 +316,8 @@ class Esp32Multiplexer:
                 raise
             return b""
 
-    def _index(self, found: re.Match[bytes]) -> int:
-        sink, source, *voltage = map(int, found.groups())
+    def _index(self, found: Position) -> int:
+        (source, sink), voltage = found
         drives = [index for index, pair in enumerate(self._pattern.drive) if pair == (source, sink)]
         measures = [index for index, pair in enumerate(self._pattern.measure) if set(pair) == set(voltage)]
         for drive in drives:
@@ -327,15 +337,3 @@ class Esp32Multiplexer:
 
     def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
         return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=retryable)
-
-
-def _last(said: bytes) -> re.Match[bytes] | None:
-    """Find the last answer to ``g``; log lines and echoes may be glued to it."""
-    found = list(_ELECTRODES.finditer(_COLOUR.sub(b"", said)))
-    return found[-1] if found else None
-
-
-def _counter(said: bytes) -> int | None:
-    """Find the counter: digits between the echo and the log line that is glued to it."""
-    found = re.search(rb"c(\d+)(?=[^\d])", said)
-    return None if found is None else int(found[1])

@@ -1,6 +1,5 @@
 """Keithley 2600 series source-measure unit: one channel drives the sheet, the other measures (TSP over VISA)."""
 
-import itertools
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -11,10 +10,12 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.domain.station_check import CheckOutcome, CheckResult
 from cbsr_qa.interfaces import MeterReading, StationContext
 from cbsr_qa.links.visa_link import VisaLink
 from cbsr_qa_plugins.hardware._keithley_tsp import MEASURE, settings
 from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa_plugins.hardware._tsp_unit import TspUnit
 
 _DRIVER: Final = "keithley-2600"
 _OPTIONS: Final = (
@@ -35,12 +36,12 @@ _OVER_TEMPERATURE, _COMPLIANCE = 0x02, 0x40
 _NO_NUMBER: Final = 9e37
 #: A voltage above this share of the compliance is taken for the limit, as in the rig's own script.
 _AT_THE_LIMIT: Final = 0.99
-#: Set values may be rounded to the instrument's resolution; what is further off was not taken.
-_TOLERANCE: Final = 1e-4
 #: The source's own current is read this fast: it costs 20 µs and brings the status bit of its limit [NPLC].
 _CURRENT_NPLC: Final = 0.001
 #: What the instrument needs for a reading beside the aperture [s], from its data sheet's rates at 0.001 NPLC.
 _OVERHEAD_S: Final = 1e-4
+#: With no current asked for, neither reads more than this share of its range.
+_ZERO_SHARE: Final = 1e-3
 #: How long the safe state waits for a thread that hangs in a question before it goes around it [s, real time].
 _PATIENCE_S: Final = 0.1
 
@@ -90,7 +91,6 @@ class Keithley2600:
         self._readings = table.whole("readings", 1, at_least=1, at_most=1000)
         self._line_Hz = 50.0
         self._lock = threading.RLock()
-        self._words = itertools.count(1)
         self._ready = False
         self._given_A: float | None = None
         self._link = VisaLink(
@@ -99,8 +99,9 @@ class Keithley2600:
             timeout_s=table.number("timeout_s", 1.0, at_least=0.01, at_most=60.0) + self.reading_period_s,
             backend=table.text("visa_backend", "@py"),
         )
+        self._unit = TspUnit(self._link)
         try:
-            self._greet()
+            self._unit.greet()
             with self._talking():
                 pass
         except BaseException:
@@ -112,7 +113,7 @@ class Keithley2600:
     def identity(self) -> InstrumentIdentity:
         """Ask who it is."""
         with self._talking():
-            maker, model, serial, firmware = self._asked_identity()
+            maker, model, serial, firmware = self._unit.identity()
         return InstrumentIdentity(self._role, _DRIVER, f"{maker} {model}", serial, firmware, simulated=False)
 
     def safe_state(self) -> None:
@@ -131,7 +132,7 @@ class Keithley2600:
                 # The one who hangs gives up at its timeout; only then can an answer be read.
                 held = self._lock.acquire(timeout=2 * self._link.timeout_s)
                 if not held:
-                    raise self._error("told to switch off; another question hangs, so that it cannot confirm it")
+                    raise self._unit.error("told to switch off; another question hangs, so that it cannot confirm it")
             self._confirmed_off()
         finally:
             if held:
@@ -150,9 +151,31 @@ class Keithley2600:
             If it does not answer, or has been reset.
         """
         with self._talking():
-            output = self._numbers(f"{self._source}.source.output")[0]
+            output = self._unit.numbers(f"{self._source}.source.output")[0]
             if (output == 1) != (self._given_A is not None):
-                raise self._error("it has been reset: its output is not as it was left", retryable=True)
+                raise self._unit.error("it has been reset: its output is not as it was left", retryable=True)
+
+    def self_test(self) -> tuple[CheckResult, ...]:
+        """Look at the error queue, and at what both channels read while no current is asked for.
+
+        Returns
+        -------
+        Lines ``errors``, ``zero voltage`` and ``zero current``; both channels are off after them.
+        """
+        with self._lock:
+            with self._talking():
+                errors = self._unit.errors()
+                self._unit.write(f"{self._source}.source.leveli = 0")
+                for channel in (self._meter, self._source):
+                    self._unit.write(f"{channel}.source.output = {channel}.OUTPUT_ON")
+                volts, amperes = self._unit.numbers(f"{self._meter}.measure.v()", f"{self._source}.measure.i()")
+            self._confirmed_off()
+        outcome = CheckOutcome.FAILED if errors else CheckOutcome.OK
+        return (
+            CheckResult("errors", outcome, said="; ".join(errors) or "none in its queue"),
+            _zero("zero voltage", volts, "V", _ZERO_SHARE * self._range_V),
+            _zero("zero current", amperes, "A", _ZERO_SHARE * self._largest_A),
+        )
 
     # --- source meter ---
 
@@ -180,18 +203,18 @@ class Keithley2600:
             If the current is more than the station allows, or the instrument does not take it.
         """
         if not 0 < abs(current_A) <= self._largest_A:
-            raise self._error(
+            raise self._unit.error(
                 f"{1e3 * current_A:g} mA were asked for; the station allows {1e3 * self._largest_A:g} mA",
                 remedy="change largest_current_mA of its table, or the current of the frame source",
             )
         with self._talking():
             if self._given_A == current_A:
                 return
-            self._link.write(f"{self._source}.source.leveli = {current_A:.9e}")
+            self._unit.write(f"{self._source}.source.leveli = {current_A:.9e}")
             for channel in (self._meter, self._source):
-                self._link.write(f"{channel}.source.output = {channel}.OUTPUT_ON")
-            self._check_errors("switching the source on")
-            self._check({f"{self._source}.source.leveli": current_A, f"{self._source}.source.output": 1.0})
+                self._unit.write(f"{channel}.source.output = {channel}.OUTPUT_ON")
+            self._unit.check_errors("switching the source on")
+            self._unit.check({f"{self._source}.source.leveli": current_A, f"{self._source}.source.output": 1.0})
             self._given_A = current_A
 
     def off(self) -> None:
@@ -209,12 +232,9 @@ class Keithley2600:
         """
         with self._talking():
             if self._given_A is None:
-                raise self._error("asked to measure while the source is off", retryable=True)
-            word = f"{next(self._words) % 1000000:06d}"
+                raise self._unit.error("asked to measure while the source is off", retryable=True)
             before_s = self._clock.now()
-            values = self._link.query_binary(
-                f'{MEASURE}({self._readings}, "{word}")', 4 * self._readings, mark=word
-            ).reshape(-1, 4)
+            values = self._unit.table(MEASURE, self._readings, 4)
             time_s = (before_s + self._clock.now()) / 2
             return self._reading(values, time_s)
 
@@ -224,10 +244,10 @@ class Keithley2600:
         volts, meter_status, amperes, source_status = values.T
         if (meter_status > _NO_NUMBER).any() or (source_status > _NO_NUMBER).any():
             got = int((meter_status < _NO_NUMBER).sum())
-            raise self._error(f"took {got} of {self._readings} readings", retryable=True)
+            raise self._unit.error(f"took {got} of {self._readings} readings", retryable=True)
         bits_meter, bits_source = (np.bitwise_or.reduce(s.astype(np.int64)) for s in (meter_status, source_status))
         if (bits_meter | bits_source) & _OVER_TEMPERATURE:
-            raise self._error(
+            raise self._unit.error(
                 "it is too warm to go on", remedy="let it cool down; look at its fan and its surroundings"
             )
         beyond = np.abs(volts) > _NO_NUMBER
@@ -257,7 +277,7 @@ class Keithley2600:
         self._given_A = None
         self._link.recover()
         self._switch_off()
-        self._asked_identity()
+        self._unit.identity()
         for line in settings(
             self._source,
             self._meter,
@@ -267,10 +287,10 @@ class Keithley2600:
             nplc=self._nplc,
             current_nplc=_CURRENT_NPLC,
         ):
-            self._link.write(line)
-        self._check_errors("its settings")
-        self._line_Hz = self._numbers("localnode.linefreq")[0]
-        self._check(
+            self._unit.write(line)
+        self._unit.check_errors("its settings")
+        self._line_Hz = self._unit.numbers("localnode.linefreq")[0]
+        self._unit.check(
             {
                 f"{self._source}.source.limitv": self._compliance_V,
                 f"{self._source}.source.output": 0.0,
@@ -281,9 +301,9 @@ class Keithley2600:
 
     def _switch_off(self) -> None:
         """Tell both channels, whatever the instrument is doing; a script that runs is ended first."""
-        self._link.write("abort")
+        self._unit.write("abort")
         for channel in (self._source, self._meter):
-            self._link.write(f"{channel}.source.output = 0")
+            self._unit.write(f"{channel}.source.output = 0")
 
     def _confirmed_off(self) -> None:
         """Switch off and read back, a second time where the link was out of step."""
@@ -301,59 +321,19 @@ class Keithley2600:
     def _says_off(self) -> bool:
         """Switch off; true where reading back confirms it."""
         self._switch_off()
-        outputs = self._numbers(f"{self._source}.source.output", f"{self._meter}.source.output")
+        outputs = self._unit.numbers(f"{self._source}.source.output", f"{self._meter}.source.output")
         if any(outputs):
-            raise self._error(f"told to switch off, it says its outputs are {outputs}")
+            raise self._unit.error(f"told to switch off, it says its outputs are {outputs}")
         return True
 
-    def _greet(self) -> None:
-        """Ask a stranger who it is, in words every instrument knows: the next ones only the right one knows."""
-        try:
-            self._asked_identity()
-        except InstrumentError as stranger:
-            # An answer left over from before is no stranger: then it comes back into step.
-            try:
-                self._link.recover()
-            except InstrumentError:
-                raise stranger from None
 
-    def _asked_identity(self) -> tuple[str, str, str, str]:
-        said = self._link.query("*IDN?")
-        parts = [part.strip() for part in said.split(",")]
-        if len(parts) != 4 or "keithley" not in parts[0].lower() or not parts[1].lower().startswith("model 26"):
-            raise self._error(
-                f"it says it is {said[:80]!r}; a Keithley 2600 series unit is expected",
-                remedy="mend the address in the station file",
-            )
-        return parts[0], parts[1], parts[2], parts[3]
-
-    def _numbers(self, *names: str) -> tuple[float, ...]:
-        """Ask for attributes."""
-        word = f"w{next(self._words)}"
-        said = self._link.query(f'print("{word}", {", ".join(names)})', mark=word)
-        try:
-            values = tuple(float(one) for one in said.split("\t"))
-        except ValueError:
-            values = ()
-        if len(values) != len(names):
-            raise self._error(f"answered {said[:80]!r} when asked for {', '.join(names)}", retryable=True)
-        return values
-
-    def _check(self, wanted: dict[str, float]) -> None:
-        """Read settings back and compare."""
-        for (name, value), found in zip(wanted.items(), self._numbers(*wanted), strict=True):
-            if abs(found - value) > _TOLERANCE * abs(value):
-                raise self._error(f"{name} was set to {value:.9g}, and reads back as {found:.9g}")
-
-    def _check_errors(self, doing: str) -> None:
-        """Empty the error queue; anything in it is refused."""
-        found = []
-        for _ in range(int(self._numbers("errorqueue.count")[0])):
-            word = f"w{next(self._words)}"
-            code, message, *_ = [*self._link.query(f'print("{word}", errorqueue.next())', mark=word).split("\t"), ""]
-            found.append(f"{float(code):.0f} {message}")
-        if found:
-            raise self._error(f"refused {doing}: {'; '.join(found)}")
-
-    def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
-        return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=retryable)
+def _zero(name: str, value: float, unit: str, most: float) -> CheckResult:
+    well = abs(value) <= most
+    return CheckResult(
+        name,
+        CheckOutcome.OK if well else CheckOutcome.FAILED,
+        value if abs(value) < _NO_NUMBER else None,
+        unit,
+        f"within {most:.3g} {unit}",
+        "" if well else "take the leads off and ask again: what is left is the unit's own and wants its calibration",
+    )

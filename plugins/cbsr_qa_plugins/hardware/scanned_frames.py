@@ -7,10 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.contact_check import ContactState, contact_faults
+from cbsr_qa.domain.contact_check import ContactFault, ContactState, contact_faults
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit, join_frames
 from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.domain.station_check import CheckOutcome, CheckResult
 from cbsr_qa.interfaces import Instrument, MeterReading, Multiplexer, SourceMeter, StationContext
 from cbsr_qa_plugins.hardware._options import InstrumentTable
 
@@ -80,6 +81,20 @@ class ScannedFrames:
 
     def close(self) -> None:
         """Nothing to give back."""
+
+    def self_test(self) -> tuple[CheckResult, ...]:
+        """Look at the contacts by the driven pairs (line ``contacts``), and at the current (``current``)."""
+        ohm = self._driven_ohm()
+        faults = self._contact_faults(ohm)
+        outcome = CheckOutcome.OK
+        if faults:
+            poor = all(fault.state is ContactState.POOR for fault in faults)
+            outcome = CheckOutcome.WARNING if poor else CheckOutcome.FAILED
+        remedy = "look at the pins and leads that are named" if faults else ""
+        contacts = CheckResult("contacts", outcome, said=self._contacts, remedy=remedy)
+        volts = self._current_A * float(np.nanmax(np.where(np.isfinite(ohm), np.abs(ohm), 0.0)))
+        left = f"{volts:.3g} V of the source's {self._meter.compliance_V:g} V on the worst pair"
+        return contacts, CheckResult("current", CheckOutcome.OK, 1e3 * self._current_A, "mA", said=left)
 
     def link(self, peers: Mapping[str, Instrument]) -> None:
         """Take meter and multiplexer, look at the contacts, and settle the current.
@@ -203,14 +218,25 @@ class ScannedFrames:
                 f"driven pairs read {np.median(measured) / 1e3:.3g} kΩ: the meter's leads are the other way round",
                 'exchange them, or set polarity to the other of "normal" and "reversed"',
             )
-        faults = contact_faults(self._pattern, np.where(np.isnan(ohm), np.nanmedian(measured), np.abs(ohm)))
-        known = np.abs(measured[np.isfinite(measured)])
+        faults = self._contact_faults(ohm)
         said = [fault.words() for fault in faults]
-        self._contacts = "; ".join([f"pairs of {known.min() / 1e3:.3g} to {known.max() / 1e3:.3g} kΩ", *said])
         if self._refuses and any(fault.state is not ContactState.POOR for fault in faults):
             raise self._refused("; ".join(said), 'mend the contact, or set contacts = "warn" to measure all the same')
         for text in said:
             _log.warning("%s: %s", self._role, text)
+
+    def _contact_faults(self, ohm: NDArray[np.float64]) -> tuple[ContactFault, ...]:
+        """Find the faults, and keep in words what was found."""
+        measured = ohm[~np.isnan(ohm)]
+        if not measured.size:
+            return ()
+        faults = contact_faults(self._pattern, np.where(np.isnan(ohm), np.median(measured), np.abs(ohm)))
+        known = np.abs(measured[np.isfinite(measured)])
+        pairs = (
+            f"pairs of {known.min() / 1e3:.3g} to {known.max() / 1e3:.3g} kΩ" if known.size else "no pair conducts"
+        )
+        self._contacts = "; ".join([pairs, *(fault.words() for fault in faults)])
+        return faults
 
     def _chosen_A(self, ohm: NDArray[np.float64]) -> float:
         """Return the stated current if it leaves the headroom, or the largest round one that does."""

@@ -1,0 +1,99 @@
+"""Questions to a unit of Keithley's 2600 series, each with a word of its own that its answer repeats."""
+
+import itertools
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.links.visa_link import VisaLink
+
+#: Set values may be rounded to the instrument's resolution; what is further off was not taken.
+_TOLERANCE = 1e-4
+
+
+class TspUnit:
+    """A unit that is spoken to in TSP.
+
+    Parameters
+    ----------
+    link : the open session.
+    """
+
+    def __init__(self, link: VisaLink) -> None:
+        self._link = link
+        self._words = itertools.count(1)
+
+    def write(self, line: str) -> None:
+        """Send a line that has no answer."""
+        self._link.write(line)
+
+    def greet(self) -> None:
+        """Ask a stranger who it is, in words every instrument knows: the next ones only the right one knows."""
+        try:
+            self.identity()
+        except InstrumentError as stranger:
+            # An answer left over from before is no stranger: then it comes back into step.
+            try:
+                self._link.recover()
+            except InstrumentError:
+                raise stranger from None
+
+    def identity(self) -> tuple[str, str, str, str]:
+        """Return maker, model, serial number and firmware.
+
+        Raises
+        ------
+        InstrumentError
+            If it is no unit of the series.
+        """
+        said = self._link.query("*IDN?")
+        parts = [part.strip() for part in said.split(",")]
+        if len(parts) != 4 or "keithley" not in parts[0].lower() or not parts[1].lower().startswith("model 26"):
+            raise self.error(
+                f"it says it is {said[:80]!r}; a Keithley 2600 series unit is expected",
+                remedy="mend the address in the station file",
+            )
+        return parts[0], parts[1], parts[2], parts[3]
+
+    def numbers(self, *names: str) -> tuple[float, ...]:
+        """Ask for attributes, or what functions return."""
+        word = f"w{next(self._words)}"
+        said = self._link.query(f'print("{word}", {", ".join(names)})', mark=word)
+        try:
+            values = tuple(float(one) for one in said.split("\t"))
+        except ValueError:
+            values = ()
+        if len(values) != len(names):
+            raise self.error(f"answered {said[:80]!r} when asked for {', '.join(names)}", retryable=True)
+        return values
+
+    def table(self, function: str, rows: int, columns: int) -> NDArray[np.float64]:
+        """Call a function ``f(rows, word)`` that prints so many binary numbers and then the word: (rows, columns)."""
+        word = f"{next(self._words) % 1000000:06d}"
+        numbers = self._link.query_binary(f'{function}({rows}, "{word}")', rows * columns, mark=word)
+        return numbers.reshape(rows, columns)
+
+    def check(self, wanted: dict[str, float]) -> None:
+        """Read settings back and compare."""
+        for (name, value), found in zip(wanted.items(), self.numbers(*wanted), strict=True):
+            if abs(found - value) > _TOLERANCE * abs(value):
+                raise self.error(f"{name} was set to {value:.9g}, and reads back as {found:.9g}")
+
+    def check_errors(self, doing: str) -> None:
+        """Empty the error queue; anything in it is refused."""
+        if found := self.errors():
+            raise self.error(f"refused {doing}: {'; '.join(found)}")
+
+    def errors(self) -> list[str]:
+        """Empty the error queue: code and message of each."""
+        found = []
+        for _ in range(int(self.numbers("errorqueue.count")[0])):
+            word = f"w{next(self._words)}"
+            code, message, *_ = [*self._link.query(f'print("{word}", errorqueue.next())', mark=word).split("\t"), ""]
+            found.append(f"{float(code):.0f} {message}")
+        return found
+
+    def error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
+        """Return an error that names role and address."""
+        return InstrumentError(self._link.role, self._link.address, reason, remedy=remedy, retryable=retryable)
