@@ -210,7 +210,7 @@ def scripted_bench(script: Script, sensor_type: SensorType, *, frame_period_s: f
         Mounted(InstrumentSpec(one.role, "scripted", (one.role,), {}, None), one)
         for one in (applicator, frames, ScriptedLoadCell(script, applicator))
     ]
-    return Bench(mounted, stop_within_s=0.5)
+    return Bench(mounted, stop_within_s=2.0)
 
 
 @dataclass(frozen=True, slots=True)
