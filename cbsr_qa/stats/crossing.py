@@ -8,6 +8,7 @@ be told from that station.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,9 +16,9 @@ from scipy import sparse
 from scipy.sparse.csgraph import connected_components
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.stats.worst_value import FloatArray
 
 IntArray = NDArray[np.intp]
+SparseArray: TypeAlias = "sparse.csr_array[np.float64, tuple[int, int]]"
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,16 +74,16 @@ class Crossing:
         first: IntArray = np.unique(self.sensor, return_index=True)[1]
         return first
 
-    def columns(self) -> FloatArray:
+    def columns(self) -> SparseArray:
         """Return the (N, p) model matrix: one column a group, one a station but the first of each part.
 
         Its rank is p: the groups' and stations' columns of one connected part have one dependence, their sums.
         """
-        matrix = np.zeros((len(self.group), len(self.groups) + len(self.stations)))
-        rows = np.arange(len(self.group))
-        matrix[rows, self.group] = 1.0
-        matrix[rows, len(self.groups) + self.station] = 1.0
-        return matrix[:, np.flatnonzero(self.kept())]
+        runs, width = len(self.group), len(self.groups) + len(self.stations)
+        places = np.concatenate([self.group, len(self.groups) + self.station])
+        rows = np.tile(np.arange(runs), 2)
+        matrix = sparse.coo_array((np.ones(2 * runs), (rows, places)), shape=(runs, width))
+        return matrix.tocsc()[:, np.flatnonzero(self.kept())].tocsr()
 
     def kept(self) -> NDArray[np.bool_]:
         """Return which of the groups' and stations' columns are in the model matrix."""

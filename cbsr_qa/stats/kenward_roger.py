@@ -78,7 +78,8 @@ def small_sample(sums: SensorSums, ratio: float) -> SmallSample:
     mixed = between(3, 1)
     curves: FloatArray = np.array([[inner + between(3, 0), mixed], [mixed, between(3, 2)]])
     variances = np.asarray(np.linalg.inv(_information(sums, ratio, plain, slopes, curves)), dtype=np.float64)
-    lost = np.einsum("ij,ijkl->kl", variances, curves - np.einsum("iab,bc,jcd->ijad", slopes, plain, slopes))
+    squares = (slopes @ plain)[:, None] @ slopes
+    lost = np.einsum("ij,ijkl->kl", variances, curves - squares)
     adjusted = plain + 2 * plain @ lost @ plain
     return SmallSample(plain, 0.5 * (adjusted + adjusted.T), slopes, variances)
 

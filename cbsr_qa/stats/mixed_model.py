@@ -13,7 +13,7 @@ from enum import StrEnum
 from math import log, sqrt
 
 import numpy as np
-from scipy import stats
+from scipy import linalg, stats
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.contrast import Contrast, checked
@@ -201,7 +201,8 @@ def _reduce(design: Crossing, array: FloatArray, what: str) -> _Reduced:
     if scale <= LEAST_SPREAD * float(np.abs(array).max()):
         raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}, which leaves no variance")
     matrix = design.columns()
-    start = np.asarray(np.linalg.solve(matrix.T @ matrix, matrix.T @ (away / scale)), dtype=np.float64)
+    normal, right = (matrix.T @ matrix).toarray(), np.asarray(matrix.T @ (away / scale), dtype=np.float64)
+    start: FloatArray = linalg.solve(normal, right, assume_a="pos")
     rest = away / scale - matrix @ start
     if float(np.abs(rest).max()) * scale <= LEAST_SPREAD * max(float(np.abs(array).max()), scale):
         raise NumericsError(f"{what}: values do not differ within groups and stations, which leaves no variance")

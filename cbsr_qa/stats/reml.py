@@ -26,6 +26,7 @@ from cbsr_qa.stats.worst_value import FloatArray
 #: θ that are tried before the minimum is refined; the likelihood may have two.
 _GRID = np.concatenate([[0.0], np.logspace(-7, 12, 77)])
 _FARTHEST = 1e14
+_MOST_ELEMENTS = 2_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,13 +53,22 @@ class Likelihood:
 
     def criterion(self, ratio: FloatArray) -> FloatArray:
         """Return ℓ of θ, (k,) → (k,)."""
-        factor = np.linalg.cholesky(self.sums.within + self.sums.products(ratio))
-        logs = np.log(np.diagonal(factor, axis1=-2, axis2=-1))
+        logs = np.concatenate([self._logs(some) for some in np.array_split(ratio, self._blocks(len(ratio)))])
         spread = np.log1p(np.multiply.outer(ratio, self.sums.sizes)) @ self.sums.sensors
         determinant = 2 * logs[:, :-1].sum(axis=1) if self.restricted else 0.0
         f = self.freedom
         value: FloatArray = spread + determinant + f * (1 + log(2 * pi / f) + 2 * logs[:, -1])
         return value
+
+    def _logs(self, ratio: FloatArray) -> FloatArray:
+        """Logarithms of the Cholesky factor's diagonal: of A, and √R last."""
+        factor = np.linalg.cholesky(self.sums.within + self.sums.products(ratio))
+        logs: FloatArray = np.log(np.diagonal(factor, axis1=-2, axis2=-1))
+        return logs
+
+    def _blocks(self, count: int) -> int:
+        """In how many parts so many θ are tried: hundreds of groups would fill the memory at once."""
+        return max(1, min(count, count * self.sums.within.size // _MOST_ELEMENTS))
 
     def slope(self, ratio: float) -> float:
         """Return dℓ/dθ = Σ n h − tr(A⁻¹ XᵀH⁻¹ZZᵀH⁻¹X) − f rᵀH⁻¹ZZᵀH⁻¹r / R."""

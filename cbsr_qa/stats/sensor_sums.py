@@ -13,8 +13,9 @@ subtracted, so that no digits are lost at any θ.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import sparse
 
-from cbsr_qa.stats.crossing import IntArray
+from cbsr_qa.stats.crossing import IntArray, SparseArray
 from cbsr_qa.stats.worst_value import FloatArray
 
 
@@ -76,20 +77,32 @@ class SensorSums:
         return int(np.linalg.matrix_rank(inner, tol=1e-9 * largest, hermitian=True)) if largest > 0 else 0
 
 
-def sensor_sums(matrix: FloatArray, response: FloatArray, sensor: IntArray) -> SensorSums:
+def sensor_sums(matrix: SparseArray, response: FloatArray, sensor: IntArray) -> SensorSums:
     """Return the sums.
 
     Parameters
     ----------
-    matrix : (N, p) ndarray, X.
+    matrix : (N, p) sparse array, X: ones and zeros, so that what does not differ within a sensor gives exact zeros.
     response : (N,) ndarray, y.
     sensor : (N,) index of each run's sensor, 0 … q − 1 without gaps.
     """
-    both = np.column_stack([matrix, response])
     counts = np.bincount(sensor)
-    means = np.column_stack([np.bincount(sensor, column) for column in both.T]) / counts[:, None]
-    inside = both - means[sensor]
+    runs, sensors = len(sensor), len(counts)
+    member = sparse.coo_array((np.ones(runs), (np.arange(runs), sensor)), shape=(runs, sensors)).tocsr()
+    shares = sparse.diags_array(1 / counts)
+    means, mean = (shares @ (member.T @ matrix)).tocsr(), np.bincount(sensor, response) / counts
+    within = _cross((matrix - member @ means).tocsr(), response - mean[sensor])
     sizes, place = np.unique(counts, return_inverse=True)
-    between = np.stack([means[place == index].T @ means[place == index] for index in range(len(sizes))])
-    sensors = np.bincount(place).astype(float)
-    return SensorSums(len(both), sizes.astype(float), sensors, inside.T @ inside, between)
+    alike = [np.flatnonzero(place == index) for index in range(len(sizes))]
+    between = np.stack([_cross(means[those], mean[those]) for those in alike])
+    return SensorSums(runs, sizes.astype(float), np.bincount(place).astype(float), within, between)
+
+
+def _cross(matrix: SparseArray, response: FloatArray) -> FloatArray:
+    """[X y]ᵀ[X y] of a sparse X."""
+    right = np.asarray(matrix.T @ response, dtype=np.float64)
+    whole = np.empty((len(right) + 1, len(right) + 1))
+    whole[:-1, :-1] = (matrix.T @ matrix).toarray()
+    whole[-1, :-1] = whole[:-1, -1] = right
+    whole[-1, -1] = response @ response
+    return whole

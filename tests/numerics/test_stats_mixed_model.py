@@ -8,7 +8,7 @@ import pytest
 from fleet_designs import fleet, three_batches, uneven
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import optimize, stats
+from scipy import optimize, sparse, stats
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.crossing import crossing
@@ -59,7 +59,7 @@ def test_dyestuff_is_lme4s(shared):
     assert found.sensor_deviation**2 == pytest.approx(printed["REML"]["var_batch"], rel=1e-12)
     assert found.run_deviation**2 == pytest.approx(printed["REML"]["var_resid"], rel=1e-12)
     assert found.criterion == pytest.approx(printed["REML_criterion"], abs=5e-5)
-    sums = sensor_sums(np.ones((30, 1)), values - 1500, np.repeat(np.arange(6), 5))
+    sums = sensor_sums(sparse.csr_array(np.ones((30, 1))), values - 1500, np.repeat(np.arange(6), 5))
     full = variance_ratio(sums, restricted=False)
     assert full.variance == pytest.approx(printed["ML"]["var_resid"], rel=1e-12)
     assert full.variance * full.value == pytest.approx(printed["ML"]["var_batch"], rel=1e-5)
@@ -72,7 +72,7 @@ def test_the_reduced_problem_is_the_dense_one(seed):
     random = np.random.default_rng([800, seed])
     rows = uneven(random)
     values = rows.values(random, batches=[0, 1, 2], stations=[0, 3, 1], run=0.6)
-    found, matrix = fit(rows.design, values), rows.design.columns()
+    found, matrix = fit(rows.design, values), rows.design.columns().toarray()
 
     def dense(ratio):
         return dense_criterion(matrix, values, rows.sensor, ratio)
@@ -91,8 +91,8 @@ def test_the_reduced_problem_is_the_dense_one(seed):
 def test_small_sample_terms_are_those_of_the_paper(ratio):
     random = np.random.default_rng(801)
     rows = uneven(random)
-    matrix = rows.design.columns()
-    found = small_sample(sensor_sums(matrix, random.normal(size=len(matrix)), rows.sensor), ratio)
+    sums = sensor_sums(rows.design.columns(), random.normal(size=len(rows.sensor)), rows.sensor)
+    found, matrix = small_sample(sums, ratio), rows.design.columns().toarray()
     phi, adjusted, slopes, weights = dense_kenward_roger(matrix, rows.sensor, 1.0, ratio)
     assert found.plain == pytest.approx(phi, rel=1e-9)
     assert found.adjusted == pytest.approx(adjusted, rel=1e-9)
@@ -165,7 +165,7 @@ def test_fits_are_statsmodels():
     random = np.random.default_rng(806)
     rows = uneven(random, sensors=60)
     values = rows.values(random, batches=[0, 1, 2], stations=[0, 3, 1], run=0.5)
-    matrix = rows.design.columns()
+    matrix = rows.design.columns().toarray()
     theirs = formula.MixedLM(values, matrix, groups=rows.sensor).fit(reml=True, method="lbfgs")
     found = fit(rows.design, values)
     assert found.effects[rows.design.kept()] == pytest.approx(theirs.fe_params, rel=1e-5)
@@ -176,7 +176,7 @@ def test_fits_are_statsmodels():
 def test_one_run_a_sensor_is_least_squares_and_says_so():
     rows = three_batches(on_all=False)
     values = rows.values(np.random.default_rng(807), batches=[0, 1.5, 0], stations=[1.5, 0, 0])
-    found, matrix = fit(rows.design, values), rows.design.columns()
+    found, matrix = fit(rows.design, values), rows.design.columns().toarray()
     assert found.model is Model.FIXED
     assert found.sensor_deviation is found.ratio is found.criterion is None
     assert "cannot be told apart" in found.notes[0]
