@@ -192,6 +192,21 @@ def test_a_garbled_frame_is_left_out_and_the_loss_is_noticed(opened, options, ca
     assert "1 frames were lost" in caplog.text
 
 
+@pytest.mark.parametrize("fault", [Fault.STALE, Fault.GARBLE, Fault.RESET])
+def test_a_fault_in_any_row_gives_the_right_frame_or_none(opened, fault):
+    bench = opened()
+    usable = sensor_type().pattern.usable()
+    expected = bench.counts(bench.driver.acquire(1))[usable]
+    for row in (0, 7, 15) if fault is Fault.RESET else range(16):
+        bench.clock.sleep(row * PERIOD_S / 16 + 0.06)
+        bench.arm(fault)
+        start_s = bench.clock.now()
+        block = bench.driver.acquire(2)
+        np.testing.assert_array_equal(block.voltages[:, usable], [expected, expected])
+        assert block.time_s[0] - PERIOD_S / 2 >= start_s - 1.1 * PERIOD_S / 16
+    assert not bench.emulation.ports["frames"].faults.met()
+
+
 def test_a_lost_byte_costs_one_frame(opened):
     bench = opened()
     bench.driver.acquire(1)
