@@ -98,6 +98,8 @@ def test_noise_is_the_rms_of_a_reading_over_its_size():
     # 0.25 V is what all usable readings are; 208 × 199 degrees of freedom tell the rms to 0.35 %.
     assert found["noise of a reading"].value == pytest.approx(400.0, rel=0.02)
     assert outcomes(found) == set()
+    # Two frames tell it without bias too: to 1/√(2 · 208), 5 %.
+    assert lines(ring(noise_V=1e-4, frames=2))["noise of a reading"].value == pytest.approx(400.0, rel=0.15)
     assert outcomes(lines(ring(noise_V=4e-4))) == {"noise of a reading"}
 
 

@@ -2,6 +2,7 @@
 
 import json
 import re
+import signal
 
 import pytest
 
@@ -199,6 +200,25 @@ def test_ring_and_golden_sensor_at_once_are_refused_where_nobody_can_exchange_th
     code, document = check("--station", "real.toml", "--golden", "G-1", "--ring-ohm", "5", "--ring-connected")
     assert code == 2
     assert "cannot both be connected" in document["refused"]["reason"]
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
+def test_termination_ends_a_check_like_the_keyboard_so_that_the_bench_is_made_safe(monkeypatch, name):
+    safe = []
+
+    def stopped(*arguments, **options):
+        try:
+            signal.raise_signal(getattr(signal, name))
+        finally:
+            safe.append(name)
+
+    before = signal.getsignal(signal.SIGTERM)
+    monkeypatch.setattr(station_check, "look_at_bench", stopped)
+    assert guarded(["station", "check", "--station", "simulated"]) == 3
+    assert safe == [name]
+    assert signal.getsignal(signal.SIGTERM) is before
+    with open_store("sqlite:///var/cbsr-qa.db", create=False) as store:
+        assert store.latest_station_check("simulated") is None
 
 
 def test_a_scene_that_is_wrong_is_refused_like_that_of_a_run(check, tmp_path):

@@ -1,13 +1,14 @@
 """The same store on PostgreSQL: what was told comes back, unchanged in any bit."""
 
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from uuid import uuid4
 
 import numpy as np
 import pytest
 import sqlalchemy as sa
 from calibration_samples import assert_same, sample_force
-from stored_runs import calibration, identity, journalled, record, short_run
+from stored_runs import calibration, frames, identity, journalled, record, short_run
 
 from cbsr_qa.app.database import database_status
 from cbsr_qa.calibrate.digests import stamped
@@ -16,6 +17,7 @@ from cbsr_qa.domain.measurement import Measurement, Verdict
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run_events import FramesTaken, RunStarted
+from cbsr_qa.domain.station_check import CheckOutcome, CheckResult, RingReadings, StationCheck
 from cbsr_qa.store.repository import open_store
 
 pytestmark = pytest.mark.postgres
@@ -83,6 +85,23 @@ def test_results_and_calibrations_come_back(repository):
     repository.save_result(RunResult(repository.load_run(run), None, measured, verdict, later, ""))
     held = {c.calibration: c.superseded_by for c in repository.calibrations("S-9")}
     assert held == {issued.calibration: later.calibration, later.calibration: None}
+
+
+def test_a_check_of_a_station_comes_back_with_the_frames_of_its_ring(repository):
+    lines = (
+        CheckResult("gain error", CheckOutcome.FAILED, 0.1 + 0.2, "%", "−1 to 1 %", "adjust\0it", subject="ring"),
+    )
+    instruments = identity("x").instruments
+    at = datetime(2026, 11, 22, 6, 30, 0, 123456, tzinfo=UTC)
+    told = StationCheck(repository.new_id(), "bench-α", "Zoë", at, "disc", 64 * "a", (), instruments, lines)
+    ring = RingReadings(frames(0.0, 3, own_times=True), (1e4,) * 16)
+    repository.save_station_check(told, ring)
+    repository.save_station_check(replace(told, check=repository.new_id(), checked_at=at - timedelta(days=1)))
+    back = repository.latest_station_check("bench-α")
+    assert back == replace(told, results=(replace(lines[0], remedy="adjust\ufffdit"),))
+    stored = repository.station_check_ring(told.check).frames
+    for name in ("time_s", "voltages", "flags", "reading_time_s"):
+        assert getattr(stored, name).tobytes() == getattr(ring.frames, name).tobytes()
 
 
 def test_a_hostile_name_finds_nothing(repository):
