@@ -69,9 +69,10 @@ def open_board(context: StationContext) -> "ErtBoardStream":
     1 400 000 by default); ``signed`` (counts of −32 768 to 32 767 instead of 0 to 65 535); ``range_counts`` (the
     converter's ends, where they lie elsewhere); ``zero_counts`` (the count of 0 V, taken off; default 0); ``order``
     (``"measure"`` where the voltage pair steps faster, or ``"drive"``); ``first_reading`` (where in that order a
-    frame begins); ``current_mA`` (stated where it is known); ``memory_share`` (how much each
-    reading keeps of the one before, as :func:`cbsr_qa.analysis.recording_memory.estimate_memory` finds it from
-    reciprocity: it is taken out of the readings; those after a saturated one are then flagged as saturated too).
+    frame begins); ``current_mA`` (stated where it is known); ``memory_share`` (how much each reading keeps of the
+    one before, as :func:`cbsr_qa.analysis.recording_memory.estimate_memory` finds it from reciprocity: it is taken
+    out of the readings. Of a saturated one the end of the range is taken, and the first reading of a call stays as
+    it is).
 
     Raises
     ------
@@ -255,19 +256,12 @@ class ErtBoardStream:
         values = counts - self._zero
         if self._memory:
             values = correct_memory(values, self._memory, self._order)
-            flags |= self._after_saturated(flags)
         times_s = ends_s - self._period_s / 2
         # The board reads one after the other: the n-th of 256 in the middle of the n-th part of the frame.
         offsets = np.empty(counts[0].size)
         offsets[self._order] = (np.arange(counts[0].size) + 0.5) / counts[0].size - 0.5
         own_s = times_s[:, None, None] + self._period_s * offsets.reshape(_SHAPE)
         return FrameBlock(times_s, values, flags, VoltageUnit.COUNT, self._current_A, own_s)
-
-    def _after_saturated(self, flags: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Flags of readings that follow a saturated one: nobody knows how much of it they keep."""
-        scanned = flags.reshape(len(flags), -1)[:, self._order].ravel()
-        follow = np.concatenate([[0], scanned[:-1]]).astype(np.uint8)
-        return self._canonical(follow.reshape(len(flags), -1)).astype(np.uint8)
 
     def _canonical(self, scanned: NDArray[Any]) -> NDArray[np.float64]:
         frames = np.empty((len(scanned), PAIRS * PAIRS))
