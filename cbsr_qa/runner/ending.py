@@ -4,7 +4,7 @@ import logging
 from contextlib import suppress
 from typing import Final
 
-from cbsr_qa.domain.errors import AbortedError, InstrumentError, SafetyError
+from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, SafetyError
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.runner.interrupts import Stopped
 from cbsr_qa.runner.watchdog import BrokenInto
@@ -32,7 +32,7 @@ def ending(error: BaseException, where: str, *, at_once: bool = False, before: E
     if isinstance(error, AbortedError | KeyboardInterrupt):
         how = " and at once by a second signal" if at_once else ""
         return EndReason.ABORTED, f"by {_by(error)}{how}, {where}"
-    return EndReason.BROKEN, f"{_what(error)}, {where}"
+    return EndReason.BROKEN, f"{_what(error)}, {where}{_remedy(error)}"
 
 
 def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
@@ -60,6 +60,13 @@ def _what(error: BaseException) -> str:
             return f"instrument {error.reason}"
         case _:
             return f"error {type(error).__name__}: {error}"
+
+
+def _remedy(error: BaseException) -> str:
+    """What to do about it, where the error says so."""
+    cause = error.error if isinstance(error, BrokenInto) else error
+    remedy = cause.remedy if isinstance(cause, CbsrError) else ""
+    return f"; {remedy}" if remedy else ""
 
 
 def _during_retreat(error: BaseException) -> str:
