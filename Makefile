@@ -6,7 +6,7 @@ JOBS ?= 2
 export CBSR_QA_VAR ?= var
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check lint types imports bench clean
+.PHONY: help demo test check lint types imports bench faults clean
 
 help: ## Say what can be made
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -46,6 +46,9 @@ check: lint types imports ## Style, types and import contract
 
 bench: $(VENV)/.dev-stamp ## Time what matters, as ratios (see benchmarks/)
 	@$(BIN)/python -m benchmarks
+
+faults: $(VENV)/.dev-stamp ## Strike every step of a run with every fault; writes docs/reference/faults.md (half an hour)
+	@$(BIN)/python tests/faults/campaign.py docs/reference/faults.md
 
 clean: ## Remove what was made, but not var/
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

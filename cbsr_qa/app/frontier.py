@@ -23,7 +23,7 @@ from cbsr_qa.frontier.sweep import Documents, Kept, Work, worked_out
 from cbsr_qa.report.render import render_sections, write_report
 
 #: Of what is simulated and how it is judged: pieces of another version are worked out again.
-_VERSION = 2
+_VERSION = 3
 #: Pieces of work whose times count must not share a core with others.
 _ALONE = 1
 

@@ -1,0 +1,89 @@
+"""Every fault at every step of a nine-location run: ``make faults`` writes what becomes of them.
+
+python tests/faults/campaign.py docs/reference/faults.md [--every N] [--role ROLE]
+"""
+
+import argparse
+import multiprocessing
+import os
+import sys
+import time
+from collections import Counter, defaultdict
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from trial import OF_INSTRUMENTS, OF_THE_COMPUTER, Injected, Outcome, allowed_s, run_with, steps_of_a_run
+
+Result = tuple[Injected, Outcome]
+
+_TEXT = Path(__file__).with_name("faults.md.in")
+
+
+def matrix(steps: int, *, every: int = 1, role: str | None = None) -> Iterator[Injected]:
+    """Every fault of every role at every n-th step; which ones differs from fault to fault."""
+    number = 0
+    for name, faults in {**OF_INSTRUMENTS, **OF_THE_COMPUTER}.items():
+        for fault in faults if role in (None, name) else ():
+            number += 1
+            for step in range(number % every, steps, every):
+                yield Injected(name, fault, step)
+
+
+def results(cases: list[Injected], processes: int) -> Iterator[Result]:
+    """Run them, two at a time; each process has one world after the other."""
+    with multiprocessing.get_context("spawn").Pool(processes, maxtasksperchild=200) as pool:
+        yield from zip(cases, pool.imap(run_with, cases), strict=True)
+
+
+def table(found: Iterable[Result]) -> str:
+    """Fault × step → outcome, as Markdown: how many ended in which way."""
+    steps = list(dict.fromkeys(steps_of_a_run()))
+    cells: dict[tuple[str, str], dict[str, Counter[str]]] = defaultdict(lambda: defaultdict(Counter))
+    names = steps_of_a_run()
+    for injected, outcome in found:
+        kind = outcome.kind if not outcome.wrong else "WRONG"
+        cells[injected.role, injected.fault][names[injected.step]][kind] += 1
+    lines = ["| strikes | fault | " + " | ".join(steps) + " |", "| --- | --- |" + " --- |" * len(steps)]
+    for (role, fault), by_step in cells.items():
+        told = [", ".join(f"{kind} {count}" for kind, count in by_step[step].items()) or "–" for step in steps]
+        lines.append(f"| {role} | {fault} | " + " | ".join(told) + " |")
+    return "\n".join(lines)
+
+
+def main() -> int:
+    """Run the campaign; exit code 1 if anything went wrong that must not."""
+    wanted = argparse.ArgumentParser(description=__doc__)
+    wanted.add_argument("page", type=Path, nargs="?")
+    wanted.add_argument("--every", type=int, default=1)
+    wanted.add_argument("--role")
+    wanted.add_argument("--processes", type=int, default=min(2, os.cpu_count() or 1))
+    chosen = wanted.parse_args()
+    names = steps_of_a_run()
+    cases = list(matrix(len(names), every=chosen.every, role=chosen.role))
+    found: list[Result] = []
+    start = time.monotonic()
+    for injected, outcome in results(cases, chosen.processes):
+        found.append((injected, outcome))
+        if outcome.wrong:
+            where = f"step {injected.step} ({names[injected.step]})"
+            print(f"{injected.role} {injected.fault} at {where}: {outcome.kind}: {outcome.wrong}", flush=True)
+            print(f"    {outcome.detail}", flush=True)
+        if len(found) % 20 == 0:
+            took = time.monotonic() - start
+            print(f"{len(found)} of {len(cases)}, {took:.0f} s", file=sys.stderr, flush=True)
+    wrong = sum(bool(outcome.wrong) for _, outcome in found)
+    kinds = Counter(outcome.kind for _, outcome in found)
+    slowest = max((outcome.safe_after_s for _, outcome in found if outcome.kind == "broken"), default=0.0)
+    said = (
+        f"{len(found)} runs: {', '.join(f'{count} {kind}' for kind, count in kinds.most_common())}; {wrong} wrong."
+        f" Slowest to come to rest: {slowest:.1f} s of station time; allowed {allowed_s():.1f} s."
+    )
+    print(said)
+    if chosen.page is not None and not wrong:
+        filled = _TEXT.read_text().replace("@table@", table(found)).replace("@said@", said)
+        chosen.page.write_text(filled)
+    return int(wrong > 0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
