@@ -19,6 +19,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.INSTRUMENT, "phidget-bridge", "hardware.phidget_bridge:open_bridge"),
     (Kind.INSTRUMENT, "serial-thermometer", "hardware.serial_thermometer:open_thermometer"),
     (Kind.INSTRUMENT, "manual-applicator", "hardware.manual_applicator:open_applicator"),
+    (Kind.INSTRUMENT, "manual-thermometer", "hardware.manual_thermometer:open_thermometer"),
     (Kind.INSTRUMENT, "manual-load-cell", "hardware.manual_load_cell:open_load_cell"),
     (Kind.SEQUENCE, "noise-figure", "sequences.noise_figure:NoiseFigureSequence"),
     (Kind.SEQUENCE, "hysteresis-loop", "sequences.hysteresis_loop:HysteresisLoopSequence"),

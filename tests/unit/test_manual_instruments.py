@@ -25,6 +25,7 @@ from cbsr_qa.testing.bench import (
 )
 from cbsr_qa_plugins.hardware.manual_applicator import open_applicator
 from cbsr_qa_plugins.hardware.manual_load_cell import open_load_cell
+from cbsr_qa_plugins.hardware.manual_thermometer import open_thermometer
 
 PLAN = example_plan(())
 STALE_S = 60.0
@@ -265,6 +266,32 @@ def test_without_an_operator_they_are_refused(person):
         with pytest.raises(ConfigError, match="worked by hand, and nobody is there to be asked") as raised:
             opener(told("one", person.clock, None, **options))
         assert "terminal" in raised.value.remedy
+
+
+# --- the thermometer ---
+
+
+@pytest.mark.parametrize(("limits_C", "every_s"), [(None, 1800.0), ((15.0, 30.0), 180.0)])
+def test_a_temperature_is_asked_for_before_it_is_too_old(person, head, limits_C, every_s):
+    context = told("room", person.clock, person)
+    one = open_thermometer(replace(context, safety=replace(context.safety, temperature_C=limits_C)))
+    one.link({"force_applicator": head})
+    person.answers = ["warm", "21.5 °C", "22"]
+    block = one.samples_since(0.0)
+    assert (block.channel, block.unit, block.values.tolist()) == ("temperature", "°C", [21.5])
+    person.clock.sleep(every_s - 1)
+    assert len(one.samples_since(block.time_s[0])) == 0
+    person.clock.sleep(1)
+    assert one.samples_since(block.time_s[0]).values.tolist() == [22.0]
+    assert len(person.asked) == 3
+
+
+def test_a_thermometer_read_by_hand_needs_a_head_moved_by_hand(person):
+    one = open_thermometer(told("room", person.clock, person, every_min=1))
+    with pytest.raises(ConfigError, match="a thermometer that is read by an operator is for a head that is moved"):
+        one.link({"force_applicator": ScriptedApplicator(Script(person.clock))})
+    with pytest.raises(ConfigError, match="every_min is 0"):
+        open_thermometer(told("room", person.clock, person, every_min=0))
 
 
 # --- a run ---

@@ -2,7 +2,7 @@
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Final, Protocol, runtime_checkable
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
@@ -26,6 +26,27 @@ class HandMoved(Instrument, Protocol):
     def down(self) -> bool:
         """Whether it is in the sheet, by all that was told."""
         ...
+
+
+def hand_moved(peers: Mapping[str, Instrument], what: str) -> HandMoved:
+    """Return the bench's head, which must be one that is moved by hand.
+
+    Parameters
+    ----------
+    what : is read by hand, for the message.
+
+    Raises
+    ------
+    ConfigError
+        If the head moves by itself: it would press on, unwatched, while somebody looks for a display.
+    """
+    head = peers.get("force_applicator")
+    if not isinstance(head, HandMoved):
+        raise ConfigError(
+            f"{what} that is read by an operator is for a head that is moved by hand",
+            remedy="a head that moves by itself needs instruments that sample by themselves",
+        )
+    return head
 
 
 class Operator:

@@ -5,18 +5,16 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.interfaces import Instrument, StationContext
-from cbsr_qa_plugins.hardware._by_hand import HandMoved, Operator
+from cbsr_qa_plugins.hardware._by_hand import HandMoved, Operator, hand_moved
 from cbsr_qa_plugins.hardware._options import InstrumentTable
 
 _DRIVER: Final = "manual-load-cell"
 _KEYS: Final = ("label", "number", "unit", "capacity", "tare")
 _GRAVITY: Final = 9.80665  # standard gravity [m/s²]
 _NEWTONS: Final[Mapping[str, float]] = {"N": 1.0, "g": 1e-3 * _GRAVITY, "kg": _GRAVITY}
-_HEAD: Final = "force_applicator"
 #: How long a reading counts where the station says nothing [s].
 _COUNTS_S: Final = 2.0
 
@@ -81,13 +79,7 @@ class ManualLoadCell:
         ConfigError
             If the head moves by itself: it would press on while somebody looks for the display.
         """
-        head = peers.get(_HEAD)
-        if not isinstance(head, HandMoved):
-            raise ConfigError(
-                "a load cell that is read by an operator is for a head that is moved by hand",
-                remedy="a head that moves by itself needs a load cell that samples by itself",
-            )
-        self._head = head
+        self._head = hand_moved(peers, "a load cell")
 
     # --- sampler ---
 
