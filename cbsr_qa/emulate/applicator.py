@@ -168,11 +168,15 @@ class EmulatedApplicator:
         return said + self._wait_until(self._rig.clock.now() + dwell_s)
 
     def _g28(self, parameters: Parameters) -> str:
-        """Home the axes named; without any all of them, and on a Prusa the mesh is levelled after that."""
+        """Home the axes named, or all of them.
+
+        A Prusa lifts before it, and levels the mesh after it where no axis was named.
+        """
         said = self._m400({})
         named = [axis for axis, letter in enumerate(_AXES) if letter in parameters] or [0, 1, 2]
         x, y, z = self._head.target_mm
-        self._head.go((x, y, z + _HOMING_LIFT_MM), _HOMING_MM_S[2])
+        if self._firmware == "prusa":
+            self._head.go((x, y, z + _HOMING_LIFT_MM), _HOMING_MM_S[2])
         for axis in named:
             goal = list(self._head.target_mm)
             goal[axis] = 0.0

@@ -258,6 +258,16 @@ def test_a_force_above_the_ceiling_stops_a_press_and_lifts(station):
     assert station.head.up
 
 
+@pytest.mark.parametrize("use", [lambda one: one.press(0.4, SPEED), lambda one: one.find_surface(0.0, 0.0)])
+def test_without_fresh_force_the_head_does_not_go_down(station, homed, use):
+    station.force.silent_from_s = -1.0
+    with pytest.raises(SafetyError, match=r"the last force sample did not come for 2 s") as caught:
+        use(homed)
+    assert caught.value.rule == "stale force"
+    assert station.head.up
+    assert not station.head.moving
+
+
 @pytest.mark.parametrize("how", ["silent", "error", "nan"])
 def test_a_load_cell_that_fails_stops_a_press_and_lifts(station, homed, how):
     homed.find_surface(0.0, 0.0)
@@ -389,6 +399,7 @@ def test_a_restart_while_nobody_looked_is_noticed_before_anything_moves(station,
     station.emulation.ports["applicator"].send(b"start\n")
     with pytest.raises(InstrumentError, match="has restarted"):
         homed.move_to(10.0, 0.0)
+    threading.Event().wait(0.3)  # for the emulator to obey, had it been told anything
     station.clock.sleep(10.0)
     assert station.head.place_mm == pytest.approx((0.0, 0.0))
 
@@ -423,6 +434,18 @@ def test_a_line_that_stumbles_changes_no_press(station, homed, one_world, fault,
     homed.release()
     assert station.head.up
     assert station.head.place_mm == pytest.approx((0.0, 0.0))
+
+
+@pytest.mark.parametrize("at", range(4, 40, 5))
+def test_an_old_answer_is_no_position(station, homed, at):
+    port = station.emulation.ports["applicator"]
+    count = iter(range(10**6))
+    met = port.faults.met
+    port.faults.met = lambda: Fault.STALE if next(count) == at else met()
+    since = station.clock.now()
+    homed.press(0.8, SPEED)
+    block = homed.samples_since(since)
+    assert (np.diff(block.values) > 0.004).all()  # the one before would be the same again
 
 
 def test_an_answer_that_comes_late_is_waited_for_and_moves_nothing_twice(make, one_world):
@@ -494,7 +517,11 @@ def test_a_head_that_a_killed_program_left_in_the_sheet_comes_up(station, homed)
     assert station.head.dragged == 0
 
 
-def test_homing_from_within_the_sheet_lifts_first(station, homed):
+@pytest.mark.parametrize("firmware", ["prusa", "marlin"])  # a Prusa lifts by itself before it homes
+def test_homing_from_within_the_sheet_lifts_first(make, firmware):
+    station = make(firmware=firmware, steps_per_mm=[100.0, 100.0, 400.0])
+    homed = linked(station)
+    homed.home()
     homed.press(0.8, SPEED)
     homed.close()
     linked(station).home()
@@ -510,12 +537,15 @@ def test_an_answer_that_is_off_the_way_is_asked_for_again(station, homed):
         said = real(parameters)
         if not spoilt and station.head.moving:
             spoilt.append(said)
-            return said.replace("Count X: 1", "Count X: 9")
+            told, _, count = said.partition("Count")
+            return f"{told}Count{count.replace('Z:', 'Z:9')}"
         return said
 
     station.emulation.instruments["applicator"]._m114 = m114
+    since = station.clock.now()
     homed.press(0.8, SPEED)
     assert spoilt
+    assert abs(homed.samples_since(since).values).max() <= MOTION.hover_mm
     assert station.head.height_mm == pytest.approx(-0.8, abs=1e-3)
 
 

@@ -476,6 +476,8 @@ def test_an_old_line_again_is_no_sample():
     assert mapped.on_station(1.0, 5.0) == 5.0
     assert mapped.on_station(1.125, 5.125) == pytest.approx(5.125)
     assert mapped.on_station(1.125, 5.2) is None
+    assert mapped.on_station(1.0, 5.21) is None
+    assert mapped.on_station(1.125, 5.22) is None
     assert mapped.on_station(1.25, 5.25) == pytest.approx(5.25)
     assert mapped.restarts == 0
 

@@ -19,6 +19,8 @@ _REPORT: Final = re.compile(
 )
 #: While it moves, the head is asked this often where it is [s].
 POLL_S: Final = 0.1
+#: What is left of a motion below this is over: a few ticks of the clock [s].
+_OVER_S: Final = 1e-5
 #: How far from where it was told to be counts as there: firmware says positions to 0.01 mm.
 _THERE_MM: Final = 0.05
 #: How far off its way a moving head may be said to be.
@@ -160,7 +162,7 @@ class MarlinAxes:
         if length_mm < 1e-4:
             return
         end_s = self._send_off(goal, speed_mm_s) + length_mm / speed_mm_s
-        while (left_s := end_s - self._clock.now()) > 0:
+        while (left_s := end_s - self._clock.now()) > _OVER_S:
             self._clock.sleep(min(left_s, POLL_S))
             self._check_not_stopped()
             self._look(self._on_the_way(origin, goal), look)
