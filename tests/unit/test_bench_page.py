@@ -6,20 +6,26 @@ from pathlib import Path
 import pytest
 
 from cbsr_qa.app.setup import configure, opener, station_clock
-from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.plugins import discover
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "build-this-bench.md").read_text()
-WHOLE, BOARD, BY_HAND = re.findall(r"^```toml\n(.*?)^```", PAGE, re.M | re.S)
+WHOLE, PHIDGET, BOARD, BY_HAND = re.findall(r"^```toml\n(.*?)^```", PAGE, re.M | re.S)
 HEAD, *_ = WHOLE.partition("[instruments.")
 STATIONS = {
     "the whole bench": WHOLE,
     "with the board": BOARD.join(
         re.split(r"\[instruments\.source_meter\].*(?=\[instruments\.applicator\])", WHOLE, maxsplit=1, flags=re.S)
     ),
+    "with the rig's load cell": PHIDGET.join(
+        re.split(r"\[instruments\.load_cell\].*(?=\[instruments\.thermometer\])", WHOLE, maxsplit=1, flags=re.S)
+    ),
     "by hand": HEAD.replace("temperature_C", "#") + BOARD + BY_HAND,
 }
-ABSENT = r"no such device is plugged in|there is no port|does not answer|nobody answers|refused|unreachable"
+ABSENT = (
+    r"no such device is plugged in|there is no port|does not answer|nobody answers|refused|unreachable"
+    r"|needs the library Phidget22|attach"
+)
 
 
 @pytest.mark.parametrize("name", STATIONS)
@@ -33,11 +39,15 @@ def test_its_tables_are_taken_and_only_the_instruments_are_missing(name, tmp_pat
     for spec in configuration.station.instruments:
         try:
             there.append(opened(spec).identity().driver)
-        except InstrumentError as error:
+        except (InstrumentError, ConfigError) as error:
             absent.append(error.reason)
     assert all(re.search(ABSENT, reason) for reason in absent), absent
     assert len(absent) + len(there) == len(configuration.station.instruments)
-    alone = {"the whole bench": ["scanned-frames"], "with the board": []}
+    alone = {
+        "the whole bench": ["scanned-frames"],
+        "with the rig's load cell": ["scanned-frames"],
+        "with the board": [],
+    }
     assert sorted(there) == alone.get(name, ["manual-applicator", "manual-load-cell"])
 
 

@@ -12,6 +12,7 @@ from simulated_setting import context
 from cbsr_qa.clock import RealClock, VirtualClock
 from cbsr_qa.domain.errors import ConfigError, InstrumentError, SafetyError
 from cbsr_qa.interfaces import Sampler
+from cbsr_qa.testing.instruments import check_closing, check_sampler
 from cbsr_qa_plugins.hardware import phidget_bridge
 from cbsr_qa_plugins.hardware.phidget_bridge import open_bridge
 
@@ -110,6 +111,13 @@ def said(clock, *grams, every_s=0.125):
     for mass_g in grams:
         clock.sleep(every_s)
         Bridge.made.says((mass_g - 70.13) / 4.94462e6)
+
+
+def test_it_keeps_what_samplers_promise(make, clock):
+    cell = make()
+    found = check_sampler(cell, clock, wait=lambda: said(clock, *[-10.0] * 16))
+    assert [one.check for one in found] == ["identity", "safe state", "samples"]
+    check_closing(cell, lambda: cell.samples_since(clock.now()))
 
 
 def test_it_is_set_up_as_its_table_says(make):
