@@ -9,7 +9,8 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, Final, Self
 
-_NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP")  # the last is unknown on Windows
+#: Signals that end a run. Ctrl-Z and Ctrl-\ would suspend or kill the program with the head down. Windows knows two.
+_NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT")
 
 #: Said on the first signal and on the second.
 FIRST: Final = (

@@ -27,18 +27,20 @@ LOAD = Load("L0", 0.0, 0.0, 0.2, 0)
 CYCLE = (Press(LOAD), Hold(10, acquire=True), Release(), Hold(10, acquire=True))
 ROLES = ("force_applicator", "frame_source", "load_cell")
 SAFE = [f"{role}.safe_state" for role in ROLES]
-ABORTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+ABORTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP, signal.SIGQUIT)
 BY = {
     signal.SIGINT: "by the operator (Ctrl-C)",
     signal.SIGTERM: "by signal SIGTERM",
     signal.SIGHUP: "by signal SIGHUP",
+    signal.SIGTSTP: "by signal SIGTSTP",
+    signal.SIGQUIT: "by signal SIGQUIT",
 }
 
 
 @pytest.fixture(autouse=True)
 def _as_at_a_terminal():
     """Signals as an interactive shell hands them down."""
-    usual = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL, signal.SIGHUP: signal.SIG_DFL}
+    usual = dict.fromkeys(ABORTS, signal.SIG_DFL) | {signal.SIGINT: signal.default_int_handler}
     before = {number: signal.signal(number, handler) for number, handler in usual.items()}
     yield
     for number, handler in before.items():
