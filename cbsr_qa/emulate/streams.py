@@ -212,6 +212,9 @@ class TcpPort(Port):
         """Close the connection and take no further one."""
         for one in (self._talking, self._listening):
             if one is not None:
+                # Closing alone would not wake the thread that waits on it.
+                with suppress(OSError):
+                    one.shutdown(socket.SHUT_RDWR)
                 with suppress(OSError):
                     one.close()
 
