@@ -1,13 +1,17 @@
 """Looking after the database: bring it up to date, say how it stands."""
 
-from dataclasses import asdict, dataclass
-from typing import Any
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
 
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.store.engine import open_engine, parsed_url
-from cbsr_qa.store.incomplete import IncompleteRun, counts, incomplete_runs
+from cbsr_qa.store.incomplete import IncompleteRun, counts, incomplete_runs, runs_without_result
+from cbsr_qa.store.repository import open_store
 from cbsr_qa.store.schema import HEAD, Age, found_version, refusal, upgrade
+
+#: Ends of runs that somebody or something stopped, as against those that were cut off.
+_STOPPED: Final = (str(EndReason.ABORTED), str(EndReason.BROKEN))
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +45,7 @@ class DatabaseStatus:
     counts : rows by kind.
     incomplete : runs that were cut off or are under way.
     stopped : runs that were aborted or broken, which can be resumed too.
+    without_result : (run, serial) of runs whose every step was carried out, and that have no result yet.
 
     All of them are empty unless the database is current.
     """
@@ -53,12 +58,14 @@ class DatabaseStatus:
     counts: dict[str, int]
     incomplete: tuple[IncompleteRun, ...]
     stopped: tuple[IncompleteRun, ...] = ()
+    without_result: tuple[tuple[str, str], ...] = ()
 
     def document(self) -> dict[str, Any]:
         """Return the same for ``--json``."""
         incomplete = [{**_place(run), "state": state_words(run)} for run in self.incomplete]
         stopped = [{**_place(run), "end": run.end, "detail": run.detail} for run in self.stopped]
-        return {**asdict(self), "incomplete": incomplete, "stopped": stopped}
+        without = [{"run": run, "serial": serial} for run, serial in self.without_result]
+        return {**asdict(self), "incomplete": incomplete, "stopped": stopped, "without_result": without}
 
 
 def _place(run: IncompleteRun) -> dict[str, str]:
@@ -67,9 +74,23 @@ def _place(run: IncompleteRun) -> dict[str, str]:
 
 def state_words(run: IncompleteRun) -> str:
     """Say how a run that did not finish stands: cut off, under way and by whom, aborted or broken."""
-    if run.end != EndReason.RUNNING:
-        return run.end
-    return f"under way: {run.writer}" if run.writer else "cut off"
+    if run.writer:
+        return f"under way: {run.writer}"
+    return run.end if run.end in _STOPPED else "cut off"
+
+
+def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun, ...]:
+    """Say what resuming would do next, where the recipe's plugins are there to tell; else what was under way."""
+    from cbsr_qa.app.resume import known_next  # it imports whatever a run needs
+    from cbsr_qa.plugins import discover
+
+    plugins = discover()
+    with open_store(url, create=False) as store:
+        known = [known_next(store, run.run, plugins) for run in runs]
+    return tuple(
+        run if found is None else replace(run, phase=found[0] or run.phase, next=found[1])
+        for run, found in zip(runs, known, strict=True)
+    )
 
 
 def upgrade_database(option: str | None) -> Upgrade:
@@ -105,6 +126,8 @@ def database_status(option: str | None) -> DatabaseStatus:
         version = found_version(engine)
         current = version.age is Age.CURRENT
         unfinished = incomplete_runs(engine) if current else ()
+        if unfinished:
+            unfinished = _with_next(unfinished, database_url(option))
         return DatabaseStatus(
             url=engine.url.render_as_string(hide_password=True),
             schema=version.revision,
@@ -112,8 +135,9 @@ def database_status(option: str | None) -> DatabaseStatus:
             state=version.age.value,
             remedy="" if current else refusal(engine, version).remedy,
             counts=counts(engine) if current else {},
-            incomplete=tuple(run for run in unfinished if run.end == EndReason.RUNNING),
-            stopped=tuple(run for run in unfinished if run.end != EndReason.RUNNING),
+            incomplete=tuple(run for run in unfinished if run.end not in _STOPPED),
+            stopped=tuple(run for run in unfinished if run.end in _STOPPED),
+            without_result=runs_without_result(engine) if current else (),
         )
     finally:
         engine.dispose()

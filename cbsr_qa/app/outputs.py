@@ -32,6 +32,11 @@ _HEADLINES = {
 }
 
 
+def resume_command(run: str) -> str:
+    """Return what a user types to go on with a run."""
+    return f"cbsr-qa run --resume {run}"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RunOutcome:
     """What came of a run, for whoever asked for it.
@@ -85,6 +90,11 @@ class RunOutcome:
         return self.result.record.identity.simulated
 
     @property
+    def resume(self) -> str:
+        """What to type to go on with it; empty where it finished."""
+        return "" if self.result.record.end is EndReason.FINISHED else resume_command(self.run)
+
+    @property
     def exit_code(self) -> int:
         """0 passed, 1 failed, 3 aborted, broken, not measured, or a file could not be written."""
         finished = self.result.record.end is EndReason.FINISHED
@@ -100,6 +110,7 @@ class RunOutcome:
             "serial": record.identity.sensor.serial,
             "end": str(record.end),
             "end_detail": record.end_detail,
+            "resume": self.resume or None,
             "outcome": str(self.result.verdict.outcome),
             "reason": self.reason,
             "report": None if self.report is None else str(self.report),

@@ -168,7 +168,7 @@ def opener(
     -------
     What opens one instrument, and what is called once all of them are closed.
     """
-    emulation = _emulation(configuration, plugins, clock)
+    emulation = _emulation(configuration, plugins, clock, resumed_at_s)
     if emulation is not None:
         emulated(emulation)
 
@@ -189,7 +189,7 @@ def check_clock(configuration: Configuration, instruments: Iterable[InstrumentId
         )
 
 
-def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock) -> Emulation | None:
+def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock, resumed_at_s: float) -> Emulation | None:
     station = configuration.station
     if station.emulated_scene is None:
         return None
@@ -205,6 +205,7 @@ def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock) -> 
         station.indenter,
         seed=configuration.seed,
         effect_factory=lambda name: plugins.factory(Kind.EFFECT, name),
+        began_s=resumed_at_s,
     )
     return Emulation(station.instruments, EmulatedRig(clock, world, station.motion))
 

@@ -45,5 +45,7 @@ def status(database: Database = None, as_json: AsJson = False) -> None:
         for run in runs:
             phase = f" in {run.phase!r}" if run.phase else ""
             say(f"{kind:<11} run {run.run} of {run.serial}: {state_words(run)}{phase}; next: {run.next}")
-    if any(not run.writer for run in (*found.incomplete, *found.stopped)):
+    for name, serial in found.without_result:
+        say(f"no result   run {name} of {serial}: finished; next: its result")
+    if found.without_result or any(not run.writer for run in (*found.incomplete, *found.stopped)):
         say("            cbsr-qa run --resume RUN goes on with one of them")

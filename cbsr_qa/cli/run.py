@@ -11,11 +11,16 @@ if TYPE_CHECKING:
     from cbsr_qa.app.outputs import RunOutcome
     from cbsr_qa.runner.dry_run import DryRun
 
+#: What a new run cannot do without, and what may be given with --resume.
+_NEEDED = ("station", "recipe", "serial")
+_WITH_RESUME = ("resume", "operator", "database", "as_json")
+
 
 def run(
-    station: Annotated[str, typer.Option(help="Station file, or the name of a shipped one.")],
-    recipe: Annotated[str, typer.Option(help="Recipe file, or the name of a shipped one.")],
-    serial: Annotated[str, typer.Option(help="Serial number of the sensor.")],
+    context: typer.Context,
+    station: Annotated[str, typer.Option(help="Station file, or the name of a shipped one.")] = "",
+    recipe: Annotated[str, typer.Option(help="Recipe file, or the name of a shipped one.")] = "",
+    serial: Annotated[str, typer.Option(help="Serial number of the sensor.")] = "",
     batch: Annotated[str, typer.Option(help="Material batch of the sensor.")] = "",
     operator: Annotated[str, typer.Option(help="Who stands at the station.")] = "",
     sensor_type: Annotated[str | None, typer.Option(help="Instead of the station's own.")] = None,
@@ -24,10 +29,28 @@ def run(
         int | None, typer.Option(help="Of random loads and of anything simulated; by default from serial and try.")
     ] = None,
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
+    resume: Annotated[
+        str | None, typer.Option(metavar="RUN", help="Go on with a run that was interrupted, as it was begun.")
+    ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Only say what would happen; nothing moves.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
 ) -> int:
-    """Test one sensor: verdict, stored run, report and, where it passed, its calibration file."""
+    """Test one sensor: verdict, stored run, report and, where it passed, its calibration file.
+
+    Needs --station, --recipe and --serial; or --resume alone, with no more than --operator, --database and --json.
+    """
+    _check_given(context, resuming=resume is not None)
+    if resume is not None:
+        from cbsr_qa.app.resume import resume_run
+
+        outcome = resume_run(
+            resume,
+            database=database,
+            operator=operator,
+            tell=lambda stage: note(f"{stage} …"),
+            ask=operator_at_terminal(),
+        )
+        return _shown(outcome, as_json)
     from cbsr_qa.app.run_sensor import RunRequest, plan_run, run_sensor
 
     request = RunRequest(
@@ -44,7 +67,35 @@ def run(
     if dry_run:
         _show_dry_run(plan_run(request), as_json)
         return 0
-    outcome = run_sensor(request, tell=lambda stage: note(f"{stage} …"), ask=operator_at_terminal())
+    return _shown(run_sensor(request, tell=lambda stage: note(f"{stage} …"), ask=operator_at_terminal()), as_json)
+
+
+def _check_given(context: typer.Context, *, resuming: bool) -> None:
+    """Refuse options that a resumed run has from its beginning, and a new run that lacks what it needs.
+
+    Raises
+    ------
+    typer.BadParameter
+        Naming them.
+    """
+    # A source is an enumeration of click's, which typer brings a copy of: told apart by name.
+    sources = {name: context.get_parameter_source(name) for name in context.params}
+    given = {name for name, source in sources.items() if source is not None and source.name != "DEFAULT"}
+    if resuming:
+        extra = [name for name in context.params if name in given and name not in _WITH_RESUME]
+        if extra:
+            named = ", ".join(f"--{name.replace('_', '-')}" for name in extra)
+            raise typer.BadParameter(
+                f"a run is resumed as it was begun: {named} cannot be given with --resume"
+                " (--operator, --database and --json can)"
+            )
+        return
+    missing = [name for name in _NEEDED if name not in given]
+    if missing:
+        raise typer.BadParameter(f"Missing option '--{missing[0]}'; or go on with a run: --resume RUN")
+
+
+def _shown(outcome: "RunOutcome", as_json: bool) -> int:
     if as_json:
         emit_json(outcome.document())
     else:
@@ -62,6 +113,8 @@ def _show(outcome: "RunOutcome") -> None:
     if outcome.material or outcome.material_why:
         say(f"material     {outcome.material or 'none: ' + outcome.material_why}")
     say(f"time         {outcome.station_s / 60:.1f} min of station time, {outcome.compute_s:.1f} s of computing")
+    if outcome.resume:
+        say(f"go on with   {outcome.resume}")
     if outcome.simulated:
         say(f"simulated    {'; '.join(outcome.simulated)}")
 

@@ -97,6 +97,13 @@ def restore(canonical: str) -> Configuration:
             "the stored configuration is of a layout this version does not know",
             remedy="resume the run with the version that began it",
         )
+    missing = [
+        key for key in ("station", "recipe", "sensor_type", "material", "scenes", "seed") if key not in content
+    ]
+    if missing:
+        raise ConfigError(
+            f"the stored configuration has no {missing[0]!r}", remedy="resume the run with the version that began it"
+        )
     station = load_station(content["station"])
     scenes = {role: load_scene(data) for role, data in content["scenes"].items()}
     world = load_scene(content["emulated_scene"]) if "emulated_scene" in content else None

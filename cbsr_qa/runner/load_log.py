@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 
+from cbsr_qa.clock import in_ticks
 from cbsr_qa.domain.loads import EasedStrain, Load, LoadRecord
 
 
@@ -53,4 +54,5 @@ class LoadLog:
         if self.lift_off_s is None:
             return None
         _, _, release_s, up_s = self.times_s
-        return min(release_s + self.lift_off_s, up_s)  # a head that is up has left the sheet
+        # In ticks, as all times of a run; and a head that is up has left the sheet.
+        return min(release_s + in_ticks(self.lift_off_s), up_s)

@@ -75,8 +75,8 @@ def schedule(
     Nobody knows where the head is when a run begins, so a run begins with homing whether its first sequence
     asks for it or not. Loads that are ``done`` are left out with their holds and rests; homing and surface
     finding are not, because the applicator forgets them with the power. A phase that goes on with a later load
-    begins again with what came before its first load (the rest, the unloaded frames), and then with the rest before
-    the load that is next: it is pressed on a sheet that has rested as it was meant to.
+    begins again with the rest before its first load, and then with the rest before the load that is next, frames
+    included: it is pressed on a sheet that has rested as it was meant to, and its last frames before are fresh.
 
     Parameters
     ----------
@@ -148,7 +148,11 @@ def _left(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> I
         elif first_open == loads:  # nothing is pressed any more: only what comes after the last load
             if pressed == loads - 1 and scheduled.load is None:
                 yield scheduled
-        elif pressed == -1 or (pressed == first_open - 1 and (released or scheduled.load is None)):
+        elif pressed == -1:
+            # The sheet rests again; the unloaded frames that belong to the loads that are done are there already.
+            if not isinstance(step, MarkUnloaded | AcquireFrames):
+                yield scheduled
+        elif pressed == first_open - 1 and (released or scheduled.load is None):
             yield scheduled
         released = released or isinstance(step, Release)
 

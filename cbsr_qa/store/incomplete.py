@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Connection, Engine, func, select
+from sqlalchemy import Connection, Engine, exists, func, select
 
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.store.check_tables import StationCheckRow
@@ -64,10 +64,20 @@ def incomplete_runs(engine: Engine) -> tuple[IncompleteRun, ...]:
             *stands,
             row.end,
             row.detail,
-            writer_of(engine, row.run) if row.end == EndReason.RUNNING else "",
+            writer_of(engine, row.run),
         )
         for row, stands in found
     )
+
+
+def runs_without_result(engine: Engine) -> tuple[tuple[str, str], ...]:
+    """Return (run, serial) of runs that finished and were cut off before their result was stored, oldest first."""
+    finished = select(RunStateRow.run).where(RunStateRow.end == str(EndReason.FINISHED))
+    query = select(RunRow.run, RunRow.serial).where(
+        RunRow.run.in_(finished), ~exists().where(AnalysisRow.run == RunRow.run)
+    )
+    with reading(engine) as connection:
+        return tuple((run, serial) for run, serial in connection.execute(query.order_by(RunRow.run)))
 
 
 def latest_id(engine: Engine) -> str:

@@ -235,14 +235,14 @@ def test_a_calibration_file_that_could_not_be_written_costs_no_verdict_and_is_wr
     script = f"""
 import shutil, sys
 from pathlib import Path
-import cbsr_qa.app.run_sensor as run_sensor
+import cbsr_qa.app.session as session
 
-real = run_sensor.conclude
+real = session.conclude
 def conclude(*arguments):
     shutil.rmtree({str(blocked)!r})
     Path({str(blocked)!r}).write_text("in the way")
     return real(*arguments)
-run_sensor.conclude = conclude
+session.conclude = conclude
 from cbsr_qa.cli.main import guarded
 sys.exit(guarded(sys.argv[1:]))
 """

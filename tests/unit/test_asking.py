@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from cbsr_qa.app import run_sensor as running
+from cbsr_qa.app import session as running
 from cbsr_qa.app.run_sensor import RunRequest, plan_run, run_sensor
 from cbsr_qa.cli.asking import asked, operator_at_terminal
 from cbsr_qa.cli.main import guarded

@@ -5,8 +5,9 @@ from typing import Final
 from cbsr_qa.domain.electrodes import ElectrodeKind, Electrodes, PlacedElectrodes
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.observation import RunObservation
+from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.report import Block, RunResult, Section, Table
-from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.domain.run import RunRecord, RunSession
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report.numbers import duration, number, quantity
 from cbsr_qa.report.tables import text_table
@@ -29,6 +30,8 @@ class Traceability:
         if result.observation is not None:
             blocks.append(_analysis(result.observation))
         blocks.append(_phases(record))
+        if len(record.sessions) > 1:
+            blocks.append(_sessions(record))
         blocks.append(_software(record))
         return Section("Traceability", tuple(blocks))
 
@@ -120,6 +123,44 @@ def _phases(record: RunRecord) -> Table:
     ]
     columns = ("Phase", "Sequence", "Time", "Frames", "Presses")
     return text_table("What was done.", columns, rows, (2, 3, 4))
+
+
+def _sessions(record: RunRecord) -> Table:
+    """The run was interrupted: when, how, who went on, and what of it does not count."""
+    first, *later = record.sessions
+    ends = [_ended(session, following) for session, following in zip(record.sessions, later, strict=False)]
+    rows = [["begun", _who(first), duration(0.0), "", _versions(first)]]
+    rows += [
+        [
+            f"resumed by {session.operator or 'somebody'}",
+            _who(session),
+            duration(session.started_s),
+            end,
+            _versions(session),
+        ]
+        for session, end in zip(later, ends, strict=True)
+    ]
+    aside = f"{record.set_aside} frames" if record.set_aside else "no frame"
+    times = "once" if len(later) == 1 else f"{len(later)} times"
+    caption = (
+        f"The run was interrupted {times}. Presses that were cut off were made again; {aside} of them are stored and"
+        " not analysed."
+    )
+    return text_table(caption, ("Session", "When", "At run time", "Because the one before", "Software"), rows, (2,))
+
+
+def _ended(session: RunSession, following: RunSession) -> str:
+    if session.end is EndReason.RUNNING:
+        return f"was cut off at {duration(following.started_s)}"
+    return f"was {session.end}: {session.detail}" if session.detail else f"was {session.end}"
+
+
+def _who(session: RunSession) -> str:
+    return "not noted" if session.noted_at is None else f"{session.noted_at:%Y-%m-%d %H:%M} UTC"
+
+
+def _versions(session: RunSession) -> str:
+    return ", ".join(f"{name} {version}" for name, version in session.software[:1]) or "not noted"
 
 
 def _software(record: RunRecord) -> Table:

@@ -1,0 +1,250 @@
+"""One session of a run, new or resumed: the bench open, the plan driven, what was stored concluded."""
+
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Self
+
+from cbsr_qa.app.conclude import calibrated, conclude
+from cbsr_qa.app.outputs import RunOutcome, resume_command, write_outputs
+from cbsr_qa.app.preflight import check_cycles, check_recipe, check_unloaded, overdue, refuse_overdue
+from cbsr_qa.app.setup import open_station, plan_of, station_clock
+from cbsr_qa.app.stages import Stages
+from cbsr_qa.clock import RealClock
+from cbsr_qa.config.merge import Configuration
+from cbsr_qa.domain.errors import BrokenRunError, StoreError
+from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.domain.report import RunResult
+from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
+from cbsr_qa.domain.run_events import PhaseFinished, PhaseStarted, RunEnded, RunEvent, RunStarted
+from cbsr_qa.plugins import Plugins
+from cbsr_qa.runner.asking import Asking
+from cbsr_qa.runner.dry_run import DryRun, dry_run
+from cbsr_qa.runner.execute import execute
+from cbsr_qa.runner.interrupts import on_stderr
+from cbsr_qa.runner.limits import check_samplers
+from cbsr_qa.runner.progress import RunProgress
+from cbsr_qa.runner.schedule import LoadKey
+from cbsr_qa.store.repository import Repository
+
+Ask = Callable[[str], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What earlier sessions of a run have done; by default nothing.
+
+    Parameters
+    ----------
+    loads : (phase, index) of presses that were held to their end.
+    phases : that ended.
+    until_s : when on the run's time line this session begins [s].
+    """
+
+    loads: frozenset[LoadKey] = frozenset()
+    phases: frozenset[int] = frozenset()
+    until_s: float = 0.0
+
+
+def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
+    """Refuse what would be refused after hours otherwise: overdue instruments, metrics, limits, missing plugins.
+
+    Raises
+    ------
+    RefusedError
+        Saying what is wrong.
+    """
+    refuse_overdue(configuration.station, RealClock().wall().date())
+    check_recipe(configuration.recipe, configuration.sensor_type, plugins)
+    planned = plan_of(configuration, plugins)
+    check_unloaded(planned, configuration.recipe)
+    check_cycles(planned, configuration.recipe)
+
+
+class Session:
+    """A bench that is open, and what is to be done on it.
+
+    Parameters
+    ----------
+    configuration : checked, see :func:`check_configuration`.
+    ask : shows a text to the operator and returns the answer; None where nobody is there.
+    done : by earlier sessions of the same run.
+
+    Raises
+    ------
+    InstrumentError, ConfigError
+        If an instrument does not answer, or is not what the station file says.
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        plugins: Plugins,
+        stages: Stages,
+        ask: Ask | None,
+        done: Done | None = None,
+    ) -> None:
+        self._configuration = configuration
+        self._plugins = plugins
+        self._stages = stages
+        self._asks = ask
+        self._done = done or Done()
+        self._progress: RunProgress | None = None
+        self.warnings: list[str] = []
+        self._plan = plan_of(configuration, plugins)
+        self._clock = station_clock(configuration)
+        self._ask = None if ask is None else Asking(self._asked)
+        self._bench = open_station(
+            configuration, plugins, self._clock, resumed_at_s=self._done.until_s, ask=self._ask
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bench.close()
+
+    def walk(self) -> DryRun:
+        """Count what is left to do, and what the station would not allow."""
+        check_samplers(self._plan, self._bench.samplers)
+        return dry_run(
+            self._plan,
+            self._bench.frame_source.frame_period_s,
+            done=self._done.loads,
+            ended=self._done.phases,
+            answered=self._ask is not None,
+        )
+
+    def instruments(self) -> tuple[InstrumentIdentity, ...]:
+        """Ask every instrument who it is."""
+        return self._bench.identities()
+
+    def run(self, identity: RunIdentity, store: Repository) -> RunOutcome:
+        """Drive the bench, then work out from the store what it came to.
+
+        Raises
+        ------
+        BrokenRunError
+            If the run, or what it came to, could not be stored or read back: what was stored of it stays.
+        """
+        self.warnings += filter(None, [store.from_the_future()])
+        self.warnings += overdue(identity.instruments, RealClock().wall().date())
+        with self._stages.stage("running the station"):
+            ended = self._drive(identity, store)
+        _refuse_unstored(identity.run, ended, store)
+        return concluded(identity.run, store, self._configuration, self._plugins, self._stages, self.warnings)
+
+    def _asked(self, text: str) -> str:
+        """Ask the operator; what shows progress on the terminal makes room meanwhile."""
+        assert self._asks is not None
+        with nullcontext() if self._progress is None else self._progress.paused():
+            return self._asks(text)
+
+    def _drive(self, identity: RunIdentity, store: Repository) -> RunEnded:
+        configuration = self._configuration
+        journal = store.journal(
+            configuration=configuration.canonical,
+            sensor_type=configuration.sensor_type,
+            material=configuration.material,
+            indenter=configuration.station.indenter,
+            tell=on_stderr,
+        )
+        with RunProgress(len(self._plan.phases), self._clock) as progress:
+            self._progress = progress
+            return execute(
+                self._plan,
+                identity,
+                self._bench,
+                self._clock,
+                [journal, progress, self._hooks(identity)],
+                done=self._done.loads,
+                ended=self._done.phases,
+                ask=self._ask,
+                warn=self.warnings.append,
+            )
+
+    def _hooks(self, identity: RunIdentity) -> Callable[[RunEvent], None]:
+        """Tell plugins what happens; one that fails becomes a warning of the run."""
+        tell, warn = self._plugins.tell, self.warnings.append
+        names: dict[int, str] = {}
+
+        def plugin_hooks(event: RunEvent) -> None:
+            match event:
+                case RunStarted():
+                    tell("cbsr_run_started", warn, may_abort=True, identity=identity)
+                case PhaseStarted():
+                    names[event.index] = event.name
+                case PhaseFinished():
+                    tell("cbsr_phase_finished", warn, may_abort=True, identity=identity, phase=names[event.index])
+
+        return plugin_hooks
+
+
+def _refuse_unstored(run: str, ended: RunEnded, store: Repository) -> None:
+    """Raise where a run ended and its end could not be stored: nothing is concluded from half a run."""
+    if ended.end is EndReason.FINISHED:
+        return
+    try:
+        stored = store.state_of(run).end
+    except StoreError:
+        stored = EndReason.RUNNING
+    if stored is EndReason.RUNNING:
+        raise BrokenRunError(
+            run, ended.detail, remedy=f"mend that; what was stored stays, and this goes on: {resume_command(run)}"
+        )
+
+
+def concluded(
+    run: str,
+    store: Repository,
+    configuration: Configuration,
+    plugins: Plugins,
+    stages: Stages,
+    warnings: Sequence[str],
+) -> RunOutcome:
+    """Work out from the store what a run came to, and write its report and calibration file.
+
+    Raises
+    ------
+    BrokenRunError
+        If that could not be stored or read back (a full disk): what was stored of the run stays.
+    """
+    try:
+        return _concluded(run, store, configuration, plugins, stages, warnings)
+    except StoreError as error:
+        remedy = "; then this goes on: ".join(filter(None, [error.remedy, resume_command(run)]))
+        raise BrokenRunError(run, error.reason, remedy=remedy) from error
+
+
+def _concluded(
+    run: str,
+    store: Repository,
+    configuration: Configuration,
+    plugins: Plugins,
+    stages: Stages,
+    warnings: Sequence[str],
+) -> RunOutcome:
+    with stages.stage("reading the run back"):
+        record = store.load_run(run)
+    recipe = configuration.recipe
+    conclusion = conclude(record, recipe, plugins, stages)
+    issued_at = RealClock().wall().isoformat()
+    calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
+    result = RunResult(
+        record=record,
+        observation=conclusion.observation,
+        measurements=conclusion.measurements,
+        verdict=conclusion.verdict,
+        calibration=calibration,
+        calibration_why=why,
+        compute_s=stages.table(),
+        warnings=(*conclusion.warnings, *warnings),
+        limits_version=recipe.limits_version,
+        characterisation=conclusion.characterisation,
+        station_check=store.latest_station_check(record.identity.station, record.identity.started_at),
+    )
+    store.save_result(result)
+    return write_outputs(result, recipe, plugins, stages, configuration.seed)

@@ -1,0 +1,201 @@
+"""``cbsr-qa run --resume``: a run that was interrupted is the run it would have been."""
+
+import random
+import sqlite3
+
+import numpy as np
+import pytest
+from command import cbsr_qa, document
+from killing import BEGIN, assert_same, came_of, killed, latest_run, trial, write_files
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A folder with a run that was left alone."""
+    folder = tmp_path_factory.mktemp("whole")
+    write_files(folder)
+    run = document(cbsr_qa(folder, *BEGIN, "--serial", "whole"))
+    return folder, came_of(folder, run["run"])
+
+
+@pytest.fixture
+def cut_off(tmp_path):
+    """A folder with a run that was killed in its second phase."""
+    write_files(tmp_path)
+    assert killed(tmp_path, [*BEGIN, "--serial", "S-1", "--operator", "Kim"], documents=200, after_s=0.0)
+    return tmp_path, latest_run(tmp_path, "S-1")
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_run_that_is_killed_twice_and_resumed_is_the_same_in_every_bit(whole, tmp_path, seed):
+    write_files(tmp_path)
+    came = trial(tmp_path, "S-1", whole[1], random.Random(seed))
+    assert len(came.record.sessions) == 3
+
+
+def test_a_run_that_was_cut_off_is_listed_resumed_and_then_refused(cut_off, whole):
+    folder, run = cut_off
+    (listed,) = document(cbsr_qa(folder, "db", "status", "--json"))["incomplete"]
+    assert (listed["run"], listed["serial"], listed["phase"], listed["state"]) == (
+        run,
+        "S-1",
+        "four places",
+        "cut off",
+    )
+    assert "press" in listed["next"]
+    assert "at (" in listed["next"]
+    assert f"incomplete  run {run} of S-1: cut off in 'four places'" in cbsr_qa(folder, "db", "status").stdout
+    resumed = document(cbsr_qa(folder, "run", "--resume", run, "--operator", "Jo", "--json"))
+    assert (resumed["run"], resumed["serial"], resumed["end"], resumed["resume"]) == (run, "S-1", "finished", None)
+    came = came_of(folder, run)
+    assert_same(whole[1], came)
+    first, second = came.record.sessions
+    assert (first.operator, first.ended_s, second.operator, str(second.end)) == ("Kim", None, "Jo", "finished")
+    assert document(cbsr_qa(folder, "db", "status", "--json"))["incomplete"] == []
+    report = (folder / resumed["report"]).read_text(encoding="utf-8")
+    assert "cut off" in report
+    assert "resumed by Jo" in report
+    again = cbsr_qa(folder, "run", "--resume", run, "--json", check=False)
+    assert again.returncode == 2
+    assert "is finished" in document(again)["refused"]["reason"]
+    assert not list((folder / "var").glob("*.lock"))
+
+
+def test_a_run_killed_while_its_result_was_worked_out_is_concluded(cut_off):
+    folder, run = cut_off
+    cbsr_qa(folder, "run", "--resume", run)
+    with sqlite3.connect(folder / "var" / "cbsr-qa.db") as database:
+        for table in ("measurements", "calibration_baselines"):
+            database.execute(f"delete from {table}")
+        database.execute("pragma foreign_keys = off")
+        database.execute("delete from analyses")
+        (frames,) = database.execute("select count(*) from frame_blocks").fetchone()
+    status = document(cbsr_qa(folder, "db", "status", "--json"))
+    assert status["without_result"] == [{"run": run, "serial": "S-1"}]
+    resumed = document(cbsr_qa(folder, "run", "--resume", run, "--json"))
+    assert (resumed["end"], resumed["outcome"]) == ("finished", "pass")
+    with sqlite3.connect(folder / "var" / "cbsr-qa.db") as database:
+        assert database.execute("select count(*) from frame_blocks").fetchone() == (frames,)
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--station", "simulated"], "--station cannot be given with --resume"),
+        (["--seed", "1", "--dry-run"], "--seed, --dry-run cannot be given with --resume"),
+        (["--serial", ""], "--serial cannot be given with --resume"),
+    ],
+)
+def test_a_run_is_resumed_as_it_was_begun(tmp_path, more, said):
+    done = cbsr_qa(tmp_path, "run", "--resume", "x", *more, "--json", check=False)
+    assert done.returncode == 2
+    assert said in document(done)["refused"]["reason"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_run_is_refused_and_nothing_is_made(tmp_path):
+    done = cbsr_qa(tmp_path, "run", "--resume", "no-such-run", "--json", check=False)
+    assert done.returncode == 2
+    assert "does not exist or is empty" in document(done)["refused"]["reason"]
+    cbsr_qa(tmp_path, "db", "upgrade")
+    refused = document(cbsr_qa(tmp_path, "run", "--resume", "no-such-run", "--json", check=False))["refused"]
+    assert "there is no run 'no-such-run' in this database" in refused["reason"]
+    assert "cbsr-qa db status" in refused["remedy"]
+    assert [path.name for path in (tmp_path / "var").iterdir()] == ["cbsr-qa.db"]
+
+
+def test_a_new_run_still_needs_station_recipe_and_serial(tmp_path):
+    done = cbsr_qa(tmp_path, "run", "--station", "simulated", "--serial", "A", check=False)
+    assert done.returncode == 2
+    assert "--recipe" in done.stderr
+
+
+def test_a_missing_plugin_is_refused_and_other_software_is_said(cut_off):
+    folder, run = cut_off
+    path = folder / "var" / "cbsr-qa.db"
+    with sqlite3.connect(path) as database:
+        (configuration,) = database.execute("select configuration from runs").fetchone()
+        database.execute("update runs set configuration = replace(configuration, 'location-grid', 'location-grit')")
+        database.execute("""update runs set software = '[["cbsr-qa", "0.0.1"], ["numpy", "1.0"]]'""")
+    refused = cbsr_qa(folder, "run", "--resume", run, "--json", check=False)
+    assert refused.returncode == 2
+    assert "location-grit" in document(refused)["refused"]["reason"]
+    with sqlite3.connect(path) as database:
+        assert database.execute("select count(*) from run_states").fetchone() == (1,)
+        database.execute("update runs set configuration = ?", (configuration,))
+    resumed = document(cbsr_qa(folder, "run", "--resume", run, "--json"))
+    (warning,) = [one for one in resumed["warnings"] if "other software" in one]
+    assert "cbsr-qa 0.0.1 →" in warning
+    assert "numpy 1.0 →" in warning
+
+
+def test_an_aborted_run_is_told_apart_and_resumed(tmp_path, whole):
+    """SIGTERM in the middle: the run ends in order, and goes on."""
+    write_files(tmp_path)
+    script = """
+import os, signal, sys
+from cbsr_qa.store.journal import Journal
+stored, count = Journal.__call__, 0
+def counted(self, event):
+    global count
+    stored(self, event)
+    count += 1
+    if count == 90:
+        os.kill(os.getpid(), signal.SIGTERM)
+Journal.__call__ = counted
+from cbsr_qa.cli.main import guarded
+sys.exit(guarded(sys.argv[1:]))
+"""
+    import subprocess
+    import sys
+
+    done = subprocess.run(
+        [sys.executable, "-c", script, *BEGIN, "--serial", "S-1"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    aborted = document(done)
+    assert (done.returncode, aborted["end"]) == (3, "aborted")
+    assert aborted["resume"] == f"cbsr-qa run --resume {aborted['run']}"
+    status = document(cbsr_qa(tmp_path, "db", "status", "--json"))
+    assert status["incomplete"] == []
+    assert [(one["run"], one["end"]) for one in status["stopped"]] == [(aborted["run"], "aborted")]
+    cbsr_qa(tmp_path, "run", "--resume", aborted["run"])
+    came = came_of(tmp_path, aborted["run"])
+    assert_same(whole[1], came)
+    assert [str(session.end) for session in came.record.sessions] == ["aborted", "finished"]
+
+
+def test_with_memory_effects_a_resumed_run_agrees_within_noise(tmp_path):
+    """The mean steady frame of each load: the difference of two is noise of √2 σ/√4 a reading, and residues of
+    earlier presses, which rests of other lengths leave different. The bound: 5 of these σ on any of 256 readings of
+    six loads would be met by noise in one of 900 trials; relaxed residues may add as much again."""
+    write_files(tmp_path, memory=True)
+    runs = []
+    for serial, cut in (("A", None), ("B", 170)):
+        arguments = [*BEGIN, "--serial", serial]
+        if cut is None:
+            cbsr_qa(tmp_path, *arguments)
+        else:
+            assert killed(tmp_path, arguments, documents=cut, after_s=0.0)
+            cbsr_qa(tmp_path, "run", "--resume", latest_run(tmp_path, serial))
+        runs.append(came_of(tmp_path, latest_run(tmp_path, serial)).record)
+    sigma = np.std(runs[0].phases[0].frames.between(0.0, runs[0].phases[0].loads[0].press_start_s).voltages, axis=0)
+    for phase, other in zip(*(run.phases for run in runs), strict=True):
+        for load, again in zip(phase.loads, other.loads, strict=True):
+            steady = [
+                of.frames.between(one.hold_start_s, one.release_start_s).voltages[-4:].mean(axis=0)
+                for of, one in ((phase, load), (other, again))
+            ]
+            assert np.abs(steady[0] - steady[1]).max() < 2 * 5 * np.sqrt(2 / 4) * sigma.mean()
+
+
+def test_a_second_program_is_told_who_writes_the_run(cut_off):
+    from cbsr_qa.store.repository import open_store
+
+    folder, run = cut_off
+    with open_store(f"sqlite:///{folder / 'var' / 'cbsr-qa.db'}") as store, store.writing_alone(run, "Alex"):
+        done = cbsr_qa(folder, "run", "--resume", run, "--json", check=False)
+        status = document(cbsr_qa(folder, "db", "status", "--json"))
+    assert done.returncode == 2
+    assert "is being written by Alex on" in document(done)["refused"]["reason"]
+    assert status["incomplete"][0]["state"].startswith("under way: Alex on")
