@@ -1,7 +1,7 @@
 """Conformance of instrument drivers: what the runner relies on, whatever stands behind the driver.
 
-:func:`check_frame_source`, :func:`check_applicator` and :func:`check_sampler` each run what applies to a role, on an
-instrument that is open and linked; :func:`check_closing` comes last. Over an emulated or a simulated instrument they
+:func:`check_frame_source`, :func:`check_applicator` and :func:`check_sampler` each run what applies to a role
+(:mod:`cbsr_qa.testing.scanning` has those of meters and multiplexers), on an instrument that is open and linked; :func:`check_closing` comes last. Over an emulated or a simulated instrument they
 take station time and hardly any of ours. On a real bench :func:`check_applicator` moves the head, and presses. A
 check that fails raises AssertionError and says which driver did what.
 """
@@ -34,10 +34,10 @@ _TICK_S: Final = 1e-3
 def check_instrument(instrument: Instrument) -> tuple[Checked, ...]:
     """Check what any instrument promises: who it is, and a safe state from any thread, more than once."""
     said = instrument.identity()
-    _demand(instrument, isinstance(said, InstrumentIdentity), f"says it is {said!r}, which is no InstrumentIdentity")
-    _demand(instrument, bool(said.model.strip()), "says of itself no model, under which a record could name it")
-    _demand(instrument, instrument.identity() == said, "says something else each time it is asked who it is")
-    took_s = max(_safe_state_s(instrument) for _ in range(2))
+    demand(instrument, isinstance(said, InstrumentIdentity), f"says it is {said!r}, which is no InstrumentIdentity")
+    demand(instrument, bool(said.model.strip()), "says of itself no model, under which a record could name it")
+    demand(instrument, instrument.identity() == said, "says something else each time it is asked who it is")
+    took_s = max(safe_state_s(instrument) for _ in range(2))
     return (
         Checked("identity", f"{said.driver}: {said.model}"),
         Checked("safe state", f"reached twice, from another thread, within {took_s:.2g} s"),
@@ -57,18 +57,18 @@ def check_frame_source(source: FrameSource, clock: Clock, sensor_type: SensorTyp
     AssertionError
         Naming the driver, what it did and what is promised.
     """
-    _demand(source, isinstance(source, FrameSource), "is no FrameSource: it lacks a method or property")
+    demand(source, isinstance(source, FrameSource), "is no FrameSource: it lacks a method or property")
     done = [*check_instrument(source)]
     period_s = source.frame_period_s
-    _demand(source, math.isfinite(period_s) and period_s > 0, f"says that a frame takes {period_s!r} s")
+    demand(source, math.isfinite(period_s) and period_s > 0, f"says that a frame takes {period_s!r} s")
     blocks = [_frames(source, clock, count, sensor_type) for count in (1, 2, 1)]
     clock.sleep(2.3 * period_s)
     blocks.append(_frames(source, clock, 1, sensor_type))
-    _safe_state_s(source)
+    safe_state_s(source)
     blocks.append(_frames(source, clock, 1, sensor_type))  # runs begin with a safe state
     whole = join_frames(blocks)
     gaps_s = np.diff(whole.time_s)
-    _demand(source, bool((gaps_s > (0.5 - _SLACK) * period_s).all()), f"gives frames {gaps_s.min():.3g} s apart")
+    demand(source, bool((gaps_s > (0.5 - _SLACK) * period_s).all()), f"gives frames {gaps_s.min():.3g} s apart")
     for count in (0, -1):
         _refuses(source, partial(source.acquire, count), f"{count} frames")
     unit = "counts" if whole.unit is VoltageUnit.COUNT else "volts"
@@ -94,10 +94,10 @@ def check_sampler(
     AssertionError
         Naming the driver, what it did and what is promised.
     """
-    _demand(sampler, isinstance(sampler, Sampler), "is no Sampler: it lacks a method or property")
+    demand(sampler, isinstance(sampler, Sampler), "is no Sampler: it lacks a method or property")
     done = [*check_instrument(sampler)]
     channel, unit = sampler.channel, sampler.unit
-    _demand(sampler, bool(channel and unit), f"samples channel {channel!r} in {unit!r}: both must say something")
+    demand(sampler, bool(channel and unit), f"samples channel {channel!r} in {unit!r}: both must say something")
     start_s = clock.now()
     blocks: list[SampleBlock] = []
     for _ in range(4):
@@ -105,14 +105,12 @@ def check_sampler(
         last_s = blocks[-1].time_s[-1] if blocks else start_s
         blocks.append(_samples(sampler, clock, float(last_s)))
         age_s = clock.now() - float(blocks[-1].time_s[-1])
-        _demand(sampler, age_s <= within_s, f"has a last sample that is {age_s:.3g} s old")
+        demand(sampler, age_s <= within_s, f"has a last sample that is {age_s:.3g} s old")
     again = _samples(sampler, clock, start_s)
     together = sum(len(block) for block in blocks)
     # A driver may forget what it has handed out; what it still has it gives unchanged.
     kept = np.isin(np.concatenate([block.time_s for block in blocks]), again.time_s)
-    _demand(
-        sampler, len(again) <= together + 1, f"gives {len(again)} samples where {together} came one after another"
-    )
+    demand(sampler, len(again) <= together + 1, f"gives {len(again)} samples where {together} came one after another")
     said = f"{together} of {channel} in {unit} within {clock.now() - start_s:.3g} s, {int(kept.sum())} of them kept"
     done.append(Checked("samples", said))
     return tuple(done)
@@ -142,7 +140,7 @@ def check_applicator(
     AssertionError
         Naming the driver, what it did and what is promised.
     """
-    _demand(head, isinstance(head, ForceApplicator), "is no ForceApplicator: it lacks a method or property")
+    demand(head, isinstance(head, ForceApplicator), "is no ForceApplicator: it lacks a method or property")
     done = [*check_instrument(head)]
     seen = _Seen(head, depth_now_mm, motion)
     head.home()
@@ -150,7 +148,7 @@ def check_applicator(
     surface_mm = head.find_surface(*places[0])
     seen.up("finding the surface")
     near = 0.5 * motion.hover_mm < surface_mm < 1.5 * motion.hover_mm
-    _demand(head, near, f"finds the surface {surface_mm!r} mm below a hover height of {motion.hover_mm:g} mm")
+    demand(head, near, f"finds the surface {surface_mm!r} mm below a hover height of {motion.hover_mm:g} mm")
     done.append(Checked("surface", f"{surface_mm:.4g} mm below the hover height"))
     done.append(_check_strokes(head, clock, motion, depth_mm, seen))
     head.press(depth_mm, motion.press_speed_mm_s)
@@ -191,7 +189,7 @@ class _Seen:
         """Demand that it is at the hover height."""
         if self._depth_now_mm is not None:
             height_mm = -self._depth_now_mm()
-            _demand(
+            demand(
                 self._head, height_mm > 0.9 * self._hover_mm, f"is {height_mm:.3g} mm above the sheet after {after}"
             )
 
@@ -199,7 +197,7 @@ class _Seen:
         """Demand that it is at a depth, to a tenth of a millimetre: surfaces are found to about that."""
         if self._depth_now_mm is not None:
             found_mm = self._depth_now_mm()
-            _demand(
+            demand(
                 self._head,
                 abs(found_mm - depth_mm) <= 0.1,
                 f"is {found_mm:.3g} mm deep when told to press {depth_mm:g} mm",
@@ -221,13 +219,13 @@ def _check_strokes(head: ForceApplicator, clock: Clock, motion: Motion, depth_mm
     seen.up("being released")
     ease_s = kinematics.ease_s(motion, depth_mm, 2 * depth_mm)
     down_s = kinematics.ease_s(motion, 0.0, depth_mm)
-    _demand(head, took_s[0] >= 0.9 * down_s, f"presses {depth_mm:g} mm in {took_s[0]:.3g} s at {speed:.3g} mm/s")
+    demand(head, took_s[0] >= 0.9 * down_s, f"presses {depth_mm:g} mm in {took_s[0]:.3g} s at {speed:.3g} mm/s")
     for eased_s in took_s[1:3]:
         right = 0.9 * ease_s <= eased_s < kinematics.stroke_s(motion, 0.0)
-        _demand(
+        demand(
             head, right, f"takes {eased_s:.3g} s to ease {depth_mm:g} mm at {speed:.3g} mm/s: that is {ease_s:.3g} s"
         )
-    _demand(head, took_s[3] > 0, "comes up in no time")
+    demand(head, took_s[3] > 0, "comes up in no time")
     return Checked(
         "strokes", f"down {took_s[0]:.3g} s, eased {took_s[1]:.3g} and {took_s[2]:.3g} s, up {took_s[3]:.3g} s"
     )
@@ -236,7 +234,7 @@ def _check_strokes(head: ForceApplicator, clock: Clock, motion: Motion, depth_mm
 def _check_safe_head(head: ForceApplicator, clock: Clock, motion: Motion, depth_mm: float, seen: _Seen) -> Checked:
     """A head that is down comes up when it is made safe, and goes on when it is told to."""
     head.press(depth_mm, motion.press_speed_mm_s)
-    took_s = _safe_state_s(head)
+    took_s = safe_state_s(head)
     clock.sleep(2 * kinematics.stroke_s(motion, depth_mm))
     seen.up("being made safe while it was down")
     head.home()
@@ -253,19 +251,19 @@ def _frames(source: FrameSource, clock: Clock, count: int, sensor_type: SensorTy
     block = source.acquire(count)
     now_s = clock.now()
     expected = (count, *sensor_type.pattern.shape)
-    _demand(source, block.voltages.shape == expected, f"gives frames of shape {block.voltages.shape}, not {expected}")
-    _demand(
+    demand(source, block.voltages.shape == expected, f"gives frames of shape {block.voltages.shape}, not {expected}")
+    demand(
         source, now_s > before_s, f"takes {count} frames in no time on the station's clock: a hold would never end"
     )
     middle = bool((block.time_s > before_s).all() and (block.time_s < now_s).all())
-    _demand(source, middle, f"gives frames of {block.time_s[0]:.6g} s to a call from {before_s:.6g} to {now_s:.6g} s")
+    demand(source, middle, f"gives frames of {block.time_s[0]:.6g} s to a call from {before_s:.6g} to {now_s:.6g} s")
     early_s = before_s - (block.time_s[0] - period_s / 2)
-    _demand(
+    demand(
         source, early_s <= (0.5 + _SLACK) * period_s, f"gives a frame that began {early_s:.3g} s before it was asked"
     )
     if block.reading_time_s is not None:
         off_s = np.abs(block.reading_time_s - block.time_s[:, None, None]).max()
-        _demand(
+        demand(
             source, off_s <= (0.5 + _SLACK) * period_s, f"has readings {off_s:.3g} s from the middle of their frame"
         )
     return block
@@ -275,21 +273,19 @@ def _samples(sampler: Sampler, clock: Clock, since_s: float) -> SampleBlock:
     """Take samples, and hold them against what was asked for."""
     block = sampler.samples_since(since_s)
     named = (block.channel, block.unit) == (sampler.channel, sampler.unit)
-    _demand(sampler, named, f"gives {block.channel!r} in {block.unit!r}, which is not what it says it samples")
-    _demand(sampler, len(block) > 0, f"has no sample after {since_s:.6g} s at {clock.now():.6g} s")
-    _demand(
-        sampler, bool((np.diff(block.time_s) > 0).all()), "gives samples that are not in the order of their times"
-    )
+    demand(sampler, named, f"gives {block.channel!r} in {block.unit!r}, which is not what it says it samples")
+    demand(sampler, len(block) > 0, f"has no sample after {since_s:.6g} s at {clock.now():.6g} s")
+    demand(sampler, bool((np.diff(block.time_s) > 0).all()), "gives samples that are not in the order of their times")
     first_s, last_s = float(block.time_s[0]), float(block.time_s[-1])
-    _demand(
+    demand(
         sampler, first_s > since_s, f"gives a sample of {first_s:.6g} s when asked for those after {since_s:.6g} s"
     )
-    _demand(sampler, last_s <= clock.now() + _TICK_S, f"gives a sample of {last_s:.6g} s at {clock.now():.6g} s")
-    _demand(sampler, bool(np.isfinite(block.values).all()), "gives a sample that is not a finite number")
+    demand(sampler, last_s <= clock.now() + _TICK_S, f"gives a sample of {last_s:.6g} s at {clock.now():.6g} s")
+    demand(sampler, bool(np.isfinite(block.values).all()), "gives a sample that is not a finite number")
     return block
 
 
-def _safe_state_s(instrument: Instrument) -> float:
+def safe_state_s(instrument: Instrument) -> float:
     """Make it safe from another thread, as the runner does; return how long that took [s]."""
     raised: list[BaseException] = []
 
@@ -305,7 +301,7 @@ def _safe_state_s(instrument: Instrument) -> float:
     thread.start()
     thread.join(timeout=SAFE_WITHIN_S)
     took_s = clock.now() - before_s
-    _demand(instrument, not thread.is_alive(), f"is not safe within {SAFE_WITHIN_S:g} s")
+    demand(instrument, not thread.is_alive(), f"is not safe within {SAFE_WITHIN_S:g} s")
     if raised:
         raise AssertionError(_said(instrument, f"does not reach its safe state: {raised[0]}")) from raised[0]
     return took_s
@@ -321,7 +317,8 @@ def _refuses(instrument: Instrument, call: Callable[[], object], what: str) -> N
     raise AssertionError(_said(instrument, f"takes {what} without a word"))
 
 
-def _demand(instrument: Instrument, holds: bool, said: str) -> None:
+def demand(instrument: Instrument, holds: bool, said: str) -> None:
+    """Raise AssertionError naming the driver and what it did, unless a promise holds."""
     if not holds:
         raise AssertionError(_said(instrument, said))
 

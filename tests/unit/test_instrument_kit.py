@@ -24,6 +24,7 @@ from cbsr_qa.testing.instruments import (
     check_instrument,
     check_sampler,
 )
+from cbsr_qa.testing.scanning import check_multiplexer, check_source_meter
 from cbsr_qa_plugins.hardware.manual_applicator import open_applicator as open_manual_head
 from cbsr_qa_plugins.hardware.manual_load_cell import open_load_cell as open_manual_cell
 from cbsr_qa_plugins.hardware.marlin_applicator import open_applicator
@@ -95,8 +96,9 @@ def test_frames_scanned_by_meter_and_multiplexer():
     with Scanning() as rig:
         frames = rig.open_frames()
         check_frame_source(frames, rig.clock, sensor_type())
-        for part in (rig.meter, rig.multiplexer):
-            check_instrument(part)
+        assert names(check_source_meter(rig.meter, rig.clock))[-1] == "readings"
+        (*_, order) = check_multiplexer(rig.multiplexer, sensor_type().pattern)
+        assert order.found == "256 combinations, the drive pair steps faster"
 
 
 def test_the_printer(station):
@@ -257,6 +259,44 @@ def test_where_the_head_is_seen_it_is_held_against_what_it_was_told(station, bro
     spoilt.bench = head
     with pytest.raises(AssertionError, match=said):
         check_applicator(spoilt, station.clock, MOTION, depth_now_mm=lambda: -station.head.height_mm)
+
+
+METERS = {
+    "gives 0.0002 A when told 0.0001 A": {"source": lambda self, own, current_A: own(2 * current_A)},
+    "measured at": {"measure": lambda self, own: replace(own(), time_s=-5.0)},
+    "is at its compliance": {"measure": lambda self, own: replace(own(), compliance=True)},
+    "V at currents of either sign": {"measure": lambda self, own: replace(own(), volts=1.0)},
+}
+
+
+@pytest.mark.parametrize("said", METERS)
+def test_a_meter_that_breaks_a_promise_is_told_which(said):
+    with Scanning() as rig:
+        spoilt = Spoilt(VirtualClock(), **METERS[said])
+        spoilt.bench = rig.open_meter()
+        for property_ in ("reading_period_s", "compliance_V"):
+            setattr(spoilt, property_, getattr(spoilt.bench, property_))
+        with pytest.raises(AssertionError, match=said):
+            check_source_meter(spoilt, rig.clock)
+
+
+@pytest.mark.parametrize(
+    ("order", "said"),
+    [
+        (lambda self, own: own()[:-1], "steps through 255 combinations; there are 256"),
+        (lambda self, own: (*own(), own()[0]), "takes 257 steps for 256 combinations"),
+        (
+            lambda self, own: own()[self.calls["order"] :] + own()[: self.calls["order"]],
+            "another order the second time",
+        ),
+    ],
+)
+def test_a_multiplexer_that_breaks_a_promise_is_told_which(order, said):
+    with Scanning() as rig:
+        spoilt = Spoilt(VirtualClock(), order=order)
+        spoilt.bench = rig.open_multiplexer()
+        with pytest.raises(AssertionError, match=said):
+            check_multiplexer(spoilt, sensor_type().pattern)
 
 
 def test_using_a_closed_instrument_is_at_worst_an_instrument_error():
