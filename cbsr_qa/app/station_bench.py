@@ -12,7 +12,7 @@ from cbsr_qa.app.preflight import past_due
 from cbsr_qa.app.setup import check_clock, opener
 from cbsr_qa.clock import Clock
 from cbsr_qa.config.merge import Configuration
-from cbsr_qa.domain.errors import AbortedError, CbsrError, RefusedError
+from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan import InstrumentSpec, ReferenceRing, Station
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.station_check import CheckOutcome, CheckResult, RingReadings
@@ -83,9 +83,10 @@ def look_at_bench(
     try:
         for spec in look.configuration.station.instruments:
             look.open(spec, opened, today)
+        connected = seen is not None or (bool(resistances) and look.has_ring(resistances, confirm))
         look.put_together(after)
         look.sample()
-        look.measure_ring(ring, resistances, None if seen else confirm, seen is not None)
+        look.measure_ring(ring, resistances, connected)
     finally:
         look.close(after)
     return look.found
@@ -176,6 +177,10 @@ class _Look:
         except Exception as error:  # noqa: BLE001 - as above
             self._add(_failed(one.spec.role, "self-test", error))
 
+    def has_ring(self, resistances_ohm: tuple[float, ...], confirm: Confirm) -> bool:
+        """Ask for the ring, before instruments that look at their contacts are put together."""
+        return not self._missing and confirm is not None and confirm(_connect_words(resistances_ohm))
+
     def put_together(self, after: tuple[Action, ...]) -> None:
         """Make a bench of the instruments, if all of them are there, and ask those that needed the others for it."""
         linked = [one for one in self._mounted if isinstance(one.instrument, Linked)]
@@ -193,7 +198,7 @@ class _Look:
                 check_clock(self.configuration, self.found.instruments)
                 self._bench = bench
         except Exception as error:  # noqa: BLE001 - as above: linking calls drivers
-            self._add(_failed(_WHOLE, "roles", error))
+            self._add(_failed(error.role if isinstance(error, InstrumentError) else _WHOLE, "together", error))
 
     def sample(self) -> None:
         """Wait as long as data may be old, and see that every channel has samples."""
@@ -208,9 +213,7 @@ class _Look:
                 except Exception as error:  # noqa: BLE001 - as above
                     self._add(_failed(one.spec.role, f"samples of {one.instrument.channel}", error))
 
-    def measure_ring(
-        self, ring: ReferenceRing | None, resistances_ohm: tuple[float, ...], confirm: Confirm, simulated: bool
-    ) -> None:
+    def measure_ring(self, ring: ReferenceRing | None, resistances_ohm: tuple[float, ...], connected: bool) -> None:
         """Take frames of the ring and judge them; a line says why, where none are taken."""
         sensor_type = self.configuration.sensor_type
         if ring is None:
@@ -219,8 +222,8 @@ class _Look:
             why = f"{sensor_type.name} has {sensor_type.electrodes.count} electrodes, between which there is no ring"
             return self._add(_no_ring(why, "set the station up for a sensor type with more"))
         if self._bench is None:
-            return self._add(_no_ring("not all instruments answered", "see above"))
-        if not simulated and (confirm is None or not confirm(_connect_words(resistances_ohm))):
+            return self._add(_no_ring("the instruments do not work together", "see above"))
+        if not connected:
             why = "nobody said that the ring is connected"
             return self._add(_no_ring(why, "run it from a terminal, or with --ring-connected once it is"))
         self._tell("measuring the reference ring")

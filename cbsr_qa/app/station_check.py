@@ -5,6 +5,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from types import FrameType
 from typing import Any, Final
@@ -43,7 +44,7 @@ _RING_FRAMES: Final = 16
 _OHM: Final = (1e-3, 1e9)
 
 #: Lines without which nothing is pressed.
-_NEEDED: Final = ("identity", "roles", "safe state", "closing")
+_NEEDED: Final = ("identity", "together", "safe state", "closing")
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,7 +170,12 @@ def check_station(
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)
     confirm: Confirm = None if ask is None else lambda words: _confirmed(ask, words)
+    # An operator is asked once for one thing, whoever wants to know.
+    placed: Confirm = None if simulated or confirm is None else cache(confirm)
     with open_store(database_url(request.database)) as store:
+        if placed is not None and request.golden is not None and ring is None:
+            # Contacts are looked at while the instruments are put together: something must be connected by then.
+            placed(_place_words(request.golden))
         with _stoppable():
             found = look_at_bench(
                 configuration,
@@ -183,7 +189,7 @@ def check_station(
             )
         _refuse_untried(found, configuration)
         run = None
-        if request.golden is not None and _may_press(request.golden, found, None if simulated else confirm):
+        if request.golden is not None and _may_press(request.golden, found, placed):
             run = _golden(request, request.golden, found, store, ask, tell)
         check = _check(store.new_id(), request, configuration, software_versions(plugins), found, run)
         store.save_station_check(check, found.ring)
@@ -265,12 +271,16 @@ def _subject(serial: str) -> str:
     return f"golden sensor {serial}"
 
 
+def _place_words(serial: str) -> str:
+    return f"Put golden sensor {serial} on the station"
+
+
 def _may_press(serial: str, found: BenchFindings, confirm: Confirm) -> bool:
     """Whether the golden sensor may be run; a line says why not."""
     why = ""
     if any(one.outcome is CheckOutcome.FAILED and one.name in _NEEDED for one in found.lines):
         why = "the bench is not whole"
-    elif confirm is not None and not confirm(f"Put golden sensor {serial} on the station"):
+    elif confirm is not None and not confirm(_place_words(serial)):
         why = "the operator did not put it on the station"
     if why:
         found.lines.append(CheckResult("run", CheckOutcome.NOT_DONE, said=why, subject=_subject(serial)))

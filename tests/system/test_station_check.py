@@ -3,14 +3,18 @@
 import json
 import re
 import signal
+from datetime import UTC, datetime
+from types import SimpleNamespace
 
 import pytest
 
 from cbsr_qa.app import station_check
+from cbsr_qa.app.station_bench import BenchFindings
+from cbsr_qa.app.station_check import CheckRequest, check_station
 from cbsr_qa.cli.main import guarded
 from cbsr_qa.config.loader import load_scene, load_station
 from cbsr_qa.domain.errors import InstrumentError
-from cbsr_qa.domain.station_check import CheckOutcome
+from cbsr_qa.domain.station_check import CheckOutcome, CheckResult, StationCheck
 from cbsr_qa.store.repository import open_store
 
 
@@ -152,6 +156,9 @@ def test_words_fit_the_terminal_and_name_what_to_do(tmp_path, capsys):
     assert max(len(line) for line in said if not line.startswith("page")) <= 100
 
 
+CHECK = StationCheck("1", "simulated", "", datetime(2026, 11, 22, tzinfo=UTC), "disc-100mm", 64 * "a", (), (), ())
+
+
 class Silent:
     """Plugins whose instruments do not answer."""
 
@@ -219,6 +226,28 @@ def test_termination_ends_a_check_like_the_keyboard_so_that_the_bench_is_made_sa
     assert signal.getsignal(signal.SIGTERM) is before
     with open_store("sqlite:///var/cbsr-qa.db", create=False) as store:
         assert store.latest_station_check("simulated") is None
+
+
+@pytest.mark.parametrize("ring", [True, False])
+def test_on_a_real_bench_what_must_be_connected_is_asked_for_before_contacts_are_looked_at(monkeypatch, ring):
+    told = []
+
+    def looked(*arguments, ring, confirm, **options):
+        told.append("look")
+        if ring is not None:
+            confirm("Connect the reference ring")
+        return BenchFindings([CheckResult("identity", CheckOutcome.OK)], [SimpleNamespace(simulated=False)])
+
+    monkeypatch.setattr(station_check, "look_at_bench", looked)
+    monkeypatch.setattr(station_check, "simulates_frames", lambda station: False)
+    monkeypatch.setattr(station_check, "_golden", lambda *arguments: told.append("golden run"))
+    monkeypatch.setattr(station_check, "_check", lambda *arguments: CHECK)
+    asked = CheckRequest("simulated", golden="G-1", ring_ohm=1e4 if ring else None)
+    check_station(asked, ask=lambda words: told.append(words.partition(".")[0]) or "")
+    place = "Put golden sensor G-1 on the station"
+    assert told == (
+        ["look", "Connect the reference ring", place, "golden run"] if ring else [place, "look", "golden run"]
+    )
 
 
 def test_a_scene_that_is_wrong_is_refused_like_that_of_a_run(check, tmp_path):

@@ -102,7 +102,7 @@ def test_one_that_does_not_answer_is_a_line_and_the_others_are_looked_at(bench, 
     assert (line.outcome, line.remedy) == (FAILED, remedy)
     assert line.said.startswith(said)
     assert {one.role for one in found.instruments} == {"force_applicator", "frame_source"}
-    assert bench.lines["reference ring", "readings"].said == "not all instruments answered"
+    assert bench.lines["reference ring", "readings"].said == "the instruments do not work together"
     opened = [role for role in ROLES if method != "open" or role != "load_cell"]
     for call in ("safe_state", "close"):
         assert [bench.script.count(f"{role}.{call}") for role in opened] == [1] * len(opened)
@@ -149,13 +149,13 @@ def test_a_channel_without_samples_fails(bench):
 def test_instruments_that_make_no_bench_are_said_so(bench):
     bench.factories["load_cell"] = lambda context: ScriptedApplicator(bench.script)
     bench.look()
-    assert "is said to provide 'load_cell' but is no Sampler" in bench.lines["whole bench", "roles"].said
+    assert "is said to provide 'load_cell' but is no Sampler" in bench.lines["whole bench", "together"].said
 
 
 def test_a_real_instrument_on_a_virtual_clock_makes_no_bench(bench):
     bench.instruments["load_cell"].simulated = False
     bench.look(RING, lambda words: True)
-    assert "load_cell is a real instrument" in bench.lines["whole bench", "roles"].said
+    assert "load_cell is a real instrument" in bench.lines["whole bench", "together"].said
     assert "frame_source.acquire" not in bench.script.names()
 
 
@@ -285,3 +285,23 @@ def test_an_operator_who_stops_the_check_while_being_asked_ends_it_and_leaves_th
         bench.look()
     assert [bench.script.count(f"{role}.safe_state") for role in ROLES] == [1, 1, 1]
     assert [bench.script.count(f"{role}.close") for role in ROLES] == [1, 1, 1]
+
+
+def test_the_ring_is_asked_for_before_contacts_are_looked_at_and_open_pins_are_a_line(bench):
+    told = []
+
+    class Touching(Scanner):
+        def link(self, peers):
+            told.append("link")
+            if "ring" not in told:
+                raise InstrumentError("frame_source", "its pins", "pin 7 open", remedy="press it in")
+            super().link(peers)
+
+    bench.instruments["frame_source"] = Touching(bench.script, (16, 16), 2.5)
+    assert bench.look(RING, lambda words: told.append("ring") or True).ring is not None
+    assert told == ["ring", "link"]
+    told.clear()
+    assert bench.look(RING, None).ring is None
+    line = bench.lines["frame_source", "together"]
+    assert (line.outcome, line.remedy) == (FAILED, "press it in")
+    assert "pin 7 open" in line.said
