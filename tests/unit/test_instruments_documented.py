@@ -1,0 +1,45 @@
+"""An option of a driver that the reference of instruments does not name is a failing test, and so is one too many."""
+
+import importlib
+import re
+from pathlib import Path
+
+import pytest
+
+from cbsr_qa.hookspecs import Kind
+from cbsr_qa_plugins.registry import BUILT_IN
+
+PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "instruments.md").read_text()
+DRIVERS = {name: where for kind, name, where in BUILT_IN if kind is Kind.INSTRUMENT}
+
+
+def options(driver):
+    module = importlib.import_module(f"cbsr_qa_plugins.{DRIVERS[driver].partition(':')[0]}")
+    found = getattr(module, "_OPTIONS", None) or module._KEYS
+    return {*found, *getattr(module, "_OTHER_KEYS", ())}
+
+
+def documented(driver):
+    """Keys in the first column of a driver's section, or in its row of the last table."""
+    section = re.search(rf"^## `{driver}`$(.*?)(?=^## |\Z)", PAGE, re.M | re.S)
+    if section is not None:
+        cells = re.findall(r"^\| (`[^|]*?) \|", section[1], re.M)
+    else:
+        cells = re.findall(rf"^\| `{driver}` \|[^|]*\| ([^|]*) \|", PAGE, re.M)
+    return {key for cell in cells for key in re.findall(r"`(\w+)`", cell)}
+
+
+@pytest.mark.parametrize("driver", DRIVERS)
+def test_every_option_of_a_driver_is_documented_and_no_other(driver):
+    assert documented(driver) == options(driver)
+
+
+def test_the_defaults_of_the_scanning_drivers_are_the_documented_ones():
+    for driver in ("keithley_2600", "esp32_multiplexer", "scanned_frames"):
+        source = (Path(__file__).parents[2] / "plugins/cbsr_qa_plugins/hardware" / f"{driver}.py").read_text()
+        section = re.search(rf"^## `{driver.replace('_', '-')}`$(.*?)(?=^## |\Z)", PAGE, re.M | re.S)[1]
+        for keys, values in re.findall(r"^\| (`[^|]*?) \| ([^|]+) \|", section, re.M):
+            for key, value in zip(re.findall(r"`(\w+)`", keys), values.strip("` ").split("`, `"), strict=False):
+                stated = re.search(rf'"{key}", ([\d.]+),', source)
+                if stated and re.fullmatch(r"[\d.]+", value):
+                    assert float(stated[1]) == float(value), (driver, key)
