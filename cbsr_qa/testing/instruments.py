@@ -1,9 +1,10 @@
 """Conformance of instrument drivers: what the runner relies on, whatever stands behind the driver.
 
-:func:`check_frame_source`, :func:`check_applicator` and :func:`check_sampler` each run what applies to a role
-(:mod:`cbsr_qa.testing.scanning` has those of meters and multiplexers), on an instrument that is open and linked; :func:`check_closing` comes last. Over an emulated or a simulated instrument they
-take station time and hardly any of ours. On a real bench :func:`check_applicator` moves the head, and presses. A
-check that fails raises AssertionError and says which driver did what.
+:func:`check_frame_source`, :func:`check_applicator` and :func:`check_sampler` each run what applies to a role, on an
+instrument that is open and linked; :mod:`cbsr_qa.testing.scanning` has those of meters and multiplexers.
+:func:`check_closing` comes last. Over an emulated or a simulated instrument they take station time and hardly any of
+ours. On a real bench :func:`check_applicator` moves the head, and presses. A check that fails raises AssertionError
+and says which driver did what.
 """
 
 import math
