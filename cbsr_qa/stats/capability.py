@@ -14,9 +14,10 @@ from dataclasses import dataclass
 from math import fsum, inf, sqrt
 
 import numpy as np
-from scipy import optimize, stats
+from scipy import stats
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.stats.noncentral import noncentrality
 from cbsr_qa.stats.samples import Interval, constant, sample, share
 from cbsr_qa.stats.univariate import centred
 
@@ -162,27 +163,3 @@ def _exact(value: float, spread: _Spread, confidence: float) -> Interval:
     scale, tail = 3 * sqrt(spread.count), (1 - confidence) / 2
     ends = [noncentrality(scale * value, spread.freedom, p) / scale for p in (1 - tail, tail)]
     return Interval(ends[0], ends[1], confidence)
-
-
-def noncentrality(t: float, freedom: float, below: float) -> float:
-    """Return δ for which a noncentral t of these degrees of freedom lies below ``t`` with this probability.
-
-    Parameters
-    ----------
-    t : observed statistic.
-    freedom : ν > 0.
-    below : share between 0 and 1; the larger, the smaller δ.
-    """
-
-    def excess(delta: float) -> float:
-        # The reflected tail keeps its digits where the statistic is far out on the other side.
-        shown = stats.nct.cdf(t, freedom, delta) if t >= 0 else stats.nct.sf(-t, freedom, -delta)
-        return float(shown) - below
-
-    step = 5 + abs(t)
-    low, high = t - step, t + step
-    while excess(low) < 0:
-        low -= step
-    while excess(high) > 0:
-        high += step
-    return float(optimize.brentq(excess, low, high, xtol=1e-10, rtol=1e-12))

@@ -114,7 +114,7 @@ class Crossing:
         """Return the index of a ``"group"`` or ``"station"``; refuse an unknown name."""
         names = self.groups if kind == "group" else self.stations
         if name not in names:
-            raise NumericsError(f"{kind} {name!r} has no runs; there are {_listed(names)}")
+            raise NumericsError(f"{kind} {name!r} has no runs that were used; those of {_listed(names)} were")
         return names.index(name)
 
 

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from math import exp, lgamma, log, sqrt
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.stats.capability import noncentrality
 from cbsr_qa.stats.contrast import Contrast, checked
+from cbsr_qa.stats.noncentral import noncentrality
 from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, sample, share
 from cbsr_qa.stats.univariate import Summary, summary
 

@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg, stats
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.stats.components import FEWEST_REPEATS
 from cbsr_qa.stats.contrast import Contrast, checked
 from cbsr_qa.stats.crossing import Crossing
 from cbsr_qa.stats.kenward_roger import SmallSample, small_sample
@@ -211,10 +212,9 @@ def _reduce(design: Crossing, array: FloatArray, what: str) -> _Reduced:
 
 def _inseparable(sums: SensorSums) -> str:
     """Say why sensor and run cannot be told apart; empty where they can."""
-    free = sums.runs - sums.total_sensors - sums.within_rank()
     if sums.runs == sums.total_sensors:
         return "no sensor has more than one run, so that sensors and runs cannot be told apart"
-    if free < 1:
+    if _repeats(sums) < 1:
         return "the sensors' repeated runs are used up by the stations' differences: first runs only"
     inner = sums.within[:-1, :-1]
     left = sums.within[-1, -1] - sums.within[-1, :-1] @ np.linalg.pinv(inner, hermitian=True) @ sums.within[:-1, -1]
@@ -245,7 +245,7 @@ def _mixed(design: Crossing, reduced: _Reduced, what: str) -> Fit:
         sensor_deviation=deviation * sqrt(ratio.value),
         ratio=ratio.interval,
         criterion=ratio.criterion + 2 * (sums.runs - sums.columns) * log(reduced.scale),
-        notes=(*_notes(ratio), *_weaknesses(design)),
+        notes=(*_notes(ratio, _repeats(sums)), *_weaknesses(design)),
         small=small,
         covariance=deviation**2 * small.adjusted,
         freedom=float(between),
@@ -279,10 +279,18 @@ def _fixed(design: Crossing, reduced: _Reduced, reason: str, what: str) -> Fit:
     )
 
 
-def _notes(ratio: Ratio) -> tuple[str, ...]:
-    if ratio.value:
-        return ()
-    return ("sensors differ no more than runs of one sensor do: their variance is estimated as zero",)
+def _repeats(sums: SensorSums) -> int:
+    """Degrees of freedom that runs of one sensor have, the stations' differences taken off."""
+    return sums.runs - sums.total_sensors - sums.within_rank()
+
+
+def _notes(ratio: Ratio, repeats: int) -> tuple[str, ...]:
+    notes = []
+    if repeats < FEWEST_REPEATS:
+        notes.append(f"{repeats} repeated runs tell sensors from runs: how their variances share is hardly known")
+    if not ratio.value:
+        notes.append("sensors differ no more than runs of one sensor do: their variance is estimated as zero")
+    return tuple(notes)
 
 
 def _weaknesses(design: Crossing) -> tuple[str, ...]:

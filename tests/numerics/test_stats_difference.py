@@ -75,6 +75,16 @@ def test_effect_sizes_are_unbiased_and_covered():
     assert 0.935 <= np.mean([one.interval.holds(1.5) for one in found]) <= 0.965
 
 
+@pytest.mark.parametrize("size", [1e3, 1e7, 1e12])
+def test_effects_beyond_all_tables(size):
+    """Far apart, only the deviation's own error is left: δ/d is √(χ²/ν), between its 2.5 % and 97.5 % points."""
+    found = hedges([size, size + 1, size - 1], [0.0, 1.0, -1.0])
+    low, high = np.sqrt(stats.chi2.ppf([0.025, 0.975], 4) / 4)
+    ends = found.interval.low / size, found.interval.high / size
+    assert ends == pytest.approx((low, high), rel=1e-5)
+    assert hedges([0.0, 1.0, -1.0], [size, size + 1, size - 1]).interval.high == pytest.approx(-found.interval.low)
+
+
 @settings(deadline=None)
 @given(groups, groups)
 def test_effect_size_turns_with_its_groups(first, second):

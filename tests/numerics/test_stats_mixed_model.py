@@ -295,6 +295,12 @@ def test_what_cannot_be_fitted_is_named(rows, values, reason):
         fit(fleet(rows).design, np.array(values), "E_CoM")
 
 
+def test_few_repeats_are_named():
+    rows = fleet([(sensor % 2, 0, sensor) for sensor in [*range(12), 0, 1]])
+    found = fit(rows.design, rows.values(np.random.default_rng(814), batches=[0, 1], stations=[0]))
+    assert "2 repeated runs" in found.notes[0]
+
+
 def test_runs_that_do_not_differ_leave_their_first():
     rows = fleet([(sensor // 4, 0, sensor) for sensor in range(8) for _ in range(2)])
     once = np.random.default_rng(813).normal(size=8)
@@ -314,5 +320,5 @@ def test_designs_that_are_none_are_named():
     design = crossing(["a", "b", "a"], ["s", "s", "s"], ["1", "1", "2"])
     assert design.in_several_groups() == ("1",)
     assert design.only(np.array([True, False, True])).groups == ("a",)
-    with pytest.raises(NumericsError, match="group 'c' has no runs; there are a, b"):
+    with pytest.raises(NumericsError, match="group 'c' has no runs that were used; those of a, b were"):
         design.index("group", "c")
