@@ -436,6 +436,13 @@ def test_a_line_that_stumbles_changes_no_press(station, homed, one_world, fault,
     assert station.head.place_mm == pytest.approx((0.0, 0.0))
 
 
+@pytest.mark.parametrize("fault", [Fault.COMPLIANCE, Fault.OVERLOAD])
+def test_faults_that_a_printer_cannot_have_change_nothing(station, homed, fault):
+    station.arm("applicator", fault)
+    homed.press(0.8, SPEED)
+    assert station.head.height_mm == pytest.approx(-0.8, abs=1e-3)
+
+
 @pytest.mark.parametrize("at", range(4, 40, 5))
 def test_an_old_answer_is_no_position(station, homed, at):
     port = station.emulation.ports["applicator"]

@@ -55,6 +55,11 @@ def skipped(cell):
     return cell._source.skipped
 
 
+def skipped_lines(thermometer):
+    """Lines it could not read."""
+    return thermometer._lines.skipped
+
+
 def true_N(station, times):
     numbers = np.round(np.asarray(times) * 8).astype(int)
     return [station.rig.world.force_N(n / 8, int(n)) for n in numbers]
@@ -319,6 +324,36 @@ def test_a_cell_named_by_its_identity_is_read_again_once_it_is_back(monkeypatch,
 def test_faults_that_a_load_cell_cannot_have_change_nothing(station, cell, fault):
     assert len(run_through(station, cell, fault)) >= 8 * 15 - 2
     assert skipped(cell) == 0
+
+
+@pytest.mark.parametrize(
+    "fault", [Fault.GARBLE, Fault.STALE, Fault.RESET, Fault.DELAY, Fault.OVERLOAD, Fault.SILENCE]
+)
+def test_a_thermometer_that_stumbles_makes_up_no_temperature(station, fault):
+    one = station.open("thermometer", open_thermometer)
+    station.clock.sleep(10.0)
+    station.arm("thermometer", fault)
+    for _ in range(20):
+        station.clock.sleep(1.0)
+        one.samples_since(station.clock.now() - 1.0)
+    block = one.samples_since(-1.0)
+    assert (np.diff(block.time_s) > 0).all()
+    if fault is Fault.OVERLOAD:
+        assert block.values.max() > 100.0
+        return
+    np.testing.assert_allclose(block.values, 22.0, atol=0.2)
+    assert skipped_lines(one) == {Fault.GARBLE: 1, Fault.RESET: 1}.get(fault, 0)
+    if fault is Fault.SILENCE:
+        with pytest.raises(InstrumentError, match="has sent nothing"):
+            one.alive()
+
+
+def test_a_thermometer_that_was_unplugged_is_said(station):
+    one = station.open("thermometer", open_thermometer)
+    station.arm("thermometer", Fault.DROP)
+    station.clock.sleep(2.0)
+    with pytest.raises(InstrumentError, match=r"thermometer at .*(link is down|no port|does not open)"):
+        one.samples_since(-1.0)
 
 
 # --- bad input ---
