@@ -106,6 +106,13 @@ class Variation:
         """Return six deviations of a component over the tolerance; None without one."""
         return None if self.tolerance is None else 100 * SIX * part.deviation / self.tolerance
 
+    def tolerance_interval(self, part: Variance) -> Interval | None:
+        """Return the interval of :meth:`percent_tolerance`; None without a tolerance or an interval."""
+        if self.tolerance is None or part.interval is None:
+            return None
+        low, high = (100 * SIX * sqrt(end) / self.tolerance for end in (part.interval.low, part.interval.high))
+        return Interval(low, high, part.interval.confidence)
+
 
 def study(sensors: Sequence[str], stations: Sequence[str], values: Sequence[float]) -> Study:
     """Arrange runs as a crossed study.

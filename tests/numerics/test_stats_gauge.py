@@ -185,7 +185,15 @@ def test_tolerance_shares_and_cut_components():
     assert any("station variance" in note for note in found.variation.notes)
     repeat = found.variation.repeatability
     assert found.variation.percent_tolerance(repeat) == pytest.approx(100 * 6 * repeat.deviation / 24)
-    assert gauge_range(arranged(table)).variation.notes
+    interval = found.variation.tolerance_interval(repeat)
+    # Twelve values in six cells: 6 degrees of freedom of the runs and, pooled or not, an exact χ².
+    freedom = 6 + 2 * found.pooled
+    ends = [repeat.deviation * sqrt(freedom / stats.chi2.isf(tail, freedom)) * 25 for tail in (0.025, 0.975)]
+    assert (interval.low, interval.high) == pytest.approx(ends)
+    by_range = gauge_range(arranged(table), tolerance=24.0).variation
+    assert by_range.notes
+    assert by_range.tolerance_interval(by_range.gauge) is None
+    assert gauge_anova(arranged(table)).variation.tolerance_interval(repeat) is None
 
 
 @pytest.mark.parametrize(
