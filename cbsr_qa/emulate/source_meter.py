@@ -69,6 +69,8 @@ _FORMAT: Final[Mapping[str, tuple[float, float, float]]] = {
     "format.byteorder": (1, 0, 1),
     "format.asciiprecision": (6, 1, 16),
 }
+#: What a reset leaves as it is.
+_NODE: Final[Mapping[str, tuple[float, float, float]]] = {"localnode.prompts": (0, 0, 1)}
 
 
 @dataclass(slots=True)
@@ -131,7 +133,7 @@ class EmulatedSourceMeter:
     def assign(self, name: str, value: Any) -> None:
         """Set an attribute."""
         channel, _, rest = name.partition(".")
-        bounds = _FORMAT.get(name) or (_CHANNEL.get(rest) if channel in self._buffers else None)
+        bounds = _FORMAT.get(name) or _NODE.get(name) or (_CHANNEL.get(rest) if channel in self._buffers else None)
         if bounds is None:
             raise TspError(RUNTIME_ERROR, f"TSP Runtime error at line 1: attempt to set `{name}'")
         if not isinstance(value, float | int) or not bounds[1] <= value <= bounds[2]:
@@ -175,6 +177,8 @@ class EmulatedSourceMeter:
                 self._tsp.run(line)
             except TspError as error:
                 self._errors.append((float(error.code), str(error), _SEVERITY, 1.0))
+        if self._attributes["localnode.prompts"]:
+            self._said += b"TSP>\n"
 
     def _switched_off(self) -> None:
         """Forget everything, as without power."""
@@ -183,6 +187,7 @@ class EmulatedSourceMeter:
         self._tsp = Interpreter(self)
         self._buffers = {"smua": _Buffer(), "smub": _Buffer()}
         self._names = self._readable()
+        self._attributes = {name: spec[0] for name, spec in _NODE.items()}
         self._reset()
 
     def _readable(self) -> dict[str, Callable[[], Any]]:
@@ -202,7 +207,8 @@ class EmulatedSourceMeter:
 
     def _reset(self) -> None:
         channels = {f"{c}.{name}": spec[0] for c in ("smua", "smub") for name, spec in _CHANNEL.items()}
-        self._attributes = {**channels, **{name: spec[0] for name, spec in _FORMAT.items()}}
+        kept = {name: self._attributes[name] for name in _NODE}
+        self._attributes = {**channels, **{name: spec[0] for name, spec in _FORMAT.items()}, **kept}
         for buffer in self._buffers.values():
             buffer.clear()
         self._wire()

@@ -51,6 +51,14 @@ def test_opening_switches_a_source_off_that_was_left_on(bench):
     assert bench.rig.wiring.current_A is None
 
 
+def test_prompts_that_another_program_switched_on_do_no_harm(bench):
+    assert bench.emulation.instruments["meter"].received(b"localnode.prompts = 1\n") == b"TSP>\n"
+    bench.emulation.ports["meter"].send(b"TSP>\n")
+    meter = bench.open_meter()
+    meter.source(1e-4)
+    assert meter.measure().volts == pytest.approx(1e-4 * OHM[0, 0], rel=1e-6)
+
+
 def test_a_measurement_is_the_mean_of_its_readings_with_their_current_and_time(bench):
     meter = bench.open_meter(readings=3, nplc=0.5)
     meter.source(2e-4)

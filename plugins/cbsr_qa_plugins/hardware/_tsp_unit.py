@@ -1,6 +1,7 @@
 """Questions to a unit of Keithley's 2600 series, each with a word of its own that its answer repeats."""
 
 import itertools
+from contextlib import suppress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,9 +36,21 @@ class TspUnit:
         except InstrumentError as stranger:
             # An answer left over from before is no stranger: then it comes back into step.
             try:
-                self._link.recover()
+                self.recover()
             except InstrumentError:
                 raise stranger from None
+
+    def recover(self) -> None:
+        """Get back into step; prompts that another program switched on are switched off before they count as answers.
+
+        Raises
+        ------
+        InstrumentError
+            If there is no answer.
+        """
+        with suppress(InstrumentError):  # a link that is down is opened again first
+            self._link.write("localnode.prompts = 0")
+        self._link.recover()
 
     def identity(self) -> tuple[str, str, str, str]:
         """Return maker, model, serial number and firmware.

@@ -275,7 +275,7 @@ class Keithley2600:
     def _set_up(self) -> None:
         """Get back into step, make sure who it is, and bring it from anywhere to its settings, switched off."""
         self._given_A = None
-        self._link.recover()
+        self._unit.recover()
         self._switch_off()
         self._unit.identity()
         for line in settings(
@@ -315,7 +315,7 @@ class Keithley2600:
                 return
         with suppress(InstrumentError):  # before anything is asked: the link may be deaf on our side only
             self._switch_off()
-        self._link.recover()
+        self._unit.recover()
         self._says_off()
 
     def _says_off(self) -> bool:
