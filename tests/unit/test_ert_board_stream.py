@@ -147,9 +147,10 @@ def test_counts_at_the_ends_of_the_range_are_flagged(opened):
     np.testing.assert_array_equal((block.flags[0] & ReadingFlag.SATURATED) > 0, cut | (block.voltages[0] >= 65_535))
 
 
-def test_ends_of_the_range_may_lie_elsewhere(opened):
+@pytest.mark.parametrize("options", [{}, {"format": "ascii", "baud": 230_400}], ids=["binary", "ascii"])
+def test_ends_of_the_range_may_lie_elsewhere(opened, options):
     """One board of the lab's recordings clips at 4600."""
-    bench = opened(range_counts=[32_000, 33_000])
+    bench = opened(range_counts=[32_000, 33_000], **options)
     block = bench.driver.acquire(1)
     sent = block.voltages[0] + 32_768
     np.testing.assert_array_equal(block.flags[0] > 0, (sent <= 32_000) | (sent >= 33_000))

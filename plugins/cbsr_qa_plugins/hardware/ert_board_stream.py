@@ -5,17 +5,14 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import Final
 
-import numpy as np
-from numpy.typing import NDArray
-
-from cbsr_qa.analysis.recording_memory import correct_memory
-from cbsr_qa.domain.errors import ConfigError, InstrumentError
-from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
+from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain.frames import FrameBlock
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.interfaces import StationContext
 from cbsr_qa.links.serial_link import SerialLink
+from cbsr_qa_plugins.hardware._board_settings import BoardSettings
 from cbsr_qa_plugins.hardware._board_stream import (
     BINARY_FRAME,
     PAIRS,
@@ -23,28 +20,9 @@ from cbsr_qa_plugins.hardware._board_stream import (
     BoardFrame,
     BoardStream,
     TextStream,
-    scan_order,
 )
-from cbsr_qa_plugins.hardware._options import InstrumentTable
 
 _DRIVER: Final = "ert-board-stream"
-_KEYS: Final = (
-    "address",
-    "format",
-    "frame_period_s",
-    "baud",
-    "signed",
-    "zero_counts",
-    "range_counts",
-    "order",
-    "first_reading",
-    "current_mA",
-    "memory_share",
-)
-_BINARY_BAUD: Final = 1_400_000
-_UNSIGNED, _SIGNED = (0, 2**16 - 1), (-(2**15), 2**15 - 1)
-_SHAPE: Final = (PAIRS, PAIRS)
-_BITS_A_BYTE: Final = 10  # with start and stop bit
 #: Between two calls nothing on the bench moves within this time: a frame that goes on across them counts [s].
 _GOES_ON_S: Final = 0.05
 #: A row is waited for a little longer than it takes, so that each waiting finds one.
@@ -94,33 +72,17 @@ class ErtBoardStream:
     """
 
     def __init__(self, context: StationContext) -> None:
-        table = InstrumentTable(context, _DRIVER, _KEYS)
-        if context.sensor_type.pattern.shape != _SHAPE:
-            rows, columns = context.sensor_type.pattern.shape
-            raise ConfigError(
-                f"instrument {context.role!r} ({_DRIVER}) sends 16 x 16 readings; sensor type"
-                f" {context.sensor_type.name!r} has {rows} x {columns}",
-                remedy="use a sensor type of 16 drive and 16 measure pairs, or another driver",
-            )
         self._role, self._clock = context.role, context.clock
-        self._format = table.choice("format", ("binary", "ascii"), "binary")
-        self._address = table.text("address", remedy="give it the port, or usb:VID:PID of the board")
-        baud = _baud(table, self._format)
-        self._period_s = _period(context, table, self._format, baud)
-        self._range = _range(context, table, self._format)
-        self._zero = table.number("zero_counts", 0)
-        order = table.choice("order", ("measure", "drive"), "measure")
-        self._order = scan_order(order, table.whole("first_reading", 0, at_least=0, at_most=255))
-        self._current_A = 1e-3 * table.number("current_mA", at_least=1e-6) if table.has("current_mA") else None
-        self._memory = table.number("memory_share", 0.0, at_least=0.0, at_most=0.5)
-        self._stream: BoardStream = BinaryStream() if self._format == "binary" else TextStream(*self._range)
+        self._settings = settings = BoardSettings.of(context, _DRIVER)
+        self._address, self._period_s = settings.address, settings.period_s
+        self._stream: BoardStream = TextStream(*settings.limits) if settings.text else BinaryStream()
         self._ready: deque[tuple[float, BoardFrame]] = deque()
         self._read_s = -math.inf
         self._heard = self._waits = 0
         self._down = False
         #: Frames the board sent and nobody got, within calls and from one to the next that follows it at once.
         self.frames_lost = 0
-        self._link = SerialLink(context.role, self._address, baud=baud)
+        self._link = SerialLink(context.role, self._address, baud=settings.baud)
         try:
             self._check_stream()
         except BaseException:
@@ -131,9 +93,9 @@ class ErtBoardStream:
 
     def identity(self) -> InstrumentIdentity:
         """Say what the table says: a board without commands cannot be asked."""
-        model = f"ERT board, {self._format} stream of {self._period_s:g} s a frame"
-        if self._memory:
-            model += f", reading memory of {self._memory:g} taken out"
+        model = f"ERT board, {self._settings.format} stream of {self._period_s:g} s a frame"
+        if self._settings.memory_share:
+            model += f", reading memory of {self._settings.memory_share:g} taken out"
         return InstrumentIdentity(self._role, _DRIVER, model, "", "", simulated=False)
 
     def alive(self) -> None:
@@ -178,7 +140,7 @@ class ErtBoardStream:
         with self._retried():
             since_s = self._begun_since()
             taken = [self._next(since_s) for _ in range(count)]
-        return self._block(taken)
+        return self._settings.block([end_s for end_s, _ in taken], [frame.counts for _, frame in taken])
 
     def _begun_since(self) -> float:
         """Return from when on a frame may have begun; throw away what nobody asked for."""
@@ -248,26 +210,6 @@ class ErtBoardStream:
                 raise
         self._link.flush_input()
 
-    def _block(self, taken: list[tuple[float, BoardFrame]]) -> FrameBlock:
-        ends_s = np.array([end_s for end_s, _ in taken])
-        counts = self._canonical(np.array([frame.counts for _, frame in taken], dtype=np.float64))
-        flags = np.zeros(counts.shape, dtype=np.uint8)
-        flags[(counts <= self._range[0]) | (counts >= self._range[1])] = ReadingFlag.SATURATED
-        values = counts - self._zero
-        if self._memory:
-            values = correct_memory(values, self._memory, self._order)
-        times_s = ends_s - self._period_s / 2
-        # The board reads one after the other: the n-th of 256 in the middle of the n-th part of the frame.
-        offsets = np.empty(counts[0].size)
-        offsets[self._order] = (np.arange(counts[0].size) + 0.5) / counts[0].size - 0.5
-        own_s = times_s[:, None, None] + self._period_s * offsets.reshape(_SHAPE)
-        return FrameBlock(times_s, values, flags, VoltageUnit.COUNT, self._current_A, own_s)
-
-    def _canonical(self, scanned: NDArray[Any]) -> NDArray[np.float64]:
-        frames = np.empty((len(scanned), PAIRS * PAIRS))
-        frames[:, self._order] = scanned.reshape(len(scanned), -1)
-        return frames.reshape(-1, *_SHAPE)
-
     # --- the port ---
 
     @property
@@ -313,7 +255,7 @@ class ErtBoardStream:
         if after_s <= _SILENT_PERIODS * self._period_s + _SILENT_S:
             return
         held = f"{self._heard} bytes, but no whole frame," if self._heard else "nothing"
-        expected = f"frames of {BINARY_FRAME} bytes" if self._format == "binary" else "A and 16 lines of 16 counts"
+        expected = "A and 16 lines of 16 counts" if self._settings.text else f"frames of {BINARY_FRAME} bytes"
         raise self._error(
             f"sent {held} for {after_s:.3g} s; expected are {expected} every {self._period_s:g} s",
             remedy="check address, baud and format, and that the board has power",
@@ -321,39 +263,3 @@ class ErtBoardStream:
 
     def _error(self, reason: str, *, remedy: str = "") -> InstrumentError:
         return InstrumentError(self._role, self._address, reason, remedy=remedy, retryable=True)
-
-
-def _baud(table: InstrumentTable, format_: str) -> int:
-    if format_ == "binary":
-        return table.whole("baud", _BINARY_BAUD, at_least=9600, at_most=12_000_000)
-    return table.whole("baud", at_least=9600, at_most=12_000_000)
-
-
-def _period(context: StationContext, table: InstrumentTable, format_: str, baud: int) -> float:
-    """Return how long a frame takes; a line that cannot send it in that time is refused."""
-    period_s = table.number("frame_period_s", at_least=1e-3, at_most=60.0)
-    least_s = BINARY_FRAME * _BITS_A_BYTE / baud
-    if format_ == "binary" and period_s < least_s:
-        raise ConfigError(
-            f"instrument {context.role!r} ({_DRIVER}): frame_period_s is {period_s:g}, but {BINARY_FRAME} bytes at"
-            f" {baud} baud take {least_s:.3g} s",
-            remedy="mend frame_period_s or baud",
-        )
-    return period_s
-
-
-def _range(context: StationContext, table: InstrumentTable, format_: str) -> tuple[int, int]:
-    """Return the ends of the converter's range."""
-    signed = table.flag("signed", False)
-    if signed and format_ == "binary":
-        raise ConfigError(
-            f"instrument {context.role!r} ({_DRIVER}): signed is true, but binary counts are unsigned",
-            remedy="leave it out; zero_counts says which count is 0 V",
-        )
-    low, high = table.numbers("range_counts", 2, _SIGNED if signed else _UNSIGNED)
-    if not _SIGNED[0] <= low < high <= _UNSIGNED[1]:
-        raise ConfigError(
-            f"instrument {context.role!r} ({_DRIVER}): range_counts is [{low:g}, {high:g}]",
-            remedy="it is the lowest and the highest count of a 16-bit converter, e.g. [0, 65535]",
-        )
-    return int(low), int(high)
