@@ -135,17 +135,15 @@ class LineSampler:
 
     def _drain(self) -> None:
         """Read what has come up to now, in the calling thread."""
-        try:
-            self._mend()
-            data = self._link.read_available()
-            self._take(data)
-            while len(data) >= _FULL:
-                with suppress(InstrumentError):
-                    self._take(self._link.read(1, _MORE_S))
-                data = self._link.read_available()
-                self._take(data)
-        except InstrumentError as error:
-            with self._keeping:
+        with self._keeping:
+            try:
+                self._mend()
+                self._take(data := self._link.read_available())
+                while len(data) >= _FULL:
+                    with suppress(InstrumentError):
+                        self._take(self._link.read(1, _MORE_S))
+                    self._take(data := self._link.read_available())
+            except InstrumentError as error:
                 self._failure = error
 
     def _read(self) -> None:

@@ -6,7 +6,6 @@ from here, because a halted printer leaves the head in the sheet.
 
 import math
 import re
-from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from typing import Final
@@ -29,6 +28,7 @@ from cbsr_qa_plugins.hardware._force_watch import ForceWatch, force_among
 from cbsr_qa_plugins.hardware._marlin_axes import Machine, MarlinAxes, Position
 from cbsr_qa_plugins.hardware._marlin_link import MarlinLink
 from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa_plugins.hardware._sample_log import SampleLog
 
 _DRIVER: Final = "marlin-applicator"
 _OPTIONS: Final = (
@@ -46,8 +46,6 @@ _OPTIONS: Final = (
     "search_depth_mm",
 )
 _FIRMWARES: Final = ("prusa", "marlin")
-#: Positions of the last hours are kept; what is drained every few seconds needs only the last ones.
-_KEPT: Final = 100_000
 
 
 def open_applicator(context: StationContext) -> "MarlinApplicator":
@@ -137,7 +135,7 @@ class MarlinApplicator:
         )
         self._speed_mm_s = self._motion.press_speed_mm_s
         self._found: dict[tuple[float, float], float] = {}
-        self._depths: deque[tuple[float, float]] = deque(maxlen=_KEPT)
+        self._depths = SampleLog()
         self._watch: ForceWatch | None = None
         self.identity()
         marlin.command("M410")  # whatever it was doing; where it stands is not known, so it does not move
@@ -186,15 +184,9 @@ class MarlinApplicator:
         """Return the depths that were asked for while it moved, and the present one."""
         if self._axes.ever_homed:
             self._axes.check_homed()
-            if not self._depths or self._depths[-1][0] < self._clock.now():
+            if self._depths.last_s < self._clock.now():
                 self._note(self._axes.live())
-        taken: list[tuple[float, float]] = []
-        for sample in reversed(self._depths):
-            if sample[0] <= time_s:
-                break
-            taken.append(sample)
-        block = np.array(taken[::-1], dtype=np.float64).reshape(-1, 2)
-        return SampleBlock(self.channel, self.unit, block[:, 0].copy(), block[:, 1].copy())
+        return SampleBlock(self.channel, self.unit, *self._depths.since(time_s))
 
     # --- force applicator ---
 
@@ -317,7 +309,8 @@ class MarlinApplicator:
         self._axes.go(goal, speed_mm_s, look)
 
     def _note(self, live: Position) -> None:
-        self._depths.append((self._clock.now(), self._machine.depth_mm(live[2])))
+        if (now_s := self._clock.now()) > self._depths.last_s:
+            self._depths.append(now_s, self._machine.depth_mm(live[2]))
 
     def _depth_mm(self) -> float:
         """Depth below the nominal surface where it stands."""
