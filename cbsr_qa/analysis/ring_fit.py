@@ -38,7 +38,8 @@ class RingFit:
     flags : (drives, measures) uint8; what was flagged in any frame.
     gain_error : as a fraction; None where nobody knows volts or current.
     offset : common to all readings, in their unit; None where the pattern cannot tell it from the gain.
-    lead_ohm : (electrodes,); None where the pattern cannot tell them, or nobody knows volts or current.
+    lead_ohm : (electrodes,) as the station reads them, gain error and all; None where the pattern cannot tell them,
+        or nobody knows volts or current.
     residual : (drives, measures) as a fraction of the expected reading.
     """
 
@@ -63,11 +64,14 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
     Raises
     ------
     NumericsError
-        If the ring does not fit the pattern, there are fewer than two frames, or hardly a reading is without a flag.
+        If the ring does not fit the pattern, there are fewer than two frames or no current, or hardly a reading is
+        without a flag.
     """
     frames = ring.frames
     if len(frames) < 2:
         raise NumericsError("one frame of a ring says nothing of noise", remedy="take two or more")
+    if frames.current_A == 0:
+        raise NumericsError("the frames were taken without a current", remedy="see that the source is on")
     flags = np.bitwise_or.reduce(frames.flags, axis=0)
     used = (flags & _BAD) == 0
     closed = ring_readings(ring.resistances_ohm, pattern)

@@ -4,12 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from cbsr_qa.analysis.ring_check import check_ring
 from cbsr_qa.analysis.ring_fit import exchanged, fit_ring
 from cbsr_qa.domain.errors import ConfigError, NumericsError
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
-from cbsr_qa.domain.patterns import DrivePattern, adjacent_pattern
+from cbsr_qa.domain.patterns import DrivePattern, adjacent_pattern, named_pairs
 from cbsr_qa.domain.plan import ReferenceRing
 from cbsr_qa.domain.station_check import CheckOutcome, RingReadings
 from cbsr_qa.forward.resistor_ring import lead_readings, ring_impedance, ring_readings
@@ -139,7 +141,42 @@ def test_a_pattern_that_cannot_tell_leads_and_offset_says_so():
     assert found["gain error"].value == pytest.approx(0.0, abs=1e-9)
 
 
+def test_frames_without_a_current_are_said_so():
+    (line,) = check_ring(ring(current_A=0.0), PATTERN, ALLOWED)
+    assert line.said == "the frames were taken without a current"
+
+
 def test_one_resistance_is_meant_for_all_and_another_number_than_electrodes_is_refused():
     assert replace(ALLOWED, resistance_ohm=(50.0,)).resistances_ohm(3) == (50.0,) * 3
     with pytest.raises(ConfigError, match="has 3 values; the sensor type has 16 electrodes"):
         replace(ALLOWED, resistance_ohm=(1.0, 2.0, 3.0)).resistances_ohm(16)
+
+
+PATTERNS = {
+    "adjacent": PATTERN,
+    "opposite driven": DrivePattern(16, named_pairs("opposite", 16), named_pairs("adjacent", 16)),
+    "skipping": DrivePattern(16, named_pairs("skip-2", 16), named_pairs("skip-1", 16)),
+}
+
+
+@pytest.mark.parametrize("name", PATTERNS)
+@given(
+    gain=st.floats(0.5, 2.0),
+    offset_V=st.floats(-0.1, 0.1),
+    leads=st.lists(st.floats(0.0, 500.0), min_size=16, max_size=16),
+    ohm=st.lists(st.floats(5e3, 2e4), min_size=16, max_size=16),
+)
+@settings(max_examples=25, deadline=None)
+def test_what_made_the_readings_is_found_again_whatever_the_pattern_and_the_resistors(
+    name, gain, offset_V, leads, ohm
+):
+    pattern = PATTERNS[name]
+    volts = gain * CURRENT_A * (ring_readings(ohm, pattern) + lead_readings(pattern) @ np.array(leads)) + offset_V
+    block = FrameBlock(
+        np.arange(2.0), np.tile(volts, (2, 1, 1)), np.zeros((2, *volts.shape), np.uint8), VoltageUnit.VOLT, CURRENT_A
+    )
+    fit = fit_ring(RingReadings(block, tuple(ohm)), pattern)
+    assert fit.gain_error == pytest.approx(gain - 1, abs=1e-9)
+    assert fit.offset == pytest.approx(offset_V, abs=1e-9)
+    assert fit.lead_ohm == pytest.approx(gain * np.array(leads), abs=1e-4)
+    assert np.abs(fit.residual).max() < 1e-8
