@@ -37,6 +37,12 @@ class ArmedFaults:
         with self._lock:
             self._waiting.append(fault)
 
+    @property
+    def waiting(self) -> int:
+        """How many were armed and not met yet."""
+        with self._lock:
+            return len(self._waiting)
+
     def met(self) -> Fault | None:
         """Take the fault the present command meets."""
         with self._lock:

@@ -10,11 +10,13 @@ import sys
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 
-from trial import OF_INSTRUMENTS, OF_THE_COMPUTER, Injected, Outcome, allowed_s, run_with, steps_of_a_run
+from trial import OF_INSTRUMENTS, OF_THE_COMPUTER, PASSING, Injected, Outcome, allowed_s, run_with, steps_of_a_run
 
 Result = tuple[Injected, Outcome]
+RODE_THROUGH = "rode through"
 
 _TEXT = Path(__file__).with_name("faults.md.in")
 
@@ -25,14 +27,37 @@ def matrix(steps: int, *, every: int = 1, role: str | None = None) -> Iterator[I
     for name, faults in {**OF_INSTRUMENTS, **OF_THE_COMPUTER}.items():
         for fault in faults if role in (None, name) else ():
             number += 1
+            if fault in PASSING and every == 1:
+                yield Injected(name, fault, 0, again=True)
+                continue
             for step in range(number % every, steps, every):
                 yield Injected(name, fault, step)
 
 
+def struck(case: Injected) -> list[Result]:
+    """Strike from a step on; returns what became of each step that was struck.
+
+    A fault that passes strikes one step after the other of the same run, and of another from the step after that in
+    which one broke it.
+    """
+    if case.fault not in PASSING or not case.again:
+        return [(case, run_with(case))]
+    found: list[Result] = []
+    step, steps = case.step, len(steps_of_a_run())
+    while step < steps:
+        outcome = run_with(replace(case, step=step))
+        last = steps - 1 if outcome.kind == RODE_THROUGH else outcome.last_step
+        ridden = Outcome(RODE_THROUGH, "", last, 0.0)
+        found += [(replace(case, step=one), ridden if one < last else outcome) for one in range(step, last + 1)]
+        step = last + 1
+    return found
+
+
 def results(cases: list[Injected], processes: int) -> Iterator[Result]:
-    """Run them, two at a time; each process has one world after the other."""
+    """Strike with all of them; each process has one world after the other."""
     with multiprocessing.get_context("spawn").Pool(processes, maxtasksperchild=200) as pool:
-        yield from zip(cases, pool.imap(run_with, cases), strict=True)
+        for found in pool.imap(struck, cases):
+            yield from found
 
 
 def table(found: Iterable[Result]) -> str:
@@ -60,6 +85,7 @@ def main() -> int:
     chosen = wanted.parse_args()
     names = steps_of_a_run()
     cases = list(matrix(len(names), every=chosen.every, role=chosen.role))
+    total = sum(len(names) if case.again else 1 for case in cases)
     found: list[Result] = []
     start = time.monotonic()
     for injected, outcome in results(cases, chosen.processes):
@@ -70,12 +96,13 @@ def main() -> int:
             print(f"    {outcome.detail}", flush=True)
         if len(found) % 20 == 0:
             took = time.monotonic() - start
-            print(f"{len(found)} of {len(cases)}, {took:.0f} s", file=sys.stderr, flush=True)
+            print(f"{len(found)} of {total} steps struck, {took:.0f} s", file=sys.stderr, flush=True)
     wrong = sum(bool(outcome.wrong) for _, outcome in found)
     kinds = Counter(outcome.kind for _, outcome in found)
     slowest = max((outcome.safe_after_s for _, outcome in found if outcome.kind == "broken"), default=0.0)
     said = (
-        f"{len(found)} runs: {', '.join(f'{count} {kind}' for kind, count in kinds.most_common())}; {wrong} wrong."
+        f"{len(found)} steps struck: "
+        f"{', '.join(f'{count} {kind}' for kind, count in kinds.most_common())}; {wrong} wrong."
         f" Slowest to come to rest: {slowest:.1f} s of station time; allowed {allowed_s():.1f} s."
     )
     print(said)

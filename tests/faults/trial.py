@@ -58,13 +58,25 @@ OF_THE_COMPUTER = {
 }
 
 
+#: Faults that are over once they were met: one run can be struck with them at one step after the other.
+PASSING = frozenset({"garble", "delay", "stale", "resend", "busy", "listener raises"})
+
+
 @dataclass(frozen=True, slots=True)
 class Injected:
-    """A fault, the role it strikes, and the number of the step (from 0) at whose beginning it does."""
+    """A fault, the role it strikes, and the number of the step (from 0) at whose beginning it does.
+
+    With ``again`` it strikes every later step as well, but for those at whose beginning it still waits to be met.
+    """
 
     role: str
     fault: str
     step: int
+    again: bool = False
+
+    def strikes(self, step: int) -> bool:
+        """Whether it is armed at the beginning of a step."""
+        return step == self.step or (self.again and step > self.step)
 
 
 @dataclass(slots=True)
@@ -74,13 +86,14 @@ class Outcome:
     Parameters
     ----------
     kind : ``"rode through"``, ``"broken"``, ``"broken, not safe"`` or ``"refused"``.
+    last_step : number of the step that was under way at the end.
     safe_after_s : station time from the moment it was told to stop until head and source were safe.
     wrong : in words, what must not be.
     """
 
     kind: str
     detail: str
-    step: str
+    last_step: int
     safe_after_s: float
     wrong: list[str] = field(default_factory=list)
 
@@ -124,13 +137,14 @@ class Watch:
 
     def struck_by(self, fault: str) -> bool:
         """Whether the step under way is the one that this fault strikes."""
-        return self._injected == Injected("plugin", fault, len(self.steps) - 1)
+        injected = self._injected
+        return injected is not None and injected.fault == fault and injected.strikes(len(self.steps) - 1)
 
     def __call__(self, event: RunEvent) -> None:
         """Take one document."""
         match event:
             case StepStarted():
-                if self._injected is not None and len(self.steps) == self._injected.step:
+                if self._injected is not None and self._injected.strikes(len(self.steps)):
                     self._strike(self._injected)
                 self.steps.append(type(event.step).__name__)
             case FramesTaken(frames=frames):
@@ -157,7 +171,7 @@ class Trial:
         try:
             bench = open_station(here, plugins(), clock, emulated=self._take)
         except CbsrError as error:
-            return Outcome("refused", error.reason, "opening", 0.0)
+            return Outcome("refused", error.reason, 0, 0.0)
         with open_store(self._url) as store:
             try:
                 return self._driven(bench, clock, store)
@@ -201,7 +215,8 @@ class Trial:
             _break(bench.frame_source if injected.fault == "frame source raises" else bench.force_applicator)
         elif injected.role != "plugin":
             assert self._emulation is not None
-            self._emulation.arm(injected.role, Fault(injected.fault))
+            if not self._emulation.ports[injected.role].faults.waiting:
+                self._emulation.arm(injected.role, Fault(injected.fault))
 
     def _judged(self, ended: RunEnded, watch: Watch, clock: Any, store: Repository, run: str) -> Outcome:
         assert self._emulation is not None
@@ -211,7 +226,7 @@ class Trial:
         if safe_after_s is not None:
             safe_after_s -= self._stopped_s
         kind = "rode through" if finished else "broken" if safe_after_s is not None else "broken, not safe"
-        outcome = Outcome(kind, ended.detail, watch.steps[-1] if watch.steps else "start", safe_after_s or 0.0)
+        outcome = Outcome(kind, ended.detail, max(len(watch.steps) - 1, 0), safe_after_s or 0.0)
         outcome.wrong += _bench_is_wrong(self._emulation.rig, ended, safe_after_s)
         record = store.load_run(run)
         outcome.wrong += _record_is_wrong(record, ended, watch)
