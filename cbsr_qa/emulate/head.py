@@ -18,6 +18,8 @@ Position = tuple[float, float, float]
 #: Where the machine stands when it is switched on: beside its end stops, not where its firmware believes.
 _PARKED_MM: Final = (10.0, 10.0, 40.0)
 _NEAR_MM: Final = 1e-6
+#: A resumed session may begin at any millisecond, and make so many movements (as a power of two).
+_MOVEMENTS_BITS: Final = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,7 +61,7 @@ class EmulatedHead:
         self._rests: Position = _PARKED_MM
         #: How often it was moved sideways while it was in the sheet: never by a driver that lifts first.
         self.dragged = 0
-        self._written = PressWriter(world, self._sheet_position(_PARKED_MM))
+        self._written = self._writer()
         clock.watch(self._follow)
 
     def mounted(self, centre_mm: tuple[float, float], hover_z_mm: float, *, up: bool = True) -> None:
@@ -72,7 +74,7 @@ class EmulatedHead:
         up : whether the machine's z grows upwards.
         """
         self._centre_mm, self._hover_z_mm, self._upward = centre_mm, hover_z_mm, 1.0 if up else -1.0
-        self._written = PressWriter(self._world, self._sheet_position(self._rests))
+        self._written = self._writer()
 
     @property
     def position_mm(self) -> Position:
@@ -143,6 +145,11 @@ class EmulatedHead:
             self._rests = self.position_mm
             self._written.halt(self._clock.now())
             self._ways.clear()
+
+    def _writer(self) -> PressWriter:
+        """Begin to write from where the head stands; a resumed session has position errors of its own."""
+        first = math.ceil(1e3 * self._world.setting.began_s) << _MOVEMENTS_BITS
+        return PressWriter(self._world, self._sheet_position(self._rests), first_index=first)
 
     def _follow(self, now_s: float) -> None:
         """Begin the motions whose time has come; called whenever time has passed."""

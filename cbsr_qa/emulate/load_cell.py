@@ -1,5 +1,6 @@
 """An emulated load cell with its amplifier: text lines, eight a second."""
 
+import math
 from collections.abc import Callable, Mapping
 from typing import Any, Final
 
@@ -34,6 +35,8 @@ class EmulatedLoadCell:
         self._counts = options.get("unit") == "counts"
         self._with_time = options.get("time", "device_ms") == "device_ms"
         self._more_N = 0.0
+        # A resumed session draws noise of its own: a block of 2³² samples for each millisecond it may have begun at.
+        self._first = math.ceil(1e3 * rig.world.setting.began_s) << 32
         self._lines = LineSender(
             rig, send, options.get("rate_hz", 8.0), self._line, banner="load cell ready", other=self._overload
         )
@@ -51,7 +54,7 @@ class EmulatedLoadCell:
         self._lines.misbehave(fault)
 
     def _line(self, number: int, time_s: float) -> str:
-        force_N = self._rig.world.force_N(time_s, number) + self._more_N
+        force_N = self._rig.world.force_N(time_s, self._first + number) + self._more_N
         if self._limit_N is not None:
             force_N = min(max(force_N, -self._limit_N), self._limit_N)
         value = (self._sign * force_N / self._per_unit_N - self._offset) / self._scale

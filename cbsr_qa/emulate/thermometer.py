@@ -35,6 +35,7 @@ class EmulatedThermometer:
         self._scale, self._offset = options.get("scale", 1.0), options.get("offset", 0.0)
         self._noise = RandomStream(rig.world.setting.seed, "emulated-thermometer")
         self._more_K = 0.0
+        self._began_s = rig.world.setting.began_s
         self._lines = LineSender(
             rig, send, options.get("rate_hz", 1.0), self._line, banner="thermometer ready", other=self._overload
         )
@@ -52,8 +53,10 @@ class EmulatedThermometer:
         self._lines.misbehave(fault)
 
     def _line(self, number: int, time_s: float) -> str:
-        room_C = _MEAN_C + _SWING_K * math.sin(2 * math.pi * time_s / _PERIOD_S)
-        read_C = room_C + _NOISE_K * float(self._noise.normal(number)) + self._more_K
+        room_C = _MEAN_C + _SWING_K * math.sin(2 * math.pi * (self._began_s + time_s) / _PERIOD_S)
+        # A resumed session draws noise of its own: a block of 2³² samples for each millisecond it may have begun at.
+        index = (math.ceil(1e3 * self._began_s) << 32) + number
+        read_C = room_C + _NOISE_K * float(self._noise.normal(index)) + self._more_K
         return f"{(read_C - self._offset) / self._scale:.2f}"
 
     def _overload(self, fault: Fault) -> None:

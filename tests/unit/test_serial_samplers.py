@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from emulated_bench import SAFETY, EmulatedStation
-from simulated_setting import base_scene, context, held, world
+from simulated_setting import HEAD, base_scene, context, held, installed, material, sensor_type, world
 from terminal import Terminal
 
 from cbsr_qa.clock import RealClock
@@ -15,6 +15,7 @@ from cbsr_qa.domain.station_check import CheckOutcome
 from cbsr_qa.emulate.faults import Fault
 from cbsr_qa.interfaces import Alive, Sampler, SelfTesting
 from cbsr_qa.links import serial_link
+from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa_plugins.hardware._device_time import DeviceTime
 from cbsr_qa_plugins.hardware.serial_load_cell import open_load_cell
 from cbsr_qa_plugins.hardware.serial_thermometer import open_thermometer
@@ -152,6 +153,23 @@ def test_the_temperature_is_read(station):
     np.testing.assert_allclose(block.values, 22.0, atol=0.1)
     assert (np.diff(block.time_s) > 0.5).all()
     assert len(one.samples_since(station.clock.now())) == 0
+
+
+def test_a_resumed_session_draws_noise_of_its_own(station, cell):
+    station.clock.sleep(5.0)
+    before = cell.samples_since(-1.0).values
+    later = SimulatedWorld(
+        base_scene(), sensor_type(), material(), HEAD, seed=1, effect_factory=installed, began_s=7.5
+    )
+    again = EmulatedStation(later, cell=dict(CELL))
+    try:
+        resumed = again.open("cell", open_load_cell)
+        again.clock.sleep(5.0)
+        after = resumed.samples_since(-1.0).values
+    finally:
+        again.close()
+    assert len(before) == len(after)
+    assert (before != after).all()
 
 
 # --- tare, limit, dead weight ---
