@@ -216,8 +216,7 @@ def _inseparable(sums: SensorSums) -> str:
         return "no sensor has more than one run, so that sensors and runs cannot be told apart"
     if _repeats(sums) < 1:
         return "the sensors' repeated runs are used up by the stations' differences: first runs only"
-    inner = sums.within[:-1, :-1]
-    left = sums.within[-1, -1] - sums.within[-1, :-1] @ np.linalg.pinv(inner, hermitian=True) @ sums.within[:-1, -1]
+    left = sums.within_rest()
     if left <= sums.runs * LEAST_SPREAD**2 or left <= 1e-12 * float(sums.products(0.0)[-1, -1]):
         return "runs of one sensor do not differ: first runs only"
     return ""

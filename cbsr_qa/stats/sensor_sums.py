@@ -72,9 +72,20 @@ class SensorSums:
 
     def within_rank(self) -> int:
         """Return how many of the effects in X differ between runs of one sensor."""
-        inner = self.within[:-1, :-1]
+        inner, _ = self._within_sensors()
         largest = float(np.diagonal(inner).max(initial=0.0))
-        return int(np.linalg.matrix_rank(inner, tol=1e-9 * largest, hermitian=True)) if largest > 0 else 0
+        return int(np.linalg.matrix_rank(inner, tol=1e-9 * largest, hermitian=True)) if len(inner) else 0
+
+    def within_rest(self) -> float:
+        """Return the sum of squares that runs of one sensor leave, whatever the effects between them."""
+        inner, right = self._within_sensors()
+        fitted = float(right @ np.linalg.pinv(inner, hermitian=True) @ right) if len(inner) else 0.0
+        return float(self.within[-1, -1]) - fitted
+
+    def _within_sensors(self) -> tuple[FloatArray, FloatArray]:
+        """W of the columns of X that differ within some sensor, with themselves and with y; the others' are zero."""
+        moving = np.flatnonzero(np.diagonal(self.within)[:-1] > 0)
+        return self.within[np.ix_(moving, moving)], self.within[moving, -1]
 
 
 def sensor_sums(matrix: SparseArray, response: FloatArray, sensor: IntArray) -> SensorSums:
