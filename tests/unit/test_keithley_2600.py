@@ -197,6 +197,17 @@ def test_one_that_was_reset_in_the_rest_is_noticed(hasty):
         meter.alive()
 
 
+def test_a_source_that_somebody_switched_off_gives_no_reading(bench):
+    meter = bench.open_meter()
+    meter.source(1e-4)
+    bench.emulation.instruments["meter"].received(b"smub.source.output = 0\n")
+    with pytest.raises(InstrumentError, match=r"the source gives 0 mA where 0\.1 mA were asked for") as off:
+        meter.measure()
+    assert off.value.retryable
+    meter.source(1e-4)
+    assert meter.measure().current_A == pytest.approx(1e-4, rel=1e-6)
+
+
 def test_compliance_for_good_is_flagged_in_every_reading(bench):
     meter = bench.open_meter()
     meter.source(1e-4)

@@ -38,6 +38,8 @@ _NO_NUMBER: Final = 9e37
 _AT_THE_LIMIT: Final = 0.99
 #: The source's own current is read this fast: it costs 20 µs and brings the status bit of its limit [NPLC].
 _CURRENT_NPLC: Final = 0.001
+#: So read, it agrees with what was asked for within these shares of itself and of its range.
+_CURRENT_SHARE, _CURRENT_RANGE_SHARE = 0.05, 0.01
 #: What the instrument needs for a reading beside the aperture [s], from its data sheet's rates at 0.001 NPLC.
 _OVERHEAD_S: Final = 1e-4
 #: With no current asked for, neither reads more than this share of its range.
@@ -189,11 +191,6 @@ class Keithley2600:
         """Voltage the source will not exceed [V]."""
         return self._compliance_V
 
-    @property
-    def largest_current_A(self) -> float:
-        """Current the station allows [A]."""
-        return self._largest_A
-
     def source(self, current_A: float) -> None:
         """Set the current and switch both channels on; level and output are read back.
 
@@ -253,14 +250,26 @@ class Keithley2600:
         beyond = np.abs(volts) > _NO_NUMBER
         volts = np.where(beyond, self._range_V, volts)
         at_limit = np.abs(volts) >= _AT_THE_LIMIT * self._compliance_V
-        given_A = float(self._given_A or 0.0)
+        compliance = bool(bits_source & _COMPLIANCE)
         return MeterReading(
             volts=float(volts.mean()),
-            current_A=given_A if (np.abs(amperes) > _NO_NUMBER).any() else float(amperes.mean()),
-            compliance=bool(bits_source & _COMPLIANCE),
+            current_A=self._given(amperes, compliance),
+            compliance=compliance,
             saturated=bool(beyond.any() or at_limit.any() or bits_meter & _COMPLIANCE),
             time_s=time_s,
         )
+
+    def _given(self, amperes: NDArray[np.float64], compliance: bool) -> float:
+        """Return the current that flowed; the source must give what it was told, unless it is at its limit."""
+        asked_A = float(self._given_A or 0.0)
+        if (np.abs(amperes) > _NO_NUMBER).any():
+            return asked_A
+        found_A = float(amperes.mean())
+        allowed_A = _CURRENT_SHARE * abs(asked_A) + _CURRENT_RANGE_SHARE * self._largest_A
+        if not compliance and abs(found_A - asked_A) > allowed_A:
+            said = f"the source gives {1e3 * found_A:.3g} mA where {1e3 * asked_A:.3g} mA were asked for"
+            raise self._unit.error(said, remedy="look whether somebody switched it off", retryable=True)
+        return found_A
 
     @contextmanager
     def _talking(self) -> Iterator[None]:
