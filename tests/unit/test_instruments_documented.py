@@ -6,7 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from cbsr_qa.clock import VirtualClock
+from cbsr_qa.config.loader import load_material, load_scene, load_sensor_type
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.plan import Motion
 from cbsr_qa.hookspecs import Kind
+from cbsr_qa.interfaces import StationContext
 from cbsr_qa_plugins.registry import BUILT_IN
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "instruments.md").read_text()
@@ -14,9 +20,17 @@ DRIVERS = {name: where for kind, name, where in BUILT_IN if kind is Kind.INSTRUM
 
 
 def options(driver):
-    module = importlib.import_module(f"cbsr_qa_plugins.{DRIVERS[driver].partition(':')[0]}")
-    found = getattr(module, "_OPTIONS", None) or module._KEYS
-    return {*found, *getattr(module, "_OTHER_KEYS", ())}
+    """Keys of a driver, as it names them when it refuses another."""
+    module, _, factory = DRIVERS[driver].partition(":")
+    opened = getattr(importlib.import_module(f"cbsr_qa_plugins.{module}"), factory)
+    sensor, material = load_sensor_type("disc-100mm").value, load_material("cbsr-8wt").value
+    context = StationContext(
+        "role", VirtualClock(), sensor, material, Indenter(13.0), 1, {"no such key": 1}, load_scene("none").value,
+        lambda name: None, Motion(1.0, 1.0, 1.0), ask=lambda text: "",
+    )  # fmt: skip
+    with pytest.raises(ConfigError, match="has no option 'no such key'") as refused:
+        opened(context)
+    return set(re.findall(r"\w+", refused.value.remedy.rpartition("it has ")[2]))
 
 
 def documented(driver):
