@@ -375,6 +375,35 @@ def test_the_safe_state_gets_through_while_a_command_hangs(station, homed):
     assert station.head.up
 
 
+def test_a_stop_in_the_middle_of_homing_leaves_no_position(station, head):
+    printer = station.emulation.instruments["applicator"]
+    real, met = printer._g28, []
+
+    def stop():
+        with pytest.raises(InstrumentError, match="another command hangs"):
+            head.safe_state()
+        met.append(True)
+
+    def g28(parameters):
+        thread = threading.Thread(target=stop)
+        thread.start()
+        thread.join(timeout=5.0)
+        return real(parameters)
+
+    printer._g28 = g28
+    with pytest.raises(InstrumentError, match="stopped on its way"):
+        head.home()
+    assert met
+    with pytest.raises(InstrumentError, match="position is lost"):
+        head.move_to(0.0, 0.0)
+    printer._g28 = real
+    head.safe_state()
+    station.clock.sleep(10.0)
+    assert not station.head.touching
+    head.home()
+    assert station.head.place_mm == pytest.approx((0.0, 0.0))
+
+
 # --- restarts ---
 
 
@@ -396,7 +425,10 @@ def test_after_a_restart_nothing_moves_until_it_has_homed_again(station, homed):
 
 
 def test_a_restart_while_nobody_looked_is_noticed_before_anything_moves(station, homed):
-    station.emulation.ports["applicator"].send(b"start\n")
+    port = station.emulation.ports["applicator"]
+    port.send(b"start\n")
+    while not port.unread():  # the kernel takes a moment
+        threading.Event().wait(0.001)
     with pytest.raises(InstrumentError, match="has restarted"):
         homed.move_to(10.0, 0.0)
     threading.Event().wait(0.3)  # for the emulator to obey, had it been told anything

@@ -28,6 +28,8 @@ _ASTRAY_MM: Final = 1.0
 #: How long a thread that hangs on the line is waited for before it is gone around [s, real time].
 _PATIENCE_S: Final = 0.25
 _REPORTS: Final = 3
+#: No count of restarts is this: it was homed once, and its position is lost.
+_NOWHERE: Final = -1
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +110,8 @@ class MarlinAxes:
     def check_homed(self) -> None:
         """Raise InstrumentError where the position is not known."""
         if not self.homed:
-            lost = "its position is lost: it has restarted" if self.ever_homed else "it has not homed yet"
+            lost = "its position is lost: it has restarted, or did not end homing"
+            lost = lost if self.ever_homed else "it has not homed yet"
             raise self._fail(lost, "home it before it moves; see that the head is clear of the sheet")
 
     def begin(self) -> None:
@@ -126,8 +129,11 @@ class MarlinAxes:
         a = self.machine.acceleration_mm_s2
         self._link.command(f"M201 X{a:g} Y{a:g} Z{a:g}")
         self._link.command(f"M204 P{a:g} T{a:g}")
+        # Until it has answered, nobody knows where it is: a stop in the middle of it leaves axes that have not homed.
+        self._homed_at, self._lifted_at = _NOWHERE, None
         # Named axes: a plain G28 levels the mesh as well on a Prusa, tapping where the sheet lies.
         self._link.command("G28 X Y Z")
+        self._check_not_stopped()
         self._homed_at, self._at = self._link.restarts, None
 
     def at(self) -> Position:
