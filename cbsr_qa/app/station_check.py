@@ -1,26 +1,24 @@
 """Check a station: its instruments, a reference ring, a golden sensor. What came of it is stored with the runs."""
 
-import signal
-import threading
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
-from types import FrameType
-from typing import Any, Final
+from typing import Final
 
 from cbsr_qa.app.golden_history import compare_golden, golden_history
 from cbsr_qa.app.run_sensor import RunRequest, run_sensor
 from cbsr_qa.app.setup import configure, station_clock
 from cbsr_qa.app.software import software_versions
 from cbsr_qa.app.station_bench import BenchFindings, Confirm, look_at_bench, simulates_frames
+from cbsr_qa.app.station_outcome import CheckedStation
 from cbsr_qa.app.station_page import station_page
+from cbsr_qa.app.stoppable import stoppable
 from cbsr_qa.clock import RealClock
 from cbsr_qa.config.merge import Configuration
 from cbsr_qa.config.paths import calibrations_folder, database_url, reports_folder, writable_folder
 from cbsr_qa.config.serials import validate_operator, validate_serial
-from cbsr_qa.domain.errors import AbortedError, CbsrError, RefusedError
+from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.plan import ReferenceRing
 from cbsr_qa.domain.station_check import CheckOutcome, CheckResult, RingReadings, StationCheck
@@ -71,72 +69,6 @@ class CheckRequest:
     database: str | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class CheckedStation:
-    """What came of a check: stored, and written as a page.
-
-    Parameters
-    ----------
-    page : None where it could not be written; ``page_why`` then says why.
-    answered : whether any instrument answered.
-    """
-
-    check: StationCheck
-    page: Path | None
-    page_why: str
-    answered: bool
-
-    @property
-    def exit_code(self) -> int:
-        """0 all well or warnings only, 1 something failed, 3 no instrument answered."""
-        if not self.answered:
-            return 3
-        return 1 if self.check.outcome is CheckOutcome.FAILED else 0
-
-    def document(self) -> dict[str, Any]:
-        """Return the check as one JSON document."""
-        check = self.check
-        return {
-            "check": check.check,
-            "station": check.station,
-            "operator": check.operator,
-            "checked_at": check.checked_at.isoformat(),
-            "outcome": str(check.outcome),
-            "results": [result_row(line) for line in check.results],
-            "instruments": [
-                {
-                    "role": one.role,
-                    "driver": one.driver,
-                    "model": one.model,
-                    "serial": one.serial,
-                    "firmware": one.firmware,
-                    "simulated": one.simulated,
-                    "calibration_due": one.calibration_due,
-                    "notes": dict(one.notes),
-                }
-                for one in check.instruments
-            ],
-            "golden_run": check.golden_run,
-            "configuration_digest": check.configuration_digest,
-            "page": None if self.page is None else str(self.page),
-            "page_why": self.page_why,
-        }
-
-
-def result_row(line: CheckResult) -> dict[str, Any]:
-    """Return a line of a check as a JSON object; what it does not have is null or empty."""
-    return {
-        "subject": line.subject,
-        "name": line.name,
-        "outcome": str(line.outcome),
-        "value": line.value,
-        "unit": line.unit,
-        "allowed": line.allowed,
-        "said": line.said,
-        "remedy": line.remedy,
-    }
-
-
 def check_station(
     request: CheckRequest,
     *,
@@ -176,7 +108,7 @@ def check_station(
         if placed is not None and request.golden is not None and ring is None:
             # Contacts are looked at while the instruments are put together: something must be connected by then.
             placed(_place_words(request.golden))
-        with _stoppable():
+        with stoppable():
             found = look_at_bench(
                 configuration,
                 plugins,
@@ -336,24 +268,3 @@ def _written(
     except CbsrError as error:
         return None, error.reason
     return path, ""
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    """Turn termination and hang-up into Ctrl-C while the bench is open, so that it is made safe on the way out."""
-
-    def stop(number: int, frame: FrameType | None) -> None:
-        raise KeyboardInterrupt(signal.Signals(number).name)
-
-    here = threading.current_thread() is threading.main_thread()
-    names = [name for name in ("SIGTERM", "SIGHUP") if here and hasattr(signal, name)]
-    numbers = [getattr(signal, name) for name in names]
-    # One that was inherited as ignored stays so: whoever started the program wanted that.
-    before = {n: signal.signal(n, stop) for n in numbers if signal.getsignal(n) not in (signal.SIG_IGN, None)}
-    try:
-        yield
-    except KeyboardInterrupt as error:
-        raise AbortedError(str(error) or "the keyboard") from error
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)

@@ -8,7 +8,7 @@ from cbsr_qa.cli.asking import operator_at_terminal
 from cbsr_qa.cli.output import emit_json, note, say
 
 if TYPE_CHECKING:
-    from cbsr_qa.app.station_check import CheckedStation
+    from cbsr_qa.app.station_outcome import CheckedStation
 
 app = typer.Typer(help="Look after a station.", no_args_is_help=True)
 

@@ -209,14 +209,15 @@ def test_ring_and_golden_sensor_at_once_are_refused_where_nobody_can_exchange_th
     assert "cannot both be connected" in document["refused"]["reason"]
 
 
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGHUP"])
-def test_termination_ends_a_check_like_the_keyboard_so_that_the_bench_is_made_safe(monkeypatch, name):
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM", "SIGHUP"])
+def test_the_first_signal_ends_a_check_and_a_second_waits_until_the_bench_is_safe(monkeypatch, name):
     safe = []
 
     def stopped(*arguments, **options):
         try:
             signal.raise_signal(getattr(signal, name))
         finally:
+            signal.raise_signal(signal.SIGINT)  # somebody is impatient
             safe.append(name)
 
     before = signal.getsignal(signal.SIGTERM)
