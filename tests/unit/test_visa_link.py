@@ -48,7 +48,7 @@ def port():
 
 @pytest.fixture
 def link(port):
-    one = VisaLink("meter", port.address, timeout_s=0.1)
+    one = VisaLink("meter", port.address, timeout_s=0.2)
     yield one
     one.close()
 
@@ -89,13 +89,13 @@ def test_numbers_that_are_garbled_or_of_another_question_are_refused(link, port,
 
 def test_numbers_that_end_early_are_no_numbers(link, port):
     port.talker.says["numbers"] = b"#0" + NUMBERS.tobytes()[:-1]
-    with pytest.raises(InstrumentError, match=r"no answer within 0\.1 s") as late:
+    with pytest.raises(InstrumentError, match=r"no answer within 0\.2 s") as late:
         link.query_binary("numbers", 4)
     assert late.value.retryable
 
 
 def test_after_a_late_answer_the_next_is_the_right_one(link, port, monkeypatch):
-    monkeypatch.setattr(streams, "LATE_S", 0.25)
+    monkeypatch.setattr(streams, "LATE_S", 0.35)
     port.faults.arm(Fault.DELAY)
     with pytest.raises(InstrumentError, match="no answer within"):
         link.query('print("late")')
@@ -107,7 +107,7 @@ def test_an_instrument_that_fell_silent_does_not_recover(link, port):
     port.faults.arm(Fault.SILENCE)
     with pytest.raises(InstrumentError):
         link.query('print("a")')
-    with pytest.raises(InstrumentError, match=r"no answer within 0\.4 s") as silent:
+    with pytest.raises(InstrumentError, match=r"no answer within 0\.8 s") as silent:
         link.recover()
     assert not silent.value.retryable
     assert "switched on" in silent.value.remedy
