@@ -26,7 +26,12 @@ def lines(check: StationCheck) -> Iterator[str]:
 
 def _line(line: CheckResult) -> Iterator[str]:
     value = "" if line.value is None else quantity(line.value, line.unit)
-    allowed = f"  (allowed: {line.allowed})" if line.allowed else ""
-    yield f"  {line.name:<{_NAME}}  {line.outcome!s:<{_OUTCOME}}  {value:<{_VALUE}}{allowed}".rstrip()
-    for words in (line.said, f"what to do: {line.remedy}" if line.remedy else ""):
-        yield from textwrap.wrap(words, _WIDTH, initial_indent=_INDENT, subsequent_indent=_INDENT)
+    allowed = f"allowed: {line.allowed}" if line.allowed else ""
+    first = f"  {line.name:<{_NAME}}  {line.outcome!s:<{_OUTCOME}}  {value:<{_VALUE}}"
+    fits = len(first) + len(allowed) + 4 <= _WIDTH
+    yield f"{first}  ({allowed})" if allowed and fits else first.rstrip()
+    for words in ("" if fits else allowed, line.said, f"what to do: {line.remedy}" if line.remedy else ""):
+        # Names of stations and addresses stay whole, so that they can be copied.
+        yield from textwrap.wrap(
+            words, _WIDTH, initial_indent=_INDENT, subsequent_indent=_INDENT, break_on_hyphens=False
+        )

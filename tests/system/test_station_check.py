@@ -3,6 +3,7 @@
 import json
 import re
 import signal
+from dataclasses import replace
 from datetime import UTC, datetime
 from types import SimpleNamespace
 
@@ -12,6 +13,7 @@ from cbsr_qa.app import station_check
 from cbsr_qa.app.station_bench import BenchFindings
 from cbsr_qa.app.station_check import CheckRequest, check_station
 from cbsr_qa.cli.main import guarded
+from cbsr_qa.cli.station_table import lines
 from cbsr_qa.config.loader import load_scene, load_station
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.station_check import CheckOutcome, CheckResult, StationCheck
@@ -154,6 +156,24 @@ def test_words_fit_the_terminal_and_name_what_to_do(tmp_path, capsys):
     assert "FAILED: 1 failed, 0 warnings, 10 lines" in said
     assert any("what to do: zero the meter" in line for line in said)
     assert max(len(line) for line in said if not line.startswith("page")) <= 100
+
+
+def test_long_allowances_and_findings_are_wrapped_and_nothing_is_lost():
+    line = CheckResult(
+        "force",
+        CheckOutcome.FAILED,
+        3.9,
+        "N",
+        "3.5474 to 3.6827 N (here); 3.5111 to 3.7001 N (bench-2, bench-3, bench-with-a-long-name)",
+        "measure it again",
+        "here 3.615 ± 0.009 in 6 earlier runs; bench-3, bench-with-a-long-name 3.606 ± 0.012 in 9 earlier runs",
+        "golden sensor G-1",
+    )
+    said = list(lines(replace(CHECK, results=(line,))))
+    assert max(map(len, said)) <= 100
+    words = " ".join(" ".join(said).split())
+    for part in (line.allowed, line.said, "what to do: measure it again", "FAILED: 1 failed"):
+        assert part in words
 
 
 CHECK = StationCheck("1", "simulated", "", datetime(2026, 11, 22, tzinfo=UTC), "disc-100mm", 64 * "a", (), (), ())
