@@ -1,5 +1,6 @@
 """The VISA link over a real socket: whole answers to the right question, or an InstrumentError."""
 
+import socket
 import threading
 
 import numpy as np
@@ -114,7 +115,8 @@ def test_an_instrument_that_fell_silent_does_not_recover(link, port):
 
 
 def test_a_link_that_hung_up_is_opened_again_where_somebody_listens(link, port):
-    port._talking.close()  # the instrument hangs up, and goes on listening
+    link.query('print("somebody is there")')
+    port._talking.shutdown(socket.SHUT_RDWR)  # the instrument hangs up, and goes on listening
     with pytest.raises(InstrumentError):
         link.query('print("a")')
     link.recover()
