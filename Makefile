@@ -6,7 +6,7 @@ JOBS ?= 2
 export CBSR_QA_VAR ?= var
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check lint types imports bench faults clean
+.PHONY: help demo test check lint types imports bench faults soak clean
 
 help: ## Say what can be made
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -49,6 +49,9 @@ bench: $(VENV)/.dev-stamp ## Time what matters, as ratios (see benchmarks/)
 
 faults: $(VENV)/.dev-stamp ## Strike every step of a run with every fault; writes docs/reference/faults.md (half an hour)
 	@$(BIN)/python tests/faults/campaign.py docs/reference/faults.md
+
+soak: $(VENV)/.dev-stamp ## Kill 200 runs at random moments and resume them; twelve hours of faults (half an hour)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q tests/soak $(PYTEST_ARGS)
 
 clean: ## Remove what was made, but not var/
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

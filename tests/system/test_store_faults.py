@@ -1,0 +1,241 @@
+"""A database that fails in the middle of a run: the bench is safe, what was committed stays, and the run goes on."""
+
+import sqlite3
+from contextlib import closing
+from uuid import uuid4
+
+import numpy as np
+import pytest
+import sqlalchemy as sa
+from killing import frames_of_loads, write_files
+
+from cbsr_qa.app.resume import resume_run
+from cbsr_qa.app.run_sensor import RunRequest, run_sensor
+from cbsr_qa.domain.errors import BrokenRunError
+from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.store import engine as engines
+from cbsr_qa.store.journal import Journal
+from cbsr_qa.store.repository import open_store
+from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench
+
+SERVER = "postgresql+psycopg://postgres@127.0.0.1:5432"
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    """A folder with the files of a quick run, and the bench's heads watched."""
+    write_files(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CBSR_QA_VAR", "var")
+    return tmp_path
+
+
+@pytest.fixture
+def benches(monkeypatch):
+    """Every simulated bench that was closed, with whether its head was told to come up before."""
+    closed, told = [], set()
+    safe_state, close = SimulatedBench.safe_state, SimulatedBench.close
+
+    def watched(self):
+        told.add(id(self))
+        safe_state(self)
+
+    def closing_it(self):
+        closed.append(id(self) in told and self.world.presses[-1].steps[-1].change < 0)
+        close(self)
+
+    monkeypatch.setattr(SimulatedBench, "safe_state", watched)
+    monkeypatch.setattr(SimulatedBench, "close", closing_it)
+    return closed
+
+
+def at_document(monkeypatch, number, happen):
+    """Do something before the journal stores its n-th document."""
+    stored, count = Journal.__call__, 0
+
+    def counted(self, event):
+        nonlocal count
+        count += 1
+        if count == number:
+            happen()
+        stored(self, event)
+
+    monkeypatch.setattr(Journal, "__call__", counted)
+
+
+def request(**more):
+    return RunRequest("station.toml", "recipe.toml", "S-1", seed=5, **more)
+
+
+def broken_run(**more):
+    """Run until the database fails; return the run and what is said of it.
+
+    There may be room, or a server again, for how it ended: it is then an outcome like others.
+    """
+    try:
+        outcome = run_sensor(request(**more))
+    except BrokenRunError as broken:
+        run, said, code = broken.run, str(broken), broken.exit_code
+    else:
+        assert outcome.result.record.end is EndReason.BROKEN
+        run, said, code = outcome.run, f"{outcome.result.record.end_detail}; {outcome.resume}", outcome.exit_code
+    assert code == 3
+    assert f"cbsr-qa run --resume {run}" in said
+    assert "NOT SAFE" not in said
+    return run, said
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """Frames and samples of every load of a run with nothing in its way."""
+    folder = tmp_path_factory.mktemp("whole")
+    write_files(folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        patch.setenv("CBSR_QA_VAR", "var")
+        return run_sensor(request()).result
+
+
+def assert_goes_on(run, whole, *, database=None):
+    """Resume a run; what was committed stays, and the result is the one of a run with nothing in its way."""
+    resumed = resume_run(run, database=database).result
+    assert resumed.record.end is EndReason.FINISHED
+    pairs = zip(frames_of_loads(whole.record), frames_of_loads(resumed.record), strict=True)
+    for (_, arrays), (_, others) in pairs:
+        for array, again in zip(arrays, others, strict=True):
+            np.testing.assert_array_equal(array, again)
+    assert [m.value for m in resumed.measurements] == [m.value for m in whole.measurements]
+    assert resumed.verdict == whole.verdict
+    return resumed
+
+
+def stored_frames(path, run):
+    with closing(sqlite3.connect(path)) as database:
+        rows = database.execute("select phase, block, sha256 from frame_blocks where run = ?", (run,)).fetchall()
+    return set(rows)
+
+
+@pytest.mark.parametrize(("pages", "ends"), [(150, ("running", "broken")), (230, ("finished",))])
+def test_a_full_disk(here, benches, whole, monkeypatch, pages, ends):
+    """In the middle of the run, and when its result is stored."""
+    set_up, path = engines._set_up_sqlite, here / "var" / "cbsr-qa.db"
+
+    def small(connection, record, *, synchronous):
+        set_up(connection, record, synchronous=synchronous)
+        connection.execute(f"pragma max_page_count = {pages}")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(engines, "_set_up_sqlite", small)
+        run, said = broken_run()
+    assert "var/cbsr-qa.db cannot grow: the disk is full" in said
+    assert "free space" in said
+    assert benches == [True]
+    kept = stored_frames(path, run)
+    assert len(kept) > 20
+    with open_store(f"sqlite:///{path}") as store:
+        state = store.state_of(run)
+        # The end of the run is a small row, for which there may be room.
+        assert str(state.end) in ends
+        assert state.end is not EndReason.BROKEN or "rule 'journal': the journal could not store" in state.detail
+        assert store.writer_of(run) == ""
+    assert_goes_on(run, whole)
+    assert kept <= stored_frames(path, run)
+
+
+def test_a_database_that_another_program_does_not_let_go(here, benches, whole, monkeypatch, capfd):
+    monkeypatch.setattr(engines, "BUSY_TIMEOUT_MS", 1_000)
+    monkeypatch.setattr(engines, "_PATIENCE_MS", 100)
+    path = here / "var" / "cbsr-qa.db"
+    other = []
+
+    def lock():
+        other.append(sqlite3.connect(path, isolation_level=None, check_same_thread=False))
+        other[0].execute("begin immediate")
+
+    with monkeypatch.context() as patch:
+        at_document(patch, 120, lock)
+        run, said = broken_run()
+    assert "var/cbsr-qa.db is in use by another program; waiting" in capfd.readouterr().err
+    assert "var/cbsr-qa.db is in use by another program (database is locked)" in said
+    assert benches == [True]
+    other[0].rollback()
+    other[0].close()
+    assert_goes_on(run, whole)
+
+
+def test_a_database_that_is_let_go_in_time_stops_nothing(here, whole, monkeypatch, capfd):
+    import threading
+
+    monkeypatch.setattr(engines, "_PATIENCE_MS", 100)
+    path = here / "var" / "cbsr-qa.db"
+
+    def lock_for_a_while():
+        other = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+        other.execute("begin immediate")
+
+        def let_go():
+            other.rollback()
+            other.close()
+
+        threading.Timer(0.4, let_go).start()
+
+    at_document(monkeypatch, 50, lock_for_a_while)
+    result = run_sensor(request()).result
+    assert "is in use by another program; waiting" in capfd.readouterr().err
+    assert [m.value for m in result.measurements] == [m.value for m in whole.measurements]
+
+
+@pytest.mark.postgres
+def test_a_server_that_hangs_up(here, benches, whole, monkeypatch):
+    server = sa.create_engine(f"{SERVER}/postgres", isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 3})
+    name = f"cbsr_qa_test_{uuid4().hex}"
+    try:
+        with server.connect() as connection:
+            connection.exec_driver_sql(f"CREATE DATABASE {name}")
+    except sa.exc.OperationalError as error:
+        server.dispose()
+        pytest.skip(f"no PostgreSQL server answers at 127.0.0.1:5432: {error.orig}")
+    url = f"postgresql://postgres@127.0.0.1:5432/{name}"
+
+    def hang_up():
+        with server.connect() as connection:
+            connection.exec_driver_sql(
+                f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = '{name}'"
+            )
+
+    with monkeypatch.context() as patch:
+        at_document(patch, 120, hang_up)
+        run, said = broken_run(database=url)
+    assert name in said
+    assert "hung up" in said
+    assert benches == [True]
+    assert_goes_on(run, whole, database=url)
+    with server.connect() as connection:
+        connection.exec_driver_sql(f"DROP DATABASE {name} WITH (FORCE)")
+    server.dispose()
+
+
+@pytest.mark.postgres
+def test_on_postgresql_one_process_writes_a_run_at_a_time(tmp_path):
+    from cbsr_qa.domain.errors import StoreError
+
+    server = sa.create_engine(f"{SERVER}/postgres", isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 3})
+    name = f"cbsr_qa_test_{uuid4().hex}"
+    try:
+        with server.connect() as connection:
+            connection.exec_driver_sql(f"CREATE DATABASE {name}")
+    except sa.exc.OperationalError as error:
+        server.dispose()
+        pytest.skip(f"no PostgreSQL server answers at 127.0.0.1:5432: {error.orig}")
+    url = f"postgresql://postgres@127.0.0.1:5432/{name}"
+    with open_store(url) as one, open_store(url) as other:
+        with one.writing_alone("run-1", "Kim"):
+            assert other.writer_of("run-1").startswith("Kim on ")
+            with pytest.raises(StoreError, match="is being written by Kim on"), other.writing_alone("run-1", "Jo"):
+                pass
+            with other.writing_alone("run-2", "Jo"):
+                pass
+        assert other.writer_of("run-1") == ""
+    with server.connect() as connection:
+        connection.exec_driver_sql(f"DROP DATABASE {name} WITH (FORCE)")
+    server.dispose()
