@@ -392,8 +392,8 @@ def test_what_cannot_be_broken_into_is_made_safe_without_it_and_said():
 
     thread = threading.Thread(target=one)
     thread.start()
-    for _ in range(100):
-        if script.names().count("force_applicator.safe_state") == 2:
+    for _ in range(300):
+        if script.names().count("load_cell.safe_state") == 2:  # the last to be told
             break
         time.sleep(0.05)
     assert_made_safe(script)  # while it still hangs
