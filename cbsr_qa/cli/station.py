@@ -20,7 +20,7 @@ def _group() -> None:
 
 @app.command()
 def check(
-    station: Annotated[str, typer.Option(help="Station file, or the name of a shipped one.")],
+    station: Annotated[str, typer.Argument(help="Station file, or the name of a shipped one.")],
     golden: Annotated[
         str | None, typer.Option(metavar="SERIAL", help="Golden sensor to run and to hold against its history.")
     ] = None,

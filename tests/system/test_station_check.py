@@ -64,7 +64,7 @@ def faulty(tmp_path, effect):
 
 
 def test_a_station_that_is_well_ends_with_0_and_is_stored_with_the_rings_frames(check, tmp_path):
-    code, document = check("--station", "simulated", "--ring-ohm", "10000", "--operator", "Zoë")
+    code, document = check("simulated", "--ring-ohm", "10000", "--operator", "Zoë")
     assert (code, document["outcome"]) == (0, "ok")
     found, ring = stored()
     assert found.check == document["check"]
@@ -95,7 +95,7 @@ def test_what_is_wrong_with_a_station_fails_and_is_in_the_reports_it_writes(
     check, tmp_path, capsys, effect, name, value
 ):
     station = faulty(tmp_path, effect)
-    code, document = check("--station", station)
+    code, document = check(station)
     failed = {line["name"]: line for line in document["results"] if line["outcome"] == "failed"}
     assert code == 1
     assert list(failed) == [name]
@@ -117,7 +117,7 @@ def test_reports_of_a_station_that_was_never_checked_say_so_also_when_they_are_w
     first = json.loads(capsys.readouterr().out)
     words = "Station simulated had never been checked when this run began"
     assert words in (tmp_path / first["report"]).read_text()
-    assert check("--station", "simulated", "--no-ring")[0] == 0
+    assert check("simulated", "--no-ring")[0] == 0
     # A check of after the run says nothing of how the station stood when it was made.
     assert guarded(["report", first["run"], "--json"]) == 0
     capsys.readouterr()
@@ -125,7 +125,7 @@ def test_reports_of_a_station_that_was_never_checked_say_so_also_when_they_are_w
 
 
 def test_a_golden_sensor_is_run_and_held_against_its_history(check, tmp_path):
-    documents = [check("--station", "simulated", "--no-ring", "--golden", "G-1") for _ in range(3)]
+    documents = [check("simulated", "--no-ring", "--golden", "G-1") for _ in range(3)]
     assert [code for code, _ in documents] == [0] * 3
     last = lines_of("golden sensor G-1", documents[-1][1])
     assert last["history"]["said"] == "2 earlier runs at this station, 0 at others"
@@ -138,7 +138,7 @@ def test_a_golden_sensor_is_run_and_held_against_its_history(check, tmp_path):
         assert store.identity(found.golden_run).recipe == "golden-check"
     # Another station, whose load cell is at its limit: it is not like the others, whatever it thinks of itself.
     wrong = faulty(tmp_path, 'name = "load-cell-saturation"\nlimit_N = 2.0')
-    code, document = check("--station", wrong, "--no-ring", "--golden", "G-1")
+    code, document = check(wrong, "--no-ring", "--golden", "G-1")
     assert code == 1
     force = lines_of("golden sensor G-1", document)["force"]
     assert (force["outcome"], force["value"]) == ("failed", None)  # a cell at its limit measures nothing
@@ -150,7 +150,7 @@ def test_a_golden_sensor_is_run_and_held_against_its_history(check, tmp_path):
 
 def test_words_fit_the_terminal_and_name_what_to_do(tmp_path, capsys):
     assert (
-        guarded(["station", "check", "--station", faulty(tmp_path, 'name = "reading-offset"\noffset_V = 0.004')]) == 1
+        guarded(["station", "check", faulty(tmp_path, 'name = "reading-offset"\noffset_V = 0.004')]) == 1
     )
     said = capsys.readouterr().out.splitlines()
     assert "FAILED: 1 failed, 0 warnings, 10 lines" in said
@@ -198,7 +198,7 @@ class Silent:
 def test_where_no_instrument_answers_it_ends_with_3_and_says_so_in_a_stored_check(check, monkeypatch):
     error = InstrumentError("bench", "COM3", "does not answer", remedy="switch it on")
     monkeypatch.setattr(station_check, "discover", lambda: Silent(error))
-    code, document = check("--station", "simulated", "--golden", "G-1")
+    code, document = check("simulated", "--golden", "G-1")
     assert code == 3
     assert outcomes(document)["bench", "identity"] == "failed"
     assert outcomes(document)["golden sensor G-1", "run"] == "not done"
@@ -208,10 +208,10 @@ def test_where_no_instrument_answers_it_ends_with_3_and_says_so_in_a_stored_chec
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [
-        (["--station", "nowhere"], "nowhere"),
-        (["--station", "simulated", "--golden", "../G"], "serial"),
-        (["--station", "simulated", "--ring-ohm", "-5"], "--ring-ohm is -5"),
-        (["--station", "simulated", "--ring-ohm", "5", "--no-ring"], "beside --no-ring"),
+        (["nowhere"], "nowhere"),
+        (["simulated", "--golden", "../G"], "serial"),
+        (["simulated", "--ring-ohm", "-5"], "--ring-ohm is -5"),
+        (["simulated", "--ring-ohm", "5", "--no-ring"], "beside --no-ring"),
     ],
 )
 def test_what_is_wrong_with_the_question_is_refused_and_nothing_is_written(check, tmp_path, arguments, said):
@@ -224,7 +224,7 @@ def test_what_is_wrong_with_the_question_is_refused_and_nothing_is_written(check
 def test_ring_and_golden_sensor_at_once_are_refused_where_nobody_can_exchange_them(check, tmp_path):
     content = load_station("simulated").document.text.replace('scene = "base"', "")
     (tmp_path / "real.toml").write_text(content)
-    code, document = check("--station", "real.toml", "--golden", "G-1", "--ring-ohm", "5", "--ring-connected")
+    code, document = check("real.toml", "--golden", "G-1", "--ring-ohm", "5", "--ring-connected")
     assert code == 2
     assert "cannot both be connected" in document["refused"]["reason"]
 
@@ -242,7 +242,7 @@ def test_the_first_signal_ends_a_check_and_a_second_waits_until_the_bench_is_saf
 
     before = signal.getsignal(signal.SIGTERM)
     monkeypatch.setattr(station_check, "look_at_bench", stopped)
-    assert guarded(["station", "check", "--station", "simulated"]) == 3
+    assert guarded(["station", "check", "simulated"]) == 3
     assert safe == [name]
     assert signal.getsignal(signal.SIGTERM) is before
     with open_store("sqlite:///var/cbsr-qa.db", create=False) as store:
@@ -272,6 +272,6 @@ def test_on_a_real_bench_what_must_be_connected_is_asked_for_before_contacts_are
 
 
 def test_a_scene_that_is_wrong_is_refused_like_that_of_a_run(check, tmp_path):
-    code, document = check("--station", faulty(tmp_path, 'name = "reading-ofset"\noffset_V = 1.0'))
+    code, document = check(faulty(tmp_path, 'name = "reading-ofset"\noffset_V = 1.0'))
     assert code == 2
     assert "reading-ofset" in document["refused"]["reason"]
