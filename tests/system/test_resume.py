@@ -1,7 +1,10 @@
 """``cbsr-qa run --resume``: a run that was interrupted is the run it would have been."""
 
 import random
+import re
+import shlex
 import sqlite3
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -187,6 +190,17 @@ def test_with_memory_effects_a_resumed_run_agrees_within_noise(tmp_path):
                 for of, one in ((phase, load), (other, again))
             ]
             assert np.abs(steady[0] - steady[1]).max() < 2 * 5 * np.sqrt(2 / 4) * sigma.mean()
+
+
+def test_the_page_on_what_to_do_runs_as_printed(cut_off):
+    folder, run = cut_off
+    page = Path(__file__).parents[2] / "docs" / "how-to" / "what-to-do-when-it-stops.md"
+    commands = re.findall(r"^\$ cbsr-qa (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
+    assert len(commands) == 3
+    said = [cbsr_qa(folder, *shlex.split(command.replace("RUN", run))).stdout for command in commands]
+    assert f"incomplete  run {run} of S-1: cut off" in said[0]
+    assert "cbsr-qa run --resume RUN" in said[0]
+    assert said[1].startswith("PASS")
 
 
 def test_a_second_program_is_told_who_writes_the_run(cut_off):
