@@ -13,6 +13,7 @@ from cbsr_qa.clock import VirtualClock
 from cbsr_qa.domain import kinematics
 from cbsr_qa.domain.errors import ConfigError, InstrumentError, SafetyError
 from cbsr_qa.emulate.faults import Fault
+from cbsr_qa.emulate.streams import PtyPort
 from cbsr_qa.interfaces import Alive, ForceApplicator, Linked, Sampler
 from cbsr_qa.links import serial_link
 from cbsr_qa.simulate.head import SimulatedHead
@@ -497,6 +498,38 @@ def test_an_answer_that_comes_late_is_waited_for_and_moves_nothing_twice(make, o
     assert station.head.position_mm == pytest.approx((before[0] + 10.0, before[1], before[2]))
     one.press(0.4, SPEED)
     assert station.head.height_mm == pytest.approx(-0.4, abs=1e-3)
+
+
+class KeptWaiting:
+    """A printer in real time: a command that lasts says nothing for two seconds, then that it is busy."""
+
+    def __init__(self, printer, send, lasting, seconds):
+        self.printer, self.send, self.lasting, self.seconds = printer, send, lasting, seconds
+
+    def received(self, data):
+        if self.lasting in data:
+            left_s = self.seconds
+            while left_s > 0:
+                threading.Event().wait(min(left_s, 2.0))
+                left_s -= 2.0
+                if left_s > 0:
+                    self.send(b"echo:busy: processing\n")
+        return self.printer.received(data)
+
+    def misbehave(self, fault):
+        raise AssertionError(fault)
+
+
+@pytest.mark.parametrize(("lasting", "seconds"), [(b"G28", 4.5), (b"M400", 2.2)])
+def test_a_printer_says_that_it_is_busy_only_after_two_seconds(make, one_world, lasting, seconds):
+    station = make()
+    port = PtyPort("slow printer")
+    try:
+        port.serve(KeptWaiting(station.emulation.instruments["applicator"], port.send, lasting, seconds))
+        linked(station, address=port.address).home()
+    finally:
+        port.close()
+    assert station.head.up
 
 
 def test_silence_is_said(station, homed):

@@ -153,7 +153,7 @@ class MarlinLink:
         for _ in range(_ATTEMPTS):
             self._link.write(line)
             try:
-                said, wanted = self._answer()
+                said, wanted = self._answer(lasts=text.startswith(_LASTING))
             except InstrumentError as error:
                 if not error.retryable:
                     raise
@@ -166,18 +166,24 @@ class MarlinLink:
                 raise self._error(f"it asks for line {wanted} instead of {number}: it has restarted", remedy=_HOME)
         raise self._error(f"{text!r} did not get through in {_ATTEMPTS} attempts", remedy=_CHECK)
 
-    def _answer(self) -> tuple[list[str], int | None]:
-        """Read up to the acknowledgement; return what was said before, and the line it asks for, if it does."""
+    def _answer(self, *, lasts: bool) -> tuple[list[str], int | None]:
+        """Read up to the acknowledgement; return what was said before, and the line it asks for, if it does.
+
+        Parameters
+        ----------
+        lasts : the command may take long, and the printer says only after a while that it is busy with it.
+        """
         said: list[str] = []
         wanted: int | None = None
         began_s = self._time.now()
-        until_s = began_s + self._link.timeout_s
+        busy_s = max(self._link.timeout_s, _BUSY_EVERY_S)
+        until_s = began_s + (busy_s if lasts else self._link.timeout_s)
         while True:
             line = self._line(max(until_s - self._time.now(), 0.0))
             if line.startswith("ok"):
                 return said, wanted
             if line.startswith("echo:busy") and self._time.now() < began_s + _BUSY_AT_MOST_S:
-                until_s = self._time.now() + max(self._link.timeout_s, _BUSY_EVERY_S)
+                until_s = self._time.now() + busy_s
             elif line.startswith("Resend:"):
                 digits = line.partition(":")[2].strip()
                 wanted = int(digits) if digits.isdigit() else wanted
@@ -216,7 +222,10 @@ class MarlinLink:
         return InstrumentError(self._link.role, self._link.address, reason, remedy=remedy, retryable=retryable)
 
 
-#: A busy printer says so this often [s]; half as much again is allowed.
-_BUSY_EVERY_S: Final = 3.0
+#: A busy printer says so every two seconds, the first time two seconds after the command came; half a second more is
+#: allowed [s, real time].
+_BUSY_EVERY_S: Final = 2.5
+#: Commands that are only acknowledged when what they do, or wait for, is over.
+_LASTING: Final = ("G28", "M400")
 _CHECK: Final = "check its address, its cable and its power"
 _HOME: Final = "it must home before it moves again"
