@@ -15,6 +15,7 @@ from cbsr_qa.cli import (
     db,
     export,
     frontier,
+    gauge,
     limits,
     plugins,
     report,
@@ -40,6 +41,7 @@ app.command("report")(report.report)
 app.command("export")(export.export)
 app.command("stability")(stability.stability)
 app.command("frontier")(frontier.frontier)
+app.command("gauge")(gauge.gauge)
 app.add_typer(calibration.app, name="calibration")
 app.add_typer(limits.app, name="limits")
 app.add_typer(scene.app, name="scene")

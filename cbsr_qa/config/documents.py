@@ -31,6 +31,7 @@ class DocumentKind(Enum):
     MATERIAL = ("material", "materials")
     SCENE = ("scene", "scenes")
     LIMITS = ("limits", "limits")
+    REFERENCES = ("reference values", "references")
 
     @property
     def noun(self) -> str:

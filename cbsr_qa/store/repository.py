@@ -16,14 +16,16 @@ from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import RunIdentity, RunRecord, RunSession
+from cbsr_qa.domain.run_figures import RunFigure, RunLine
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.domain.station_check import RingReadings, StationCheck
-from cbsr_qa.store import analyses, calibrations, incomplete, locks, runs, schema, station_checks
+from cbsr_qa.store import analyses, calibrations, figures, incomplete, locks, runs, schema, station_checks
 from cbsr_qa.store.analyses import StoredAnalysis
 from cbsr_qa.store.calibration_forces import PrepareForce
 from cbsr_qa.store.calibrations import CalibrationSummary
 from cbsr_qa.store.engine import open_engine, parsed_url
 from cbsr_qa.store.failures import shown
+from cbsr_qa.store.figures import RunFilter
 from cbsr_qa.store.ids import IdSource, made_at
 from cbsr_qa.store.incomplete import IncompleteRun, latest_id
 from cbsr_qa.store.journal import Journal
@@ -206,6 +208,20 @@ class Repository:
     def analyses(self, run: str) -> tuple[StoredAnalysis, ...]:
         """Return every analysis of a run, the latest first: the first is the one that holds."""
         return analyses.analyses_of(self._engine, run)
+
+    def run_lines(self, wanted: RunFilter) -> tuple[RunLine, ...]:
+        """Return the analysed runs that were asked for, the oldest name first."""
+        return figures.run_lines(self._engine, wanted)
+
+    def run_figures(
+        self, lines: Sequence[RunLine], names: Sequence[str] = (), *, by_location: bool = False
+    ) -> tuple[RunFigure, ...]:
+        """Return the figures of runs by metric: means over their loads, or over those of each location."""
+        return figures.run_figures(self._engine, lines, names, by_location=by_location)
+
+    def software_of(self, lines: Sequence[RunLine]) -> dict[str, str]:
+        """Return run → the version of this program its latest analysis was made with."""
+        return figures.software_of(self._engine, lines)
 
     def save_station_check(self, check: StationCheck, ring: RingReadings | None = None) -> None:
         """Store a check of a station, with the frames of its reference ring where there are some."""

@@ -1,0 +1,199 @@
+"""Reference values of golden sensors: as options or a file, and a gauge held against them."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from math import hypot, isfinite
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from cbsr_qa.app.figure_series import Series, clock_notes
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.config.echo import echo
+from cbsr_qa.config.tables import FileModel, Table, validated
+from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.run_figures import RunLine
+from cbsr_qa.stats.contrast import Contrast
+from cbsr_qa.stats.gauge_reference import Linearity, Stability, bias, linearity, stability
+
+_GIVEN = re.compile(r"(?P<serial>.+)\.(?P<metric>[a-z][a-z0-9_]*)=(?P<value>[^±]+?)(?:(?:±|\+/?-)(?P<u>[^±]+))?")
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceValue:
+    """What a sensor truly is, from elsewhere.
+
+    Parameters
+    ----------
+    value, uncertainty : in the metric's unit; one standard deviation, 0 where none was stated.
+    """
+
+    serial: str
+    metric: str
+    value: float
+    uncertainty: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class BiasLine:
+    """Bias of one appraiser at one reference; ``bias`` None where ``why`` says why."""
+
+    reference: ReferenceValue
+    appraiser: str
+    count: int
+    bias: Contrast | None
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StabilityLine:
+    """What readings of one reference on one appraiser did over time; None where ``why`` says why."""
+
+    reference: ReferenceValue
+    appraiser: str
+    stability: Stability | None
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AgainstReferences:
+    """One metric against reference values.
+
+    Parameters
+    ----------
+    linearity : over all references and appraisers; None where ``linearity_why`` says why.
+    """
+
+    biases: tuple[BiasLine, ...]
+    linearity: Linearity | None
+    linearity_why: str
+    stability: tuple[StabilityLine, ...]
+
+
+_Name = Annotated[str, Field(min_length=1, max_length=64)]
+
+
+class _Reference(Table):
+    """``[[reference]]``: the value of one metric of one golden sensor, in the metric's unit."""
+
+    serial: _Name
+    metric: _Name
+    value: float
+    uncertainty: Annotated[float, Field(ge=0)] = 0.0
+
+
+class _ReferenceFile(FileModel[tuple[ReferenceValue, ...]]):
+    """A file of reference values."""
+
+    reference: Annotated[list[_Reference], Field(min_length=1)]
+
+    def to_domain(self) -> tuple[ReferenceValue, ...]:
+        return tuple(ReferenceValue(one.serial, one.metric, one.value, one.uncertainty) for one in self.reference)
+
+
+def references_of(given: Sequence[str]) -> tuple[ReferenceValue, ...]:
+    """Read reference values: ``SERIAL.METRIC=VALUE±U``, or names of TOML files.
+
+    Raises
+    ------
+    RefusedError
+        If one cannot be read, or one sensor has two values of one metric.
+    """
+    found: list[ReferenceValue] = []
+    for text in given:
+        found += _of_file(text) if text.endswith(".toml") else [_of_text(text)]
+    keys = [(one.serial, one.metric) for one in found]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise RefusedError(
+                f"sensor {key[0]} has {keys.count(key)} reference values of {key[1]}", remedy="give one"
+            )
+    return tuple(found)
+
+
+def _of_file(name: str) -> tuple[ReferenceValue, ...]:
+    return validated(_ReferenceFile, open_document(DocumentKind.REFERENCES, Path(name)))
+
+
+def _of_text(text: str) -> ReferenceValue:
+    remedy = "write SERIAL.METRIC=VALUE±UNCERTAINTY, e.g. G-01.noise_floor=0.0061±0.0001, or name a .toml file"
+    found = _GIVEN.fullmatch(text.strip())
+    if found is None:
+        raise RefusedError(f"--reference {echo(text)} cannot be read", remedy=remedy)
+    try:
+        value, uncertainty = float(found["value"]), float(found["u"] or 0)
+    except ValueError as error:
+        raise RefusedError(f"--reference {echo(text)}: {error}", remedy=remedy) from error
+    if not (isfinite(value) and isfinite(uncertainty) and uncertainty >= 0):
+        raise RefusedError(
+            f"--reference {echo(text)}: allowed are finite values, uncertainties from 0", remedy=remedy
+        )
+    return ReferenceValue(found["serial"], found["metric"], value, uncertainty)
+
+
+def against_references(
+    series: Series, appraisers: Sequence[str], references: Sequence[ReferenceValue]
+) -> AgainstReferences | None:
+    """Hold one metric's runs against the reference values there are of it.
+
+    Parameters
+    ----------
+    appraisers : of each run of the series.
+
+    Returns
+    -------
+    None where there is no reference value of this metric.
+    """
+    own = [one for one in references if one.metric == series.key.name]
+    if not own:
+        return None
+    rows = list(zip(series.lines, series.values, appraisers, strict=True))
+    biases, stabilities = [], []
+    for reference in own:
+        of = [(line, value, who) for line, value, who in rows if line.serial == reference.serial]
+        for who in sorted({who for _, _, who in of}):
+            lines, values = zip(*((line, value) for line, value, by in of if by == who), strict=True)
+            biases.append(_bias(reference, who, values))
+            stabilities.append(_stability(reference, who, lines, values))
+        if not of:
+            biases.append(BiasLine(reference, "", 0, None, "no run of these is of that sensor"))
+    line, why = _linearity(own, rows)
+    return AgainstReferences(tuple(biases), line, why, tuple(stabilities))
+
+
+def _bias(reference: ReferenceValue, who: str, values: Sequence[float]) -> BiasLine:
+    try:
+        found = bias(values, reference.value)
+    except NumericsError as error:
+        return BiasLine(reference, who, len(values), None, error.reason)
+    # The reference's own uncertainty is known (GUM G.4: degrees of freedom go with the fourth power).
+    whole = hypot(found.standard_error, reference.uncertainty)
+    freedom = found.freedom * (whole / found.standard_error) ** 4
+    return BiasLine(reference, who, len(values), Contrast(found.value, whole, freedom))
+
+
+def _stability(
+    reference: ReferenceValue, who: str, lines: Sequence[RunLine], values: Sequence[float]
+) -> StabilityLine:
+    wrong = clock_notes(lines)
+    if wrong:
+        return StabilityLine(reference, who, None, f"no drift can be told: {wrong[0]}")
+    days = [(line.started_at - lines[0].started_at) / timedelta(days=1) for line in lines]
+    try:
+        return StabilityLine(reference, who, stability(days, values, reference.value))
+    except NumericsError as error:
+        return StabilityLine(reference, who, None, error.reason)
+
+
+def _linearity(
+    references: Sequence[ReferenceValue], rows: Sequence[tuple[RunLine, float, str]]
+) -> tuple[Linearity | None, str]:
+    known = {one.serial: one.value for one in references}
+    pairs = [(known[line.serial], value) for line, value, _ in rows if line.serial in known]
+    try:
+        return linearity([one for one, _ in pairs], [value for _, value in pairs]), ""
+    except NumericsError as error:
+        return None, f"{error.reason}; {error.remedy}" if error.remedy else error.reason

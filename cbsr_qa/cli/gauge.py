@@ -1,0 +1,73 @@
+"""``cbsr-qa gauge``: how much of the variation of stored runs is the gauge's."""
+
+from datetime import date, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cbsr_qa.cli.output import emit_json, note, say
+
+_DAY = ["%Y-%m-%d"]
+
+
+def gauge(
+    serials: Annotated[str | None, typer.Option(metavar="S1,S2,…", help="Sensors of the study.")] = None,
+    recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
+    metric: Annotated[
+        list[str] | None, typer.Option(help="What to study; may be repeated. By default what the recipe limits.")
+    ] = None,
+    by_location: Annotated[
+        bool, typer.Option("--by-location", help="One study a location, not of their mean.")
+    ] = False,
+    appraiser: Annotated[str, typer.Option(help="Who measures: station or operator.")] = "station",
+    since: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs from this day on (UTC).")] = None,
+    until: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs to the end of this day (UTC).")] = None,
+    largest_balanced: Annotated[
+        bool, typer.Option("--largest-balanced", help="Of an incomplete crossing, take the largest whole part.")
+    ] = False,
+    reference: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="SERIAL.METRIC=VALUE±U", help="What a golden sensor truly is, or a TOML file; may be repeated."
+        ),
+    ] = None,
+    confidence: Annotated[float, typer.Option(help="Of intervals, in per cent.")] = 95.0,
+    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+) -> None:
+    """Gauge R&R of stored runs: every sensor on every station (or by every operator), more than once."""
+    from cbsr_qa.app.gauge import GaugeRequest
+    from cbsr_qa.app.gauge import gauge as studied
+    from cbsr_qa.app.gauge_references import references_of
+    from cbsr_qa.cli.gauge_table import lines
+
+    request = GaugeRequest(
+        serials=tuple(dict.fromkeys(part.strip() for part in (serials or "").split(",") if part.strip())),
+        recipe=recipe,
+        since=_day(since),
+        until=_day(until),
+        metrics=tuple(dict.fromkeys(metric or ())),
+        by_location=by_location,
+        appraiser=appraiser,
+        largest_balanced=largest_balanced,
+        references=references_of(reference or ()),
+        confidence=confidence / 100,
+    )
+    found = studied(request, database=database)
+    if output is not None:
+        from cbsr_qa.app.gauge_page import gauge_html
+        from cbsr_qa.report.render import write_report
+
+        write_report(output, gauge_html(found))
+        note(f"page         {output}")
+    if as_json:
+        emit_json(found.document())
+        return
+    for line in lines(found):
+        say(line)
+
+
+def _day(moment: datetime | None) -> date | None:
+    return None if moment is None else moment.date()

@@ -1,0 +1,75 @@
+"""The words of ``cbsr-qa gauge``: a table a metric, with sentences below it."""
+
+import textwrap
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+from cbsr_qa.config.echo import printable
+
+if TYPE_CHECKING:
+    from cbsr_qa.app.gauge import Gauge, MetricGauge
+    from cbsr_qa.app.gauge_references import AgainstReferences
+
+WIDTH = 100
+_COLUMNS = "  {:<18}{:>12}{:>24}{:>12}{:>10}{:>12}{:>16}"
+_PARTS = (
+    ("repeatability", "repeatability"),
+    ("reproducibility", "reproducibility"),
+    ("gauge", "gauge (R&R)"),
+    ("sensor", "sensors"),
+    ("total", "total"),
+)
+
+
+def lines(found: "Gauge") -> Iterator[str]:
+    """Lay a study out, one line after another."""
+    from cbsr_qa.app.gauge_words import study_words
+
+    yield from _wrapped("study    ", printable(study_words(found)))
+    for words in found.notes:
+        yield from _wrapped("note     ", printable(words))
+    for one in found.metrics:
+        yield ""
+        unit = "" if one.series.unit == "1" else f", {one.series.unit}"
+        yield printable(f"{one.series.key.label}{unit}")
+        yield from _metric(one, found.request.appraiser, found.request.confidence)
+
+
+def _metric(one: "MetricGauge", appraiser: str, confidence: float) -> Iterator[str]:
+    from cbsr_qa.app.gauge_words import deviation_words, metric_words, percent
+
+    if one.anova is not None and one.ranges is not None:
+        yield _COLUMNS.format(
+            "", "deviation", f"{100 * confidence:g} % interval", "variance", "study", "tolerance", "by ranges"
+        )
+        variation, by_range = one.anova.variation, one.ranges.variation
+        for name, shown in _PARTS:
+            part = getattr(variation, name)
+            tolerance = variation.percent_tolerance(part)
+            yield _COLUMNS.format(
+                shown,
+                f"{part.deviation:.4g}",
+                deviation_words(part),
+                percent(variation.percent_contribution(part)),
+                percent(variation.percent_study(part)),
+                "–" if tolerance is None else percent(tolerance),
+                f"{getattr(by_range, name).deviation:.4g}",
+            ).rstrip()
+    for words in metric_words(one, appraiser, confidence):
+        yield from _wrapped("    ", printable(words))
+    if one.against is not None:
+        yield from _against(one.against, confidence)
+
+
+def _against(found: "AgainstReferences", confidence: float) -> Iterator[str]:
+    from cbsr_qa.app.gauge_words import reference_words
+
+    for words in reference_words(found, confidence):
+        yield from _wrapped("    ", printable(words))
+
+
+def _wrapped(start: str, text: str) -> Iterator[str]:
+    indent = " " * len(start) if start.strip() else f"{start}  "
+    yield from textwrap.wrap(
+        text, WIDTH, initial_indent=start, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False
+    )

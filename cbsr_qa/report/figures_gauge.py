@@ -1,0 +1,147 @@
+"""The six usual panels of a gauge study (AIAG MSA 4th edition, chapter III), and bias against reference values."""
+
+from collections.abc import Sequence
+from math import sqrt
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+
+from cbsr_qa.domain.report import Figure
+from cbsr_qa.report.numbers import unit_shown
+from cbsr_qa.report.style import BLUE, CYCLE, FAINT, INK, QUIET, VERMILION, canvas, light_grid
+from cbsr_qa.report.svg import drawn
+from cbsr_qa.stats.gauge_study import Study, Variation
+from cbsr_qa.stats.range_constants import d2_d3
+
+#: Names along an axis that fit beside each other.
+_MOST_NAMES = 12
+
+
+def gauge_figure(study: Study, variation: Variation, unit: str, *, label: str, appraiser: str) -> Figure:
+    """Draw components, values by sensor and by appraiser, their interaction, and the charts of ranges and means.
+
+    Parameters
+    ----------
+    variation : by analysis of variance.
+    unit : of the values.
+    label : of the metric.
+    appraiser : what measures: ``"station"`` or ``"operator"``.
+    """
+    shown = unit_shown(unit)
+    axis = f"{label} [{shown}]" if shown else label
+
+    def build() -> Canvas:
+        figure = canvas(7.4)
+        grid = figure.add_gridspec(3, 2, left=0.1, right=0.985, bottom=0.06, top=0.965, hspace=0.5, wspace=0.26)
+        axes = [figure.add_subplot(grid[row, column]) for row in range(3) for column in range(2)]
+        _components(axes[0], variation)
+        _by_sensor(axes[1], study)
+        _ranges(axes[2], study, appraiser)
+        _by_appraiser(axes[3], study, appraiser)
+        _means(axes[4], study, appraiser)
+        _interaction(axes[5], study, appraiser)
+        figure.text(0.012, 0.5, axis, rotation=90, va="center", ha="center", color=INK)
+        return figure
+
+    return drawn(
+        build,
+        caption=f"Where the variation of {label} comes from. Components as shares; every run by sensor and by "
+        f"{appraiser}, means joined; ranges of repeated runs, beyond whose limit a cell repeats worse than the rest; "
+        "means of cells against limits of repeatability alone, most of which should be outside: then the gauge tells "
+        f"sensors apart; and means of each sensor by {appraiser}: lines that cross are an interaction.",
+        alternative=f"Six panels of the gauge study of {label}; the table has the components.",
+    )
+
+
+def _components(axes: Axes, variation: Variation) -> None:
+    names = ("gauge", "repeatability", "reproducibility", "sensor")
+    parts = [getattr(variation, name) for name in names]
+    bars = [("of the variance", [variation.percent_contribution(part) for part in parts])]
+    bars.append(("of the deviation", [variation.percent_study(part) for part in parts]))
+    if variation.tolerance is not None:
+        bars.append(("of the tolerance", [variation.percent_tolerance(part) or 0.0 for part in parts]))
+    width = 0.8 / len(bars)
+    light_grid(axes)
+    for number, (name, heights) in enumerate(bars):
+        across = np.arange(len(parts)) + (number - (len(bars) - 1) / 2) * width
+        axes.bar(across, heights, 0.92 * width, color=CYCLE[number], label=name)
+    axes.set_xticks(range(len(parts)), ["gauge R&R", "repeat.", "reprod.", "sensors"])
+    axes.set_title("components [%]")
+    axes.legend(frameon=False, fontsize=6.5, loc="upper left")
+
+
+def _by_sensor(axes: Axes, study: Study) -> None:
+    axes.set_title("by sensor")
+    _dots(axes, [study.values[row].ravel() for row in range(study.shape[0])], study.sensors)
+
+
+def _by_appraiser(axes: Axes, study: Study, appraiser: str) -> None:
+    axes.set_title(f"by {appraiser}")
+    _dots(axes, [study.values[:, column].ravel() for column in range(study.shape[1])], study.stations)
+
+
+def _dots(axes: Axes, groups: Sequence[np.ndarray], names: Sequence[str]) -> None:
+    light_grid(axes)
+    for place, group in enumerate(groups):
+        axes.plot(np.full(len(group), place), group, "o", color=FAINT, markersize=2.4)
+    axes.plot(range(len(groups)), [group.mean() for group in groups], "o-", color=BLUE, markersize=3.4)
+    _names(axes, names)
+
+
+def _ranges(axes: Axes, study: Study, appraiser: str) -> None:
+    ranges = np.ptp(study.values, axis=2)
+    d2, d3 = d2_d3(study.shape[2])
+    mean = float(ranges.mean())
+    low, high = max(0.0, mean * (1 - 3 * d3 / d2)), mean * (1 + 3 * d3 / d2)
+    axes.set_title(f"range of repeated runs, by {appraiser}")
+    _cells(axes, ranges, study, mean, low, high)
+    axes.set_ylim(bottom=0)
+
+
+def _means(axes: Axes, study: Study, appraiser: str) -> None:
+    means = study.values.mean(axis=2)
+    d2, _ = d2_d3(study.shape[2])
+    half = 3 * float(np.ptp(study.values, axis=2).mean()) / (d2 * sqrt(study.shape[2]))
+    mean = float(means.mean())
+    axes.set_title(f"mean of repeated runs, by {appraiser}")
+    _cells(axes, means, study, mean, mean - half, mean + half)
+
+
+def _cells(axes: Axes, table: np.ndarray, study: Study, centre: float, low: float, high: float) -> None:
+    """Draw one statistic of each cell, the sensors of one appraiser after those of another, with limits."""
+    count = study.shape[0]
+    for column, name in enumerate(study.stations):
+        across, values = column * count + np.arange(count), table[:, column]
+        axes.plot(across, values, "-", color=FAINT, linewidth=0.7)
+        outside = (values < low) | (values > high)
+        for flags, colour in ((~outside, BLUE), (outside, VERMILION)):
+            axes.plot(across[flags], values[flags], "o", color=colour, markersize=2.8)
+        if column:
+            axes.axvline(column * count - 0.5, color=FAINT, linewidth=0.5)
+        if len(study.stations) <= _MOST_NAMES:
+            place = (column + 0.5) / len(study.stations)
+            axes.text(place, -0.05, name[:16], transform=axes.transAxes, ha="center", va="top", fontsize=6.5)
+    for line, style in ((centre, "-"), (low, "--"), (high, "--")):
+        axes.axhline(line, color=QUIET, linewidth=0.7, linestyle=style)
+    axes.set_xticks([])
+
+
+def _interaction(axes: Axes, study: Study, appraiser: str) -> None:
+    light_grid(axes)
+    axes.set_title(f"sensor by {appraiser}")
+    means = study.values.mean(axis=2)
+    for column, name in enumerate(study.stations):
+        colour, dashes = CYCLE[column % len(CYCLE)], ("-", "--", ":")[column // len(CYCLE) % 3]
+        axes.plot(means[:, column], "o", linestyle=dashes, color=colour, markersize=2.6, label=name[:16])
+    if len(study.stations) <= _MOST_NAMES:
+        axes.legend(frameon=False, fontsize=6.5, ncols=2)
+    _names(axes, study.sensors)
+
+
+def _names(axes: Axes, names: Sequence[str]) -> None:
+    every = -(-len(names) // _MOST_NAMES)
+    places = range(0, len(names), every)
+    short = [names[place][:10] for place in places]
+    turned = 30 if sum(map(len, short)) > 48 else 0
+    axes.set_xticks(list(places), short, rotation=turned, ha="right" if turned else "center", fontsize=6.5)
