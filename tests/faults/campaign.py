@@ -4,13 +4,14 @@ python tests/faults/campaign.py docs/reference/faults.md [--every N] [--role ROL
 """
 
 import argparse
+import json
 import multiprocessing
 import os
 import sys
 import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 from trial import OF_INSTRUMENTS, OF_THE_COMPUTER, PASSING, Injected, Outcome, allowed_s, run_with, steps_of_a_run
@@ -56,13 +57,29 @@ def struck(case: Injected) -> list[Result]:
 def results(cases: list[Injected], processes: int) -> Iterator[Result]:
     """Strike with all of them; each process has one world after the other."""
     with multiprocessing.get_context("spawn").Pool(processes, maxtasksperchild=200) as pool:
-        for found in pool.imap(struck, cases):
+        for found in pool.imap_unordered(struck, cases):
             yield from found
+
+
+def kept(path: Path | None) -> list[Result]:
+    """Read what an earlier campaign of the same version has found."""
+    if path is None or not path.exists():
+        return []
+    read = [json.loads(line) for line in path.read_text().splitlines()]
+    return [(Injected(**one["injected"]), Outcome(**one["outcome"])) for one in read]
+
+
+def keep(path: Path | None, injected: Injected, outcome: Outcome) -> None:
+    """Write down one step that was struck."""
+    if path is not None:
+        with path.open("a") as file:
+            file.write(json.dumps({"injected": asdict(injected), "outcome": asdict(outcome)}) + "\n")
 
 
 def table(found: Iterable[Result]) -> str:
     """Fault × step → outcome, as Markdown: how many ended in which way."""
     steps = list(dict.fromkeys(steps_of_a_run()))
+    found = sorted(found, key=_order)
     cells: dict[tuple[str, str], dict[str, Counter[str]]] = defaultdict(lambda: defaultdict(Counter))
     names = steps_of_a_run()
     for injected, outcome in found:
@@ -75,21 +92,31 @@ def table(found: Iterable[Result]) -> str:
     return "\n".join(lines)
 
 
+def _order(result: Result) -> tuple[int, int]:
+    names = [(role, fault) for role, faults in {**OF_INSTRUMENTS, **OF_THE_COMPUTER}.items() for fault in faults]
+    injected = result[0]
+    return names.index((injected.role, injected.fault)), injected.step
+
+
 def main() -> int:
     """Run the campaign; exit code 1 if anything went wrong that must not."""
     wanted = argparse.ArgumentParser(description=__doc__)
     wanted.add_argument("page", type=Path, nargs="?")
     wanted.add_argument("--every", type=int, default=1)
     wanted.add_argument("--role")
+    wanted.add_argument("--keep", type=Path)
     wanted.add_argument("--processes", type=int, default=min(2, os.cpu_count() or 1))
     chosen = wanted.parse_args()
     names = steps_of_a_run()
     cases = list(matrix(len(names), every=chosen.every, role=chosen.role))
-    total = sum(len(names) if case.again else 1 for case in cases)
-    found: list[Result] = []
+    found = kept(chosen.keep)
+    known = {(injected.role, injected.fault, injected.step) for injected, _ in found}
+    cases = [case for case in cases if (case.role, case.fault, case.step) not in known]
+    total = len(found) + sum(len(names) if case.again else 1 for case in cases)
     start = time.monotonic()
     for injected, outcome in results(cases, chosen.processes):
         found.append((injected, outcome))
+        keep(chosen.keep, injected, outcome)
         if outcome.wrong:
             where = f"step {injected.step} ({names[injected.step]})"
             print(f"{injected.role} {injected.fault} at {where}: {outcome.kind}: {outcome.wrong}", flush=True)

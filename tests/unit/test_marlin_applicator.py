@@ -72,6 +72,15 @@ def took(station, what, *arguments):
     return station.clock.now() - before
 
 
+def until_it_moves(head):
+    """A command without an answer is heard some time later; one that changes nothing never shows."""
+    patience = threading.Event()
+    for _ in range(50):
+        if head.moving:
+            return
+        patience.wait(0.02)
+
+
 # --- motion ---
 
 
@@ -541,6 +550,23 @@ def test_silence_is_said(station, homed):
         homed.safe_state()
     station.clock.sleep(10.0)
     assert station.head.up  # it heard what it did not answer
+
+
+@pytest.mark.parametrize("noticed", [False, True])
+def test_a_silent_printer_is_told_to_lift_and_may_hear_it(station, homed, noticed):
+    homed.find_surface(0.0, 0.0)
+    homed.press(0.8, SPEED)
+    assert station.head.touching
+    station.arm("applicator", Fault.SILENCE)
+    if noticed:
+        with pytest.raises(InstrumentError, match="does not answer any more"):
+            homed.alive()
+    for _ in range(2):  # told twice, it goes no higher
+        with pytest.raises(InstrumentError, match="does not answer any more"):
+            homed.safe_state()
+        until_it_moves(station.head)
+        station.clock.sleep(10.0)
+        assert station.head.height_mm == pytest.approx(MOTION.hover_mm, abs=0.01)
 
 
 def test_a_pulled_cable_is_said(station, homed):

@@ -195,11 +195,17 @@ class MarlinAxes:
                 raise self._fail("it was told to stop and lift, and did not answer: another command hangs", _LOOK)
             if self._link.down:
                 self._link.reopen()
+            if self._link.silent:
+                # At once: asking it four times would leave the head in the sheet for as long.
+                self._link.shout("M410", *self._lifting())
+                raise self._fail("it was told to stop and lift, and does not answer any more", _LOOK)
             restarts = self._link.restarts
             try:
                 self._stop_and_lift()
             except InstrumentError:
                 if self._link.restarts == restarts:
+                    # It may hear what it does not answer; the way up to a known height can be told twice.
+                    self._link.shout("M410", *self._lifting())
                     raise
                 self._stop_and_lift()  # it has restarted in between: now upwards from wherever it is
 

@@ -48,6 +48,8 @@ class MarlinLink:
         self._tokens = 0
         self._exchanging = threading.RLock()
         self._lost = False
+        #: Whether it has stopped answering: it may still hear what it is told.
+        self.silent = False
         #: How often the printer has restarted or halted since the port was first opened: its position is lost then.
         self.restarts = 0
         self._begin()
@@ -97,7 +99,7 @@ class MarlinLink:
                 self._exchanging.release()
 
     def shout(self, *commands: str) -> None:
-        """Send commands without number, and wait for no answer: another thread hangs on the line."""
+        """Send commands without number, and wait for no answer: another thread hangs on the line, or none comes."""
         self._link.write(b"\n" + b"".join(f"{text}\n".encode("ascii") for text in commands))
 
     def reopen(self) -> None:
@@ -159,6 +161,7 @@ class MarlinLink:
                     raise
                 self._resynchronise()
                 continue
+            self.silent = False
             if wanted in (None, number + 1):  # the latter: it was done before, and its answer was lost
                 return said
             if wanted != number:
@@ -216,6 +219,7 @@ class MarlinLink:
     def _resynchronise(self) -> None:
         """After an answer that did not come: what comes from here on belongs to what is sent from here on."""
         if not any(self._answers_token(self._link.timeout_s) for _ in range(_TOKENS)):
+            self.silent = True
             raise self._error("it does not answer any more", remedy=_CHECK)
 
     def _error(self, reason: str, *, remedy: str, retryable: bool = False) -> InstrumentError:
