@@ -1,10 +1,11 @@
 """A stored run as a recording that ``analyse`` reads."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from cbsr_qa.analysis.recording_file import write_recording
 from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.changes import VerdictOverride
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.frames import SampleBlock, join_frames, join_samples
 from cbsr_qa.domain.recording import Recording, ScanKind
@@ -19,6 +20,7 @@ class Exported:
     run: str
     frames: int
     loads: int
+    overrides: tuple[VerdictOverride, ...] = ()
 
 
 def export_run(run_or_serial: str, to: Path, *, phase: str | None, database: str | None) -> Exported:
@@ -40,9 +42,12 @@ def export_run(run_or_serial: str, to: Path, *, phase: str | None, database: str
         raise RefusedError(f"{to} exists already", remedy="name another file, or remove it first")
     with open_store(database_url(database), create=False) as store:
         record = store.load_run(store.resolve(run_or_serial))
+        overrides = store.overrides(record.identity.run)
     recording = as_recording(record, to, record.phases if phase is None else (record.phase(phase),))
+    notes = tuple(f"the verdict was {override.words}" for override in overrides)
+    recording = replace(recording, notes=(*recording.notes, *notes))
     write_recording(to, recording)
-    return Exported(record.identity.run, len(recording.frames), len(recording.loads))
+    return Exported(record.identity.run, len(recording.frames), len(recording.loads), overrides)
 
 
 def as_recording(record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...]) -> Recording:

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from cbsr_qa.app.changes import change_row
 from cbsr_qa.app.material_output import why_no_material, write_material
 from cbsr_qa.app.parameter_document import parameter_document
 from cbsr_qa.app.stages import Stages
@@ -121,6 +122,8 @@ class RunOutcome:
             "reconstruction": reconstruction_row(self.result),
             "measurements": [measurement_row(m) for m in self.result.measurements],
             "limits_version": None if self.result.limits_version is None else self.result.limits_version.version,
+            "overrides": [override.document() for override in self.result.overrides],
+            "changes": [change_row(change) for change in self.result.history.of(self.run)],
             "warnings": list(self.warnings),
             "simulated": list(self.simulated),
             "seed": self.seed,

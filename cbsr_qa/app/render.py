@@ -16,6 +16,7 @@ from cbsr_qa.calibrate.prepared_force import prepared_force
 from cbsr_qa.config.merge import restore
 from cbsr_qa.config.paths import database_url, reports_folder
 from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.changes import VerdictOverride
 from cbsr_qa.domain.characterisation import Characterisation
 from cbsr_qa.domain.errors import CalibrationError, NumericsError, StoreError
 from cbsr_qa.domain.measurement import Limit, Measurement
@@ -40,6 +41,7 @@ class Rendered:
     outcome: str
     reason: str
     report: Path
+    overrides: tuple[VerdictOverride, ...] = ()
 
 
 #: Makes the result of a run, and the names of the sections its recipe asks for, from what is stored.
@@ -97,7 +99,10 @@ def render_again(run: str, rebuild: Rebuild, plugins: Plugins, folder: Path) -> 
     sections, missing = report_sections(names, plugins)
     path = folder / report_name(identity.sensor.serial, identity.run)
     write_report(path, render_run(result, sections, warnings=missing))
-    return Rendered(identity.run, identity.sensor.serial, str(result.verdict.outcome), result.verdict.reason, path)
+    verdict = result.verdict
+    return Rendered(
+        identity.run, identity.sensor.serial, str(verdict.outcome), verdict.reason, path, result.overrides
+    )
 
 
 def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, tuple[str, ...]]:
@@ -114,8 +119,10 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
     record, recipe = store.load_run(run), restore(store.configuration(run)).recipe
     stored = next(iter(store.analyses(run)), None)
     check = store.latest_station_check(record.identity.station, record.identity.started_at)
+    history = store.change_history(record)
     if stored is None:
-        return replace(_analysed_now(record, recipe, plugins), station_check=check), recipe.sections
+        now = _analysed_now(record, recipe, plugins)
+        return replace(now, station_check=check, history=history), recipe.sections
     observation, why = _observed(record, recipe, plugins)
     characterisation, why = _characterised(record, recipe) if recipe.characterisation else (None, why)
     calibration, unseen = _calibration(store, stored, observation)
@@ -131,6 +138,8 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
         limits_version=recipe.limits_version,
         characterisation=characterisation,
         station_check=check,
+        history=history,
+        overrides=store.overrides(run),
     )
     return result, recipe.sections
 

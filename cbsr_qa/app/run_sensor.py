@@ -13,7 +13,7 @@ from cbsr_qa.app.stages import Stages
 from cbsr_qa.clock import RealClock
 from cbsr_qa.config.merge import Configuration
 from cbsr_qa.config.paths import calibrations_folder, database_url, reports_folder, writable_folder
-from cbsr_qa.config.serials import validate_batch, validate_operator, validate_serial
+from cbsr_qa.config.serials import validate_batch, validate_operator, validate_reason, validate_serial
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.domain.sensor import SensorIdentity
@@ -38,12 +38,14 @@ class RunRequest:
     material: str | None = None
     seed: int | None = None
     database: str | None = None
+    why: str = ""
 
     def checked(self) -> Self:
-        """Return itself if serial, batch and operator may be used; ConfigError otherwise."""
+        """Return itself if serial, batch, operator and reason may be used; ConfigError otherwise."""
         validate_serial(self.serial)
         validate_batch(self.batch)
         validate_operator(self.operator)
+        validate_reason(self.why)
         return self
 
     def configuration(self, seed: int) -> Configuration:
@@ -102,7 +104,7 @@ def run_sensor(
     configuration, plugins = _checked(request.checked())
     # Frames of a virtual clock can be made again after a power cut; those of a bench cannot.
     durable = configuration.station.clock == "real"
-    with Session(configuration, plugins, Stages(tell), ask) as session:
+    with Session(configuration, plugins, Stages(tell), ask, why=request.why) as session:
         session.walk().refuse()
         for folder in (reports_folder(), calibrations_folder()):
             writable_folder(folder)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
+from cbsr_qa.app.changes import unexplained
 from cbsr_qa.app.conclude import calibrated, conclude
 from cbsr_qa.app.outputs import RunOutcome, resume_command, write_outputs
 from cbsr_qa.app.preflight import check_cycles, check_recipe, check_unloaded, overdue, refuse_overdue
@@ -70,6 +71,7 @@ class Session:
     configuration : checked, see :func:`check_configuration`.
     ask : shows a text to the operator and returns the answer; None where nobody is there.
     done : by earlier sessions of the same run.
+    why : why its files are not those of the runs before it, in the operator's words.
 
     Raises
     ------
@@ -84,11 +86,13 @@ class Session:
         stages: Stages,
         ask: Ask | None,
         done: Done | None = None,
+        why: str = "",
     ) -> None:
         self._configuration = configuration
         self._plugins = plugins
         self._stages = stages
         self._asks = ask
+        self._why = why
         self._done = done or Done()
         self._progress: RunProgress | None = None
         self.warnings: list[str] = []
@@ -151,6 +155,7 @@ class Session:
             material=configuration.material,
             indenter=configuration.station.indenter,
             tell=on_stderr,
+            why=self._why,
         )
         with RunProgress(len(self._plan.phases), self._clock) as progress:
             self._progress = progress
@@ -229,7 +234,7 @@ def _concluded(
 ) -> RunOutcome:
     with stages.stage("reading the run back"):
         record = store.load_run(run)
-    recipe = configuration.recipe
+    recipe, history = configuration.recipe, store.change_history(record)
     conclusion = conclude(record, recipe, plugins, stages)
     issued_at = RealClock().wall().isoformat()
     calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
@@ -241,10 +246,11 @@ def _concluded(
         calibration=calibration,
         calibration_why=why,
         compute_s=stages.table(),
-        warnings=(*conclusion.warnings, *warnings),
+        warnings=(*conclusion.warnings, *warnings, *unexplained(history.of(run))),
         limits_version=recipe.limits_version,
         characterisation=conclusion.characterisation,
         station_check=store.latest_station_check(record.identity.station, record.identity.started_at),
+        history=history,
     )
     store.save_result(result)
     return write_outputs(result, recipe, plugins, stages, configuration.seed)

@@ -49,3 +49,27 @@ def status(database: Database = None, as_json: AsJson = False) -> None:
         say(f"no result   run {name} of {serial}: finished; next: its result")
     if found.without_result or any(not run.writer for run in (*found.incomplete, *found.stopped)):
         say("            cbsr-qa run --resume RUN goes on with one of them")
+
+
+@app.command()
+def changes(database: Database = None, as_json: AsJson = False) -> None:
+    """List what people changed: limits, recipes and other files of a known name, and verdicts; who, when, why."""
+    from cbsr_qa.app.changes import list_changes
+
+    found = list_changes(database)
+    if as_json:
+        emit_json(found.document())
+        return
+    for change in found.files:
+        say(f"{change.noted_at:%Y-%m-%d %H:%M}  {change.kind} {change.name}, by {change.operator or 'nobody named'}")
+        say(f"    why      {change.why}")
+        say(f"    run      {change.run}, before it {change.earlier_run}")
+        say(f"    content  {change.old_digest[:12]} → {change.new_digest[:12]}")
+        for one in change.differences:
+            say(f"    change   {one.words}")
+    for override in found.overrides:
+        say(f"{override.noted_at:%Y-%m-%d %H:%M}  verdict of run {override.run}, by {override.operator}")
+        say(f"    why      {override.why}")
+        say(f"    change   {override.verdict} overridden to {override.outcome}")
+    if not (found.files or found.overrides):
+        say("no file was changed, and no verdict overridden")

@@ -20,6 +20,14 @@ def export(
 
     exported = export_run(run, to, phase=phase, database=database)
     if as_json:
-        emit_json({"run": exported.run, "recording": str(to), "frames": exported.frames, "loads": exported.loads})
+        emit_json(
+            {
+                "run": exported.run,
+                "recording": str(to),
+                "frames": exported.frames,
+                "loads": exported.loads,
+                "overrides": [override.document() for override in exported.overrides],
+            }
+        )
     else:
         say(f"{to}: {exported.frames} frames and {exported.loads} presses of run {exported.run}")

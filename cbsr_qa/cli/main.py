@@ -24,6 +24,7 @@ from cbsr_qa.cli import (
     scene,
     stability,
     station,
+    verdict,
 )
 from cbsr_qa.cli.output import emit_json, note
 from cbsr_qa.domain.errors import CbsrError
@@ -49,6 +50,7 @@ app.add_typer(reproduce.app, name="reproduce")
 app.add_typer(station.app, name="station")
 app.add_typer(plugins.app, name="plugins")
 app.add_typer(db.app, name="db")
+app.add_typer(verdict.app, name="verdict")
 
 
 def _version(asked: bool) -> None:

@@ -26,7 +26,9 @@ def report(
                 "outcome": rendered.outcome,
                 "reason": rendered.reason,
                 "report": str(rendered.report),
+                "overrides": [override.document() for override in rendered.overrides],
             }
         )
     else:
-        say(f"{rendered.report}: run {rendered.run}, {rendered.outcome}")
+        said = "".join(f", overridden to {one.outcome} by {one.operator}" for one in rendered.overrides[-1:])
+        say(f"{rendered.report}: run {rendered.run}, {rendered.outcome}{said}")

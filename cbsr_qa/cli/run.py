@@ -23,6 +23,9 @@ def run(
     serial: Annotated[str, typer.Option(help="Serial number of the sensor.")] = "",
     batch: Annotated[str, typer.Option(help="Material batch of the sensor.")] = "",
     operator: Annotated[str, typer.Option(help="Who stands at the station.")] = "",
+    why: Annotated[
+        str, typer.Option(metavar="TEXT", help="Why recipe or station file are not as in the runs before, if so.")
+    ] = "",
     sensor_type: Annotated[str | None, typer.Option(help="Instead of the station's own.")] = None,
     material: Annotated[str | None, typer.Option(help="Instead of the station's own.")] = None,
     seed: Annotated[
@@ -63,6 +66,7 @@ def run(
         material=material,
         seed=seed,
         database=database,
+        why=why,
     )
     if dry_run:
         _show_dry_run(plan_run(request), as_json)

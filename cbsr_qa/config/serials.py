@@ -8,6 +8,9 @@ from cbsr_qa.domain.errors import ConfigError
 
 LONGEST = 64
 
+#: Of a reason, which is a sentence or two.
+LONGEST_REASON = 500
+
 _IDENTIFIER = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -46,6 +49,28 @@ def validate_operator(text: str) -> str:
     if len(text) > LONGEST:
         raise _refused("operator", text, f"it is longer than {LONGEST} characters")
     return text
+
+
+def validate_reason(text: str) -> str:
+    """Return a reason for a change that is fit to be stored and shown; may be empty.
+
+    Raises
+    ------
+    ConfigError
+        If it is longer than 500 characters, or holds line breaks or other characters that cannot be seen.
+    """
+    hidden = next(
+        (character for character in text if unicodedata.category(character)[0] in "CZ" and character != " "), ""
+    )
+    wrong = f"{hidden!r} is not allowed" if hidden else ""
+    if len(text) > LONGEST_REASON:
+        wrong = f"it is longer than {LONGEST_REASON} characters"
+    if wrong:
+        raise ConfigError(
+            f"reason {echo(text, 24)} cannot be used: {wrong}",
+            remedy=f"allowed: one line of up to {LONGEST_REASON} characters",
+        )
+    return text.strip()
 
 
 def _identifier(noun: str, text: str) -> str:

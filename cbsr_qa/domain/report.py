@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.changes import ChangeHistory, VerdictOverride
 from cbsr_qa.domain.characterisation import Characterisation
 from cbsr_qa.domain.limits_version import LimitsVersion
 from cbsr_qa.domain.measurement import Measurement, Verdict
@@ -83,6 +84,8 @@ class RunResult:
     limits_version : of those limits that carry one.
     characterisation : of the material, where the recipe is for that; there is no observation then.
     station_check : the station's latest one when the run began; None where it had never been checked.
+    history : changes of the run's files since its sensor type last passed its recipe.
+    overrides : decisions against the verdicts of the run, oldest first; ``verdict`` stays what was found.
     """
 
     record: RunRecord
@@ -96,3 +99,5 @@ class RunResult:
     limits_version: LimitsVersion | None = None
     characterisation: Characterisation | None = None
     station_check: StationCheck | None = None
+    history: ChangeHistory = ChangeHistory()
+    overrides: tuple[VerdictOverride, ...] = ()

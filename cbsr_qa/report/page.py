@@ -84,7 +84,7 @@ def run_page(result: RunResult) -> Page:
         _issued(result),
     )
     observed = result.observation.warnings if result.observation else ()
-    warnings = tuple(dict.fromkeys((*result.warnings, *observed)))
+    warnings = tuple(dict.fromkeys((*_overridden(result), *result.warnings, *observed)))
     return Page("Test report", identity.sensor.serial, _verdict(result), facts, identity.simulated, warnings)
 
 
@@ -135,7 +135,18 @@ def _verdict(result: RunResult) -> Banner:
         detail = f": {result.record.end_detail}" if result.record.end_detail else ""
         reason = f"{_ENDS[end]}{detail}"
     headline = "MARGINAL PASS" if outcome is Outcome.MARGINAL else outcome.value.upper()
+    if result.overrides:
+        latest = result.overrides[-1]
+        headline += f", overridden to {latest.outcome.value.upper()} by {latest.operator}"
     return Banner(tone, _SYMBOLS[outcome], headline, reason)
+
+
+def _overridden(result: RunResult) -> tuple[str, ...]:
+    """Say that somebody decided against the verdict; the whole history stands under Traceability."""
+    if not result.overrides:
+        return ()
+    said = f"The verdict was {result.overrides[-1].words}"
+    return (f"{said}. What was measured and found is unchanged, and an override issues no calibration.",)
 
 
 def _found(result: RecordingResult) -> str:

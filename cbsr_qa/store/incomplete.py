@@ -6,6 +6,7 @@ from typing import Any
 from sqlalchemy import Connection, Engine, exists, func, select
 
 from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.store.change_tables import VerdictOverrideRow
 from cbsr_qa.store.check_tables import StationCheckRow
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.ids import made_at
@@ -82,7 +83,13 @@ def runs_without_result(engine: Engine) -> tuple[tuple[str, str], ...]:
 
 def latest_id(engine: Engine) -> str:
     """Return the highest identifier of anything stored; empty where there is nothing."""
-    columns = (RunRow.run, AnalysisRow.analysis, CalibrationRow.calibration, StationCheckRow.check_id)
+    columns = (
+        RunRow.run,
+        AnalysisRow.analysis,
+        CalibrationRow.calibration,
+        StationCheckRow.check_id,
+        VerdictOverrideRow.override_id,
+    )
     with reading(engine) as connection:
         found = [connection.scalar(select(func.max(column))) for column in columns]
     # By their text, of those of our kind: others (of databases that were put together by hand) say nothing of time.

@@ -30,6 +30,7 @@ from cbsr_qa.domain.run_events import (
 )
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.store.blocks import frame_values, sample_values
+from cbsr_qa.store.changes import note_changes
 from cbsr_qa.store.codec import encoded
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.extent import last_time_s
@@ -58,6 +59,7 @@ class Journal:
     configuration : canonical JSON whose SHA-256 is the identity's digest.
     sensor_type, material, indenter : what is tested, and with which head.
     tell : told while the database is waited for.
+    why : why files of the run are not those of the runs before it, in the operator's words.
     """
 
     def __init__(
@@ -69,11 +71,14 @@ class Journal:
         material: Material,
         indenter: Indenter,
         tell: Callable[[str], None] | None = None,
+        why: str = "",
     ) -> None:
         self._engine = engine
+        self._why = why
         self._tell = tell
         self._configuration = configuration
         self._setting = encoded(sensor_type, indenter, material)
+        self._material = material.name
         self._run = ""
         self._offset_s = 0.0
         self._next: Counter[tuple[str, int]] = Counter()
@@ -103,6 +108,7 @@ class Journal:
         stored = run_row(connection, identity.run)
         if stored is None:
             begin_run(connection, identity, self._configuration, self._setting)
+            note_changes(connection, identity, self._configuration, self._material, self._why)
         elif stored.configuration_digest != identity.configuration_digest:
             raise StoreError(
                 f"run {identity.run} was begun with another configuration",

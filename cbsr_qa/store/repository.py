@@ -12,14 +12,27 @@ from sqlalchemy import Engine
 
 from cbsr_qa.clock import RealClock
 from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.changes import ChangeHistory, ConfigurationChange, VerdictOverride
 from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import RunIdentity, RunRecord, RunSession
 from cbsr_qa.domain.run_figures import RunFigure, RunLine
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.domain.station_check import RingReadings, StationCheck
-from cbsr_qa.store import analyses, calibrations, figures, incomplete, locks, runs, schema, station_checks
+from cbsr_qa.store import (
+    analyses,
+    calibrations,
+    changes,
+    figures,
+    incomplete,
+    locks,
+    overrides,
+    runs,
+    schema,
+    station_checks,
+)
 from cbsr_qa.store.analyses import StoredAnalysis
 from cbsr_qa.store.calibration_forces import PrepareForce
 from cbsr_qa.store.calibrations import CalibrationSummary
@@ -121,10 +134,11 @@ class Repository:
         material: Material,
         indenter: Indenter,
         tell: Callable[[str], None] | None = None,
+        why: str = "",
     ) -> Journal:
         """Return the journal of one session: call it with every document of the run.
 
-        ``tell`` is told while another program's writing is waited for.
+        ``tell`` is told while another program's writing is waited for; ``why`` is noted with changes of its files.
         """
         return Journal(
             self._engine,
@@ -133,6 +147,7 @@ class Repository:
             material=material,
             indenter=indenter,
             tell=tell,
+            why=why,
         )
 
     def writing_alone(self, run: str, operator: str = "") -> AbstractContextManager[None]:
@@ -208,6 +223,30 @@ class Repository:
     def analyses(self, run: str) -> tuple[StoredAnalysis, ...]:
         """Return every analysis of a run, the latest first: the first is the one that holds."""
         return analyses.analyses_of(self._engine, run)
+
+    def changes(self) -> tuple[ConfigurationChange, ...]:
+        """Return every change of a file that runs were configured by, oldest first."""
+        return changes.all_changes(self._engine)
+
+    def change_history(self, record: RunRecord) -> ChangeHistory:
+        """Return the changes of a run's files since its sensor type last passed its recipe."""
+        return changes.history_of(self._engine, record.identity, record.material.name)
+
+    def override_verdict(self, run: str, outcome: Outcome, *, operator: str, why: str) -> VerdictOverride:
+        """Store a decision against the verdict of a run, beside it. StoreError where the run has no verdict."""
+        return overrides.save_override(
+            self._engine,
+            run,
+            outcome,
+            override=self.new_id(),
+            operator=operator,
+            why=why,
+            noted_at=self._wall(),
+        )
+
+    def overrides(self, run: str | None = None) -> tuple[VerdictOverride, ...]:
+        """Return the overrides of one run's verdicts, or of all, oldest first."""
+        return overrides.overrides(self._engine, run)
 
     def run_lines(self, wanted: RunFilter) -> tuple[RunLine, ...]:
         """Return the analysed runs that were asked for, the oldest name first."""

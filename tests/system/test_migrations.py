@@ -12,7 +12,7 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.store import check_tables, schema
+from cbsr_qa.store import change_tables, check_tables, schema
 from cbsr_qa.store.engine import open_engine, parsed_url, reading, writing
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_tables import Base
@@ -21,6 +21,8 @@ CHECKS = {
     table.__tablename__
     for table in (check_tables.StationCheckRow, check_tables.StationCheckLineRow, check_tables.StationCheckFramesRow)
 }
+
+CHANGES = {table.__tablename__ for table in (change_tables.ConfigurationChangeRow, change_tables.VerdictOverrideRow)}
 
 SERVER = "postgresql+psycopg://postgres@127.0.0.1:5432"
 
@@ -110,7 +112,7 @@ def test_data_survive_every_step_up_and_down(engine):
     schema.downgrade(engine, "0001")
     assert content(engine) == before
     schema.upgrade(engine)
-    concluded |= {"calibration_forces", *CHECKS}
+    concluded |= {"calibration_forces", *CHECKS, *CHANGES}
     # Eased, notes; operator, software and time of a session.
     later = {
         name: [(*row, *[None] * columns) for row in before[name]]
@@ -205,6 +207,20 @@ def test_nothing_was_noted_of_an_instrument_of_before_and_checks_are_lost_on_the
     assert content(engine) == before
     schema.upgrade(engine)
     assert {name: content(engine)[name] for name in CHECKS} == {name: [] for name in CHECKS}
+
+
+def test_nothing_was_noted_of_changes_before_and_what_was_is_lost_on_the_way_back(engine):
+    schema.upgrade(engine, "0008")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0009")
+    assert {name: content(engine)[name] for name in CHANGES} == {name: [] for name in CHANGES}
+    fill(engine, CHANGES)
+    full = content(engine)
+    assert {name: len(full[name]) for name in CHANGES} == dict.fromkeys(CHANGES, 1)
+    assert {name: full[name] for name in before} == before
+    schema.downgrade(engine, "0008")
+    assert content(engine) == before
 
 
 def test_the_migrations_make_what_the_program_uses(engine):

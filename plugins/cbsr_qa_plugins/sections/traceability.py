@@ -2,11 +2,12 @@
 
 from typing import Final
 
+from cbsr_qa.domain.changes import ChangeHistory, VerdictOverride
 from cbsr_qa.domain.electrodes import ElectrodeKind, Electrodes, PlacedElectrodes
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.outcome import EndReason
-from cbsr_qa.domain.report import Block, RunResult, Section, Table
+from cbsr_qa.domain.report import Block, Paragraph, RunResult, Section, Table
 from cbsr_qa.domain.run import RunRecord, RunSession
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.report.numbers import duration, number, quantity
@@ -29,6 +30,9 @@ class Traceability:
         blocks: list[Block] = [_instruments(record), _sensor(record)]
         if result.observation is not None:
             blocks.append(_analysis(result.observation))
+        if result.overrides:
+            blocks.append(_overrides(result.overrides))
+        blocks.append(_changes(result.history))
         blocks.append(_phases(record))
         if len(record.sessions) > 1:
             blocks.append(_sessions(record))
@@ -108,6 +112,40 @@ def _weighting(run: RunObservation) -> str:
         f"measured: by the variance of each reading over {len(run.unloaded)} unloaded frames, drawn towards a common"
         f" one; largest to smallest weight {number(run.weight_ratio)}"
     )
+
+
+def _overrides(overrides: tuple[VerdictOverride, ...]) -> Table:
+    rows = [
+        [f"{one.noted_at:%Y-%m-%d %H:%M} UTC", one.verdict.value, one.outcome.value, one.operator, one.why]
+        for one in overrides
+    ]
+    caption = "Decisions against the verdict, oldest first; the latest holds, and none issues a calibration."
+    return text_table(caption, ("When", "Verdict", "Overridden to", "By", "Why"), rows)
+
+
+def _changes(history: ChangeHistory) -> Block:
+    """What was changed in the files of the run since this sensor type last passed this recipe."""
+    since = (
+        f"since this type of sensor last passed this recipe (run {history.accepted_run})"
+        if history.accepted_run
+        else "as far as the database goes back; this type of sensor had never passed this recipe"
+    )
+    if not history.changes:
+        return Paragraph(f"Recipe, limits, station, sensor type and material: no change was noted {since}.")
+    rows = [
+        [
+            f"{one.noted_at:%Y-%m-%d %H:%M} UTC",
+            f"{one.kind} {one.name}",
+            one.words(12),
+            f"{one.old_digest[:12]} → {one.new_digest[:12]}",
+            one.operator or "not stated",
+            one.why,
+            one.run,
+        ]
+        for one in history.changes
+    ]
+    columns = ("When", "File", "What changed", "Content (SHA-256)", "By", "Why", "First run with it")
+    return text_table(f"Changes of recipe, limits, station, sensor type and material {since}.", columns, rows)
 
 
 def _phases(record: RunRecord) -> Table:

@@ -1,0 +1,126 @@
+"""Changes of files from run to run, noted in the transaction that begins a run."""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
+
+from sqlalchemy import ColumnElement, Connection, Engine, and_, func, insert, or_, select
+
+from cbsr_qa.domain.changes import NO_REASON, ChangeHistory, ConfigurationChange, Difference, FileKind, differences
+from cbsr_qa.domain.outcome import Outcome
+from cbsr_qa.domain.run import RunIdentity
+from cbsr_qa.store.change_tables import ConfigurationChangeRow
+from cbsr_qa.store.engine import reading
+from cbsr_qa.store.result_tables import AnalysisRow
+from cbsr_qa.store.run_tables import RunRow
+
+_ACCEPTED: Final = (str(Outcome.PASS), str(Outcome.MARGINAL))
+
+
+def note_changes(connection: Connection, identity: RunIdentity, configuration: str, material: str, why: str) -> None:
+    """Note what a run that begins uses otherwise than the latest run with files of the same names.
+
+    Parameters
+    ----------
+    configuration : canonical JSON of the run.
+    material : its name.
+    why : in the operator's words; empty where there were none.
+    """
+    now = json.loads(configuration)
+    rows = []
+    for kind, name, names in _names(identity, material):
+        new = _content(now, kind)
+        earlier = select(RunRow.run, RunRow.configuration).where(names, RunRow.run < identity.run)
+        found = connection.execute(earlier.order_by(RunRow.run.desc()).limit(1)).one_or_none()
+        if found is None:
+            continue
+        old = _content(json.loads(found.configuration), kind)
+        changed = differences(old, new)
+        if changed:
+            rows.append(
+                {
+                    "run": identity.run,
+                    "kind": str(kind),
+                    "name": name,
+                    "earlier_run": found.run,
+                    "old_sha256": _digest(old),
+                    "new_sha256": _digest(new),
+                    "differences": [[one.key, one.before, one.after] for one in changed],
+                    "operator": identity.operator,
+                    "noted_at": identity.started_at,
+                    "why": why or NO_REASON,
+                }
+            )
+    if rows:
+        connection.execute(insert(ConfigurationChangeRow), rows)
+
+
+def all_changes(engine: Engine) -> tuple[ConfigurationChange, ...]:
+    """Return every change that was noted, oldest first."""
+    with reading(engine) as connection:
+        return _changes(connection)
+
+
+def history_of(engine: Engine, identity: RunIdentity, material: str) -> ChangeHistory:
+    """Return the changes of a run's files since its sensor type last passed its recipe, its own among them.
+
+    Parameters
+    ----------
+    material : name of the run's material.
+    """
+    # By the verdicts that were reached: a run somebody passed by hand shows that nobody accepts its recipe yet.
+    latest = select(func.max(AnalysisRow.analysis)).group_by(AnalysisRow.run)
+    accepted = (
+        select(func.max(RunRow.run))
+        .join(AnalysisRow, AnalysisRow.run == RunRow.run)
+        .where(RunRow.sensor_type == identity.sensor.sensor_type, RunRow.recipe == identity.recipe)
+        .where(RunRow.run < identity.run, AnalysisRow.outcome.in_(_ACCEPTED), AnalysisRow.analysis.in_(latest))
+    )
+    row = ConfigurationChangeRow
+    files = or_(*(and_(row.kind == str(kind), row.name == name) for kind, name, _ in _names(identity, material)))
+    with reading(engine) as connection:
+        since = connection.scalar(accepted) or ""
+        return ChangeHistory(since, _changes(connection, files, row.run > since, row.run <= identity.run))
+
+
+def _changes(connection: Connection, *wanted: ColumnElement[bool]) -> tuple[ConfigurationChange, ...]:
+    row = ConfigurationChangeRow
+    query = select(*row.__table__.columns).where(*wanted).order_by(row.run, row.kind)
+    return tuple(
+        ConfigurationChange(
+            run=found.run,
+            kind=FileKind(found.kind),
+            name=found.name,
+            earlier_run=found.earlier_run,
+            old_digest=found.old_sha256,
+            new_digest=found.new_sha256,
+            differences=tuple(Difference(*one) for one in found.differences),
+            operator=found.operator,
+            noted_at=found.noted_at,
+            why=found.why,
+        )
+        for found in connection.execute(query)
+    )
+
+
+def _names(identity: RunIdentity, material: str) -> Iterator[tuple[FileKind, str, ColumnElement[bool]]]:
+    """Yield kind and name of a run's files, and what holds of other runs that use a file of that name."""
+    yield FileKind.RECIPE, identity.recipe, RunRow.recipe == identity.recipe
+    yield FileKind.STATION, identity.station, RunRow.station == identity.station
+    sensor_type = identity.sensor.sensor_type
+    yield FileKind.SENSOR_TYPE, sensor_type, RunRow.sensor_type == sensor_type
+    yield FileKind.MATERIAL, material, RunRow.setting["material"]["name"].as_string() == material
+
+
+def _content(configuration: Mapping[str, Any], kind: FileKind) -> dict[str, Any]:
+    """Return what a run's configuration says of one file; of the station, with the scenes it stands for."""
+    content = dict(configuration.get(kind.value.replace(" ", "_"), {}))
+    if kind is FileKind.STATION:
+        content |= {key: configuration[key] for key in ("scenes", "emulated_scene") if configuration.get(key)}
+    return content
+
+
+def _digest(content: Mapping[str, Any]) -> str:
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode()).hexdigest()
