@@ -29,6 +29,7 @@ class AddressLock:
     ----------
     role : of the instrument, for messages.
     address : as the station file states it; paths of one device are one address, also through links to it.
+    device : what is locked, where one device has addresses that are written in several ways.
 
     Raises
     ------
@@ -36,9 +37,9 @@ class AddressLock:
         If it is held, naming by whom; or if the file for it cannot be made.
     """
 
-    def __init__(self, role: str, address: str) -> None:
+    def __init__(self, role: str, address: str, *, device: str = "") -> None:
         self._file: int | None = None
-        path = lock_path(address)
+        path = lock_path(device or address)
         try:
             file = _opened(path)
         except OSError as error:

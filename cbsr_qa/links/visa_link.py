@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 import pyvisa
 from numpy.typing import NDArray
+from pyvisa import rname
 from pyvisa.constants import StatusCode
 from pyvisa.errors import VisaIOError
 
@@ -63,7 +64,7 @@ class VisaLink:
         self._time = RealClock()
         self._words = itertools.count(1)
         self._down = False
-        self._lock = AddressLock(role, address)
+        self._lock = AddressLock(role, address, device=_device(address))
         try:
             self._resource = self._opened()
         except BaseException:
@@ -230,6 +231,16 @@ class VisaLink:
 
     def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
         return InstrumentError(self.role, self.address, reason, remedy=remedy, retryable=retryable)
+
+
+def _device(address: str) -> str:
+    """Return what a resource is locked by: parts that may be left out are added, and a serial port is its path."""
+    try:
+        resource = rname.ResourceName.from_string(address)
+    except ValueError:
+        return address  # it will not open
+    board = str(getattr(resource, "board", ""))
+    return board if board.startswith("/") else str(resource)
 
 
 class _LateError(InstrumentError):

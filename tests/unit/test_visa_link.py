@@ -10,7 +10,8 @@ from cbsr_qa.clock import RealClock
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.emulate import streams
 from cbsr_qa.emulate.faults import Fault
-from cbsr_qa.emulate.streams import TcpPort
+from cbsr_qa.emulate.streams import PtyPort, TcpPort
+from cbsr_qa.links.serial_link import SerialLink
 from cbsr_qa.links.visa_link import VisaLink
 
 #: Their bytes hold line ends.
@@ -163,6 +164,35 @@ def test_a_second_link_is_refused(link, port):
         VisaLink("second", port.address)
     link.close()
     VisaLink("second", port.address).close()
+
+
+def test_a_resource_that_is_written_otherwise_is_the_same_one(link, port):
+    with pytest.raises(InstrumentError, match="in use by process"):
+        VisaLink("second", port.address.replace("TCPIP::", "TCPIP0::"))
+
+
+def test_a_serial_port_is_one_resource_whoever_opens_it():
+    port = PtyPort("talker")
+    talker = Talker()
+    talker.says["*IDN?"] = b"somebody\r\n"
+    port.serve(talker)
+    link = VisaLink("meter", f"ASRL{port.address}::INSTR", timeout_s=0.5)
+    try:
+        assert link.query("*IDN?") == "somebody"
+        for opened_again in (lambda: VisaLink("second", f"ASRL{port.address}"), lambda: serial_link(port.address)):
+            with pytest.raises(InstrumentError, match=r"in use by process .* as meter"):
+                opened_again()
+        port.hang_up()
+        with pytest.raises(InstrumentError, match="the link is down") as down:
+            link.query("*IDN?")
+        assert down.value.retryable
+    finally:
+        link.close()
+        port.close()
+
+
+def serial_link(address):
+    return SerialLink("multiplexer", address, baud=9600)
 
 
 def test_one_thread_writes_while_another_waits(port):
