@@ -12,6 +12,7 @@ import cbsr_qa
 from cbsr_qa.cli import (
     analyse,
     calibration,
+    compare,
     db,
     export,
     frontier,
@@ -40,6 +41,7 @@ app.command("run")(run.run)
 app.command("analyse")(analyse.analyse)
 app.command("report")(report.report)
 app.command("export")(export.export)
+app.command("compare")(compare.compare)
 app.command("stability")(stability.stability)
 app.command("frontier")(frontier.frontier)
 app.command("gauge")(gauge.gauge)

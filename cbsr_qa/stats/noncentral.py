@@ -1,6 +1,6 @@
 """Noncentrality of Student's t from an observed value: what exact intervals of standardised quantities invert."""
 
-from math import sqrt
+from math import isnan, sqrt
 
 from scipy import optimize, stats
 
@@ -28,7 +28,9 @@ def noncentrality(t: float, freedom: float, below: float) -> float:
         return t * sqrt(float(stats.chi2.isf(below, freedom)) / freedom)
 
     def excess(delta: float) -> float:
-        return float(stats.nct.cdf(t, freedom, delta)) - below
+        share = float(stats.nct.cdf(t, freedom, delta))
+        # Where δ lies far below 0 and t far above it scipy's series gives no number for what is 1 to every digit.
+        return (1.0 if isnan(share) and delta < 0 else share) - below
 
     step = 5 + t
     low, high = t - step, t + step

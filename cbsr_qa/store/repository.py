@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
-from datetime import datetime, timedelta
+from datetime import date, datetime, timedelta
 from types import TracebackType
 from typing import Final, Self
 
@@ -13,6 +13,7 @@ from sqlalchemy import Engine
 from cbsr_qa.clock import RealClock
 from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.changes import ChangeHistory, ConfigurationChange, VerdictOverride
+from cbsr_qa.domain.fleet import FleetTable
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.reconstruction import LinearReconstruction
@@ -26,6 +27,7 @@ from cbsr_qa.store import (
     calibrations,
     changes,
     figures,
+    fleet_query,
     incomplete,
     locks,
     overrides,
@@ -261,6 +263,21 @@ class Repository:
     def software_of(self, lines: Sequence[RunLine]) -> dict[str, str]:
         """Return run → the version of this program its latest analysis was made with."""
         return figures.software_of(self._engine, lines)
+
+    def metric_names(self) -> tuple[str, ...]:
+        """Return the names of everything that was ever measured, sorted."""
+        return fleet_query.metric_names(self._engine)
+
+    def fleet(
+        self,
+        *,
+        recipe: str | None = None,
+        since: date | None = None,
+        until: date | None = None,
+        names: Sequence[str] = (),
+    ) -> FleetTable:
+        """Return runs with the values of their latest analyses, see :func:`cbsr_qa.store.fleet_query.fleet_table`."""
+        return fleet_query.fleet_table(self._engine, recipe=recipe, since=since, until=until, names=names)
 
     def save_station_check(self, check: StationCheck, ring: RingReadings | None = None) -> None:
         """Store a check of a station, with the frames of its reference ring where there are some."""

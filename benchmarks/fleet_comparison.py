@@ -1,0 +1,187 @@
+"""Time and memory of ``cbsr-qa compare`` with its page on a fleet: ``python -m benchmarks.fleet_comparison``.
+
+Fills a database with simulated runs of which only what a comparison reads is there (no frames), unless it holds runs
+already: every sensor once, some (every third) on all three stations; three batches, each mostly on its own. Then
+compares batches in a process of its own, and prints its time and the most memory it took.
+"""
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from sqlalchemy import insert
+
+from cbsr_qa.domain.loads import Indenter
+from cbsr_qa.store.codec import encoded
+from cbsr_qa.store.engine import open_engine, parsed_url, writing
+from cbsr_qa.store.ids import IdSource
+from cbsr_qa.store.repository import open_store
+from cbsr_qa.store.result_tables import AnalysisRow, MeasurementRow
+from cbsr_qa.store.run_tables import RunRow, RunStateRow, SensorRow
+
+STATIONS = ("A", "B", "C")
+BATCHES = ("41", "42", "43")
+PLACES = 9
+_START = datetime(2026, 1, 5, 8, 0, tzinfo=UTC)
+_SOFTWARE = [["cbsr-qa", "0.1.0"], ["numpy", "2.0"], ["scipy", "1.13"]]
+Rows = list[dict[str, Any]]
+
+
+def fill(url: str, sensors: int, metrics: int, on_all: int, seed: int = 41) -> int:
+    """Store a fleet.
+
+    Parameters
+    ----------
+    metrics : of each run; the first two have a value a place, as ``centre_of_mass_error`` has.
+    on_all : every how many sensors of a batch one runs on all stations.
+
+    Returns
+    -------
+    Number of runs.
+    """
+    from cbsr_qa.config.loader import load_material, load_sensor_type
+
+    setting = encoded(load_sensor_type("disc-100mm").value, Indenter(13.0), load_material("cbsr-8wt").value)
+    with open_store(url, durable=False) as store:
+        store.counts()
+    engine, random, runs = open_engine(parsed_url(url), durable=False), np.random.default_rng(seed), 0
+    for first in range(0, sensors, 250):
+        tables: dict[Any, Rows] = {t: [] for t in (SensorRow, RunRow, RunStateRow, AnalysisRow, MeasurementRow)}
+        for number in range(first, min(first + 250, sensors)):
+            runs += _sensor(tables, number, metrics, on_all, random, setting)
+        with writing(engine) as connection:
+            for table, rows in tables.items():
+                connection.execute(insert(table), rows)
+    engine.dispose()
+    return runs
+
+
+def _sensor(
+    tables: dict[Any, Rows],
+    number: int,
+    metrics: int,
+    on_all: int,
+    random: np.random.Generator,
+    setting: dict[str, Any],
+) -> int:
+    serial, batch = f"S-{number:05d}", number % 3
+    stations = (
+        range(3) if (number // 3) % on_all == 0 else [batch if random.random() < 0.6 else int(random.integers(3))]
+    )
+    began = _START + timedelta(minutes=40 * number)
+    tables[SensorRow].append(
+        {"serial": serial, "batch": BATCHES[batch], "sensor_type": "disc-100mm", "first_seen": began}
+    )
+    own = random.standard_normal(metrics)
+    for again, station in enumerate(stations):
+        at = began + timedelta(minutes=again)
+        ids = IdSource(lambda at=at: at)  # type: ignore[misc]
+        run, analysis = ids.new(), ids.new()
+        tables[RunRow].append(
+            {
+                "run": run,
+                "serial": serial,
+                "batch": BATCHES[batch],
+                "sensor_type": "disc-100mm",
+                "station": STATIONS[station],
+                "recipe": "nine-locations",
+                "operator": "simulated",
+                "started_at": at,
+                "configuration": "{}",
+                "configuration_digest": "0" * 64,
+                "software": _SOFTWARE,
+                "simulated": ["the whole fleet"],
+                "setting": setting,
+            }
+        )
+        state = {"detail": "", "time_s": 0.0, "spent": [], "operator": None, "software": None, "noted_at": None}
+        tables[RunStateRow] += [
+            {"run": run, "number": n, "end": end, **state} for n, end in enumerate(("running", "finished"))
+        ]
+        rows = list(_measurements(random, analysis, metrics, own + 1.5 * (batch == 1) + 1.5 * (station == 0)))
+        outcome = "fail" if any(row["outcome"] == "fail" for row in rows) else "pass"
+        tables[AnalysisRow].append(_analysis(analysis, run, at, outcome))
+        tables[MeasurementRow] += rows
+    return len(stations)
+
+
+def _analysis(analysis: str, run: str, at: datetime, outcome: str) -> dict[str, Any]:
+    ends = {"outcome": outcome, "reason": "simulated", "calibration_why": "", "noise_weighting": "equal"}
+    more = {"weight_ratio": None, "compute_s": []}
+    return {"analysis": analysis, "run": run, "analysed_at": at, "software": _SOFTWARE, **ends, **more}
+
+
+def _measurements(
+    random: np.random.Generator, analysis: str, metrics: int, level: "np.ndarray[Any, Any]"
+) -> Iterator[dict[str, Any]]:
+    number = 0
+    for metric in range(metrics):
+        for place in range(PLACES if metric < 2 else 1):
+            value = 10.0 + float(level[metric]) + 0.3 * float(random.standard_normal())
+            limited = metric < 10
+            yield {
+                "analysis": analysis,
+                "number": number,
+                "name": f"metric_{metric:02d}",
+                "value": value,
+                "unit": "mm",
+                "uncertainty": None,
+                "phase": "nine locations" if metric < 2 else "",
+                "location": f"L{place}" if metric < 2 else "",
+                "trial": None,
+                "qualifier": "",
+                "how": "",
+                "bound": "exact",
+                "load_index": None,
+                "strain": None,
+                "outcome": ("fail" if value > 16.0 else "pass") if limited else "not judged",
+                "limited": limited,
+                "lower_limit": None,
+                "upper_limit": 16.0 if limited else None,
+                "marginal": 0.0 if limited else None,
+                "limit_phase": "" if limited else None,
+                "limit_qualifier": "" if limited else None,
+            }
+            number += 1
+
+
+def timed(url: str, page: Path) -> tuple[float, float]:
+    """Compare batches in a process of its own; return its time [s] and the most memory it took [MB]."""
+    command = [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", "compare", "--by", "batch"]
+    before = time.perf_counter()
+    subprocess.run([*command, "--database", url, "--output", str(page)], check=True, stdout=subprocess.DEVNULL)
+    spent_s = time.perf_counter() - before
+    return spent_s, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+
+
+def main() -> None:
+    """Fill where nothing is, and time."""
+    options = argparse.ArgumentParser(description=__doc__)
+    options.add_argument("--sensors", type=int, default=10_000)
+    options.add_argument("--metrics", type=int, default=30)
+    options.add_argument("--on-all", type=int, default=3, help="every how many sensors one runs on all stations")
+    options.add_argument("--database", default="")
+    given = options.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        url = given.database or f"sqlite:///{folder}{os.sep}fleet.db"
+        with open_store(url) as store:
+            filled = bool(store.counts().get("runs"))
+        if not filled:
+            print(
+                f"{fill(url, given.sensors, given.metrics, given.on_all)} runs of {given.sensors} sensors", flush=True
+            )
+        spent_s, memory_mb = timed(url, Path(folder) / "page.html")
+    print(f"compare with its page: {spent_s:.1f} s, {memory_mb:.0f} MB")
+
+
+if __name__ == "__main__":
+    main()

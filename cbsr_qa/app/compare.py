@@ -1,0 +1,94 @@
+"""Batches, materials, stations, software versions or periods compared: from the store to a document and a page."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import date, datetime
+from math import isfinite
+from typing import Any
+
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.fleet.comparison import Comparison, compare, unknown_metric
+from cbsr_qa.fleet.document import document
+from cbsr_qa.fleet.terms import Terms
+from cbsr_qa.store.repository import open_store
+
+
+@dataclass(frozen=True, slots=True)
+class RunChoice:
+    """Which stored runs are compared.
+
+    Parameters
+    ----------
+    recipe : only its runs; None for all.
+    since, until : first and last day a run began on, UTC.
+    """
+
+    recipe: str | None = None
+    since: date | None = None
+    until: date | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """A comparison that was made."""
+
+    found: Comparison
+
+    @property
+    def exit_code(self) -> int:
+        """0 where something could be compared, 3 where nothing could."""
+        return 0 if self.found.compared else 3
+
+    def document(self) -> dict[str, Any]:
+        """Return it as one JSON document."""
+        return document(self.found)
+
+
+def compare_groups(choice: RunChoice, terms: Terms, *, database: str | None, now: datetime) -> Compared:
+    """Compare groups of stored runs.
+
+    Raises
+    ------
+    RefusedError
+        If no run fits, or a recipe, group or metric that was named is not there (with the nearest name).
+    StoreError
+        If the database is missing or cannot be read.
+    """
+    if choice.since and choice.until and choice.since > choice.until:
+        raise RefusedError(
+            f"no day is after {choice.since} and before {choice.until}", remedy="swap --since and --until"
+        )
+    asked = (*terms.names, *terms.margins, *terms.detect)
+    with open_store(database_url(database), create=False) as store:
+        known = store.metric_names() if asked else ()
+        for name in asked:
+            if name not in known:
+                raise unknown_metric(name, known)
+        names = tuple(dict.fromkeys(asked)) if terms.names else ()
+        table = store.fleet(recipe=choice.recipe, since=choice.since, until=choice.until, names=names)
+    return Compared(compare(table, terms, now))
+
+
+def read_amounts(said: Sequence[str], option: str) -> dict[str, float]:
+    """Read ``METRIC=VALUE`` pairs.
+
+    Raises
+    ------
+    RefusedError
+        If one is no such pair, or its value is not a positive number.
+    """
+    found = {}
+    for pair in said:
+        name, equals, text = pair.rpartition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not (equals and name and isfinite(value) and value > 0):
+            raise RefusedError(
+                f"{option} {pair[:80]!r} is not METRIC=VALUE with a positive number",
+                remedy=f"for example {option} centre_of_mass_error=0.5, in the metric's unit",
+            )
+        found[name] = value
+    return found

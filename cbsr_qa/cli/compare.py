@@ -1,0 +1,83 @@
+"""``cbsr-qa compare``: what differs, and whether it is the material or the station."""
+
+from datetime import date, datetime
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from cbsr_qa.cli.output import emit_json, note, say
+
+_DAY = ["%Y-%m-%d"]
+
+
+def compare(
+    by: Annotated[str, typer.Option(help="What tells groups apart: batch, material, station, software or period.")],
+    groups: Annotated[
+        str | None, typer.Option(metavar="A,B", help="Groups to compare, the reference first; all by default.")
+    ] = None,
+    metric: Annotated[list[str] | None, typer.Option(help="Only this metric; may be repeated.")] = None,
+    recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
+    since: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs from this day on (UTC).")] = None,
+    until: Annotated[datetime | None, typer.Option(formats=_DAY, help="Runs to the end of this day (UTC).")] = None,
+    margin: Annotated[
+        list[str] | None,
+        typer.Option(metavar="METRIC=VALUE", help="Difference that does not matter, in the metric's unit."),
+    ] = None,
+    detect: Annotated[
+        list[str] | None,
+        typer.Option(metavar="METRIC=VALUE", help="Difference whose number of sensors is wanted (80 % power)."),
+    ] = None,
+    policy: Annotated[
+        str, typer.Option(help="Run of a sensor that decides: first, last, or any that passed.")
+    ] = "last",
+    quarantine: Annotated[
+        str, typer.Option(help="Sensors that could not be measured: apart from the yield, or failed.")
+    ] = "apart",
+    period: Annotated[str, typer.Option(help="Length of a period: day, week, month or year.")] = "month",
+    adjust: Annotated[
+        str, typer.Option(help="p values for many metrics: holm, benjamini-hochberg or none.")
+    ] = "holm",
+    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+) -> None:
+    """Compare stored runs of batches, materials, stations, software versions or periods in every metric.
+
+    A batch's difference is told from its stations' where the runs allow it; where they do not, that is said. Exit
+    code 3 if nothing could be compared.
+    """
+    from cbsr_qa.app.compare import RunChoice, compare_groups, read_amounts
+    from cbsr_qa.cli.compare_table import lines
+    from cbsr_qa.cli.one_of import one_of
+    from cbsr_qa.clock import RealClock
+    from cbsr_qa.fleet.terms import Adjustment, By, Period, Policy, Quarantine, Terms
+
+    terms = Terms(
+        by=one_of(By, by, "--by"),
+        groups=tuple(name.strip() for name in groups.split(",") if name.strip()) if groups else (),
+        names=tuple(dict.fromkeys(metric or ())),
+        policy=one_of(Policy, policy, "--policy"),
+        quarantine=one_of(Quarantine, quarantine, "--quarantine"),
+        period=one_of(Period, period, "--period"),
+        adjustment=one_of(Adjustment, adjust, "--adjust"),
+        margins=read_amounts(margin or (), "--margin"),
+        detect=read_amounts(detect or (), "--detect"),
+    )
+    choice = RunChoice(recipe, _day(since), _day(until))
+    made = compare_groups(choice, terms, database=database, now=RealClock().wall())
+    if output is not None:
+        from cbsr_qa.app.compare_page import write_page
+
+        write_page(made.found, output)
+        note(f"page         {output}")
+    if as_json:
+        emit_json(made.document())
+    else:
+        for line in lines(made.found):
+            say(line)
+    raise typer.Exit(made.exit_code)
+
+
+def _day(moment: datetime | None) -> date | None:
+    return None if moment is None else moment.date()

@@ -1,0 +1,103 @@
+"""Many runs of many sensors as columns: what a comparison of batches, stations or periods is made from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.outcome import Outcome
+
+
+class State(IntFlag):
+    """What is known of one value besides its number."""
+
+    PLAIN = 0
+    LOWER_BOUND = 1  #: the quantity is at least the value
+    FAILED = 2  #: outside its limit
+    UNMEASURED = 4  #: judged by a limit, and could not be measured
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRun:
+    """One run as a comparison sees it.
+
+    Parameters
+    ----------
+    run : its identifier; sorted as text, runs are in the order they were made in, whatever the clock said.
+    made_at : when the identifier was made; None where it does not say.
+    finished : whether it ran to its end.
+    outcome : of its latest analysis; None where it has none.
+    software : (distribution, version) pairs it was analysed with.
+    simulated : in words; empty for a real bench.
+    """
+
+    run: str
+    serial: str
+    batch: str
+    material: str
+    station: str
+    recipe: str
+    started_at: datetime
+    made_at: datetime | None
+    finished: bool
+    outcome: Outcome | None
+    software: tuple[tuple[str, str], ...]
+    simulated: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class MetricKey:
+    """What tells metrics apart: a name may be measured in several phases and under several masks."""
+
+    name: str
+    phase: str = ""
+    qualifier: str = ""
+
+    @property
+    def label(self) -> str:
+        """Name with phase and qualifier, as a reader would say it."""
+        detail = ", ".join(part for part in (self.phase, self.qualifier) if part)
+        return f"{self.name} ({detail})" if detail else self.name
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What values of one kind have in common.
+
+    Parameters
+    ----------
+    location : label of the load; empty where it is not about one.
+    lower, upper : of the limit they were held against; None where there was none.
+    """
+
+    key: MetricKey
+    unit: str
+    location: str
+    lower: float | None
+    upper: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetTable:
+    """Values of runs.
+
+    Parameters
+    ----------
+    runs : (R,) in the order they were made in.
+    kinds : (K,) what there are values of.
+    run, kind : (N,) index of each value's run and kind.
+    value : (N,) in the kind's unit; NaN where there is none, as numpy marks what is missing.
+    state : (N,) of :class:`State`.
+    places_mm : label of a load → where it is pressed.
+    """
+
+    runs: tuple[FleetRun, ...]
+    kinds: tuple[Kind, ...]
+    run: NDArray[np.int32]
+    kind: NDArray[np.int32]
+    value: NDArray[np.float64]
+    state: NDArray[np.uint8]
+    places_mm: Mapping[str, tuple[float, float]] = field(default_factory=dict)

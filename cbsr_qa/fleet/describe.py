@@ -1,0 +1,159 @@
+"""What each group is like by itself: yields, distributions, capability, and what sensors fail for."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.fleet import FleetRun
+from cbsr_qa.domain.outcome import Outcome
+from cbsr_qa.fleet.figures import MetricFigures
+from cbsr_qa.fleet.groups import Grouping, decides
+from cbsr_qa.fleet.terms import Policy, Quarantine, Terms
+from cbsr_qa.stats.capability import Capability, capability
+from cbsr_qa.stats.univariate import Quantile, quantile, summary
+from cbsr_qa.stats.worst_value import FloatArray
+from cbsr_qa.stats.yields import Yield, passed_share
+
+_PASSED = (Outcome.PASS, Outcome.MARGINAL)
+QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """A group's sensors and what became of them.
+
+    Parameters
+    ----------
+    sensors, runs : how many count.
+    stations, batches : names, sorted.
+    passed, first_pass : shares of sensors; None where no sensor was judged.
+    unmeasured, unjudged : sensors whose deciding run measured a limited quantity not, or had no limits.
+    failures : (metric, sensors whose deciding run failed it), most first.
+    """
+
+    name: str
+    sensors: int
+    runs: int
+    stations: tuple[str, ...]
+    batches: tuple[str, ...]
+    passed: Yield | None
+    first_pass: Yield | None
+    unmeasured: int
+    unjudged: int
+    failures: tuple[tuple[str, int], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Described:
+    """One metric of one group, one figure a sensor.
+
+    Parameters
+    ----------
+    deviation : None for one sensor.
+    quantiles : see :data:`QUANTILES`; empty without values.
+    capability : None where ``no_capability`` says why.
+    """
+
+    group: str
+    count: int
+    mean: float | None
+    deviation: float | None
+    quantiles: tuple[Quantile, ...]
+    capability: Capability | None
+    no_capability: str
+
+    @property
+    def median(self) -> Quantile | None:
+        """Half of the sensors lie below it."""
+        return next((one for one in self.quantiles if one.share == 0.5), None)
+
+
+def groups_of(
+    runs: Sequence[FleetRun], grouping: Grouping, figures: Sequence[MetricFigures], terms: Terms
+) -> list[Group]:
+    """Describe every group."""
+    failing = [(one.key.label, one.failed) for one in figures if one.failed.any()]
+    return [_group(name, runs, grouping, failing, terms) for name in grouping.names]
+
+
+def _group(
+    name: str, runs: Sequence[FleetRun], grouping: Grouping, failing: Sequence[tuple[str, np.ndarray]], terms: Terms
+) -> Group:
+    tests = grouping.tests[name]
+    members = [index for indices in tests.values() for index in indices]
+    last = [decides(runs, indices, terms.policy) for indices in tests.values()]
+    outcomes = [runs[index].outcome for index in last]
+    bad = np.array([index for index in last if runs[index].outcome not in _PASSED], dtype=np.intp)
+    failures = Counter({label: int(failed[bad].sum()) for label, failed in failing if failed[bad].any()})
+    return Group(
+        name=name,
+        sensors=len(tests),
+        runs=len(members),
+        stations=tuple(sorted({runs[index].station for index in members})),
+        batches=tuple(sorted({runs[index].batch for index in members})),
+        passed=_yield(outcomes, terms),
+        first_pass=_yield([runs[decides(runs, indices, Policy.FIRST)].outcome for indices in tests.values()], terms),
+        unmeasured=outcomes.count(Outcome.NOT_MEASURED),
+        unjudged=outcomes.count(Outcome.NOT_JUDGED),
+        failures=tuple(failures.most_common()),
+    )
+
+
+def _yield(outcomes: Sequence[Outcome | None], terms: Terms) -> Yield | None:
+    passed = sum(outcome in _PASSED for outcome in outcomes)
+    count = passed + outcomes.count(Outcome.FAIL)
+    if terms.quarantine is Quarantine.FAILED:
+        count += outcomes.count(Outcome.NOT_MEASURED)
+    return passed_share(passed, count, confidence=terms.confidence) if count else None
+
+
+def described(
+    figures: MetricFigures, runs: Sequence[FleetRun], name: str, deciding: Sequence[int], terms: Terms
+) -> Described:
+    """Describe one metric of a group.
+
+    Parameters
+    ----------
+    deciding : run of each sensor of the group that decides.
+    """
+    indices = [index for index in deciding if not np.isnan(figures.mean[index])]
+    values = figures.mean[indices]
+    if not len(values):
+        return Described(name, 0, None, None, (), None, "nothing was measured")
+    found = summary(values, figures.key.label)
+    quantiles = tuple(quantile(values, share, confidence=terms.confidence) for share in QUANTILES)
+    index, why = _capability(figures, runs, indices, terms)
+    return Described(name, found.count, found.mean, found.deviation, quantiles, index, why)
+
+
+def _capability(
+    figures: MetricFigures, runs: Sequence[FleetRun], indices: Sequence[int], terms: Terms
+) -> tuple[Capability | None, str]:
+    """Capability of what the limit judges: of several values a run, the one nearest to the limit."""
+    if not figures.limited:
+        return None, "no limit"
+    try:
+        worst = _worst(figures)
+        subgroups: dict[tuple[str, str], list[float]] = {}
+        for index in indices:
+            subgroups.setdefault((runs[index].batch, runs[index].station), []).append(float(worst[index]))
+        members = list(subgroups.values())
+        if len(indices) == len(members):  # every subgroup has one value: no short term to speak of
+            members = [[value for group in members for value in group]]
+        limits = {"lower": figures.lower, "upper": figures.upper, "confidence": terms.confidence}
+        return capability(members, what=figures.key.label, **limits), ""  # type: ignore[arg-type]
+    except NumericsError as error:
+        return None, error.reason
+
+
+def _worst(figures: MetricFigures) -> FloatArray:
+    if figures.per_run == 1:
+        return figures.mean
+    if figures.lower is None:
+        return figures.most
+    if figures.upper is None:
+        return figures.least
+    raise NumericsError("limits on both sides judge every load: no one value a run stands for all")

@@ -1,0 +1,210 @@
+"""The runs of a fleet with the figures of their latest analyses: three queries, whatever the number of runs."""
+
+from array import array
+from collections import defaultdict
+from collections.abc import Sequence
+from datetime import UTC, date, datetime, time, timedelta
+from typing import Any, Final
+
+import numpy as np
+from sqlalchemy import ColumnElement, Connection, Engine, Executable, Subquery, func, or_, select
+
+from cbsr_qa.domain.fleet import FleetRun, FleetTable, Kind, MetricKey, State
+from cbsr_qa.domain.measurement import Bound
+from cbsr_qa.domain.outcome import EndReason, Outcome
+from cbsr_qa.store.engine import reading
+from cbsr_qa.store.ids import made_at
+from cbsr_qa.store.result_tables import AnalysisRow, MeasurementRow
+from cbsr_qa.store.run_tables import LoadRow, RunRow, RunStateRow
+
+#: Rows that are fetched at once: memory holds one such block beside the columns.
+_AT_ONCE: Final = 20_000
+
+_BAD: Final = {str(Outcome.FAIL): State.FAILED, str(Outcome.NOT_MEASURED): State.UNMEASURED}
+#: State of a value by its outcome and what it says of its quantity.
+_STATES: Final = {
+    (str(outcome), str(bound)): int(
+        _BAD.get(outcome, State.PLAIN) | (State.LOWER_BOUND if bound is Bound.LOWER else State.PLAIN)
+    )
+    for outcome in Outcome
+    for bound in Bound
+}
+
+
+def metric_names(engine: Engine) -> tuple[str, ...]:
+    """Return the names of everything that was ever measured, sorted."""
+    with reading(engine) as connection:
+        names = connection.scalars(select(MeasurementRow.name).distinct().order_by(MeasurementRow.name))
+        return tuple(names)
+
+
+def fleet_table(
+    engine: Engine,
+    *,
+    recipe: str | None = None,
+    since: date | None = None,
+    until: date | None = None,
+    names: Sequence[str] = (),
+) -> FleetTable:
+    """Return runs with the values of their latest analyses.
+
+    Parameters
+    ----------
+    recipe : only its runs.
+    since, until : first and last day a run began on, UTC.
+    names : only values of these metrics, and those outside their limits; none for all.
+
+    Raises
+    ------
+    StoreError
+        If the database cannot be read.
+    """
+    chosen = _chosen(recipe, since, until)
+    with reading(engine) as connection:
+        runs, places = _runs(connection, chosen)
+        kinds, columns = _values(connection, chosen, names, places)
+        run, kind, value, state = columns
+        return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
+
+
+def _chosen(recipe: str | None, since: date | None, until: date | None) -> list[ColumnElement[bool]]:
+    wanted: list[ColumnElement[bool]] = []
+    if recipe is not None:
+        wanted.append(RunRow.recipe == recipe)
+    if since is not None:
+        wanted.append(RunRow.started_at >= _midnight(since))
+    if until is not None:
+        wanted.append(RunRow.started_at < _midnight(until) + timedelta(days=1))
+    return wanted
+
+
+def _midnight(day: date) -> datetime:
+    return datetime.combine(day, time(), UTC)
+
+
+def _latest() -> Subquery:
+    """The latest analysis of each run."""
+    return (
+        select(AnalysisRow.run, func.max(AnalysisRow.analysis).label("analysis")).group_by(AnalysisRow.run).subquery()
+    )
+
+
+def _runs(connection: Connection, chosen: list[ColumnElement[bool]]) -> tuple[list[FleetRun], dict[str, int]]:
+    """Runs in order, and the place of each analysis among them."""
+    last = select(RunStateRow.run, func.max(RunStateRow.number).label("number")).group_by(RunStateRow.run).subquery()
+    latest = _latest()
+    query = (
+        select(
+            RunRow.run,
+            RunRow.serial,
+            RunRow.batch,
+            RunRow.setting["material"]["name"].as_string().label("material"),
+            RunRow.station,
+            RunRow.recipe,
+            RunRow.started_at,
+            RunRow.simulated,
+            RunStateRow.end,
+            AnalysisRow.analysis,
+            AnalysisRow.outcome,
+            AnalysisRow.software,
+        )
+        .join(last, last.c.run == RunRow.run)
+        .join(RunStateRow, (RunStateRow.run == last.c.run) & (RunStateRow.number == last.c.number))
+        .outerjoin(latest, latest.c.run == RunRow.run)
+        .outerjoin(AnalysisRow, AnalysisRow.analysis == latest.c.analysis)
+        .where(*chosen)
+        .order_by(RunRow.run)
+    )
+    runs: list[FleetRun] = []
+    places: dict[str, int] = {}
+    shared: dict[Any, Any] = {}  # tens of thousands of runs name the same few versions
+    for row in connection.execute(query.execution_options(yield_per=_AT_ONCE)):
+        if row.analysis is not None:
+            places[row.analysis] = len(runs)
+        software = tuple((name, version) for name, version in row.software or ())
+        simulated = tuple(row.simulated)
+        runs.append(
+            FleetRun(
+                run=row.run,
+                serial=row.serial,
+                batch=shared.setdefault(row.batch, row.batch),
+                material=shared.setdefault(row.material, row.material) or "",
+                station=shared.setdefault(row.station, row.station),
+                recipe=shared.setdefault(row.recipe, row.recipe),
+                started_at=row.started_at,
+                made_at=made_at(row.run),
+                finished=row.end == EndReason.FINISHED,
+                outcome=None if row.outcome is None else Outcome(row.outcome),
+                software=shared.setdefault(software, software),
+                simulated=shared.setdefault(simulated, simulated),
+            )
+        )
+    return runs, places
+
+
+def _measured(chosen: list[ColumnElement[bool]], names: Sequence[str]) -> Executable:
+    m, latest = MeasurementRow, _latest()
+    query = select(
+        m.analysis,
+        m.value,
+        m.outcome,
+        m.bound,
+        m.name,
+        m.phase,
+        m.qualifier,
+        m.unit,
+        m.location,
+        m.lower_limit,
+        m.upper_limit,
+    ).join(latest, latest.c.analysis == m.analysis)
+    if chosen:
+        query = query.join(RunRow, RunRow.run == latest.c.run).where(*chosen)
+    if names:
+        query = query.where(or_(m.name.in_(names), m.outcome.in_(list(_BAD))))
+    return query
+
+
+def _values(
+    connection: Connection, chosen: list[ColumnElement[bool]], names: Sequence[str], places: dict[str, int]
+) -> tuple[tuple[Kind, ...], tuple[Any, ...]]:
+    """Kinds, and the columns of :class:`FleetTable`."""
+    run, kind, value, state = array("i"), array("i"), array("d"), array("B")
+    # Whole columns at a time, and a new kind counted where it is first met: a fleet has a million values.
+    kinds: defaultdict[tuple[Any, ...], int] = defaultdict()
+    kinds.default_factory = kinds.__len__
+    rows = connection.execute(_measured(chosen, names).execution_options(yield_per=_AT_ONCE))
+    for block in rows.partitions():
+        analysis, number, outcome, bound, *what = zip(*block, strict=True)
+        run.extend([places.get(one, -1) for one in analysis])
+        kind.extend(map(kinds.__getitem__, zip(*what, strict=True)))
+        value.frombytes(np.array(number, dtype=np.float64).tobytes())
+        state.extend(map(_STATES.__getitem__, zip(outcome, bound, strict=True)))
+    # An analysis that was stored while this was read belongs to no run that was listed.
+    runs = np.frombuffer(run, dtype=np.int32) if run else np.zeros(0, np.int32)
+    listed = runs >= 0
+    columns = (
+        runs[listed],
+        np.array(kind, dtype=np.int32)[listed],
+        np.array(value, dtype=np.float64)[listed],
+        np.array(state, dtype=np.uint8)[listed],
+    )
+    return tuple(_kind(*what) for what in kinds), columns
+
+
+def _kind(
+    name: str, phase: str, qualifier: str, unit: str, location: str, lower: float | None, upper: float | None
+) -> Kind:
+    return Kind(MetricKey(name, phase, qualifier), unit, location, lower, upper)
+
+
+def _places(connection: Connection, runs: Sequence[FleetRun]) -> dict[str, tuple[float, float]]:
+    """Where loads of a label are pressed: of the first and the last run of each recipe, which press them all."""
+    last = {run.recipe: run.run for run in runs if run.finished}
+    first = {run.recipe: run.run for run in reversed(runs) if run.finished}
+    asked = {*first.values(), *last.values()}
+    query = select(LoadRow.label, LoadRow.x_mm, LoadRow.y_mm).where(LoadRow.run.in_(asked)).distinct()
+    found: dict[str, set[tuple[float, float]]] = {}
+    for label, x_mm, y_mm in connection.execute(query):
+        found.setdefault(label, set()).add((x_mm, y_mm))
+    # Random loads are pressed somewhere else in every run: their labels are no places.
+    return {label: at.pop() for label, at in found.items() if len(at) == 1}
