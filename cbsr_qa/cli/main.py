@@ -27,7 +27,7 @@ from cbsr_qa.cli import (
     station,
     verdict,
 )
-from cbsr_qa.cli.output import emit_json, note
+from cbsr_qa.cli.output import emit_json, lost_output, note, reader_has_gone
 from cbsr_qa.domain.errors import CbsrError
 
 app = typer.Typer(
@@ -72,6 +72,8 @@ def _options(
 
 _REPORT_IT = "what was stored is kept; please report this with the output of CBSR_QA_TRACEBACK=1 and the command"
 
+_LOST = "make room for it, or name another file; what was stored is kept: cbsr-qa db status, cbsr-qa report RUN"
+
 #: What typer raises for a misused command line. It brings its own copy of click, or uses the installed one.
 _UsageError = cast(type[Exception], typer.BadParameter.__mro__[1])
 
@@ -93,7 +95,19 @@ def entry() -> None:
 
 
 def guarded(arguments: list[str]) -> int:
-    """Run one command and return its exit code; every expected error becomes one clear message."""
+    """Run one command and return its exit code; every expected error becomes one clear message.
+
+    Output that did not get where it was to go (a full disk, a closed terminal) is exit code 3, unless the command was
+    refused: whoever reads it has no outcome. A reader that has gone changes no exit code.
+    """
+    code, why = _ended(arguments), lost_output()
+    if not why:
+        return code
+    note(f"cbsr-qa: the output could not be written: {why}\n{_LOST}")
+    return 3 if code < 2 else code
+
+
+def _ended(arguments: list[str]) -> int:
     try:
         result = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
         if result == _INTERRUPTED:
@@ -107,12 +121,9 @@ def guarded(arguments: list[str]) -> int:
         return _misused(error, arguments)
     except (typer.Abort, KeyboardInterrupt):
         return _aborted(arguments)
-    except BrokenPipeError:
-        # Whoever read our output has gone (head, a pager): not an error of ours.
-        sys.stderr.close()
-        return 0
     except Exception as error:  # noqa: BLE001 - exit code 1 means that a sensor failed, and nothing else
-        return _unexpected(error, arguments)
+        # Help that is piped into a program which has gone; an instrument's broken pipe is another thing.
+        return 0 if isinstance(error, BrokenPipeError) and reader_has_gone() else _unexpected(error, arguments)
     return result if isinstance(result, int) else 0
 
 

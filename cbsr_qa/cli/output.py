@@ -1,8 +1,10 @@
 """What the command line prints: one JSON document on stdout, or words; messages always go to stderr."""
 
 import json
+import os
 import sys
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any
 
 import typer
@@ -19,14 +21,62 @@ def emit_json(document: Mapping[str, Any]) -> None:
     ValueError
         If a number in it is NaN or infinite: such a document is not JSON.
     """
-    sys.stdout.write(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
+    _print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def say(text: str = "") -> None:
     """Print words for people on stdout (only where ``--json`` was not asked for)."""
-    sys.stdout.write(text + "\n")
+    _print(text)
 
 
 def note(text: str) -> None:
-    """Print a message on stderr."""
-    sys.stderr.write(text + "\n")
+    """Print a message on stderr; where that is a full disk or a terminal that has gone, nothing stops for it."""
+    if sys.stderr is not None:
+        with suppress(OSError, ValueError):
+            sys.stderr.write(text + "\n")
+            sys.stderr.flush()
+
+
+def lost_output() -> str:
+    """Return why what was printed on stdout did not get there, and forget it; empty where it did.
+
+    A reader that has gone (``head``, a pager) wanted no more: that is no loss.
+    """
+    why = "; ".join(_lost)
+    _lost.clear()
+    return why
+
+
+def reader_has_gone() -> bool:
+    """Whether stdout is a pipe that nobody reads any more, with something left to write into it."""
+    try:
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _discard_the_rest()
+        return True
+    return False
+
+
+#: Why output was lost; a command goes on to its end without a reader, and its exit code says what came of it.
+_lost: list[str] = []
+
+
+def _print(text: str) -> None:
+    if sys.stdout is None:  # closed by whoever started the program, who wants none
+        return
+    try:
+        sys.stdout.write(text + "\n")
+        sys.stdout.flush()
+    except BrokenPipeError:
+        _discard_the_rest()
+    except OSError as error:
+        _lost.append(error.strerror or str(error))
+        _discard_the_rest()
+
+
+def _discard_the_rest() -> None:
+    """Send the buffer and all that follows to nowhere, or the interpreter fails over it at its end."""
+    with suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)

@@ -3,14 +3,17 @@
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from typing import Final
 
-from cbsr_qa.domain.errors import AbortedError, SafetyError
+from cbsr_qa.domain.errors import AbortedError, CbsrError, SafetyError
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run_events import RunEnded, RunEvent
 from cbsr_qa.runner.interrupts import Interrupts
 
 Subscriber = Callable[[RunEvent], None]
 Warn = Callable[[str], None]
+
+_RULE: Final = "journal"
 
 
 class Documents:
@@ -51,10 +54,7 @@ class Documents:
         try:
             self._store(event)
         except SafetyError as error:
-            detail = f"{error.reason}; before that the run was {event.end}"
-            event = replace(
-                event, end=EndReason.BROKEN, detail=f"{detail}: {event.detail}" if event.detail else detail
-            )
+            event = replace(event, end=EndReason.BROKEN, detail=_unstored(event, error))
         with suppress(AbortedError):  # it has ended
             self._tell(event)
         return event
@@ -65,8 +65,13 @@ class Documents:
         except AbortedError:  # raised by a signal's handler, not by the journal
             raise
         except Exception as error:
+            said, remedy = (
+                (error.reason, error.remedy)
+                if isinstance(error, CbsrError)
+                else (f"{type(error).__name__}: {error}", "")
+            )
             raise SafetyError(
-                "journal", f"the journal could not store {type(event).__name__}: {type(error).__name__}: {error}"
+                _RULE, f"the journal could not store {type(event).__name__}: {said}", remedy=remedy
             ) from error
 
     def _tell(self, event: RunEvent) -> None:
@@ -78,6 +83,14 @@ class Documents:
             except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
                 self._listeners.remove(listener)
                 self._warn(f"{_name(listener)} failed and is not told more: {type(error).__name__}: {error}")
+
+
+def _unstored(event: RunEnded, error: SafetyError) -> str:
+    """Say that the end of a run could not be stored; once, where the same has ended it."""
+    if event.detail.startswith(f"rule {_RULE!r}"):
+        return event.detail
+    end = ": ".join(filter(None, [str(event.end), event.detail]))
+    return "; ".join(filter(None, [error.reason, error.remedy, f"before that the run was {end}"]))
 
 
 def _name(listener: Subscriber) -> str:

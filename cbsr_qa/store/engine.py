@@ -17,6 +17,9 @@ BUSY_TIMEOUT_MS = 10_000
 #: How long it waits before it says so [ms].
 _PATIENCE_MS = 1_000
 
+#: What a connection notes its file under.
+_FILE = "cbsr_qa file"
+
 _DRIVERS = {"sqlite": "sqlite", "postgresql": "postgresql+psycopg"}
 
 
@@ -71,6 +74,9 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
         ) from error
     if url.get_backend_name() == "sqlite":
         event.listen(engine, "connect", partial(_set_up_sqlite, synchronous="FULL" if durable else "NORMAL"))
+        if sqlite_file(url) is not None:
+            event.listen(engine, "connect", partial(_remember_file, url))
+            event.listen(engine, "begin", _refuse_lost_file)
         event.listen(engine, "begin", _begin_sqlite)
     return engine
 
@@ -140,6 +146,35 @@ def _set_up_sqlite(connection: Any, record: object, *, synchronous: str) -> None
     cursor.execute("PRAGMA foreign_keys = ON")
     cursor.execute(f"PRAGMA synchronous = {synchronous}")
     cursor.close()
+
+
+def _remember_file(url: URL, _: object, record: Any) -> None:
+    record.info[_FILE] = _which_file(url)
+
+
+def _which_file(url: URL) -> tuple[int, int] | None:
+    """Device and number of the file that has the database's name; None where none has."""
+    path = sqlite_file(url)
+    assert path is not None
+    try:
+        found = path.stat()
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
+def _refuse_lost_file(connection: Connection) -> None:
+    """Refuse to go on with a file that was deleted or replaced: SQLite would write into it until the program ends."""
+    url, was = connection.engine.url, connection.info[_FILE]
+    found = _which_file(url)
+    if was in (None, found):
+        return
+    what = "was deleted or moved away" if found is None else "was replaced by another file"
+    raise StoreError(
+        f"{shown(url)} {what} while it was in use",
+        remedy="put it back under its name, with its files ending in -wal and -shm, or a copy of it; what was stored"
+        " in a file that is gone is lost",
+    )
 
 
 def _begin_sqlite(connection: Connection) -> None:

@@ -20,7 +20,11 @@ _KNOWN = (
     ("database is locked", "is in use by another program", "end that program, or try again"),
     ("disk is full", "cannot grow: the disk is full", "free space; everything committed so far is kept"),
     ("no space left", "cannot grow: the disk is full", "free space; everything committed so far is kept"),
-    ("disk i/o error", "cannot be read or written: the disk fails", "check the disk; restore the file from a copy"),
+    (
+        "disk i/o error",
+        "cannot be read or written: the disk fails, or a quota or a limit on the size of files is reached",
+        "check the disk and the limits (quota, ulimit -f); what is committed is kept as long as the disk keeps it",
+    ),
     ("authentication failed", "refuses the user or the password", "check both in the database URL"),
     ("does not exist", "does not exist", "create it, or correct its name in the database URL"),
     ("connection refused", "does not answer", "start the server, or correct its address in the database URL"),

@@ -67,12 +67,27 @@ def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
 def writer_of(engine: Engine, run: str) -> str:
     """Return who writes a run at this moment; empty where nobody does."""
     file = sqlite_file(engine.url)
-    if file is not None and not _lock_file(file, run).exists():
-        return ""
+    if file is not None:
+        return _holder_of_file(_lock_file(file, run))
     release = _acquired(engine, run, this_process(""))
     if isinstance(release, str):
         return release
     release()
+    return ""
+
+
+def _holder_of_file(path: Path) -> str:
+    """Return who holds a lock file; nothing is written, so a full disk or somebody else's folder is no hindrance."""
+    try:
+        file = path.open(encoding="utf-8")
+    except OSError:  # there is none, or none that may be looked at
+        return ""
+    with file:
+        try:
+            _lock(file)
+        except OSError:
+            file.seek(0)
+            return file.read().strip() or "another process"
     return ""
 
 
@@ -106,14 +121,20 @@ def _file_lock(engine: Engine, path: Path, who: str) -> Callable[[], None] | str
         if _is(file, path):
             break
         file.close()  # its holder took it away between our opening and locking it
-    file.truncate(0)
-    file.write(who)
-    file.flush()
 
     def release() -> None:
         with file, suppress(OSError):
             path.unlink()
 
+    try:
+        file.truncate(0)
+        os.write(file.fileno(), who.encode())
+    except OSError as error:  # a full disk will not hold the run either
+        release()
+        raise StoreError(
+            f"{shown(engine.url)}: nothing can be written beside it ({error.strerror})",
+            remedy="free space; everything committed so far is kept",
+        ) from error
     return release
 
 

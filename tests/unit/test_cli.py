@@ -1,6 +1,11 @@
 """Errors at the command line: one message, the right exit code, one document."""
 
 import json
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
 
 import pytest
 
@@ -74,3 +79,71 @@ def test_ctrl_c_in_any_command_is_said(monkeypatch, capsys, as_json):
     assert bool(out) == as_json
     if as_json:
         assert json.loads(out)["aborted"]["reason"] == "stopped from the keyboard"
+
+
+# --- output that gets nowhere ---
+
+
+def ended(command, **streams):
+    """Run the command line with a command in the place of its own; return its exit code."""
+    code = f"""
+    import sys
+    from cbsr_qa.cli import main
+    from cbsr_qa.cli.output import emit_json, note, say
+    def app(arguments, **options):
+        {command}
+    main.app = app
+    sys.exit(main.guarded(["run", *sys.argv[1:]]))
+    """
+    program = [sys.executable, "-c", textwrap.dedent(code)]
+    return subprocess.run(program, check=False, text=True, timeout=60, **streams)
+
+
+@pytest.mark.parametrize("printed", ['say("PASS")', 'emit_json({"outcome": "fail"})'])
+@pytest.mark.parametrize("code", [0, 1])
+def test_an_outcome_that_could_not_be_printed_is_no_outcome(printed, code):
+    with Path("/dev/full").open("w") as full:
+        done = ended(f"{printed}; return {code}", stdout=full, stderr=subprocess.PIPE)
+    assert done.returncode == 3
+    assert "the output could not be written: No space left on device" in done.stderr
+    assert "cbsr-qa report RUN" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_refusal_that_could_not_be_printed_is_still_one():
+    refuse = 'from cbsr_qa.domain.errors import ConfigError; raise ConfigError("no such key")'
+    with Path("/dev/full").open("w") as full:
+        assert ended(refuse, stdout=full, stderr=full).returncode == 2
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_messages_that_nobody_can_read_stop_nothing(code):
+    with Path("/dev/full").open("w") as full:
+        done = ended(
+            f'note("running the station …"); say("done"); return {code}', stdout=subprocess.PIPE, stderr=full
+        )
+    assert (done.returncode, done.stdout) == (code, "done\n")
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_a_program_whose_output_was_closed_ends_as_it_would(code):
+    def close():
+        os.close(1)
+        os.close(2)
+
+    assert ended(f'note("busy"); say("FAIL"); return {code}', preexec_fn=close).returncode == code
+
+
+@pytest.mark.parametrize("code", [0, 1])
+def test_a_reader_that_has_gone_changes_no_exit_code(code):
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = ended(f'say("FAIL"); say("run 1"); return {code}', stdout=writer, stderr=subprocess.PIPE)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (code, "")
+
+
+def test_a_broken_pipe_of_an_instrument_is_not_a_reader_that_has_gone(monkeypatch, capsys):
+    monkeypatch.setattr(main, "app", _raising(BrokenPipeError(32, "Broken pipe")))
+    assert main.guarded(["run"]) == 3
+    assert "Broken pipe" in capsys.readouterr().err

@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from cbsr_qa.clock import RealClock, VirtualClock
-from cbsr_qa.domain.errors import ConfigError, InstrumentError, PluginError, RefusedError
+from cbsr_qa.domain.errors import ConfigError, InstrumentError, PluginError, RefusedError, StoreError
 from cbsr_qa.domain.loads import Load
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.plan import InstrumentSpec
@@ -316,6 +316,18 @@ def test_a_run_whose_end_cannot_be_stored_did_not_finish():
     assert ended.end is EndReason.BROKEN
     assert "disk full" in ended.detail
     assert seen[-1] is ended
+
+
+def test_a_disk_that_stays_full_is_told_once_with_what_to_do():
+    def journal(event):
+        if not isinstance(event, RunStarted):
+            raise StoreError("database runs.db cannot grow", remedy="free space")
+
+    ended, _, _ = run(cycle(0), journal=journal)
+    assert ended.end is EndReason.BROKEN
+    assert ended.detail.startswith("rule 'journal': the journal could not store PhaseStarted: database")
+    assert ended.detail.endswith("; free space")
+    assert ended.detail.count("cannot grow") == 1
 
 
 # --- retries ---------------------------------------------------------------------------------------------

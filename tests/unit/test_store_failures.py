@@ -219,3 +219,44 @@ def test_aborted_and_broken_runs_are_told_apart_from_those_that_were_cut_off(fil
     assert document["incomplete"] == []
     (stopped,) = document["stopped"]
     assert (stopped["run"], stopped["end"], stopped["detail"]) == ("run-2", "broken", "rule 'force': 21 N measured")
+
+
+# --- a file that is taken away from a run ---
+
+
+@pytest.mark.parametrize("how", ["deleted", "moved", "replaced"])
+def test_a_run_does_not_go_on_in_a_file_that_is_gone(path, how):
+    """SQLite itself would go on writing into it, and all of that would be gone with the last program that has it."""
+    events = short_run("run-1")
+    with open_store(f"sqlite:///{path}") as repository:
+        journal = journalled(repository, events[:6])
+        match how:
+            case "deleted":
+                path.unlink()
+            case "moved":
+                path.rename(path.with_name("elsewhere.db"))
+            case "replaced":
+                copy = path.with_name("copy.db")
+                copy.write_bytes(path.read_bytes())
+                copy.rename(path)
+        with pytest.raises(StoreError, match="while it was in use") as refused:
+            journal(events[6])
+        assert ("replaced" if how == "replaced" else "deleted or moved") in refused.value.reason
+        assert str(path) in refused.value.reason
+        assert "-wal" in refused.value.remedy
+        with pytest.raises(StoreError, match="while it was in use"):
+            repository.load_run("run-1")
+    assert path.exists() == (how == "replaced")
+
+
+def test_a_run_goes_on_in_a_file_that_was_put_back(path):
+    events = short_run("run-1")
+    with open_store(f"sqlite:///{path}") as repository:
+        journal = journalled(repository, events[:6])
+        aside = path.rename(path.with_name("elsewhere.db"))
+        with pytest.raises(StoreError):
+            journal(events[6])
+        aside.rename(path)
+        for event in events[6:]:
+            journal(event)
+        assert repository.load_run("run-1").end is EndReason.FINISHED

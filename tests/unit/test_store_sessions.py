@@ -183,6 +183,31 @@ def test_a_killed_writer_holds_nothing(repository, path):
     assert not list(path.parent.glob("*.lock"))
 
 
+def full(*_):
+    raise OSError(28, "No space left on device")
+
+
+def test_on_a_full_disk_the_run_is_refused_and_the_disk_is_named(repository, path, monkeypatch):
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "write", full)
+        with pytest.raises(StoreError, match="No space left on device") as refused, repository.writing_alone("run-1"):
+            pass
+    assert "free space" in refused.value.remedy
+    assert str(path) in refused.value.reason
+    assert not list(path.parent.glob("*.lock"))
+
+
+def test_who_writes_a_run_is_told_without_writing(repository, path):
+    with holding(path, "run-1") as process:
+        (lock,) = path.parent.glob("*.lock")
+        before = lock.stat()
+        assert repository.writer_of("run-1").startswith("Kim on ")
+        process.kill()
+        process.wait()
+    assert repository.writer_of("run-1") == ""
+    assert (lock.stat().st_mtime_ns, lock.read_text()[:3]) == (before.st_mtime_ns, "Kim")
+
+
 def test_the_lock_is_given_back_after_an_error(repository):
     with pytest.raises(RuntimeError), repository.writing_alone("run-1"):
         raise RuntimeError
