@@ -193,6 +193,8 @@ def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock, res
     station = configuration.station
     if station.emulated_scene is None:
         return None
+    for spec in station.instruments:
+        plugins.factory(Kind.INSTRUMENT, spec.driver)  # a name that is misspelt is not one without an emulator
     if station.clock != "virtual" or not isinstance(clock, WatchedClock):
         raise ConfigError(
             f"station {station.name!r} emulates instruments on a real clock",
@@ -246,7 +248,9 @@ def _opened(
     try:
         instrument: Instrument = factory(context)
     except (PluginError, ConfigError) as error:
-        named = f"instrument {spec.role!r} ({spec.driver})"
-        reason = error.reason if error.reason.startswith(named) else f"{named}: {error.reason}"
-        raise ConfigError(reason, remedy=error.remedy) from error
+        who = f"instrument {spec.role!r}"
+        named, said = f"{who} ({spec.driver})", error.reason
+        if not said.startswith(named):
+            said = f"{named}{said.removeprefix(who)}" if said.startswith(who) else f"{named}: {said}"
+        raise ConfigError(said, remedy=error.remedy) from error
     return instrument

@@ -252,7 +252,10 @@ def _samplers(mounted: list[Mounted]) -> tuple[Sampler, ...]:
         assert isinstance(one.instrument, Sampler)
         first = by_channel.setdefault(one.instrument.channel, one)
         if first is not one:
-            raise ConfigError(f"channel {one.instrument.channel!r} is sampled by {first.name} and by {one.name}")
+            raise ConfigError(
+                f"channel {one.instrument.channel!r} is sampled by {first.name} and by {one.name}",
+                remedy="give one of them the driver that is meant, or take it out of the station file",
+            )
     if FORCE_CHANNEL not in by_channel:
         raise ConfigError(
             f"no instrument of the station samples {FORCE_CHANNEL!r}",

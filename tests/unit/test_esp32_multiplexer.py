@@ -278,6 +278,22 @@ def test_another_instrument_at_the_address_is_refused_with_what_it_said():
     port.close()
 
 
+class Mute:
+    def received(self, data):
+        return b""
+
+    def misbehave(self, fault):
+        raise AssertionError(fault)
+
+
+def test_an_address_where_nobody_answers_is_said_so():
+    port = PtyPort("mute")
+    port.serve(Mute())
+    with pytest.raises(InstrumentError, match="it says nothing"):
+        opened(port.address)
+    port.close()
+
+
 def test_no_port_at_the_address():
     with pytest.raises(InstrumentError, match="mux at /dev/nothing: there is no port"):
         opened("/dev/nothing")

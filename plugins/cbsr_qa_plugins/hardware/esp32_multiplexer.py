@@ -300,7 +300,7 @@ class Esp32Multiplexer:
         found = last_position(self._link.read_available()) or found
         if found is None:
             raise self._error(
-                f"asked which electrodes it connects, it says {said[-80:]!r}",
+                f"asked which electrodes it connects, it says {repr(said[-80:]) if said else 'nothing'}",
                 remedy="a multiplexer with the command firmware is expected; check address and firmware",
                 retryable=True,
             )
