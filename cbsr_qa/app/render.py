@@ -11,6 +11,7 @@ from cbsr_qa.app.material_output import material_path, why_no_material, write_ma
 from cbsr_qa.app.outputs import calibration_path, report_sections
 from cbsr_qa.app.setup import made
 from cbsr_qa.app.stages import Stages
+from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.calibrate.file import write_calibration
 from cbsr_qa.calibrate.prepared_force import prepared_force
 from cbsr_qa.config.merge import restore
@@ -138,6 +139,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
         limits_version=recipe.limits_version,
         characterisation=characterisation,
         station_check=check,
+        station_charts=charts_after(store, record.identity, until=stored.analysis),
         history=history,
         overrides=store.overrides(run),
     )

@@ -12,6 +12,7 @@ from cbsr_qa.app.outputs import RunOutcome, resume_command, write_outputs
 from cbsr_qa.app.preflight import check_cycles, check_recipe, check_unloaded, overdue, refuse_overdue
 from cbsr_qa.app.setup import open_station, plan_of, station_clock
 from cbsr_qa.app.stages import Stages
+from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.clock import RealClock
 from cbsr_qa.config.merge import Configuration
 from cbsr_qa.domain.errors import BrokenRunError, StoreError
@@ -237,6 +238,7 @@ def _concluded(
     recipe, history = configuration.recipe, store.change_history(record)
     conclusion = conclude(record, recipe, plugins, stages)
     issued_at = RealClock().wall().isoformat()
+    charts = charts_after(store, record.identity, conclusion.measurements)
     calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
     result = RunResult(
         record=record,
@@ -246,10 +248,16 @@ def _concluded(
         calibration=calibration,
         calibration_why=why,
         compute_s=stages.table(),
-        warnings=(*conclusion.warnings, *warnings, *unexplained(history.of(run))),
+        warnings=(
+            *conclusion.warnings,
+            *warnings,
+            *(charts.warnings() if charts else ()),
+            *unexplained(history.of(run)),
+        ),
         limits_version=recipe.limits_version,
         characterisation=conclusion.characterisation,
         station_check=store.latest_station_check(record.identity.station, record.identity.started_at),
+        station_charts=charts,
         history=history,
     )
     store.save_result(result)

@@ -12,6 +12,7 @@ import cbsr_qa
 from cbsr_qa.cli import (
     analyse,
     calibration,
+    charts,
     compare,
     db,
     export,
@@ -45,6 +46,7 @@ app.command("compare")(compare.compare)
 app.command("stability")(stability.stability)
 app.command("frontier")(frontier.frontier)
 app.command("gauge")(gauge.gauge)
+app.command("charts")(charts.charts)
 app.add_typer(calibration.app, name="calibration")
 app.add_typer(limits.app, name="limits")
 app.add_typer(scene.app, name="scene")

@@ -10,6 +10,7 @@ from cbsr_qa.domain.measurement import Measurement, Verdict
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.domain.station_charts import StationCharts
 from cbsr_qa.domain.station_check import StationCheck
 
 
@@ -84,6 +85,7 @@ class RunResult:
     limits_version : of those limits that carry one.
     characterisation : of the material, where the recipe is for that; there is no observation then.
     station_check : the station's latest one when the run began; None where it had never been checked.
+    station_charts : how the station's control charts stood with this run; None where none has a reference.
     history : changes of the run's files since its sensor type last passed its recipe.
     overrides : decisions against the verdicts of the run, oldest first; ``verdict`` stays what was found.
     """
@@ -99,5 +101,6 @@ class RunResult:
     limits_version: LimitsVersion | None = None
     characterisation: Characterisation | None = None
     station_check: StationCheck | None = None
+    station_charts: StationCharts | None = None
     history: ChangeHistory = ChangeHistory()
     overrides: tuple[VerdictOverride, ...] = ()

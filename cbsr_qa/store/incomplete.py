@@ -7,6 +7,7 @@ from sqlalchemy import Connection, Engine, exists, func, select
 
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.store.change_tables import VerdictOverrideRow
+from cbsr_qa.store.chart_tables import ChartReferenceRow
 from cbsr_qa.store.check_tables import StationCheckRow
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.ids import made_at
@@ -88,6 +89,7 @@ def latest_id(engine: Engine) -> str:
         AnalysisRow.analysis,
         CalibrationRow.calibration,
         StationCheckRow.check_id,
+        ChartReferenceRow.reference,
         VerdictOverrideRow.override_id,
     )
     with reading(engine) as connection:

@@ -21,11 +21,13 @@ from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import RunIdentity, RunRecord, RunSession
 from cbsr_qa.domain.run_figures import RunFigure, RunLine
 from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.domain.station_charts import ChartReference
 from cbsr_qa.domain.station_check import RingReadings, StationCheck
 from cbsr_qa.store import (
     analyses,
     calibrations,
     changes,
+    chart_references,
     figures,
     fleet_query,
     incomplete,
@@ -259,6 +261,18 @@ class Repository:
     ) -> tuple[RunFigure, ...]:
         """Return the figures of runs by metric: means over their loads, or over those of each location."""
         return figures.run_figures(self._engine, lines, names, by_location=by_location)
+
+    def save_chart_references(self, references: Sequence[ChartReference]) -> None:
+        """Store references of control charts beside the earlier ones."""
+        chart_references.save_references(self._engine, references)
+
+    def chart_references(self, station: str, until: str = "") -> tuple[ChartReference, ...]:
+        """Return the references that hold of a station's charts (until something of a later name was made)."""
+        return chart_references.current_references(self._engine, station, until)
+
+    def all_chart_references(self, station: str) -> tuple[ChartReference, ...]:
+        """Return every reference a station's charts ever had, oldest first."""
+        return chart_references.all_references(self._engine, station)
 
     def software_of(self, lines: Sequence[RunLine]) -> dict[str, str]:
         """Return run → the version of this program its latest analysis was made with."""

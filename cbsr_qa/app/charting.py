@@ -1,0 +1,134 @@
+"""Control charts of a metric's values over runs, by settings: points, limits, signals, and what they stand for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.run_figures import RunLine
+from cbsr_qa.domain.station_charts import ChartKind, ChartReference, ChartSettings, StandingSignal
+from cbsr_qa.stats.control_charts import (
+    Chart,
+    Reference,
+    Standard,
+    cusum,
+    ewma,
+    individuals,
+    means_and_ranges,
+    moving_range,
+)
+from cbsr_qa.stats.nelson import Rule
+
+#: Points without a signal after which one does not stand any more: the longest pattern of Nelson's tests.
+STANDS: Final = 15
+#: Rules by the numbers they are known by.
+RULES: Final = {int(rule.value.partition(":")[0]): rule for rule in Rule}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Charted:
+    """A chart, and which value is the last of each of its points.
+
+    Parameters
+    ----------
+    ends : (points,) index of a value.
+    """
+
+    chart: Chart
+    ends: tuple[int, ...]
+
+
+def charts_of(values: Sequence[float], settings: ChartSettings, reference: Reference) -> tuple[Charted, ...]:
+    """Return the charts of values: one, or two that go together.
+
+    Parameters
+    ----------
+    values : in the order of runs; of means and ranges an incomplete last group is left out.
+    reference : as of :mod:`cbsr_qa.stats.control_charts`.
+
+    Raises
+    ------
+    NumericsError
+        Too few values, or none that differ where limits are to come of them.
+    """
+    count = len(values)
+    single = tuple(range(count))
+    rules = [RULES[number] for number in settings.rules]
+    match settings.kind:
+        case ChartKind.INDIVIDUALS:
+            first = Charted(individuals(values, reference=reference, rules=rules), single)
+            if count < 2:
+                return (first,)
+            return first, Charted(moving_range(values, reference=reference), single[1:])
+        case ChartKind.MEANS:
+            size = settings.subgroup
+            groups = [values[begin : begin + size] for begin in range(0, count - size + 1, size)]
+            ends = tuple(range(size - 1, len(groups) * size, size))
+            if not groups:
+                raise NumericsError(f"{count} values make no group of {size}")
+            return tuple(Charted(one, ends) for one in means_and_ranges(groups, reference=reference, rules=rules))
+        case ChartKind.EWMA:
+            return (Charted(ewma(values, weight=settings.weight, width=settings.width, reference=reference), single),)
+        case ChartKind.CUSUM:
+            both = cusum(values, slack=settings.slack, threshold=settings.threshold, reference=reference)
+            return tuple(Charted(one, single) for one in both)
+
+
+def standard_of(values: Sequence[float], settings: ChartSettings, what: str) -> Standard:
+    """Return mean and short-term deviation of a reference period.
+
+    Raises
+    ------
+    NumericsError
+        Too few values, or none that differ.
+    """
+    try:
+        first = charts_of(values, settings, None)[0].chart
+    except NumericsError as error:
+        raise NumericsError(f"{what}: {error.reason}", remedy=error.remedy) from error
+    centre = first.centre
+    if settings.kind is ChartKind.CUSUM:
+        centre = individuals(values).centre  # a sum's own centre is zero
+    return Standard(centre, first.deviation)
+
+
+def standing(
+    charts: Sequence[Charted], lines: Sequence[RunLine], reference: ChartReference, *, cut: bool
+) -> StandingSignal | None:
+    """Return the signal that stands at the last run; None where there is none.
+
+    A signal stands until so many points in a row gave none (:data:`STANDS`); it began with the first that no such
+    stretch parts from the latest.
+
+    Parameters
+    ----------
+    charts : of the values of ``lines``.
+    cut : whether there were earlier runs that were not looked at.
+    """
+    found = [_standing(one) for one in charts]
+    begun = [(points[0], rules) for points, rules in found if points]
+    if not begun:
+        return None
+    begin = min(point for point, _ in begun)
+    rules = tuple(dict.fromkeys(rule for _, own in sorted(begun, key=lambda one: one[0]) for rule in own))
+    first = lines[begin]
+    size = reference.settings.subgroup
+    at_least = cut and begin < STANDS * size
+    return StandingSignal(reference, rules, first.run, first.started_at, len(lines) - begin, at_least)
+
+
+def _standing(one: Charted) -> tuple[list[int], tuple[str, ...]]:
+    """Values at which the standing signal spoke, earliest first, and by which rules."""
+    chart, last = one.chart, len(one.chart.points) - 1
+    points: list[int] = []
+    for signal in reversed(chart.signals):
+        nearest = points[-1] if points else last + 1
+        if nearest - signal.index > STANDS:
+            break
+        points.append(signal.index)
+    if not points:
+        return [], ()
+    first = points[-1]
+    of = f"{chart.name}, " if chart.name not in ("individuals", "means") else ""
+    rules = dict.fromkeys(f"{of}{signal.rule}" for signal in chart.signals if signal.index >= first)
+    return [one.ends[index] for index in reversed(points)], tuple(rules)

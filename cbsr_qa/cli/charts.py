@@ -1,0 +1,92 @@
+"""``cbsr-qa charts``: control charts of a station, and the reference period they rest on."""
+
+from datetime import date, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from cbsr_qa.cli.output import emit_json, note, say
+from cbsr_qa.domain.errors import RefusedError
+
+if TYPE_CHECKING:
+    from cbsr_qa.domain.station_charts import ChartSettings
+
+_DAY = ["%Y-%m-%d"]
+
+
+def charts(
+    station: Annotated[str, typer.Option(help="Name of the station, as stored with its runs.")],
+    recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
+    golden: Annotated[str, typer.Option(metavar="SERIAL", help="Chart this golden sensor, not production.")] = "",
+    metric: Annotated[list[str] | None, typer.Option(help="What to chart; may be repeated.")] = None,
+    by_location: Annotated[bool, typer.Option("--by-location", help="A new reference a location.")] = False,
+    chart: Annotated[str, typer.Option(help="i-mr, xbar-r, ewma or cusum (of a new reference).")] = "i-mr",
+    subgroup: Annotated[int | None, typer.Option(help="Runs a point, with xbar-r.")] = None,
+    rules: Annotated[str, typer.Option(help="Numbers of Nelson's tests, with i-mr and xbar-r.")] = "1,2",
+    reference_from: Annotated[
+        datetime | None, typer.Option(formats=_DAY, help="First day of a new reference period (UTC).")
+    ] = None,
+    reference_runs: Annotated[int | None, typer.Option(help="Store a new reference of so many runs.")] = None,
+    reference_until: Annotated[
+        datetime | None, typer.Option(formats=_DAY, help="Store a new reference up to the end of this day (UTC).")
+    ] = None,
+    operator: Annotated[str, typer.Option(help="Who sets the new reference.")] = "",
+    why: Annotated[str, typer.Option(help="Why it is set.")] = "",
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show a new reference without storing it.")] = False,
+    output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
+    database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
+) -> None:
+    """Chart a station's metrics over its runs, against a reference period in which it was known to be well.
+
+    Exit code 1 if a chart signals.
+    """
+    from cbsr_qa.app.control_charts import ChartsRequest, ReferencePeriod, control_charts
+    from cbsr_qa.cli.charts_table import lines
+
+    period = None
+    if reference_runs is not None or reference_until is not None or reference_from is not None:
+        period = ReferencePeriod(
+            _day(reference_from), reference_runs, _day(reference_until), operator, why, stored=not dry_run
+        )
+    request = ChartsRequest(
+        station=station,
+        recipe=recipe,
+        golden=golden,
+        metrics=tuple(dict.fromkeys(metric or ())),
+        by_location=by_location,
+        settings=_settings(chart, subgroup, rules),
+        period=period,
+    )
+    found = control_charts(request, database=database)
+    if output is not None:
+        from cbsr_qa.app.charts_page import charts_html
+        from cbsr_qa.report.render import write_report
+
+        write_report(output, charts_html(found))
+        note(f"page         {output}")
+    if as_json:
+        emit_json(found.document())
+    else:
+        for line in lines(found):
+            say(line)
+    raise typer.Exit(1 if found.signals else 0)
+
+
+def _settings(chart: str, subgroup: int | None, rules: str) -> "ChartSettings":
+    from cbsr_qa.domain.station_charts import ChartKind, ChartSettings
+
+    kinds = [str(kind) for kind in ChartKind]
+    if chart not in kinds:
+        raise RefusedError(f"--chart is {chart!r}", remedy=f"allowed: {', '.join(kinds)}")
+    try:
+        numbers = tuple(sorted({int(part) for part in rules.split(",")}))
+    except ValueError as error:
+        raise RefusedError(f"--rules is {rules!r}", remedy="give numbers from 1 to 8, e.g. 1,2,5") from error
+    default = 5 if chart == ChartKind.MEANS else 1
+    return ChartSettings(ChartKind(chart), default if subgroup is None else subgroup, numbers)
+
+
+def _day(moment: datetime | None) -> date | None:
+    return None if moment is None else moment.date()
