@@ -6,7 +6,7 @@ JOBS ?= 2
 export CBSR_QA_VAR ?= var
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check lint types imports bench faults soak clean
+.PHONY: help demo fleet-demo test check lint types imports bench faults soak clean
 
 help: ## Say what can be made
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -29,6 +29,15 @@ $(VENV)/.dev-stamp: $(VENV)/.run-stamp
 
 demo: $(VENV)/.run-stamp ## Test a simulated sensor: run, verdict, report, calibration file (in var/)
 	@$(BIN)/cbsr-qa run --station simulated --recipe nine-locations --serial DEMO-001 --batch demo --operator demo
+
+fleet-demo: $(VENV)/.run-stamp ## Build a fleet of 3 batches at 3 stations, compare the batches, open the pages (in var/)
+	@$(BIN)/python -m cbsr_qa.cli.fleet_demo
+	@for design in each-on-one-station a-third-on-all-stations; do \
+		printf '\n%s\n' "$$design"; \
+		$(BIN)/cbsr-qa compare --by batch --recipe $$design --database "$$CBSR_QA_VAR/fleet-demo.db" \
+			--output "$$CBSR_QA_VAR/fleet-demo-$$design.html" || exit; \
+		if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then $(BIN)/python -m webbrowser "$$CBSR_QA_VAR/fleet-demo-$$design.html"; fi; \
+	done
 
 test: $(VENV)/.dev-stamp ## Run every test
 	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q $(PYTEST_ARGS)

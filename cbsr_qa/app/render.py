@@ -149,6 +149,8 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
 def _observed(record: RunRecord, recipe: Recipe, plugins: Plugins) -> tuple[RunObservation | None, str]:
     if record.end is not EndReason.FINISHED or recipe.characterisation is not None:
         return None, ""
+    if all(phase.frames is None for phase in record.phases):
+        return None, "the run holds no frames, so that there are no images"
     reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     try:
         return observe_run(record, reconstruction, recipe.analysis), ""
