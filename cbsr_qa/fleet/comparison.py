@@ -8,7 +8,6 @@ from difflib import get_close_matches
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.fleet import FleetRun, FleetTable
@@ -19,7 +18,7 @@ from cbsr_qa.fleet.figures import MetricFigures, figures_of, named
 from cbsr_qa.fleet.groups import Grouping, grouped, software_words
 from cbsr_qa.fleet.terms import Adjustment, By, Terms
 from cbsr_qa.report.numbers import plural
-from cbsr_qa.stats.crossing import Crossing, crossing
+from cbsr_qa.stats.crossing import Crossing, IntArray, crossing
 from cbsr_qa.stats.multiplicity import benjamini_hochberg, holm
 from cbsr_qa.stats.worst_value import FloatArray
 
@@ -106,8 +105,8 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
     every = list(figures_of(table, grouping.used))
     chosen = _wanted(every, terms)
     design = _design(table.runs, grouping, terms.by)
-    stations = _station_names(design)
-    metrics = [_metric(figures, table, grouping, design, stations, terms) for figures in chosen]
+    deciding = grouping.deciding(table.runs, terms.policy)
+    metrics = [_metric(figures, table, grouping, deciding, design, terms) for figures in chosen]
     members = [run for run, used in zip(table.runs, grouping.used, strict=True) if used]
     return Comparison(
         terms=terms,
@@ -138,11 +137,12 @@ def unknown_metric(name: str, known: Sequence[str]) -> RefusedError:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Design:
-    """The crossing of the runs that count, and which they are."""
+    """The crossing of the runs that count, which they are, and the stations to compare, that with most runs first."""
 
     crossing: Crossing
-    rows: NDArray[np.intp]
+    rows: IntArray
     of_stations: bool
+    stations: tuple[str, ...]
 
 
 def _design(runs: Sequence[FleetRun], grouping: Grouping, by: By) -> _Design:
@@ -153,32 +153,28 @@ def _design(runs: Sequence[FleetRun], grouping: Grouping, by: By) -> _Design:
     made = crossing(
         batches if of_stations else labels, [run.station for run in members], [run.serial for run in members]
     )
-    return _Design(made, rows, of_stations)
+    return _Design(made, rows, of_stations, () if of_stations else _by_runs(made))
 
 
-def _station_names(design: _Design) -> tuple[str, ...]:
-    """Stations, that with most runs first."""
-    if design.of_stations or len(design.crossing.stations) < 2:
+def _by_runs(made: Crossing) -> tuple[str, ...]:
+    """Stations, that with most runs first; none where there is nothing to compare."""
+    if len(made.stations) < 2:
         return ()
-    counts = np.bincount(design.crossing.station)
-    return tuple(design.crossing.stations[index] for index in np.argsort(-counts, kind="stable"))
+    return tuple(made.stations[index] for index in np.argsort(-np.bincount(made.station), kind="stable"))
 
 
 def _metric(
     figures: MetricFigures,
     table: FleetTable,
     grouping: Grouping,
+    deciding: Mapping[str, IntArray],
     design: _Design,
-    stations: tuple[str, ...],
     terms: Terms,
 ) -> MetricComparison:
     label, runs = figures.key.label, table.runs
-    deciding = grouping.deciding(runs, terms.policy)
     model = fitted(design.crossing, figures.mean[design.rows], label, of_stations=design.of_stations)
-    of_station = figures.key.name in OF_THE_STATION and not design.of_stations and len(stations) > 1
-    known = {
-        name: [index for index in indices if not np.isnan(figures.mean[index])] for name, indices in deciding.items()
-    }
+    of_station = figures.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
+    known = {name: indices[~np.isnan(figures.mean[indices])] for name, indices in deciding.items()}
     differences = [
         _between(model, figures, runs, known, (name, grouping.reference), terms)
         for name in grouping.names[1:]
@@ -186,9 +182,9 @@ def _metric(
     ]
     return MetricComparison(
         figures=figures,
-        described=tuple(described(figures, runs, name, deciding[name], terms) for name in grouping.names),
+        described=tuple(described(figures, runs, name, known[name], terms) for name in grouping.names),
         differences=tuple(differences),
-        stations=tuple(_stations(model, figures, stations, terms)),
+        stations=tuple(_stations(model, figures, design.stations, terms)),
         maps={} if of_station else _maps(figures, table, grouping, design, terms),
         samples=_samples(figures, runs, known),
         notes=_notes(model, figures, of_station=of_station),
@@ -199,13 +195,13 @@ def _between(
     model: Fitted,
     figures: MetricFigures,
     runs: Sequence[FleetRun],
-    known: Mapping[str, Sequence[int]],
+    known: Mapping[str, IntArray],
     names: tuple[str, str],
     terms: Terms,
 ) -> Difference:
     first, second = (known[name] for name in names)
-    values = figures.mean[list(first)], figures.mean[list(second)]
-    at = [runs[index].station for index in first], [runs[index].station for index in second]
+    values = figures.mean[first], figures.mean[second]
+    at = [runs[index].station for index in first.tolist()], [runs[index].station for index in second.tolist()]
     return difference(model, figures, names, values, at, terms)
 
 
@@ -263,12 +259,12 @@ def _maps(
 
 
 def _samples(
-    figures: MetricFigures, runs: Sequence[FleetRun], known: Mapping[str, Sequence[int]]
+    figures: MetricFigures, runs: Sequence[FleetRun], known: Mapping[str, IntArray]
 ) -> tuple[tuple[str, str, FloatArray], ...]:
     found = []
     for name, indices in known.items():
         at: dict[str, list[int]] = {}
-        for index in indices:
+        for index in indices.tolist():
             at.setdefault(runs[index].station, []).append(index)
         found += [(name, station, figures.mean[members]) for station, members in sorted(at.items())]
     return tuple(found)

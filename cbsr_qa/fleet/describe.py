@@ -13,6 +13,7 @@ from cbsr_qa.fleet.figures import MetricFigures
 from cbsr_qa.fleet.groups import Grouping, decides
 from cbsr_qa.fleet.terms import Policy, Quarantine, Terms
 from cbsr_qa.stats.capability import Capability, capability
+from cbsr_qa.stats.crossing import IntArray
 from cbsr_qa.stats.univariate import Quantile, quantile, summary
 from cbsr_qa.stats.worst_value import FloatArray
 from cbsr_qa.stats.yields import Yield, passed_share
@@ -111,15 +112,14 @@ def _yield(outcomes: Sequence[Outcome | None], terms: Terms) -> Yield | None:
 
 
 def described(
-    figures: MetricFigures, runs: Sequence[FleetRun], name: str, deciding: Sequence[int], terms: Terms
+    figures: MetricFigures, runs: Sequence[FleetRun], name: str, indices: IntArray, terms: Terms
 ) -> Described:
     """Describe one metric of a group.
 
     Parameters
     ----------
-    deciding : run of each sensor of the group that decides.
+    indices : of the runs that decide and have a value, one a sensor of the group.
     """
-    indices = [index for index in deciding if not np.isnan(figures.mean[index])]
     values = figures.mean[indices]
     if not len(values):
         return Described(name, 0, None, None, (), None, "nothing was measured")
@@ -130,7 +130,7 @@ def described(
 
 
 def _capability(
-    figures: MetricFigures, runs: Sequence[FleetRun], indices: Sequence[int], terms: Terms
+    figures: MetricFigures, runs: Sequence[FleetRun], indices: IntArray, terms: Terms
 ) -> tuple[Capability | None, str]:
     """Capability of what the limit judges: of several values a run, the one nearest to the limit."""
     if not figures.limited:
@@ -138,8 +138,8 @@ def _capability(
     try:
         worst = _worst(figures)
         subgroups: dict[tuple[str, str], list[float]] = {}
-        for index in indices:
-            subgroups.setdefault((runs[index].batch, runs[index].station), []).append(float(worst[index]))
+        for index, value in zip(indices.tolist(), worst[indices].tolist(), strict=True):
+            subgroups.setdefault((runs[index].batch, runs[index].station), []).append(value)
         members = list(subgroups.values())
         if len(indices) == len(members):  # every subgroup has one value: no short term to speak of
             members = [[value for group in members for value in group]]

@@ -13,6 +13,7 @@ from cbsr_qa.domain.fleet import FleetRun
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.fleet.figures import BoolArray
 from cbsr_qa.fleet.terms import By, Period, Policy, Terms
+from cbsr_qa.stats.crossing import IntArray
 
 _PASSED = (Outcome.PASS, Outcome.MARGINAL)
 
@@ -41,9 +42,12 @@ class Grouping:
         """The group the others are compared with."""
         return self.names[0]
 
-    def deciding(self, runs: Sequence[FleetRun], policy: Policy) -> dict[str, list[int]]:
+    def deciding(self, runs: Sequence[FleetRun], policy: Policy) -> dict[str, IntArray]:
         """Return the run of each sensor that decides, by group."""
-        return {name: [decides(runs, tests, policy) for tests in self.tests[name].values()] for name in self.names}
+        return {
+            name: np.array([decides(runs, tests, policy) for tests in self.tests[name].values()], dtype=np.intp)
+            for name in self.names
+        }
 
 
 def grouped(runs: Sequence[FleetRun], terms: Terms) -> Grouping:
