@@ -36,6 +36,13 @@ def test_an_open_pin_is_named_with_both_its_pairs():
     )
 
 
+def test_what_both_its_pairs_read_is_said_once():
+    (fault,) = contact_faults(RING, ohm(p6_7=INF, p7_8=INF))
+    assert fault.words() == (
+        "pin 7 open: pairs 6-7 and 7-8 read more than the source can drive, the median pair 18.1 kΩ"
+    )
+
+
 def test_the_first_pin_is_a_neighbour_of_the_last():
     assert found(ohm(p15_0=INF, p0_1=INF)) == [(ContactState.OPEN, (0,))]
 
