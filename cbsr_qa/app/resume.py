@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Final
 
 from cbsr_qa.app.outputs import RunOutcome
 from cbsr_qa.app.session import Ask, Done, Session, check_configuration, concluded
@@ -19,7 +20,11 @@ from cbsr_qa.domain.steps import Press
 from cbsr_qa.plugins import Plugins, discover
 from cbsr_qa.runner.schedule import schedule
 from cbsr_qa.runner.wording import describe
-from cbsr_qa.store.repository import Repository, open_store
+from cbsr_qa.store.engine import parsed_url
+from cbsr_qa.store.failures import shown
+from cbsr_qa.store.repository import Repository, database_exists, open_store
+
+_ELSEWHERE: Final = "a run that was begun with another database is resumed with the same --database"
 
 
 def resume_run(
@@ -50,6 +55,8 @@ def resume_run(
     """
     validate_operator(operator)
     url = database_url(database)
+    if not database_exists(url):
+        raise StoreError(f"{shown(parsed_url(url))} does not exist or is empty", remedy=_ELSEWHERE)
     with open_store(url, create=False) as store:
         on_real_clock = restore(_configuration(store, run)).station.clock == "real"
     for folder in (reports_folder(), calibrations_folder()):
@@ -64,7 +71,8 @@ def _configuration(store: Repository, run: str) -> str:
         return store.configuration(run)
     except StoreError as error:
         raise StoreError(
-            f"{error.reason} ({store.shown})", remedy="cbsr-qa db status lists the runs that can be resumed"
+            f"{error.reason} ({store.shown})",
+            remedy=f"cbsr-qa db status lists the runs that can be resumed; {_ELSEWHERE}",
         ) from error
 
 

@@ -15,7 +15,7 @@ from cbsr_qa.app.stages import Stages
 from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.clock import RealClock
 from cbsr_qa.config.merge import Configuration
-from cbsr_qa.domain.errors import BrokenRunError, StoreError
+from cbsr_qa.domain.errors import BrokenRunError, StoreError, UnconcludedError
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
@@ -217,9 +217,14 @@ def concluded(
     ------
     BrokenRunError
         If that could not be stored or read back (a full disk): what was stored of the run stays.
+    UnconcludedError
+        If somebody stopped it (Ctrl-C).
     """
     try:
         return _concluded(run, store, configuration, plugins, stages, warnings)
+    except KeyboardInterrupt as error:
+        again = f"cbsr-qa report {run}" if store.analyses(run) else resume_command(run)
+        raise UnconcludedError(run, again) from error
     except StoreError as error:
         remedy = "; then this goes on: ".join(filter(None, [error.remedy, resume_command(run)]))
         raise BrokenRunError(run, error.reason, remedy=remedy) from error

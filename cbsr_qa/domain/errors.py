@@ -110,6 +110,28 @@ class BrokenRunError(CbsrError):
         return {**ending, "remedy": self.remedy, **nothing}
 
 
+class UnconcludedError(CbsrError):
+    """The bench had done its part, and somebody stopped the program before the result was written (exit code 3).
+
+    Parameters
+    ----------
+    again : command that works it out from what is stored; nothing moves where the run had finished.
+    """
+
+    exit_code = 3
+
+    def __init__(self, run: str, again: str) -> None:
+        super().__init__(
+            f"run {run}: stopped from the keyboard while its result was worked out; all that was measured is stored",
+            remedy=f"this goes on: {again}",
+        )
+        self.run = run
+
+    def document(self) -> dict[str, Any]:
+        """Return what ``--json`` prints for it."""
+        return {"aborted": {"run": self.run, "reason": self.reason, "remedy": self.remedy}}
+
+
 class AbortedError(CbsrError):
     """Somebody stopped the run; the bench has been brought to its safe state (exit code 3)."""
 

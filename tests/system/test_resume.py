@@ -11,6 +11,10 @@ import pytest
 from command import cbsr_qa, document
 from killing import BEGIN, assert_same, came_of, killed, latest_run, trial, write_files
 
+from cbsr_qa.app import session
+from cbsr_qa.app.run_sensor import RunRequest, run_sensor
+from cbsr_qa.domain.errors import UnconcludedError
+
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
@@ -81,6 +85,28 @@ def test_a_run_killed_while_its_result_was_worked_out_is_concluded(cut_off):
         assert database.execute("select count(*) from frame_blocks").fetchone() == (frames,)
 
 
+@pytest.mark.parametrize(("at", "again"), [("conclude", "cbsr-qa run --resume"), ("write_outputs", "cbsr-qa report")])
+def test_ctrl_c_while_the_result_is_worked_out_says_how_to_have_it(tmp_path, monkeypatch, at, again):
+    write_files(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CBSR_QA_VAR", "var")
+
+    def stopped(*_):
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(session, at, stopped)
+        with pytest.raises(UnconcludedError, match="all that was measured is stored") as ended:
+            run_sensor(RunRequest("station.toml", "recipe.toml", "S-1", seed=5))
+    assert ended.value.exit_code == 3
+    command, run = ended.value.remedy.removeprefix("this goes on: ").rsplit(" ", 1)
+    assert command == again
+    assert ended.value.document()["aborted"]["run"] == run
+    done = document(cbsr_qa(tmp_path, *command.split()[1:], run, "--json"))
+    assert Path(tmp_path / done["report"]).exists()
+    assert len(came_of(tmp_path, run).record.sessions) == 1
+
+
 @pytest.mark.parametrize(
     ("more", "said"),
     [
@@ -99,11 +125,14 @@ def test_a_run_is_resumed_as_it_was_begun(tmp_path, more, said):
 def test_an_unknown_run_is_refused_and_nothing_is_made(tmp_path):
     done = cbsr_qa(tmp_path, "run", "--resume", "no-such-run", "--json", check=False)
     assert done.returncode == 2
-    assert "does not exist or is empty" in document(done)["refused"]["reason"]
+    refused = document(done)["refused"]
+    assert "does not exist or is empty" in refused["reason"]
+    assert "with the same --database" in refused["remedy"]
     cbsr_qa(tmp_path, "db", "upgrade")
     refused = document(cbsr_qa(tmp_path, "run", "--resume", "no-such-run", "--json", check=False))["refused"]
     assert "there is no run 'no-such-run' in this database" in refused["reason"]
     assert "cbsr-qa db status" in refused["remedy"]
+    assert "with the same --database" in refused["remedy"]
     assert [path.name for path in (tmp_path / "var").iterdir()] == ["cbsr-qa.db"]
 
 
