@@ -238,6 +238,15 @@ def test_content_that_cannot_be_shown_safely_leaves_its_section_out(result, bloc
     assert "kept" in page.words()
 
 
+def test_cells_of_a_wide_table_break_so_that_its_last_column_is_on_the_page(result):
+    driver, columns = "marlin-applicator", tuple("abcdefgh")
+    wide = Table("wide", columns, ((Cell(driver),) * 8,))
+    narrow = Table("narrow", columns[:7], ((Cell(driver),) * 7,))
+    page = render_run(result, [Says(wide, narrow)])
+    assert page.count(f'<td class="words"><bdi>{driver}') == 8
+    assert page.count(f'<td class="words tight"><bdi>{driver}') == 7
+
+
 def test_blocks_come_out_as_what_they_are(result):
     table = Table("Caption & more", ("Name", "N"), ((Cell("a"), Cell("1", Outcome.FAIL)),), (1,))
     empty = Table("Nothing", ("Name",), ())
