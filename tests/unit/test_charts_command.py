@@ -1,7 +1,7 @@
 """``charts`` on stored runs, and what the report of a run says of its station's charts."""
 
 import json
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,10 +9,11 @@ import pytest
 from stored_lots import store_run
 from stored_runs import identity
 
-from cbsr_qa.app.charting import STANDS
+from cbsr_qa.app.charting import JOINED, STANDS
 from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.cli.main import guarded
 from cbsr_qa.domain.measurement import Limit, Measurement
+from cbsr_qa.domain.station_check import StationCheck
 from cbsr_qa.report.station_charts import chart_blocks
 from cbsr_qa.stats.control_charts import Standard, cusum, ewma, individuals, means_and_ranges
 from cbsr_qa.store.repository import open_store
@@ -154,16 +155,23 @@ def _fields(one):
 def test_a_signal_stands_until_enough_runs_gave_none(tmp_path, document):
     path = tmp_path / "runs.db"
     numbers = np.concatenate([values(count=30), [11.0], 10 + 0.05 * (-1.0) ** np.arange(STANDS)])
-    fill(path, numbers[:-1])
-    assert not document(path, *NEW)["in_control"]
+    runs = fill(path, numbers[:-1])
+    found = document(path, *NEW)["charts"][0]["signal"]
+    assert (found["since_run"], found["runs"]) == (runs[30], STANDS)
+    assert found["rules"] == ["1: one point beyond 3σ"]
     with open_store(f"sqlite:///{path}", durable=False) as store:
         store_run(store, "S-999", judged(float(numbers[-1])), station=STATION, day=99)
-    # The moving range of the run after the outlier was beyond its limit too, and stands for one run longer.
-    (rule,) = document(path)["charts"][0]["signal"]["rules"]
-    assert rule == "moving range, beyond the limit"
-    with open_store(f"sqlite:///{path}", durable=False) as store:
-        store_run(store, "S-999", judged(10.0), station=STATION, day=100)
     assert document(path)["in_control"]
+
+
+def test_signals_that_are_near_each_other_belong_together(tmp_path, document):
+    path = tmp_path / "runs.db"
+    well = 10 + 0.05 * (-1.0) ** np.arange(JOINED)
+    near = np.concatenate([values(count=30), [11.0], well[:-1], [11.0]])
+    runs = fill(path, near)
+    assert document(path, *NEW)["charts"][0]["signal"]["since_run"] == runs[30]
+    runs = fill(other := tmp_path / "other.db", np.concatenate([values(count=30), [11.0], well, [11.0]]))
+    assert document(other, *NEW)["charts"][0]["signal"]["since_run"] == runs[-1]
 
 
 def test_golden_and_production_runs_have_charts_of_their_own(tmp_path, document):
@@ -177,6 +185,17 @@ def test_golden_and_production_runs_have_charts_of_their_own(tmp_path, document)
     assert chart["reference"]["mean"] == pytest.approx(5, abs=0.2)
     assert "golden sensor G-01" in chart["label"]
     assert any("10 runs are uncertain" in note for note in chart["notes"])
+
+
+def test_runs_of_golden_sensors_are_no_production(tmp_path, document):
+    path = tmp_path / "runs.db"
+    runs = fill(path, values(count=20))
+    with open_store(f"sqlite:///{path}", durable=False) as store:
+        check = (store.new_id(), STATION, "Zoë", datetime.now(UTC), "disc-100mm", 64 * "a", (), (), ())
+        store.save_station_check(StationCheck(*check, golden_run=runs[7]))
+    found = document(path, "--reference-runs", 15, "--operator", "Zoë")
+    assert found["runs"] == 19
+    assert runs[7] not in found["charts"][0]["runs"]
 
 
 def test_order_is_that_of_names_and_a_wrong_clock_is_named(tmp_path, document):

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 from calibration_samples import assert_same, sample_force
+from stored_lots import measured, store_run
 from stored_runs import calibration, frames, identity, journalled, record, short_run
 
 from cbsr_qa.app.database import database_status
@@ -17,7 +18,9 @@ from cbsr_qa.domain.measurement import Measurement, Verdict
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run_events import FramesTaken, RunStarted
+from cbsr_qa.domain.station_charts import ChartReference, ChartSettings
 from cbsr_qa.domain.station_check import CheckOutcome, CheckResult, RingReadings, StationCheck
+from cbsr_qa.store.figures import RunFilter
 from cbsr_qa.store.repository import open_store
 
 pytestmark = pytest.mark.postgres
@@ -118,3 +121,22 @@ def test_the_status_names_a_run_that_was_cut_off(repository, url):
     status = database_status(url)
     assert [(one.run, one.serial) for one in status.incomplete] == [(run, "S-cut")]
     assert status.state == "current"
+
+
+def test_figures_of_many_runs_and_references_of_charts_are_those_of_sqlite(repository, tmp_path):
+    told = []
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as other:
+        for store in (repository, other):
+            runs = [store_run(store, f"F-{k}", measured(np.random.default_rng(k), np.ones(3))) for k in range(3)]
+            lines = store.run_lines(RunFilter(serials=("F-0", "F-1", "F-2"), recipe="short", golden=False, latest=2))
+            assert [line.run for line in lines] == runs[1:]
+            figures = store.run_figures(lines, ["drift", "centre_of_mass_error"])
+            told.append([(f.key, f.unit, f.value, f.places, f.missing, f.lower, f.upper) for f in figures])
+            drift = figures[-1].key
+            limits = (drift, "%/min", ChartSettings(rules=(1, 5)), 0.05, 0.01, 2, runs[0], runs[2])
+            one = ChartReference(store.new_id(), "bench", "short", "", *limits, "Zoë", datetime.now(UTC), "")
+            store.save_chart_references([one])
+            assert store.chart_references("bench") == (one,)
+    assert [row[:2] for row in told[0]] == [row[:2] for row in told[1]]
+    assert [row[2] for row in told[0]] == pytest.approx([row[2] for row in told[1]], rel=1e-14)
+    assert [row[3:] for row in told[0]] == [row[3:] for row in told[1]]
