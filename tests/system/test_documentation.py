@@ -1,5 +1,6 @@
 """What the documentation tells a user to type is typed here, and its snippets are run."""
 
+import html
 import os
 import re
 import shlex
@@ -13,6 +14,7 @@ import numpy as np
 import pytest
 from command import cbsr_qa
 
+from cbsr_qa.app.fleet_demo import SAID, build_fleet
 from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.forward.resistor_ring import ring_readings
@@ -103,6 +105,25 @@ def test_the_page_on_choosing_a_recipe_runs_as_printed(tmp_path):
     assert (tmp_path / "chosen.toml").exists()
 
 
+@pytest.mark.slow
+def test_the_page_on_comparing_batches_shows_the_sentences_that_are_printed(tmp_path):
+    page = _TOP / "docs" / "how-to" / "compare-batches.md"
+    build, *comparisons = _commands(page)
+    assert build == "python -m cbsr_qa.cli.fleet_demo"
+    build_fleet(path=tmp_path / "var" / "fleet-demo.db")
+    shown = _blocks(page, "text")
+    assert len(shown) == len(comparisons) == 2
+    for command, sentences in zip(comparisons, shown, strict=True):
+        words = shlex.split(command)
+        printed = " ".join(cbsr_qa(tmp_path, *words[1:]).stdout.split())
+        assert printed.startswith(" ".join(sentences.split()))
+        written = (tmp_path / words[words.index("--output") + 1]).read_text()
+        plain = " ".join(html.unescape(re.sub(r"<[^>]*>", " ", written)).split())
+        for sentence in re.split(r"\n- ", sentences)[1:]:
+            assert " ".join(sentence.split()) in plain
+        assert SAID in plain
+
+
 @pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
 def test_links_between_pages_lead_somewhere(page):
     for target in re.findall(r"\]\(([^)#]+)(?:#[^)]*)?\)", page.read_text()):
@@ -116,6 +137,10 @@ def test_toml_snippets_are_toml(page):
         tomllib.loads(block)
 
 
+#: Commands that are groups of commands.
+_GROUPS = ("calibration", "db", "limits", "plugins", "scene", "station", "verdict")
+
+
 @pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
 def test_commands_that_are_shown_exist(page):
     from cbsr_qa.cli.main import guarded
@@ -125,7 +150,7 @@ def test_commands_that_are_shown_exist(page):
         if words[0] != "cbsr-qa":
             continue
         group = [word for word in words[1:3] if re.fullmatch(r"[a-z]+", word)]
-        known = group[:2] if group[0] in ("calibration", "plugins", "db", "scene", "limits", "station") else group[:1]
+        known = group[:2] if group[0] in _GROUPS else group[:1]
         assert guarded([*known, "--help"]) == 0, command
 
 

@@ -5,6 +5,7 @@ import json
 import re
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
 from uuid import uuid4
 
 import pytest
@@ -12,6 +13,9 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from stored_runs import SETTING, calibration, identity, short_run
 
+from cbsr_qa.app.override import override_verdict
+from cbsr_qa.app.render import render_stored
+from cbsr_qa.app.run_sensor import RunRequest, run_sensor
 from cbsr_qa.domain.changes import NO_REASON, Difference, FileKind, differences
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.measurement import Limit, Measurement, Verdict
@@ -221,6 +225,21 @@ def test_nothing_a_verdict_rests_on_is_changed_or_removed(repository):
         begun(repository, recipe=recipe(5.0), end=EndReason.ABORTED)
     # The ends of two phases of two runs; the first calibration of a sensor supersedes none, the second one it.
     assert [words.split()[1] for words in seen] == [*["phases"] * 2, *["calibrations"] * 2, *["phases"] * 2]
+
+
+@pytest.mark.slow
+def test_a_whole_run_with_its_report_and_override_only_adds(url, tmp_path, monkeypatch):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path))
+    recipe_file = str(Path(__file__).parents[1] / "faults" / "two-frames.toml")
+    open_store(url).close()  # migrations have their own tests
+    with only_added() as seen:
+        for serial in ("S-1", "S-2"):
+            request = RunRequest(station="simulated", recipe=recipe_file, serial=serial, database=url)
+            outcome = run_sensor(request)
+        override_verdict(outcome.run, "fail", by="Zoë", why="so", database=url)
+        render_stored(outcome.run, database=url)
+    assert outcome.result.record.end is EndReason.FINISHED
+    assert {words.split()[1] for words in seen} == {"phases"}
 
 
 @pytest.mark.parametrize("statement", ["UPDATE analyses SET outcome = 'pass'", "DELETE FROM warnings"])
