@@ -187,7 +187,7 @@ def _metric(
         stations=tuple(_stations(model, figures, design.stations, terms)),
         maps={} if of_station else _maps(figures, table, grouping, design, terms),
         samples=_samples(figures, runs, known),
-        notes=_notes(model, figures, of_station=of_station),
+        notes=_notes(model, figures, table, of_station=of_station),
     )
 
 
@@ -270,15 +270,16 @@ def _samples(
     return tuple(found)
 
 
-def _notes(model: Fitted, figures: MetricFigures, *, of_station: bool) -> tuple[str, ...]:
+def _notes(model: Fitted, figures: MetricFigures, table: FleetTable, *, of_station: bool) -> tuple[str, ...]:
     notes = list(figures.warnings)
     notes += model.fit.notes if model.fit else ()
     if of_station:
         notes.append("what all places share counts against the station: stations are compared in it, groups are not")
-    if figures.key.name in _SHARES_PLACES:
-        notes.append(
-            f"it holds what all places share, which is the station's; {_SHARES_PLACES[figures.key.name]} is without"
-        )
+    without = _SHARES_PLACES.get(figures.key.name)
+    if without is not None:
+        measured = any(kind.key.name == without for kind in table.kinds)
+        also = f"; {without} is without" if measured else ""
+        notes.append(f"it holds what all places share, which is the station's{also}")
     return tuple(notes)
 
 

@@ -17,9 +17,10 @@ _ADJUSTED = {
 
 def headline(found: Comparison) -> str:
     """Return the comparison in one line."""
-    names = " and ".join(group.name for group in found.groups[:3])
-    if len(found.groups) > 3:
-        names = f"{len(found.groups)} {_groups(found)}"
+    every = [group.name for group in found.groups]
+    names = " and ".join(", ".join(part) for part in (every[:-1], every[-1:]) if part)
+    if len(every) > 3:
+        names = f"{len(every)} {_groups(found)}"
     if not found.compared:
         return f"{names}: nothing could be compared"
     tested = {m.figures.key for m in found.metrics if any(d.value is not None for d in m.differences)}
@@ -61,12 +62,12 @@ def rules(found: Comparison) -> list[str]:
 
 
 def difference_words(metric: MetricComparison, one: Difference) -> str:
-    """Say a difference: ``0.81 mm (0.62 to 1.00 mm)``."""
-    unit = metric.figures.unit
-    if one.value is None or one.interval is None:
-        return "cannot be told"
-    low, high = (number(end, 3) for end in (one.interval.low, one.interval.high))
-    return f"{_amount(one.value, unit)} ({low} to {_amount(one.interval.high, unit)})" if low != high else low
+    """Say on which side a difference lies, and how far: ``0.81 mm (0.62 to 1.00 mm) above``."""
+    assert one.value is not None
+    assert one.interval is not None
+    size = one.interval.scaled(-1) if one.value < 0 else one.interval
+    unit, side = metric.figures.unit, "below" if one.value < 0 else "above"
+    return f"{_amount(abs(one.value), unit)} ({number(size.low)} to {_amount(size.high, unit)}) {side}"
 
 
 def p_words(p_value: float | None) -> str:
@@ -94,11 +95,9 @@ def _each(found: Comparison) -> Iterator[tuple[MetricComparison, Difference]]:
 def _differences(found: Comparison) -> Iterator[str]:
     told = [(metric, one) for metric, one in _each(found) if significant(one, found)]
     for metric, one in sorted(told, key=lambda pair: (pair[1].p_adjusted or 0, -abs(pair[1].effect or 0))):
-        assert one.value is not None
-        side = "above" if one.value > 0 else "below"
-        size = f", {abs(one.effect):.2g} deviations of single sensors" if one.effect else ""
+        size = f", {number(abs(one.effect), 2)} deviations of single sensors" if one.effect else ""
         yield (
-            f"{metric.figures.key.label}: {one.group} lies {difference_words(metric, one)} {side} {one.reference}"
+            f"{metric.figures.key.label}: {one.group} lies {difference_words(metric, one)} {one.reference}"
             f"{size} ({p_words(one.p_adjusted)}), with the {_other(found)}' differences taken out."
         )
 
@@ -141,14 +140,17 @@ def _claims(found: Comparison) -> Iterator[str]:
 
 
 def _not_shown(found: Comparison) -> Iterator[str]:
-    names = dict.fromkeys(
-        metric.figures.key.label
-        for metric, one in _each(found)
-        if one.p_adjusted is not None and not significant(one, found)
-    )
+    """Name metrics in which no pair is shown to differ, and of the others the pairs that are not."""
+    names = []
+    for metric in found.metrics:
+        told = [one for one in metric.differences if one.p_adjusted is not None]
+        pairs = [f"{one.group} − {one.reference}" for one in told if not significant(one, found)]
+        if pairs:
+            some = "" if len(pairs) == len(told) else f" of {named(pairs)}"
+            names.append(f"{metric.figures.key.label}{some}")
     if names:
         yield (
-            f"Not shown to differ: {named(list(names), 8)}. That does not make them alike: state a margin (--margin) "
+            f"Not shown to differ: {named(names, 8)}. That does not make them alike: state a margin (--margin) "
             "to test for that."
         )
 
@@ -157,10 +159,8 @@ def _stations(found: Comparison) -> Iterator[str]:
     for metric in found.metrics:
         for one in metric.stations:
             if significant(one, found):
-                assert one.value is not None
-                side = "above" if one.value > 0 else "below"
                 yield (
-                    f"{metric.figures.key.label}: station {one.group} reads {difference_words(metric, one)} {side} "
+                    f"{metric.figures.key.label}: station {one.group} reads {difference_words(metric, one)} "
                     f"{one.reference} ({p_words(one.p_adjusted)})."
                 )
 

@@ -175,7 +175,7 @@ def test_what_all_places_share_counts_against_the_station(url):
     assert metric(made, "registration_shift")["difference"] is None
     (station,) = (s for s in made.document()["stations"] if s["name"] == "registration_shift")
     assert station["low"] < 1.0 < station["high"]
-    assert any("registered_centre_of_mass_error is without" in words for words in metric(made)["warnings"])
+    assert "it holds what all places share, which is the station's" in metric(made)["warnings"]
     assert metric(compared(url, By.STATION), "registration_shift")["difference"] == pytest.approx(1.0, abs=0.2)
 
 
@@ -358,3 +358,21 @@ def test_a_page_says_where_on_the_sheet_groups_differ(two, tmp_path):
     assert "station B reads" in html
     assert LIMITS[ERROR].upper == 6.5
     assert "Cpk" in html
+
+
+def test_sentences_say_on_which_side_and_which_pairs_are_not_shown_to_differ(two):
+    random = np.random.default_rng(4)
+    with open_store(two, durable=False) as store:
+        for number in range(8):
+            sensor = random.standard_normal(3)
+            for station, mm in (("A", BATCH_MM), ("B", BATCH_MM + STATION_MM)):
+                values = judged(moved(measured(random, sensor), mm))
+                store_run(store, f"T-{number}", values, batch="43", station=station)
+    made = compared(two, groups=("42", "41", "43"))
+    found = metric(made, group="41")
+    said = sentences(made.found)
+    low, high = (f"{-found[end]:.3f}" for end in ("high", "low"))
+    assert said[0].startswith(f"{ERROR} (nine locations): 41 lies {-found['difference']:.3f} mm ({low} to {high} mm)")
+    assert " below 42, " in said[0]
+    assert any(f"Not shown to differ: {ERROR} (nine locations) of 43 − 42, drift, noise_floor." in s for s in said)
+    assert headline(made.found) == "42, 41 and 43 differ in 1 of 3 metrics"
