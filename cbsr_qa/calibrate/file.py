@@ -71,11 +71,12 @@ def write_calibration(path: Path, calibration: Calibration) -> str:
     partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
     try:
         digest = content_digest(entries)
+        content = _in_memory(entries, digest)
         path.parent.mkdir(parents=True, exist_ok=True)
-        with h5py.File(partial, "x") as file:
-            _write(file, entries, digest)
-        with partial.open("rb") as written:
-            os.fsync(written.fileno())
+        with partial.open("xb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
         partial.replace(path)
     except OSError as error:
         raise CalibrationError(
@@ -88,6 +89,14 @@ def write_calibration(path: Path, calibration: Calibration) -> str:
         with suppress(OSError):
             partial.unlink()
     return digest
+
+
+def _in_memory(entries: Mapping[str, Entry], digest: str) -> bytes:
+    """Return the file's bytes: HDF5 itself is kept off the disk, since a full one makes it crash the program."""
+    with h5py.File("calibration.h5", "w", driver="core", backing_store=False) as file:
+        _write(file, entries, digest)
+        file.flush()
+        return bytes(file.id.get_file_image())
 
 
 def read_calibration(path: Path) -> Calibration:

@@ -2,6 +2,9 @@
 
 import hashlib
 import os
+import subprocess
+import sys
+import textwrap
 from dataclasses import replace
 from pathlib import Path
 
@@ -489,4 +492,32 @@ def test_a_folder_that_is_a_file_is_refused(tmp_path):
 def test_a_text_that_hdf5_cannot_hold_is_refused(tmp_path):
     with pytest.raises(CalibrationError, match="cannot be written"):
         write_calibration(tmp_path / "x.h5", replace(sample_calibration(), run="a\0b"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_without_room_for_it_is_said_and_leaves_nothing(tmp_path):
+    """In a process of its own, whose files may not grow: HDF5 used to crash it where it could not close its file."""
+    code = """
+    import resource, sys
+    from pathlib import Path
+    from calibration_samples import sample_calibration
+    from cbsr_qa.calibrate.file import write_calibration
+    from cbsr_qa.domain.errors import CalibrationError
+    calibration = sample_calibration()
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+    try:
+        write_calibration(Path(sys.argv[1]), calibration)
+    except CalibrationError as error:
+        sys.stdout.write(error.reason)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / "c.h5")],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "c.h5 cannot be written: File too large" in done.stdout
     assert list(tmp_path.iterdir()) == []
