@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from cbsr_qa.app.charting import RULES, Charted, charts_of, standard_of, standing
 from cbsr_qa.app.charts_document import charts_document
-from cbsr_qa.app.figure_series import Series, clock_notes, named, series_of, software_note
+from cbsr_qa.app.figure_series import Series, clock_notes, named, recipe_note, series_of, software_note
 from cbsr_qa.clock import RealClock
 from cbsr_qa.config.echo import echo
 from cbsr_qa.config.paths import database_url
@@ -140,7 +140,7 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
     with open_store(database_url(database), create=False) as store:
         lines, recipe = _runs(store, request)
         notes = (*clock_notes(lines), *filter(None, [store.from_the_future()]))
-        notes += software_note(store.software_of(lines))
+        notes += software_note(store.software_of(lines)) + recipe_note(store, lines)
         if request.period is None:
             charts = _against_stored(store, request, recipe, lines)
         else:

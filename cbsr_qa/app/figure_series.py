@@ -8,9 +8,11 @@ from difflib import get_close_matches
 from itertools import pairwise
 from typing import Final, TypeVar
 
+from cbsr_qa.app.golden_lot import measuring_digest
 from cbsr_qa.config.echo import echo
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.run_figures import MetricKey, RunFigure, RunLine
+from cbsr_qa.store.repository import Repository
 
 _T = TypeVar("_T")
 
@@ -91,6 +93,17 @@ def software_note(versions: Mapping[str, str]) -> tuple[str, ...]:
         return ()
     said = ", ".join(f"{version} ({count} runs)" for version, count in sorted(counts.items()))
     return (f"the runs were analysed with several versions of cbsr-qa: {said}; a change may be the software's",)
+
+
+def recipe_note(store: Repository, lines: Sequence[RunLine]) -> tuple[str, ...]:
+    """Say where the first and the last of some runs were not measured alike, though their recipe has one name."""
+    first, last = lines[0], lines[-1]
+    if measuring_digest(store.configuration(first.run)) == measuring_digest(store.configuration(last.run)):
+        return ()
+    return (
+        f"recipe {last.recipe}, sensor type, material or head was not the same at the first ({first.run}) and the "
+        f"last ({last.run}) of these runs; a change may be theirs",
+    )
 
 
 def named(names: Sequence[str]) -> str:

@@ -6,7 +6,7 @@ from datetime import UTC, date
 from difflib import get_close_matches
 from typing import Any
 
-from cbsr_qa.app.figure_series import Series, clock_notes, named, series_of, software_note
+from cbsr_qa.app.figure_series import Series, clock_notes, named, recipe_note, series_of, software_note
 from cbsr_qa.app.gauge_document import gauge_document
 from cbsr_qa.app.gauge_references import AgainstReferences, ReferenceValue, against_references
 from cbsr_qa.config.echo import echo
@@ -124,7 +124,7 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> Gauge:
         lines, notes = _chosen(store, request)
         figures = store.run_figures(lines, request.metrics, by_location=request.by_location)
         known = figures if figures or not request.metrics else store.run_figures(lines)
-        notes += software_note(store.software_of(lines))
+        notes += software_note(store.software_of(lines)) + recipe_note(store, lines)
         simulated = bool(store.identity(lines[-1].run).simulated)
     if request.by_location and figures:
         known = figures = tuple(figure for figure in figures if figure.key.location)
