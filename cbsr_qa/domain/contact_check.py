@@ -55,8 +55,8 @@ class ContactFault:
             who = f"pin{'' if len(self.pins) == 1 else 's'} {_listed(self.pins, 'or')} {self.state}"
         plural = len(self.pairs) > 1
         pairs = _listed([f"{a}-{b}" for a, b in self.pairs], "and")
-        # Alike is said once: "pairs 6-7 and 7-8 read more than the source can drive".
-        read = _listed(list(dict.fromkeys(_shown(ohm) for ohm in self.ohm)), "and")
+        # That none could be driven is said once for all of them.
+        read = _listed([_shown(ohm) for ohm in (self.ohm if np.isfinite(self.ohm).any() else self.ohm[:1])], "and")
         said = f"{who}: pair{'s' if plural else ''} {pairs} read{'' if plural else 's'} {read}"
         return said + (f", the median pair {_shown(self.median_ohm)}" if np.isfinite(self.median_ohm) else "")
 
