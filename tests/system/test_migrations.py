@@ -12,7 +12,7 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.store import change_tables, check_tables, schema
+from cbsr_qa.store import change_tables, chart_tables, check_tables, schema
 from cbsr_qa.store.engine import open_engine, parsed_url, reading, writing
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_tables import Base
@@ -112,7 +112,7 @@ def test_data_survive_every_step_up_and_down(engine):
     schema.downgrade(engine, "0001")
     assert content(engine) == before
     schema.upgrade(engine)
-    concluded |= {"calibration_forces", *CHECKS, *CHANGES, "chart_references"}
+    concluded |= {"calibration_forces", *CHECKS, *CHANGES, chart_tables.ChartReferenceRow.__tablename__}
     # Eased, notes; operator, software and time of a session.
     later = {
         name: [(*row, *[None] * columns) for row in before[name]]
