@@ -14,7 +14,7 @@ from cbsr_qa.config.echo import echo
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.config.serials import validate_operator
 from cbsr_qa.domain.errors import NumericsError, RefusedError
-from cbsr_qa.domain.run_figures import RunLine
+from cbsr_qa.domain.run_figures import MetricKey, RunFigure, RunLine
 from cbsr_qa.domain.station_charts import ChartKind, ChartReference, ChartSettings, StandingSignal
 from cbsr_qa.stats.control_charts import Standard
 from cbsr_qa.stats.range_constants import MOST
@@ -232,12 +232,16 @@ def _against_stored(
             f"no reference period is stored{of} for recipe {recipe} on station {request.station}",
             remedy="store one with --reference-runs N or --reference-until DATE, and --operator",
         )
+    since = min(one.first_run for one in found)
+    by_key: dict[MetricKey, list[RunFigure]] = {}
+    for by_location in sorted({bool(one.key.location) for one in found}):
+        names = sorted({one.key.name for one in found if bool(one.key.location) == by_location})
+        for figure in store.run_figures([x for x in lines if x.run >= since], names, by_location=by_location):
+            by_key.setdefault(figure.key, []).append(figure)
     charts: list[MetricChart] = []
     for one in found:
         own = [line for line in lines if line.run >= one.first_run]
-        figures = store.run_figures(own, [one.key.name], by_location=bool(one.key.location))
-        series = [s for s in series_of(own, figures, [one.key.name]) if s.key == one.key]
-        charts += [_chart(s, one) for s in series]
+        charts += [_chart(series, one) for series in series_of(own, by_key.get(one.key, ()), [one.key.name])]
     return tuple(charts)
 
 

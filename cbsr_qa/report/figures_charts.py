@@ -15,7 +15,7 @@ from cbsr_qa.report.svg import drawn
 from cbsr_qa.stats.control_charts import Chart
 
 #: Points that are drawn; of longer charts only the latest.
-MOST_POINTS = 1000
+MOST_POINTS = 400
 
 
 @dataclass(frozen=True, slots=True, eq=False)
