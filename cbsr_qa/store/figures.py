@@ -1,10 +1,10 @@
 """Figures of many runs at once, read by sets: which runs, and the metrics of their latest analyses."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-from sqlalchemy import Engine, Select, case, func, select
+from sqlalchemy import Engine, Select, case, func, literal, select
 
 from cbsr_qa.domain.measurement import Bound
 from cbsr_qa.domain.run_figures import MetricKey, RunFigure, RunLine
@@ -58,10 +58,11 @@ def run_figures(
     """
     runs = {line.analysis: line.run for line in lines}
     found: list[RunFigure] = []
+    keys: dict[tuple[str, ...], MetricKey] = {}
     with reading(engine) as connection:
         for some in _portions(list(runs)):
             rows = connection.execute(_figures_query(some, names, by_location))
-            found += [_figure(runs[row.analysis], row) for row in rows]
+            found += [_figure(runs, keys, row) for row in rows]
     return tuple(found)
 
 
@@ -109,24 +110,20 @@ def _figures_query(analyses: Sequence[str], names: Sequence[str], by_location: b
         func.max(row.lower_limit).label("lower"),
         func.min(row.upper_limit).label("upper"),
     )
-    query = select(*key, *taken).where(row.analysis.in_(analyses)).group_by(*key).order_by(*key)
+    location = row.location if by_location else literal("")
+    query = select(*key[:5], location, *taken).where(row.analysis.in_(analyses)).group_by(*key).order_by(*key)
     # As an expression, so that no database walks the index of names: it goes through every run there is.
     return query.where(row.name.concat("").in_(names)) if names else query
 
 
-def _figure(run: str, row: Any) -> RunFigure:
-    missing, bounded = row.places - row.valued, int(row.bounded)
-    return RunFigure(
-        run=run,
-        key=MetricKey(row.name, row.phase, row.qualifier, getattr(row, "location", "")),
-        unit=row.unit,
-        value=None if missing or bounded else float(row.mean),
-        places=row.places,
-        missing=missing,
-        bounded=bounded,
-        lower=row.lower,
-        upper=row.upper,
-    )
+def _figure(runs: Mapping[str, str], keys: dict[tuple[str, ...], MetricKey], row: Any) -> RunFigure:
+    # Taken apart at once: columns by their names take three times as long, and there are many rows.
+    analysis, name, phase, qualifier, unit, location, mean, places, valued, bounded, lower, upper = row
+    named = (name, phase, qualifier, location)
+    key = keys.get(named) or keys.setdefault(named, MetricKey(*named))
+    missing, bounded = places - valued, int(bounded)
+    value = None if missing or bounded else float(mean)
+    return RunFigure(runs[analysis], key, unit, value, places, missing, bounded, lower, upper)
 
 
 def _portions(names: list[str]) -> Iterator[list[str]]:
