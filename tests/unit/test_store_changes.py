@@ -160,12 +160,13 @@ def test_a_resumed_run_notes_its_changes_once(repository):
 
 
 def test_a_history_begins_after_the_last_run_that_passed(repository):
-    judged(repository, begun(repository, recipe=recipe(7.0)))
+    begun(repository, recipe=recipe(8.0))
+    accepted = begun(repository, recipe=recipe(7.0))
+    judged(repository, accepted)
     judged(repository, begun(repository, recipe=recipe(6.0)), Outcome.FAIL)
     failed = begun(repository, recipe=recipe(5.0))
     judged(repository, failed)
     judged(repository, failed, Outcome.FAIL)  # its latest analysis holds
-    accepted = repository.changes()[0].earlier_run
     last = begun(repository, recipe=recipe(4.0))
     begun(repository, recipe=recipe(3.0))
     history = repository.change_history(repository.load_run(last))
