@@ -1,10 +1,13 @@
 """Noncentrality of Student's t from an observed value: what exact intervals of standardised quantities invert."""
 
+from functools import lru_cache
 from math import isnan, sqrt
 from typing import Final
 
 import numpy as np
 from scipy import optimize, special, stats
+
+from cbsr_qa.stats.worst_value import FloatArray
 
 #: Beyond it the normal part of a noncentral t is nothing beside its χ part (1e-8), and its series no longer converge.
 _LARGE = 1e4
@@ -50,8 +53,15 @@ def integrated(t: float, freedom: float, delta: float) -> float:
     It is slower than scipy's series, which gives no number for some large ν and |δ|.
     """
     ends = np.sqrt(np.array([stats.chi2.ppf(_TAIL, freedom), stats.chi2.isf(_TAIL, freedom)]) / freedom)
-    nodes, weights = special.roots_legendre(_NODES)
+    nodes, weights = _legendre()
     half = 0.5 * (ends[1] - ends[0])
     s = ends[0] + half * (1 + nodes)
     density = 2 * freedom * s * stats.chi2.pdf(freedom * s**2, freedom)
     return float(np.sum(half * weights * density * special.ndtr(t * s - delta)))
+
+
+@lru_cache(maxsize=1)
+def _legendre() -> tuple[FloatArray, FloatArray]:
+    """Nodes and weights of Gauss and Legendre between −1 and 1, found once."""
+    nodes, weights = special.roots_legendre(_NODES)
+    return nodes, weights

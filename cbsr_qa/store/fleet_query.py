@@ -1,4 +1,4 @@
-"""The runs of a fleet with the figures of their latest analyses: three queries, whatever the number of runs."""
+"""The runs of a fleet with the values of their latest analyses: five queries, whatever the number of runs."""
 
 from array import array
 from collections import defaultdict
@@ -7,7 +7,7 @@ from datetime import UTC, date, datetime, time, timedelta
 from typing import Any, Final
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Engine, Executable, Subquery, func, or_, select
+from sqlalchemy import ColumnElement, Connection, Engine, Executable, Row, Select, or_, select
 
 from cbsr_qa.domain.fleet import FleetRun, FleetTable, Kind, MetricKey, State
 from cbsr_qa.domain.measurement import Bound
@@ -82,17 +82,16 @@ def _midnight(day: date) -> datetime:
     return datetime.combine(day, time(), UTC)
 
 
-def _latest() -> Subquery:
-    """The latest analysis of each run."""
-    return (
-        select(AnalysisRow.run, func.max(AnalysisRow.analysis).label("analysis")).group_by(AnalysisRow.run).subquery()
-    )
-
-
 def _runs(connection: Connection, chosen: list[ColumnElement[bool]]) -> tuple[list[FleetRun], dict[str, int]]:
-    """Runs in order, and the place of each analysis among them."""
-    last = select(RunStateRow.run, func.max(RunStateRow.number).label("number")).group_by(RunStateRow.run).subquery()
-    latest = _latest()
+    """Runs in order, and the place of each latest analysis among them.
+
+    States and analyses are put to their runs here: a database that has no statistics of its tables yet may join them
+    by counting every analysis again for every run.
+    """
+    ends = _latest_of(connection, select(RunStateRow.run, RunStateRow.end).order_by(RunStateRow.number), chosen)
+    a = AnalysisRow
+    analysed = select(a.run, a.analysis, a.outcome, a.software).order_by(a.analysis)
+    analyses = _latest_of(connection, analysed, chosen)
     query = (
         select(
             RunRow.run,
@@ -103,15 +102,7 @@ def _runs(connection: Connection, chosen: list[ColumnElement[bool]]) -> tuple[li
             RunRow.recipe,
             RunRow.started_at,
             RunRow.simulated,
-            RunStateRow.end,
-            AnalysisRow.analysis,
-            AnalysisRow.outcome,
-            AnalysisRow.software,
         )
-        .join(last, last.c.run == RunRow.run)
-        .join(RunStateRow, (RunStateRow.run == last.c.run) & (RunStateRow.number == last.c.number))
-        .outerjoin(latest, latest.c.run == RunRow.run)
-        .outerjoin(AnalysisRow, AnalysisRow.analysis == latest.c.analysis)
         .where(*chosen)
         .order_by(RunRow.run)
     )
@@ -119,31 +110,48 @@ def _runs(connection: Connection, chosen: list[ColumnElement[bool]]) -> tuple[li
     places: dict[str, int] = {}
     shared: dict[Any, Any] = {}  # tens of thousands of runs name the same few versions
     for row in connection.execute(query.execution_options(yield_per=_AT_ONCE)):
-        if row.analysis is not None:
-            places[row.analysis] = len(runs)
-        software = tuple((name, version) for name, version in row.software or ())
-        simulated = tuple(row.simulated)
-        runs.append(
-            FleetRun(
-                run=row.run,
-                serial=row.serial,
-                batch=shared.setdefault(row.batch, row.batch),
-                material=shared.setdefault(row.material, row.material) or "",
-                station=shared.setdefault(row.station, row.station),
-                recipe=shared.setdefault(row.recipe, row.recipe),
-                started_at=row.started_at,
-                made_at=made_at(row.run),
-                finished=row.end == EndReason.FINISHED,
-                outcome=None if row.outcome is None else Outcome(row.outcome),
-                software=shared.setdefault(software, software),
-                simulated=shared.setdefault(simulated, simulated),
-            )
-        )
+        analysis = analyses.get(row.run)
+        if analysis is not None:
+            places[analysis.analysis] = len(runs)
+        runs.append(_run(row, ends.get(row.run), analysis, shared))
     return runs, places
 
 
+def _latest_of(
+    connection: Connection, query: Select[*tuple[Any, ...]], chosen: list[ColumnElement[bool]]
+) -> dict[str, Row[*tuple[Any, ...]]]:
+    """The last row of each run, of rows in their order."""
+    if chosen:
+        query = query.where(query.selected_columns.run.in_(select(RunRow.run).where(*chosen)))
+    return {row.run: row for row in connection.execute(query.execution_options(yield_per=_AT_ONCE))}
+
+
+def _run(
+    row: Row[*tuple[Any, ...]],
+    end: Row[*tuple[Any, ...]] | None,
+    analysis: Row[*tuple[Any, ...]] | None,
+    shared: dict[Any, Any],
+) -> FleetRun:
+    software = () if analysis is None else tuple((name, version) for name, version in analysis.software)
+    simulated = tuple(row.simulated)
+    return FleetRun(
+        run=row.run,
+        serial=row.serial,
+        batch=shared.setdefault(row.batch, row.batch),
+        material=shared.setdefault(row.material, row.material) or "",
+        station=shared.setdefault(row.station, row.station),
+        recipe=shared.setdefault(row.recipe, row.recipe),
+        started_at=row.started_at,
+        made_at=made_at(row.run),
+        finished=end is not None and end.end == EndReason.FINISHED,
+        outcome=None if analysis is None else Outcome(analysis.outcome),
+        software=shared.setdefault(software, software),
+        simulated=shared.setdefault(simulated, simulated),
+    )
+
+
 def _measured(chosen: list[ColumnElement[bool]], names: Sequence[str]) -> Executable:
-    m, latest = MeasurementRow, _latest()
+    m = MeasurementRow
     query = select(
         m.analysis,
         m.value,
@@ -156,9 +164,10 @@ def _measured(chosen: list[ColumnElement[bool]], names: Sequence[str]) -> Execut
         m.location,
         m.lower_limit,
         m.upper_limit,
-    ).join(latest, latest.c.analysis == m.analysis)
+    )
     if chosen:
-        query = query.join(RunRow, RunRow.run == latest.c.run).where(*chosen)
+        analysed = select(AnalysisRow.analysis).join(RunRow, RunRow.run == AnalysisRow.run).where(*chosen)
+        query = query.where(m.analysis.in_(analysed))
     if names:
         query = query.where(or_(m.name.in_(names), m.outcome.in_(list(_BAD))))
     return query
@@ -179,7 +188,7 @@ def _values(
         kind.extend(map(kinds.__getitem__, zip(*what, strict=True)))
         value.frombytes(np.array(number, dtype=np.float64).tobytes())
         state.extend(map(_STATES.__getitem__, zip(outcome, bound, strict=True)))
-    # An analysis that was stored while this was read belongs to no run that was listed.
+    # Left out are earlier analyses of a run, and those that were stored while this was read.
     runs = np.frombuffer(run, dtype=np.int32) if run else np.zeros(0, np.int32)
     listed = runs >= 0
     columns = (
