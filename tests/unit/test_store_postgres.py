@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 from calibration_samples import assert_same, sample_force
-from stored_lots import measured, store_run
+from stored_lots import judged, measured, store_run
 from stored_runs import calibration, frames, identity, journalled, record, short_run
 
 from cbsr_qa.app.database import database_status
@@ -140,3 +140,21 @@ def test_figures_of_many_runs_and_references_of_charts_are_those_of_sqlite(repos
     assert [row[:2] for row in told[0]] == [row[:2] for row in told[1]]
     assert [row[2] for row in told[0]] == pytest.approx([row[2] for row in told[1]], rel=1e-14)
     assert [row[3:] for row in told[0]] == [row[3:] for row in told[1]]
+
+
+def test_a_fleet_is_read_as_it_was_stored(repository):
+    random = np.random.default_rng(17)
+    told = {}
+    for number in range(4):
+        values = judged(measured(random, random.standard_normal(3)))
+        run = store_run(repository, f"F-{number}", values, batch="F", recipe="fleet", day=number)
+        told[run] = [m.value for m in values]
+    day = datetime(2026, 11, 22, tzinfo=UTC).date()
+    table = repository.fleet(recipe="fleet", since=day, until=day + timedelta(days=1))
+    assert [run.serial for run in table.runs] == ["F-1", "F-2"]
+    assert {(run.material, run.finished, run.batch) for run in table.runs} == {("cbsr-8wt", True, "F")}
+    for place, run in enumerate(table.runs):
+        assert sorted(table.value[table.run == place]) == sorted(told[run.run])
+    few = repository.fleet(recipe="fleet", names=("drift",))
+    assert {table_kind.key.name for table_kind in few.kinds} == {"drift"}
+    assert "drift" in repository.metric_names()
