@@ -102,5 +102,5 @@ class RunResult:
     characterisation: Characterisation | None = None
     station_check: StationCheck | None = None
     station_charts: StationCharts | None = None
-    history: ChangeHistory = ChangeHistory()
+    history: ChangeHistory = field(default_factory=ChangeHistory)
     overrides: tuple[VerdictOverride, ...] = ()

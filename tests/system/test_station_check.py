@@ -149,9 +149,7 @@ def test_a_golden_sensor_is_run_and_held_against_its_history(check, tmp_path):
 
 
 def test_words_fit_the_terminal_and_name_what_to_do(tmp_path, capsys):
-    assert (
-        guarded(["station", "check", faulty(tmp_path, 'name = "reading-offset"\noffset_V = 0.004')]) == 1
-    )
+    assert guarded(["station", "check", faulty(tmp_path, 'name = "reading-offset"\noffset_V = 0.004')]) == 1
     said = capsys.readouterr().out.splitlines()
     assert "FAILED: 1 failed, 0 warnings, 10 lines" in said
     assert any("what to do: zero the meter" in line for line in said)
