@@ -36,7 +36,7 @@ class MemoryJournal:
         self._events.append(event)
 
     def record(self, identity: RunIdentity, ended: RunEnded) -> RunRecord:
-        """Return the run as the database would give it back."""
+        """Return the run as the database would give it back, but for its sessions."""
         ends = {event.index: event.time_s for event in self._events if isinstance(event, PhaseFinished)}
         started = [event for event in self._events if isinstance(event, PhaseStarted)]
         phases = tuple(self._phase(event, ends.get(event.index, ended.time_s)) for event in started)
