@@ -10,6 +10,7 @@ import struct
 import termios
 import threading
 import tty
+from abc import ABC, abstractmethod
 from contextlib import suppress
 from typing import Final, Protocol, runtime_checkable
 
@@ -43,7 +44,7 @@ class FreeRunning(Served, Protocol):
         ...
 
 
-class Port:
+class Port(ABC):
     """Serves one emulated instrument in a thread of its own until it is closed.
 
     Parameters
@@ -68,17 +69,17 @@ class Port:
         self._thread = threading.Thread(target=self._run, args=(instrument,), name=self._name, daemon=True)
         self._thread.start()
 
+    @abstractmethod
     def send(self, data: bytes) -> None:
         """Send what nobody asked for; bytes for which there is no room are lost, as on a real line."""
-        raise NotImplementedError
 
     def unread(self) -> int:
         """How many bytes were sent that no driver has read yet; 0 where nobody can tell."""
         return 0
 
+    @abstractmethod
     def hang_up(self) -> None:
         """Take the link down, as a pulled cable does."""
-        raise NotImplementedError
 
     def close(self) -> None:
         """End the thread and give everything back."""
@@ -95,8 +96,9 @@ class Port:
             with suppress(OSError):
                 self.hang_up()
 
+    @abstractmethod
     def _serve(self, instrument: Served) -> None:
-        raise NotImplementedError
+        """Take what comes, and send the answers, until it is over."""
 
     def _answered(self, instrument: Served, data: bytes) -> bytes | None:
         """Return the answer to what came, after the fault it met; None where the link is to hang up."""

@@ -245,7 +245,7 @@ class Esp32Multiplexer:
                 yield
             except InstrumentError as error:
                 # Also a line that hung up may be tried again: by then it may be plugged in again.
-                raise self._again(error, retryable=error.retryable or "link is down" in error.reason) from error
+                raise self._again(error, retryable=error.retryable or self._link.down) from error
             self._in_step = True
 
     def _recover(self) -> None:
