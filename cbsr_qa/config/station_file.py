@@ -77,6 +77,7 @@ class MotionTable(Table):
     press_speed_mm_per_min: Positive = 40.0
     travel_speed_mm_per_min: Positive
     hover_mm: Positive
+    homing_s: Positive | None = None
 
 
 class SafetyTable(Table):
@@ -226,6 +227,7 @@ class StationFile(FileModel[Station]):
                 press_speed_mm_s=self.motion.press_speed_mm_per_min / 60,
                 travel_speed_mm_s=self.motion.travel_speed_mm_per_min / 60,
                 hover_mm=self.motion.hover_mm,
+                homing_s=self.motion.homing_s,
             ),
             safety=self.safety.to_domain(),
             instruments=tuple(

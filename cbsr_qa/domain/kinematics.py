@@ -26,7 +26,9 @@ def travel_s(motion: Motion, distance_mm: float) -> float:
 
 
 def homing_s(motion: Motion, reach_mm: float) -> float:
-    """Time to find the zero of all axes from wherever the head is within its reach [s]: up, and across."""
+    """Time to find the zero of all axes [s]: the station's own, or up and across from the end of the head's reach."""
+    if motion.homing_s is not None:
+        return motion.homing_s
     return travel_s(motion, motion.hover_mm + reach_mm)
 
 

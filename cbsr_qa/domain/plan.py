@@ -69,11 +69,13 @@ class Motion:
     ----------
     press_speed_mm_s : 40 mm/min in the paper.
     travel_speed_mm_s, hover_mm : between places, and how high above the sheet.
+    homing_s : how long the machine takes to find the zero of its axes; None where it goes there at its travel speed.
     """
 
     press_speed_mm_s: float
     travel_speed_mm_s: float
     hover_mm: float
+    homing_s: float | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -325,6 +325,18 @@ def test_another_instrument_at_the_address_is_refused_by_name():
     port.close()
 
 
+def test_another_unit_of_the_series_that_comes_back_in_its_place_is_refused(hasty, monkeypatch):
+    meter = hasty.open_meter()
+    monkeypatch.setattr(source_meter, "_IDENTITY", "Keithley Instruments Inc., Model 2636B, 7, 3.2.2")
+    meter.source(1e-4)
+    hasty.arm("meter", Fault.GARBLE)
+    with pytest.raises(InstrumentError):
+        meter.measure()
+    with pytest.raises(InstrumentError, match=r"was Model 2634B 4123456 .* now Model 2636B 7 answers"):
+        meter.source(1e-4)
+    assert hasty.rig.wiring.current_A is None
+
+
 def test_an_instrument_that_is_switched_off_is_refused():
     with pytest.raises(InstrumentError, match="nothing listens there"):
         open_source_meter(context(address="TCPIP::127.0.0.1::1::SOCKET", timeout_s=0.1))

@@ -24,6 +24,7 @@ class TspUnit:
     def __init__(self, link: VisaLink) -> None:
         self._link = link
         self._words = itertools.count(1)
+        self._known: tuple[str, str] | None = None
 
     def write(self, line: str) -> None:
         """Send a line that has no answer."""
@@ -68,6 +69,26 @@ class TspUnit:
                 remedy="mend the address in the station file",
             )
         return parts[0], parts[1], parts[2], parts[3]
+
+    def recognise(self) -> None:
+        """Make sure that it is the unit it was when it was first asked: another one is not the record's.
+
+        Raises
+        ------
+        InstrumentError
+            If it is another unit, or none of the series.
+        """
+        _, *found, _ = self.identity()
+        if self._known not in (None, tuple(found)):  # a garbled answer names another unit too: ask again
+            _, *found, _ = self.identity()
+        model, serial = found
+        if self._known not in (None, (model, serial)):
+            known = " ".join(map(str, self._known or ()))
+            raise self.error(
+                f"it was {known} when the station was opened; now {model} {serial} answers",
+                remedy="connect the same unit again, or start a new run",
+            )
+        self._known = (model, serial)
 
     def numbers(self, *names: str) -> tuple[float, ...]:
         """Ask for attributes, or what functions return."""

@@ -286,7 +286,7 @@ class Keithley2600:
         self._given_A = None
         self._unit.recover()
         self._switch_off()
-        self._unit.identity()
+        self._unit.recognise()
         for line in settings(
             self._source,
             self._meter,
