@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from cbsr_qa.app.gauge_references import AgainstReferences
+from cbsr_qa.app.gauge_request import StudySource
 from cbsr_qa.stats.contrast import Contrast
 from cbsr_qa.stats.gauge_anova import GaugeAnova
 from cbsr_qa.stats.gauge_study import Variance, Variation
@@ -18,16 +19,26 @@ def gauge_document(found: "Gauge") -> dict[str, Any]:
     """Return everything for ``--json``."""
     request = found.request
     return {
+        "study": _study(request.source),
         "appraiser": request.appraiser,
         "confidence": request.confidence,
+        "since": None if request.since is None else str(request.since),
+        "until": None if request.until is None else str(request.until),
+        "by_location": request.by_location,
+        "largest_balanced": request.largest_balanced,
         "recipe": found.runs[0].recipe,
         "sensors": list(found.sensors()),
+        "stations": sorted({line.station for line in found.runs}),
         "appraisers": list(found.appraisers()),
         "runs": [line.run for line in found.runs],
         "simulated": found.simulated,
         "notes": list(found.notes),
         "metrics": [_metric(one, request.confidence) for one in found.metrics],
     }
+
+
+def _study(source: StudySource | None) -> dict[str, str] | None:
+    return None if source is None else {"name": source.name, "file": source.file, "sha256": source.sha256}
 
 
 def interval_document(interval: Interval | None) -> list[float | None] | None:
@@ -59,7 +70,8 @@ def _metric(one: "MetricGauge", confidence: float) -> dict[str, Any]:
         "location": key.location,
         "lower": series.lower,
         "upper": series.upper,
-        "tolerance": series.tolerance,
+        "tolerance": one.tolerance,
+        "tolerance_of": one.tolerance_of or None,
         "runs": len(series.values),
         "missing": list(one.missing),
         "notes": list(one.notes),
@@ -139,6 +151,7 @@ def _against(found: AgainstReferences, confidence: float) -> dict[str, Any]:
             {
                 "serial": one.reference.serial,
                 "reference": one.reference.value,
+                "unit": found.unit,
                 "uncertainty": one.reference.uncertainty,
                 "appraiser": one.appraiser,
                 "runs": one.count,

@@ -11,7 +11,9 @@ from cbsr_qa.app.gauge_words import (
     listed,
     metric_words,
     percent,
+    period_words,
     reference_words,
+    source_words,
     study_words,
 )
 from cbsr_qa.domain.report import Block, Paragraph, Section, Table
@@ -61,11 +63,15 @@ def _head(found: Gauge) -> Page:
             tone, symbol, whole, f"of {worst.series.key.label}, of {plural(len(studied), 'metric')} studied"
         )
     request = found.request
+    source = (("Study", source_words(request.source)),) if request.source else ()
+    period = (("Period", words),) if (words := period_words(request.since, request.until)) else ()
     facts = (
+        *source,
         ("Recipe", found.runs[0].recipe),
         ("Sensors", str(len(found.sensors()))),
         (f"{request.appraiser.capitalize()}s", ", ".join(found.appraisers())),
         ("Runs", str(len(found.runs))),
+        *period,
         ("Confidence of intervals", f"{100 * request.confidence:g} %"),
     )
     simulated = ("the runs of this study",) if found.simulated else ()

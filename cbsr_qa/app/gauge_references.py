@@ -19,7 +19,10 @@ from cbsr_qa.domain.run_figures import RunLine
 from cbsr_qa.stats.contrast import Contrast
 from cbsr_qa.stats.gauge_reference import Linearity, Stability, bias, linearity, stability
 
-_GIVEN = re.compile(r"(?P<serial>.+)\.(?P<metric>[a-z][a-z0-9_]*)=(?P<value>[^±]+?)(?:(?:±|\+/?-)(?P<u>[^±]+))?")
+_GIVEN = re.compile(
+    r"(?P<serial>.+)\.(?P<metric>[a-z][a-z0-9_]*)=(?P<value>[^±\s]+?)\s*"
+    r"(?:(?:±|\+/?-)\s*(?P<u>[^±\s]+))?(?:\s+(?P<unit>\S{1,16}))?"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,13 +31,15 @@ class ReferenceValue:
 
     Parameters
     ----------
-    value, uncertainty : in the metric's unit; one standard deviation, 0 where none was stated.
+    value, uncertainty : in ``unit``; one standard deviation, 0 where none was stated.
+    unit : must be the metric's; empty where an option left it out, which means the metric's (sentences name it).
     """
 
     serial: str
     metric: str
     value: float
     uncertainty: float = 0.0
+    unit: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +69,11 @@ class AgainstReferences:
 
     Parameters
     ----------
+    unit : of the metric, and of its reference values.
     linearity : over all references and appraisers; None where ``linearity_why`` says why.
     """
 
+    unit: str
     biases: tuple[BiasLine, ...]
     linearity: Linearity | None
     linearity_why: str
@@ -76,26 +83,31 @@ class AgainstReferences:
 _Name = Annotated[str, Field(min_length=1, max_length=64)]
 
 
-class _Reference(Table):
+class ReferenceTable(Table):
     """``[[reference]]``: the value of one metric of one golden sensor, in the metric's unit."""
 
     serial: _Name
     metric: _Name
+    unit: Annotated[str, Field(min_length=1, max_length=16)]
     value: float
     uncertainty: Annotated[float, Field(ge=0)] = 0.0
+
+    def to_domain(self) -> ReferenceValue:
+        """Return the reference value."""
+        return ReferenceValue(self.serial, self.metric, self.value, self.uncertainty, self.unit)
 
 
 class _ReferenceFile(FileModel[tuple[ReferenceValue, ...]]):
     """A file of reference values."""
 
-    reference: Annotated[list[_Reference], Field(min_length=1)]
+    reference: Annotated[list[ReferenceTable], Field(min_length=1)]
 
     def to_domain(self) -> tuple[ReferenceValue, ...]:
-        return tuple(ReferenceValue(one.serial, one.metric, one.value, one.uncertainty) for one in self.reference)
+        return tuple(one.to_domain() for one in self.reference)
 
 
 def references_of(given: Sequence[str]) -> tuple[ReferenceValue, ...]:
-    """Read reference values: ``SERIAL.METRIC=VALUE±U``, or names of TOML files.
+    """Read reference values: ``SERIAL.METRIC=VALUE±U UNIT``, or names of TOML files.
 
     Raises
     ------
@@ -119,7 +131,9 @@ def _of_file(name: str) -> tuple[ReferenceValue, ...]:
 
 
 def _of_text(text: str) -> ReferenceValue:
-    remedy = "write SERIAL.METRIC=VALUE±UNCERTAINTY, e.g. G-01.noise_floor=0.0061±0.0001, or name a .toml file"
+    remedy = (
+        "write 'SERIAL.METRIC=VALUE±UNCERTAINTY UNIT', e.g. 'G-01.force_gain=10.6±0.02 N/V', or name a .toml file"
+    )
     found = _GIVEN.fullmatch(text.strip())
     if found is None:
         raise RefusedError(f"--reference {echo(text)} cannot be read", remedy=remedy)
@@ -131,7 +145,7 @@ def _of_text(text: str) -> ReferenceValue:
         raise RefusedError(
             f"--reference {echo(text)}: allowed are finite values, uncertainties from 0", remedy=remedy
         )
-    return ReferenceValue(found["serial"], found["metric"], value, uncertainty)
+    return ReferenceValue(found["serial"], found["metric"], value, uncertainty, found["unit"] or "")
 
 
 def against_references(
@@ -161,7 +175,7 @@ def against_references(
         if not of:
             biases.append(BiasLine(reference, "", 0, None, "no run of these is of that sensor"))
     line, why = _linearity(own, rows)
-    return AgainstReferences(tuple(biases), line, why, tuple(stabilities))
+    return AgainstReferences(series.unit, tuple(biases), line, why, tuple(stabilities))
 
 
 def _bias(reference: ReferenceValue, who: str, values: Sequence[float]) -> BiasLine:

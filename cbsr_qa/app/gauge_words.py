@@ -1,6 +1,7 @@
 """What a gauge study says, in sentences for a page and a terminal."""
 
 from collections.abc import Iterator
+from datetime import date
 from math import sqrt
 from typing import TYPE_CHECKING, Final
 
@@ -10,6 +11,7 @@ from cbsr_qa.stats.samples import Interval
 if TYPE_CHECKING:
     from cbsr_qa.app.gauge import Gauge, MetricGauge
     from cbsr_qa.app.gauge_references import AgainstReferences
+    from cbsr_qa.app.gauge_request import StudySource
     from cbsr_qa.stats.gauge_study import Variance, Variation
 
 #: AIAG's bands for the gauge's share of the total deviation or of the tolerance [%], and for categories.
@@ -33,7 +35,21 @@ def study_words(found: "Gauge") -> str:
     sensors, appraisers = found.sensors(), found.appraisers()
     words = f"{_count(sensors, 'sensor')} by {_count(appraisers, request.appraiser)} ({', '.join(appraisers)}), "
     words += f"{_count(found.runs, 'run')} of recipe {found.runs[0].recipe}"
+    if request.since or request.until:
+        words += f", {period_words(request.since, request.until)}"
     return f"{words} (SIMULATED)" if found.simulated else words
+
+
+def source_words(source: "StudySource") -> str:
+    """Say which file a study was read from, with its digest."""
+    return f"{source.name} ({source.file}, SHA-256 {source.sha256})"
+
+
+def period_words(since: date | None, until: date | None) -> str:
+    """Say from and to which day, both included; empty where neither is stated."""
+    ends = [f"from {since}"] if since else []
+    ends += [f"to {until}"] if until else []
+    return f"{' '.join(ends)} (UTC)" if ends else ""
 
 
 def metric_words(one: "MetricGauge", appraiser: str, confidence: float) -> tuple[str, ...]:
@@ -72,17 +88,18 @@ def deviation_words(part: "Variance") -> str:
 
 
 def reference_words(found: "AgainstReferences", confidence: float) -> Iterator[str]:
-    """Say how the gauge stands to reference values."""
+    """Say how the gauge stands to reference values, which are in the metric's unit."""
+    unit = f" {unit_shown(found.unit)}".rstrip()
     for one in found.biases:
         where = f"{one.reference.serial} on {one.appraiser}" if one.appraiser else one.reference.serial
         if one.bias is None:
             yield f"Bias of {where}: not known: {one.why}."
             continue
-        inside = one.bias.interval(confidence)
-        clear = "no bias is seen" if inside.holds(0.0) else "biased"
+        likely = one.bias.interval(confidence)
+        clear = "no bias is seen" if likely.holds(0.0) else "biased"
         yield (
-            f"Bias of {where}: {number(one.bias.value)} ({interval_words(inside)}) against "
-            f"{number(one.reference.value)} in {one.count} runs: {clear}."
+            f"Bias of {where}: {number(one.bias.value)}{unit} ({interval_words(likely)}) against "
+            f"{number(one.reference.value)}{unit} in {one.count} runs: {clear}."
         )
     if found.linearity is None:
         yield f"Linearity: not known: {found.linearity_why}."
@@ -99,7 +116,8 @@ def reference_words(found: "AgainstReferences", confidence: float) -> Iterator[s
             continue
         drift, chart = line.stability.drift, line.stability.chart
         signals = "its chart gives no signal" if not chart.signals else f"its chart signals: {chart.signals[0].rule}"
-        yield f"{where}: drift {number(drift.value)} a day ({interval_words(drift.interval(confidence))}); {signals}."
+        inside = interval_words(drift.interval(confidence))
+        yield f"{where}: drift {number(drift.value)}{unit} a day ({inside}); {signals}."
     for why, names in unknown.items():
         yield f"Stability of {listed(tuple(names))}: not known: {why}."
 
@@ -123,11 +141,16 @@ def _share_words(variation: "Variation", interval: Interval, confidence: float) 
 def _tolerance_words(one: "MetricGauge", variation: "Variation") -> str:
     share = variation.percent_tolerance(variation.gauge)
     if share is None:
-        limits = "one limit" if one.series.lower is not None or one.series.upper is not None else "no limits"
+        ends = sum(end is not None for end in (one.series.lower, one.series.upper))
+        limits = ("no limits", "one limit", "limits that meet")[ends]
         return f"The recipe sets it {limits}, so that there is no tolerance to take a share of."
     interval = variation.tolerance_interval(variation.gauge)
     inside = f" ({percent(interval.low)} to {percent(interval.high)})" if interval else ""
-    return f"Six deviations of the gauge are {percent(share)} of the tolerance{inside}, {verdict_words(share)}."
+    width = f"{number(one.tolerance or 0.0)} {unit_shown(one.series.unit)}".rstrip()
+    return (
+        f"Six deviations of the gauge are {percent(share)} of the {one.tolerance_of}'s tolerance of {width}{inside}, "
+        f"{verdict_words(share)}."
+    )
 
 
 def _category_words(variation: "Variation", interval: Interval) -> str:

@@ -2,7 +2,7 @@
 
 from datetime import date, datetime
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -11,9 +11,18 @@ from cbsr_qa.cli.output import emit_json, note, say
 _DAY = ["%Y-%m-%d"]
 
 
+#: What goes beside a study's file: it says all the rest.
+_BESIDE_STUDY: Final = {"study", "output", "database", "as_json"}
+
+
 def gauge(
+    context: typer.Context,
+    study: Annotated[
+        Path | None, typer.Argument(metavar="STUDY.toml", help="File that says what is studied, instead of options.")
+    ] = None,
     serials: Annotated[str | None, typer.Option(metavar="S1,S2,…", help="Sensors of the study.")] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
+    stations: Annotated[str | None, typer.Option(metavar="A,B,…", help="Runs on these stations.")] = None,
     metric: Annotated[
         list[str] | None, typer.Option(help="What to study; may be repeated. By default what the recipe limits.")
     ] = None,
@@ -29,7 +38,8 @@ def gauge(
     reference: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="SERIAL.METRIC=VALUE±U", help="What a golden sensor truly is, or a TOML file; may be repeated."
+            metavar="SERIAL.METRIC=VALUE±U UNIT",
+            help="What a golden sensor truly is, or a TOML file; may be repeated.",
         ),
     ] = None,
     confidence: Annotated[float, typer.Option(help="Of intervals, in per cent.")] = 95.0,
@@ -37,24 +47,33 @@ def gauge(
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
 ) -> None:
-    """Gauge R&R of stored runs: every sensor on every station (or by every operator), more than once."""
-    from cbsr_qa.app.gauge import GaugeRequest
+    """Gauge R&R of stored runs: every sensor on every station (or by every operator), more than once.
+
+    STUDY.toml names sensors, stations, metrics, tolerances and days; or options do.
+    """
     from cbsr_qa.app.gauge import gauge as studied
     from cbsr_qa.app.gauge_references import references_of
+    from cbsr_qa.app.gauge_request import GaugeRequest, MetricWanted
+    from cbsr_qa.app.gauge_study_file import read_study
     from cbsr_qa.cli.gauge_table import lines
 
-    request = GaugeRequest(
-        serials=tuple(dict.fromkeys(part.strip() for part in (serials or "").split(",") if part.strip())),
-        recipe=recipe,
-        since=_day(since),
-        until=_day(until),
-        metrics=tuple(dict.fromkeys(metric or ())),
-        by_location=by_location,
-        appraiser=appraiser,
-        largest_balanced=largest_balanced,
-        references=references_of(reference or ()),
-        confidence=confidence / 100,
-    )
+    if study is not None:
+        _check_alone(context, study)
+        request = read_study(study)
+    else:
+        request = GaugeRequest(
+            serials=_names(serials),
+            recipe=recipe,
+            stations=_names(stations),
+            since=_day(since),
+            until=_day(until),
+            metrics=tuple(map(MetricWanted, dict.fromkeys(metric or ()))),
+            by_location=by_location,
+            appraiser=appraiser,
+            largest_balanced=largest_balanced,
+            references=references_of(reference or ()),
+            confidence=confidence / 100,
+        )
     found = studied(request, database=database)
     if output is not None:
         from cbsr_qa.app.gauge_page import gauge_html
@@ -67,6 +86,29 @@ def gauge(
         return
     for line in lines(found):
         say(line)
+
+
+def _check_alone(context: typer.Context, study: Path) -> None:
+    """Refuse options that say something else than a study's file: what was studied is what its digest stands for.
+
+    Raises
+    ------
+    typer.BadParameter
+        Naming them.
+    """
+    # A source is an enumeration of click's, which typer brings a copy of: told apart by name.
+    sources = {name: context.get_parameter_source(name) for name in context.params if name not in _BESIDE_STUDY}
+    given = [name for name, source in sources.items() if source is not None and source.name != "DEFAULT"]
+    if given:
+        named = ", ".join(f"--{name.replace('_', '-')}" for name in given)
+        raise typer.BadParameter(
+            f"{study} says what is studied: {named} cannot be given beside it, change it there"
+            " (--output, --database and --json can)"
+        )
+
+
+def _names(said: str | None) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(part.strip() for part in (said or "").split(",") if part.strip()))
 
 
 def _day(moment: datetime | None) -> date | None:

@@ -23,8 +23,10 @@ _PARTS = (
 
 def lines(found: "Gauge") -> Iterator[str]:
     """Lay a study out, one line after another."""
-    from cbsr_qa.app.gauge_words import study_words
+    from cbsr_qa.app.gauge_words import source_words, study_words
 
+    if found.request.source is not None:
+        yield from _wrapped("file     ", printable(source_words(found.request.source)))
     yield from _wrapped("study    ", printable(study_words(found)))
     for words in found.notes:
         yield from _wrapped("note     ", printable(words))

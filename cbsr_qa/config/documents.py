@@ -32,6 +32,7 @@ class DocumentKind(Enum):
     SCENE = ("scene", "scenes")
     LIMITS = ("limits", "limits")
     REFERENCES = ("reference values", "references")
+    GAUGE_STUDY = ("gauge study", "studies")
 
     @property
     def noun(self) -> str:

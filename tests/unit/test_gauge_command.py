@@ -145,10 +145,11 @@ def test_bias_is_held_against_reference_values(crossed, document):
 
 
 def test_references_come_from_a_file_too(crossed, document, command, tmp_path):
-    (tmp_path / "golden.toml").write_text('[[reference]]\nserial = "S-01"\nmetric = "force_gain"\nvalue = 10.0\n')
+    text = '[[reference]]\nserial = "S-01"\nmetric = "force_gain"\nunit = "N/V"\nvalue = 10.0\n'
+    (tmp_path / "golden.toml").write_text(text)
     (metric,) = document(crossed, "--recipe", "short", "--reference", tmp_path / "golden.toml")["metrics"]
     assert {b["reference"] for b in metric["references"]["bias"]} == {10.0}
-    (tmp_path / "golden.toml").write_text('[[reference]]\nserial = "S-01"\nmetrics = "force_gain"\nvalue = 10.0\n')
+    (tmp_path / "golden.toml").write_text(text.replace("metric", "metrics"))
     code, _, err = command(crossed, "--recipe", "short", "--reference", tmp_path / "golden.toml")
     assert code == 2
     assert "metrics" in err
@@ -177,7 +178,7 @@ def test_the_page_draws_the_six_panels(crossed, command, tmp_path):
     [
         ((), "no study is named"),
         (("--recipe", "shirt"), "did you mean 'short'?"),
-        (("--serials", "S-01,S-99"), "no stored run is of sensor 'S-99'"),
+        (("--serials", "S-01,S-99"), "no analysed run is of sensor 'S-99'"),
         (("--recipe", "short", "--metric", "force_gian"), "did you mean 'force_gain'?"),
         (("--recipe", "short", "--appraiser", "robot"), "allowed: station, operator"),
         (("--recipe", "short", "--reference", "S-01.force_gain"), "cannot be read"),
@@ -186,6 +187,9 @@ def test_the_page_draws_the_six_panels(crossed, command, tmp_path):
         (("--recipe", "short", "--reference", "S-01.drift=1"), "which is not studied"),
         (("--serials", "S-01"), "all 6 runs are of one sensor, S-01"),
         (("--recipe", "short", "--since", "2030-01-01"), "no analysed run fits"),
+        (("--recipe", "short", "--since", "2026-03-02", "--until", "2026-03-01"), "swap --since and --until"),
+        (("--recipe", "short", "--stations", "bench-a,bench-d"), "no analysed run is of station 'bench-d'"),
+        (("--recipe", "short", "--reference", "S-01.force_gain=10±0.1 mm"), "measured in N/V"),
         (("--recipe", "short", "--confidence", "0"), "0 %"),
     ],
 )

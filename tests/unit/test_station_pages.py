@@ -27,14 +27,15 @@ def test_the_page_on_watching_a_station_runs_as_printed(database, tmp_path, monk
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CBSR_QA_DATABASE", str(database))
     page = (DOCS / "how-to" / "watch-a-station.md").read_text()
-    ((golden,),) = [re.findall(r"```toml\n(.*?)```", page, re.S)]
-    Path("golden.toml").write_text(golden)
+    files = re.findall(r"`([\w-]+\.toml)`:\n\n```toml\n(.*?)```", page, re.S)
+    for name, text in files:
+        Path(name).write_text(text)
     commands = re.findall(r"^\$ cbsr-qa (.*)$", page, re.M)
-    assert len(commands) == 4
-    for command in [*commands, "gauge --recipe short --reference golden.toml"]:
+    assert len(commands) == 5
+    for command in commands:
         assert guarded(shlex.split(command)) == 0, command
         assert capsys.readouterr().out.strip()
-    assert {path.name for path in tmp_path.iterdir()} == {"golden.toml", "charts.html", "gauge.html"}
+    assert {path.name for path in tmp_path.iterdir()} == {"gain.toml", "golden.toml", "charts.html", "gauge.html"}
 
 
 @pytest.mark.parametrize(

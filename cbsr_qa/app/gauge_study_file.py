@@ -1,0 +1,154 @@
+"""A study's file: which sensors, stations, metrics, tolerances and days a gauge study is of."""
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from cbsr_qa.app.gauge_references import ReferenceTable
+from cbsr_qa.app.gauge_request import GaugeRequest, MetricWanted, StudySource
+from cbsr_qa.config.documents import DocumentKind, open_document
+from cbsr_qa.config.lines import KeyPath
+from cbsr_qa.config.tables import FileModel, Problem, Table, validated
+
+_Name = Annotated[str, Field(min_length=1, max_length=64)]
+_Names = Annotated[list[_Name], Field(min_length=1)]
+
+
+class StudyTable(Table):
+    """``[study]``: which runs, and how they are looked at."""
+
+    name: _Name
+    recipe: _Name | None = None
+    serials: _Names | None = None
+    stations: _Names | None = None
+    operators: _Names | None = None
+    since: date | None = None
+    until: date | None = None
+    appraiser: Literal["station", "operator"] = "station"
+    by_location: bool = False
+    largest_balanced: bool = False
+    confidence_percent: Annotated[float, Field(gt=0, lt=100)] = 95.0
+
+    def problems(self) -> Iterator[Problem]:
+        """Yield what does not fit together within the table."""
+        if not self.name.isprintable():
+            yield Problem(("study", "name"), "has characters that cannot be printed; give one line")
+        if self.recipe is None and self.serials is None:
+            yield Problem(("study",), "has neither recipe nor serials; give one of them, or both")
+        if self.since and self.until and self.since > self.until:
+            yield Problem(("study", "since"), f"is {self.since}, after until = {self.until}")
+        for key in ("serials", "stations", "operators"):
+            names = getattr(self, key) or []
+            for name, count in Counter(names).items():
+                if count > 1:
+                    yield Problem(("study", key), f"has {name!r} {count} times; give it once")
+
+
+class MetricTable(Table):
+    """``[[metrics]]``: one metric, with the tolerance its gauge is held against; the recipe's where none is given."""
+
+    name: _Name
+    phase: Annotated[str, Field(max_length=64)] = ""
+    qualifier: Annotated[str, Field(max_length=64)] = ""
+    unit: Annotated[str, Field(min_length=1, max_length=16)] | None = None
+    lower: float | None = None
+    upper: float | None = None
+    tolerance: Annotated[float, Field(gt=0)] | None = None
+
+    def problems(self, where: KeyPath) -> Iterator[Problem]:
+        """Yield what does not fit together within the table."""
+        numbers = [key for key in ("lower", "upper", "tolerance") if getattr(self, key) is not None]
+        if numbers and self.unit is None:
+            yield Problem((*where, "unit"), f"is missing: {' and '.join(numbers)} of {self.name} must have one")
+        if (self.lower is None) != (self.upper is None):
+            other = "upper" if self.upper is None else "lower"
+            what = f"has no {other}; a tolerance is from lower to upper, or give its width as tolerance"
+            yield Problem((*where, numbers[0]), what)
+        if self.tolerance is not None and len(numbers) > 1:
+            yield Problem((*where, "tolerance"), "is given beside lower or upper; give the one or the others")
+        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
+            yield Problem((*where, "lower"), f"is {self.lower:g}, not below upper = {self.upper:g}")
+
+    def overlaps(self, other: "MetricTable") -> bool:
+        """Whether one figure may be of both."""
+        same = (self.name, self.qualifier) == (other.name, other.qualifier)
+        return same and (self.phase == other.phase or not self.phase or not other.phase)
+
+    def to_domain(self) -> MetricWanted:
+        """Return the metric."""
+        return MetricWanted(
+            self.name, self.phase, self.qualifier, self.unit or "", self.lower, self.upper, self.tolerance
+        )
+
+
+class StudyFile(FileModel[GaugeRequest]):
+    """A study's file."""
+
+    study: StudyTable
+    metrics: Annotated[list[MetricTable], Field(min_length=1)] | None = None
+    reference: Annotated[list[ReferenceTable], Field(min_length=1)] | None = None
+
+    def problems(self) -> Iterator[Problem]:
+        """What is named must be studied, and only once."""
+        yield from self.study.problems()
+        metrics: Sequence[MetricTable] = self.metrics or ()
+        for index, metric in enumerate(metrics):
+            yield from metric.problems(("metrics", index))
+            if any(metric.overlaps(other) for other in metrics[:index]):
+                yield Problem(("metrics", index, "name"), f"is {metric.name!r}, which is studied already")
+        yield from self._reference_problems()
+
+    def _reference_problems(self) -> Iterator[Problem]:
+        serials, seen = self.study.serials, set()
+        names = [metric.name for metric in self.metrics or ()]
+        for index, one in enumerate(self.reference or ()):
+            where = ("reference", index)
+            if serials is not None and one.serial not in serials:
+                what = f"is {one.serial!r}, which is none of study.serials: {', '.join(serials)}"
+                yield Problem((*where, "serial"), what)
+            if names and one.metric not in names:
+                what = f"is {one.metric!r}, which is none of the metrics: {', '.join(names)}"
+                yield Problem((*where, "metric"), what)
+            if (one.serial, one.metric) in seen:
+                yield Problem((*where, "serial"), f"is {one.serial!r}, which has a value of {one.metric} already")
+            seen.add((one.serial, one.metric))
+
+    def to_domain(self) -> GaugeRequest:
+        """Return what is asked for; per cent become a fraction."""
+        study = self.study
+        return GaugeRequest(
+            serials=tuple(study.serials or ()),
+            recipe=study.recipe,
+            stations=tuple(study.stations or ()),
+            operators=tuple(study.operators or ()),
+            since=study.since,
+            until=study.until,
+            metrics=tuple(metric.to_domain() for metric in self.metrics or ()),
+            by_location=study.by_location,
+            appraiser=study.appraiser,
+            largest_balanced=study.largest_balanced,
+            references=tuple(one.to_domain() for one in self.reference or ()),
+            confidence=study.confidence_percent / 100,
+            source=StudySource(study.name, "", "", ""),
+        )
+
+
+def read_study(path: Path) -> GaugeRequest:
+    """Read a study's file.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file, it is not TOML, or it says what is not allowed: every problem with its line.
+    """
+    document = open_document(DocumentKind.GAUGE_STUDY, path)
+    request = validated(StudyFile, document)
+    assert request.source is not None
+    digest = hashlib.sha256(document.text.encode()).hexdigest()
+    return replace(request, source=StudySource(request.source.name, document.label, digest, document.text))
