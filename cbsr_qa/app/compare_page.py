@@ -5,9 +5,10 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.domain.report import Block, Paragraph, Section, Table
-from cbsr_qa.fleet.comparison import Comparison, MetricComparison
+from cbsr_qa.fleet.comparison import Comparison
 from cbsr_qa.fleet.describe import Described
 from cbsr_qa.fleet.differences import Difference
+from cbsr_qa.fleet.metric import MetricComparison
 from cbsr_qa.fleet.sentences import headline, p_words, rules, sentences, significant
 from cbsr_qa.report.figures_groups import map_figure, strip_figure
 from cbsr_qa.report.numbers import number, plural, unit_shown

@@ -2,9 +2,10 @@
 
 from typing import Any
 
-from cbsr_qa.fleet.comparison import Comparison, MetricComparison
+from cbsr_qa.fleet.comparison import Comparison
 from cbsr_qa.fleet.describe import Described, Group
 from cbsr_qa.fleet.differences import Difference
+from cbsr_qa.fleet.metric import MetricComparison
 from cbsr_qa.fleet.sentences import headline, rules, sentences
 from cbsr_qa.stats.capability import Capability, Index
 from cbsr_qa.stats.samples import Interval

@@ -2,9 +2,10 @@
 
 from collections.abc import Iterator
 
-from cbsr_qa.fleet.comparison import Comparison, MetricComparison
+from cbsr_qa.fleet.comparison import Comparison
 from cbsr_qa.fleet.differences import Difference
 from cbsr_qa.fleet.figures import named
+from cbsr_qa.fleet.metric import MetricComparison
 from cbsr_qa.fleet.terms import POLICY_WORDS, QUARANTINE_WORDS, Adjustment
 from cbsr_qa.report.numbers import number, plural, unit_shown
 

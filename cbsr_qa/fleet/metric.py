@@ -1,0 +1,136 @@
+"""One metric compared: groups described, their differences, those of stations, and what the design leaves open."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.fleet import FleetRun, FleetTable
+from cbsr_qa.fleet.describe import Described, described
+from cbsr_qa.fleet.design import Design
+from cbsr_qa.fleet.differences import Difference, Fitted, difference, fitted
+from cbsr_qa.fleet.figures import MetricFigures
+from cbsr_qa.fleet.groups import Grouping
+from cbsr_qa.fleet.places import PlaceDifference, differences_by_place
+from cbsr_qa.fleet.terms import Terms
+from cbsr_qa.stats.crossing import IntArray
+from cbsr_qa.stats.worst_value import FloatArray
+
+#: What all places of a grid share is how the disc was seated and where the axes are: the station's, not the sensor's.
+OF_THE_STATION: Final = ("registration_shift", "registration_rotation", "registration_scale")
+_SHARES_PLACES: Final = {"centre_of_mass_error": "registered_centre_of_mass_error"}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MetricComparison:
+    """One metric.
+
+    Parameters
+    ----------
+    described : one of each group.
+    differences : of each group but the reference, against it; empty where the metric is the station's alone.
+    stations : of each station but the first, against it; empty where there is one, or stations are the groups.
+    maps : group → differences by place.
+    samples : (group, station, figures of sensors), for plots.
+    notes : weaknesses of design and fit, and what was left out.
+    """
+
+    figures: MetricFigures
+    described: tuple[Described, ...]
+    differences: tuple[Difference, ...]
+    stations: tuple[Difference, ...]
+    maps: Mapping[str, tuple[PlaceDifference, ...]]
+    samples: tuple[tuple[str, str, FloatArray], ...]
+    notes: tuple[str, ...]
+
+
+def metric_comparison(
+    figures: MetricFigures,
+    table: FleetTable,
+    grouping: Grouping,
+    deciding: Mapping[str, IntArray],
+    design: Design,
+    terms: Terms,
+) -> MetricComparison:
+    """Compare groups and stations in one metric; p values are not adjusted yet.
+
+    Parameters
+    ----------
+    deciding : group → indices of the runs that decide its sensors.
+    """
+    label, runs = figures.key.label, table.runs
+    model = fitted(design.crossing, figures.mean[design.rows], label, of_stations=design.of_stations)
+    of_station = figures.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
+    known = {name: indices[~np.isnan(figures.mean[indices])] for name, indices in deciding.items()}
+    differences = [
+        _between(model, figures, runs, known, (name, grouping.reference), terms)
+        for name in grouping.names[1:]
+        if not of_station
+    ]
+    return MetricComparison(
+        figures=figures,
+        described=tuple(described(figures, runs, name, known[name], terms) for name in grouping.names),
+        differences=tuple(differences),
+        stations=tuple(_stations(model, figures, design.stations, terms)),
+        maps={} if of_station else differences_by_place(figures, table, grouping, design, terms),
+        samples=_samples(figures, runs, known),
+        notes=_notes(model, figures, table, of_station=of_station),
+    )
+
+
+def _between(
+    model: Fitted,
+    figures: MetricFigures,
+    runs: Sequence[FleetRun],
+    known: Mapping[str, IntArray],
+    names: tuple[str, str],
+    terms: Terms,
+) -> Difference:
+    first, second = (known[name] for name in names)
+    values = figures.mean[first], figures.mean[second]
+    at = [runs[index].station for index in first.tolist()], [runs[index].station for index in second.tolist()]
+    return difference(model, figures, names, values, at, terms)
+
+
+def _stations(model: Fitted, figures: MetricFigures, stations: tuple[str, ...], terms: Terms) -> Sequence[Difference]:
+    """What stations read above the one with most runs, the groups' differences taken out."""
+    found = []
+    for name in stations[1:]:
+        names = name, stations[0]
+        try:
+            if model.fit is None:
+                raise NumericsError(model.why)
+            contrast = model.fit.station_difference(*names)
+        except NumericsError as error:
+            found.append(Difference(*names, "refused", warnings=(str(error).replace("\n", "; "),)))
+            continue
+        interval = contrast.interval(terms.confidence)
+        found.append(Difference(*names, str(model.fit.model), contrast.value, interval, contrast.p_value()))
+    return found
+
+
+def _samples(
+    figures: MetricFigures, runs: Sequence[FleetRun], known: Mapping[str, IntArray]
+) -> tuple[tuple[str, str, FloatArray], ...]:
+    found = []
+    for name, indices in known.items():
+        at: dict[str, list[int]] = {}
+        for index in indices.tolist():
+            at.setdefault(runs[index].station, []).append(index)
+        found += [(name, station, figures.mean[members]) for station, members in sorted(at.items())]
+    return tuple(found)
+
+
+def _notes(model: Fitted, figures: MetricFigures, table: FleetTable, *, of_station: bool) -> tuple[str, ...]:
+    notes = list(figures.warnings)
+    notes += model.fit.notes if model.fit else ()
+    if of_station:
+        notes.append("what all places share counts against the station: stations are compared in it, groups are not")
+    without = _SHARES_PLACES.get(figures.key.name)
+    if without is not None:
+        measured = any(kind.key.name == without for kind in table.kinds)
+        also = f"; {without} is without" if measured else ""
+        notes.append(f"it holds what all places share, which is the station's{also}")
+    return tuple(notes)
