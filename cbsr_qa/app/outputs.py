@@ -33,11 +33,6 @@ _HEADLINES = {
 }
 
 
-def resume_command(run: str) -> str:
-    """Return what a user types to go on with a run."""
-    return f"cbsr-qa run --resume {run}"
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class RunOutcome:
     """What came of a run, for whoever asked for it.
@@ -47,6 +42,7 @@ class RunOutcome:
     result : everything concluded.
     report, calibration, material : files; None where none was issued, or it could not be written (a warning says so).
     material_why : why there is no material file; empty where the recipe characterises none.
+    resume : what to type to go on with it; empty where it finished.
     warnings : those of the result and of writing the files.
     """
 
@@ -58,6 +54,7 @@ class RunOutcome:
     seed: int
     material: Path | None = None
     material_why: str = ""
+    resume: str = ""
 
     @property
     def run(self) -> str:
@@ -89,11 +86,6 @@ class RunOutcome:
     def simulated(self) -> tuple[str, ...]:
         """What was simulated, in words."""
         return self.result.record.identity.simulated
-
-    @property
-    def resume(self) -> str:
-        """What to type to go on with it; empty where it finished."""
-        return "" if self.result.record.end is EndReason.FINISHED else resume_command(self.run)
 
     @property
     def exit_code(self) -> int:
@@ -172,7 +164,9 @@ def measurement_row(measurement: Measurement) -> dict[str, Any]:
     }
 
 
-def write_outputs(result: RunResult, recipe: Recipe, plugins: Plugins, stages: Stages, seed: int) -> RunOutcome:
+def write_outputs(
+    result: RunResult, recipe: Recipe, plugins: Plugins, stages: Stages, seed: int, *, resume: str = ""
+) -> RunOutcome:
     """Write calibration file and report, and tell plugins of the calibration.
 
     What cannot be written becomes a warning: the run and what was concluded from it are stored already, and
@@ -194,9 +188,7 @@ def write_outputs(result: RunResult, recipe: Recipe, plugins: Plugins, stages: S
         html = render_run(result, sections, warnings=(*missing, *failed))
     written = _written(report, html, failed)
     warnings = (*result.warnings, *missing, *failed)
-    return RunOutcome(
-        result, written, calibration, warnings, stages.total_s(), seed, material=material, material_why=material_why
-    )
+    return RunOutcome(result, written, calibration, warnings, stages.total_s(), seed, material, material_why, resume)
 
 
 def _material(result: RunResult, failed: list[str]) -> tuple[Path | None, str]:

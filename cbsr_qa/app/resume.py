@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final
 
+from cbsr_qa.app.again import report_command
 from cbsr_qa.app.outputs import RunOutcome
 from cbsr_qa.app.session import Ask, Done, Session, check_configuration, concluded
 from cbsr_qa.app.setup import plan_of
@@ -105,7 +106,7 @@ def _refuse_concluded(store: Repository, run: str) -> None:
     if store.analyses(run):
         raise StoreError(
             f"run {run} is finished, and has its result",
-            remedy=f"cbsr-qa report {run} writes its report and calibration file again",
+            remedy=f"{report_command(run, store)} writes its report and calibration file again",
         )
 
 

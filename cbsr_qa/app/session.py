@@ -6,16 +6,18 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Self
 
+from cbsr_qa.app.again import report_command, resume_command
 from cbsr_qa.app.changes import unexplained
 from cbsr_qa.app.conclude import calibrated, conclude
-from cbsr_qa.app.outputs import RunOutcome, resume_command, write_outputs
+from cbsr_qa.app.outputs import RunOutcome, write_outputs
 from cbsr_qa.app.preflight import check_cycles, check_recipe, check_unloaded, overdue, refuse_overdue
 from cbsr_qa.app.setup import open_station, plan_of, station_clock
 from cbsr_qa.app.stages import Stages
 from cbsr_qa.app.station_charts import charts_after
+from cbsr_qa.app.stoppable import stoppable
 from cbsr_qa.clock import RealClock
 from cbsr_qa.config.merge import Configuration
-from cbsr_qa.domain.errors import BrokenRunError, StoreError, UnconcludedError
+from cbsr_qa.domain.errors import AbortedError, BrokenRunError, StoreError, UnconcludedError
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
@@ -199,7 +201,9 @@ def _refuse_unstored(run: str, ended: RunEnded, store: Repository) -> None:
         stored = EndReason.RUNNING
     if stored is EndReason.RUNNING:
         raise BrokenRunError(
-            run, ended.detail, remedy=f"mend that; what was stored stays, and this goes on: {resume_command(run)}"
+            run,
+            ended.detail,
+            remedy=f"mend that; what was stored stays, and this goes on: {resume_command(run, store)}",
         )
 
 
@@ -218,15 +222,16 @@ def concluded(
     BrokenRunError
         If that could not be stored or read back (a full disk): what was stored of the run stays.
     UnconcludedError
-        If somebody stopped it (Ctrl-C).
+        If somebody stopped it (Ctrl-C, termination, hang-up).
     """
     try:
-        return _concluded(run, store, configuration, plugins, stages, warnings)
-    except KeyboardInterrupt as error:
-        again = f"cbsr-qa report {run}" if store.analyses(run) else resume_command(run)
+        with stoppable():
+            return _concluded(run, store, configuration, plugins, stages, warnings)
+    except AbortedError as error:
+        again = report_command(run, store) if store.analyses(run) else resume_command(run, store)
         raise UnconcludedError(run, again) from error
     except StoreError as error:
-        remedy = "; then this goes on: ".join(filter(None, [error.remedy, resume_command(run)]))
+        remedy = "; then this goes on: ".join(filter(None, [error.remedy, resume_command(run, store)]))
         raise BrokenRunError(run, error.reason, remedy=remedy) from error
 
 
@@ -266,4 +271,5 @@ def _concluded(
         history=history,
     )
     store.save_result(result)
-    return write_outputs(result, recipe, plugins, stages, configuration.seed)
+    resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)
+    return write_outputs(result, recipe, plugins, stages, configuration.seed, resume=resume)

@@ -11,7 +11,7 @@ from cbsr_qa.domain.errors import AbortedError
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Let the first signal (Ctrl-C, termination, hang-up) end what is inside, which then makes its bench safe.
+    """Let the first signal (from the keyboard, termination, hang-up) end what is inside, which then cleans up.
 
     Further signals are ignored until it has: impatience must not leave a current on.
 
@@ -28,7 +28,7 @@ def stoppable() -> Iterator[None]:
             raise KeyboardInterrupt
 
     here = threading.current_thread() is threading.main_thread()
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP") if here and hasattr(signal, name)]
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if here and hasattr(signal, name)]
     numbers = [getattr(signal, name) for name in names]
     # One that was inherited as ignored stays so: whoever started the program wanted that.
     before = {n: signal.signal(n, stop) for n in numbers if signal.getsignal(n) not in (signal.SIG_IGN, None)}

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from cbsr_qa.cli.output import emit_json, say
+from cbsr_qa.cli.output import again, emit_json, say
 
 app = typer.Typer(help="Look after the database.", no_args_is_help=True)
 
@@ -48,7 +48,7 @@ def status(database: Database = None, as_json: AsJson = False) -> None:
     for name, serial in found.without_result:
         say(f"no result   run {name} of {serial}: finished; next: its result")
     if found.without_result or any(not run.writer for run in (*found.incomplete, *found.stopped)):
-        say("            cbsr-qa run --resume RUN goes on with one of them")
+        say(f"            cbsr-qa run --resume RUN{again(database)} goes on with one of them")
 
 
 @app.command()

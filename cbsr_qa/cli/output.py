@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
@@ -27,6 +28,11 @@ def emit_json(document: Mapping[str, Any]) -> None:
 def say(text: str = "") -> None:
     """Print words for people on stdout (only where ``--json`` was not asked for)."""
     _print(text)
+
+
+def again(database: str | None) -> str:
+    """Return the option that names a database once more in a command to type, after a blank; empty where none was."""
+    return f" --database {shlex.quote(database)}" if database else ""
 
 
 def note(text: str) -> None:

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from cbsr_qa.cli.output import emit_json, say
+from cbsr_qa.cli.output import again, emit_json, say
 
 app = typer.Typer(help="Decide against a verdict, beside it.", no_args_is_help=True)
 
@@ -33,4 +33,4 @@ def override(
     say(f"run          {done.override.run}")
     say(f"verdict      {done.override.words}")
     say(f"calibration  {done.about_calibration}")
-    say(f"             cbsr-qa report {done.override.run} writes the report with it")
+    say(f"             cbsr-qa report {done.override.run}{again(database)} writes the report with it")

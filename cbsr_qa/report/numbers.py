@@ -70,7 +70,7 @@ def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -
     keep = 1 if round(uncertainty / 10.0**first, 6) < 3 else 0  # 0.3 is stored as a little less
     decimals = keep - first
     largest = max(abs(value), uncertainty)
-    if decimals <= 5 and largest < 1e5:
+    if largest < 1e5 and (decimals <= 5 or largest >= 1.0):  # a power would not make these shorter
         return f"{fixed(value, max(decimals, 0))} ± {fixed(uncertainty, max(decimals, 0))}"
     exponent = floor(log10(largest))
     scale = 10.0**exponent

@@ -1,5 +1,6 @@
 """What a database says when something is wrong, turned into one clear message with what to do."""
 
+import shlex
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -40,6 +41,12 @@ def shown(url: URL) -> str:
     if url.get_backend_name() == "sqlite":
         return f"database {url.database or 'in memory'}"
     return f"database {url.render_as_string(hide_password=True)}"
+
+
+def address(url: URL) -> str:
+    """Write what ``--database`` takes, as a shell reads it: a file's path, or the URL with its password hidden."""
+    sqlite = url.get_backend_name() == "sqlite"
+    return shlex.quote(str(url.database) if sqlite else url.render_as_string(hide_password=True))
 
 
 @contextmanager

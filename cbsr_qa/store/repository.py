@@ -41,7 +41,7 @@ from cbsr_qa.store.analyses import StoredAnalysis
 from cbsr_qa.store.calibration_forces import PrepareForce
 from cbsr_qa.store.calibrations import CalibrationSummary
 from cbsr_qa.store.engine import open_engine, parsed_url
-from cbsr_qa.store.failures import shown
+from cbsr_qa.store.failures import address, shown
 from cbsr_qa.store.figures import RunFilter
 from cbsr_qa.store.ids import IdSource, made_at
 from cbsr_qa.store.incomplete import IncompleteRun, latest_id
@@ -111,6 +111,15 @@ class Repository:
     def shown(self) -> str:
         """What database this is, for people; a password is hidden."""
         return shown(self._engine.url)
+
+    @property
+    def address(self) -> str:
+        """What ``--database`` takes, as a shell reads it; a password is hidden."""
+        return address(self._engine.url)
+
+    def is_at(self, url: str) -> bool:
+        """Whether a URL means this database."""
+        return parsed_url(url) == self._engine.url
 
     def new_id(self) -> str:
         """Return a new time-ordered identifier for a run, an analysis or a calibration.

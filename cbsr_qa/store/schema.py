@@ -8,7 +8,7 @@ from sqlalchemy import Connection, Engine, inspect, text
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.engine import reading, sqlite_file, use_write_ahead_log, writing
-from cbsr_qa.store.failures import shown
+from cbsr_qa.store.failures import address, shown
 
 #: Revisions in order; the last is what this program reads and writes. Kept here so that opening a database
 #: that is up to date costs no import of Alembic; a test compares it with the migration scripts.
@@ -91,7 +91,7 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
         case Age.OLDER:
             return StoreError(
                 f"{shown(engine.url)} has schema {version.revision}, older than this program's {HEAD}",
-                remedy="copy it, then run: cbsr-qa db upgrade",
+                remedy=f"copy it, then run: cbsr-qa db upgrade --database {address(engine.url)}",
             )
         case Age.NEWER:
             return StoreError(

@@ -39,7 +39,7 @@ Array = NDArray[np.float64]
 NINE_PLACES, TWO_PLACES = (Path(__file__).with_name(name) for name in ("two-frames.toml", "two-places.toml"))
 STATION = "bench-emulated"
 SEED = 11
-#: Fewer of the rested sheet than a sequence may take, so that a campaign's time goes into its other steps; and as many
+#: Fewer of the rested sheet than a sequence may take: the time of a campaign goes into its other steps. And as many
 #: as fit into a hold.
 UNLOADED_FRAMES, HELD_FRAMES = 4, 2
 #: How far readings of two runs may be from each other, in the noise expected of their difference.

@@ -114,9 +114,9 @@ class Came:
     verdict: tuple
 
 
-def came_of(folder, run):
+def came_of(folder, run, file="var/cbsr-qa.db"):
     """Load a run with its latest result."""
-    path = Path(folder) / "var" / "cbsr-qa.db"
+    path = Path(folder) / file
     with open_store(f"sqlite:///{path}", create=False) as store:
         record = store.load_run(run)
     with sqlite3.connect(path) as database:
@@ -131,7 +131,7 @@ def came_of(folder, run):
 
 def latest_run(folder, serial):
     """Return the latest run of a sensor, or None where none was stored."""
-    path = Path(folder) / "var" / "cbsr-qa.db"
+    path = Path(folder) / file
     if not path.exists():
         return None
     with sqlite3.connect(path) as database:

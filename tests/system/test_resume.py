@@ -1,8 +1,9 @@
 """``cbsr-qa run --resume``: a run that was interrupted is the run it would have been."""
 
 import random
-import re
 import shlex
+import shutil
+import signal
 import sqlite3
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from command import cbsr_qa, document
 from killing import BEGIN, assert_same, came_of, killed, latest_run, trial, write_files
+from pages import HOW_TO, commands, typed
 
 from cbsr_qa.app import session
 from cbsr_qa.app.run_sensor import RunRequest, run_sensor
@@ -25,11 +27,19 @@ def whole(tmp_path_factory):
     return folder, came_of(folder, run["run"])
 
 
+@pytest.fixture(scope="module")
+def left_behind(tmp_path_factory):
+    """A folder as a run left it that was killed in its second phase; nobody opens its database."""
+    folder = tmp_path_factory.mktemp("killed")
+    write_files(folder)
+    assert killed(folder, [*BEGIN, "--serial", "S-1", "--operator", "Kim"], documents=200, after_s=0.0)
+    return folder
+
+
 @pytest.fixture
-def cut_off(tmp_path):
+def cut_off(left_behind, tmp_path):
     """A folder with a run that was killed in its second phase."""
-    write_files(tmp_path)
-    assert killed(tmp_path, [*BEGIN, "--serial", "S-1", "--operator", "Kim"], documents=200, after_s=0.0)
+    shutil.copytree(left_behind, tmp_path, dirs_exist_ok=True)
     return tmp_path, latest_run(tmp_path, "S-1")
 
 
@@ -85,26 +95,35 @@ def test_a_run_killed_while_its_result_was_worked_out_is_concluded(cut_off):
         assert database.execute("select count(*) from frame_blocks").fetchone() == (frames,)
 
 
-@pytest.mark.parametrize(("at", "again"), [("conclude", "cbsr-qa run --resume"), ("write_outputs", "cbsr-qa report")])
-def test_ctrl_c_while_the_result_is_worked_out_says_how_to_have_it(tmp_path, monkeypatch, at, again):
+@pytest.mark.parametrize(
+    ("at", "again", "stop", "database"),
+    [
+        ("conclude", "cbsr-qa run --resume", signal.SIGINT, None),
+        ("conclude", "cbsr-qa run --resume", signal.SIGTERM, "of another line.db"),
+        ("write_outputs", "cbsr-qa report", signal.SIGQUIT, "of another line.db"),
+    ],
+)
+def test_a_signal_while_the_result_is_worked_out_says_how_to_have_it(
+    tmp_path, monkeypatch, at, again, stop, database
+):
     write_files(tmp_path)
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CBSR_QA_VAR", "var")
 
-    def stopped(*_):
-        raise KeyboardInterrupt
+    def stopped(*_, **__):
+        signal.raise_signal(stop)
 
     with monkeypatch.context() as patch:
         patch.setattr(session, at, stopped)
         with pytest.raises(UnconcludedError, match="all that was measured is stored") as ended:
-            run_sensor(RunRequest("station.toml", "recipe.toml", "S-1", seed=5))
+            run_sensor(RunRequest("station.toml", "recipe.toml", "S-1", seed=5, database=database))
     assert ended.value.exit_code == 3
-    command, run = ended.value.remedy.removeprefix("this goes on: ").rsplit(" ", 1)
-    assert command == again
-    assert ended.value.document()["aborted"]["run"] == run
-    done = document(cbsr_qa(tmp_path, *command.split()[1:], run, "--json"))
+    run = ended.value.document()["aborted"]["run"]
+    command = f"{again} {run}" + ("" if database is None else f" --database '{database}'")
+    assert ended.value.remedy == f"this goes on: {command}"
+    done = document(cbsr_qa(tmp_path, *shlex.split(command)[1:], "--json"))
     assert Path(tmp_path / done["report"]).exists()
-    assert len(came_of(tmp_path, run).record.sessions) == 1
+    assert len(came_of(tmp_path, run, database or "var/cbsr-qa.db").record.sessions) == 1
 
 
 @pytest.mark.parametrize(
@@ -223,10 +242,9 @@ def test_with_memory_effects_a_resumed_run_agrees_within_noise(tmp_path):
 
 def test_the_page_on_what_to_do_runs_as_printed(cut_off):
     folder, run = cut_off
-    page = Path(__file__).parents[2] / "docs" / "how-to" / "what-to-do-when-it-stops.md"
-    commands = re.findall(r"^\$ cbsr-qa (.*)$", page.read_text(encoding="utf-8"), flags=re.MULTILINE)
-    assert len(commands) == 3
-    said = [cbsr_qa(folder, *shlex.split(command.replace("RUN", run))).stdout for command in commands]
+    lines = commands(HOW_TO / "what-to-do-when-it-stops.md")
+    assert len(lines) == 3
+    said = [typed(folder, line.replace("RUN", run)).stdout for line in lines]
     assert f"incomplete  run {run} of S-1: cut off" in said[0]
     assert "cbsr-qa run --resume RUN" in said[0]
     assert said[1].startswith("PASS")

@@ -53,6 +53,7 @@ def test_an_uncertainty_is_kept_to_its_leading_digits(uncertainty, decades):
         (3.14159, None, "3.14"),
         (3.14159, 0.0, "3.14"),
         (0.0, 0.02, "0.000 ± 0.020"),
+        (1.2345678912, 2.5e-8, "1.234567891 ± 0.000000025"),
     ],
 )
 def test_value_and_uncertainty(value, uncertainty, expected):
