@@ -102,7 +102,9 @@ def test_noise_is_the_rms_of_a_reading_over_its_size():
     assert outcomes(found) == set()
     # Two frames tell it without bias too: to 1/√(2 · 208), 5 %.
     assert lines(ring(noise_V=1e-4, frames=2))["noise of a reading"].value == pytest.approx(400.0, rel=0.15)
-    assert outcomes(lines(ring(noise_V=4e-4))) == {"noise of a reading"}
+    noisy = lines(ring(noise_V=4e-4))  # 1600 ppm where 1000 are allowed, at 10 kΩ
+    assert outcomes(noisy) == {"noise of a reading"}
+    assert "a ring of 17000 Ω" in noisy["noise of a reading"].remedy
 
 
 def test_flagged_readings_are_named_and_left_out():
