@@ -131,7 +131,7 @@ def came_of(folder, run, file="var/cbsr-qa.db"):
 
 def latest_run(folder, serial):
     """Return the latest run of a sensor, or None where none was stored."""
-    path = Path(folder) / file
+    path = Path(folder) / "var" / "cbsr-qa.db"
     if not path.exists():
         return None
     with sqlite3.connect(path) as database:
