@@ -6,7 +6,8 @@ from cbsr_qa.domain.station_charts import ChartReference, StandingSignal
 
 if TYPE_CHECKING:
     from cbsr_qa.app.charting import Charted
-    from cbsr_qa.app.control_charts import Charts, MetricChart
+    from cbsr_qa.app.control_charts import Charts
+    from cbsr_qa.app.metric_chart import MetricChart
 
 
 def charts_document(found: "Charts") -> dict[str, Any]:

@@ -3,7 +3,8 @@
 from typing import Final
 
 from cbsr_qa.app.charting import STANDS
-from cbsr_qa.app.control_charts import Charts, MetricChart
+from cbsr_qa.app.control_charts import Charts
+from cbsr_qa.app.metric_chart import MetricChart
 from cbsr_qa.domain.report import Block, Paragraph, Section
 from cbsr_qa.domain.station_charts import ChartReference
 from cbsr_qa.report.figures_charts import ChartPart, control_figure

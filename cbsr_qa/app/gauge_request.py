@@ -1,7 +1,7 @@
 """What a gauge study is asked for: by options, or by a study's file, whose lines refusals then name."""
 
 from dataclasses import dataclass
-from datetime import UTC, date
+from datetime import date
 
 from cbsr_qa.app.gauge_references import ReferenceValue
 from cbsr_qa.config.echo import echo
@@ -110,8 +110,7 @@ class GaugeRequest:
 
     def takes(self, line: RunLine) -> bool:
         """Whether a run is of the period, the stations and the operators."""
-        day = day_of(line)
-        in_period = (self.since is None or day >= self.since) and (self.until is None or day <= self.until)
+        in_period = (self.since is None or line.day >= self.since) and (self.until is None or line.day <= self.until)
         at_station = not self.stations or line.station in self.stations
         return in_period and at_station and (not self.operators or line.operator in self.operators)
 
@@ -135,8 +134,3 @@ class GaugeRequest:
             raise RefusedError(
                 f"no day is after {self.since} and before {self.until}", remedy="swap --since and --until"
             )
-
-
-def day_of(line: RunLine) -> date:
-    """Return the day a run began on, UTC."""
-    return line.started_at.astimezone(UTC).date()

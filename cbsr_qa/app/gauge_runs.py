@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 
 from cbsr_qa.app.figure_series import clock_notes, named
-from cbsr_qa.app.gauge_request import GaugeRequest, day_of
+from cbsr_qa.app.gauge_request import GaugeRequest
 from cbsr_qa.config.echo import echo
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.run_figures import RunLine
@@ -102,7 +102,7 @@ def _names(request: GaugeRequest, lines: Sequence[RunLine]) -> Iterator[_Named]:
 
 def _days(lines: Sequence[RunLine]) -> str:
     """Say when runs of the sensors and the recipe were begun, whatever the days and stations; empty without any."""
-    days = sorted(day_of(line) for line in lines)
+    days = sorted(line.day for line in lines)
     return f"; runs of its sensors and recipe began from {days[0]} to {days[-1]}" if days else ""
 
 

@@ -42,7 +42,8 @@ def charts(
 
     Exit code 1 if a chart signals.
     """
-    from cbsr_qa.app.control_charts import ChartsRequest, ReferencePeriod, control_charts
+    from cbsr_qa.app.charts_request import ChartsRequest, ReferencePeriod
+    from cbsr_qa.app.control_charts import control_charts
     from cbsr_qa.cli.charts_table import lines
 
     period = None

@@ -1,7 +1,7 @@
 """Figures of runs: one number a run and metric, as studies over many runs take them."""
 
 from dataclasses import dataclass
-from datetime import datetime
+from datetime import UTC, date, datetime
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -43,6 +43,11 @@ class RunLine:
     operator: str
     started_at: datetime
     analysis: str
+
+    @property
+    def day(self) -> date:
+        """The day it began on, UTC, by the same clock."""
+        return self.started_at.astimezone(UTC).date()
 
 
 @dataclass(frozen=True, slots=True)
