@@ -1,0 +1,73 @@
+"""A thousand fleets of known truth through ``compare``: the batch that differs is found, and no station for it."""
+
+import sys
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cbsr_qa.domain.fleet import FleetRun, FleetTable, Kind, MetricKey, State
+from cbsr_qa.domain.outcome import Outcome
+from cbsr_qa.fleet.comparison import compare
+from cbsr_qa.fleet.terms import By, Terms
+
+sys.path.insert(0, str(Path(__file__).parents[2]))
+
+from benchmarks.batch_coverage import BATCHES, DESIGNS, design, values
+
+SEEDS = 1000
+BEGAN = datetime(2026, 1, 5, tzinfo=UTC)
+TERMS = Terms(By.BATCH, groups=("batch 0", "batch 1", "batch 2"))
+
+
+def fleet(rows):
+    """Runs of a design, in the order they are made in."""
+    return tuple(
+        FleetRun(
+            run=f"run-{number:04d}",
+            serial=f"S-{sensor:03d}",
+            batch=f"batch {batch}",
+            material="cbsr-8wt",
+            station=f"station {station}",
+            recipe="nine-locations",
+            started_at=BEGAN + timedelta(hours=number),
+            made_at=BEGAN + timedelta(hours=number),
+            finished=True,
+            outcome=Outcome.PASS,
+            software=(("cbsr-qa", "1"),),
+            simulated=("figures",),
+        )
+        for number, (batch, station, sensor) in enumerate(rows)
+    )
+
+
+def table(runs, drawn):
+    """One metric of them."""
+    number = np.arange(len(runs), dtype=np.int32)
+    every = np.full(len(runs), State.PLAIN, dtype=np.uint8)
+    return FleetTable(runs, (Kind(MetricKey("figure"), "1", "", None, None),), number, 0 * number, drawn, every)
+
+
+@pytest.mark.parametrize("title", DESIGNS)
+def test_the_batch_is_found_and_the_station_is_not_taken_for_it(title):
+    rows = design(DESIGNS[title])
+    runs, now = fleet(rows), BEGAN + timedelta(days=365)
+    held, found, taken, plainly_held, plainly_found = [], [], [], [], []
+    for seed in range(SEEDS):
+        (metric,) = compare(table(runs, values(rows, seed)), TERMS, now).metrics
+        for number, one in zip((1, 2), metric.differences, strict=True):
+            true = BATCHES[number] - BATCHES[0]
+            held.append(one.interval.holds(true))
+            plainly_held.append(one.naive.interval.holds(true))
+        differs, alike = metric.differences
+        found.append(differs.interval.low > 0)
+        plainly_found.append(differs.naive.interval.low > 0)
+        taken.append(not alike.interval.holds(0.0))
+    assert 0.935 <= np.mean(held) <= 0.965
+    assert np.mean(found) >= 0.95
+    assert np.mean(taken) <= 0.065
+    if DESIGNS[title]:  # what stations differ by spreads the last figures of all batches alike
+        assert np.mean(plainly_found) < np.mean(found) - 0.02
+    else:
+        assert np.mean(plainly_held) < 0.92
