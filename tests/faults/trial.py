@@ -3,6 +3,7 @@
 import math
 import tempfile
 import threading
+import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
@@ -15,7 +16,7 @@ from numpy.typing import NDArray
 from cbsr_qa.app.setup import configure, open_station, plan_of, station_clock
 from cbsr_qa.clock import RealClock
 from cbsr_qa.config.merge import Configuration
-from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.kinematics import stroke_s
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run import RunIdentity, RunRecord
@@ -88,7 +89,7 @@ class Outcome:
 
     Parameters
     ----------
-    kind : ``"rode through"``, ``"broken"``, ``"broken, not safe"`` or ``"refused"``.
+    kind : ``"rode through"``, ``"broken"`` or ``"broken, not safe"``.
     last_step : number of the step that was under way at the end.
     safe_after_s : station time from the moment it was told to stop until head and source were safe.
     wrong : in words, what must not be.
@@ -191,10 +192,7 @@ class Trial:
         """Run, look at the bench, read the record back."""
         here = self._here
         clock = station_clock(here)
-        try:
-            bench = open_station(here, plugins(), clock, emulated=self._take)
-        except CbsrError as error:
-            return Outcome("refused", error.reason, 0, 0.0)
+        bench = _opened(lambda: open_station(here, plugins(), clock, emulated=self._take))
         with open_store(self._url) as store:
             try:
                 return self._driven(bench, clock, store)
@@ -258,6 +256,23 @@ class Trial:
         if finished and self._injected is not None:
             outcome.wrong += _measured_otherwise(self.measured, undisturbed(self._recipe))
         return outcome
+
+
+def _opened(bench: Callable[[], Bench], patience_s: float = 30.0) -> Bench:
+    """Open a bench.
+
+    Where a link was dropped in another process, the system hands its terminal's number out again at once; that process
+    keeps the number locked until its run has ended.
+    """
+    pause = threading.Event()
+    until_s = time.monotonic() + patience_s
+    while True:
+        try:
+            return bench()
+        except InstrumentError as error:
+            if "in use by" not in error.reason or time.monotonic() > until_s:
+                raise
+            pause.wait(0.5)
 
 
 def run_with(injected: Injected | None, recipe: Path = NINE_PLACES) -> Outcome:
