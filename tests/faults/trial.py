@@ -261,8 +261,8 @@ class Trial:
 def _opened(bench: Callable[[], Bench], patience_s: float = 30.0) -> Bench:
     """Open a bench.
 
-    Where a link was dropped in another process, the system hands its terminal's number out again at once; that process
-    keeps the number locked until its run has ended.
+    Where a link was dropped in another process, the system hands its terminal's number out again at once, and that
+    process keeps the number locked until its run has ended.
     """
     pause = threading.Event()
     until_s = time.monotonic() + patience_s
