@@ -1,9 +1,13 @@
 """What every test may use."""
 
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from uuid import uuid4
 
 import pytest
+import sqlalchemy as sa
 
 # As the command line does, before numpy is loaded: several workers with several threads each are far slower.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
@@ -17,3 +21,62 @@ def shared() -> Path:
     if not (_SHARED / "data").is_dir():
         pytest.skip(f"the recordings and reference numbers are not at {_SHARED}")
     return _SHARED
+
+
+class PostgresServer:
+    """The PostgreSQL server of this machine, in which tests make databases and drop them."""
+
+    def __init__(self) -> None:
+        self._engine = sa.create_engine(
+            "postgresql+psycopg://postgres@127.0.0.1:5432/postgres",
+            isolation_level="AUTOCOMMIT",
+            connect_args={"connect_timeout": 3},
+        )
+
+    def execute(self, statement: str) -> None:
+        """Carry out one statement as the server's owner, in no transaction."""
+        with self._engine.connect() as connection:
+            connection.exec_driver_sql(statement)
+
+    @contextmanager
+    def new_database(self) -> Iterator[str]:
+        """Make an empty database, give its address, and drop it; a connection left open to it is an error."""
+        name = f"cbsr_qa_test_{uuid4().hex}"
+        self.execute(f"CREATE DATABASE {name}")
+        try:
+            yield f"postgresql://postgres@127.0.0.1:5432/{name}"
+            self.execute(f"DROP DATABASE {name}")
+        finally:
+            self.execute(f"DROP DATABASE IF EXISTS {name} WITH (FORCE)")
+
+    def dispose(self) -> None:
+        """Leave the server."""
+        self._engine.dispose()
+
+
+@pytest.fixture(scope="session")
+def postgres_server() -> Iterator[PostgresServer]:
+    """The PostgreSQL server of this machine; skips, saying so, where none answers."""
+    server = PostgresServer()
+    try:
+        server.execute("SELECT 1")
+    except sa.exc.OperationalError as error:
+        server.dispose()
+        pytest.skip(f"no PostgreSQL server answers at 127.0.0.1:5432: {error.orig}")
+    yield server
+    server.dispose()
+
+
+@pytest.fixture
+def postgres_database(postgres_server: PostgresServer) -> Iterator[str]:
+    """Address of an empty database on the server, dropped after the test."""
+    with postgres_server.new_database() as url:
+        yield url
+
+
+@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)])
+def database_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
+    """Address of an empty database of each kind that is supported."""
+    if request.param == "sqlite":
+        return f"sqlite:///{tmp_path / 'runs.db'}"
+    return str(request.getfixturevalue("postgres_database"))

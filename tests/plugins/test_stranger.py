@@ -8,33 +8,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from station_files import station_file
 
 from cbsr_qa.analysis.recording_file import read_recording
 
 _HERE = Path(__file__).parent
 
-_STATION = """
-[station]
-name = "with-thermometer"
-clock = "virtual"
-sensor_type = "disc-100mm"
-material = "cbsr-8wt"
-
-[indenter]
-diameter_mm = 13.0
-
-[motion]
-press_speed_mm_per_min = 40.0
-travel_speed_mm_per_min = 600.0
-hover_mm = 25.0
-
-[safety]
-force_N = 20.0
-strain_percent = 35.0
-travel_radius_mm = 42.0
-duration_h = 1.0
-stale_s = 2.0
-
+_INSTRUMENTS = """
 [instruments.bench]
 driver = "simulated-bench"
 provides = ["frame_source", "force_applicator", "force"]
@@ -123,7 +103,9 @@ def test_it_appears_in_a_run_and_its_report(environment, tmp_path):
     from cbsr_qa.config.documents import DocumentKind, open_document
 
     shipped = open_document(DocumentKind.RECIPE, "nine-locations").text
-    (tmp_path / "station.toml").write_text(_STATION)
+    (tmp_path / "station.toml").write_text(
+        station_file("with-thermometer", _INSTRUMENTS, travel_radius_mm=42.0, duration_h=1.0)
+    )
     (tmp_path / "recipe.toml").write_text(_short_recipe(shipped))
     files = ["--station", "station.toml", "--recipe", "recipe.toml", "--serial", "T-1", "--seed", "5"]
     done = _cbsr_qa(environment, tmp_path, "run", *files, "--json")

@@ -2,7 +2,6 @@
 
 import datetime as dt
 from contextlib import closing
-from uuid import uuid4
 
 import pytest
 import sqlalchemy as sa
@@ -24,30 +23,12 @@ CHECKS = {
 
 CHANGES = {table.__tablename__ for table in (change_tables.ConfigurationChangeRow, change_tables.VerdictOverrideRow)}
 
-SERVER = "postgresql+psycopg://postgres@127.0.0.1:5432"
 
-
-@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)])
-def engine(request, tmp_path):
-    if request.param == "sqlite":
-        engine = open_engine(parsed_url(f"sqlite:///{tmp_path / 'runs.db'}"))
-        yield engine
-        engine.dispose()
-        return
-    server = sa.create_engine(f"{SERVER}/postgres", isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 3})
-    name = f"cbsr_qa_test_{uuid4().hex}"
-    try:
-        with server.connect() as connection:
-            connection.exec_driver_sql(f"CREATE DATABASE {name}")
-    except sa.exc.OperationalError as error:
-        server.dispose()
-        pytest.skip(f"no PostgreSQL server answers at 127.0.0.1:5432: {error.orig}")
-    engine = open_engine(parsed_url(f"{SERVER}/{name}"))
+@pytest.fixture
+def engine(database_url):
+    engine = open_engine(parsed_url(database_url))
     yield engine
     engine.dispose()
-    with server.connect() as connection:
-        connection.exec_driver_sql(f"DROP DATABASE {name}")
-    server.dispose()
 
 
 def sample(column):

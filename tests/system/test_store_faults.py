@@ -2,23 +2,19 @@
 
 import sqlite3
 from contextlib import closing
-from uuid import uuid4
 
 import numpy as np
 import pytest
-import sqlalchemy as sa
 from killing import frames_of_loads, write_files
 
 from cbsr_qa.app.resume import resume_run
 from cbsr_qa.app.run_sensor import RunRequest, run_sensor
-from cbsr_qa.domain.errors import BrokenRunError
+from cbsr_qa.domain.errors import BrokenRunError, StoreError
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.store import engine as engines
 from cbsr_qa.store.journal import Journal
 from cbsr_qa.store.repository import open_store
 from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench
-
-SERVER = "postgresql+psycopg://postgres@127.0.0.1:5432"
 
 
 @pytest.fixture
@@ -186,49 +182,24 @@ def test_a_database_that_is_let_go_in_time_stops_nothing(here, whole, monkeypatc
 
 
 @pytest.mark.postgres
-def test_a_server_that_hangs_up(here, benches, whole, monkeypatch):
-    server = sa.create_engine(f"{SERVER}/postgres", isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 3})
-    name = f"cbsr_qa_test_{uuid4().hex}"
-    try:
-        with server.connect() as connection:
-            connection.exec_driver_sql(f"CREATE DATABASE {name}")
-    except sa.exc.OperationalError as error:
-        server.dispose()
-        pytest.skip(f"no PostgreSQL server answers at 127.0.0.1:5432: {error.orig}")
-    url = f"postgresql://postgres@127.0.0.1:5432/{name}"
+def test_a_server_that_hangs_up(here, benches, whole, monkeypatch, postgres_server, postgres_database):
+    name = postgres_database.rpartition("/")[2]
 
     def hang_up():
-        with server.connect() as connection:
-            connection.exec_driver_sql(
-                f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = '{name}'"
-            )
+        postgres_server.execute(f"SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE datname = '{name}'")
 
     with monkeypatch.context() as patch:
         at_document(patch, 120, hang_up)
-        run, said = broken_run(database=url)
+        run, said = broken_run(database=postgres_database)
     assert name in said
     assert "hung up" in said
     assert benches == [True]
-    assert_goes_on(run, whole, database=url)
-    with server.connect() as connection:
-        connection.exec_driver_sql(f"DROP DATABASE {name} WITH (FORCE)")
-    server.dispose()
+    assert_goes_on(run, whole, database=postgres_database)
 
 
 @pytest.mark.postgres
-def test_on_postgresql_one_process_writes_a_run_at_a_time(tmp_path):
-    from cbsr_qa.domain.errors import StoreError
-
-    server = sa.create_engine(f"{SERVER}/postgres", isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 3})
-    name = f"cbsr_qa_test_{uuid4().hex}"
-    try:
-        with server.connect() as connection:
-            connection.exec_driver_sql(f"CREATE DATABASE {name}")
-    except sa.exc.OperationalError as error:
-        server.dispose()
-        pytest.skip(f"no PostgreSQL server answers at 127.0.0.1:5432: {error.orig}")
-    url = f"postgresql://postgres@127.0.0.1:5432/{name}"
-    with open_store(url) as one, open_store(url) as other:
+def test_on_postgresql_one_process_writes_a_run_at_a_time(postgres_database):
+    with open_store(postgres_database) as one, open_store(postgres_database) as other:
         with one.writing_alone("run-1", "Kim"):
             assert other.writer_of("run-1").startswith("Kim on ")
             with pytest.raises(StoreError, match="is being written by Kim on"), other.writing_alone("run-1", "Jo"):
@@ -236,6 +207,3 @@ def test_on_postgresql_one_process_writes_a_run_at_a_time(tmp_path):
             with other.writing_alone("run-2", "Jo"):
                 pass
         assert other.writer_of("run-1") == ""
-    with server.connect() as connection:
-        connection.exec_driver_sql(f"DROP DATABASE {name} WITH (FORCE)")
-    server.dispose()

@@ -6,6 +6,7 @@ import pty
 import sys
 
 import pytest
+from station_files import station_file
 
 from cbsr_qa.app import session as running
 from cbsr_qa.app.run_sensor import RunRequest, plan_run, run_sensor
@@ -14,29 +15,7 @@ from cbsr_qa.cli.main import guarded
 from cbsr_qa.domain.errors import AbortedError, ConfigError
 from cbsr_qa.runner.interrupts import Stopped
 
-STATION = """
-[station]
-name = "by-hand"
-clock = "real"
-sensor_type = "disc-100mm"
-material = "cbsr-8wt"
-
-[indenter]
-diameter_mm = 13.0
-
-[motion]
-press_speed_mm_per_min = 40.0
-travel_speed_mm_per_min = 600.0
-hover_mm = 25.0
-
-[safety]
-force_N = 20.0
-strain_percent = 35.0
-travel_radius_mm = 41.0
-duration_h = 12.0
-stale_s = 120.0
-answer_s = 600.0
-
+INSTRUMENTS = """
 [instruments.frames]
 driver = "simulated-bench"
 provides = ["frame_source"]
@@ -60,7 +39,9 @@ capacity = 3000
 @pytest.fixture
 def station(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "by-hand.toml").write_text(STATION)
+    (tmp_path / "by-hand.toml").write_text(
+        station_file("by-hand", INSTRUMENTS, clock="real", stale_s=120.0, answer_s=600.0)
+    )
     return "by-hand.toml"
 
 

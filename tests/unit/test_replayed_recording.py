@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from simulated_setting import HEAD, MOTION, base_scene, context, material, sensor_type
+from station_files import station_file
 
 from cbsr_qa.app.setup import configure, open_station, station_clock
 from cbsr_qa.clock import VirtualClock
@@ -199,28 +200,7 @@ def test_a_station_of_a_recording_without_force_is_refused(tmp_path):
         Bench([Mounted(spec, one)])
 
 
-STATION = """
-[station]
-name = "replay"
-clock = "virtual"
-sensor_type = "disc-100mm"
-material = "cbsr-8wt"
-
-[indenter]
-diameter_mm = 13.0
-
-[motion]
-press_speed_mm_per_min = 40.0
-travel_speed_mm_per_min = 600.0
-hover_mm = 25.0
-
-[safety]
-force_N = 20.0
-strain_percent = 35.0
-travel_radius_mm = 41.0
-duration_h = 12.0
-stale_s = 2.0
-
+INSTRUMENTS = """
 [instruments.bench]
 driver = "replayed-recording"
 provides = ["frame_source", "force_applicator", "force"]
@@ -233,7 +213,7 @@ def test_a_station_file_names_the_recording(tmp_path):
 
     write_recording(tmp_path / "kept.h5", recording(clock="station"))
     station = tmp_path / "replay.toml"
-    station.write_text(STATION.format(file=tmp_path / "kept.h5"))
+    station.write_text(station_file("replay", INSTRUMENTS.format(file=tmp_path / "kept.h5")))
     configuration = configure(str(station), "nine-locations", sensor_type=None, material=None, seed=1)
     bench = open_station(configuration, discover(), station_clock(configuration))
     (identity,) = bench.identities()

@@ -6,7 +6,6 @@ import re
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from uuid import uuid4
 
 import pytest
 import sqlalchemy as sa
@@ -25,8 +24,6 @@ from cbsr_qa.domain.run_events import RunEnded, RunStarted
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.repository import open_store
 
-SERVER = "postgresql+psycopg://postgres@127.0.0.1:5432"
-
 #: The cells that may be filled in later: a phase's end, and what a calibration was superseded by.
 ALLOWED = (
     r"UPDATE phases SET ended_s=\S+ WHERE .*phases\.ended_s IS NULL$",
@@ -34,28 +31,9 @@ ALLOWED = (
 )
 
 
-@pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)])
-def url(request, tmp_path):
-    if request.param == "sqlite":
-        yield f"sqlite:///{tmp_path / 'runs.db'}"
-        return
-    server = sa.create_engine(f"{SERVER}/postgres", isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 3})
-    name = f"cbsr_qa_test_{uuid4().hex}"
-    try:
-        with server.connect() as connection:
-            connection.exec_driver_sql(f"CREATE DATABASE {name}")
-    except sa.exc.OperationalError as error:
-        server.dispose()
-        pytest.skip(f"no PostgreSQL server answers at 127.0.0.1:5432: {error.orig}")
-    yield f"postgresql://postgres@127.0.0.1:5432/{name}"
-    with server.connect() as connection:
-        connection.exec_driver_sql(f"DROP DATABASE {name}")
-    server.dispose()
-
-
 @pytest.fixture
-def repository(url):
-    with open_store(url) as opened:
+def repository(database_url):
+    with open_store(database_url) as opened:
         yield opened
 
 
@@ -229,16 +207,16 @@ def test_nothing_a_verdict_rests_on_is_changed_or_removed(repository):
 
 
 @pytest.mark.slow
-def test_a_whole_run_with_its_report_and_override_only_adds(url, tmp_path, monkeypatch):
+def test_a_whole_run_with_its_report_and_override_only_adds(database_url, tmp_path, monkeypatch):
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path))
     recipe_file = str(Path(__file__).parents[1] / "faults" / "two-frames.toml")
-    open_store(url).close()  # migrations have their own tests
+    open_store(database_url).close()  # migrations have their own tests
     with only_added() as seen:
         for serial in ("S-1", "S-2"):
-            request = RunRequest(station="simulated", recipe=recipe_file, serial=serial, database=url)
+            request = RunRequest(station="simulated", recipe=recipe_file, serial=serial, database=database_url)
             outcome = run_sensor(request)
-        override_verdict(outcome.run, "fail", by="Zoë", why="so", database=url)
-        render_stored(outcome.run, database=url)
+        override_verdict(outcome.run, "fail", by="Zoë", why="so", database=database_url)
+        render_stored(outcome.run, database=database_url)
     assert outcome.result.record.end is EndReason.FINISHED
     assert {words.split()[1] for words in seen} == {"phases"}
 

@@ -2,11 +2,9 @@
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from uuid import uuid4
 
 import numpy as np
 import pytest
-import sqlalchemy as sa
 from calibration_samples import assert_same, sample_force
 from stored_lots import judged, measured, store_run
 from stored_runs import calibration, frames, identity, journalled, record, short_run
@@ -25,23 +23,11 @@ from cbsr_qa.store.repository import open_store
 
 pytestmark = pytest.mark.postgres
 
-SERVER = "postgresql+psycopg://postgres@127.0.0.1:5432"
-
 
 @pytest.fixture(scope="module")
-def url():
-    server = sa.create_engine(f"{SERVER}/postgres", isolation_level="AUTOCOMMIT", connect_args={"connect_timeout": 3})
-    name = f"cbsr_qa_test_{uuid4().hex}"
-    try:
-        with server.connect() as connection:
-            connection.exec_driver_sql(f"CREATE DATABASE {name}")
-    except sa.exc.OperationalError as error:
-        server.dispose()
-        pytest.skip(f"no PostgreSQL server answers at 127.0.0.1:5432: {error.orig}")
-    yield f"postgresql://postgres@127.0.0.1:5432/{name}"
-    with server.connect() as connection:
-        connection.exec_driver_sql(f"DROP DATABASE {name}")
-    server.dispose()
+def url(postgres_server):
+    with postgres_server.new_database() as url:
+        yield url
 
 
 @pytest.fixture
