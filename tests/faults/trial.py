@@ -259,9 +259,9 @@ class Trial:
 
 
 def _opened(bench: Callable[[], Bench], patience_s: float = 30.0) -> Bench:
-    """Open a bench.
+    """Open a bench; nothing is struck yet, so what goes wrong is this computer's.
 
-    Where a link was dropped in another process, the system hands its terminal's number out again at once, and that
+    It may be so busy that an answer comes too late. Where a link was dropped in another process, the system hands its terminal's number out again at once, and that
     process keeps the number locked until its run has ended.
     """
     pause = threading.Event()
@@ -270,7 +270,7 @@ def _opened(bench: Callable[[], Bench], patience_s: float = 30.0) -> Bench:
         try:
             return bench()
         except InstrumentError as error:
-            if "in use by" not in error.reason or time.monotonic() > until_s:
+            if not (error.retryable or "in use by" in error.reason) or time.monotonic() > until_s:
                 raise
             pause.wait(0.5)
 
