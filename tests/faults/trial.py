@@ -261,8 +261,8 @@ class Trial:
 def _opened(bench: Callable[[], Bench], patience_s: float = 30.0) -> Bench:
     """Open a bench; nothing is struck yet, so what goes wrong is this computer's.
 
-    It may be so busy that an answer comes too late. Where a link was dropped in another process, the system hands its terminal's number out again at once, and that
-    process keeps the number locked until its run has ended.
+    It may be so busy that an answer comes too late. Where a link was dropped in another process, the system hands its
+    terminal's number out again at once, and that process keeps the number locked until its run has ended.
     """
     pause = threading.Event()
     until_s = time.monotonic() + patience_s
