@@ -191,13 +191,13 @@ class MarlinAxes:
         self._at = None
         with self._link.alone(_PATIENCE_S) as mine:
             if not mine:
-                self._link.shout("M410", *self._lifting())
+                self._link.shout(*self._stopping())
                 raise self._fail("it was told to stop and lift, and did not answer: another command hangs", _LOOK)
             if self._link.down:
                 self._link.reopen()
             if self._link.silent:
                 # At once: asking it four times would leave the head in the sheet for as long.
-                self._link.shout("M410", *self._lifting())
+                self._link.shout(*self._stopping())
                 raise self._fail("it was told to stop and lift, and does not answer any more", _LOOK)
             restarts = self._link.restarts
             try:
@@ -205,13 +205,25 @@ class MarlinAxes:
             except InstrumentError:
                 if self._link.restarts == restarts:
                     # It may hear what it does not answer; the way up to a known height can be told twice.
-                    self._link.shout("M410", *self._lifting())
+                    self._link.shout(*self._stopping())
                     raise
                 self._stop_and_lift()  # it has restarted in between: now upwards from wherever it is
 
     def _stop_and_lift(self) -> None:
-        self._link.command("M410")
-        self._lift()
+        lines = self._stopping()
+        self._at = None
+        for line in lines or ["M114"]:  # where nothing is to be told, it must answer all the same
+            self._link.command(line)
+        self._lifted_at = self._link.restarts
+
+    def _stopping(self) -> list[str]:
+        """Lines that stop and lift.
+
+        None where its position is lost and it was told to lift already: a stop would leave it on its way up, perhaps
+        still in the sheet, and how far it has got nobody knows.
+        """
+        lifts_already = not self.homed and self._lifted_at == self._link.restarts
+        return [] if lifts_already else ["M410", *self._lifting()]
 
     def _lift(self) -> None:
         self._at = None

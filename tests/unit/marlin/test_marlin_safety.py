@@ -85,6 +85,17 @@ def test_the_safe_state_of_a_head_nobody_homed_lifts_it_once_out_of_wherever_it_
     assert station.head.position_mm[2] == pytest.approx(before + MOTION.hover_mm)
 
 
+@pytest.mark.parametrize("pause_s", [0.0, 0.4])
+def test_a_head_that_is_told_again_while_it_lifts_goes_all_the_way(station, head, pause_s):
+    # What makes the bench safe at the start, and right after it an error or an impatient operator.
+    before_mm = station.head.height_mm
+    head.safe_state()
+    station.clock.sleep(pause_s)
+    head.safe_state()
+    station.clock.sleep(4.0)
+    assert station.head.height_mm == pytest.approx(before_mm + MOTION.hover_mm, abs=0.1)
+
+
 def test_opening_moves_nothing_and_stops_what_moves(make, one_world):
     station = make()
     station.head.go((0.0, 0.0, 0.0), 1.0)
