@@ -1,6 +1,8 @@
 """What one head does to the readings at every place it can press: the bank a frame is compared with."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil
 from typing import Final
 
@@ -10,7 +12,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.force_model import Lattice
 from cbsr_qa.domain.loads import Indenter
-from cbsr_qa.forward.round_load import RoundLoadModel, RoundLoads
+from cbsr_qa.forward.round_load import LoadReadings, RoundLoadModel, RoundLoads
 from cbsr_qa.reconstruct.load_readings import MergedReadings
 
 Array = NDArray[np.float64]
@@ -72,7 +74,7 @@ def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indente
         raise CalibrationError(f"a head of {head.words()} fits nowhere on the sheet: no force can be calibrated")
     node = np.where(inside, np.cumsum(inside) - 1, -1).reshape(lattice.rows, lattice.columns)
     places = everywhere[inside]
-    fields = templates_at(model, readings, places, head)
+    fields = _joined(_templates(readings, part) for part in _everywhere(model, head))
     fits = clear_mm[inside] >= head.radius_mm
     return TemplateBank(
         lattice,
@@ -98,11 +100,40 @@ class Templates:
 
 def templates_at(model: RoundLoadModel, readings: MergedReadings, places_mm: Array, head: Indenter) -> Templates:
     """Fields of a head at any places (n, 2) on the sheet."""
-    parts = [
-        _templates(model, readings, places_mm[first : first + _AT_ONCE], head)
-        for first in range(0, len(places_mm), _AT_ONCE)
-    ]
+    return _joined(_templates(readings, part) for part in _pressed(model, places_mm, head))
+
+
+def _joined(parts: Iterable[tuple[Array, Array, Array, Array]]) -> Templates:
     return Templates(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+@lru_cache(maxsize=1)
+def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
+    """The readings of a head at all places of the lattice.
+
+    A run asks for them twice, as it was measured and as it is stored: they depend on no measurement. About 50 MB.
+    """
+    everywhere = _lattice(model).places_mm()
+    inside = model.surroundings.clearance_mm(everywhere) >= LEAST_CLEARANCE * model.surroundings.radius_mm
+    return tuple(_pressed(model, everywhere[inside], head))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pressed:
+    """Readings of a head at some places, and how much larger its squared radius is than what could be expanded."""
+
+    readings: LoadReadings
+    beyond_mm2: Array
+    square_mm2: float
+
+
+def _pressed(model: RoundLoadModel, places_mm: Array, head: Indenter) -> "Iterator[_Pressed]":
+    square, strength = head.squared_radius_mm2, CONTRAST / (2 + CONTRAST) * head.area_mm2 / np.pi
+    for first in range(0, len(places_mm), _AT_ONCE):
+        places = places_mm[first : first + _AT_ONCE]
+        reached = np.minimum(square, (_CLEAR_OF * model.surroundings.clearance_mm(places)) ** 2)
+        loads = RoundLoads(places, np.full(len(places), strength), reached)
+        yield _Pressed(model.readings(loads), square - reached, square)
 
 
 def _lattice(model: RoundLoadModel) -> Lattice:
@@ -114,20 +145,14 @@ def _lattice(model: RoundLoadModel) -> Lattice:
     return Lattice(x - half[0] * spacing, y - half[1] * spacing, spacing, 2 * half[0] + 1, 2 * half[1] + 1)
 
 
-def _templates(
-    model: RoundLoadModel, readings: MergedReadings, places_mm: Array, head: Indenter
-) -> tuple[Array, Array, Array, Array]:
-    square = head.squared_radius_mm2
-    reached = np.minimum(square, (_CLEAR_OF * model.surroundings.clearance_mm(places_mm)) ** 2)
-    strength = CONTRAST / (2 + CONTRAST) * head.area_mm2 / np.pi
-    found = model.readings(RoundLoads(places_mm, np.full(len(places_mm), strength), reached))
+def _templates(readings: MergedReadings, found: _Pressed) -> tuple[Array, Array, Array, Array]:
     per = 2 * CONTRAST / (2 + CONTRAST)
-    by_x, by_y, _, by_square = (readings.of_model(found.slope[:, k]) / per for k in range(4))
-    rows = readings.of_model(found.change) / per + by_square * (square - reached)[:, None]
+    by_x, by_y, _, by_square = (readings.of_model(found.readings.slope[:, k]) / per for k in range(4))
+    rows = readings.of_model(found.readings.change) / per + by_square * found.beyond_mm2[:, None]
     size = np.linalg.norm(rows, axis=1)
     rows, by_x, by_y, by_square = (values / size[:, None] for values in (rows, by_x, by_y, by_square))
     along = [(rows * by).sum(axis=1) for by in (by_x, by_y)]
     turn_x, turn_y = (by - rows * part[:, None] for by, part in zip((by_x, by_y), along, strict=True))
     pairs = ((turn_x, turn_x), (turn_x, turn_y), (turn_y, turn_y))
     slopes = np.column_stack([*along, *((one * other).sum(axis=1) for one, other in pairs)])
-    return rows, np.log(size), by_square * square, slopes
+    return rows, np.log(size), by_square * found.square_mm2, slopes
