@@ -12,7 +12,7 @@ from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.fleet.figures import MetricFigures
 from cbsr_qa.fleet.groups import Grouping, decides
 from cbsr_qa.fleet.terms import Policy, Quarantine, Terms
-from cbsr_qa.stats.capability import Capability, capability
+from cbsr_qa.stats.capability import Capability, capability, capability_of_extremes
 from cbsr_qa.stats.crossing import IntArray
 from cbsr_qa.stats.univariate import Quantile, quantile, summary
 from cbsr_qa.stats.worst_value import FloatArray
@@ -132,28 +132,37 @@ def described(
 def _capability(
     figures: MetricFigures, runs: Sequence[FleetRun], indices: IntArray, terms: Terms
 ) -> tuple[Capability | None, str]:
-    """Capability of what the limit judges: of several values a run, the one nearest to the limit."""
+    """Capability of what the limit judges: of several values a run, those nearest to each limit."""
     if not figures.limited:
         return None, "no limit"
     try:
-        worst = _worst(figures)
-        subgroups: dict[tuple[str, str], list[float]] = {}
-        for index, value in zip(indices.tolist(), worst[indices].tolist(), strict=True):
-            subgroups.setdefault((runs[index].batch, runs[index].station), []).append(value)
-        members = list(subgroups.values())
-        if len(indices) == len(members):  # every subgroup has one value: no short term to speak of
-            members = [[value for group in members for value in group]]
-        limits = {"lower": figures.lower, "upper": figures.upper, "confidence": terms.confidence}
-        return capability(members, what=figures.key.label, **limits), ""  # type: ignore[arg-type]
+        if figures.lower is None or figures.upper is None or figures.per_run == 1:
+            limits = {"lower": figures.lower, "upper": figures.upper, "confidence": terms.confidence}
+            members = _subgroups(_worst(figures), runs, indices)
+            return capability(members, what=figures.key.label, **limits), ""  # type: ignore[arg-type]
+        return capability_of_extremes(
+            *(_subgroups(values, runs, indices) for values in (figures.least, figures.most)),
+            lower=figures.lower,
+            upper=figures.upper,
+            confidence=terms.confidence,
+            what=figures.key.label,
+        ), ""
     except NumericsError as error:
         return None, error.reason
+
+
+def _subgroups(values: FloatArray, runs: Sequence[FleetRun], indices: IntArray) -> list[list[float]]:
+    """Values of each batch on each station."""
+    found: dict[tuple[str, str], list[float]] = {}
+    for index, value in zip(indices.tolist(), values[indices].tolist(), strict=True):
+        found.setdefault((runs[index].batch, runs[index].station), []).append(value)
+    members = list(found.values())
+    if len(indices) == len(members):  # every subgroup has one value: no short term to speak of
+        return [[value for group in members for value in group]]
+    return members
 
 
 def _worst(figures: MetricFigures) -> FloatArray:
     if figures.per_run == 1:
         return figures.mean
-    if figures.lower is None:
-        return figures.most
-    if figures.upper is None:
-        return figures.least
-    raise NumericsError("limits on both sides judge every load: no one value a run stands for all")
+    return figures.most if figures.lower is None else figures.least

@@ -7,6 +7,13 @@ With the deviation σ̂ within subgroups (short term, ν = N − k degrees of fr
 Intervals, for normal values: Cp exact by χ² (e-Handbook 7.1.6); an index of one limit exact by the noncentral t,
 3√N Ĉ ~ t'_ν(3√N C); Cpk of two limits by Bissell 1990, Ĉ ± z √(1/9N + Ĉ²/2ν). Where subgroups differ, the mean moves
 by more than σ̂/√N, and only the intervals of Pp and Ppk, which take all values for one sample, mean what they say.
+
+Where limits on both sides judge several values of a run, the lower one judges its least value l and the upper one its
+greatest g (:func:`capability_of_extremes`):
+
+    Cpk = min((U − ḡ)/3σ_g, (l̄ − L)/3σ_l),  Cp = (U − L − (ḡ − l̄))/(3σ_g + 3σ_l),
+
+Cp being, as ever, the Cpk of the same process moved to the best place. Their intervals are joint ones (Bonferroni).
 """
 
 from collections.abc import Iterable, Sequence
@@ -20,6 +27,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.noncentral import noncentrality
 from cbsr_qa.stats.samples import Interval, constant, sample, share
 from cbsr_qa.stats.univariate import centred
+from cbsr_qa.stats.worst_value import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +110,49 @@ def capability(
     )
 
 
+def capability_of_extremes(
+    least: Sequence[Iterable[float]],
+    greatest: Sequence[Iterable[float]],
+    *,
+    lower: float,
+    upper: float,
+    confidence: float = 0.95,
+    what: str = "values",
+) -> Capability:
+    """Return the indices of runs of several values each, all of which two limits judge.
+
+    Parameters
+    ----------
+    least, greatest : values of each subgroup's runs, in the same order, in the unit of the limits.
+    lower, upper, what : see :func:`capability`.
+
+    Returns
+    -------
+    Indices whose intervals hold at least the stated share of samples; mean and deviations are the middle of both
+    sides'.
+
+    Raises
+    ------
+    NumericsError
+        As of :func:`capability`, of either side.
+    """
+    _check_limits(lower, upper, what)
+    share(confidence, "confidence")
+    sides: list[tuple[float, _Spread, _Spread]] = []
+    for groups, which in ((least, "least"), (greatest, "greatest")):
+        arrays = [sample(values, f"{what}, {which} of subgroup {index + 1}") for index, values in enumerate(groups)]
+        every = sample(np.concatenate(arrays) if arrays else (), f"{what}, {which}", least=2, spread=True)
+        sides.append((centred(every)[0], _within(arrays, what), _within([every], what)))
+    (low_mean, *low), (high_mean, *high) = sides
+    apart = np.concatenate([np.asarray(list(group), float) for group in greatest])
+    apart = apart - np.concatenate([np.asarray(list(group), float) for group in least])
+    pairs = list(zip(low, high, strict=True))
+    cp, pp = (_room_of_both(one, two, apart, upper - lower, confidence) for one, two in pairs)
+    cpk, ppk = (_nearer(one, two, low_mean - lower, upper - high_mean, confidence) for one, two in pairs)
+    within, overall = ((one.deviation + two.deviation) / 2 for one, two in pairs)
+    return Capability(len(apart), (low_mean + high_mean) / 2, within, overall, cp, cpk, pp, ppk)
+
+
 def capability_of(
     mean: float,
     deviation: float,
@@ -157,6 +208,30 @@ def _nearest(spread: _Spread, mean: float, lower: float | None, upper: float | N
     z = float(stats.norm.isf((1 - confidence) / 2))
     half = z * sqrt(1 / (9 * spread.count) + value**2 / (2 * spread.freedom))
     return Index(value, Interval(value - half, value + half, confidence), "Bissell 1990, for normal values")
+
+
+def _nearer(low: _Spread, high: _Spread, below: float, above: float, confidence: float) -> Index:
+    """Return the lesser of both sides' indices; both intervals hold at once, and so does the lesser of their ends."""
+    each = 1 - (1 - confidence) / 2
+    values = [below / (3 * low.deviation), above / (3 * high.deviation)]
+    ends = [_exact(value, spread, each) for value, spread in zip(values, (low, high), strict=True)]
+    interval = Interval(min(one.low for one in ends), min(one.high for one in ends), confidence)
+    return Index(min(values), interval, "noncentral t of both sides, Bonferroni, for normal values")
+
+
+def _room_of_both(low: _Spread, high: _Spread, apart: FloatArray, width: float, confidence: float) -> Index:
+    """Return Cp of both sides, with the interval that follows from those of three: both deviations, and ḡ − l̄."""
+    tail = (1 - confidence) / 6
+    error = float(apart.std(ddof=1)) / sqrt(len(apart))
+    half = float(stats.t.isf(tail, len(apart) - 1)) * error
+    room = width - float(apart.mean())
+    wide, narrow = (
+        sum(3 * side.deviation * sqrt(side.freedom / float(stats.chi2.ppf(p, side.freedom))) for side in (low, high))
+        for p in (tail, 1 - tail)
+    )
+    ratios = [end / across for end in (room - half, room + half) for across in (wide, narrow)]
+    value = room / (3 * (low.deviation + high.deviation))
+    return Index(value, Interval(min(ratios), max(ratios), confidence), "χ² of both sides and t, Bonferroni")
 
 
 def _exact(value: float, spread: _Spread, confidence: float) -> Interval:

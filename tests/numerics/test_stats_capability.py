@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.stats.capability import capability, capability_of
+from cbsr_qa.stats.capability import capability, capability_of, capability_of_extremes
 from cbsr_qa.stats.multiplicity import benjamini_hochberg, holm
 from cbsr_qa.stats.yields import passed_share
 
@@ -45,6 +45,42 @@ def test_intervals_cover(upper):
     assert 0.93 <= np.mean([one.ppk.interval.holds(1.0) for one in found]) <= 0.97
     if upper is not None:
         assert 0.935 <= np.mean([one.pp.interval.holds(7 / 6) for one in found]) <= 0.965
+
+
+def test_two_limits_that_judge_several_loads_have_the_indices_of_both_sides():
+    least, greatest = [[1.0, 3.0], [2.0, 4.0]], [[5.0, 8.0], [5.0, 8.0]]
+    found = capability_of_extremes(least, greatest, lower=-6.0, upper=20.0)
+    low, high = sqrt(2.0), sqrt(4.5)
+    assert found.cpk.value == pytest.approx(min((2.5 + 6) / (3 * low), (20 - 6.5) / (3 * high)))
+    assert found.cp.value == pytest.approx((26 - 4.0) / (3 * low + 3 * high))
+    # Moved to the best place, the process reaches Cp on both sides: by δ with both rooms alike in deviations.
+    move = (low * (20 - 6.5) - high * (2.5 + 6)) / (low + high)
+    shift = lambda groups: [[value + move for value in group] for group in groups]  # noqa: E731
+    moved = capability_of_extremes(shift(least), shift(greatest), lower=-6.0, upper=20.0)
+    assert moved.cpk.value == pytest.approx(moved.cp.value) == pytest.approx(found.cp.value)
+    assert found.ppk.value == pytest.approx(
+        min(8.5 / np.std(np.ravel(least), ddof=1), 13.5 / np.std(np.ravel(greatest), ddof=1)) / 3
+    )
+
+
+def test_one_load_a_run_gives_the_usual_indices():
+    lot = np.random.default_rng(81).normal(size=(3, 10))
+    usual, found = capability(lot, lower=-4.0, upper=3.0), capability_of_extremes(lot, lot, lower=-4.0, upper=3.0)
+    for name in ("cp", "cpk", "pp", "ppk"):
+        assert getattr(found, name).value == pytest.approx(getattr(usual, name).value)
+
+
+def test_intervals_of_both_sides_hold_at_least_the_stated_share():
+    random = np.random.default_rng(82)
+    lots = 1 + 0.5 * random.normal(size=(120, 25, 1)) + random.normal(size=(120, 25, 6))
+    loads = 1 + 0.5 * random.normal(size=(200_000, 1)) + random.normal(size=(200_000, 6))
+    low, high = loads.min(axis=1), loads.max(axis=1)
+    cpk = min((low.mean() + 5) / low.std(), (6 - high.mean()) / high.std()) / 3
+    cp = (11 - (high - low).mean()) / (3 * low.std() + 3 * high.std())
+    found = [capability_of_extremes([lot.min(axis=1)], [lot.max(axis=1)], lower=-5.0, upper=6.0) for lot in lots]
+    # Extremes are not normal, and Bonferroni's intervals are wide: at least the stated share, not exactly it.
+    assert np.mean([one.ppk.interval.holds(cpk) for one in found]) >= 0.93
+    assert np.mean([one.pp.interval.holds(cp) for one in found]) >= 0.94
 
 
 def test_short_and_long_term_are_told_apart():

@@ -13,7 +13,7 @@ from cbsr_qa.app.compare import RunChoice, compare_groups, read_amounts
 from cbsr_qa.app.compare_page import write_page
 from cbsr_qa.cli.main import guarded
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.measurement import Bound, Measurement, Verdict
+from cbsr_qa.domain.measurement import Bound, Limit, Measurement, Verdict
 from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.fleet.sentences import headline, sentences
 from cbsr_qa.fleet.terms import Adjustment, By, Period, Policy, Quarantine, Terms
@@ -130,6 +130,25 @@ def test_a_metric_is_the_mean_of_its_loads_and_a_retest_decides_by_policy(url):
     assert last["groups"][0]["failures"] == []
     # Capability is of the worst load: of 3, 4 and 5 mm against 6.5 mm.
     assert last["distributions"][0]["capability"]["cpk"]["value"] == pytest.approx((6.5 - 4.0) / 3)
+
+
+def test_two_limits_that_judge_every_load_give_capability_of_both_sides(url):
+    limit = Limit("area_ratio", "1", 0.0, 2.0)
+
+    def values(ratio):
+        loads = ratio - 0.1, ratio, ratio + 0.2
+        return tuple(
+            Measurement("area_ratio", one, "1", None, "nine locations", f"L{k}", 0).judged(limit)
+            for k, one in enumerate(loads)
+        )
+
+    with open_store(url, durable=False) as store:
+        for number, ratio in enumerate((0.9, 1.0, 1.1)):
+            store_run(store, f"S-{number}", values(ratio), batch="41")
+    (one,) = compared(url).document()["distributions"]
+    assert one["no_capability"] is None
+    assert one["capability"]["cpk"]["value"] == pytest.approx((2.0 - 1.2) / 0.3)
+    assert one["capability"]["cp"]["value"] == pytest.approx((2.0 - 0.3) / 0.6)
 
 
 def test_sensors_that_could_not_be_measured_are_counted_as_the_policy_says(url):
