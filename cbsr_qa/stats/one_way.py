@@ -13,7 +13,7 @@ import numpy as np
 from scipy import stats
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.stats.samples import LEAST_SPREAD, sample
+from cbsr_qa.stats.samples import constant, sample
 from cbsr_qa.stats.univariate import centred
 
 
@@ -50,7 +50,7 @@ def one_way(groups: Sequence[Iterable[float]], names: Sequence[str] = ()) -> One
     Raises
     ------
     NumericsError
-        One group, an empty one, no repeats, missing values, or values that do not differ within the groups.
+        One group, an empty one, no repeats, missing values, or groups that differ within by rounding at most.
     """
     if len(groups) < 2:
         raise NumericsError(f"analysis of variance: {len(groups)} group instead of at least 2")
@@ -63,9 +63,11 @@ def one_way(groups: Sequence[Iterable[float]], names: Sequence[str] = ()) -> One
     parts = [centred(array - grand) for array in arrays]
     between = fsum(len(rest) * mean**2 for mean, rest in parts)
     within = fsum(square for _, rest in parts for square in rest**2)
-    largest = max(float(np.abs(array).max()) for array in arrays)
-    if within <= count * (LEAST_SPREAD * largest) ** 2:
-        raise NumericsError("analysis of variance: values within the groups do not differ, which leaves no variance")
+    # Group by group: a sum of squares against a common threshold calls many small groups' true spread rounding.
+    if all(constant(array) for array in arrays) or not within:
+        raise NumericsError(
+            "analysis of variance: values within the groups differ by rounding at most, which leaves no variance"
+        )
     free = len(arrays) - 1, count - len(arrays)
     statistic = (between / free[0]) / (within / free[1])
     return OneWay(between, within, *free, statistic, float(stats.f.sf(statistic, *free)))

@@ -125,6 +125,19 @@ def test_certified_analysis_of_variance(oracle):
     assert found.p_value == pytest.approx(stats.f_oneway(*groups).pvalue, rel=1e-9)
 
 
+@pytest.mark.parametrize("replicates", [21, 201, 2001])
+@pytest.mark.parametrize(("offset", "digits"), [(1, 14), (10**6, 9), (10**12, 4)])
+def test_simulated_sets_of_nist_lose_the_digits_that_doubles_lose(replicates, offset, digits):
+    """SmLs01 to 09 (Simon & Lesage 1989): nine groups about 0.3 to 0.5, values 0.1 away; certified F = n."""
+    groups = [
+        [offset + tenths / 10] + [offset + (tenths + away) / 10 for away in (-1, 1)] * (replicates // 2)
+        for tenths in (4, 3, 5, 3, 5, 3, 5, 3, 5)
+    ]
+    found = one_way(groups)
+    assert found.statistic == pytest.approx(replicates, rel=10.0**-digits)
+    assert found.within == pytest.approx(0.09 * (replicates - 1), rel=10.0**-digits)
+
+
 @settings(deadline=None)
 @given(st.lists(values, min_size=2, max_size=5), st.integers(-(2**30), 2**30))
 def test_analysis_of_variance_knows_no_origin(groups, shift):
