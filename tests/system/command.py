@@ -81,8 +81,15 @@ def document(done):
     return json.loads(done.stdout, parse_constant=refuse)
 
 
-def short_recipe(folder, name="short.toml", **replacements):
-    """Write the shipped recipe with its first phase alone, one trial and short times; returns the file's name."""
+#: Metrics that are quickly worked out, for runs whose measurements are not the point.
+QUICK = ("centre-of-mass-error", "noise-figure", "channel-noise")
+
+
+def short_recipe(folder, name="short.toml", *, metrics=None, **replacements):
+    """Write the shipped recipe with its first phase alone, one trial and short times; returns the file's name.
+
+    With all of its metrics, or with those that are named.
+    """
     from cbsr_qa.config.documents import DocumentKind, open_document
 
     shipped = open_document(DocumentKind.RECIPE, "nine-locations").text
@@ -90,6 +97,8 @@ def short_recipe(folder, name="short.toml", **replacements):
     first = rest.split("[[phases]]", 1)[0]
     tail = rest[rest.index("[reconstruction]") : rest.index("[[limits]]")]
     head = head.replace('"nine locations"', '"noise figure"')
+    if metrics is not None:
+        tail = tail[: tail.index("[metrics]")] + "[metrics]\n" + "".join(f"{one} = {{}}\n" for one in metrics)
     limit = '\n[[limits]]\nmeasurement = "centre_of_mass_error"\nunit = "mm"\nupper = 6.5\n'
     text = head + "[[phases]]" + first.replace("trials = 3", "trials = 1") + tail + limit
     for old, new in replacements.items():

@@ -1,16 +1,14 @@
 """The page on using a calibration runs as printed, on a sensor and frames made for it."""
 
-import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from pages import HOW_TO, TOP, blocks, commands, typed
 
-_TOP = Path(__file__).resolve().parents[2]
-_PAGE = (_TOP / "docs" / "how-to" / "use-a-calibration.md").read_text()
+_PAGE = HOW_TO / "use-a-calibration.md"
 _MAKE = """
 import sys
 sys.path.insert(0, sys.argv[1])
@@ -36,12 +34,12 @@ write_recording(Path("press.h5"), Recording(
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("robot")
-    subprocess.run([sys.executable, "-c", _MAKE, str(_TOP / "tests" / "unit")], cwd=folder, check=True)
+    subprocess.run([sys.executable, "-c", _MAKE, str(TOP / "tests" / "unit")], cwd=folder, check=True)
     return folder
 
 
 def test_its_snippets_run_as_printed(folder):
-    code = "\n".join(re.findall(r"^```python\n(.*?)^```", _PAGE, re.M | re.S))
+    code = "\n".join(blocks(_PAGE, "python"))
     code += "\nassert trusted[6:].all() and abs(there.force_N[6:] - 3).max() < 0.3"
     code += "\nassert np.allclose(doubled.force_N[6:], many.force_N[6:], rtol=1e-6)"
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
@@ -52,16 +50,9 @@ def test_its_snippets_run_as_printed(folder):
 
 
 def test_its_commands_run_as_printed(folder):
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("CBSR_QA_")}
-    environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
-    blocks = re.findall(r"^```console\n(.*?)^```", _PAGE, re.M | re.S)
-    commands = [line[2:] for block in blocks for line in block.splitlines() if line.startswith("$ ")]
-    assert len(commands) >= 8
-    for command in commands:
-        done = subprocess.run(
-            ["bash", "-c", command], cwd=folder, env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+    assert len(commands(_PAGE)) >= 8
+    for command in commands(_PAGE):
+        done = typed(folder, command)
         assert done.stdout.strip() or "--output" in command
     assert (folder / "again.h5").read_bytes() == (folder / "sensor.h5").read_bytes()
     forces = np.genfromtxt(folder / "forces.csv", delimiter=",", skip_header=1, usecols=2)

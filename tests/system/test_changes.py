@@ -4,7 +4,7 @@ import json
 
 import h5py
 import pytest
-from command import cbsr_qa, document, short_recipe
+from command import QUICK, cbsr_qa, document, short_recipe
 
 pytestmark = pytest.mark.slow
 
@@ -17,7 +17,7 @@ def tested(tmp_path_factory):
     folder = tmp_path_factory.mktemp("changed")
     runs = []
     for serial, upper in (("S-1", "6.5"), ("S-2", "0.001")):
-        recipe = short_recipe(folder, **{"upper = 6.5": f"upper = {upper}"})
+        recipe = short_recipe(folder, metrics=QUICK, **{"upper = 6.5": f"upper = {upper}"})
         files = ("--station", "simulated", "--recipe", recipe, "--serial", serial, "--operator", "Jo")
         runs.append(document(cbsr_qa(folder, "run", *files, "--json", check=False)))
     return folder, runs

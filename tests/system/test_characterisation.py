@@ -1,34 +1,21 @@
 """A strip is characterised by the commands of the manual, and its material file is taken by a sensor's run."""
 
-import re
-import shlex
-from pathlib import Path
-
 import pytest
 from command import cbsr_qa, document
+from pages import HOW_TO, commands, typed, write_files
 
 from cbsr_qa.config.loader import load_material
 
-_PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "characterise-a-material.md").read_text()
-
-
-def _commands():
-    blocks = re.findall(r"^```console\n(.*?)^```", _PAGE, re.M | re.S)
-    return [line[2:] for block in blocks for line in block.splitlines() if line.startswith("$ ")]
+_PAGE = HOW_TO / "characterise-a-material.md"
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """A folder in which the page was followed."""
     folder = tmp_path_factory.mktemp("characterised")
-    ((name, content),) = re.findall(r"`([\w-]+\.toml)`:\n\n```toml\n(.*?)^```", _PAGE, re.M | re.S)
-    (folder / name).write_text(content)
-    for command in _commands():
-        program, *words = shlex.split(command)
-        assert program == "cbsr-qa"
-        files = [str(path.relative_to(folder)) for word in words if "*" in word for path in folder.glob(word)]
-        done = cbsr_qa(folder, *(files.pop() if "*" in word else word for word in words))
-        assert done.stdout.strip(), command
+    assert len(write_files(_PAGE, folder)) == 1
+    for command in commands(_PAGE):
+        assert typed(folder, command).stdout.strip(), command
     return folder
 
 
@@ -38,7 +25,7 @@ def _material(folder):
 
 
 def test_the_page_runs_as_printed(folder):
-    assert len(_commands()) == 3
+    assert len(commands(_PAGE)) == 3
     material = load_material(_material(folder)).value
     assert material.name == "B41"
     assert material.against_strain.slope.value == pytest.approx(0.6, rel=0.05)

@@ -1,75 +1,49 @@
 """What the documentation tells a user to type is typed here, and its snippets are run."""
 
 import html
-import os
 import re
 import shlex
-import subprocess
-import sys
 import tomllib
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from command import cbsr_qa
+from pages import HOW_TO, TOP, blocks, commands, typed, write_files
 
 from cbsr_qa.app.fleet_demo import SAID, build_fleet
 from cbsr_qa.domain.frames import SampleBlock
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.forward.resistor_ring import ring_readings
 
-_TOP = Path(__file__).resolve().parents[2]
-_PAGES = sorted([_TOP / "README.md", *(_TOP / "docs").rglob("*.md")])
-
-
-def _blocks(page, language):
-    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(), flags=re.MULTILINE | re.DOTALL)
-
-
-def _commands(page):
-    return [line[2:] for block in _blocks(page, "console") for line in block.splitlines() if line.startswith("$ ")]
+_PAGES = sorted([TOP / "README.md", *(TOP / "docs").rglob("*.md")])
 
 
 def test_the_tour_of_the_readme_runs_as_printed(tmp_path):
-    commands = _commands(_TOP / "README.md")
-    assert len(commands) >= 8
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("CBSR_QA_")}
-    environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
-    for command in commands:
-        if command.startswith("export PATH"):
-            continue
-        done = subprocess.run(
-            ["bash", "-c", command], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
-        )
-        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
-        assert done.stdout.strip(), command
+    export, first, *others = commands(TOP / "README.md")
+    assert len(others) >= 8
+    assert export.startswith("export PATH")
+    assert typed(tmp_path, first, fresh=True).stdout.strip()
+    for command in others:
+        assert typed(tmp_path, command).stdout.strip(), command
     assert [path.name for path in tmp_path.iterdir()] == ["var"]
 
 
-def test_the_page_on_ones_own_sensor_runs_as_printed(tmp_path):
-    page = _TOP / "docs" / "how-to" / "describe-a-sensor.md"
-    for name, content in re.findall(r"^`([\w-]+\.toml)`:\n\n```toml\n(.*?)^```", page.read_text(), re.M | re.S):
-        (tmp_path / name).write_text(content)
-    assert len(list(tmp_path.iterdir())) == 3
-    environment = {key: value for key, value in os.environ.items() if not key.startswith("CBSR_QA_")}
-    environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment['PATH']}"
-    script = "\n".join(_blocks(page, "python"))
-    commands = [[sys.executable, "-c", script], *(["bash", "-c", command] for command in _commands(page))]
-    for command in commands:
-        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, f"{command}\n{done.stdout}\n{done.stderr}"
+def test_the_page_on_ones_own_sensor_runs_as_printed(tmp_path, monkeypatch):
+    page = HOW_TO / "describe-a-sensor.md"
+    assert len(write_files(page, tmp_path)) == 3
+    monkeypatch.chdir(tmp_path)
+    exec("\n".join(blocks(page, "python")), {})
+    for command in commands(page):
+        typed(tmp_path, command)
     (report,) = (tmp_path / "var" / "reports").glob("E-1*.html")
     assert "polygon of 6 corners rounded with 4 mm, 80 mm × 80 mm" in report.read_text()
 
 
 def test_the_page_on_scenes_runs_as_printed(tmp_path):
-    page = _TOP / "docs" / "how-to" / "simulate-a-scene.md"
-    ((name, content),) = re.findall(r"`([\w-]+\.toml)`:\n\n```toml\n(.*?)^```", page.read_text(), re.M | re.S)
-    (tmp_path / name).write_text(content)
-    for command in _commands(page):
-        done = cbsr_qa(tmp_path, *shlex.split(command)[1:])
-        assert done.stdout.strip(), command
+    page = HOW_TO / "simulate-a-scene.md"
+    assert len(write_files(page, tmp_path)) == 1
+    for command in commands(page):
+        assert typed(tmp_path, command).stdout.strip(), command
     assert {path.name for path in (tmp_path / "var" / "scenes").iterdir()} == {
         "faulty-electrode-seed3.h5",
         "two-heads-seed7.h5",
@@ -79,18 +53,17 @@ def test_the_page_on_scenes_runs_as_printed(tmp_path):
 
 @pytest.mark.slow
 def test_the_page_on_fielded_sensors_runs_as_printed(tmp_path):
-    for command in _commands(_TOP / "docs" / "how-to" / "verify-a-fielded-sensor.md"):
-        done = cbsr_qa(tmp_path, *shlex.split(command)[1:])
+    for command in commands(HOW_TO / "verify-a-fielded-sensor.md"):
+        done = typed(tmp_path, command)
     assert "PASS" in done.stdout
     assert "names no phase to calibrate from" in done.stdout
     assert len(list((tmp_path / "var" / "calibrations").iterdir())) == 1
 
 
 def test_the_page_on_bringing_up_a_station_runs_as_printed(tmp_path):
-    page = _TOP / "docs" / "how-to" / "bring-up-a-station.md"
-    for command in _commands(page):
-        done = cbsr_qa(tmp_path, *shlex.split(command)[1:])
-        assert "OK: 0 failed" in done.stdout, command
+    page = HOW_TO / "bring-up-a-station.md"
+    for command in commands(page):
+        assert "OK: 0 failed" in typed(tmp_path, command).stdout, command
     ring = ring_readings([1e4] * 16, adjacent_pattern(16))
     assert (ring[0, 0], round(ring[0, 5])) == (9375.0, -625)
     assert "9.375 kΩ and\n−625 Ω for 16 of 10 kΩ" in page.read_text()
@@ -98,8 +71,8 @@ def test_the_page_on_bringing_up_a_station_runs_as_printed(tmp_path):
 
 @pytest.mark.slow
 def test_the_page_on_choosing_a_recipe_runs_as_printed(tmp_path):
-    for command in _commands(_TOP / "docs" / "how-to" / "choose-a-recipe.md"):
-        done = cbsr_qa(tmp_path, *shlex.split(command)[1:])
+    for command in commands(HOW_TO / "choose-a-recipe.md"):
+        done = typed(tmp_path, command)
         assert done.stdout.strip(), command
     assert "station time" in done.stdout
     assert (tmp_path / "chosen.toml").exists()
@@ -107,15 +80,15 @@ def test_the_page_on_choosing_a_recipe_runs_as_printed(tmp_path):
 
 @pytest.mark.slow
 def test_the_page_on_comparing_batches_shows_the_sentences_that_are_printed(tmp_path):
-    page = _TOP / "docs" / "how-to" / "compare-batches.md"
-    build, *comparisons = _commands(page)
+    page = HOW_TO / "compare-batches.md"
+    build, *comparisons = commands(page)
     assert build == "python -m cbsr_qa.cli.fleet_demo"
     build_fleet(path=tmp_path / "var" / "fleet-demo.db")
-    shown = _blocks(page, "text")
+    shown = blocks(page, "text")
     assert len(shown) == len(comparisons) == 2
     for command, sentences in zip(comparisons, shown, strict=True):
         words = shlex.split(command)
-        printed = " ".join(cbsr_qa(tmp_path, *words[1:]).stdout.split())
+        printed = " ".join(typed(tmp_path, command).stdout.split())
         assert printed.startswith(" ".join(sentences.split()))
         written = (tmp_path / words[words.index("--output") + 1]).read_text()
         plain = " ".join(html.unescape(re.sub(r"<[^>]*>", " ", written)).split())
@@ -133,7 +106,7 @@ def test_links_between_pages_lead_somewhere(page):
 
 @pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)
 def test_toml_snippets_are_toml(page):
-    for block in _blocks(page, "toml"):
+    for block in blocks(page, "toml"):
         tomllib.loads(block)
 
 
@@ -145,7 +118,7 @@ _GROUPS = ("calibration", "db", "limits", "plugins", "scene", "station", "verdic
 def test_commands_that_are_shown_exist(page):
     from cbsr_qa.cli.main import guarded
 
-    for command in _commands(page):
+    for command in commands(page):
         words = shlex.split(command)
         if words[0] != "cbsr-qa":
             continue
@@ -156,7 +129,7 @@ def test_commands_that_are_shown_exist(page):
 
 def test_the_metric_of_the_plugin_page_measures():
     namespace = {}
-    for block in _blocks(_TOP / "docs" / "how-to" / "write-a-plugin.md", "python"):
+    for block in blocks(HOW_TO / "write-a-plugin.md", "python"):
         exec(block, namespace)
     registered = []
     namespace["cbsr_register"](lambda *registration: registered.append(registration))
@@ -173,7 +146,7 @@ def test_the_metric_of_the_plugin_page_measures():
 
 def test_the_reconstruction_of_the_plugin_page_conforms(capsys):
     namespace = {}
-    for block in _blocks(_TOP / "docs" / "how-to" / "write-a-plugin.md", "python"):
+    for block in blocks(HOW_TO / "write-a-plugin.md", "python"):
         exec(block, namespace)
     said = capsys.readouterr().out.splitlines()
     assert len(said) == 10
@@ -182,7 +155,7 @@ def test_the_reconstruction_of_the_plugin_page_conforms(capsys):
 
 def test_the_sheet_of_the_forward_model_page_is_pressed():
     namespace = {}
-    for block in _blocks(_TOP / "docs" / "explanation" / "forward-model.md", "python"):
+    for block in blocks(TOP / "docs" / "explanation" / "forward-model.md", "python"):
         exec(block, namespace)
     unloaded, pressed = namespace["sheet"].voltages(), namespace["pressed"]
     assert pressed.shape == unloaded.shape == (16, 16)
@@ -195,13 +168,13 @@ _RUN_ABOVE |= {"use-a-calibration.md", "calibration-file.md"}  # on a file that 
 
 @pytest.mark.parametrize(
     "page",
-    [page for page in _PAGES if page.name not in _RUN_ABOVE and _blocks(page, "python")],
+    [page for page in _PAGES if page.name not in _RUN_ABOVE and blocks(page, "python")],
     ids=lambda page: page.name,
 )
 def test_snippets_of_all_other_pages_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     namespace = {}
-    for block in _blocks(page, "python"):
+    for block in blocks(page, "python"):
         exec(block, namespace)
 
 
@@ -209,9 +182,9 @@ _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
 def test_the_numbers_of_the_reconstruction_page_are_what_its_snippets_print(capsys):
-    page = _TOP / "docs" / "explanation" / "reconstruction.md"
+    page = TOP / "docs" / "explanation" / "reconstruction.md"
     snippets = re.findall(r"^```python\n(.*?)^```\n\n```text\n(.*?)^```", page.read_text(), re.M | re.S)
-    assert len(snippets) == len(_blocks(page, "python")) == 7
+    assert len(snippets) == len(blocks(page, "python")) == 7
     namespace = {}
     for snippet, shown in snippets:
         exec(snippet, namespace)
@@ -223,7 +196,7 @@ def test_the_numbers_of_the_reconstruction_page_are_what_its_snippets_print(caps
 
 
 def test_the_reconstruction_page_states_no_number_that_nothing_computes():
-    page = (_TOP / "docs" / "explanation" / "reconstruction.md").read_text()
+    page = (TOP / "docs" / "explanation" / "reconstruction.md").read_text()
     printed = set(_NUMBER.findall("".join(re.findall(r"^```(?:text|python)\n(.*?)^```", page, re.M | re.S))))
     prose = re.sub(r"^```.*?^```", "", page, flags=re.M | re.S)
     prose = re.sub(r"`[^`]*`|\([A-Z][^()]*(?:19|20)\d\d\)|et al\. \d{4}", "", prose)  # options and sources
@@ -235,8 +208,8 @@ def test_the_reconstruction_page_states_no_number_that_nothing_computes():
 def test_the_page_on_the_paper_shows_loads_that_can_be_pressed():
     from cbsr_qa_plugins.sequences.given_loads import GivenLoadsSequence
 
-    page = _TOP / "docs" / "how-to" / "reproduce-the-paper.md"
-    (block,) = _blocks(page, "toml")
+    page = HOW_TO / "reproduce-the-paper.md"
+    (block,) = blocks(page, "toml")
     options = tomllib.loads(block)
     assert options.pop("sequence") == "given-loads"
     assert GivenLoadsSequence(**options)

@@ -1,29 +1,23 @@
 """Limits from a golden lot to a run that is judged by them, as the how-to page says."""
 
 import re
-import shlex
 import sys
 import tomllib
-from pathlib import Path
 
 import pytest
-from command import cbsr_qa, document, short_recipe
+from command import QUICK, cbsr_qa, document, short_recipe
+from pages import HOW_TO, TOP, blocks, commands, typed
 
-_TOP = Path(__file__).resolve().parents[2]
-sys.path.insert(0, str(_TOP / "tests" / "unit"))
+sys.path.insert(0, str(TOP / "tests" / "unit"))
 
-from stored_lots import store_lot  # noqa: E402 - beside the tests of the command
+from stored_lots import store_lot
 
-from cbsr_qa.config.limit_tables import limits_digest  # noqa: E402
-from cbsr_qa.config.loader import load_recipe  # noqa: E402
-from cbsr_qa.store.repository import open_store  # noqa: E402
+from cbsr_qa.config.limit_tables import limits_digest
+from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.store.repository import open_store
 
-_PAGE = (_TOP / "docs" / "how-to" / "propose-limits.md").read_text()
+_PAGE = HOW_TO / "propose-limits.md"
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
-
-
-def _blocks(language):
-    return re.findall(rf"^```{language}\n(.*?)^```", _PAGE, re.M | re.S)
 
 
 @pytest.fixture(scope="module")
@@ -42,16 +36,15 @@ def _table(text):
 
 
 def test_the_page_runs_as_printed_and_prints_what_it_shows(folder):
-    commands = [line[2:] for block in _blocks("console") for line in block.splitlines()]
-    assert len(commands) == 2
-    printed = [cbsr_qa(folder, *shlex.split(command)[1:]).stdout for command in commands]
-    (shown,) = _blocks("text")
+    assert len(commands(_PAGE)) == 2
+    printed = [typed(folder, command).stdout for command in commands(_PAGE)]
+    (shown,) = blocks(_PAGE, "text")
     assert _NUMBER.sub("#", _table(printed[0])) == _NUMBER.sub("#", _table(shown))
     numbers = zip(_NUMBER.findall(_table(shown)), _NUMBER.findall(_table(printed[0])), strict=True)
     for stated, computed in numbers:
         assert float(stated) == pytest.approx(float(computed), rel=0.02, abs=1e-5), (stated, computed)
 
-    (table,) = _blocks("toml")
+    (table,) = blocks(_PAGE, "toml")
     shipped = load_recipe("nine-locations").document.text
     rest = shipped[shipped.index("[[phases]]") : shipped.index("[[limits]]")]
     (folder / "own.toml").write_text(f"{table}\n{rest}")
@@ -65,7 +58,7 @@ def test_a_run_is_judged_by_a_version_that_its_report_names_before_and_after(tmp
     seal = limits_digest(tomllib.loads(limit)["limits"])
     header = f'[limits_version]\nversion = "golden-1"\ndate = "2026-11-21"\nlimits_sha256 = "{seal}"\n\n'
     (tmp_path / "golden-1.toml").write_text(header + limit)
-    recipe = short_recipe(tmp_path, **{"[[phases]]": 'limits_from = "golden-1.toml"\n\n[[phases]]'})
+    recipe = short_recipe(tmp_path, metrics=QUICK, **{"[[phases]]": 'limits_from = "golden-1.toml"\n\n[[phases]]'})
     run = document(cbsr_qa(tmp_path, "run", "--station", "simulated", "--recipe", recipe, "--serial", "A", "--json"))
     (drift,) = (m for m in run["measurements"] if m["name"] == "drift")
     assert (drift["outcome"], drift["upper"], drift["limits_version"]) == ("pass", 9.0, "golden-1")

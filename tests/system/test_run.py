@@ -4,11 +4,11 @@ import sqlite3
 
 import h5py
 import pytest
-from command import cbsr_qa, document, short_recipe
+from command import QUICK, cbsr_qa, document, short_recipe
 
 
-def _run(folder, *more, check=True, serial="S-1", fresh=False, **environment):
-    files = ["--station", "simulated", "--recipe", short_recipe(folder)]
+def _run(folder, *more, check=True, serial="S-1", fresh=False, metrics=None, **environment):
+    files = ["--station", "simulated", "--recipe", short_recipe(folder, metrics=metrics)]
     return cbsr_qa(
         folder, "run", *files, "--serial", serial, "--json", *more, check=check, fresh=fresh, **environment
     )
@@ -30,9 +30,17 @@ def _stored(folder):
 
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
-    """A finished run with seed 11."""
+    """A finished run with seed 11, of one thread."""
     folder = tmp_path_factory.mktemp("finished")
-    return folder, document(_run(folder, "--seed", "11", fresh=True))
+    one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+    return folder, document(_run(folder, "--seed", "11", fresh=True, **one_thread))
+
+
+@pytest.fixture(scope="module")
+def twice(tmp_path_factory):
+    """A sensor that was tested twice without a seed."""
+    folder = tmp_path_factory.mktemp("twice")
+    return folder, [document(_run(folder, metrics=QUICK)) for _ in range(2)]
 
 
 def test_the_document_says_what_was_promised(finished):
@@ -49,28 +57,24 @@ def test_the_document_says_what_was_promised(finished):
     assert [path.name for path in folder.iterdir() if path.name != "short.toml"] == ["var"]
 
 
-@pytest.mark.parametrize("threads", ["1", "2"])
-def test_the_same_seed_stores_identical_numbers_whatever_the_threads(finished, tmp_path, threads):
-    _run(tmp_path, "--seed", "11", fresh=True, OMP_NUM_THREADS=threads, OPENBLAS_NUM_THREADS=threads)
+def test_the_same_seed_stores_identical_numbers_whatever_the_threads(finished, tmp_path):
+    _run(tmp_path, "--seed", "11", fresh=True, OMP_NUM_THREADS="2", OPENBLAS_NUM_THREADS="2")
     assert _stored(tmp_path) == _stored(finished[0])
 
 
 def test_another_seed_stores_other_frames(finished, tmp_path):
-    _run(tmp_path, "--seed", "12")
+    _run(tmp_path, "--seed", "12", metrics=QUICK)
     assert _stored(tmp_path)[0] != _stored(finished[0])[0]
 
 
-def test_without_a_seed_a_second_try_of_a_sensor_is_not_the_first_again(tmp_path):
-    first = document(_run(tmp_path))
-    second = document(_run(tmp_path))
+def test_without_a_seed_a_second_try_of_a_sensor_is_not_the_first_again(twice):
+    first, second = twice[1]
     assert first["seed"] != second["seed"]
     assert first["run"] < second["run"]
 
 
-def test_the_calibration_is_in_the_database_as_rows_and_superseded_by_the_next(tmp_path):
-    for _ in range(2):
-        _run(tmp_path)
-    with sqlite3.connect(tmp_path / "var" / "cbsr-qa.db") as database:
+def test_the_calibration_is_in_the_database_as_rows_and_superseded_by_the_next(twice):
+    with sqlite3.connect(twice[0] / "var" / "cbsr-qa.db") as database:
         rows = database.execute("select calibration, superseded_by from calibrations order by 1").fetchall()
         (baselines,) = database.execute("select count(*) from calibration_baselines where value > 0").fetchone()
     assert rows == [(rows[0][0], rows[1][0]), (rows[1][0], None)]
@@ -166,7 +170,7 @@ def test_a_recipe_beyond_the_stations_limits_is_refused_before_anything_moves(tm
 
 
 def test_a_limit_that_is_not_met_fails_the_run_with_exit_code_1(tmp_path):
-    recipe = short_recipe(tmp_path, **{"upper = 6.5": "upper = 0.001"})
+    recipe = short_recipe(tmp_path, metrics=QUICK, **{"upper = 6.5": "upper = 0.001"})
     done = cbsr_qa(
         tmp_path, "run", "--station", "simulated", "--recipe", recipe, "--serial", "A", "--json", check=False
     )
@@ -224,7 +228,8 @@ def test_an_overdue_calibration_is_a_warning(tmp_path):
 
     station = open_document(DocumentKind.STATION, "simulated").text + "calibration_due = 2020-01-01\n"
     (tmp_path / "old.toml").write_text(station)
-    files = ["--station", "old.toml", "--recipe", short_recipe(tmp_path), "--serial", "A", "--seed", "11"]
+    recipe = short_recipe(tmp_path, metrics=QUICK)
+    files = ["--station", "old.toml", "--recipe", recipe, "--serial", "A", "--seed", "11"]
     run = document(cbsr_qa(tmp_path, "run", *files, "--json"))
     assert any("was due on 2020-01-01" in warning for warning in run["warnings"])
 
@@ -249,7 +254,8 @@ sys.exit(guarded(sys.argv[1:]))
     import subprocess
     import sys
 
-    files = ["--station", "simulated", "--recipe", short_recipe(tmp_path), "--serial", "A", "--seed", "11", "--json"]
+    recipe = short_recipe(tmp_path, metrics=QUICK)
+    files = ["--station", "simulated", "--recipe", recipe, "--serial", "A", "--seed", "11", "--json"]
     done = subprocess.run(
         [sys.executable, "-c", script, "run", *files], cwd=tmp_path, capture_output=True, text=True, check=False
     )
