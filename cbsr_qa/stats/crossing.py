@@ -63,12 +63,6 @@ class Crossing:
         codes = (column[runs] for column in (self.group, self.station, self.sensor))
         return _crossing([_used(name, code) for name, code in zip(names, codes, strict=True)])
 
-    def in_several_groups(self) -> tuple[str, ...]:
-        """Return the sensors that runs put into more than one group: a mistake where groups are batches."""
-        pairs = np.unique(self.sensor * len(self.groups) + self.group) // len(self.groups)
-        several = np.flatnonzero(np.bincount(pairs, minlength=len(self.sensors)) > 1)
-        return tuple(self.sensors[index] for index in several)
-
     def first_runs(self) -> IntArray:
         """Return the index of each sensor's first run."""
         first: IntArray = np.unique(self.sensor, return_index=True)[1]

@@ -5,8 +5,8 @@ restricted information), P_i = −XᵀV⁻¹V_iV⁻¹X and Q_ij = XᵀV⁻¹V_iV
 
     Φ_A = Φ + 2 Φ {Σ_ij W_ij (Q_ij − P_i Φ P_j)} Φ
 
-allows for the variances being estimated. One contrast has 2/A₁ degrees of freedom (Satterthwaite's); several together
-are tested by the scaled F of Kenward & Roger 1997, sections 2 and 3. Everything is in units of σ², which cancels.
+allows for the variances being estimated. A contrast has Satterthwaite's degrees of freedom (Kenward & Roger 1997,
+sections 2 and 3). Everything is in units of σ², which cancels.
 """
 
 from dataclasses import dataclass
@@ -34,36 +34,10 @@ class SmallSample:
     variances: FloatArray
 
     def freedom(self, contrast: FloatArray) -> float:
-        """Return the degrees of freedom of one contrast, (p,) → number."""
-        return 2 / self._moments(contrast[None, :])[0]
-
-    def scaled_test(self, contrasts: FloatArray) -> tuple[float, float]:
-        """Return the denominator's degrees of freedom m and the factor λ of F = λ (Lβ)ᵀ(LΦ_ALᵀ)⁻¹(Lβ)/l.
-
-        Parameters
-        ----------
-        contrasts : (l, p) ndarray of rank l.
-        """
-        count = len(contrasts)
-        first, second = self._moments(contrasts)
-        b = (first + 6 * second) / (2 * count)
-        g = ((count + 1) * first - (count + 4) * second) / ((count + 2) * second)
-        below = 3 * count + 2 * (1 - g)
-        c1, c2, c3 = g / below, (count - g) / below, (count + 2 - g) / below
-        mean = 1 / (1 - second / count)
-        variance = 2 / count * (1 + c1 * b) / ((1 - c2 * b) ** 2 * (1 - c3 * b))
-        spread = variance / (2 * mean**2)
-        freedom = 4 + (count + 2) / (count * spread - 1)
-        return freedom, freedom / (mean * (freedom - 2))
-
-    def _moments(self, contrasts: FloatArray) -> tuple[float, float]:
-        """A₁ = Σ W_ij tr(ΘΦP_iΦ) tr(ΘΦP_jΦ) and A₂ = Σ W_ij tr(ΘΦP_iΦΘΦP_jΦ), Θ = Lᵀ(LΦLᵀ)⁻¹L."""
-        rows = contrasts @ self.plain
-        inverse = np.linalg.inv(rows @ contrasts.T)
-        moved = [inverse @ rows @ slope @ rows.T for slope in self.slopes]
-        traces = np.array([np.trace(one) for one in moved])
-        crossed = np.array([[np.trace(one @ two) for two in moved] for one in moved])
-        return float(traces @ self.variances @ traces), float(np.sum(self.variances * crossed))
+        """Return the degrees of freedom of one contrast, (p,) → number: 2 / Σ W_ij t_i t_j, t_i = lᵀΦP_iΦl / lᵀΦl."""
+        row = self.plain @ contrast
+        traces = np.array([row @ slope @ row for slope in self.slopes]) / float(contrast @ row)
+        return 2 / float(traces @ self.variances @ traces)
 
 
 def small_sample(sums: SensorSums, ratio: float) -> SmallSample:

@@ -13,7 +13,7 @@ from enum import StrEnum
 from math import log, sqrt
 
 import numpy as np
-from scipy import linalg, stats
+from scipy import linalg
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.components import FEWEST_REPEATS
@@ -32,15 +32,6 @@ class Model(StrEnum):
 
     MIXED = "mixed: group and station fixed, sensor random"
     FIXED = "fixed: group and station, one run a sensor"
-
-
-@dataclass(frozen=True, slots=True)
-class JointTest:
-    """F test of several contrasts."""
-
-    statistic: float
-    freedom: tuple[int, float]
-    p_value: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,14 +79,6 @@ class Fit:
         weights[self.design.index("group", second)] -= 1
         return self._contrast(weights, f"{first} − {second}")
 
-    def group_mean(self, name: str) -> Contrast:
-        """Return a group's mean as if all stations of its connected part had measured it alike often."""
-        weights, place = self._weights(), self.design.index("group", name)
-        beside = np.flatnonzero(self.design.station_parts == self.design.group_parts[place])
-        weights[place] = 1
-        weights[len(self.design.groups) + beside] = 1 / len(beside)
-        return self._contrast(weights, f"mean of {name}")
-
     def station_difference(self, first: str, second: str) -> Contrast:
         """Return what station ``first`` reads above ``second``, with the groups' differences taken out.
 
@@ -116,24 +99,6 @@ class Fit:
         weights[len(self.design.groups) + places[1]] -= 1
         return self._contrast(weights, f"station {first} − {second}")
 
-    def groups_alike(self) -> JointTest:
-        """Test whether all groups that can be compared are alike.
-
-        Raises
-        ------
-        NumericsError
-            No two groups can be compared.
-        """
-        rows = []
-        for part in self.design.parts:
-            for name in part.groups[1:]:
-                row = self._weights()
-                row[self.design.index("group", name)], row[self.design.index("group", part.groups[0])] = 1, -1
-                rows.append(row)
-        if not rows:
-            raise NumericsError("groups: there are no two of them that could be compared")
-        return self._joint(np.array(rows)[:, self.design.kept()], np.array(rows) @ self.effects)
-
     def _weights(self) -> FloatArray:
         return np.zeros(len(self.effects))
 
@@ -143,13 +108,6 @@ class Fit:
             raise NumericsError(f"{what}: there is nothing to compare with itself")
         freedom = self.small.freedom(inner) if self.small else self.freedom
         return checked(float(weights @ self.effects), sqrt(float(inner @ self.covariance @ inner)), freedom, what)
-
-    def _joint(self, rows: FloatArray, values: FloatArray) -> JointTest:
-        count = len(rows)
-        freedom, factor = self.small.scaled_test(rows) if self.small else (self.freedom, 1.0)
-        solved = np.linalg.solve(rows @ self.covariance @ rows.T, values)
-        statistic = factor * float(values @ solved) / count
-        return JointTest(statistic, (count, freedom), float(stats.f.sf(statistic, count, freedom)))
 
 
 def fit(design: Crossing, values: FloatArray, what: str = "values") -> Fit:
@@ -202,12 +160,21 @@ def _reduce(design: Crossing, array: FloatArray, what: str) -> _Reduced:
     if scale <= LEAST_SPREAD * float(np.abs(array).max()):
         raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}, which leaves no variance")
     matrix = design.columns()
+    if matrix.shape[0] == matrix.shape[1]:
+        raise _nothing_left(what, len(design.sensors), matrix.shape[1])
     normal, right = (matrix.T @ matrix).toarray(), np.asarray(matrix.T @ (away / scale), dtype=np.float64)
     start: FloatArray = linalg.solve(normal, right, assume_a="pos")
     rest = away / scale - matrix @ start
     if float(np.abs(rest).max()) * scale <= LEAST_SPREAD * max(float(np.abs(array).max()), scale):
         raise NumericsError(f"{what}: values do not differ within groups and stations, which leaves no variance")
     return _Reduced(sensor_sums(matrix, rest, design.sensor), origin, scale, start)
+
+
+def _nothing_left(what: str, sensors: int, effects: int) -> NumericsError:
+    return NumericsError(
+        f"{what}: sensors are {sensors}, which leaves nothing to judge {effects} effects of groups and stations by",
+        remedy="measure more sensors of each group",
+    )
 
 
 def _inseparable(sums: SensorSums) -> str:
@@ -226,11 +193,7 @@ def _mixed(design: Crossing, reduced: _Reduced, what: str) -> Fit:
     sums = reduced.sums
     between = sums.total_sensors + sums.within_rank() - sums.columns
     if between < 1:
-        raise NumericsError(
-            f"{what}: sensors are {sums.total_sensors}, which leaves nothing to judge {sums.columns} effects of "
-            "groups and stations by",
-            remedy="measure more than one sensor of each group",
-        )
+        raise _nothing_left(what, sums.total_sensors, sums.columns)
     ratio = variance_ratio(sums)
     small = small_sample(sums, ratio.value)
     whole = sums.within + sums.products(ratio.value)
@@ -256,11 +219,7 @@ def _fixed(design: Crossing, reduced: _Reduced, reason: str, what: str) -> Fit:
     whole = sums.within + sums.products(0.0)
     freedom = sums.runs - sums.columns
     if freedom < 1:
-        raise NumericsError(
-            f"{what}: sensors are {sums.runs}, which leaves nothing to judge {sums.columns} effects of groups and "
-            "stations by",
-            remedy="measure more sensors of each group",
-        )
+        raise _nothing_left(what, sums.runs, sums.columns)
     inverse = np.asarray(np.linalg.inv(whole[:-1, :-1]), dtype=np.float64)
     variance = float(np.linalg.cholesky(whole)[-1, -1]) ** 2 / freedom * reduced.scale**2
     return Fit(

@@ -1,7 +1,6 @@
 """Shares of sensors that passed, with intervals.
 
-Sources: Wilson 1927 (score interval; its mean coverage is the stated one); Clopper & Pearson 1934 (never below the
-stated confidence, and so wider). Both as in NIST/SEMATECH e-Handbook 7.2.4.1.
+Source: Wilson 1927 (score interval; its mean coverage is the stated one), as in NIST/SEMATECH e-Handbook 7.2.4.1.
 """
 
 from dataclasses import dataclass
@@ -21,7 +20,6 @@ class Yield:
     count: int
     value: float
     wilson: Interval
-    clopper_pearson: Interval
 
 
 def passed_share(passed: int, count: int, *, confidence: float = 0.95) -> Yield:
@@ -36,7 +34,7 @@ def passed_share(passed: int, count: int, *, confidence: float = 0.95) -> Yield:
     if count < 1 or not 0 <= passed <= count:
         raise NumericsError(f"yield: {passed} of {count} is no share", remedy="count at least one sensor")
     value = passed / count
-    return Yield(passed, count, value, _wilson(passed, count, confidence), _exact(passed, count, confidence))
+    return Yield(passed, count, value, _wilson(passed, count, confidence))
 
 
 def _wilson(passed: int, count: int, confidence: float) -> Interval:
@@ -46,11 +44,4 @@ def _wilson(passed: int, count: int, confidence: float) -> Interval:
     half = z * sqrt(value * (1 - value) / count + z**2 / (4 * count**2))
     below = 0.0 if passed == 0 else (centre - half) / (1 + z**2 / count)
     above = 1.0 if passed == count else (centre + half) / (1 + z**2 / count)
-    return Interval(below, above, confidence)
-
-
-def _exact(passed: int, count: int, confidence: float) -> Interval:
-    tail = (1 - confidence) / 2
-    below = float(stats.beta.ppf(tail, passed, count - passed + 1)) if passed else 0.0
-    above = float(stats.beta.isf(tail, passed + 1, count - passed)) if passed < count else 1.0
     return Interval(below, above, confidence)

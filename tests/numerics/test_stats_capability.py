@@ -131,15 +131,14 @@ def test_what_has_no_capability_is_named(groups, limits, reason):
 def test_intervals_of_a_yield_are_the_printed_ones():
     """Newcombe 1998, table I: 81/263 and 15/148, 0/20, 1/29; to the four digits printed."""
     printed = [
-        (81, 263, (0.2553, 0.3662), (0.2527, 0.3676)),
-        (15, 148, (0.0624, 0.1605), (0.0578, 0.1617)),
-        (0, 20, (0.0, 0.1611), (0.0, 0.1684)),
-        (1, 29, (0.0061, 0.1718), (0.0009, 0.1776)),
+        (81, 263, (0.2553, 0.3662)),
+        (15, 148, (0.0624, 0.1605)),
+        (0, 20, (0.0, 0.1611)),
+        (1, 29, (0.0061, 0.1718)),
     ]
-    for passed, count, wilson, exact in printed:
+    for passed, count, wilson in printed:
         found = passed_share(passed, count)
         assert (found.wilson.low, found.wilson.high) == pytest.approx(wilson, abs=6e-5)
-        assert (found.clopper_pearson.low, found.clopper_pearson.high) == pytest.approx(exact, abs=6e-5)
 
 
 @settings(deadline=None)
@@ -147,10 +146,9 @@ def test_intervals_of_a_yield_are_the_printed_ones():
 def test_yield_intervals_mirror_and_hold_the_share(count, data):
     passed = data.draw(st.integers(0, count))
     found, other = passed_share(passed, count), passed_share(count - passed, count)
-    for name in ("wilson", "clopper_pearson"):
-        here, there = getattr(found, name), getattr(other, name)
-        assert 0 <= here.low <= found.value <= here.high <= 1
-        assert here.low == pytest.approx(1 - there.high, abs=1e-12)
+    here, there = found.wilson, other.wilson
+    assert 0 <= here.low <= found.value <= here.high <= 1
+    assert here.low == pytest.approx(1 - there.high, abs=1e-12)
 
 
 def test_shares_of_nothing_are_refused():
