@@ -105,7 +105,7 @@ def main() -> int:
     wanted.add_argument("--every", type=int, default=1)
     wanted.add_argument("--role")
     wanted.add_argument("--keep", type=Path)
-    wanted.add_argument("--processes", type=int, default=min(2, os.cpu_count() or 1))
+    wanted.add_argument("--processes", type=int, default=2 * (os.cpu_count() or 1))
     chosen = wanted.parse_args()
     names = steps_of_a_run()
     cases = list(matrix(len(names), every=chosen.every, role=chosen.role))
