@@ -9,7 +9,7 @@ from cbsr_qa.fleet.comparison import Comparison
 from cbsr_qa.fleet.describe import Described
 from cbsr_qa.fleet.differences import Difference
 from cbsr_qa.fleet.metric import MetricComparison
-from cbsr_qa.fleet.sentences import headline, p_words, rules, sentences, significant
+from cbsr_qa.fleet.sentences import alike, headline, p_words, rules, sentences, significant
 from cbsr_qa.report.figures_groups import map_figure, strip_figure
 from cbsr_qa.report.numbers import number, plural, unit_shown
 from cbsr_qa.report.page import Banner, Page
@@ -21,10 +21,14 @@ from cbsr_qa.stats.yields import Yield
 
 #: Metrics that are drawn: those that differ first, then those with limits.
 _MOST_DRAWN: Final = 12
-_NAIVE: Final = (
-    "The column “t test” is what Welch's test of one figure a sensor claims, which knows nothing of stations and of "
-    "how many metrics there are. Where it and the model disagree, the stations made the difference, or chance did."
+_OTHERS: Final = (
+    "The t test is Welch's of one figure a sensor, and knows nothing of stations and of how many metrics there are. "
+    "Where it and the model disagree, the stations made the difference, or chance did. The shift is Hodges and "
+    "Lehmann's, with the model's differences of stations taken out."
 )
+
+_DIFFERENCE: Final = ("metric", "difference", "interval", "p", "effect", "model")
+_OTHER_COLUMNS: Final = ("metric", "method", "difference", "interval", "p")
 
 
 def write_page(found: Comparison, path: Path) -> None:
@@ -51,7 +55,7 @@ def _sections(found: Comparison) -> Iterator[Section]:
     yield Section("In plain words", tuple(Paragraph(words) for words in said))
     yield Section("Groups", (_groups_table(found), *_failure_tables(found)))
     if len(found.groups) > 1:
-        yield Section("Differences", (*_difference_tables(found), Paragraph(_NAIVE, "note")))
+        yield Section("Differences", tuple(_difference_blocks(found)))
     drawn = _drawn(found)
     names = [group.name for group in found.groups]
     if drawn:
@@ -104,43 +108,83 @@ def _failure_tables(found: Comparison) -> Iterator[Block]:
             yield text_table(caption, ("metric", "sensors", "of all failures"), rows, (1, 2))
 
 
-def _difference_tables(found: Comparison) -> Iterator[Block]:
-    columns = [
-        "metric",
-        "difference",
-        "interval",
-        "p",
-        "effect",
-        "within margin",
-        "shift (robust)",
-        "t test",
-        "model",
-    ]
+def _difference_blocks(found: Comparison) -> Iterator[Block]:
     for group in found.groups[1:]:
-        rows = [
-            _difference_row(metric, one, found)
-            for metric in found.metrics
-            for one in metric.differences
-            if one.group == group.name
-        ]
-        yield text_table(f"{group.name} − {found.reference}", columns, rows, (1, 2, 3, 4))
+        pairs = [(m, one) for m in found.metrics for one in m.differences if one.group == group.name]
+        who = f"{group.name} − {found.reference}"
+        yield text_table(who, _DIFFERENCE, [_difference_row(*pair) for pair in pairs], (1, 2, 3, 4))
+        rows = [_likeness_row(metric, one, found) for metric, one in pairs if one.equivalence is not None]
+        if rows:
+            yield text_table(f"{who}: alike within a margin?", _likeness_columns(found), rows, (1, 2, 3, 4, 6))
+        rows = [row for pair in pairs for row in _other_rows(*pair)]
+        yield text_table(f"{who} by other methods; p not adjusted", _OTHER_COLUMNS, rows, (2, 3, 4))
+    yield Paragraph(_OTHERS, "note")
+    rows = list(_needed_rows(found))
+    if rows:
+        caption = f"Sensors of each group that would find a difference with {100 * found.terms.power:g} %"
+        yield text_table(caption, ("metric", "difference", "sensors of each"), rows, (1, 2))
 
 
-def _difference_row(metric: MetricComparison, one: Difference, found: Comparison) -> tuple[str, ...]:
-    equal = "–" if one.equivalence is None else "alike" if one.equivalence.equivalent else "not shown"
-    naive = "–" if one.naive is None else f"{number(one.naive.difference)} ({p_words(one.naive.p_value)})"
-    robust = "–" if one.robust is None else f"{number(one.robust.shift)} ({p_words(one.robust.p_value)})"
+def _difference_row(metric: MetricComparison, one: Difference) -> tuple[str, ...]:
     return (
         _label(metric),
         "–" if one.value is None else number(one.value),
         _ends(one.interval),
-        "–" if one.p_adjusted is None else p_words(one.p_adjusted).removeprefix("p = ").removeprefix("p "),
+        _p(one.p_adjusted),
         "–" if one.effect is None else number(one.effect, 2),
-        equal if one.needed is None else f"{equal}; {one.needed} sensors for {number(one.detect or 0)}",
-        robust,
-        naive,
         one.model.partition(":")[0],
     )
+
+
+def _likeness_columns(found: Comparison) -> tuple[str, ...]:
+    terms = found.terms
+    deciding = f"{100 - 200 * terms.level:g} % interval"
+    return (
+        "metric",
+        "margin",
+        "difference",
+        deciding,
+        "p",
+        "alike",
+        f"sensors to show it with {100 * terms.power:g} %",
+    )
+
+
+def _likeness_row(metric: MetricComparison, one: Difference, found: Comparison) -> tuple[str, ...]:
+    test, value = one.equivalence, one.value
+    assert test is not None
+    assert value is not None
+    hopeless = abs(value) >= test.margin
+    return (
+        _label(metric),
+        f"± {number(test.margin)}",
+        number(value),
+        _ends(test.interval),
+        _p(one.equivalence_p),
+        "yes" if alike(one, found) else "not shown",
+        "none would" if hopeless else "> 10⁹" if one.needed_alike is None else str(one.needed_alike),
+    )
+
+
+def _other_rows(metric: MetricComparison, one: Difference) -> Iterator[tuple[str, ...]]:
+    """A row for each of the other methods that had an answer: numbers of both side by side would not fit a page."""
+    if one.robust is not None:
+        shift, robust = f"shift; {one.robust.method}", one.robust
+        yield _label(metric), shift, number(robust.shift), _ends(robust.interval), _p(robust.p_value)
+    if one.naive is not None:
+        yield _label(metric), "t test", number(one.naive.difference), _ends(one.naive.interval), _p(one.naive.p_value)
+
+
+def _needed_rows(found: Comparison) -> Iterator[tuple[str, ...]]:
+    for metric in found.metrics:
+        asked = next((one for one in metric.differences if one.detect is not None), None)
+        if asked is not None and asked.detect is not None:
+            count = "> 10⁹" if asked.needed is None else str(asked.needed)
+            yield _label(metric), number(asked.detect), count
+
+
+def _p(p_value: float | None) -> str:
+    return "–" if p_value is None else p_words(p_value).removeprefix("p = ").removeprefix("p ")
 
 
 def _maps(drawn: Sequence[MetricComparison], found: Comparison) -> Iterator[Block]:

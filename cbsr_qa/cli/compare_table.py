@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from cbsr_qa.stats.yields import Yield
 
 WIDTH = 100
-_DIFFERENCE = "  {:<44}{:>11}  {:<25}{:>9}  {}"
+_DIFFERENCE = "  {:<38}{:>12}  {:<31}{:>8}  {}"
 _GROUP = "  {:<28}{:>8}{:>6}  {:<26}{}"
 
 
@@ -65,11 +65,11 @@ def _difference(label: str, unit: str, one: "Difference") -> Iterator[str]:
     from cbsr_qa.fleet.sentences import p_words
     from cbsr_qa.report.numbers import number, unit_shown
 
-    if len(label) > 43:
+    if len(label) > 37:
         yield f"  {label}"
         label = ""
     if one.value is None or one.interval is None:
-        yield _DIFFERENCE.format(label, "–", "", "", "refused").rstrip()
+        yield _DIFFERENCE.format(label, "–", "refused", "", "").rstrip()
         return
     ends = f"{number(one.interval.low)} to {number(one.interval.high)} {unit_shown(unit)}"
     p_value = p_words(one.p_adjusted).removeprefix("p = ").removeprefix("p ")

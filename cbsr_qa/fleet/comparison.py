@@ -87,13 +87,17 @@ def unknown_metric(name: str, known: Sequence[str]) -> RefusedError:
 
 
 def _adjusted(metrics: Sequence[MetricComparison], adjustment: Adjustment) -> list[MetricComparison]:
-    """Adjust p values: those of groups for all of groups, those of stations for all of stations."""
-    groups = iter(_adjust([one.p_value for metric in metrics for one in metric.differences], adjustment))
+    """Adjust p values: those of groups for all of groups, and so those of likeness and those of stations."""
+    every = [one for metric in metrics for one in metric.differences]
+    groups = iter(_adjust([one.p_value for one in every], adjustment))
+    alike = iter(_adjust([one.equivalence and one.equivalence.p_value for one in every], adjustment))
     stations = iter(_adjust([one.p_value for metric in metrics for one in metric.stations], adjustment))
     return [
         replace(
             metric,
-            differences=tuple(replace(one, p_adjusted=next(groups)) for one in metric.differences),
+            differences=tuple(
+                replace(one, p_adjusted=next(groups), equivalence_p=next(alike)) for one in metric.differences
+            ),
             stations=tuple(replace(one, p_adjusted=next(stations)) for one in metric.stations),
         )
         for metric in metrics

@@ -5,7 +5,7 @@ Of a metric the runs of all compared groups are fitted together: group and stati
 said (the plain difference of means, what a t test claims) is said, under its own name.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from math import sqrt
 
@@ -18,7 +18,7 @@ from cbsr_qa.stats.contrast import Contrast, Equivalence
 from cbsr_qa.stats.crossing import Crossing
 from cbsr_qa.stats.difference import hedges, welch
 from cbsr_qa.stats.mixed_model import Fit, fit
-from cbsr_qa.stats.power import sensors_needed
+from cbsr_qa.stats.power import sensors_needed, sensors_to_show_alike
 from cbsr_qa.stats.robust import brunner_munzel, shift
 from cbsr_qa.stats.samples import Interval
 from cbsr_qa.stats.worst_value import FloatArray
@@ -61,9 +61,13 @@ class Difference:
     value, interval, p_value : of the model; None where it is refused, ``warnings`` then say why.
     p_adjusted : for all tests of the comparison; None until it is.
     effect, effect_interval : value over the deviation of single runs of different sensors, taken as known.
-    equivalence : None where no margin was stated.
+    equivalence : of this test alone; None where no margin was stated.
+    equivalence_p : its p value adjusted for all such tests of the comparison; None until it is.
     deviation : √(sensor² + run²) of the model, in the metric's unit.
-    detect, needed : a difference, and how many sensors each of two groups on one station needs to find it with 80 %.
+    detect, needed : a difference, and how many sensors each of two groups on one station needs to find it with 80 %,
+        by one test of the comparison's level; None where none was asked for, or 10⁹ do not do.
+    needed_alike : the same for showing two groups alike within the margin that do not differ.
+    taken_out : stations (batches, where stations are compared) whose differences the model takes out; one is none.
     model : what was fitted, or :data:`REFUSED`.
     """
 
@@ -77,9 +81,12 @@ class Difference:
     effect: float | None = None
     effect_interval: Interval | None = None
     equivalence: Equivalence | None = None
+    equivalence_p: float | None = None
     deviation: float | None = None
     detect: float | None = None
     needed: int | None = None
+    needed_alike: int | None = None
+    taken_out: tuple[str, ...] = ()
     naive: Naive | None = None
     robust: Robust | None = None
     warnings: tuple[str, ...] = field(default=())
@@ -155,8 +162,7 @@ def difference(
         return Difference(*names, REFUSED, naive=naive, robust=None, warnings=(why,))
     assert model.fit is not None
     interval, deviation = found.interval(terms.confidence), _deviation(model.fit)
-    detect = terms.detect.get(figures.key.name, terms.margins.get(figures.key.name))
-    margin = terms.margins.get(figures.key.name)
+    detect, margin = (stated.get(figures.key.name) for stated in (terms.detect, terms.margins))
     return Difference(
         *names,
         str(model.fit.model),
@@ -168,7 +174,9 @@ def difference(
         equivalence=None if margin is None else found.equivalence(margin, level=terms.level),
         deviation=deviation,
         detect=detect,
-        needed=None if detect is None else _needed(detect / deviation, terms.level),
+        needed=_needed(sensors_needed, detect, deviation, terms),
+        needed_alike=_needed(sensors_to_show_alike, margin, deviation, terms),
+        taken_out=model.fit.design.groups if model.of_stations else model.fit.design.stations,
         naive=naive,
         robust=_robust(model, names, values, stations, terms),
     )
@@ -178,9 +186,11 @@ def _deviation(found: Fit) -> float:
     return sqrt(found.run_deviation**2 + (found.sensor_deviation or 0.0) ** 2)
 
 
-def _needed(size: float, level: float) -> int | None:
+def _needed(count: Callable[..., int], size: float | None, deviation: float, terms: Terms) -> int | None:
+    if size is None:
+        return None
     try:
-        return sensors_needed(size, level=level)
+        return count(size / deviation, wanted=terms.power, level=terms.level)
     except NumericsError:
         return None
 

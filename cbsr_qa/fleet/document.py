@@ -6,7 +6,7 @@ from cbsr_qa.fleet.comparison import Comparison
 from cbsr_qa.fleet.describe import Described, Group
 from cbsr_qa.fleet.differences import Difference
 from cbsr_qa.fleet.metric import MetricComparison
-from cbsr_qa.fleet.sentences import headline, rules, sentences
+from cbsr_qa.fleet.sentences import alike, headline, rules, sentences
 from cbsr_qa.stats.capability import Capability, Index
 from cbsr_qa.stats.samples import Interval
 from cbsr_qa.stats.yields import Yield
@@ -29,7 +29,7 @@ def document(found: Comparison) -> dict[str, Any]:
         "sentences": sentences(found),
         "rules": rules(found),
         "groups": [_group(group) for group in found.groups],
-        "metrics": [_difference(metric, one) for metric in found.metrics for one in _or_none(metric)],
+        "metrics": [_difference(metric, one, found) for metric in found.metrics for one in _or_none(metric)],
         "stations": [_station(metric, one) for metric in found.metrics for one in metric.stations],
         "distributions": [_described(metric, one) for metric in found.metrics for one in metric.described],
         "warnings": list(found.warnings),
@@ -66,7 +66,7 @@ def _yield_ends(found: Yield | None) -> list[float] | None:
     return None if found is None else [found.wilson.low, found.wilson.high]
 
 
-def _difference(metric: MetricComparison, one: Difference | None) -> dict[str, Any]:
+def _difference(metric: MetricComparison, one: Difference | None, found: Comparison) -> dict[str, Any]:
     if one is None:
         nothing = dict.fromkeys(("group", "reference", "difference", "low", "high", "p", "equivalent"))
         return {**_identity(metric), **nothing, "model": "none", "warnings": list(metric.notes)}
@@ -77,9 +77,7 @@ def _difference(metric: MetricComparison, one: Difference | None) -> dict[str, A
         **_estimate(one),
         "effect_size": one.effect,
         "effect_size_interval": _ends(one.effect_interval),
-        "equivalent": None if one.equivalence is None else one.equivalence.equivalent,
-        "margin": None if one.equivalence is None else one.equivalence.margin,
-        "equivalence_p": None if one.equivalence is None else one.equivalence.p_value,
+        **_equivalence(one, found),
         "deviation": one.deviation,
         "detect": one.detect,
         "sensors_needed": one.needed,
@@ -99,6 +97,18 @@ def _difference(metric: MetricComparison, one: Difference | None) -> dict[str, A
             for place in metric.maps.get(one.group, ())
         ],
         "warnings": [*one.warnings, *metric.notes],
+    }
+
+
+def _equivalence(one: Difference, found: Comparison) -> dict[str, Any]:
+    test = one.equivalence
+    return {
+        "equivalent": None if test is None else alike(one, found),
+        "margin": None if test is None else test.margin,
+        "equivalence_interval": None if test is None else _ends(test.interval),
+        "equivalence_p": one.equivalence_p,
+        "equivalence_p_unadjusted": None if test is None else test.p_value,
+        "sensors_to_show_alike": one.needed_alike,
     }
 
 

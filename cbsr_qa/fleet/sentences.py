@@ -10,9 +10,9 @@ from cbsr_qa.fleet.terms import POLICY_WORDS, QUARANTINE_WORDS, Adjustment
 from cbsr_qa.report.numbers import number, plural, unit_shown
 
 _ADJUSTED = {
-    Adjustment.HOLM: "adjusted for all metrics by Holm's method",
-    Adjustment.BENJAMINI_HOCHBERG: "adjusted for all metrics by Benjamini and Hochberg's method",
-    Adjustment.NONE: "not adjusted for the number of metrics",
+    Adjustment.HOLM: "adjusted by Holm's method for all metrics and groups",
+    Adjustment.BENJAMINI_HOCHBERG: "adjusted by Benjamini and Hochberg's method for all metrics and groups",
+    Adjustment.NONE: "not adjusted for the number of metrics and groups",
 }
 
 
@@ -36,11 +36,17 @@ def significant(difference: Difference, found: Comparison) -> bool:
     return difference.p_adjusted is not None and difference.p_adjusted < found.terms.level
 
 
+def alike(difference: Difference, found: Comparison) -> bool:
+    """Whether a difference is shown to lie within its margin, by the adjusted p value of two one-sided tests."""
+    return difference.equivalence_p is not None and difference.equivalence_p <= found.terms.level
+
+
 def sentences(found: Comparison) -> list[str]:
     """Return what there is to say, the most important first."""
     return [
         *_differences(found),
         *_equivalent(found),
+        *_detectable(found),
         *_claims(found),
         *_not_shown(found),
         *_stations(found),
@@ -56,10 +62,29 @@ def rules(found: Comparison) -> list[str]:
     return [
         f"Retests: {POLICY_WORDS[terms.policy]}. First-pass yield counts each sensor's first finished run.",
         f"Quarantine: {QUARANTINE_WORDS[terms.quarantine]}.",
-        f"Intervals hold with {100 * terms.confidence:g} % each; p values are {_ADJUSTED[terms.adjustment]}.",
+        f"Intervals hold with {100 * terms.confidence:g} % each. p values of the model's differences are "
+        f"{_ADJUSTED[terms.adjustment]}, those of stations likewise among themselves, those of places by Holm's "
+        "method within their metric. Those of t tests and of robust tests are not adjusted.",
+        *_rules_asked(found),
         "A sensor's figure of a metric with one value a load is the mean over the loads of its recipe; capability is "
         "of the load nearest to the limit, because that one decides.",
     ]
+
+
+def _rules_asked(found: Comparison) -> Iterator[str]:
+    """State what margins and differences to be found go by, where there are any."""
+    terms = found.terms
+    if terms.margins:
+        yield (
+            f"Alike within a margin: two one-sided tests. By itself a pair is alike where its {_decides(found)} "
+            f"interval lies within; their p values are, among themselves, {_ADJUSTED[terms.adjustment]}, and those "
+            "decide."
+        )
+    if terms.margins or terms.detect:
+        yield (
+            f"Numbers of sensors are those of each group, {_one_place(found)} and run once, with which one test at "
+            f"the level {terms.level:g} succeeds with {_chance(found)}; where many tests are adjusted it takes more."
+        )
 
 
 def difference_words(metric: MetricComparison, one: Difference) -> str:
@@ -99,7 +124,7 @@ def _differences(found: Comparison) -> Iterator[str]:
         size = f", {number(abs(one.effect), 2)} deviations of single sensors" if one.effect else ""
         yield (
             f"{metric.figures.key.label}: {one.group} lies {difference_words(metric, one)} {one.reference}"
-            f"{size} ({p_words(one.p_adjusted)}), with the {_other(found)}' differences taken out."
+            f"{size} ({p_words(one.p_adjusted)}), {_taken_out(one, found)}."
         )
 
 
@@ -107,20 +132,77 @@ def _other(found: Comparison) -> str:
     return "batches" if found.terms.by == "station" else "stations"
 
 
+def _taken_out(one: Difference, found: Comparison) -> str:
+    if len(one.taken_out) == 1:
+        return f"all of batch {one.taken_out[0]}" if found.terms.by == "station" else f"all at {one.taken_out[0]}"
+    return f"with the {_other(found)}' differences taken out"
+
+
+def _one_place(found: Comparison) -> str:
+    return "all of one batch" if found.terms.by == "station" else "all at one station"
+
+
+def _chance(found: Comparison) -> str:
+    return f"{100 * found.terms.power:g} %"
+
+
 def _equivalent(found: Comparison) -> Iterator[str]:
+    """Say of each pair with a margin whether it is shown to be alike, by which interval, or what it would take."""
+    tests = sum(one.equivalence is not None for _, one in _each(found))
     for metric, one in _each(found):
-        test = one.equivalence
+        test, unit = one.equivalence, metric.figures.unit
         if test is None:
             continue
-        margin = _amount(test.margin, metric.figures.unit)
-        if test.equivalent:
-            yield f"{metric.figures.key.label}: {one.group} and {one.reference} are alike within ± {margin}."
-        else:
-            needed = f"; about {one.needed} sensors each would tell {margin}" if one.needed else ""
-            yield (
-                f"{metric.figures.key.label}: {one.group} and {one.reference} are not shown to be alike within "
-                f"± {margin}{needed}."
-            )
+        shown = alike(one, found)
+        inside = "lies within" if test.equivalent else "does not lie within"
+        if test.equivalent and not shown:
+            inside = f"lies within, but not once {_all(tests)} such tests count"
+        ends = f"{number(test.interval.low)} to {_amount(test.interval.high, unit)}"
+        yield (
+            f"{metric.figures.key.label}: {one.group} and {one.reference} are {'' if shown else 'not shown to be '}"
+            f"alike within ± {_amount(test.margin, unit)}: the {_decides(found)} interval, {ends}, {inside} "
+            f"({p_words(one.equivalence_p)}){'' if shown else f'. {_to_show(one, found)}'}."
+        )
+
+
+def _all(tests: int) -> str:
+    return "both" if tests == 2 else f"all {tests}"
+
+
+def _decides(found: Comparison) -> str:
+    """Return which interval two one-sided tests at the level come to: ``90 %``."""
+    return f"{100 - 200 * found.terms.level:g} %"
+
+
+def _to_show(one: Difference, found: Comparison) -> str:
+    assert one.equivalence is not None
+    assert one.value is not None
+    if abs(one.value) >= one.equivalence.margin:
+        return "If the difference is what it is estimated to be, no number of sensors would show it"
+    if one.needed_alike is None:
+        return "More than 10⁹ sensors of each would be needed"
+    return (
+        f"If they do not differ, about {one.needed_alike} sensors of each, {_one_place(found)}, would show it with "
+        f"{_chance(found)}"
+    )
+
+
+def _detectable(found: Comparison) -> Iterator[str]:
+    """Say how many sensors would find the differences that were asked about; they are those of any pair of groups."""
+    for metric in found.metrics:
+        size = found.terms.detect.get(metric.figures.key.name)
+        if size is None:
+            continue
+        amount = _amount(size, metric.figures.unit)
+        fitted = next((one for one in metric.differences if one.deviation is not None), None)
+        if fitted is None:
+            yield f"{metric.figures.key.label}: not compared, so how many sensors would find {amount} is not known."
+            continue
+        needed = "more than 10⁹" if fitted.needed is None else f"about {fitted.needed}"
+        yield (
+            f"{metric.figures.key.label}: {needed} sensors of each, {_one_place(found)}, would find a difference of "
+            f"{amount} with {_chance(found)}."
+        )
 
 
 def _claims(found: Comparison) -> Iterator[str]:
@@ -142,18 +224,21 @@ def _claims(found: Comparison) -> Iterator[str]:
 
 def _not_shown(found: Comparison) -> Iterator[str]:
     """Name metrics in which no pair is shown to differ, and of the others the pairs that are not."""
-    names = []
+    open_, margins = [], []
     for metric in found.metrics:
         told = [one for one in metric.differences if one.p_adjusted is not None]
         pairs = [f"{one.group} − {one.reference}" for one in told if not significant(one, found)]
         if pairs:
             some = "" if len(pairs) == len(told) else f" of {named(pairs)}"
-            names.append(f"{metric.figures.key.label}{some}")
-    if names:
+            stated = metric.figures.key.name in found.terms.margins
+            (margins if stated else open_).append(f"{metric.figures.key.label}{some}")
+    if open_:
         yield (
-            f"Not shown to differ: {named(names, 8)}. That does not make them alike: state a margin (--margin) "
+            f"Not shown to differ: {named(open_, 8)}. That does not make them alike: state a margin (--margin) "
             "to test for that."
         )
+    if margins:
+        yield f"Not shown to differ: {named(margins, 8)}. Whether they are alike within their margin is said above."
 
 
 def _stations(found: Comparison) -> Iterator[str]:

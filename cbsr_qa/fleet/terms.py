@@ -75,6 +75,7 @@ class Terms:
     detect : name of a metric → difference whose number of sensors is asked for, in its unit.
     confidence : of every interval.
     """
+    power : that numbers of sensors are for.
 
     by: By
     groups: tuple[str, ...] = ()
@@ -87,6 +88,7 @@ class Terms:
     detect: Mapping[str, float] = field(default_factory=dict)
     confidence: float = 0.95
 
+    power: float = 0.8
     @property
     def level(self) -> float:
         """Of tests."""

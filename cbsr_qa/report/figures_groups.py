@@ -33,6 +33,7 @@ Samples = Sequence[tuple[str, str, FloatArray]]
 #: Sensors of one row that are drawn as points; more are drawn as an outline of their distribution.
 _MOST_POINTS = 150
 _BINS = 40
+_OUTLINES = "points and outlines show one figure a sensor"
 _MARK_IN = 0.34
 
 
@@ -46,8 +47,8 @@ def strip_figure(label: str, unit: str, samples: Samples, groups: Sequence[str])
     shown = [one for one in samples if len(one[2])]
     return drawn(
         lambda: _strips(unit_column(label, unit), shown, groups),
-        caption=f"{label}: one {'point' if _few(shown) else 'distribution'} a group and station, of one figure a "
-        "sensor. Line: mean; bar: middle half of the sensors.",
+        caption=f"{label}: a row is a group at a station, {'a point a sensor' if _few(shown) else _OUTLINES}. "
+        "Line: mean; bar: middle half of the sensors.",
         alternative="; ".join(f"{g} on {s}: {len(v)} sensors, mean {number(float(v.mean()))}" for g, s, v in shown),
     )
 

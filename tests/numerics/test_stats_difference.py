@@ -14,7 +14,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.contrast import Contrast
 from cbsr_qa.stats.difference import hedges, pooled, unbiasing, welch
 from cbsr_qa.stats.pairwise import ordered_differences
-from cbsr_qa.stats.power import power, sensors_needed
+from cbsr_qa.stats.power import power, power_of_equivalence, sensors_needed, sensors_to_show_alike
 from cbsr_qa.stats.robust import brunner_munzel, shift
 
 groups = st.lists(st.integers(-400, 400).map(lambda number: number / 16), min_size=2, max_size=15).filter(
@@ -148,6 +148,34 @@ def test_power_at_its_ends():
         power(1.0, 1, 1)
     with pytest.raises(NumericsError, match="not above the level"):
         sensors_needed(1.0, wanted=0.05)
+
+
+@pytest.mark.parametrize(("margin", "first", "second"), [(0.8, 20, 20), (1.2, 6, 15), (0.5, 70, 60), (2.5, 2, 2)])
+def test_power_of_equivalence_is_that_of_simulated_groups(margin, first, second):
+    random = np.random.default_rng(92)
+    here, there = (random.standard_normal((20000, count)) for count in (first, second))
+    inside = stats.ttest_ind(here, there, axis=1).confidence_interval(0.9)
+    shown = np.mean((inside.low >= -margin) & (inside.high <= margin))
+    assert power_of_equivalence(margin, first, second) == pytest.approx(shown, abs=4 * sqrt(0.25 / 20000))
+
+
+def test_sensors_to_show_alike_are_the_fewest_that_do():
+    for margin in (0.1, 0.75, 3.0):
+        count = sensors_to_show_alike(margin)
+        fewer = power_of_equivalence(margin, count - 1, count - 1) if count > 2 else 0.0
+        assert fewer < 0.8 <= power_of_equivalence(margin, count, count)
+    # For large groups both are normal: z of 0.95 and of 0.9 (an error of 0.2 on two sides), of 0.975 and of 0.8.
+    normal = 2 * (stats.norm.ppf(0.95) + stats.norm.ppf(0.9)) ** 2
+    assert sensors_to_show_alike(0.01) == pytest.approx(normal / 0.01**2, rel=2e-5)
+    assert power_of_equivalence(50.0, 3, 3) == pytest.approx(1.0)
+    assert power_of_equivalence(0.01, 5, 5) < 1e-3
+    for margin, reason in ((0.0, "no number of sensors shows"), (-1.0, "no number"), (1e-9, "more than 1e")):
+        with pytest.raises(NumericsError, match=reason):
+            sensors_to_show_alike(margin)
+    with pytest.raises(NumericsError, match="not above the level"):
+        sensors_to_show_alike(1.0, wanted=0.05)
+    with pytest.raises(NumericsError, match="no t test"):
+        power_of_equivalence(1.0, 1, 1)
 
 
 # Hollander & Wolfe 1999, table 4.1: permeability of a membrane at term and after 12 to 26 weeks.

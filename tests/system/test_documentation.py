@@ -85,7 +85,7 @@ def test_the_page_on_comparing_batches_shows_the_sentences_that_are_printed(tmp_
     assert build == "python -m cbsr_qa.cli.fleet_demo"
     build_fleet(path=tmp_path / "var" / "fleet-demo.db")
     shown = blocks(page, "text")
-    assert len(shown) == len(comparisons) == 2
+    assert len(shown) == len(comparisons) == 3
     for command, sentences in zip(comparisons, shown, strict=True):
         words = shlex.split(command)
         printed = " ".join(typed(tmp_path, command).stdout.split())

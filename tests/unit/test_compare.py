@@ -175,11 +175,15 @@ def test_p_values_are_adjusted_for_all_metrics(two):
 
 
 def test_equivalence_and_how_many_sensors_a_difference_needs(two):
-    wide, narrow = (metric(compared(two, margins={"drift": m}), "drift") for m in (1.0, 1e-4))
+    wide, narrow = (metric(compared(two, margins={"drift": m}, detect={"drift": m}), "drift") for m in (1.0, 1e-4))
     assert wide["equivalent"] is True
     assert narrow["equivalent"] is False
     assert narrow["sensors_needed"] > 1000 > wide["sensors_needed"] >= 2
-    assert metric(compared(two), "drift")["equivalent"] is None
+    assert narrow["sensors_to_show_alike"] > narrow["sensors_needed"]
+    alone = metric(compared(two, margins={"drift": 1.0}), "drift")
+    assert alone["detect"] is alone["sensors_needed"] is None
+    nothing = metric(compared(two), "drift")
+    assert nothing["equivalent"] is nothing["sensors_to_show_alike"] is None
 
 
 def test_what_all_places_share_counts_against_the_station(url):
