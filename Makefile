@@ -56,7 +56,7 @@ check: lint types imports ## Style, types and import contract
 bench: $(VENV)/.dev-stamp ## Time what matters, as ratios (see benchmarks/)
 	@$(BIN)/python -m benchmarks
 
-faults: $(VENV)/.dev-stamp ## Strike every step of a run with every fault; writes docs/reference/faults.md (half an hour)
+faults: $(VENV)/.dev-stamp ## Strike every step of a run with every fault; writes docs/reference/faults.md (an hour)
 	@$(BIN)/python tests/faults/campaign.py docs/reference/faults.md
 
 soak: $(VENV)/.dev-stamp ## Kill 200 runs at random moments and resume them; twelve hours of faults; a thousand fleets (half an hour)
