@@ -31,7 +31,7 @@ def _chart(one: "MetricChart") -> dict[str, Any]:
         "unit": one.unit,
         "why": one.why,
         "notes": list(one.notes),
-        "reference": None if one.reference is None else _reference(one.reference),
+        "reference": None if one.reference is None else reference_document(one.reference),
         "signal": None if one.signal is None else signal_document(one.signal),
         "runs": [line.run for line in one.lines],
         "reference_runs": one.phase_1,
@@ -52,7 +52,8 @@ def signal_document(signal: StandingSignal) -> dict[str, Any]:
     }
 
 
-def _reference(one: ChartReference) -> dict[str, Any]:
+def reference_document(one: ChartReference) -> dict[str, Any]:
+    """Return what limits rest on, and who set them."""
     settings = one.settings
     return {
         "reference": one.reference,

@@ -56,11 +56,15 @@ def chart_words(one: MetricChart) -> tuple[str, ...]:
     signal = one.signal
     since = len(one.values) - one.phase_1
     said = "No signal stands" if signal is None else f"Out of control: {signal.words().partition(', signals ')[2]}"
-    return (f"{said}; {plural(since, 'run')} after the reference period.", reference_words(one.reference), *one.notes)
+    return (
+        f"{said}; {plural(since, 'run')} after the reference period.",
+        reference_words(one, one.reference),
+        *one.notes,
+    )
 
 
-def reference_words(one: ChartReference) -> str:
-    """Say what limits rest on, and who set them when."""
+def reference_words(chart: MetricChart, one: ChartReference) -> str:
+    """Say what a chart's limits rest on, and who set them when."""
     unit = unit_shown(one.unit)
     size = f"mean {number(one.mean, 4)}, deviation {number(one.deviation)} {unit}".rstrip()
     why = f" ({one.why})" if one.why else ""
@@ -70,7 +74,8 @@ def reference_words(one: ChartReference) -> str:
         else ""
     )
     return (
-        f"Limits: {size}, from {one.runs} runs ({one.first_run} to {one.last_run}), set by {one.operator} on "
+        f"Limits: {size}, from {one.runs} runs ({chart.named_run(one.first_run)} to "
+        f"{chart.named_run(one.last_run)}), set by {one.operator} on "
         f"{one.made_at:%Y-%m-%d}{why}{rules}."
     )
 

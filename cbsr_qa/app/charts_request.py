@@ -12,6 +12,8 @@ from cbsr_qa.stats.range_constants import MOST
 
 #: Fewer runs make limits that are next to none.
 FEWEST_RUNS: Final = 8
+#: Fewer ranges of groups hardly tell a deviation.
+FEWEST_GROUPS: Final = 3
 _DEFAULT: Final = ChartSettings()
 
 
@@ -81,8 +83,21 @@ def check_request(request: ChartsRequest) -> None:
         )
     if period.runs is not None and period.runs < FEWEST_RUNS:
         raise RefusedError(f"a reference period of {period.runs} runs is too short", remedy=f"at least {FEWEST_RUNS}")
+    if period.runs is not None and grouped:
+        _check_groups(period.runs, settings.subgroup)
     validate_operator(period.operator)
     if period.stored and not period.operator:
         raise RefusedError(
             "nobody sets this reference", remedy="give --operator: who sets limits is kept with them (or --dry-run)"
+        )
+
+
+def _check_groups(runs: int, size: int) -> None:
+    """Refuse a reference period of which some runs would be in no group, or that has too few groups."""
+    least = FEWEST_GROUPS * size
+    if runs < least or runs % size:
+        near = sorted({max(least, runs - runs % size), max(least, runs - runs % size + size)})
+        raise RefusedError(
+            f"a reference period of {runs} runs is not {FEWEST_GROUPS} or more whole groups of {size}",
+            remedy=f"give {' or '.join(map(str, near))}",
         )

@@ -1,12 +1,12 @@
 """Control charts of a station: a reference period chosen and stored, and the runs since held against it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from cbsr_qa.app.charting import standard_of
 from cbsr_qa.app.charts_document import charts_document
-from cbsr_qa.app.charts_request import FEWEST_RUNS, ChartsRequest, ReferencePeriod, check_request
+from cbsr_qa.app.charts_request import FEWEST_GROUPS, FEWEST_RUNS, ChartsRequest, ReferencePeriod, check_request
 from cbsr_qa.app.charts_runs import charted_runs
 from cbsr_qa.app.figure_series import Series, clock_notes, named, recipe_note, series_of, software_note
 from cbsr_qa.app.metric_chart import MetricChart, metric_chart, no_chart
@@ -15,6 +15,7 @@ from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.run_figures import MetricKey, RunFigure, RunLine
 from cbsr_qa.domain.station_charts import ChartReference, StandingSignal
+from cbsr_qa.report.numbers import plural
 from cbsr_qa.store.repository import Repository, open_store
 
 
@@ -64,6 +65,10 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
         lines, recipe = charted_runs(store, request)
         notes = (*clock_notes(lines), *filter(None, [store.from_the_future()]))
         notes += software_note(store.software_of(lines)) + recipe_note(store, lines)
+        if request.period is not None and request.period.since is None:
+            notes += (
+                f"the reference period begins with the first run of all, of {lines[0].day}: see --reference-from",
+            )
         if request.period is None:
             charts = _against_stored(store, request, recipe, lines)
         else:
@@ -132,7 +137,19 @@ def _new_chart(
     count = _period_runs(series.lines, period)
     if count < FEWEST_RUNS or (period.runs is not None and len(series.lines) < period.runs):
         wanted = period.runs or FEWEST_RUNS
-        return no_chart(series, f"{len(series.lines[:count])} runs in the reference period instead of {wanted}")
+        return no_chart(series, f"{plural(count, 'run')} in the reference period instead of {wanted}")
+    size = request.settings.subgroup
+    rest = count % size
+    if size > 1 and count < FEWEST_GROUPS * size:
+        groups = plural(count // size, "whole group")
+        return no_chart(
+            series, f"{count} runs in the reference period make {groups} of {size} instead of {FEWEST_GROUPS}"
+        )
+    if rest:
+        left = (
+            f"the last {plural(rest, 'run')} of the reference period make no whole group of {size}: taken as after it"
+        )
+        count, series = count - rest, replace(series, notes=(*series.notes, left))
     try:
         standard = standard_of(series.values[:count], request.settings, series.key.label)
     except NumericsError as error:

@@ -12,6 +12,7 @@ from cbsr_qa.app.golden_lot import measuring_digest
 from cbsr_qa.config.echo import echo
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.run_figures import MetricKey, RunFigure, RunLine
+from cbsr_qa.report.numbers import plural
 from cbsr_qa.store.repository import Repository
 
 _T = TypeVar("_T")
@@ -91,7 +92,7 @@ def software_note(versions: Mapping[str, str]) -> tuple[str, ...]:
     counts = Counter(version or "not noted" for version in versions.values())
     if len(counts) < 2:
         return ()
-    said = ", ".join(f"{version} ({count} runs)" for version, count in sorted(counts.items()))
+    said = ", ".join(f"{version} ({plural(count, 'run')})" for version, count in sorted(counts.items()))
     return (f"the runs were analysed with several versions of cbsr-qa: {said}; a change may be the software's",)
 
 

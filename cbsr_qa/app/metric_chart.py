@@ -8,6 +8,7 @@ from cbsr_qa.app.charting import Charted, charts_of, standing
 from cbsr_qa.app.figure_series import Series, named
 from cbsr_qa.domain.run_figures import RunLine
 from cbsr_qa.domain.station_charts import ChartReference, ChartSettings, StandingSignal
+from cbsr_qa.report.numbers import plural
 from cbsr_qa.stats.control_charts import Standard
 
 #: Below this many runs it is said how wide limits may be off.
@@ -39,6 +40,11 @@ class MetricChart:
     why: str
     notes: tuple[str, ...]
 
+    def named_run(self, run: str) -> str:
+        """Return a run's name with the day it began, where it is one of the chart's."""
+        day = next((line.day for line in self.lines if line.run == run), None)
+        return run if day is None else f"{run} of {day}"
+
 
 def no_chart(series: Series, why: str) -> MetricChart:
     """Return what there is of a metric without limits, and why it has none."""
@@ -67,6 +73,10 @@ def metric_chart(series: Series, reference: ChartReference) -> MetricChart:
         notes.append(
             f"{count} of the {reference.runs} runs of the reference have a value now: some were analysed anew"
         )
+    size = reference.settings.subgroup
+    rest = (len(series.values) - count) % size
+    if rest:
+        notes.append(f"the latest {plural(rest, 'run')} make no whole group of {size} yet, and no point")
     signal = standing(after, series.lines[count:], reference, cut=False)
     return MetricChart(
         reference.label,

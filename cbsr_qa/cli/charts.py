@@ -21,9 +21,13 @@ def charts(
     golden: Annotated[str, typer.Option(metavar="SERIAL", help="Chart this golden sensor, not production.")] = "",
     metric: Annotated[list[str] | None, typer.Option(help="What to chart; may be repeated.")] = None,
     by_location: Annotated[bool, typer.Option("--by-location", help="A new reference a location.")] = False,
-    chart: Annotated[str, typer.Option(help="i-mr, xbar-r, ewma or cusum (of a new reference).")] = "i-mr",
-    subgroup: Annotated[int | None, typer.Option(help="Runs a point, with xbar-r.")] = None,
-    rules: Annotated[str, typer.Option(help="Numbers of Nelson's tests, with i-mr and xbar-r.")] = "1,2",
+    chart: Annotated[
+        str | None, typer.Option(help="i-mr (default), xbar-r, ewma or cusum (of a new reference).")
+    ] = None,
+    subgroup: Annotated[int | None, typer.Option(help="Runs a point, with a new xbar-r (default 5).")] = None,
+    rules: Annotated[
+        str | None, typer.Option(help="Numbers of Nelson's tests, with a new i-mr or xbar-r (default 1,2).")
+    ] = None,
     reference_from: Annotated[
         datetime | None, typer.Option(formats=_DAY, help="First day of a new reference period (UTC).")
     ] = None,
@@ -51,6 +55,9 @@ def charts(
         period = ReferencePeriod(
             _day(reference_from), reference_runs, _day(reference_until), operator, why, stored=not dry_run
         )
+    else:
+        of_new = {"--chart": chart, "--subgroup": subgroup, "--rules": rules, "--by-location": by_location}
+        _check_stored_holds(of_new | {"--operator": operator, "--why": why, "--dry-run": dry_run})
     request = ChartsRequest(
         station=station,
         recipe=recipe,
@@ -75,14 +82,29 @@ def charts(
     raise typer.Exit(1 if found.signals else 0)
 
 
-def _settings(chart: str, subgroup: int | None, rules: str) -> "ChartSettings":
+def _check_stored_holds(of_new: dict[str, object]) -> None:
+    """Refuse options of a new reference where none is set: they would change nothing, and look as if they did."""
+    given = [name for name, value in of_new.items() if value not in (None, "", False)]
+    if given:
+        raise RefusedError(
+            f"{', '.join(given)} without a new reference period: stored references say how they are charted",
+            remedy="leave them out, or set a new one by --reference-runs N or --reference-until DATE",
+        )
+
+
+def _settings(chart: str | None, subgroup: int | None, rules: str | None) -> "ChartSettings":
     from cbsr_qa.domain.station_charts import ChartKind, ChartSettings
 
     kinds = [str(kind) for kind in ChartKind]
+    chart = chart or str(ChartKind.INDIVIDUALS)
     if chart not in kinds:
         raise RefusedError(f"--chart is {chart!r}", remedy=f"allowed: {', '.join(kinds)}")
+    if rules is not None and chart in (ChartKind.EWMA, ChartKind.CUSUM):
+        raise RefusedError(
+            f"--rules with --chart {chart}", remedy="Nelson's tests are of i-mr and xbar-r: leave it out"
+        )
     try:
-        numbers = tuple(sorted({int(part) for part in rules.split(",")}))
+        numbers = tuple(sorted({int(part) for part in (rules or "1,2").split(",")}))
     except ValueError as error:
         raise RefusedError(f"--rules is {rules!r}", remedy="give numbers from 1 to 8, e.g. 1,2,5") from error
     default = 5 if chart == ChartKind.MEANS else 1

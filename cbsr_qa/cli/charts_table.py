@@ -15,19 +15,24 @@ WIDTH = 100
 def lines(found: "Charts") -> Iterator[str]:
     """Lay the charts out, one line after another."""
     from cbsr_qa.app.charts_page import chart_words
+    from cbsr_qa.report.numbers import plural
 
     request = found.request
     of = f"golden sensor {request.golden}" if request.golden else "production"
     simulated = " (SIMULATED)" if found.simulated else ""
-    yield printable(f"station  {request.station}: {found.runs} runs of {of}, recipe {found.recipe}{simulated}")
+    yield printable(
+        f"station  {request.station}: {plural(found.runs, 'run')} of {of}, recipe {found.recipe}{simulated}"
+    )
     signals = found.signals
     charted = sum(one.reference is not None for one in found.charts)
     state = (
-        f"OUT OF CONTROL: {len(signals)} of {charted} charts signal" if signals else f"in control on {charted} charts"
+        f"OUT OF CONTROL: a signal stands on {len(signals)} of {plural(charted, 'chart')}"
+        if signals
+        else f"in control on {plural(charted, 'chart')}"
     )
     yield f"state    {state}"
     if found.stored:
-        yield f"stored   {charted} references"
+        yield f"stored   {plural(charted, 'reference')}"
     for words in found.notes:
         yield from _wrapped("note     ", printable(words))
     for one in found.charts:

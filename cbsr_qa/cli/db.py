@@ -53,8 +53,9 @@ def status(database: Database = None, as_json: AsJson = False) -> None:
 
 @app.command()
 def changes(database: Database = None, as_json: AsJson = False) -> None:
-    """List what people changed: limits, recipes and other files of a known name, and verdicts; who, when, why."""
+    """List what people changed: limits, recipes and other files, control charts, verdicts; who, when, why."""
     from cbsr_qa.app.changes import list_changes
+    from cbsr_qa.domain.changes import NO_REASON
 
     found = list_changes(database)
     if as_json:
@@ -67,9 +68,16 @@ def changes(database: Database = None, as_json: AsJson = False) -> None:
         say(f"    content  {change.old_digest[:12]} → {change.new_digest[:12]}")
         for one in change.differences:
             say(f"    change   {one.words}")
+    for chart in found.charts:
+        one = chart.reference
+        say(f"{one.made_at:%Y-%m-%d %H:%M}  limits of {one.label}, on station {one.station}, by {one.operator}")
+        say(f"    why      {one.why or NO_REASON}")
+        say(f"    runs     {one.runs} of recipe {one.recipe}, {one.first_run} to {one.last_run}")
+        for words in chart.words():
+            say(f"    {'set     ' if chart.earlier is None else 'change  '} {words}")
     for override in found.overrides:
         say(f"{override.noted_at:%Y-%m-%d %H:%M}  verdict of run {override.run}, by {override.operator}")
         say(f"    why      {override.why}")
         say(f"    change   {override.verdict} overridden to {override.outcome}")
-    if not (found.files or found.overrides):
-        say("no file was changed, and no verdict overridden")
+    if not (found.files or found.charts or found.overrides):
+        say("no file was changed, no limits of a control chart set, and no verdict overridden")

@@ -47,9 +47,11 @@ def current_references(engine: Engine, station: str, until: str = "") -> tuple[C
     return tuple(sorted(latest.values(), key=lambda one: one.reference))
 
 
-def all_references(engine: Engine, station: str) -> tuple[ChartReference, ...]:
-    """Return every reference a station's charts ever had, oldest first."""
-    query = select(*ChartReferenceRow.__table__.columns).where(ChartReferenceRow.station == station)
+def all_references(engine: Engine, station: str = "") -> tuple[ChartReference, ...]:
+    """Return every reference the charts of a station (empty: of all stations) ever had, oldest first."""
+    query = select(*ChartReferenceRow.__table__.columns)
+    if station:
+        query = query.where(ChartReferenceRow.station == station)
     with reading(engine) as connection:
         return tuple(_reference(row) for row in connection.execute(query.order_by(ChartReferenceRow.reference)))
 

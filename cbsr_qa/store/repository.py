@@ -279,8 +279,8 @@ class Repository:
         """Return the references that hold of a station's charts (until something of a later name was made)."""
         return chart_references.current_references(self._engine, station, until)
 
-    def all_chart_references(self, station: str) -> tuple[ChartReference, ...]:
-        """Return every reference a station's charts ever had, oldest first."""
+    def all_chart_references(self, station: str = "") -> tuple[ChartReference, ...]:
+        """Return every reference the charts of a station (empty: of all) ever had, oldest first."""
         return chart_references.all_references(self._engine, station)
 
     def software_of(self, lines: Sequence[RunLine]) -> dict[str, str]:

@@ -14,6 +14,7 @@ from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.cli.main import guarded
 from cbsr_qa.domain.measurement import Limit, Measurement
 from cbsr_qa.domain.station_check import StationCheck
+from cbsr_qa.report.numbers import number
 from cbsr_qa.report.station_charts import chart_blocks
 from cbsr_qa.stats.control_charts import Standard, cusum, ewma, individuals, means_and_ranges
 from cbsr_qa.store.repository import open_store
@@ -125,6 +126,28 @@ def test_a_reference_is_stored_with_who_and_why_and_another_one_beside_it(tmp_pa
     assert holds == new
 
 
+def test_limits_of_charts_are_listed_with_what_they_were_before(tmp_path, document, capsys):
+    path = tmp_path / "runs.db"
+    fill(path, values(shift=0.8, count=70))
+
+    def listed(*arguments):
+        assert guarded(["db", "changes", "--database", str(path), *arguments]) == 0
+        return capsys.readouterr().out
+
+    assert "no limits of a control chart set" in listed()
+    document(path, *NEW, "--why", "after the move")
+    document(path, "--reference-from", "2026-12-21", "--reference-runs", 30, "--operator", "Ada", "--rules", "1")
+    first, second = json.loads(listed("--json"))["chart_references"]
+    assert (first["operator"], first["why"], first["earlier"]) == ("Zoë", "after the move", None)
+    assert (second["operator"], second["why"], second["station"]) == ("Ada", "no reason given", STATION)
+    assert second["earlier"]["reference"] == first["reference"]
+    said = listed()
+    assert f"limits of force_gain, chart i-mr, on station {STATION}, by Ada" in said
+    assert f"    set      mean {number(values()[:30].mean(), 4)} N/V\n" in said
+    assert "    change   mean " in said
+    assert "    change   settings rules 1, 2 → rules 1\n" in said
+
+
 def test_the_report_of_a_run_says_which_chart_signals(tmp_path, document):
     path = tmp_path / "runs.db"
     fill(path, values(count=30))
@@ -220,7 +243,7 @@ def test_odd_runs_are_named(tmp_path, document):
     notes = " ".join(found["charts"][0]["notes"])
     assert "in kN/V instead of N/V: S-600" in notes
     assert "1 of 1 values could not be measured: S-601" in notes
-    assert any("9.9 (1 runs)" in note for note in found["notes"])
+    assert any("9.9 (1 run)" in note for note in found["notes"])
     assert any("was not the same at the first" in note for note in found["notes"])
 
 
@@ -240,6 +263,11 @@ def test_odd_runs_are_named(tmp_path, document):
         (("--station", STATION, *NEW, "--rules", "1,9"), "allowed: 1 to 8"),
         (("--station", STATION, *NEW, "--rules", "one"), "numbers from 1 to 8"),
         (("--station", STATION, *NEW, "--subgroup", 4), "none with another chart"),
+        (("--station", STATION, *NEW, "--chart", "ewma", "--rules", "1,2"), "--rules with --chart ewma"),
+        (("--station", STATION, "--chart", "ewma", "--rules", "1,2,5"), "--chart, --rules without a new reference"),
+        (("--station", STATION, "--operator", "Zoë", "--dry-run"), "--operator, --dry-run without a new reference"),
+        (("--station", STATION, "--reference-runs", 12, "--operator", "Zoë", "--chart", "xbar-r"), "give 15\n"),
+        (("--station", STATION, "--reference-runs", 22, "--operator", "Zoë", "--chart", "xbar-r"), "give 20 or 25"),
         (("--station", STATION, *NEW, "--golden", "G-7"), "no analysed run of sensor 'G-7'"),
         (("--station", STATION, "--reference-from", "2036-11-22", *NEW), "has no run since 2036"),
     ],
@@ -252,13 +280,39 @@ def test_what_cannot_be_charted_is_refused_by_name(shifted, command, arguments, 
         assert store.all_chart_references(STATION) == ()
 
 
+def test_groups_of_a_reference_are_whole_and_what_is_left_is_said(shifted, command, document):
+    path, runs = shifted
+    until = (identity("x").started_at + timedelta(days=21)).date()
+    asked = ("--reference-until", until, "--operator", "Zoë", "--dry-run", "--chart", "xbar-r")
+    (chart,) = document(path, *asked)["charts"]
+    assert (chart["reference"]["runs"], chart["reference"]["last_run"]) == (20, runs[19])
+    assert "the last 2 runs of the reference period make no whole group of 5: taken as after it" in chart["notes"]
+    (chart,) = document(path, *asked, "--subgroup", 6)["charts"]
+    assert "the latest 4 runs make no whole group of 6 yet, and no point" in chart["notes"]
+    code, _, err = command(path, "--station", STATION, *asked, "--subgroup", 8)
+    assert code == 2
+    assert "22 runs in the reference period make 2 whole groups of 8 instead of 3" in err
+
+
+def test_a_reference_period_is_named_by_its_days(shifted, command):
+    path, runs = shifted
+    first = identity("x").started_at.date()
+    out = command(path, "--station", STATION, *NEW, "--dry-run")[1]
+    said = " ".join(out.split())
+    assert f"the reference period begins with the first run of all, of {first}: see --reference-from" in said
+    assert f"from 30 runs ({runs[0]} of {first} to {runs[29]} of {first + timedelta(days=29)})" in said
+    later = command(path, "--station", STATION, *NEW, "--reference-from", first + timedelta(days=5), "--dry-run")[1]
+    assert "first run of all" not in later
+    assert f"({runs[5]} of {first + timedelta(days=5)}" in " ".join(later.split())
+
+
 def test_the_page_draws_the_charts(shifted, command, tmp_path):
     code, out, _ = command(shifted[0], "--station", STATION, *NEW, "--dry-run", "--output", tmp_path / "page.html")
     assert code == 1
     page = (tmp_path / "page.html").read_text()
     assert "1 chart out of control" in page
     assert "moving range" in page
-    assert "OUT OF CONTROL: 1 of 1 charts signal" in out
+    assert "OUT OF CONTROL: a signal stands on 1 of 1 chart\n" in out
     until = (identity("x").started_at + timedelta(days=29)).date()
     other = command(shifted[0], "--station", STATION, "--reference-until", until, "--dry-run")[1]
     assert "from 30 runs" in other
