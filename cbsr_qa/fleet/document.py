@@ -67,13 +67,11 @@ def _yield_ends(found: Yield | None) -> list[float] | None:
 
 
 def _difference(metric: MetricComparison, one: Difference | None, found: Comparison) -> dict[str, Any]:
-    if one is None:
-        nothing = dict.fromkeys(("group", "reference", "difference", "low", "high", "p", "equivalent"))
-        return {**_identity(metric), **nothing, "model": "none", "warnings": list(metric.notes)}
+    one = one or Difference("", "", "none")  # the same keys where a metric has no groups to compare
     return {
         **_identity(metric),
-        "group": one.group,
-        "reference": one.reference,
+        "group": one.group or None,
+        "reference": one.reference or None,
         **_estimate(one),
         "effect_size": one.effect,
         "effect_size_interval": _ends(one.effect_interval),

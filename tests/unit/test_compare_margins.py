@@ -1,6 +1,8 @@
 """Margins and differences to be found: what is adjusted, which interval decides, and how many sensors it takes."""
 
+import re
 from datetime import UTC, datetime
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -133,6 +135,40 @@ def test_one_station_is_not_said_to_be_taken_out(url, tmp_path):
             store_run(store, f"S-{number:02d}", judged(measured(random, shifted)), batch=batch, station="A")
     first = sentences(compared(other).found)[0]
     assert first.endswith(", all at A.")
+
+
+#: Keys that are data: shares of quantiles.
+_SHARES = {"0.05", "0.25", "0.5", "0.75", "0.95"}
+
+
+def keys(document):
+    if isinstance(document, dict):
+        return set(document).union(*(keys(value) for value in document.values()))
+    return set().union(*map(keys, document)) if isinstance(document, list) else set()
+
+
+@pytest.mark.parametrize("by", [By.BATCH, By.STATION])
+def test_every_key_of_the_document_is_documented_and_every_one_documented_is_there(url, by):
+    page = (Path(__file__).parents[2] / "docs" / "reference" / "station-statistics.md").read_text()
+    (section,) = re.findall(r"^## `cbsr-qa compare --json`\n(.*?)^## ", page, re.M | re.S)
+    document = compared(url, by, margins={ERROR: 0.3}, detect={ERROR: 0.2}).document()
+    made = keys(document) - _SHARES
+    assert made - set(re.findall(r"`(\w+)", section)) == set()
+    if by is By.BATCH:
+        entries = section.split("An entry of `metrics[]`")[1]
+        first = {word for row in re.findall(r"^\| (`.*?) \|", entries, re.M) for word in re.findall(r"`(\w+)", row)}
+        assert first == set(document["metrics"][0])
+
+
+def test_the_document_has_an_entry_of_each_metric_and_group_with_the_same_keys(url):
+    document = compared(url).document()
+    pairs = [(one["name"], one["group"]) for one in document["metrics"]]
+    assert pairs == [
+        (name, group) for name in (ERROR, "drift", "noise_floor", "missed_loads") for group in ("42", "43")
+    ]
+    (one, *_) = compared(url, groups=("41",)).document()["metrics"]
+    assert (one["group"], one["model"]) == (None, "none")
+    assert set(one) == set(document["metrics"][0])
 
 
 def test_the_page_has_tables_of_likeness_and_of_sensors(url, tmp_path):
