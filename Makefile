@@ -34,9 +34,11 @@ fleet-demo: $(VENV)/.run-stamp ## Build a fleet of 3 batches at 3 stations, comp
 	@$(BIN)/python -m cbsr_qa.cli.fleet_demo
 	@for design in each-on-one-station a-third-on-all-stations; do \
 		printf '\n%s\n' "$$design"; \
-		$(BIN)/cbsr-qa compare --by batch --recipe $$design --database "$$CBSR_QA_VAR/fleet-demo.db" \
-			--output "$$CBSR_QA_VAR/fleet-demo-$$design.html" || exit; \
-		if [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then $(BIN)/python -m webbrowser "$$CBSR_QA_VAR/fleet-demo-$$design.html"; fi; \
+		page="$$CBSR_QA_VAR/fleet-demo-$$design.html"; \
+		$(BIN)/cbsr-qa compare --by batch --recipe $$design --database "$$CBSR_QA_VAR/fleet-demo.db" --output "$$page" || exit; \
+		if [ "$$(uname)" = Darwin ] || [ -n "$$DISPLAY$$WAYLAND_DISPLAY" ]; then \
+			$(BIN)/python -m webbrowser "file://$$(cd "$$CBSR_QA_VAR" && pwd -P)/$${page##*/}" >/dev/null 2>&1 || :; \
+		fi; \
 	done
 
 test: $(VENV)/.dev-stamp ## Run every test

@@ -1,8 +1,12 @@
 """The fleet of the demonstration: its designs, its truth, and that it says what it is."""
 
+import os
+import shutil
 import sqlite3
+import subprocess
 from collections import Counter
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +16,8 @@ from cbsr_qa.app.render import render_stored
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.store.repository import open_store
+
+TOP = Path(__file__).parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -68,6 +74,34 @@ def test_everything_says_that_nothing_was_measured(built, tmp_path):
     page = render_stored(runs[0].run, database=str(built[0]), folder=tmp_path).report.read_text()
     assert SAID in page
     assert "the run holds no frames" in page
+
+
+@pytest.mark.skipif(shutil.which("make") is None, reason="make is not installed")
+@pytest.mark.parametrize(("system", "display", "opened"), [("Linux", "", 0), ("Linux", ":0", 2), ("Darwin", "", 2)])
+def test_make_fleet_demo_opens_the_pages_where_there_is_a_screen_and_needs_no_browser(
+    tmp_path, system, display, opened
+):
+    """The commands it runs are stand-ins that note how they were called; the one that opens pages fails."""
+    called, binaries, var = tmp_path / "called", tmp_path / "venv" / "bin", tmp_path / "a folder"
+    binaries.mkdir(parents=True), var.mkdir()
+    for name, line in (
+        ("python", f'echo "$@" >> "{called}"; [ "$2" != webbrowser ]'),
+        ("cbsr-qa", f'echo "$@" >> "{called}"'),
+        ("uname", f"echo {system}"),
+    ):
+        (binaries / name).write_text(f"#!/bin/sh\n{line}\n")
+        (binaries / name).chmod(0o755)
+    (tmp_path / "venv" / ".run-stamp").touch()
+    environment = {"PATH": f"{binaries}:{os.environ['PATH']}", "CBSR_QA_VAR": str(var), "DISPLAY": display}
+    command = ["make", "-C", str(TOP), "fleet-demo", f"VENV={binaries.parent}"]
+    made = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stderr
+    lines = called.read_text().splitlines()
+    assert lines[0] == "-m cbsr_qa.cli.fleet_demo"
+    pages = [f"{var}/fleet-demo-{design}.html" for design in (ONE_STATION, THIRD_ON_ALL)]
+    assert [line.split(" --output ")[1] for line in lines if line.startswith("compare")] == pages
+    shown = [f"-m webbrowser file://{Path(page).resolve()}" for page in pages]
+    assert [line for line in lines if "webbrowser" in line] == shown[:opened]
 
 
 def test_a_fleet_is_replaced_and_anything_else_is_not(built, tmp_path):
