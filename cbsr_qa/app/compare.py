@@ -70,15 +70,37 @@ def compare_groups(choice: RunChoice, terms: Terms, *, database: str | None, now
     return Compared(compare(table, terms, now))
 
 
+def read_groups(said: str | None) -> tuple[str, ...]:
+    """Read ``A,B``: names of groups, the reference first; none where nothing was said.
+
+    Raises
+    ------
+    RefusedError
+        If a name is empty, or is there twice.
+    """
+    if said is None:
+        return ()
+    names = tuple(name.strip() for name in said.split(","))
+    if not all(names):
+        raise RefusedError(
+            f"--groups {said[:80]!r} has an empty name",
+            remedy="separate names by commas, for example --groups 41,42, or leave it out for all groups",
+        )
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise RefusedError(f"--groups names {twice[0][:64]!r} twice", remedy="name each group once")
+    return names
+
+
 def read_amounts(said: Sequence[str], option: str) -> dict[str, float]:
     """Read ``METRIC=VALUE`` pairs.
 
     Raises
     ------
     RefusedError
-        If one is no such pair, or its value is not a positive number.
+        If one is no such pair, its value is not a positive number, or its metric was named before.
     """
-    found = {}
+    found: dict[str, float] = {}
     for pair in said:
         name, equals, text = pair.rpartition("=")
         try:
@@ -90,5 +112,7 @@ def read_amounts(said: Sequence[str], option: str) -> dict[str, float]:
                 f"{option} {pair[:80]!r} is not METRIC=VALUE with a positive number",
                 remedy=f"for example {option} centre_of_mass_error=0.5, in the metric's unit",
             )
+        if name in found:
+            raise RefusedError(f"{option} states {name[:64]!r} twice", remedy="state one value of each metric")
         found[name] = value
     return found

@@ -14,7 +14,7 @@ _DAY = ["%Y-%m-%d"]
 def compare(
     by: Annotated[str, typer.Option(help="What tells groups apart: batch, material, station, software or period.")],
     groups: Annotated[
-        str | None, typer.Option(metavar="A,B", help="Groups to compare, the reference first; all by default.")
+        str | None, typer.Option(metavar="A,B", help="Groups to compare, the reference first; by default all.")
     ] = None,
     metric: Annotated[list[str] | None, typer.Option(help="Only this metric; may be repeated.")] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
@@ -34,7 +34,9 @@ def compare(
     quarantine: Annotated[
         str, typer.Option(help="Sensors that could not be measured: apart from the yield, or failed.")
     ] = "apart",
-    period: Annotated[str, typer.Option(help="Length of a period: day, week, month or year.")] = "month",
+    period: Annotated[
+        str | None, typer.Option(help="Length of a period, for --by period: day, week, month (default) or year.")
+    ] = None,
     adjust: Annotated[
         str, typer.Option(help="p values for many metrics: holm, benjamini-hochberg or none.")
     ] = "holm",
@@ -47,19 +49,25 @@ def compare(
     A batch's difference is told from its stations' where the runs allow it; where they do not, that is said. Exit
     code 3 if nothing could be compared.
     """
-    from cbsr_qa.app.compare import RunChoice, compare_groups, read_amounts
+    from cbsr_qa.app.compare import RunChoice, compare_groups, read_amounts, read_groups
     from cbsr_qa.cli.compare_table import lines
     from cbsr_qa.cli.one_of import one_of
     from cbsr_qa.clock import RealClock
+    from cbsr_qa.domain.errors import RefusedError
     from cbsr_qa.fleet.terms import Adjustment, By, Period, Policy, Quarantine, Terms
 
+    word = one_of(By, by, "--by")
+    if period is not None and word is not By.PERIOD:
+        raise RefusedError(f"--period {period[:64]!r} says nothing of --by {word}", remedy="say --by period")
+    if database is not None and not database.strip():
+        raise RefusedError("--database is empty", remedy="leave it out for the usual database, or name one")
     terms = Terms(
-        by=one_of(By, by, "--by"),
-        groups=tuple(name.strip() for name in groups.split(",") if name.strip()) if groups else (),
+        by=word,
+        groups=read_groups(groups),
         names=tuple(dict.fromkeys(metric or ())),
         policy=one_of(Policy, policy, "--policy"),
         quarantine=one_of(Quarantine, quarantine, "--quarantine"),
-        period=one_of(Period, period, "--period"),
+        period=one_of(Period, period or Period.MONTH, "--period"),
         adjustment=one_of(Adjustment, adjust, "--adjust"),
         margins=read_amounts(margin or (), "--margin"),
         detect=read_amounts(detect or (), "--detect"),
