@@ -95,7 +95,12 @@ def _groups_table(found: Comparison) -> Table:
         )
         for group in found.groups
     ]
-    return text_table("Sensors and yields, with Wilson's intervals", columns, rows, (1, 2, 6))
+    return text_table(
+        "Sensors and yields of what was measured, stations' differences included, with Wilson's intervals",
+        columns,
+        rows,
+        (1, 2, 6),
+    )
 
 
 def _failure_tables(found: Comparison) -> Iterator[Block]:
@@ -229,7 +234,12 @@ def _described_table(found: Comparison) -> Table:
         for metric in found.metrics
         for one in metric.described
     ]
-    return text_table("Of one figure a sensor; spread is the standard deviation", columns, rows, tuple(range(2, 10)))
+    return text_table(
+        "Of one figure a sensor as it was measured, stations' differences included; spread is the standard deviation",
+        columns,
+        rows,
+        tuple(range(2, 10)),
+    )
 
 
 def _moments(one: Described) -> tuple[str, ...]:
@@ -247,7 +257,12 @@ def _capability_table(found: Comparison) -> Table:
                 made = one.capability
                 rows.append((_label(metric), one.group, *map(_index, (made.cp, made.cpk, made.pp, made.ppk)), ""))
     columns = ("metric", "group", "Cp", "Cpk", "Pp", "Ppk", "why not")
-    return text_table("Capability against the recipe's limits, with intervals", columns, rows, (2, 3, 4, 5))
+    return text_table(
+        "Capability against the recipe's limits, stations' differences included, with intervals",
+        columns,
+        rows,
+        (2, 3, 4, 5),
+    )
 
 
 def _label(metric: MetricComparison) -> str:

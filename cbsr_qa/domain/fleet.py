@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.outcome import Outcome
+from cbsr_qa.domain.run_figures import MetricKey
 
 
 class State(IntFlag):
@@ -32,6 +33,7 @@ class FleetRun:
     outcome : of its latest analysis; None where it has none.
     software : (distribution, version) pairs it was analysed with.
     simulated : in words; empty for a real bench.
+    of_check : whether it is a golden sensor's, made to check its station.
     """
 
     run: str
@@ -46,21 +48,7 @@ class FleetRun:
     outcome: Outcome | None
     software: tuple[tuple[str, str], ...]
     simulated: tuple[str, ...]
-
-
-@dataclass(frozen=True, slots=True, order=True)
-class MetricKey:
-    """What tells metrics apart: a name may be measured in several phases and under several masks."""
-
-    name: str
-    phase: str = ""
-    qualifier: str = ""
-
-    @property
-    def label(self) -> str:
-        """Name with phase and qualifier, as a reader would say it."""
-        detail = ", ".join(part for part in (self.phase, self.qualifier) if part)
-        return f"{self.name} ({detail})" if detail else self.name
+    of_check: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +57,7 @@ class Kind:
 
     Parameters
     ----------
+    key : of the metric, without a location: values of all loads are one metric.
     location : label of the load; empty where it is not about one.
     lower, upper : of the limit they were held against; None where there was none.
     """

@@ -6,14 +6,16 @@ from datetime import datetime
 
 from cbsr_qa.domain.fleet import FleetRun
 from cbsr_qa.fleet.clocks import clock_warnings
-from cbsr_qa.fleet.design import NO_BATCH
+from cbsr_qa.fleet.design import NO_BATCH, Design
 from cbsr_qa.fleet.figures import named
 from cbsr_qa.fleet.groups import Grouping, software_words
 from cbsr_qa.fleet.terms import By, Terms
 from cbsr_qa.report.numbers import plural
 
 
-def cautions(members: Sequence[FleetRun], grouping: Grouping, terms: Terms, now: datetime) -> Sequence[str]:
+def cautions(
+    members: Sequence[FleetRun], grouping: Grouping, design: Design, terms: Terms, now: datetime
+) -> Sequence[str]:
     """Return what is to be kept in mind, in sentences.
 
     Parameters
@@ -21,8 +23,12 @@ def cautions(members: Sequence[FleetRun], grouping: Grouping, terms: Terms, now:
     members : the runs that count.
     now : by the computer's clock.
     """
-    said = [f"{plural(count, 'run')} {why} and are left out" for why, count in sorted(grouping.left_out.items())]
+    said = [
+        plural(count, f"run {one} and is left out", f"runs {many} and are left out")
+        for (one, many), count in sorted(grouping.left_out.items())
+    ]
     said += _groups_warnings(members, grouping, terms)
+    said += _shared_batches(grouping, design)
     for noun, names in (
         ("recipes", [run.recipe for run in members]),
         ("software versions", [] if terms.by is By.SOFTWARE else software_words(members)),
@@ -60,6 +66,21 @@ def _groups_warnings(members: Sequence[FleetRun], grouping: Grouping, terms: Ter
     if terms.by is By.MATERIAL:
         said += _nested(members, grouping)
     return said
+
+
+def _shared_batches(grouping: Grouping, design: Design) -> Sequence[str]:
+    """Say on which batches differences of periods or software versions rest."""
+    if not design.levels:
+        return []
+    shared = {name: design.shared(name, grouping.reference) for name in grouping.names[1:]}
+    told = named([f"{name} (batch {named(batches)})" for name, batches in shared.items() if batches])
+    if not told:
+        return []
+    return [
+        "every batch at every station is a level of its own in the model, so that no batch is taken for a "
+        f"{design.noun}: differences from {grouping.reference} rest on batches that ran at one station in both, and "
+        f"those are with {told}"
+    ]
 
 
 def _nested(members: Sequence[FleetRun], grouping: Grouping) -> Sequence[str]:

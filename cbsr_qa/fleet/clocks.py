@@ -1,4 +1,4 @@
-"""Clocks of stations that cannot be right: from the order of runs, from now, and from other stations."""
+"""Clocks of stations that cannot be right: from the order of runs, now, runs' identifiers, and other stations."""
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
@@ -22,7 +22,7 @@ def clock_warnings(runs: Sequence[FleetRun], now: datetime) -> list[str]:
     runs : in the order they were made in.
     now : by the computer's clock.
     """
-    return [*_from_the_future(runs, now), *_out_of_order(runs), *_far_from_others(runs)]
+    return [*_from_the_future(runs, now), *_out_of_order(runs), *_unlike_identifiers(runs), *_far_from_others(runs)]
 
 
 def _from_the_future(runs: Sequence[FleetRun], now: datetime) -> Iterator[str]:
@@ -49,6 +49,26 @@ def _out_of_order(runs: Sequence[FleetRun]) -> Iterator[str]:
                 f"{latest.started_at:%Y-%m-%d} and state {min(run.started_at for run in back):%Y-%m-%d}; which is "
                 "right nobody noted. Runs are taken in the order they were made in"
             )
+
+
+def _unlike_identifiers(runs: Sequence[FleetRun]) -> Iterator[str]:
+    """Runs that state another day than their identifiers were made on, though most runs do not.
+
+    Where most do, the fleet was stored all at once (simulated, or copied), and identifiers say nothing of clocks.
+    """
+    away = {run.run: run.made_at - run.started_at for run in runs if run.made_at is not None}
+    if not away or median(abs(gap) for gap in away.values()) > _TOLERATED:
+        return
+    for station, members in _by_station(
+        run for run in runs if abs(away.get(run.run, timedelta())) > _TOLERATED
+    ).items():
+        gap = median(away[run.run] for run in members)
+        began = sorted(f"{run.started_at:%Y-%m-%d}" for run in members)
+        yield (
+            f"station {station} states for {_runs(members)} that they began on {began[0]} to {began[-1]}, and their "
+            f"identifiers were made {abs(gap).days} days {'later' if gap > timedelta() else 'earlier'}: its clock "
+            "was wrong, or that of whoever made the identifiers"
+        )
 
 
 def _far_from_others(runs: Sequence[FleetRun]) -> Iterator[str]:

@@ -63,7 +63,7 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
         terms=terms,
         groups=tuple(groups_of(table.runs, grouping, every, terms)),
         metrics=tuple(_adjusted(metrics, terms.adjustment)),
-        warnings=tuple(cautions(members, grouping, terms, now)),
+        warnings=tuple(cautions(members, grouping, design, terms, now)),
         simulated=tuple(sorted({said for simulated in {run.simulated for run in members} for said in simulated})),
         recipes=tuple(sorted({run.recipe for run in members})),
     )

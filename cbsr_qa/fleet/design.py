@@ -1,40 +1,117 @@
-"""The design of a comparison: which runs cross which groups and stations."""
+"""The design of a comparison: which runs cross which groups, stations and batches."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.domain.fleet import FleetRun
+from cbsr_qa.fleet.figures import named
 from cbsr_qa.fleet.groups import Grouping
 from cbsr_qa.fleet.terms import By
 from cbsr_qa.stats.crossing import Crossing, IntArray, crossing
 
 #: What a run without a batch is of.
 NO_BATCH: Final = "batch not stated"
+#: Groupings that have nothing to do with batches, and may yet coincide with them.
+_GROUPS: Final = {By.PERIOD: "period", By.SOFTWARE: "software version"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Design:
-    """The crossing of the runs that count, which they are, and the stations to compare, that with most runs first."""
+    """The crossing of the runs that count, and what its levels stand for.
 
+    Parameters
+    ----------
+    crossing : of groups and stations; of batches and stations where stations are compared; of groups and *levels*
+        where periods or software versions are: every batch at every station is a level, so that no batch is taken
+        for a period.
+    rows : (N,) indices of the runs.
+    stations : to compare beside the groups, that with most runs first; none where there is one, or they are groups.
+    levels : level → its station and batch; empty where the crossing's levels are stations.
+    of_the_stations : crossing by which the stations are compared: where there are levels, that of stations with
+        batches within groups; else the crossing itself.
+    """
+
+    by: By
     crossing: Crossing
     rows: IntArray
-    of_stations: bool
     stations: tuple[str, ...]
+    levels: Mapping[str, tuple[str, str]]
+    of_the_stations: Crossing
+
+    @property
+    def noun(self) -> str:
+        """What one group is, in words."""
+        return _GROUPS.get(self.by, str(self.by))
+
+    @property
+    def of_stations(self) -> bool:
+        """Whether stations are the groups."""
+        return self.by is By.STATION
+
+    def level(self, run: FleetRun) -> str:
+        """Return what the crossing has on its other side for a run."""
+        return _level(run) if self.levels else run.station
+
+    def shared(self, first: str, second: str) -> tuple[str, ...]:
+        """Return the batches that ran at one station in both groups: what their difference rests on most."""
+        one, two = (_levels_of(self.crossing).get(name, frozenset()) for name in (first, second))
+        return tuple(sorted({self.levels[level][1] for level in one & two}))
+
+    def untold(self, found: Crossing, first: str, second: str) -> str:
+        """Say why two groups cannot be told apart; empty where the crossing's own words will do.
+
+        Parameters
+        ----------
+        found : the crossing of the runs that have a value.
+        """
+        known = found.stations if self.of_stations else found.groups
+        absent = [name for name in (first, second) if name not in known]
+        if absent:
+            return f"no run of {' and of '.join(absent)} that counts has a value of it"
+        if not self.levels or found.group_parts[known.index(first)] == found.group_parts[known.index(second)]:
+            return ""
+        batches, stations = (self._apart(found, (first, second), side) for side in (1, 0))
+        other = "batches" if batches and not stations else "stations" if stations and not batches else ""
+        told = f"and {other} cannot be told apart" if other else "cannot be told from batches and stations"
+        where = "; ".join(f"{name} is {self._words(found, name, other)}" for name in (first, second))
+        return f"{self.noun}s {told}: {where}; run some sensors of one batch at one station in both"
+
+    def _apart(self, found: Crossing, names: tuple[str, str], side: int) -> bool:
+        """Whether nothing connects two groups by batches (side 1) or stations (side 0) alone."""
+        joined = _joined(self, found, side)
+        one, two = (int(joined.group_parts[joined.index("group", name)]) for name in names)
+        return one != two
+
+    def _words(self, found: Crossing, name: str, other: str) -> str:
+        pairs = sorted(self.levels[level] for level in _levels_of(found)[name])
+        if other:
+            seen = {_batch(batch) if other == "batches" else station for station, batch in pairs}
+            return f"{named(sorted(seen))} only"
+        return named([f"{_batch(batch)} at {station}" for station, batch in pairs], 3)
 
 
 def design_of(runs: Sequence[FleetRun], grouping: Grouping, by: By) -> Design:
     """Cross the runs that count."""
-    rows, of_stations = np.flatnonzero(grouping.used), by is By.STATION
+    rows = np.flatnonzero(grouping.used)
     members = [runs[row] for row in rows.tolist()]
-    # Where stations are compared, what must not be taken for one is the batch.
-    batches, labels = [run.batch or NO_BATCH for run in members], [grouping.labels[row] for row in rows.tolist()]
-    made = crossing(
-        batches if of_stations else labels, [run.station for run in members], [run.serial for run in members]
-    )
-    return Design(made, rows, of_stations, () if of_stations else _by_runs(made))
+    labels = [grouping.labels[row] for row in rows.tolist()]
+    stations, serials = [run.station for run in members], [run.serial for run in members]
+    batches = [run.batch or NO_BATCH for run in members]
+    if by is By.STATION:  # what must not be taken for a station is the batch
+        made = crossing(batches, stations, serials)
+        return Design(by, made, rows, (), {}, made)
+    if by in _GROUPS and len(set(batches)) > 1:
+        levels = {_level(run): (run.station, run.batch or NO_BATCH) for run in members}
+        made = crossing(labels, [_level(run) for run in members], serials)
+        within = [f"{label}\n{batch}" for label, batch in zip(labels, batches, strict=True)]
+        beside = crossing(within, stations, serials)
+        return Design(by, made, rows, _by_runs(beside), levels, beside)
+    made = crossing(labels, stations, serials)
+    return Design(by, made, rows, _by_runs(made), {}, made)
 
 
 def _by_runs(made: Crossing) -> tuple[str, ...]:
@@ -42,3 +119,29 @@ def _by_runs(made: Crossing) -> tuple[str, ...]:
     if len(made.stations) < 2:
         return ()
     return tuple(made.stations[index] for index in np.argsort(-np.bincount(made.station), kind="stable"))
+
+
+def _level(run: FleetRun) -> str:
+    return f"{run.station} ({_batch(run.batch or NO_BATCH)})"
+
+
+def _batch(name: str) -> str:
+    return name if name == NO_BATCH else f"batch {name}"
+
+
+@lru_cache(maxsize=4)
+def _levels_of(found: Crossing) -> Mapping[str, frozenset[str]]:
+    """Group → the levels its runs have; kept, because every pair of groups in a metric asks."""
+    pairs = np.unique(found.group * len(found.stations) + found.station)
+    seen: dict[str, set[str]] = {}
+    for group, level in zip(*divmod(pairs, len(found.stations)), strict=True):
+        seen.setdefault(found.groups[group], set()).add(found.stations[level])
+    return {name: frozenset(levels) for name, levels in seen.items()}
+
+
+@lru_cache(maxsize=4)
+def _joined(design: Design, found: Crossing, side: int) -> Crossing:
+    """Groups crossed with the batches (side 1) or the stations (side 0) of their levels."""
+    pairs = sorted({(name, design.levels[one][side]) for name, levels in _levels_of(found).items() for one in levels})
+    groups = [group for group, _ in pairs]
+    return crossing(groups, [other for _, other in pairs], groups)

@@ -10,8 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.fleet import FleetTable, Kind, MetricKey, State
+from cbsr_qa.domain.fleet import FleetTable, Kind, State
+from cbsr_qa.domain.run_figures import MetricKey
 from cbsr_qa.report.numbers import plural
+from cbsr_qa.stats.samples import LARGEST
 from cbsr_qa.stats.worst_value import FloatArray
 
 BoolArray = NDArray[np.bool_]
@@ -25,7 +27,8 @@ class MetricFigures:
     ----------
     unit : of all values that were taken.
     lower, upper : limit of the latest run that had one; None where there is none.
-    mean, least, most : (R,) of each run's values; NaN where it has none, or where one is only a lower bound.
+    mean, least, most : (R,) of each run's values; NaN where it has none, or where one is only a lower bound, infinite
+        or beyond what can be squared.
     per_run : values of the run that has most.
     at : location → (R,) mean of the values there; empty where values have no location.
     failed : (R,) whether a value was outside its limit or, though limited, could not be measured.
@@ -66,20 +69,24 @@ def figures_of(table: FleetTable, used: BoolArray) -> Iterator[MetricFigures]:
     ends = np.cumsum(np.bincount(metric, minlength=len(keys)))
     for key, chosen in zip(keys, np.split(order, ends[:-1]), strict=True):
         if len(chosen):
-            yield _figures(key, table, chosen)
+            yield _figures(key, table, chosen, used)
 
 
-def _figures(key: MetricKey, table: FleetTable, rows: NDArray[np.intp]) -> MetricFigures:
+def _figures(key: MetricKey, table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> MetricFigures:
+    absent = _absent(table, rows, used)
     rows, mixed = _one_unit(table, rows)
     run, value, state = table.run[rows], table.value[rows], table.state[rows]
     kinds = [table.kinds[index] for index in np.unique(table.kind[rows])]
     runs = len(table.runs)
     bounded = np.bincount(run, state & State.LOWER_BOUND, runs) > 0
-    known = ~np.isnan(value) & ~bounded[run]
+    beyond = ~np.isnan(value) & ~(np.abs(value) <= LARGEST)
+    huge = np.bincount(run, beyond, runs) > 0
+    known = ~np.isnan(value) & ~(bounded | huge)[run]
     counts = np.bincount(run[known], minlength=runs)
     asked = np.bincount(run, minlength=runs)
     limits = _limits(table, rows)
-    warnings = [*mixed, *_missing(table, asked, counts, bounded), *_several_limits(kinds)]
+    without = _missing(table, asked, counts, bounded, huge)
+    warnings = [*mixed, *absent, *_beyond(table, run[beyond], value[beyond]), *without, *_several_limits(kinds)]
     return MetricFigures(
         key=key,
         unit=kinds[0].unit,
@@ -139,21 +146,50 @@ def _one_unit(table: FleetTable, rows: NDArray[np.intp]) -> tuple[NDArray[np.int
     ]
 
 
+def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Iterator[str]:
+    """Runs that count and hold no such metric at all, not even as missing."""
+    has = np.zeros(len(table.runs), dtype=np.bool_)
+    has[table.run[rows]] = True
+    without = np.flatnonzero(used & ~has)
+    if not len(without):
+        return
+    measuring = {table.runs[run].recipe for run in np.flatnonzero(has)}
+    strayed = np.array([run for run in without if table.runs[run].recipe in measuring], dtype=np.intp)
+    if len(strayed):
+        said = plural(
+            len(strayed), "run does not hold it and is left out of it", "runs do not hold it and are left out of it"
+        )
+        yield f"{said}: {_sensors(table, strayed)}"
+    others = sorted({table.runs[run].recipe for run in without} - measuring)
+    if others:
+        left = plural(len(without) - len(strayed), "run")
+        yield f"{left} of recipes that do not measure it ({named(others)}) left out of it"
+
+
+def _beyond(table: FleetTable, run: NDArray[np.int32], value: FloatArray) -> Iterator[str]:
+    """Name values that no arithmetic can be done with."""
+    if len(run):
+        said = plural(len(set(run.tolist())), "run has a value that is", "runs have values that are")
+        shown = sorted({f"{table.runs[one].serial} ({number:g})" for one, number in zip(run, value, strict=True)})
+        yield f"{said} infinite or beyond {LARGEST:g}, left out of it: {named(shown)}"
+
+
 def _missing(
-    table: FleetTable, asked: NDArray[np.intp], counts: NDArray[np.intp], bounded: BoolArray
+    table: FleetTable, asked: NDArray[np.intp], counts: NDArray[np.intp], bounded: BoolArray, huge: BoolArray
 ) -> Iterator[str]:
-    none = np.flatnonzero((asked > 0) & (counts == 0) & ~bounded)
+    none = np.flatnonzero((asked > 0) & (counts == 0) & ~bounded & ~huge)
     if len(none):
-        yield f"{plural(len(none), 'run')} could not measure it and are left out: {_sensors(table, none)}"
+        said = plural(
+            len(none), "run could not measure it and is left out", "runs could not measure it and are left out"
+        )
+        yield f"{said}: {_sensors(table, none)}"
     lower = np.flatnonzero(bounded)
     if len(lower):
         yield f"of {plural(len(lower), 'run')} only a lower bound is known; left out: {_sensors(table, lower)}"
     some = np.flatnonzero((counts > 0) & (counts < asked.max()))
     if len(some):
-        yield (
-            f"{plural(len(some), 'run')} lack some of the {asked.max()} values; their figure is the rest's mean: "
-            f"{_sensors(table, some)}"
-        )
+        said = plural(len(some), "run lacks", "runs lack")
+        yield f"{said} some of the {asked.max()} values; the figure is the rest's mean: {_sensors(table, some)}"
 
 
 def _limits(table: FleetTable, rows: NDArray[np.intp]) -> tuple[float | None, float | None]:

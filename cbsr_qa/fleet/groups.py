@@ -28,14 +28,14 @@ class Grouping:
     labels : (R,) group of each run; empty where it is left out.
     used : (R,) whether a run counts.
     tests : group → sensor → indices of its runs that count, in the order they were made in.
-    left_out : reason in words → how many runs.
+    left_out : reason in words, of one run and of several → how many runs.
     """
 
     names: tuple[str, ...]
     labels: tuple[str, ...]
     used: BoolArray
     tests: Mapping[str, Mapping[str, tuple[int, ...]]]
-    left_out: Mapping[str, int]
+    left_out: Mapping[tuple[str, str], int]
 
     @property
     def reference(self) -> str:
@@ -59,11 +59,12 @@ def grouped(runs: Sequence[FleetRun], terms: Terms) -> Grouping:
         If no run was finished and analysed, or a group that was named has no runs (with the nearest name).
     """
     labels = _labels(runs, terms.by, terms.period)
-    left_out: Counter[str] = Counter()
+    left_out: Counter[tuple[str, str]] = Counter()
     kept = []
     for run, label in zip(runs, labels, strict=True):
         why = _left_out(run, label, terms.by)
-        left_out[why] += bool(why)
+        if why is not None:
+            left_out[why] += 1
         kept.append("" if why else label)
     if not any(kept):
         raise RefusedError(
@@ -74,12 +75,13 @@ def grouped(runs: Sequence[FleetRun], terms: Terms) -> Grouping:
         )
     names = _names(runs, kept, terms)
     kept = [label if label in names else "" for label in kept]
-    tests: dict[str, dict[str, tuple[int, ...]]] = {name: {} for name in names}
+    found: dict[str, dict[str, list[int]]] = {name: {} for name in names}
     for index, (run, label) in enumerate(zip(runs, kept, strict=True)):
         if label:
-            tests[label][run.serial] = (*tests[label].get(run.serial, ()), index)
+            found[label].setdefault(run.serial, []).append(index)
+    tests = {name: {serial: tuple(indices) for serial, indices in found[name].items()} for name in names}
     used = np.array([bool(label) for label in kept], dtype=bool)
-    return Grouping(names, tuple(kept), used, tests, {why: count for why, count in left_out.items() if why})
+    return Grouping(names, tuple(kept), used, tests, left_out)
 
 
 def decides(runs: Sequence[FleetRun], tests: Sequence[int], policy: Policy) -> int:
@@ -121,16 +123,22 @@ def _labels(runs: Sequence[FleetRun], by: By, period: Period) -> list[str]:
     return [str(getattr(run, by.value)) for run in runs]
 
 
-def _left_out(run: FleetRun, label: str, by: By) -> str:
+def _left_out(run: FleetRun, label: str, by: By) -> tuple[str, str] | None:
+    """Say why a run does not count, of one run and of several; None where it does."""
+    if run.of_check:
+        return "is a golden sensor's that checked its station", "are golden sensors' that checked their station"
     if not run.finished:
-        return "did not run to their end"
+        return "did not run to its end", "did not run to their end"
     if run.outcome is None:
-        return "were never analysed"
-    return "" if label else f"do not state their {by}"
+        return "was never analysed", "were never analysed"
+    return None if label else (f"does not state its {by}", f"do not state their {by}")
 
 
 def _names(runs: Sequence[FleetRun], labels: Sequence[str], terms: Terms) -> tuple[str, ...]:
-    """Names of the groups, the reference first: as they were given, or the one with most sensors and the others."""
+    """Names of the groups, the reference first: as they were given, or the one with most sensors and the others.
+
+    Of periods the reference is the earliest: what is asked is what changed since.
+    """
     sensors: dict[str, set[str]] = {}
     for run, label in zip(runs, labels, strict=True):
         if label:
@@ -138,7 +146,8 @@ def _names(runs: Sequence[FleetRun], labels: Sequence[str], terms: Terms) -> tup
     if terms.groups:
         _check_known(terms.groups, sorted(sensors), terms.by)
         return tuple(dict.fromkeys(terms.groups))
-    reference = min(sensors, key=lambda name: (-len(sensors[name]), name))
+    # Names of periods of one length sort as their time does.
+    reference = min(sensors, key=lambda name: (0 if terms.by is By.PERIOD else -len(sensors[name]), name))
     return (reference, *(name for name in sorted(sensors) if name != reference))
 
 

@@ -1,7 +1,7 @@
 """One metric compared: groups described, their differences, those of stations, and what the design leaves open."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -10,7 +10,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.fleet import FleetRun, FleetTable
 from cbsr_qa.fleet.describe import Described, described
 from cbsr_qa.fleet.design import Design
-from cbsr_qa.fleet.differences import Difference, Fitted, difference, fitted
+from cbsr_qa.fleet.differences import REFUSED, Difference, Fitted, difference, fitted
 from cbsr_qa.fleet.figures import MetricFigures
 from cbsr_qa.fleet.groups import Grouping
 from cbsr_qa.fleet.places import PlaceDifference, differences_by_place
@@ -20,6 +20,9 @@ from cbsr_qa.stats.worst_value import FloatArray
 
 #: What all places of a grid share is how the disc was seated and where the axes are: the station's, not the sensor's.
 OF_THE_STATION: Final = ("registration_shift", "registration_rotation", "registration_scale")
+_ELSEWHERE: Final = "on other stations"
+_APART: Final = f"not compared with groups {_ELSEWHERE}"
+_WITH_BATCH: Final = "group and each station's batches"
 _SHARES_PLACES: Final = {"centre_of_mass_error": "registered_centre_of_mass_error"}
 
 
@@ -65,7 +68,7 @@ def metric_comparison(
     of_station = figures.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
     known = {name: indices[~np.isnan(figures.mean[indices])] for name, indices in deciding.items()}
     differences = [
-        _between(model, figures, runs, known, (name, grouping.reference), terms)
+        _between(model, figures, runs, known, (name, grouping.reference), design, terms)
         for name in grouping.names[1:]
         if not of_station
     ]
@@ -73,10 +76,10 @@ def metric_comparison(
         figures=figures,
         described=tuple(described(figures, runs, name, known[name], terms) for name in grouping.names),
         differences=tuple(differences),
-        stations=tuple(_stations(model, figures, design.stations, terms)),
+        stations=tuple(_stations(_of_the_stations(model, figures, design), design.stations, terms)),
         maps={} if of_station else differences_by_place(figures, table, grouping, design, terms),
         samples=_samples(figures, runs, known),
-        notes=_notes(model, figures, table, of_station=of_station),
+        notes=_notes(model, figures, table, design, of_station=of_station),
     )
 
 
@@ -86,15 +89,30 @@ def _between(
     runs: Sequence[FleetRun],
     known: Mapping[str, IntArray],
     names: tuple[str, str],
+    design: Design,
     terms: Terms,
 ) -> Difference:
     first, second = (known[name] for name in names)
     values = figures.mean[first], figures.mean[second]
-    at = [runs[index].station for index in first.tolist()], [runs[index].station for index in second.tolist()]
-    return difference(model, figures, names, values, at, terms)
+    at = (
+        [design.level(runs[index]) for index in first.tolist()],
+        [design.level(runs[index]) for index in second.tolist()],
+    )
+    found = difference(model, figures, names, values, at, terms)
+    if found.model == REFUSED:
+        why = "" if model.fit is None else design.untold(model.fit.design, *names)
+        return replace(found, warnings=(why,)) if why else found
+    return replace(found, model=found.model.replace("group and station", _WITH_BATCH)) if design.levels else found
 
 
-def _stations(model: Fitted, figures: MetricFigures, stations: tuple[str, ...], terms: Terms) -> Sequence[Difference]:
+def _of_the_stations(model: Fitted, figures: MetricFigures, design: Design) -> Fitted:
+    """The model that stations are compared by."""
+    if design.of_the_stations is design.crossing or not design.stations:
+        return model
+    return fitted(design.of_the_stations, figures.mean[design.rows], figures.key.label, of_stations=True)
+
+
+def _stations(model: Fitted, stations: tuple[str, ...], terms: Terms) -> Sequence[Difference]:
     """What stations read above the one with most runs, the groups' differences taken out."""
     found = []
     for name in stations[1:]:
@@ -123,9 +141,14 @@ def _samples(
     return tuple(found)
 
 
-def _notes(model: Fitted, figures: MetricFigures, table: FleetTable, *, of_station: bool) -> tuple[str, ...]:
-    notes = list(figures.warnings)
-    notes += model.fit.notes if model.fit else ()
+def _notes(
+    model: Fitted, figures: MetricFigures, table: FleetTable, design: Design, *, of_station: bool
+) -> tuple[str, ...]:
+    notes = [*figures.warnings, *(model.fit.notes if model.fit else ())]
+    if (
+        design.levels
+    ):  # batches at stations, which the model knows as stations; what is not compared is said elsewhere
+        notes = [note.replace(_ELSEWHERE, "of other batches or stations") for note in notes if _APART not in note]
     if of_station:
         notes.append("what all places share counts against the station: stations are compared in it, groups are not")
     without = _SHARES_PLACES.get(figures.key.name)

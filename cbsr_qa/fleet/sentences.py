@@ -6,7 +6,7 @@ from cbsr_qa.fleet.comparison import Comparison
 from cbsr_qa.fleet.differences import Difference
 from cbsr_qa.fleet.figures import named
 from cbsr_qa.fleet.metric import MetricComparison
-from cbsr_qa.fleet.terms import POLICY_WORDS, QUARANTINE_WORDS, Adjustment
+from cbsr_qa.fleet.terms import POLICY_WORDS, QUARANTINE_WORDS, Adjustment, By
 from cbsr_qa.report.numbers import number, plural, unit_shown
 
 _ADJUSTED = {
@@ -62,6 +62,9 @@ def rules(found: Comparison) -> list[str]:
     return [
         f"Retests: {POLICY_WORDS[terms.policy]}. First-pass yield counts each sensor's first finished run.",
         f"Quarantine: {QUARANTINE_WORDS[terms.quarantine]}.",
+        "Yields, means, quantiles and capability are of what was measured, wherever the run that decides was made: "
+        "what stations differ by is in them. Verdicts are those of the analysis: what somebody decided against one "
+        "(cbsr-qa verdict override) does not count.",
         f"Intervals hold with {100 * terms.confidence:g} % each. p values of the model's differences are "
         f"{_ADJUSTED[terms.adjustment]}, those of stations likewise among themselves, those of places by Holm's "
         "method within their metric. Those of t tests and of robust tests are not adjusted.",
@@ -128,14 +131,19 @@ def _differences(found: Comparison) -> Iterator[str]:
         )
 
 
-def _other(found: Comparison) -> str:
-    return "batches" if found.terms.by == "station" else "stations"
+def _others(found: Comparison) -> tuple[str, ...]:
+    """What must not be taken for a group: of periods and software versions batches too, where there are several."""
+    if found.terms.by is By.STATION:
+        return ("batches",)
+    batches = {name for group in found.groups for name in group.batches}
+    return ("stations", "batches")[: 1 + (found.terms.by in (By.PERIOD, By.SOFTWARE) and len(batches) > 1)]
 
 
 def _taken_out(one: Difference, found: Comparison) -> str:
     if len(one.taken_out) == 1:
         return f"all of batch {one.taken_out[0]}" if found.terms.by == "station" else f"all at {one.taken_out[0]}"
-    return f"with the {_other(found)}' differences taken out"
+    owners = " and ".join(f"{noun}'" for noun in _others(found))
+    return f"with the {owners} differences taken out"
 
 
 def _one_place(found: Comparison) -> str:
@@ -217,8 +225,8 @@ def _claims(found: Comparison) -> Iterator[str]:
             )
     if told:
         yield (
-            f"A t test that knows neither {_other(found)} nor the number of metrics would have claimed what is not "
-            f"found here: {'; '.join(told[:5])}{f' and {len(told) - 5} more' if len(told) > 5 else ''}."
+            f"A t test that knows neither {', '.join(_others(found))} nor the number of metrics would have claimed "
+            f"what is not found here: {'; '.join(told[:5])}{f' and {len(told) - 5} more' if len(told) > 5 else ''}."
         )
 
 

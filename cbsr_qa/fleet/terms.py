@@ -69,13 +69,14 @@ class Terms:
 
     Parameters
     ----------
-    groups : names to compare, the reference first; empty for all, the one with most sensors as reference.
+    groups : names to compare, the reference first; empty for all, with the earliest period or the group with most
+        sensors as reference.
     names : metrics to compare; empty for all.
     margins : name of a metric → difference that does not matter, in its unit.
     detect : name of a metric → difference whose number of sensors is asked for, in its unit.
     confidence : of every interval.
-    """
     power : that numbers of sensors are for.
+    """
 
     by: By
     groups: tuple[str, ...] = ()
@@ -87,8 +88,8 @@ class Terms:
     margins: Mapping[str, float] = field(default_factory=dict)
     detect: Mapping[str, float] = field(default_factory=dict)
     confidence: float = 0.95
-
     power: float = 0.8
+
     @property
     def level(self) -> float:
         """Of tests."""

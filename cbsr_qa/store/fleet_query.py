@@ -1,17 +1,21 @@
-"""The runs of a fleet with the values of their latest analyses: five queries, whatever the number of runs."""
+"""The runs of a fleet with the values of their latest analyses: a few queries, whatever the number of runs."""
 
 from array import array
 from collections import defaultdict
 from collections.abc import Sequence
 from datetime import UTC, date, datetime, time, timedelta
+from difflib import get_close_matches
 from typing import Any, Final
 
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Engine, Executable, Row, Select, or_, select
 
-from cbsr_qa.domain.fleet import FleetRun, FleetTable, Kind, MetricKey, State
+from cbsr_qa.domain.errors import RefusedError, StoreError
+from cbsr_qa.domain.fleet import FleetRun, FleetTable, Kind, State
 from cbsr_qa.domain.measurement import Bound
 from cbsr_qa.domain.outcome import EndReason, Outcome
+from cbsr_qa.domain.run_figures import MetricKey
+from cbsr_qa.store.check_tables import StationCheckRow
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.ids import made_at
 from cbsr_qa.store.result_tables import AnalysisRow, MeasurementRow
@@ -56,12 +60,16 @@ def fleet_table(
 
     Raises
     ------
+    RefusedError
+        If no run is of the recipe (with the nearest name).
     StoreError
-        If the database cannot be read.
+        If the database cannot be read, or holds an outcome or a bound that is none.
     """
     chosen = _chosen(recipe, since, until)
     with reading(engine) as connection:
         runs, places = _runs(connection, chosen)
+        if recipe is not None and not runs:
+            _check_recipe(connection, recipe)
         kinds, columns = _values(connection, chosen, names, places)
         run, kind, value, state = columns
         return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
@@ -78,6 +86,16 @@ def _chosen(recipe: str | None, since: date | None, until: date | None) -> list[
     return wanted
 
 
+def _check_recipe(connection: Connection, recipe: str) -> None:
+    known = list(connection.scalars(select(RunRow.recipe).distinct().order_by(RunRow.recipe)))
+    if known and recipe not in known:
+        near = get_close_matches(recipe, known, n=1)
+        raise RefusedError(
+            f"no stored run is of recipe {recipe[:64]!r}",
+            remedy=(f"did you mean {near[0]!r}? " if near else "") + f"there are: {', '.join(known)}",
+        )
+
+
 def _midnight(day: date) -> datetime:
     return datetime.combine(day, time(), UTC)
 
@@ -92,6 +110,7 @@ def _runs(connection: Connection, chosen: list[ColumnElement[bool]]) -> tuple[li
     a = AnalysisRow
     analysed = select(a.run, a.analysis, a.outcome, a.software).order_by(a.analysis)
     analyses = _latest_of(connection, analysed, chosen)
+    of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
     query = (
         select(
             RunRow.run,
@@ -113,7 +132,7 @@ def _runs(connection: Connection, chosen: list[ColumnElement[bool]]) -> tuple[li
         analysis = analyses.get(row.run)
         if analysis is not None:
             places[analysis.analysis] = len(runs)
-        runs.append(_run(row, ends.get(row.run), analysis, shared))
+        runs.append(_run(row, ends.get(row.run), analysis, shared, of_check=row.run in of_checks))
     return runs, places
 
 
@@ -131,6 +150,8 @@ def _run(
     end: Row[*tuple[Any, ...]] | None,
     analysis: Row[*tuple[Any, ...]] | None,
     shared: dict[Any, Any],
+    *,
+    of_check: bool,
 ) -> FleetRun:
     software = () if analysis is None else tuple((name, version) for name, version in analysis.software)
     simulated = tuple(row.simulated)
@@ -144,9 +165,24 @@ def _run(
         started_at=row.started_at,
         made_at=made_at(row.run),
         finished=end is not None and end.end == EndReason.FINISHED,
-        outcome=None if analysis is None else Outcome(analysis.outcome),
+        outcome=None if analysis is None else _outcome(analysis),
         software=shared.setdefault(software, software),
         simulated=shared.setdefault(simulated, simulated),
+        of_check=of_check,
+    )
+
+
+def _outcome(analysis: Row[*tuple[Any, ...]]) -> Outcome:
+    try:
+        return Outcome(analysis.outcome)
+    except ValueError:
+        raise _damaged(analysis.analysis, f"outcome {str(analysis.outcome)[:64]!r}", Outcome) from None
+
+
+def _damaged(analysis: str, what: str, words: type[Outcome | Bound]) -> StoreError:
+    return StoreError(
+        f"the database is damaged: analysis {analysis} states {what}, which is none of {', '.join(words)}",
+        remedy="restore the database from a copy, or analyse that run again; the row is left as it is",
     )
 
 
@@ -187,7 +223,10 @@ def _values(
         run.extend([places.get(one, -1) for one in analysis])
         kind.extend(map(kinds.__getitem__, zip(*what, strict=True)))
         value.frombytes(np.array(number, dtype=np.float64).tobytes())
-        state.extend(map(_STATES.__getitem__, zip(outcome, bound, strict=True)))
+        try:
+            state.extend(map(_STATES.__getitem__, zip(outcome, bound, strict=True)))
+        except KeyError:
+            raise _bad_row(analysis, outcome, bound) from None
     # Left out are earlier analyses of a run, and those that were stored while this was read.
     runs = np.frombuffer(run, dtype=np.int32) if run else np.zeros(0, np.int32)
     listed = runs >= 0
@@ -198,6 +237,15 @@ def _values(
         np.array(state, dtype=np.uint8)[listed],
     )
     return tuple(_kind(*what) for what in kinds), columns
+
+
+def _bad_row(analyses: Sequence[str], outcomes: Sequence[str], bounds: Sequence[str]) -> StoreError:
+    """Name the first row whose words are none."""
+    pairs = enumerate(zip(outcomes, bounds, strict=True))
+    row = next(number for number, pair in pairs if pair not in _STATES)
+    if outcomes[row] not in list(Outcome):
+        return _damaged(analyses[row], f"outcome {str(outcomes[row])[:64]!r} of a measurement", Outcome)
+    return _damaged(analyses[row], f"bound {str(bounds[row])[:64]!r} of a measurement", Bound)
 
 
 def _kind(

@@ -7,8 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cbsr_qa.domain.fleet import FleetRun, FleetTable, Kind, MetricKey, State
+from cbsr_qa.domain.fleet import FleetRun, FleetTable, Kind, State
 from cbsr_qa.domain.outcome import Outcome
+from cbsr_qa.domain.run_figures import MetricKey
 from cbsr_qa.fleet.comparison import compare
 from cbsr_qa.fleet.terms import By, Terms
 

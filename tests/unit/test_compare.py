@@ -163,7 +163,7 @@ def test_sensors_that_could_not_be_measured_are_counted_as_the_policy_says(url):
     failed = compared(url, quarantine=Quarantine.FAILED).document()
     assert (apart["groups"][0]["yield"], apart["groups"][0]["not_measured"]) == (1.0, 1)
     assert failed["groups"][0]["yield"] == pytest.approx(5 / 6)
-    assert "1 run did not run to their end and are left out" in apart["warnings"]
+    assert "1 run did not run to its end and is left out" in apart["warnings"]
 
 
 def test_p_values_are_adjusted_for_all_metrics(two):
@@ -243,7 +243,7 @@ def test_missing_values_lower_bounds_and_mixed_units_are_named_and_left_out(two)
         store_run(store, "M-4", micro, batch="41", station="A")
     made = compared(two)
     said = " ".join(metric(made)["warnings"])
-    assert "1 run lack some of the 9 values; their figure is the rest's mean: M-1" in said
+    assert "1 run lacks some of the 9 values; the figure is the rest's mean: M-1" in said
     assert "of 1 run only a lower bound is known; left out: M-3" in said
     assert "mixed units: M-4 measured it in 10⁻³ instead of 1" in " ".join(metric(made, "noise_floor")["warnings"])
     counts = {d["name"]: d["n"] for d in made.document()["distributions"] if d["group"] == "41"}
@@ -337,8 +337,11 @@ def test_an_empty_database_and_runs_that_do_not_fit_are_refused(url):
     with pytest.raises(RefusedError, match="no stored run fits"):
         compared(url)
     fleet(url, sensors=2, both=0)
+    with pytest.raises(RefusedError, match="no stored run is of recipe 'shrot'") as raised:
+        compared(url, choice=RunChoice(recipe="shrot"))
+    assert "did you mean 'short'? there are: short" in raised.value.remedy
     with pytest.raises(RefusedError, match="no stored run fits"):
-        compared(url, choice=RunChoice(recipe="other"))
+        compared(url, choice=RunChoice(until=datetime(2020, 1, 1).date()))
 
 
 @pytest.mark.parametrize("said", ["drift", "drift=", "=1", "drift=0", "drift=-1", "drift=nan", "drift=inf"])
