@@ -6,6 +6,7 @@ from cbsr_qa.app.gauge_references import AgainstReferences
 from cbsr_qa.app.gauge_request import StudySource
 from cbsr_qa.stats.contrast import Contrast
 from cbsr_qa.stats.gauge_anova import GaugeAnova
+from cbsr_qa.stats.gauge_reference import Linearity
 from cbsr_qa.stats.gauge_study import Variance, Variation
 from cbsr_qa.stats.samples import Interval
 
@@ -145,7 +146,6 @@ def _variance(found: Variation, part: Variance) -> dict[str, Any]:
 
 
 def _against(found: AgainstReferences, confidence: float) -> dict[str, Any]:
-    line = found.linearity
     return {
         "bias": [
             {
@@ -160,14 +160,14 @@ def _against(found: AgainstReferences, confidence: float) -> dict[str, Any]:
             }
             for one in found.biases
         ],
-        "linearity": None
-        if line is None
-        else {
-            "slope": contrast_document(line.line.rise(), confidence),
-            "intercept": contrast_document(line.intercept, confidence),
-            "acceptable": line.acceptable(confidence),
-        },
-        "linearity_why": found.linearity_why,
+        "linearity": [
+            {
+                "appraiser": one.appraiser,
+                **_linearity(one.linearity, confidence),
+                "why": one.why,
+            }
+            for one in found.linearity
+        ],
         "stability": [
             {
                 "serial": one.reference.serial,
@@ -180,4 +180,14 @@ def _against(found: AgainstReferences, confidence: float) -> dict[str, Any]:
             }
             for one in found.stability
         ],
+    }
+
+
+def _linearity(found: Linearity | None, confidence: float) -> dict[str, Any]:
+    if found is None:
+        return {"slope": None, "intercept": None, "acceptable": None}
+    return {
+        "slope": contrast_document(found.rise(), confidence),
+        "intercept": contrast_document(found.intercept, confidence),
+        "acceptable": found.acceptable(confidence),
     }

@@ -99,7 +99,7 @@ def _blocks(one: MetricGauge, found: Gauge) -> list[Block]:
         blocks.append(gauge_figure(one.study, one.anova.variation, unit, label=label, appraiser=appraiser))
         blocks += [_components(one, confidence), _anova(one)]
     if one.against is not None:
-        blocks += [Paragraph(words) for words in reference_words(one.against, confidence)]
+        blocks += [Paragraph(words) for words in reference_words(one.against, appraiser, confidence)]
     if one.missing and one.study is not None:
         blocks.append(Paragraph(f"Missing of a whole crossing: {listed(one.missing, 20)}.", "note"))
     return blocks

@@ -54,6 +54,15 @@ class BiasLine:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LinearityLine:
+    """How the bias of one appraiser depends on the value; None where ``why`` says why."""
+
+    appraiser: str
+    linearity: Linearity | None
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class StabilityLine:
     """What readings of one reference on one appraiser did over time; None where ``why`` says why."""
 
@@ -70,13 +79,12 @@ class AgainstReferences:
     Parameters
     ----------
     unit : of the metric, and of its reference values.
-    linearity : over all references and appraisers; None where ``linearity_why`` says why.
+    linearity : of each appraiser over all references.
     """
 
     unit: str
     biases: tuple[BiasLine, ...]
-    linearity: Linearity | None
-    linearity_why: str
+    linearity: tuple[LinearityLine, ...]
     stability: tuple[StabilityLine, ...]
 
 
@@ -174,8 +182,9 @@ def against_references(
             stabilities.append(_stability(reference, who, lines, values))
         if not of:
             biases.append(BiasLine(reference, "", 0, None, "no run of these is of that sensor"))
-    line, why = _linearity(own, rows)
-    return AgainstReferences(series.unit, tuple(biases), line, why, tuple(stabilities))
+    measured = sorted({who for line, _, who in rows if line.serial in {one.serial for one in own}})
+    lines = tuple(_linearity(own, [row for row in rows if row[2] == who], who) for who in measured)
+    return AgainstReferences(series.unit, tuple(biases), lines, tuple(stabilities))
 
 
 def _bias(reference: ReferenceValue, who: str, values: Sequence[float]) -> BiasLine:
@@ -203,11 +212,13 @@ def _stability(
 
 
 def _linearity(
-    references: Sequence[ReferenceValue], rows: Sequence[tuple[RunLine, float, str]]
-) -> tuple[Linearity | None, str]:
-    known = {one.serial: one.value for one in references}
-    pairs = [(known[line.serial], value) for line, value, _ in rows if line.serial in known]
+    references: Sequence[ReferenceValue], rows: Sequence[tuple[RunLine, float, str]], who: str
+) -> LinearityLine:
+    """Fit one appraiser's readings: pooled with others', differences between stations would be taken for scatter."""
+    readings = {one: [value for line, value, _ in rows if line.serial == one.serial] for one in references}
+    pairs = [(one.value, value) for one, values in readings.items() for value in values]
+    known = [(len(values), one.value, one.uncertainty) for one, values in readings.items() if values]
     try:
-        return linearity([one for one, _ in pairs], [value for _, value in pairs]), ""
+        return LinearityLine(who, linearity([one for one, _ in pairs], [value for _, value in pairs], known=known))
     except NumericsError as error:
-        return None, f"{error.reason}; {error.remedy}" if error.remedy else error.reason
+        return LinearityLine(who, None, f"{error.reason}; {error.remedy}" if error.remedy else error.reason)

@@ -5,7 +5,7 @@ from datetime import date
 from math import sqrt
 from typing import TYPE_CHECKING, Final
 
-from cbsr_qa.report.numbers import fixed, number, unit_shown
+from cbsr_qa.report.numbers import fixed, number, plural, unit_shown
 from cbsr_qa.stats.samples import Interval
 
 if TYPE_CHECKING:
@@ -87,11 +87,12 @@ def deviation_words(part: "Variance") -> str:
     return interval_words(Interval(sqrt(part.interval.low), sqrt(part.interval.high), part.interval.confidence))
 
 
-def reference_words(found: "AgainstReferences", confidence: float) -> Iterator[str]:
+def reference_words(found: "AgainstReferences", appraiser: str, confidence: float) -> Iterator[str]:
     """Say how the gauge stands to reference values, which are in the metric's unit."""
+    by = "on" if appraiser == "station" else "by"
     unit = f" {unit_shown(found.unit)}".rstrip()
     for one in found.biases:
-        where = f"{one.reference.serial} on {one.appraiser}" if one.appraiser else one.reference.serial
+        where = f"{one.reference.serial} {by} {one.appraiser}" if one.appraiser else one.reference.serial
         if one.bias is None:
             yield f"Bias of {where}: not known: {one.why}."
             continue
@@ -99,27 +100,41 @@ def reference_words(found: "AgainstReferences", confidence: float) -> Iterator[s
         clear = "no bias is seen" if likely.holds(0.0) else "biased"
         yield (
             f"Bias of {where}: {number(one.bias.value)}{unit} ({interval_words(likely)}) against "
-            f"{number(one.reference.value)}{unit} in {one.count} runs: {clear}."
+            f"{number(one.reference.value)}{unit} in {plural(one.count, 'run')}: {clear}."
         )
-    if found.linearity is None:
-        yield f"Linearity: not known: {found.linearity_why}."
-    else:
-        slope = found.linearity.line.rise()
-        good = "no bias is seen anywhere over the references" if found.linearity.acceptable(confidence) else "biased"
-        words = f"slope of the bias {number(slope.value)} ({interval_words(slope.interval(confidence))})"
-        yield f"Linearity: {words}: {good}."
+    yield from _linearity_words(found, by, unit, confidence)
     unknown: dict[str, list[str]] = {}
     for line in found.stability:
-        where = f"Stability of {line.reference.serial} on {line.appraiser}"
+        where = f"{line.reference.serial} {by} {line.appraiser}"
         if line.stability is None:
-            unknown.setdefault(line.why, []).append(f"{line.reference.serial} on {line.appraiser}")
+            unknown.setdefault(line.why, []).append(where)
             continue
         drift, chart = line.stability.drift, line.stability.chart
         signals = "its chart gives no signal" if not chart.signals else f"its chart signals: {chart.signals[0].rule}"
         inside = interval_words(drift.interval(confidence))
-        yield f"{where}: drift {number(drift.value)}{unit} a day ({inside}); {signals}."
+        yield f"Stability of {where}: drift {number(drift.value)}{unit} a day ({inside}); {signals}."
     for why, names in unknown.items():
         yield f"Stability of {listed(tuple(names))}: not known: {why}."
+
+
+def _linearity_words(found: "AgainstReferences", by: str, unit: str, confidence: float) -> Iterator[str]:
+    """Say of each appraiser whether the bias goes with the value, and whether there is any over the references."""
+    unknown: dict[str, list[str]] = {}
+    for one in found.linearity:
+        if one.linearity is None:
+            unknown.setdefault(one.why, []).append(one.appraiser)
+            continue
+        slope = one.linearity.rise()
+        likely = slope.interval(confidence)
+        goes = "no change of the bias with the value is seen" if likely.holds(0.0) else "the bias goes with the value"
+        ends = f"{number(one.linearity.references[0])} to {number(one.linearity.references[-1])}{unit}"
+        any_bias = "no bias is seen" if one.linearity.acceptable(confidence) else "there is a bias somewhere"
+        yield (
+            f"Linearity {by} {one.appraiser}: slope of the bias {number(slope.value)} ({interval_words(likely)}): "
+            f"{goes}; over the references, {ends}, {any_bias}."
+        )
+    for why, names in unknown.items():
+        yield f"Linearity {by} {listed(tuple(names))}: not known: {why}."
 
 
 def percent(value: float) -> str:

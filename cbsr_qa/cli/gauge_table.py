@@ -60,13 +60,13 @@ def _metric(one: "MetricGauge", appraiser: str, confidence: float) -> Iterator[s
     for words in metric_words(one, appraiser, confidence):
         yield from _wrapped("    ", printable(words))
     if one.against is not None:
-        yield from _against(one.against, confidence)
+        yield from _against(one.against, appraiser, confidence)
 
 
-def _against(found: "AgainstReferences", confidence: float) -> Iterator[str]:
+def _against(found: "AgainstReferences", appraiser: str, confidence: float) -> Iterator[str]:
     from cbsr_qa.app.gauge_words import reference_words
 
-    for words in reference_words(found, confidence):
+    for words in reference_words(found, appraiser, confidence):
         yield from _wrapped("    ", printable(words))
 
 

@@ -1,12 +1,13 @@
 """A gauge against known values: bias, linearity of the bias over the range, and stability over time.
 
 Source: AIAG MSA 4th edition, chapter III, sections B (guidelines for determining stability, bias and linearity). The
-reference values (of golden sensors) are taken as exact: their uncertainty must be small beside the gauge's.
+reference values (of golden sensors) are taken as exact, but for linearity where their uncertainties are stated: one
+of a reference moves all its readings' biases together, so that it does not average out as scatter of readings does.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import sqrt
+from math import hypot, sqrt
 
 import numpy as np
 
@@ -24,21 +25,43 @@ class Linearity:
 
     Parameters
     ----------
-    line : of bias over reference value.
+    line : of bias over reference value, as if references were exact.
     references : the distinct ones, ascending.
+    known : (readings, value, standard uncertainty) of each reference whose uncertainty was stated.
     """
 
     line: Line
     references: tuple[float, ...]
+    known: tuple[tuple[int, float, float], ...] = ()
 
     @property
     def intercept(self) -> Contrast:
         """Return the bias at a reference value of zero."""
-        return self.line.at(0.0)
+        return self.at(0.0)
+
+    def rise(self) -> Contrast:
+        """Return the slope of the bias, the references' uncertainties in its standard error."""
+        return self._widened(self.line.rise(), 0.0, 1 / self.line.squares)
+
+    def at(self, reference: float) -> Contrast:
+        """Return the bias at a reference value, the references' uncertainties in its standard error."""
+        line = self.line
+        return self._widened(line.at(reference), 1 / line.count, (reference - line.centre) / line.squares)
+
+    def _widened(self, found: Contrast, level: float, slope: float) -> Contrast:
+        """Add what errors of the references bring, whose readings weigh level + slope (x − x̄) each.
+
+        A reference that is u too high reads (1 + b) u too low, b the slope: the truth is further to the left too.
+        """
+        line = self.line
+        parts = [n * (level + slope * (x - line.centre)) * (1 + line.slope) * u for n, x, u in self.known]
+        error = hypot(found.standard_error, *parts)
+        # They are known, not estimated (GUM G.4): degrees of freedom go with the fourth power.
+        return Contrast(found.value, error, found.freedom * (error / found.standard_error) ** 4)
 
     def acceptable(self, confidence: float = 0.95) -> bool:
         """Say whether a bias of zero lies within the confidence band at every reference value."""
-        return all(self.line.at(reference).interval(confidence).holds(0.0) for reference in self.references)
+        return all(self.at(reference).interval(confidence).holds(0.0) for reference in self.references)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,26 +97,33 @@ def bias(readings: Iterable[float], reference: float, what: str = "bias") -> Con
     return checked(found.mean - reference, float(found.deviation or 0) / sqrt(len(array)), len(array) - 1, what)
 
 
-def linearity(references: Sequence[float], readings: Sequence[float], what: str = "linearity") -> Linearity:
+def linearity(
+    references: Sequence[float],
+    readings: Sequence[float],
+    what: str = "linearity",
+    *,
+    known: Sequence[tuple[int, float, float]] = (),
+) -> Linearity:
     """Return how the bias goes with the reference value.
 
     Parameters
     ----------
     references, readings : (n,) of each reading the value of its reference, of two references at least.
+    known : (readings, value, standard uncertainty) of references; those that are not named are taken as exact.
 
     Raises
     ------
     NumericsError
         One reference only, fewer than three or missing readings, or biases that lie exactly on a line.
     """
-    known = sample(references, f"{what}, references", least=3)
+    values = sample(references, f"{what}, references", least=3)
     biases = sample(readings, f"{what}, readings", least=3)
-    if len(known) != len(biases):
-        raise NumericsError(f"{what}: {len(known)} reference values for {len(biases)} readings")
-    distinct = tuple(float(value) for value in np.unique(known))
+    if len(values) != len(biases):
+        raise NumericsError(f"{what}: {len(values)} reference values for {len(biases)} readings")
+    distinct = tuple(float(value) for value in np.unique(values))
     if len(distinct) < 2:
         raise NumericsError(f"{what}: all readings are of one reference", remedy="measure references over the range")
-    return Linearity(straight_line(known, biases - known, what), distinct)
+    return Linearity(straight_line(values, biases - values, what), distinct, tuple(known))
 
 
 def stability(
@@ -117,6 +147,7 @@ def stability(
     NumericsError
         Too few or missing readings, all at one time, or readings that do not differ.
     """
+    sample(readings, what, least=3)
     line = straight_line(times_day, readings, what)
     order = np.argsort(np.asarray(times_day, dtype=float), kind="stable")
     ordered = np.asarray(readings, dtype=float)[order]

@@ -237,6 +237,23 @@ def test_linearity_is_aiags():
     assert not found.acceptable()
 
 
+def test_uncertain_references_widen_the_line_as_much_as_they_scatter_it():
+    """Each reference is off by its own error, the same for all its readings: intervals must hold the truth."""
+    random = np.random.default_rng(86)
+    true, u, held = np.array([2.0, 4.0, 6.0, 8.0, 10.0]), 0.2, []
+    for _ in range(2000):
+        stated = true + u * random.normal(size=5)
+        readings = np.repeat(0.3 + 0.9 * true, 12) + 0.1 * random.normal(size=60)
+        known = [(12, value, u) for value in stated]
+        found = linearity(np.repeat(stated, 12).tolist(), readings.tolist(), known=known)
+        held.append((found.rise().interval().holds(-0.1), found.at(4.0).interval().holds(-0.1)))
+        assert found.line.rise().value == found.rise().value
+    # Scatter within the references' errors is in the line's own residual too: wide rather than narrow.
+    assert np.all(np.mean(held, axis=0) >= 0.935)
+    naive = linearity(np.repeat(stated, 12).tolist(), readings.tolist())
+    assert naive.rise().standard_error < found.rise().standard_error / 2
+
+
 def test_bias_is_aiags():
     """Fifteen readings of a reference of 6.00, printed: 0.0067, s 0.2120, t 0.1218, interval −0.1107 to 0.1241."""
     readings = [5.8, 5.7, 5.9, 5.9, 6.0, 6.1, 6.0, 6.1, 6.4, 6.3, 6.0, 6.1, 6.2, 5.6, 6.0]

@@ -140,8 +140,27 @@ def test_bias_is_held_against_reference_values(crossed, document):
     assert biases["S-01", "bench-b"]["standard_error"] == pytest.approx(
         np.hypot(np.std(readings, ddof=1) / 2**0.5, 0.01)
     )
-    assert metric["references"]["linearity"]["slope"]["value"] is not None
+    lines = {line["appraiser"]: line for line in metric["references"]["linearity"]}
+    assert set(lines) == set(STATIONS)
+    b = {serial: biases[serial, "bench-b"]["value"] for serial in ("S-01", "S-02")}
+    assert lines["bench-b"]["slope"]["value"] == pytest.approx((b["S-01"] - b["S-02"]) / (mean - 1 - 10), rel=1e-6)
     assert any("3" in line["why"] for line in metric["references"]["stability"])  # two readings a station are too few
+
+
+def test_linearity_knows_how_well_the_references_are_known(crossed, command, document):
+    exact = ("--reference", "S-01.force_gain=11", "--reference", "S-02.force_gain=8")
+    unsure = ("--reference", "S-01.force_gain=11±1", "--reference", "S-02.force_gain=8±1")
+    said = " ".join(command(crossed, "--recipe", "short", *exact)[1].split())
+    assert "Linearity on bench-a: slope of the bias" in said
+    assert "the bias goes with the value" in said
+    assert "there is a bias somewhere" in said
+    said = " ".join(command(crossed, "--recipe", "short", *unsure)[1].split())
+    assert "no change of the bias with the value is seen" in said
+    assert "there is a bias" not in said
+    (metric,) = document(crossed, "--recipe", "short", *unsure)["metrics"]
+    line = metric["references"]["linearity"][0]
+    # Both ends of 3 N/V move by 1 N/V each, one way or the other.
+    assert line["slope"]["standard_error"] == pytest.approx(2**0.5 / 3 * abs(1 + line["slope"]["value"]), rel=0.1)
 
 
 def test_references_come_from_a_file_too(crossed, document, command, tmp_path):
@@ -214,7 +233,7 @@ def test_odd_runs_are_left_out_by_name(tmp_path, document):
     assert "did not measure it: S-03" in notes
     assert metric["runs"] == 36
     assert any("clock of station bench-a was wrong by about 1.1 years" in said for said in found["notes"])
-    assert any("0.1.0 (38 runs), 9.9 (1 runs)" in said for said in found["notes"])
+    assert any("0.1.0 (38 runs), 9.9 (1 run)" in said for said in found["notes"])
     assert not any("was not the same at the first" in said for said in found["notes"])
 
 
