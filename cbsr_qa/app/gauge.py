@@ -13,6 +13,7 @@ from cbsr_qa.app.gauge_runs import appraiser_of, chosen_runs
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.run_figures import RunLine
+from cbsr_qa.report.numbers import plural
 from cbsr_qa.stats.gauge_anova import GaugeAnova, gauge_anova
 from cbsr_qa.stats.gauge_balance import BalancedPart, largest_balanced, missing_runs
 from cbsr_qa.stats.gauge_range import GaugeRange, gauge_range
@@ -30,7 +31,7 @@ class MetricGauge:
     tolerance_of : ``"study"``, ``"recipe"``, or empty where there is none.
     study : None where ``why`` says why there is none; ``anova`` and ``ranges`` are None then too.
     part : the balanced part that was taken of a crossing that is not whole; None where all was taken.
-    missing : runs a whole crossing would have needed, in words.
+    missing : runs a whole crossing would have needed, or has too many of, in words.
     against : reference values; None where there are none of this metric.
     """
 
@@ -105,15 +106,16 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
     sensors = [line.serial for line in series.lines]
     appraisers = [appraiser_of(line, request.appraiser) for line in series.lines]
     against = against_references(series, appraisers, request.references)
-    missing = missing_runs(sensors, appraisers)
+    missing = missing_runs(sensors, appraisers, request.appraiser)
     part, values, notes = None, list(series.values), list(series.notes)
     if missing and request.largest_balanced:
         part = largest_balanced(sensors, appraisers)
-        notes.append(f"taken is the largest balanced part of {len(values)} runs: {part.words()}")
+        size = part.words(appraiser=f"{request.appraiser}s")
+        notes.append(f"taken is the largest balanced part of {len(values)} runs: {size}")
         sensors, appraisers = [sensors[k] for k in part.kept], [appraisers[k] for k in part.kept]
         values = [values[k] for k in part.kept]
     try:
-        found, anova, ranges = _studied(sensors, appraisers, values, wanted.tolerance, request.confidence)
+        found, anova, ranges = _studied(sensors, appraisers, values, wanted.tolerance, request)
     except NumericsError as error:
         return MetricGauge(
             series, wanted.tolerance, wanted.of, None, None, None, error.reason, part, missing, against, tuple(notes)
@@ -128,17 +130,17 @@ def _studied(
     appraisers: Sequence[str],
     values: Sequence[float],
     tolerance: float | None,
-    confidence: float,
+    request: GaugeRequest,
 ) -> tuple[Study, GaugeAnova, GaugeRange]:
     if not values:
         raise NumericsError("no sensors were run twice on two stations or by two operators each: nothing is crossed")
-    for noun, names in (("sensor", set(sensors)), ("station or operator", set(appraisers))):
+    for noun, names in (("sensor", set(sensors)), (request.appraiser, set(appraisers))):
         if len(names) < 2:
             raise NumericsError(f"all {len(values)} runs are of one {noun}, {names.pop()}")
-    found = study(sensors, appraisers, values)
+    found = study(sensors, appraisers, values, appraiser=request.appraiser)
     return (
         found,
-        gauge_anova(found, tolerance=tolerance, confidence=confidence),
+        gauge_anova(found, tolerance=tolerance, confidence=request.confidence),
         gauge_range(found, tolerance=tolerance),
     )
 
@@ -149,12 +151,12 @@ def _check_any(metrics: Sequence[MetricGauge]) -> None:
         return
     first = metrics[0]
     said = f"{first.series.key.label}: {first.why}"
-    said += f"; missing: {named(first.missing)}" if first.missing else ""
-    said += f"\nand of {len(metrics) - 1} more metrics" if len(metrics) > 1 else ""
+    said += f"; uneven: {named(first.missing)}" if first.missing else ""
+    said += f"\nand of {plural(len(metrics) - 1, 'more metric')}" if len(metrics) > 1 else ""
     lacking = any(one.missing and one.part is None for one in metrics)
     raise RefusedError(
         f"no gauge study can be made of these runs: {said}",
-        remedy="add the missing runs, or take the largest balanced part by --largest-balanced"
+        remedy="make them even, or take the largest balanced part by --largest-balanced"
         if lacking
         else "a study needs two sensors, on two stations (or by two operators), twice each, that differ",
     )

@@ -4,6 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from cbsr_qa.app.gauge_references import AgainstReferences
 from cbsr_qa.app.gauge_request import StudySource
+from cbsr_qa.app.gauge_words import source_of_variation
 from cbsr_qa.stats.contrast import Contrast
 from cbsr_qa.stats.gauge_anova import GaugeAnova
 from cbsr_qa.stats.gauge_reference import Linearity
@@ -89,7 +90,7 @@ def _metric(one: "MetricGauge", confidence: float) -> dict[str, Any]:
             "sensors": list(one.study.sensors),
             "appraisers": list(one.study.stations),
             "trials": one.study.shape[2],
-            "anova": _anova(one.anova),
+            "anova": _anova(one.anova, one.study.appraiser),
             "average_range": {
                 "mean_range": one.ranges.mean_range,
                 "appraiser_range": one.ranges.station_range,
@@ -100,12 +101,12 @@ def _metric(one: "MetricGauge", confidence: float) -> dict[str, Any]:
     return document
 
 
-def _anova(found: GaugeAnova) -> dict[str, Any]:
+def _anova(found: GaugeAnova, appraiser: str) -> dict[str, Any]:
     low, high = found.gauge_share.low, found.gauge_share.high
     return {
         "table": [
             {
-                "source": str(row.source),
+                "source": source_of_variation(row.source, appraiser),
                 "sum_of_squares": row.squares,
                 "degrees_of_freedom": row.freedom,
                 "mean_square": row.mean_square,

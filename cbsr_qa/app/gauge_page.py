@@ -13,6 +13,7 @@ from cbsr_qa.app.gauge_words import (
     percent,
     period_words,
     reference_words,
+    source_of_variation,
     source_words,
     study_words,
 )
@@ -97,11 +98,11 @@ def _blocks(one: MetricGauge, found: Gauge) -> list[Block]:
     if one.study is not None and one.anova is not None:
         label, unit = one.series.key.label, one.series.unit
         blocks.append(gauge_figure(one.study, one.anova.variation, unit, label=label, appraiser=appraiser))
-        blocks += [_components(one, confidence), _anova(one)]
+        blocks += [_components(one, confidence), _anova(one, appraiser)]
     if one.against is not None:
         blocks += [Paragraph(words) for words in reference_words(one.against, appraiser, confidence)]
     if one.missing and one.study is not None:
-        blocks.append(Paragraph(f"Missing of a whole crossing: {listed(one.missing, 20)}.", "note"))
+        blocks.append(Paragraph(f"Uneven: {listed(one.missing, 20)}.", "note"))
     return blocks
 
 
@@ -136,11 +137,11 @@ def _components(one: MetricGauge, confidence: float) -> Table:
     return text_table("Components of variation.", columns, rows, (1, 2, 3, 4, 5, 6))
 
 
-def _anova(one: MetricGauge) -> Table:
+def _anova(one: MetricGauge, appraiser: str) -> Table:
     assert one.anova is not None
     rows = [
         (
-            str(row.source),
+            source_of_variation(row.source, appraiser),
             str(row.freedom),
             number(row.squares),
             number(row.mean_square),

@@ -9,6 +9,7 @@ from cbsr_qa.app.gauge_request import GaugeRequest
 from cbsr_qa.config.echo import echo
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.run_figures import RunLine
+from cbsr_qa.report.numbers import plural
 from cbsr_qa.store.figures import RunFilter
 from cbsr_qa.store.repository import Repository
 
@@ -58,7 +59,7 @@ def chosen_runs(store: Repository, request: GaugeRequest) -> tuple[tuple[RunLine
         raise RefusedError(f"none of these runs names its {request.appraiser}", remedy="study stations instead")
     notes = clock_notes(lines)
     if nobody:
-        notes += (f"left out: {len(nobody)} runs that name no {request.appraiser}",)
+        notes += (f"left out: {plural(len(nobody), 'run')} without the name of the {request.appraiser}",)
     return lines, notes
 
 

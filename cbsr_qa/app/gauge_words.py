@@ -6,6 +6,8 @@ from math import sqrt
 from typing import TYPE_CHECKING, Final
 
 from cbsr_qa.report.numbers import fixed, number, plural, unit_shown
+from cbsr_qa.stats.gauge_anova import Source
+from cbsr_qa.stats.gauge_study import on
 from cbsr_qa.stats.samples import Interval
 
 if TYPE_CHECKING:
@@ -33,8 +35,8 @@ def study_words(found: "Gauge") -> str:
     """Say what the study is of, in one line."""
     request = found.request
     sensors, appraisers = found.sensors(), found.appraisers()
-    words = f"{_count(sensors, 'sensor')} by {_count(appraisers, request.appraiser)} ({', '.join(appraisers)}), "
-    words += f"{_count(found.runs, 'run')} of recipe {found.runs[0].recipe}"
+    words = f"{plural(len(sensors), 'sensor')} by {plural(len(appraisers), request.appraiser)} "
+    words += f"({', '.join(appraisers)}), {plural(len(found.runs), 'run')} of recipe {found.runs[0].recipe}"
     if request.since or request.until:
         words += f", {period_words(request.since, request.until)}"
     return f"{words} (SIMULATED)" if found.simulated else words
@@ -55,7 +57,7 @@ def period_words(since: date | None, until: date | None) -> str:
 def metric_words(one: "MetricGauge", appraiser: str, confidence: float) -> tuple[str, ...]:
     """Say what one metric's study came to, most important first."""
     if one.study is None or one.anova is None or one.ranges is None:
-        lacking = f"; missing: {listed(one.missing)}" if one.missing else ""
+        lacking = f"; uneven: {listed(one.missing)}" if one.missing else ""
         return (f"No study: {one.why}{lacking}.",)
     variation = one.anova.variation
     said = [_share_words(variation, one.anova.gauge_share, confidence)]
@@ -70,6 +72,11 @@ def listed(names: "tuple[str, ...]", most: int = 6) -> str:
     """List names; of very many the first ones."""
     rest = len(names) - most
     return "; ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
+
+
+def source_of_variation(source: Source, appraiser: str) -> str:
+    """Return a row of the analysis of variance, who appraised by the right name."""
+    return str(source).replace(str(Source.STATION), appraiser)
 
 
 def interval_words(interval: Interval | None, digits: int = 3) -> str:
@@ -89,7 +96,7 @@ def deviation_words(part: "Variance") -> str:
 
 def reference_words(found: "AgainstReferences", appraiser: str, confidence: float) -> Iterator[str]:
     """Say how the gauge stands to reference values, which are in the metric's unit."""
-    by = "on" if appraiser == "station" else "by"
+    by = on(appraiser)
     unit = f" {unit_shown(found.unit)}".rstrip()
     for one in found.biases:
         where = f"{one.reference.serial} {by} {one.appraiser}" if one.appraiser else one.reference.serial
@@ -173,7 +180,8 @@ def _category_words(variation: "Variation", interval: Interval) -> str:
         return ""
     enough = "enough" if variation.categories >= LEAST_CATEGORIES else f"fewer than the {LEAST_CATEGORIES} asked for"
     return (
-        f"It tells {variation.categories} categories of sensors apart (interval {interval_words(interval, 2)}), "
+        f"It tells {plural(variation.categories, 'category', 'categories')} of sensors apart (interval "
+        f"{interval_words(interval, 2)}), "
         f"{enough}."
     )
 
@@ -196,7 +204,3 @@ def _largest_words(one: "MetricGauge", appraiser: str) -> str:
     return (
         f"Most of it are {name} (deviation {size}, {percent(100 * value / variation.gauge.value)} of its variance)."
     )
-
-
-def _count(names: "tuple[object, ...]", noun: str) -> str:
-    return f"{len(names)} {noun}{'' if len(names) == 1 else 's'}"

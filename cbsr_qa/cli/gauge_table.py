@@ -1,7 +1,7 @@
 """The words of ``cbsr-qa gauge``: a table a metric, with sentences below it."""
 
 import textwrap
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING
 
 from cbsr_qa.config.echo import printable
@@ -11,7 +11,6 @@ if TYPE_CHECKING:
     from cbsr_qa.app.gauge_references import AgainstReferences
 
 WIDTH = 100
-_COLUMNS = "  {:<18}{:>12}{:>24}{:>12}{:>10}{:>12}{:>16}"
 _PARTS = (
     ("repeatability", "repeatability"),
     ("reproducibility", "reproducibility"),
@@ -38,29 +37,44 @@ def lines(found: "Gauge") -> Iterator[str]:
 
 
 def _metric(one: "MetricGauge", appraiser: str, confidence: float) -> Iterator[str]:
-    from cbsr_qa.app.gauge_words import deviation_words, metric_words, percent
+    from cbsr_qa.app.gauge_words import metric_words
 
     if one.anova is not None and one.ranges is not None:
-        yield _COLUMNS.format(
-            "", "deviation", f"{100 * confidence:g} % interval", "variance", "study", "tolerance", "by ranges"
-        )
-        variation, by_range = one.anova.variation, one.ranges.variation
-        for name, shown in _PARTS:
-            part = getattr(variation, name)
-            tolerance = variation.percent_tolerance(part)
-            yield _COLUMNS.format(
-                shown,
-                f"{part.deviation:.4g}",
-                deviation_words(part),
-                percent(variation.percent_contribution(part)),
-                percent(variation.percent_study(part)),
-                "–" if tolerance is None else percent(tolerance),
-                f"{getattr(by_range, name).deviation:.4g}",
-            ).rstrip()
+        yield from _columns(_components(one, confidence))
     for words in metric_words(one, appraiser, confidence):
         yield from _wrapped("    ", printable(words))
     if one.against is not None:
         yield from _against(one.against, appraiser, confidence)
+
+
+def _components(one: "MetricGauge", confidence: float) -> Iterator[tuple[str, ...]]:
+    from cbsr_qa.app.gauge_words import deviation_words, percent
+
+    assert one.anova is not None
+    assert one.ranges is not None
+    yield "", "deviation", f"{100 * confidence:g} % interval", "variance", "study", "tolerance", "by ranges"
+    variation, by_range = one.anova.variation, one.ranges.variation
+    for name, shown in _PARTS:
+        part = getattr(variation, name)
+        tolerance = variation.percent_tolerance(part)
+        yield (
+            shown,
+            f"{part.deviation:.4g}",
+            deviation_words(part),
+            percent(variation.percent_contribution(part)),
+            percent(variation.percent_study(part)),
+            "–" if tolerance is None else percent(tolerance),
+            f"{getattr(by_range, name).deviation:.4g}",
+        )
+
+
+def _columns(rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
+    """Lay rows out in columns as wide as what stands in them."""
+    table = list(rows)
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    for first, *rest in table:
+        cells = (f"{cell:>{width}}" for cell, width in zip(rest, widths[1:], strict=True))
+        yield f"  {first:<{widths[0]}}  {'  '.join(cells)}"
 
 
 def _against(found: "AgainstReferences", appraiser: str, confidence: float) -> Iterator[str]:

@@ -114,7 +114,7 @@ def gauge_anova(study: Study, *, tolerance: float | None = None, confidence: flo
     return GaugeAnova(
         table=table,
         pooled=pooled,
-        variation=_variation(squares, gauge, station, interaction, tolerance, confidence),
+        variation=_variation(squares, gauge, station, interaction, tolerance, confidence, study.appraiser),
         station=station,
         interaction=interaction,
         gauge_share=pivot_interval(sources, ratio, confidence),
@@ -171,6 +171,7 @@ def _variation(
     interaction: Variance | None,
     tolerance: float | None,
     confidence: float,
+    appraiser: str,
 ) -> Variation:
     """Add the components up as AIAG does: each is cut at zero first, and totals are sums of what is left."""
     p, o, r = squares.shape
@@ -180,7 +181,7 @@ def _variation(
     between = station.value + (interaction.value if interaction else 0.0)
     whole = _component(squares, _total_factors(squares.shape), confidence)
     both = repeatability.value + between
-    named = {"station": station, "sensor": sensor} | ({"interaction": interaction} if interaction else {})
+    named = {appraiser: station, "sensor": sensor} | ({"interaction": interaction} if interaction else {})
     notes = tuple(
         f"the estimate of the {name} variance is {part.estimate:.3g} and was set to zero"
         for name, part in named.items()

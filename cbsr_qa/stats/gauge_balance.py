@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
+from cbsr_qa.stats.gauge_study import on, usual_trials
+
 #: Stations of which every choice is tried (2¹² of them); of more only the best of each number.
 _MOST_TRIED: Final = 12
 
@@ -35,19 +37,21 @@ class BalancedPart:
         return f"{size} = {len(self.kept)} runs"
 
 
-def missing_runs(sensors: Sequence[str], stations: Sequence[str]) -> tuple[str, ...]:
-    """Return which runs a balanced study lacks, in words; none where it is whole.
+def missing_runs(sensors: Sequence[str], stations: Sequence[str], appraiser: str = "station") -> tuple[str, ...]:
+    """Return which runs a balanced study lacks or has too many of, in words; none where it is whole.
 
     Parameters
     ----------
     sensors, stations : (N,) names of each run.
+    appraiser : what the stations are: "station", or "operator" where people are compared.
     """
     cells = _cells(sensors, stations)
-    trials = max(map(len, cells.values()), default=0)
+    trials = usual_trials(map(len, cells.values()))
     return tuple(
-        f"{sensor} on {station} has {len(found)} of {trials} runs"
+        f"{sensor} {on(appraiser)} {station} has {len(found)} "
+        + (f"of {trials} runs" if len(found) < trials else f"runs instead of {trials}")
         for (sensor, station), found in cells.items()
-        if len(found) < trials
+        if len(found) != trials
     )
 
 

@@ -7,7 +7,8 @@ Every sensor (AIAG: part) is measured on every station (appraiser) equally often
 Sources: AIAG, Measurement Systems Analysis, 4th edition 2010, chapter III; Burdick, Borror & Montgomery 2003.
 """
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import sqrt
 
@@ -31,11 +32,13 @@ class Study:
     ----------
     values : (sensors, stations, trials) ndarray, at least two of each.
     sensors, stations : names, sorted.
+    appraiser : what the stations are, for messages.
     """
 
     values: FloatArray
     sensors: tuple[str, ...]
     stations: tuple[str, ...]
+    appraiser: str = "station"
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -114,13 +117,16 @@ class Variation:
         return Interval(low, high, part.interval.confidence)
 
 
-def study(sensors: Sequence[str], stations: Sequence[str], values: Sequence[float]) -> Study:
+def study(
+    sensors: Sequence[str], stations: Sequence[str], values: Sequence[float], *, appraiser: str = "station"
+) -> Study:
     """Arrange runs as a crossed study.
 
     Parameters
     ----------
     sensors, stations : (N,) names of each run.
     values : (N,); trials of one sensor on one station in their order.
+    appraiser : what the stations are: "station", or "operator" where people are compared.
 
     Raises
     ------
@@ -129,28 +135,43 @@ def study(sensors: Sequence[str], stations: Sequence[str], values: Sequence[floa
     """
     array = sample(values, "gauge study", least=8)
     if not len(sensors) == len(stations) == len(array):
-        raise NumericsError(f"gauge study: {len(sensors)} sensors, {len(stations)} stations, {len(array)} values")
+        raise NumericsError(f"gauge study: {len(sensors)} sensors, {len(stations)} {appraiser}s, {len(array)} values")
     rows, columns = sorted(set(sensors)), sorted(set(stations))
     cells: dict[tuple[str, str], list[float]] = {(row, column): [] for row in rows for column in columns}
     for sensor, station, value in zip(sensors, stations, array, strict=True):
         cells[sensor, station].append(float(value))
-    _check_balance(cells, rows, columns)
+    _check_balance(cells, rows, columns, appraiser)
     table = np.array([[cells[row, column] for column in columns] for row in rows])
-    return Study(table, tuple(rows), tuple(columns))
+    return Study(table, tuple(rows), tuple(columns), appraiser)
 
 
-def _check_balance(cells: dict[tuple[str, str], list[float]], rows: list[str], columns: list[str]) -> None:
-    trials = max(map(len, cells.values()))
+def usual_trials(counts: Iterable[int]) -> int:
+    """Return how many runs most cells have (of equally common counts the larger): others have too few or too many."""
+    found = Counter(counts)
+    return max(found, key=lambda count: (found[count], count), default=0)
+
+
+def on(appraiser: str) -> str:
+    """Return the word between what was measured and who did: on a station, by an operator."""
+    return "on" if appraiser == "station" else "by"
+
+
+def _check_balance(
+    cells: dict[tuple[str, str], list[float]], rows: list[str], columns: list[str], appraiser: str
+) -> None:
+    trials = usual_trials(map(len, cells.values()))
     for (sensor, station), found in cells.items():
         if len(found) != trials:
             raise NumericsError(
-                f"gauge study: sensor {sensor} has {len(found)} runs on station {station}, others have {trials}",
-                remedy="a crossed study has every sensor on every station equally often: add the missing runs, or "
-                "leave that sensor out",
+                f"gauge study: sensor {sensor} has {len(found)} run{'s' * (len(found) != 1)} {on(appraiser)} "
+                f"{appraiser} {station}, others have {trials}",
+                remedy=f"a crossed study has every sensor {on(appraiser)} every {appraiser} equally often: add the "
+                "missing runs, or leave that sensor out",
             )
-    for what, count in (("sensors", len(rows)), ("stations", len(columns)), ("runs a sensor and station", trials)):
+    sizes = (("sensor", "", len(rows)), (appraiser, "", len(columns)), ("run", f" a sensor and {appraiser}", trials))
+    for one, of, count in sizes:
         if count < 2:
-            raise NumericsError(f"gauge study: {count} {what} instead of at least 2")
+            raise NumericsError(f"gauge study: {count} {one}{'s' * (count != 1)}{of} instead of at least 2")
     if all(constant(np.array(found)) for found in cells.values()):
         raise NumericsError(
             "gauge study: repeated runs do not differ at all, which leaves no repeatability to estimate",

@@ -199,10 +199,10 @@ def test_tolerance_shares_and_cut_components():
 @pytest.mark.parametrize(
     ("drop", "reason"),
     [
-        (lambda rows: rows[1:], "sensor n00 has 1 runs on station s0, others have 2"),
-        (lambda rows: [row for row in rows if row[1] == "s0"], "1 stations instead of at least 2"),
-        (lambda rows: [row for row in rows if row[0] == "n00"] * 2, "1 sensors instead of at least 2"),
-        (lambda rows: rows[::2], "1 runs a sensor and station"),
+        (lambda rows: rows[1:], "sensor n00 has 1 run on station s0, others have 2"),
+        (lambda rows: [row for row in rows if row[1] == "s0"], "1 station instead of at least 2"),
+        (lambda rows: [row for row in rows if row[0] == "n00"] * 2, "1 sensor instead of at least 2"),
+        (lambda rows: rows[::2], "1 run a sensor and station"),
         (lambda rows: [(a, b, 1.0) for a, b, _ in rows], "repeated runs do not differ"),
         (lambda rows: [(a, b, float("nan")) for a, b, _ in rows], "missing"),
     ],

@@ -56,6 +56,7 @@ def store_run(repository, serial, measurements, *, batch="golden", recipe="short
         sensor=replace(started.identity.sensor, batch=batch),
         recipe=recipe,
         station=changes.get("station", started.identity.station),
+        operator=changes.get("operator", started.identity.operator),
         configuration_digest=hashlib.sha256(configuration.encode()).hexdigest(),
         started_at=started.identity.started_at + timedelta(days=day),
     )

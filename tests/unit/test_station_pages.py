@@ -19,7 +19,7 @@ DOCS = Path(__file__).parents[2] / "docs"
 def database(tmp_path_factory):
     """Six sensors on three stations, eleven times each."""
     path = tmp_path_factory.mktemp("pages") / "runs.db"
-    fill(path, runs(trials=6))
+    fill(path, runs(trials=6), recipe="nine-locations")
     return path
 
 
@@ -42,7 +42,7 @@ def test_the_page_on_watching_a_station_runs_as_printed(database, tmp_path, monk
     "command",
     [
         "charts --station bench-a --reference-runs 30 --dry-run --json",
-        "gauge --recipe short --json --reference S-01.force_gain=10 --reference S-02.force_gain=9",
+        "gauge --recipe nine-locations --json --reference S-01.force_gain=10 --reference S-02.force_gain=9",
     ],
 )
 def test_every_key_of_the_documents_is_documented(database, monkeypatch, capsys, command):
@@ -65,7 +65,9 @@ def test_the_end_of_a_run_asks_what_indices_answer(database):
     engine = sa.create_engine(f"sqlite:///{database}")
     asked = []
     sa.event.listen(engine, "before_cursor_execute", lambda *told: asked.append((told[2], told[3])))
-    lines = run_lines(engine, RunFilter(station="bench-a", recipe="short", golden=False, after="0", latest=20))
+    lines = run_lines(
+        engine, RunFilter(station="bench-a", recipe="nine-locations", golden=False, after="0", latest=20)
+    )
     assert len(run_figures(engine, lines, ["force_gain"])) == len(lines) == 20
     plans = []
     with engine.connect() as connection:
