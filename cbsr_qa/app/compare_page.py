@@ -9,7 +9,7 @@ from cbsr_qa.fleet.comparison import Comparison
 from cbsr_qa.fleet.describe import Described
 from cbsr_qa.fleet.differences import Difference
 from cbsr_qa.fleet.metric import MetricComparison
-from cbsr_qa.fleet.sentences import alike, headline, p_words, rules, sentences, significant
+from cbsr_qa.fleet.sentences import alike, headline, others, p_words, rules, sentences, significant
 from cbsr_qa.report.figures_groups import map_figure, strip_figure
 from cbsr_qa.report.numbers import number, plural, unit_shown
 from cbsr_qa.report.page import Banner, Page
@@ -223,7 +223,8 @@ def _stations_table(found: Comparison) -> Table:
         for metric in found.metrics
         for one in metric.stations
     ]
-    caption = "What stations read above the one with most runs, the groups' differences taken out"
+    besides = "batches'" if "batches" in others(found) else "groups'"
+    caption = f"What stations read above the one with most runs, the {besides} differences taken out"
     return text_table(caption, ("metric", "stations", "difference", "interval", "p"), rows, (2, 3, 4))
 
 

@@ -31,8 +31,8 @@ class Design:
     rows : (N,) indices of the runs.
     stations : to compare beside the groups, that with most runs first; none where there is one, or they are groups.
     levels : level → its station and batch; empty where the crossing's levels are stations.
-    of_the_stations : crossing by which the stations are compared: where there are levels, that of stations with
-        batches within groups; else the crossing itself.
+    of_the_stations : crossing by which the stations are compared: of batches and stations where there are levels,
+        else the crossing itself.
     """
 
     by: By
@@ -107,8 +107,7 @@ def design_of(runs: Sequence[FleetRun], grouping: Grouping, by: By) -> Design:
     if by in _GROUPS and len(set(batches)) > 1:
         levels = {_level(run): (run.station, run.batch or NO_BATCH) for run in members}
         made = crossing(labels, [_level(run) for run in members], serials)
-        within = [f"{label}\n{batch}" for label, batch in zip(labels, batches, strict=True)]
-        beside = crossing(within, stations, serials)
+        beside = crossing(batches, stations, serials)  # as where stations are the groups, so that both say one thing
         return Design(by, made, rows, _by_runs(beside), levels, beside)
     made = crossing(labels, stations, serials)
     return Design(by, made, rows, _by_runs(made), {}, made)

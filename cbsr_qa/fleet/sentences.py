@@ -131,8 +131,8 @@ def _differences(found: Comparison) -> Iterator[str]:
         )
 
 
-def _others(found: Comparison) -> tuple[str, ...]:
-    """What must not be taken for a group: of periods and software versions batches too, where there are several."""
+def others(found: Comparison) -> tuple[str, ...]:
+    """Return what must not be taken for a group: batches too, where periods or software versions are compared."""
     if found.terms.by is By.STATION:
         return ("batches",)
     batches = {name for group in found.groups for name in group.batches}
@@ -142,7 +142,7 @@ def _others(found: Comparison) -> tuple[str, ...]:
 def _taken_out(one: Difference, found: Comparison) -> str:
     if len(one.taken_out) == 1:
         return f"all of batch {one.taken_out[0]}" if found.terms.by == "station" else f"all at {one.taken_out[0]}"
-    owners = " and ".join(f"{noun}'" for noun in _others(found))
+    owners = " and ".join(f"{noun}'" for noun in others(found))
     return f"with the {owners} differences taken out"
 
 
@@ -225,14 +225,15 @@ def _claims(found: Comparison) -> Iterator[str]:
             )
     if told:
         yield (
-            f"A t test that knows neither {', '.join(_others(found))} nor the number of metrics would have claimed "
+            f"A t test that knows neither {', '.join(others(found))} nor the number of metrics would have claimed "
             f"what is not found here: {'; '.join(told[:5])}{f' and {len(told) - 5} more' if len(told) > 5 else ''}."
         )
 
 
 def _not_shown(found: Comparison) -> Iterator[str]:
     """Name metrics in which no pair is shown to differ, and of the others the pairs that are not."""
-    open_, margins = [], []
+    open_: list[str] = []
+    margins: list[str] = []
     for metric in found.metrics:
         told = [one for one in metric.differences if one.p_adjusted is not None]
         pairs = [f"{one.group} − {one.reference}" for one in told if not significant(one, found)]

@@ -119,7 +119,7 @@ def test_days_at_stations_of_their_own_and_days_that_share_no_batch_at_a_station
     assert one.warnings[0].startswith("periods cannot be told from batches and stations: 2026-01-06 is batch 42 at A")
 
 
-def test_what_a_difference_of_periods_rests_on_is_said_and_stations_are_compared_beside():
+def test_what_a_difference_of_periods_rests_on_is_said_and_stations_are_compared_beside(tmp_path):
     runs, values = fleet(4, crossed())
     made = compare(table_of(runs, values + [1.0 * (run.station == "B") for run in runs]), DAYS, NOW)
     assert any("differences from 2026-01-05 rest on batches" in said for said in made.warnings)
@@ -127,6 +127,13 @@ def test_what_a_difference_of_periods_rests_on_is_said_and_stations_are_compared
     (station,) = made.metrics[0].stations
     assert (station.group, station.reference) == ("B", "A")
     assert station.interval.holds(1.0)
+    with_batches = compare(
+        table_of(runs, values + [1.0 * (run.station == "B") for run in runs]), Terms(By.STATION), NOW
+    )
+    assert station.value == with_batches.metrics[0].differences[0].value
+    write_page(made, tmp_path / "page.html")
+    html = unescape((tmp_path / "page.html").read_text())
+    assert "What stations read above the one with most runs, the batches' differences taken out" in html
     one_batch = [replace(run, batch="41") for run in runs]
     alone = compare(table_of(one_batch, values), DAYS, NOW)
     assert alone.metrics[0].differences[0].model.startswith("fixed: group and station")
