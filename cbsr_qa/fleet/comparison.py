@@ -90,7 +90,7 @@ def _adjusted(metrics: Sequence[MetricComparison], adjustment: Adjustment) -> li
     """Adjust p values: those of groups for all of groups, and so those of likeness and those of stations."""
     every = [one for metric in metrics for one in metric.differences]
     groups = iter(_adjust([one.p_value for one in every], adjustment))
-    alike = iter(_adjust([one.equivalence and one.equivalence.p_value for one in every], adjustment))
+    alike = iter(_adjust([one.equivalence.p_value if one.equivalence else None for one in every], adjustment))
     stations = iter(_adjust([one.p_value for metric in metrics for one in metric.stations], adjustment))
     return [
         replace(

@@ -228,7 +228,7 @@ def test_one_sensor_and_no_variance_are_named(url):
     document = compared(url).document()
     assert "41 has one sensor only, which says nothing of how sensors differ" in document["warnings"]
     reasons = {m["name"]: m["warnings"][0] for m in document["metrics"]}
-    assert "values do not differ within groups and stations" in reasons["drift"]
+    assert "sensors are 2, which leaves nothing to judge 2 effects" in reasons["drift"]
     assert "all 2 values are 0, which leaves no variance" in reasons["missed_loads"]
 
 
