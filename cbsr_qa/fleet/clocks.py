@@ -9,7 +9,8 @@ from cbsr_qa.domain.fleet import FleetRun
 from cbsr_qa.fleet.figures import named
 from cbsr_qa.report.numbers import plural
 
-_TOLERATED = timedelta(days=1)
+_DAY = timedelta(days=1)
+_TOLERATED = _DAY
 #: One batch is tested within this time, or somebody's clock is wrong.
 _LONGEST_BATCH = timedelta(days=200)
 
@@ -56,18 +57,17 @@ def _unlike_identifiers(runs: Sequence[FleetRun]) -> Iterator[str]:
 
     Where most do, the fleet was stored all at once (simulated, or copied), and identifiers say nothing of clocks.
     """
-    away = {run.run: run.made_at - run.started_at for run in runs if run.made_at is not None}
-    if not away or median(abs(gap) for gap in away.values()) > _TOLERATED:
+    away = {run.run: (run.made_at - run.started_at) / _DAY for run in runs if run.made_at is not None}
+    most = _TOLERATED / _DAY
+    if not away or median(abs(days) for days in away.values()) > most:
         return
-    for station, members in _by_station(
-        run for run in runs if abs(away.get(run.run, timedelta())) > _TOLERATED
-    ).items():
-        gap = median(away[run.run] for run in members)
+    for station, members in _by_station(run for run in runs if abs(away.get(run.run, 0.0)) > most).items():
+        days = median(away[run.run] for run in members)
         began = sorted(f"{run.started_at:%Y-%m-%d}" for run in members)
         yield (
             f"station {station} states for {_runs(members)} that they began on {began[0]} to {began[-1]}, and their "
-            f"identifiers were made {abs(gap).days} days {'later' if gap > timedelta() else 'earlier'}: its clock "
-            "was wrong, or that of whoever made the identifiers"
+            f"identifiers were made {abs(days):.0f} days {'later' if days > 0 else 'earlier'}: its clock was wrong, "
+            "or that of whoever made the identifiers"
         )
 
 
