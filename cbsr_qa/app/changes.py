@@ -37,8 +37,8 @@ class ChartChange:
         now, before = self.reference, self.earlier
         unit = unit_shown(now.unit)
         for name, old, new in (
-            ("mean", before and before.mean, now.mean),
-            ("deviation", before and before.deviation, now.deviation),
+            ("mean", None if before is None else before.mean, now.mean),
+            ("deviation", None if before is None else before.deviation, now.deviation),
         ):
             was = "" if old is None else f"{number(old, 4)} → "
             yield f"{name} {was}{number(new, 4)} {unit}".rstrip()

@@ -1,5 +1,6 @@
 """``cbsr-qa charts``: control charts of a station, and the reference period they rest on."""
 
+from collections.abc import Mapping
 from datetime import date, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -82,7 +83,7 @@ def charts(
     raise typer.Exit(1 if found.signals else 0)
 
 
-def _check_stored_holds(of_new: dict[str, object]) -> None:
+def _check_stored_holds(of_new: Mapping[str, object]) -> None:
     """Refuse options of a new reference where none is set: they would change nothing, and look as if they did."""
     given = [name for name, value in of_new.items() if value not in (None, "", False)]
     if given:

@@ -69,10 +69,11 @@ def changes(database: Database = None, as_json: AsJson = False) -> None:
         for one in change.differences:
             say(f"    change   {one.words}")
     for chart in found.charts:
-        one = chart.reference
-        say(f"{one.made_at:%Y-%m-%d %H:%M}  limits of {one.label}, on station {one.station}, by {one.operator}")
-        say(f"    why      {one.why or NO_REASON}")
-        say(f"    runs     {one.runs} of recipe {one.recipe}, {one.first_run} to {one.last_run}")
+        limits = chart.reference
+        by = f"on station {limits.station}, by {limits.operator}"
+        say(f"{limits.made_at:%Y-%m-%d %H:%M}  limits of {limits.label}, {by}")
+        say(f"    why      {limits.why or NO_REASON}")
+        say(f"    runs     {limits.runs} of recipe {limits.recipe}, {limits.first_run} to {limits.last_run}")
         for words in chart.words():
             say(f"    {'set     ' if chart.earlier is None else 'change  '} {words}")
     for override in found.overrides:
