@@ -78,17 +78,16 @@ class TspUnit:
         InstrumentError
             If it is another unit, or none of the series.
         """
-        _, *found, _ = self.identity()
-        if self._known not in (None, tuple(found)):  # a garbled answer names another unit too: ask again
-            _, *found, _ = self.identity()
-        model, serial = found
-        if self._known not in (None, (model, serial)):
-            known = " ".join(map(str, self._known or ()))
+        _, model, serial, _ = self.identity()
+        known = self._known or (model, serial)
+        if (model, serial) != known:  # a garbled answer names another unit too: ask again
+            _, model, serial, _ = self.identity()
+        if (model, serial) != known:
             raise self.error(
-                f"it was {known} when the station was opened; now {model} {serial} answers",
+                f"it was {' '.join(known)} when the station was opened; now {model} {serial} answers",
                 remedy="connect the same unit again, or start a new run",
             )
-        self._known = (model, serial)
+        self._known = known
 
     def numbers(self, *names: str) -> tuple[float, ...]:
         """Ask for attributes, or what functions return."""
