@@ -116,13 +116,13 @@ def linearity(
     NumericsError
         One reference only, fewer than three or missing readings, or biases that lie exactly on a line.
     """
-    values = sample(references, f"{what}, references", least=3)
-    biases = sample(readings, f"{what}, readings", least=3)
-    if len(values) != len(biases):
-        raise NumericsError(f"{what}: {len(values)} reference values for {len(biases)} readings")
+    values = sample(references, f"{what}, reference values")
     distinct = tuple(float(value) for value in np.unique(values))
     if len(distinct) < 2:
         raise NumericsError(f"{what}: all readings are of one reference", remedy="measure references over the range")
+    biases = sample(readings, what, least=3)
+    if len(values) != len(biases):
+        raise NumericsError(f"{what}: {len(values)} reference values for {len(biases)} readings")
     return Linearity(straight_line(values, biases - values, what), distinct, tuple(known))
 
 

@@ -152,6 +152,14 @@ def test_a_study_of_operators_speaks_of_operators(tmp_path, command, document):
     assert "uneven: S-02 by Ada has 3 runs instead of 2" in err
 
 
+def test_counts_of_one_are_written_as_one(tmp_path, command):
+    random = np.random.default_rng(7)
+    rows = [(*row[:3], (value := 10 + 0.1 * random.standard_normal(), value)) for row in runs()]
+    fill(tmp_path / "runs.db", rows)
+    said = " ".join(command(tmp_path / "runs.db", "--recipe", "short")[1].split())
+    assert "It tells 1 category of sensors apart" in said
+
+
 def test_columns_stand_apart_whatever_the_numbers(tmp_path, command):
     small = Limit("force_gain", "N/V", 1e-5, 9e-4)
     rows = [(*row[:3], tuple(value * 1e-5 for value in row[3])) for row in runs()]
@@ -189,7 +197,13 @@ def test_bias_is_held_against_reference_values(crossed, document):
     assert set(lines) == set(STATIONS)
     b = {serial: biases[serial, "bench-b"]["value"] for serial in ("S-01", "S-02")}
     assert lines["bench-b"]["slope"]["value"] == pytest.approx((b["S-01"] - b["S-02"]) / (mean - 1 - 10), rel=1e-6)
-    assert any("3" in line["why"] for line in metric["references"]["stability"])  # two readings a station are too few
+    # Two readings a station are too few.
+    whys = {line["why"] for line in metric["references"]["stability"]}
+    assert whys == {"stability: 2 values instead of at least 3"}
+    (metric,) = document(crossed, "--recipe", "short", *given[:2])["metrics"]
+    assert {line["why"].partition(";")[0] for line in metric["references"]["linearity"]} == {
+        "linearity: all readings are of one reference"
+    }
 
 
 def test_linearity_knows_how_well_the_references_are_known(crossed, command, document):
