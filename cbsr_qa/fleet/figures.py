@@ -162,8 +162,8 @@ def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Itera
         yield f"{said}: {_sensors(table, strayed)}"
     others = sorted({table.runs[run].recipe for run in without} - measuring)
     if others:
-        left = plural(len(without) - len(strayed), "run")
-        yield f"{left} of recipes that do not measure it ({named(others)}) left out of it"
+        left = plural(len(without) - len(strayed), "run is left out", "runs are left out")
+        yield f"{left} of it, of recipes that do not measure it: {named(others)}"
 
 
 def _beyond(table: FleetTable, run: NDArray[np.int32], value: FloatArray) -> Iterator[str]:

@@ -197,7 +197,7 @@ def test_recipes_that_do_not_measure_a_metric_are_named_instead_of_their_sensors
     runs = [replace(run, recipe="other") if number < 2 else run for number, run in enumerate(runs)]
     table = without(table_of(runs, np.column_stack([values, values]), ("gap", "noise")), {(0, 1), (1, 1)})
     noise = compare(table, Terms(By.BATCH), NOW).metrics[1]
-    assert noise.figures.warnings == ("2 runs of recipes that do not measure it (other) left out of it",)
+    assert noise.figures.warnings == ("2 runs are left out of it, of recipes that do not measure it: other",)
 
 
 def test_runs_of_golden_sensors_that_checked_a_station_do_not_count():
