@@ -1,6 +1,8 @@
 """Batches, materials, stations, software versions or periods compared: from the store to a document and a page."""
 
-from collections.abc import Sequence
+import gc
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from datetime import date, datetime
 from math import isfinite
@@ -60,14 +62,26 @@ def compare_groups(choice: RunChoice, terms: Terms, *, database: str | None, now
             f"no day is after {choice.since} and before {choice.until}", remedy="swap --since and --until"
         )
     asked = (*terms.names, *terms.margins, *terms.detect)
-    with open_store(database_url(database), create=False) as store:
+    with _uncollected(), open_store(database_url(database), create=False) as store:
         known = store.metric_names() if asked else ()
         for name in asked:
             if name not in known:
                 raise unknown_metric(name, known)
         names = tuple(dict.fromkeys(asked)) if terms.names else ()
         table = store.fleet(recipe=choice.recipe, since=choice.since, until=choice.until, names=names)
-    return Compared(compare(table, terms, now))
+        return Compared(compare(table, terms, now))
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Search for no reference cycles meanwhile: a million values have none, and it takes a third of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def read_groups(said: str | None) -> tuple[str, ...]:

@@ -35,7 +35,7 @@ def noncentrality(t: float, freedom: float, below: float) -> float:
         return t * sqrt(float(stats.chi2.isf(below, freedom)) / freedom)
 
     def excess(delta: float) -> float:
-        share = float(stats.nct.cdf(t, freedom, delta))
+        share = float(special.nctdtr(freedom, delta, t))
         return (integrated(t, freedom, delta) if isnan(share) else share) - below
 
     step = 5 + t

@@ -10,6 +10,7 @@ statistics (definitions and certified values); Chan, Golub & LeVeque 1983 for th
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import lru_cache
 from math import ceil, fsum, log, sqrt
 
 import numpy as np
@@ -133,6 +134,7 @@ def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95,
     return Quantile(below, float(np.quantile(array, below)), interval, _needed(below, tail))
 
 
+@lru_cache(maxsize=1024)  # many metrics have as many values each
 def _largest_rank(count: int, below: float, tail: float) -> int:
     """Largest rank k with P(x_(k) > quantile) = P(B ≤ k − 1) ≤ tail; 0 where there is none."""
     rank = int(stats.binom.ppf(tail, count, below))
