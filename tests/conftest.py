@@ -6,11 +6,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from uuid import uuid4
 
+import hypothesis
 import pytest
 import sqlalchemy as sa
 
 # As the command line does, before numpy is loaded: several workers with several threads each are far slower.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+
+# What is drawn is judged by what comes of it; how long it takes is the computer's, and measured in benchmarks/.
+hypothesis.settings.register_profile("any computer", deadline=None)
+hypothesis.settings.load_profile("any computer")
 
 _SHARED = Path(__file__).resolve().parents[2] / "shared"
 
