@@ -167,7 +167,7 @@ def test_a_counter_that_stays_out_is_let_pass(bench, monkeypatch):
 
 @pytest.mark.parametrize("fault", [Fault.GARBLE, Fault.DELAY])
 def test_a_step_whose_echo_is_lost_may_be_tried_again_from_the_start(hasty, fault, monkeypatch):
-    monkeypatch.setattr(streams, "LATE_S", 0.3)
+    monkeypatch.setattr(streams, "LATE_S", 0.45)
     scanner = hasty.open_multiplexer()
     scanner.start()
     hasty.arm("multiplexer", fault)

@@ -161,7 +161,7 @@ def test_one_that_is_too_warm_is_not_used(bench, monkeypatch):
 
 @pytest.mark.parametrize("fault", [Fault.GARBLE, Fault.STALE, Fault.DELAY, Fault.RESET])
 def test_a_lost_answer_may_be_asked_for_again_and_is_never_taken_for_the_next(hasty, fault, monkeypatch):
-    monkeypatch.setattr(streams, "LATE_S", 0.3)
+    monkeypatch.setattr(streams, "LATE_S", 0.45)
     meter = hasty.open_meter()
     meter.source(1e-4)
     hasty.rig.wiring.drive, hasty.rig.wiring.measure = 4, 4
@@ -262,7 +262,7 @@ def test_the_safe_state_is_off_again_and_again(bench):
 
 @pytest.mark.parametrize("fault", [Fault.GARBLE, Fault.STALE, Fault.DELAY, Fault.RESET])
 def test_the_safe_state_is_reached_and_confirmed_whatever_the_link_does(hasty, fault, monkeypatch):
-    monkeypatch.setattr(streams, "LATE_S", 0.3)
+    monkeypatch.setattr(streams, "LATE_S", 0.45)
     meter = hasty.open_meter()
     meter.source(1e-4)
     hasty.arm("meter", fault)

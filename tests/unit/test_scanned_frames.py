@@ -197,7 +197,7 @@ def within_three_attempts(frames):
 
 @pytest.mark.parametrize("role", ["meter", "multiplexer"])
 def test_a_fault_anywhere_in_a_frame_gives_the_right_frame_or_none(hasty, role, monkeypatch):
-    monkeypatch.setattr(streams, "LATE_S", 0.3)
+    monkeypatch.setattr(streams, "LATE_S", 0.45)
     frames = hasty.open_frames(current_mA=0.2)
     instrument = hasty.meter if role == "meter" else hasty.multiplexer
     name = "measure" if role == "meter" else "step"

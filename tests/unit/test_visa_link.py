@@ -97,7 +97,7 @@ def test_numbers_that_end_early_are_no_numbers(link, port):
 
 
 def test_after_a_late_answer_the_next_is_the_right_one(link, port, monkeypatch):
-    monkeypatch.setattr(streams, "LATE_S", 0.35)
+    monkeypatch.setattr(streams, "LATE_S", 0.85)
     port.faults.arm(Fault.DELAY)
     with pytest.raises(InstrumentError, match="no answer within"):
         link.query('print("late")')

@@ -62,7 +62,7 @@ def test_on_a_real_clock_lines_are_stamped_when_they_come(line, opened):
     until(lambda: len(cell.samples_since(-1.0)) == 6, clock)
     block = cell.samples_since(-1.0)
     assert block.values.tolist() == [1.0, 1.0, 2.0, 3.0, 4.0, 5.0]
-    assert abs(block.time_s[1:] - said).max() < 0.04
+    assert abs(block.time_s[1:] - said).max() < 0.1  # the first was said 0.2 s before all were there
 
 
 def test_a_line_in_two_pieces_is_one_sample(line, opened):
