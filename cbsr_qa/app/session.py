@@ -229,7 +229,7 @@ def concluded(
             return _concluded(run, store, configuration, plugins, stages, warnings)
     except AbortedError as error:
         again = report_command(run, store) if store.analyses(run) else resume_command(run, store)
-        raise UnconcludedError(run, again) from error
+        raise UnconcludedError(run, again, error.by) from error
     except StoreError as error:
         remedy = "; then this goes on: ".join(filter(None, [error.remedy, resume_command(run, store)]))
         raise BrokenRunError(run, error.reason, remedy=remedy) from error

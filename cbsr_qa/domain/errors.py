@@ -116,13 +116,14 @@ class UnconcludedError(CbsrError):
     Parameters
     ----------
     again : command that works it out from what is stored; nothing moves where the run had finished.
+    by : who or what stopped it.
     """
 
     exit_code = 3
 
-    def __init__(self, run: str, again: str) -> None:
+    def __init__(self, run: str, again: str, by: str) -> None:
         super().__init__(
-            f"run {run}: stopped from the keyboard while its result was worked out; all that was measured is stored",
+            f"run {run}: stopped by {by} while its result was worked out; all that was measured is stored",
             remedy=f"this goes on: {again}",
         )
         self.run = run

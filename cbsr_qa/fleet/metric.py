@@ -145,9 +145,8 @@ def _notes(
     model: Fitted, figures: MetricFigures, table: FleetTable, design: Design, *, of_station: bool
 ) -> tuple[str, ...]:
     notes = [*figures.warnings, *(model.fit.notes if model.fit else ())]
-    if (
-        design.levels
-    ):  # batches at stations, which the model knows as stations; what is not compared is said elsewhere
+    if design.levels:
+        # Batches at stations, which the model knows as stations; what is not compared is said elsewhere.
         notes = [note.replace(_ELSEWHERE, "of other batches or stations") for note in notes if _APART not in note]
     if of_station:
         notes.append("what all places share counts against the station: stations are compared in it, groups are not")

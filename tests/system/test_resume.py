@@ -118,6 +118,7 @@ def test_a_signal_while_the_result_is_worked_out_says_how_to_have_it(
         with pytest.raises(UnconcludedError, match="all that was measured is stored") as ended:
             run_sensor(RunRequest("station.toml", "recipe.toml", "S-1", seed=5, database=database))
     assert ended.value.exit_code == 3
+    assert f"stopped by signal {stop.name} while" in ended.value.reason
     run = ended.value.document()["aborted"]["run"]
     command = f"{again} {run}" + ("" if database is None else f" --database '{database}'")
     assert ended.value.remedy == f"this goes on: {command}"
