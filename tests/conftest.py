@@ -1,6 +1,7 @@
 """What every test may use."""
 
 import os
+import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,13 @@ import sqlalchemy as sa
 
 # As the command line does, before numpy is loaded: several workers with several threads each are far slower.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
+
+# A shell has what it puts in the background ignore some signals, and programs started from there do too: tests of
+# signals would then wait for what never comes.
+for _name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT"):
+    _number = getattr(signal, _name, None)
+    if _number is not None and signal.getsignal(_number) is signal.SIG_IGN:
+        signal.signal(_number, signal.default_int_handler if _name == "SIGINT" else signal.SIG_DFL)
 
 # What is drawn is judged by what comes of it; how long it takes is the computer's, and measured in benchmarks/.
 hypothesis.settings.register_profile("any computer", deadline=None)
