@@ -75,31 +75,34 @@ class _Joint:
     """
 
     def __init__(self, traces: Sequence[TimedValues]) -> None:
-        self._times = [time_s for time_s, _ in traces]
+        # All points in one row: a run has dozens of short traces, and one by one the time would go into calls.
+        self._time_s = np.concatenate([time_s for time_s, _ in traces])
+        self._counts = np.array([len(values) for _, values in traces])
+        self._first = np.cumsum(self._counts) - self._counts
         self._means = np.array([values.mean() for _, values in traces])
-        self._centred = [values - values.mean() for _, values in traces]
-        self._size = float(np.sqrt(sum(float(v @ v) for v in self._centred))) or 1.0
+        self._centred = np.concatenate([values - values.mean() for _, values in traces])
+        self._size = float(np.sqrt(self._centred @ self._centred)) or 1.0
 
     def residual(self, shape: NDArray[np.float64]) -> NDArray[np.float64]:
         """Residuals of all points over the size of all traces."""
-        left = [values - scale * basis for values, basis, scale in self._projected(shape)]
-        joined: NDArray[np.float64] = np.concatenate(left) / self._size
-        return joined
+        basis, scales = self._projected(shape)
+        left: NDArray[np.float64] = (self._centred - self._spread(scales) * basis) / self._size
+        return left
 
     def jacobian(self, shape: NDArray[np.float64]) -> NDArray[np.float64]:
         """Derivatives of the residuals, (all points, parameters)."""
-        rows = []
-        for time_s, (_, basis, scale) in zip(self._times, self._projected(shape), strict=True):
-            slope = scale * _centred(_slopes(time_s, shape))
-            rows.append(np.outer(basis, basis @ slope) / _square(basis) - slope)
-        return np.vstack(rows) / self._size
+        basis, scales = self._projected(shape)
+        slope = self._spread(scales)[:, None] * self._less_means(_slopes(self._time_s, shape))
+        along = self._sums(basis[:, None] * slope) / self._squares(basis)[:, None]
+        kaufman: NDArray[np.float64] = (basis[:, None] * self._spread(along) - slope) / self._size
+        return kaufman
 
     def assembled(self, shape: NDArray[np.float64]) -> JointExponentials:
         """Put the result together, time constants rising."""
         if len(shape) == 3 and shape[0] > shape[1]:
             shape = np.array([shape[1], shape[0], 1 - shape[2]])
-        scales = np.array([scale for _, _, scale in self._projected(shape)])
-        levels = np.array([_shape(time_s, shape).mean() for time_s in self._times])
+        _, scales = self._projected(shape)
+        levels = self._sums(_shape(self._time_s, shape)) / self._counts
         residual = self.residual(shape) * self._size
         spare = max(len(residual) - 2 * len(scales) - len(shape), 1)
         variance = float(residual @ residual) / spare
@@ -113,11 +116,27 @@ class _Joint:
             variance * self._covariance(shape, scales),
         )
 
-    def _projected(self, shape: NDArray[np.float64]) -> list[tuple[NDArray[np.float64], NDArray[np.float64], float]]:
-        """Centred values, centred basis and scale of every trace."""
-        bases = [_centred(_shape(time_s, shape)) for time_s in self._times]
-        pairs = zip(self._centred, bases, strict=True)
-        return [(values, basis, float(basis @ values) / _square(basis)) for values, basis in pairs]
+    def _projected(self, shape: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Centred basis of all points, and scale of every trace."""
+        basis = self._less_means(_shape(self._time_s, shape))
+        return basis, self._sums(basis * self._centred) / self._squares(basis)
+
+    def _sums(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sums over every trace, (traces, ...)."""
+        sums: NDArray[np.float64] = np.add.reduceat(points, self._first)
+        return sums
+
+    def _squares(self, basis: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.maximum(self._sums(basis**2), np.finfo(np.float64).tiny)
+
+    def _spread(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What every trace has, for every point of it."""
+        return np.repeat(values, self._counts, axis=0)
+
+    def _less_means(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        counts = self._counts.reshape(-1, *[1] * (points.ndim - 1))
+        left: NDArray[np.float64] = points - self._spread(self._sums(points) / counts)
+        return left
 
     def _covariance(self, shape: NDArray[np.float64], scales: NDArray[np.float64]) -> NDArray[np.float64]:
         """Per unit variance of the noise, of the mean trace's offset, amplitudes and log τ."""
@@ -126,7 +145,7 @@ class _Joint:
         root = np.asarray(np.linalg.pinv(self.jacobian(shape) * self._size), dtype=np.float64)
         of_shape: NDArray[np.float64] = root @ root.T
         given, turn = np.zeros((2, 2)), np.zeros((2, len(shape)))
-        for time_s, scale in zip(self._times, scales, strict=True):
+        for time_s, scale in zip(np.split(self._time_s, self._first[1:]), scales, strict=True):
             inverse = np.linalg.pinv(np.column_stack([np.ones_like(time_s), _shape(time_s, shape)]))
             given += inverse @ inverse.T / count**2
             turn -= inverse @ (scale * _slopes(time_s, shape)) / count
@@ -167,12 +186,3 @@ def _block(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[n
     whole = np.zeros((size, size))
     whole[: len(first), : len(first)], whole[len(first) :, len(first) :] = first, second
     return whole
-
-
-def _centred(columns: NDArray[np.float64]) -> NDArray[np.float64]:
-    centred: NDArray[np.float64] = columns - columns.mean(axis=0)
-    return centred
-
-
-def _square(basis: NDArray[np.float64]) -> float:
-    return max(float(basis @ basis), float(np.finfo(np.float64).tiny))

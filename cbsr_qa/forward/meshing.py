@@ -1,6 +1,7 @@
 """Meshes of a sensor type's round sheet: graded at the electrodes for voltages, near-uniform for images."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -59,9 +60,17 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Me
     if sensor_type.polygon is not None or not isinstance(layout, ElectrodeLayout):
         return outline_sheet_mesh(sensor_type, size_mm, order)
     _check_layout(sensor_type.name, layout, sensor_type.radius_mm)
+    return _round_mesh(layout, sensor_type.radius_mm, size_mm, order)
+
+
+@lru_cache(maxsize=4)
+def _round_mesh(layout: ElectrodeLayout, radius_mm: float, size_mm: float, order: int) -> Mesh:
+    """Mesh a disc, or return the mesh made before: a second sensor of a type has the first one's."""
     ring = _pins if layout.kind is ElectrodeKind.PIN else _arcs
-    boundary = ring(layout, sensor_type.radius_mm, size_mm, order)
+    boundary = ring(layout, radius_mm, size_mm, order)
     nodes, elements = fill(boundary.outline, np.zeros((0, 2)), smoothing=SMOOTHING)
+    for shared in (nodes, elements, *boundary.electrode_edges, *(arcs.edges for arcs in boundary.arcs)):
+        shared.flags.writeable = False
     return Mesh(nodes, elements, boundary.electrode_edges, boundary.arcs)
 
 
