@@ -26,6 +26,8 @@ FAR_CONTACT_RANGE: Final = (1e-10, 1e10)
 MOST_CONTRAST: Final = 1e8
 #: Conductances, contacts' among them, further apart than this have their potentials refined.
 REFINED_ABOVE: Final = 1e2
+#: What rounding does to readings and sensitivities that are not refined, of how far conductances are apart.
+UNREFINED_ERROR: Final = 1.5e-14
 _ROUNDING: Final = 1 + 1e-9  # what a contrast of just so much may be off
 
 

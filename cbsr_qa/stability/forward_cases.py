@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.forward.model import ForwardModel
-from cbsr_qa.forward.value_range import ValueRangeError
+from cbsr_qa.forward.value_range import REFINED_ABOVE, UNREFINED_ERROR, ValueRangeError
 from cbsr_qa.stability import forward_exact, forward_loads
 from cbsr_qa.stability.case import Answer, HardCase, conditioned_bound
 from cbsr_qa.stability.extended import exact_derivatives, exact_readings
@@ -115,7 +115,14 @@ def _sensitivities(conductance: Callable[[], Array], ratio: float, of_contacts: 
     found = model.contact_jacobian()[used] * contacts if of_contacts else model.jacobian()[used] * model.conductance
     error = float((np.linalg.norm(found - exact, axis=0) / np.linalg.norm(exact, axis=0)).max())
     condition = 2 * reading_condition(model)
-    return Answer(error, conditioned_bound(condition), condition, note="the worst of all columns")
+    bound = conditioned_bound(condition, _leak(model.conductance, model.prepared.contacts.lengths_mm / contacts))
+    return Answer(error, bound, condition, note="the worst of all columns")
+
+
+def _leak(conductance: Array, contacts: Array) -> float:
+    """What potentials that are not refined lose within good conductors, where fields are faint; else nothing."""
+    apart = float(max(conductance.max(), contacts.max()) / conductance.min())
+    return UNREFINED_ERROR * apart if apart <= REFINED_ABOVE else 0.0
 
 
 def _case(name: str, hard: str, run: Callable[[], Answer], truth: str = _FIFTY) -> HardCase:

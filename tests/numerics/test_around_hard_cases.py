@@ -4,7 +4,7 @@ from contextlib import suppress
 
 import numpy as np
 import pytest
-from hypothesis import event, given, settings
+from hypothesis import event, example, given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
@@ -46,6 +46,7 @@ def test_any_contrast_with_any_contacts_is_right_or_refused(kind, contrast, cont
 
 
 @given(contrast=st.floats(-8, 0), ratio=st.floats(-8.9, 1), of_contacts=st.booleans())
+@example(contrast=-2.0, ratio=0.5, of_contacts=False)  # the furthest apart that is not refined
 @settings(max_examples=8, deadline=None)
 def test_sensitivities_are_right_at_any_contrast_and_good_contact(contrast, ratio, of_contacts):
     with suppress(ValueRangeError):
