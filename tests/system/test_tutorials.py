@@ -1,0 +1,71 @@
+"""A tutorial is typed, edited and read in the order of its page, as a newcomer would."""
+
+import html
+import re
+
+import pytest
+from pages import TOP, typed, write_files
+
+_FIRST = TOP / "docs" / "tutorials" / "your-first-recipe.md"
+_FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
+_DECIMAL = re.compile(r"\d+\.\d+")
+
+
+def test_the_first_tutorial_runs_as_printed(tmp_path):
+    assert write_files(_FIRST, tmp_path) == ["first.toml"]
+    recipe, codes, printed = tmp_path / "first.toml", [], ""
+    for language, block in _FENCE.findall(_FIRST.read_text()):
+        if language == "toml":
+            recipe.write_text(_edited(recipe.read_text(), block))
+        elif language == "console":
+            printed = _typed_in_turn(tmp_path, block, codes)
+        else:
+            assert language == "text"
+            _assert_printed(block, printed)
+    assert codes == [0, 0, 1, 2, 0, 0, 0]
+
+    _, failed, _ = (_words(report) for report in sorted((tmp_path / "var" / "reports").iterdir()))
+    (quoted,) = re.findall(r"^> (.*)$", _FIRST.read_text(), re.MULTILINE)
+    assert f"Limits and measurements {quoted}" in failed
+    assert len(list((tmp_path / "var" / "calibrations").iterdir())) == 2
+
+
+def _edited(text, block):
+    """Return a file after an edit: one line takes the place of the last, more are added; what is there stays."""
+    if block in text:
+        return text
+    if block.count("\n") == 1:
+        return "".join(text.splitlines(keepends=True)[:-1]) + block
+    return f"{text}\n{block}"
+
+
+def _typed_in_turn(folder, block, codes):
+    """Type the commands of a block; returns what the screen shows, and adds their exit codes to ``codes``."""
+    screen = []
+    for line in block.splitlines():
+        command = line.removeprefix("$ ")
+        if command.startswith("cbsr-qa "):
+            done = typed(folder, command, check=False)
+            codes.append(done.returncode)
+            screen += [done.stderr, done.stdout]
+        elif command == "echo $?":
+            screen.append(str(codes[-1]))
+        else:  # the shell's, of which the test has no need
+            assert command.split()[0] in ("export", "mkdir", "cd"), command
+    return " ".join(" ".join(screen).split())
+
+
+def _assert_printed(shown, printed):
+    """What a page shows is on the screen: dots stand for anything, last digits of decimals may differ."""
+    shown = " ".join(shown.split())
+    pattern = re.escape(_DECIMAL.sub("#", shown)).replace(r"\#", r"(\d+\.\d+)").replace("…", ".*?")
+    found = re.search(rf"(?<!\S){pattern}(?!\S)", printed)
+    assert found, f"{shown}\nis not what was printed:\n{printed}"
+    for stated, computed in zip(_DECIMAL.findall(shown), found.groups(), strict=True):
+        assert float(stated) == pytest.approx(float(computed), rel=0.05), shown
+
+
+def _words(report):
+    """Return the text of a report in one line."""
+    plain = re.sub(r"<(style|svg)\b.*?</\1>|<[^>]*>", " ", report.read_text(), flags=re.DOTALL)
+    return " ".join(html.unescape(plain).split())
