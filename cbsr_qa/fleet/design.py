@@ -33,6 +33,7 @@ class Design:
     levels : level → its station and batch; empty where the crossing's levels are stations.
     of_the_stations : crossing by which the stations are compared: of batches and stations where there are levels,
         else the crossing itself.
+    sides : (R,) what the crossing has on its other side, of every run: a level, or a station.
     """
 
     by: By
@@ -41,6 +42,7 @@ class Design:
     stations: tuple[str, ...]
     levels: Mapping[str, tuple[str, str]]
     of_the_stations: Crossing
+    sides: tuple[str, ...]
 
     @property
     def noun(self) -> str:
@@ -51,10 +53,6 @@ class Design:
     def of_stations(self) -> bool:
         """Whether stations are the groups."""
         return self.by is By.STATION
-
-    def level(self, run: FleetRun) -> str:
-        """Return what the crossing has on its other side for a run."""
-        return _level(run) if self.levels else run.station
 
     def shared(self, first: str, second: str) -> tuple[str, ...]:
         """Return the batches that ran at one station in both groups: what their difference rests on most."""
@@ -101,16 +99,17 @@ def design_of(runs: Sequence[FleetRun], grouping: Grouping, by: By) -> Design:
     labels = [grouping.labels[row] for row in rows.tolist()]
     stations, serials = [run.station for run in members], [run.serial for run in members]
     batches = [run.batch or NO_BATCH for run in members]
+    at = tuple(run.station for run in runs)
     if by is By.STATION:  # what must not be taken for a station is the batch
         made = crossing(batches, stations, serials)
-        return Design(by, made, rows, (), {}, made)
+        return Design(by, made, rows, (), {}, made, at)
     if by in _GROUPS and len(set(batches)) > 1:
         levels = {_level(run): (run.station, run.batch or NO_BATCH) for run in members}
         made = crossing(labels, [_level(run) for run in members], serials)
         beside = crossing(batches, stations, serials)  # as where stations are the groups, so that both say one thing
-        return Design(by, made, rows, _by_runs(beside), levels, beside)
+        return Design(by, made, rows, _by_runs(beside), levels, beside, tuple(_level(run) for run in runs))
     made = crossing(labels, stations, serials)
-    return Design(by, made, rows, _by_runs(made), {}, made)
+    return Design(by, made, rows, _by_runs(made), {}, made, at)
 
 
 def _by_runs(made: Crossing) -> tuple[str, ...]:

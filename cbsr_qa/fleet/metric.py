@@ -68,7 +68,7 @@ def metric_comparison(
     of_station = figures.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
     known = {name: indices[~np.isnan(figures.mean[indices])] for name, indices in deciding.items()}
     differences = [
-        _between(model, figures, runs, known, (name, grouping.reference), design, terms)
+        _between(model, figures, known, (name, grouping.reference), design, terms)
         for name in grouping.names[1:]
         if not of_station
     ]
@@ -86,7 +86,6 @@ def metric_comparison(
 def _between(
     model: Fitted,
     figures: MetricFigures,
-    runs: Sequence[FleetRun],
     known: Mapping[str, IntArray],
     names: tuple[str, str],
     design: Design,
@@ -94,11 +93,8 @@ def _between(
 ) -> Difference:
     first, second = (known[name] for name in names)
     values = figures.mean[first], figures.mean[second]
-    at = (
-        [design.level(runs[index]) for index in first.tolist()],
-        [design.level(runs[index]) for index in second.tolist()],
-    )
-    found = difference(model, figures, names, values, at, terms)
+    at = [[design.sides[index] for index in indices.tolist()] for indices in (first, second)]
+    found = difference(model, figures, names, values, (at[0], at[1]), terms)
     if found.model == REFUSED:
         why = "" if model.fit is None else design.untold(model.fit.design, *names)
         return replace(found, warnings=(why,)) if why else found

@@ -5,6 +5,7 @@ from collections import defaultdict
 from collections.abc import Sequence
 from datetime import UTC, date, datetime, time, timedelta
 from difflib import get_close_matches
+from functools import reduce
 from typing import Any, Final
 
 import numpy as np
@@ -179,28 +180,23 @@ def _outcome(analysis: Row[*tuple[Any, ...]]) -> Outcome:
         raise _damaged(analysis.analysis, f"outcome {str(analysis.outcome)[:64]!r}", Outcome) from None
 
 
-def _damaged(analysis: str, what: str, words: type[Outcome | Bound]) -> StoreError:
+def _damaged(analysis: str, what: str, words: type[Outcome | Bound] | None = None) -> StoreError:
+    none = "" if words is None else f", which is none of {', '.join(words)}"
     return StoreError(
-        f"the database is damaged: analysis {analysis} states {what}, which is none of {', '.join(words)}",
+        f"the database is damaged: analysis {analysis} states {what}{none}",
         remedy="restore the database from a copy, or analyse that run again; the row is left as it is",
     )
 
 
+#: Stands between words that the database joins: no text has it.
+_BETWEEN: Final = "\x1f"
+_JOINED: Final = ("name", "phase", "qualifier", "unit", "location", "outcome", "bound")
+
+
 def _measured(chosen: list[ColumnElement[bool]], names: Sequence[str]) -> Executable:
+    """Analysis, value, its words joined, and limits: a fleet has a million values, and each column takes its time."""
     m = MeasurementRow
-    query = select(
-        m.analysis,
-        m.value,
-        m.outcome,
-        m.bound,
-        m.name,
-        m.phase,
-        m.qualifier,
-        m.unit,
-        m.location,
-        m.lower_limit,
-        m.upper_limit,
-    )
+    query = select(m.analysis, m.value, _words(), m.lower_limit, m.upper_limit)
     if chosen:
         analysed = select(AnalysisRow.analysis).join(RunRow, RunRow.run == AnalysisRow.run).where(*chosen)
         query = query.where(m.analysis.in_(analysed))
@@ -209,49 +205,59 @@ def _measured(chosen: list[ColumnElement[bool]], names: Sequence[str]) -> Execut
     return query
 
 
+def _words() -> ColumnElement[str]:
+    first, *others = (getattr(MeasurementRow, name) for name in _JOINED)
+    return reduce(lambda joined, one: joined.concat(_BETWEEN).concat(one), others, first)
+
+
 def _values(
     connection: Connection, chosen: list[ColumnElement[bool]], names: Sequence[str], places: dict[str, int]
 ) -> tuple[tuple[Kind, ...], tuple[Any, ...]]:
     """Kinds, and the columns of :class:`FleetTable`."""
-    run, kind, value, state = array("i"), array("i"), array("d"), array("B")
-    # Whole columns at a time, and a new kind counted where it is first met: a fleet has a million values.
-    kinds: defaultdict[tuple[Any, ...], int] = defaultdict()
-    kinds.default_factory = kinds.__len__
+    run, said, value = array("i"), array("i"), array("d")
+    # Whole columns at a time, and what is said of a value counted where it is first met.
+    sayings: defaultdict[tuple[Any, ...], int] = defaultdict()
+    sayings.default_factory = sayings.__len__
     rows = connection.execute(_measured(chosen, names).execution_options(yield_per=_AT_ONCE))
     for block in rows.partitions():
-        analysis, number, outcome, bound, *what = zip(*block, strict=True)
+        analysis, number, *what = zip(*block, strict=True)
         run.extend([places.get(one, -1) for one in analysis])
-        kind.extend(map(kinds.__getitem__, zip(*what, strict=True)))
+        said.extend(map(sayings.__getitem__, zip(*what, strict=True)))
         value.frombytes(np.array(number, dtype=np.float64).tobytes())
-        try:
-            state.extend(map(_STATES.__getitem__, zip(outcome, bound, strict=True)))
-        except KeyError:
-            raise _bad_row(analysis, outcome, bound) from None
+    kinds: dict[Kind, int] = {}
+    meant = [_meant(connection, saying, kinds) for saying in sayings]
     # Left out are earlier analyses of a run, and those that were stored while this was read.
-    runs = np.frombuffer(run, dtype=np.int32) if run else np.zeros(0, np.int32)
+    runs = np.array(run, dtype=np.int32)
     listed = runs >= 0
-    columns = (
-        runs[listed],
-        np.array(kind, dtype=np.int32)[listed],
-        np.array(value, dtype=np.float64)[listed],
-        np.array(state, dtype=np.uint8)[listed],
-    )
-    return tuple(_kind(*what) for what in kinds), columns
+    kind, state = np.array(meant, dtype=np.int32).reshape(-1, 2)[np.array(said, dtype=np.int32)[listed]].T
+    columns = runs[listed], kind, np.array(value, dtype=np.float64)[listed], state.astype(np.uint8)
+    return tuple(kinds), columns
 
 
-def _bad_row(analyses: Sequence[str], outcomes: Sequence[str], bounds: Sequence[str]) -> StoreError:
-    """Name the first row whose words are none."""
-    pairs = enumerate(zip(outcomes, bounds, strict=True))
-    row = next(number for number, pair in pairs if pair not in _STATES)
-    if outcomes[row] not in list(Outcome):
-        return _damaged(analyses[row], f"outcome {str(outcomes[row])[:64]!r} of a measurement", Outcome)
-    return _damaged(analyses[row], f"bound {str(bounds[row])[:64]!r} of a measurement", Bound)
+def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[Kind, int]) -> tuple[int, int]:
+    """Kind and state that joined words and limits stand for; a kind that was not met before is added."""
+    words, lower, upper = saying
+    told = words.split(_BETWEEN)
+    if len(told) != len(_JOINED):
+        raise _bad_row(connection, words)
+    name, phase, qualifier, unit, location, outcome, bound = told
+    state = _STATES.get((outcome, bound))
+    if state is None:
+        raise _bad_row(connection, words, outcome, bound)
+    kind = Kind(MetricKey(name, phase, qualifier), unit, location, lower, upper)
+    return kinds.setdefault(kind, len(kinds)), state
 
 
-def _kind(
-    name: str, phase: str, qualifier: str, unit: str, location: str, lower: float | None, upper: float | None
-) -> Kind:
-    return Kind(MetricKey(name, phase, qualifier), unit, location, lower, upper)
+def _bad_row(connection: Connection, words: str, outcome: str | None = None, bound: str = "") -> StoreError:
+    """Name the first row of such words, and which of them is none."""
+    m = MeasurementRow
+    query = select(m.analysis).where(_words() == words).order_by(m.analysis, m.number).limit(1)
+    analysis = str(connection.scalar(query))
+    if outcome is None:
+        return _damaged(analysis, f"{words[:64]!r} of a measurement, with the control character U+001F in it")
+    if outcome not in list(Outcome):
+        return _damaged(analysis, f"outcome {outcome[:64]!r} of a measurement", Outcome)
+    return _damaged(analysis, f"bound {bound[:64]!r} of a measurement", Bound)
 
 
 def _places(connection: Connection, runs: Sequence[FleetRun]) -> dict[str, tuple[float, float]]:

@@ -220,10 +220,10 @@ def test_runs_of_one_sensor_are_kept_in_their_order():
 
 def test_a_design_names_its_levels_only_where_batches_could_be_taken_for_groups():
     runs, _ = fleet(11, crossed(1))
-    assert design_of(runs, grouped(runs, DAYS), By.PERIOD).level(runs[0]) == "A (batch 41)"
-    assert design_of(runs, grouped(runs, Terms(By.BATCH)), By.BATCH).level(runs[0]) == "A"
+    assert design_of(runs, grouped(runs, DAYS), By.PERIOD).sides[0] == "A (batch 41)"
+    assert design_of(runs, grouped(runs, Terms(By.BATCH)), By.BATCH).sides[0] == "A"
     nameless = [replace(run, batch="") if run.batch == "41" else run for run in runs]
-    assert design_of(nameless, grouped(nameless, DAYS), By.PERIOD).level(nameless[0]) == "A (batch not stated)"
+    assert design_of(nameless, grouped(nameless, DAYS), By.PERIOD).sides[0] == "A (batch not stated)"
 
 
 def test_what_was_taken_out_of_a_difference_of_periods_is_said():

@@ -54,16 +54,18 @@ def test_runs_of_golden_sensors_that_checked_a_station_are_left_out_and_said(cop
 
 
 @pytest.mark.parametrize(
-    ("table", "column", "said"),
+    ("table", "column", "word", "said"),
     [
-        ("measurements", "outcome", "states outcome 'odd' of a measurement, which is none of pass, "),
-        ("measurements", "bound", "states bound 'odd' of a measurement, which is none of exact, "),
-        ("analyses", "outcome", "states outcome 'odd', which is none of pass, "),
+        ("measurements", "outcome", "odd", "states outcome 'odd' of a measurement, which is none of pass, "),
+        ("measurements", "bound", "odd", "states bound 'odd' of a measurement, which is none of exact, "),
+        ("measurements", "outcome", "", "states outcome '' of a measurement, which is none of pass, "),
+        ("measurements", "name", "a\x1fb", "of a measurement, with the control character U+001F in it"),
+        ("analyses", "outcome", "odd", "states outcome 'odd', which is none of pass, "),
     ],
 )
-def test_words_that_are_none_are_a_damaged_database(copied, table, column, said):
+def test_words_that_are_none_are_a_damaged_database(copied, table, column, word, said):
     path, url, _ = copied
-    changed(path, f"UPDATE {table} SET {column} = 'odd' WHERE rowid = (SELECT max(rowid) FROM {table})")
+    changed(path, f"UPDATE {table} SET {column} = '{word}' WHERE rowid = (SELECT max(rowid) FROM {table})")
     with open_store(url) as store, pytest.raises(StoreError, match="the database is damaged: analysis ") as raised:
         store.fleet()
     assert said in raised.value.reason
