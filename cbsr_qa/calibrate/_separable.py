@@ -62,17 +62,26 @@ def fit_exponentials(
     """
     centred = values - values.mean()
     scale = float(np.abs(centred).max()) or 1.0
+    y = centred / scale
     lowest, highest = np.log(bounds_s)
+    kept: dict[bytes, tuple[NDArray[np.float64], NDArray[np.float64]]] = {}
+
+    def factors(log_tau: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """QR of the basis; the last one is kept, since a search asks for slopes where it has been."""
+        here = log_tau.tobytes()
+        if here not in kept:
+            kept.clear()
+            kept[here] = np.linalg.qr(_centred_basis(time_s, log_tau))
+        return kept[here]
 
     def residual(log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
-        q, _ = np.linalg.qr(_centred_basis(time_s, log_tau))
-        y = centred / scale
+        q, _ = factors(log_tau)
         left: NDArray[np.float64] = y - q @ (q.T @ y)
         return left
 
     def jacobian(log_tau: NDArray[np.float64]) -> NDArray[np.float64]:
-        q, r = np.linalg.qr(_centred_basis(time_s, log_tau))
-        amplitudes = _back_substitute(r, q.T @ (centred / scale))
+        q, r = factors(log_tau)
+        amplitudes = _back_substitute(r, q.T @ y)
         slope = _slopes(time_s, log_tau)
         slope = (slope - slope.mean(axis=0)) * amplitudes
         kaufman: NDArray[np.float64] = q @ (q.T @ slope) - slope
@@ -80,7 +89,7 @@ def fit_exponentials(
 
     best: NDArray[np.float64] | None = None
     cost = np.inf
-    for start in _starts(time_s, centred / scale, count, (lowest, highest)):
+    for start in _starts(time_s, y, count, (lowest, highest)):
         found = least_squares(residual, start, jac=jacobian, bounds=(lowest, highest), xtol=1e-12, ftol=1e-13)
         if found.cost < cost or best is None:
             best, cost = np.asarray(found.x), float(found.cost)

@@ -123,7 +123,6 @@ def fit_left(figure: Canvas, grid: GridSpec, labelled: Sequence[Axes]) -> None:
     labelled : its first column, drawn in full: numbers decide how wide they are.
     """
     figure.align_ylabels(labelled)
-    figure.draw_without_rendering()
     boxes = [axes.yaxis.get_tightbbox(None) for axes in labelled]
     outermost = min((box.x0 for box in boxes if box is not None), default=0.0)
     lacking = (_MARGIN_IN * figure.dpi - outermost) / figure.bbox.width
