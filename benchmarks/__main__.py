@@ -25,6 +25,7 @@ PARTS = (
     "methods",
     "steady_state",
     "force",
+    "fleet",
 )
 _HEAD = """# Performance
 

@@ -158,7 +158,12 @@ def timed(url: str, page: Path) -> tuple[float, float]:
     """Compare batches in a process of its own; return its time [s] and the most memory it took [MB]."""
     command = [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", "compare", "--by", "batch"]
     before = time.perf_counter()
-    subprocess.run([*command, "--database", url, "--output", str(page)], check=True, stdout=subprocess.DEVNULL)
+    subprocess.run(
+        [*command, "--database", url, "--output", str(page)],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     spent_s = time.perf_counter() - before
     return spent_s, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
 
