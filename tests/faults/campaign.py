@@ -14,7 +14,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from trial import OF_INSTRUMENTS, OF_THE_COMPUTER, PASSING, Injected, Outcome, allowed_s, run_with, steps_of_a_run
+from judgement import Outcome, allowed_s
+from short_run import steps_of_a_run
+from trial import OF_INSTRUMENTS, OF_THE_COMPUTER, PASSING, Injected, run_with
 
 Result = tuple[Injected, Outcome]
 RODE_THROUGH = "rode through"

@@ -2,7 +2,9 @@
 
 import pytest
 from campaign import matrix
-from trial import OF_INSTRUMENTS, OF_THE_COMPUTER, TWO_PLACES, allowed_s, run_with, steps_of_a_run
+from judgement import allowed_s
+from short_run import TWO_PLACES, steps_of_a_run
+from trial import OF_INSTRUMENTS, OF_THE_COMPUTER, run_with
 
 #: One of every fault, at a step that differs from fault to fault and is of every kind for some of them.
 STEPS = len(steps_of_a_run(TWO_PLACES))

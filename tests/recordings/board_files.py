@@ -5,6 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from cbsr_qa.domain.recording import ReadOptions, Recording
+from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
+
 PAIRS = 16
 TITLES = "time_pc [s],Mass [g],time_mcu[ms],data [mV]:"
 DUMP = (
@@ -72,3 +75,14 @@ class BoardFile:
         path = folder / name
         path.write_text("\n".join(self.lines) + "\n", encoding="utf-8", newline="")
         return path
+
+
+#: Five frames.
+BLOCK = counts(5)
+
+
+def read(path: Path) -> Recording:
+    """The recording in a file that the format takes for its own."""
+    format_ = ErtBoardCsv()
+    assert format_.recognises(path, path.read_bytes()[:4096])
+    return format_.read(path, ReadOptions())

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from report_samples import SENSOR, sample_run
+from report_samples import sample_run
+from sensor_samples import SENSOR
 
 from cbsr_qa.report.figures_force import ForcePanel, RatioPoints, force_figure, ratio_figure, stated_error
 from cbsr_qa.report.figures_force_map import SheetField, force_map_figure, round_levels

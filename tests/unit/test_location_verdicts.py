@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 import pytest
-from report_samples import SENSOR, sample_run
+from report_samples import sample_run
+from sensor_samples import SENSOR
 
 from cbsr_qa.domain.measurement import Limit, Measurement
 from cbsr_qa.domain.outcome import Outcome

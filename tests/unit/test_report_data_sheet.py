@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from report_samples import Sampler, sample_run
+from load_samples import Sampler
+from report_samples import sample_run
 
 from cbsr_qa.domain.loads import EasedStrain, Load, LoadRecord
 from cbsr_qa.domain.measurement import Measurement

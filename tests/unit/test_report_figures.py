@@ -10,7 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from matplotlib.figure import Figure as Canvas
-from report_samples import SENSOR, sample_recording
+from recording_samples import sample_recording
+from sensor_samples import SENSOR
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.image import Blob, Image

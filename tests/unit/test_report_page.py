@@ -5,7 +5,8 @@ from dataclasses import replace
 from html.parser import HTMLParser
 
 import pytest
-from report_samples import ended_early, sample_recording, sample_run
+from recording_samples import sample_recording
+from report_samples import ended_early, sample_run
 
 from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.measurement import Limit, Measurement, decide

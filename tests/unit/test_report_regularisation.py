@@ -4,7 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from report_samples import SENSOR, sample_recording, sample_run
+from recording_samples import sample_recording
+from report_samples import sample_run
+from sensor_samples import SENSOR
 
 from cbsr_qa.domain.report import Figure, Paragraph, Table
 from cbsr_qa.reconstruct.evidence import central_signal, evidence_of
