@@ -20,6 +20,8 @@ from cbsr_qa.report.svg import checked_svg
 
 _TEMPLATE: Final = "report.html.j2"
 _STYLE: Final = "report.css"
+#: What every page begins with.
+_PAGE: Final = "<!DOCTYPE html>"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,10 +74,13 @@ def write_report(path: Path, html: str) -> None:
     Raises
     ------
     RefusedError
-        If the path is a folder, or its folder cannot be made or written to; names it, and leaves nothing behind.
+        If the path is a folder, holds what is no page while a page is to be written, or its folder cannot be made or
+        written to; names it, and leaves nothing behind.
     """
     if path.is_dir():
         raise RefusedError(f"the report cannot be written to {path}: that is a folder", remedy="name a file in it")
+    if html.startswith(_PAGE):
+        _check_replaceable(path)
     temporary = ""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -93,6 +98,23 @@ def write_report(path: Path, html: str) -> None:
             f"the report cannot be written to {path.parent}: {error.strerror or error}",
             remedy="make the folder writable, name another, or set CBSR_QA_VAR where no file was named",
         ) from error
+
+
+def _check_replaceable(path: Path) -> None:
+    """Refuse to put a page in the place of a database, a study or a device: whoever meant that lost it for good."""
+    if not path.exists():
+        return
+    try:
+        if path.is_file():
+            with path.open("rb") as file:
+                begins = file.read(len(_PAGE)).decode("latin-1")
+            if begins.lower() in ("", _PAGE.lower()):
+                return
+    except OSError as error:
+        raise RefusedError(f"the page cannot be written to {path}: {error.strerror or error}") from error
+    raise RefusedError(
+        f"{path} is there and is no page: it is not written over", remedy="name another file, for example page.html"
+    )
 
 
 def report_name(*parts: str) -> str:

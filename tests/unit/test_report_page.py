@@ -1,6 +1,7 @@
 """The whole page: safe, whole, repeatable, and saying the important thing first."""
 
 import re
+from pathlib import Path
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -288,6 +289,21 @@ def test_a_report_is_written_whole(tmp_path):
     write_report(path, "second \u202e \udcff")
     assert path.read_bytes().startswith(b"second \xe2\x80\xae ")
     assert [p.name for p in path.parent.iterdir()] == ["report.html"]
+
+
+@pytest.mark.parametrize("kept", [b"SQLite format 3\0", b"[study]\n", b"<html>"])
+def test_a_page_takes_the_place_of_a_page_and_of_nothing_else(tmp_path, kept):
+    (tmp_path / "kept").write_bytes(kept)
+    (tmp_path / "empty").touch()
+    page = "<!DOCTYPE html>\n<title>new</title>"
+    with pytest.raises(RefusedError, match="kept is there and is no page: it is not written over"):
+        write_report(tmp_path / "kept", page)
+    assert (tmp_path / "kept").read_bytes() == kept
+    for name in ("empty", "new", "new"):
+        write_report(tmp_path / name, page)
+        assert (tmp_path / name).read_text() == page
+    with pytest.raises(RefusedError, match="is there and is no page"):
+        write_report(Path("/dev/null"), page)
 
 
 def test_a_folder_that_cannot_be_written_to_is_refused_by_name(tmp_path):
