@@ -135,10 +135,10 @@ class Plugins:
     def _remedy(self, kind: Kind, name: str) -> str:
         known = self.names(kind)
         near = get_close_matches(name, known, n=1)
-        parts = [f"did you mean {near[0]!r}?"] if near else []
-        parts.append(f"installed: {', '.join(known) or 'none'}")
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        parts = [f"installed: {', '.join(known) or 'none'}"]
         parts += [f"{f.distribution} failed to load: {f.reason}" for f in self.failures]
-        return "; ".join(parts)
+        return hint + "; ".join(parts)
 
 
 def discover(*, blocked: Iterable[str] = (), found: Iterable[EntryPoint] | None = None) -> Plugins:

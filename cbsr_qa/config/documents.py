@@ -139,11 +139,12 @@ def _is_folder(path: Path) -> bool:
 def _unknown(kind: DocumentKind, name: str) -> ConfigError:
     known = shipped_names(kind)
     near = get_close_matches(name, known, n=1)
-    remedy = [f"did you mean {near[0]!r}?"] if near else []
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    remedy = []
     if name and _is_file(Path(f"{name}.toml")):
         remedy.append(f"for the file in this folder give {name}.toml")
     remedy.append(f"shipped: {', '.join(known) or 'none'}; or give the path of a .toml file")
-    return ConfigError(f"there is no {kind.noun} named {echo(name)}", remedy="; ".join(remedy))
+    return ConfigError(f"there is no {kind.noun} named {echo(name)}", remedy=hint + "; ".join(remedy))
 
 
 def _read(kind: DocumentKind, path: Path) -> str:

@@ -1,9 +1,9 @@
 """The whole page: safe, whole, repeatable, and saying the important thing first."""
 
 import re
-from pathlib import Path
 from dataclasses import replace
 from html.parser import HTMLParser
+from pathlib import Path
 
 import pytest
 from recording_samples import sample_recording
