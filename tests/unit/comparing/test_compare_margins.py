@@ -149,7 +149,7 @@ def keys(document):
 
 @pytest.mark.parametrize("by", [By.BATCH, By.STATION])
 def test_every_key_of_the_document_is_documented_and_every_one_documented_is_there(url, by):
-    page = (Path(__file__).parents[2] / "docs" / "reference" / "station-statistics.md").read_text()
+    page = (Path(__file__).parents[3] / "docs" / "reference" / "station-statistics.md").read_text()
     (section,) = re.findall(r"^## `cbsr-qa compare --json`\n(.*?)^## ", page, re.M | re.S)
     document = compared(url, by, margins={ERROR: 0.3}, detect={ERROR: 0.2}).document()
     made = keys(document) - _SHARES
