@@ -35,6 +35,9 @@ class ChartChange:
     def words(self) -> Iterator[str]:
         """Say what was set, and what it was before."""
         now, before = self.reference, self.earlier
+        if now.retired:
+            yield "retired: nothing is charted against these limits from here on"
+            return
         unit = unit_shown(now.unit)
         for name, old, new in (
             ("mean", None if before is None else before.mean, now.mean),

@@ -4,10 +4,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.run_figures import RunLine
 from cbsr_qa.domain.station_charts import ChartKind, ChartReference, ChartSettings, StandingSignal
 from cbsr_qa.stats.control_charts import (
+    SUM,
     Chart,
     Reference,
     Standard,
@@ -79,7 +82,7 @@ def charts_of(values: Sequence[float], settings: ChartSettings, reference: Refer
             return tuple(Charted(one, single) for one in both)
 
 
-def standard_of(values: Sequence[float], settings: ChartSettings, what: str) -> Standard:
+def standard_of(values: Sequence[float], settings: ChartSettings) -> Standard:
     """Return mean and short-term deviation of a reference period.
 
     Raises
@@ -87,10 +90,7 @@ def standard_of(values: Sequence[float], settings: ChartSettings, what: str) -> 
     NumericsError
         Too few values, or none that differ.
     """
-    try:
-        first = charts_of(values, settings, None)[0].chart
-    except NumericsError as error:
-        raise NumericsError(f"{what}: {error.reason}", remedy=error.remedy) from error
+    first = charts_of(values, settings, None)[0].chart
     centre = first.centre
     if settings.kind is ChartKind.CUSUM:
         centre = individuals(values).centre  # a sum's own centre is zero
@@ -118,8 +118,32 @@ def standing(
     rules = tuple(dict.fromkeys(rule for _, own in sorted(begun, key=lambda one: one[0]) for rule in own))
     first = lines[begin]
     size = reference.settings.subgroup
-    at_least = cut and begin < JOINED * size
-    return StandingSignal(reference, rules, first.run, first.started_at, len(lines) - begin, at_least)
+    began = _sum_began(charts, begin)
+    at_least = cut and (begin < JOINED * size or began == 0)
+    grew = None if began is None else lines[began]
+    return StandingSignal(
+        reference,
+        rules,
+        first.run,
+        first.started_at,
+        len(lines) - begin,
+        at_least,
+        began_run="" if grew is None else grew.run,
+        began=None if grew is None else grew.started_at,
+    )
+
+
+def _sum_began(charts: Sequence[Charted], begin: int) -> int | None:
+    """Value after the last at which the sum that signals at ``begin`` was zero; None where no sum does.
+
+    It is the usual estimate of when a shift began (Montgomery 9.1.2): the sum grows from then on.
+    """
+    for one in charts:
+        chart = one.chart
+        if chart.name.startswith(SUM) and any(signal.index == begin for signal in chart.signals):
+            zeros = np.flatnonzero(chart.points[:begin] == 0.0)
+            return int(zeros[-1]) + 1 if len(zeros) else 0
+    return None
 
 
 def _standing(one: Charted) -> tuple[list[int], tuple[str, ...]]:

@@ -49,6 +49,8 @@ def signal_document(signal: StandingSignal) -> dict[str, Any]:
         "since": signal.since.isoformat(),
         "runs": signal.runs,
         "at_least": signal.at_least,
+        "began_run": signal.began_run or None,
+        "began": None if signal.began is None else signal.began.isoformat(),
     }
 
 
@@ -76,6 +78,7 @@ def reference_document(one: ChartReference) -> dict[str, Any]:
         "operator": one.operator,
         "made_at": one.made_at.isoformat(),
         "why": one.why,
+        "retired": one.retired,
     }
 
 

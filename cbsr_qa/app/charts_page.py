@@ -6,7 +6,7 @@ from cbsr_qa.app.charting import STANDS
 from cbsr_qa.app.control_charts import Charts
 from cbsr_qa.app.metric_chart import MetricChart
 from cbsr_qa.domain.report import Block, Paragraph, Section
-from cbsr_qa.domain.station_charts import ChartReference
+from cbsr_qa.domain.station_charts import ChartKind, ChartReference
 from cbsr_qa.report.figures_charts import ChartPart, control_figure
 from cbsr_qa.report.numbers import number, plural, unit_shown
 from cbsr_qa.report.page import Banner, Page
@@ -14,12 +14,26 @@ from cbsr_qa.report.render import render_sections
 
 _READING: Final = (
     "A chart holds every run's figure against limits that come from a reference period, in which the station was "
-    "known to be well. Limits are three standard deviations away, as runs after each other differ; they say nothing "
-    "about whether a sensor is good. A signal says that the station, its surroundings or what is fed to it has "
+    "known to be well. {limits} They say nothing about whether a sensor is good. "
+    "A signal says that the station, its surroundings or what is fed to it has "
     "changed: it asks for a look, at a golden sensor first, since a new batch of material signals too.",
     f"A signal stands until {STANDS} runs in a row gave none. While one stands, every report of the station says so. "
     "After the cause was found and mended, a new reference period makes new limits; the old ones stay stored.",
 )
+_LIMITS: Final = {
+    ChartKind.INDIVIDUALS: "three deviations away from the mean (i-mr)",
+    ChartKind.MEANS: "three deviations of a mean away (xbar-r)",
+    ChartKind.EWMA: "{width:g} deviations of the average away (ewma)",
+    ChartKind.CUSUM: "{threshold:g} deviations of single runs away from zero (cusum)",
+}
+
+
+def _reading(found: Charts) -> tuple[str, ...]:
+    """How to read the page: where limits are goes by the kinds of charts on it."""
+    settings = [one.reference.settings for one in found.charts if one.reference is not None]
+    kinds = dict.fromkeys(_LIMITS[one.kind].format(width=one.width, threshold=one.threshold) for one in settings)
+    away = f"Limits are {' or '.join(kinds)}; a deviation is what runs after each other differ by."
+    return _READING[0].format(limits=away if kinds else "Nothing is charted here now."), *_READING[1:]
 
 
 def charts_html(found: Charts) -> str:
@@ -45,7 +59,7 @@ def _head(found: Charts) -> Page:
 
 
 def _sections(found: Charts) -> list[Section]:
-    sections = [Section("How to read this page", tuple(Paragraph(words) for words in _READING))]
+    sections = [Section("How to read this page", tuple(Paragraph(words) for words in _reading(found)))]
     return [*sections, *(Section(one.label, tuple(_blocks(one))) for one in found.charts)]
 
 
@@ -66,7 +80,8 @@ def chart_words(one: MetricChart) -> tuple[str, ...]:
 def reference_words(chart: MetricChart, one: ChartReference) -> str:
     """Say what a chart's limits rest on, and who set them when."""
     unit = unit_shown(one.unit)
-    size = f"mean {number(one.mean, 4)}, deviation {number(one.deviation)} {unit}".rstrip()
+    unit = f" {unit}" if unit else ""
+    size = f"mean {number(one.mean, 4)}{unit}, deviation {number(one.deviation)}{unit}"
     why = f" ({one.why})" if one.why else ""
     rules = (
         f"; Nelson's rules {', '.join(map(str, one.settings.rules))}"
@@ -75,7 +90,7 @@ def reference_words(chart: MetricChart, one: ChartReference) -> str:
     )
     return (
         f"Limits: {size}, from {one.runs} runs ({chart.named_run(one.first_run)} to "
-        f"{chart.named_run(one.last_run)}), set by {one.operator} on "
+        f"{chart.named_run(one.last_run)}), set by {one.operator or 'nobody named'} on "
         f"{one.made_at:%Y-%m-%d}{why}{rules}."
     )
 

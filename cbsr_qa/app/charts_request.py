@@ -8,10 +8,11 @@ from cbsr_qa.app.charting import RULES
 from cbsr_qa.config.serials import validate_operator
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.station_charts import ChartKind, ChartSettings
+from cbsr_qa.stats.gauge_reference import FEWEST_CHARTED
 from cbsr_qa.stats.range_constants import MOST
 
 #: Fewer runs make limits that are next to none.
-FEWEST_RUNS: Final = 8
+FEWEST_RUNS: Final = FEWEST_CHARTED
 #: Fewer ranges of groups hardly tell a deviation.
 FEWEST_GROUPS: Final = 3
 _DEFAULT: Final = ChartSettings()
@@ -38,6 +39,15 @@ class ReferencePeriod:
 
 
 @dataclass(frozen=True, slots=True)
+class Retirement:
+    """Charts that are to be retired: those of one kind, by whom and for what reason."""
+
+    kind: ChartKind
+    operator: str
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class ChartsRequest:
     """Which charts.
 
@@ -48,6 +58,7 @@ class ChartsRequest:
     metrics : names; none for all with a stored reference, or (with a new period) those the recipe limits.
     by_location : a chart a location.
     period : to be set; None to chart against what is stored.
+    retirement : charts to retire before; None for none.
     """
 
     station: str
@@ -57,6 +68,7 @@ class ChartsRequest:
     by_location: bool = False
     settings: ChartSettings = _DEFAULT
     period: ReferencePeriod | None = None
+    retirement: Retirement | None = None
 
 
 def check_request(request: ChartsRequest) -> None:
@@ -75,6 +87,7 @@ def check_request(request: ChartsRequest) -> None:
     if not (2 <= settings.subgroup <= MOST if grouped else settings.subgroup == 1):
         allowed = f"2 to {MOST} with --chart xbar-r, and none with another chart"
         raise RefusedError(f"--subgroup is {settings.subgroup}", remedy=f"allowed: {allowed}")
+    _check_retirement(request)
     if period is None:
         return
     if (period.runs is None) == (period.until is None):
@@ -90,6 +103,16 @@ def check_request(request: ChartsRequest) -> None:
         raise RefusedError(
             "nobody sets this reference", remedy="give --operator: who sets limits is kept with them (or --dry-run)"
         )
+
+
+def _check_retirement(request: ChartsRequest) -> None:
+    if request.retirement is None:
+        return
+    if request.period is not None:
+        raise RefusedError("--retire beside a new reference period", remedy="do one after the other")
+    validate_operator(request.retirement.operator)
+    if not request.retirement.operator:
+        raise RefusedError("nobody retires these charts", remedy="give --operator: who retires charts is kept")
 
 
 def _check_groups(runs: int, size: int) -> None:

@@ -6,6 +6,7 @@ from cbsr_qa.app.charts_request import ChartsRequest
 from cbsr_qa.app.figure_series import named
 from cbsr_qa.config.echo import echo
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.naming import of_kind
 from cbsr_qa.domain.run_figures import RunLine
 from cbsr_qa.store.figures import RunFilter
 from cbsr_qa.store.repository import Repository
@@ -27,17 +28,16 @@ def charted_runs(store: Repository, request: ChartsRequest) -> tuple[tuple[RunLi
     lines = store.run_lines(wanted)
     if not lines:
         raise _nothing(store, request)
+    here = of_kind("station", request.station)
     recipes = sorted({line.recipe for line in lines})
     if request.recipe is None and len(recipes) > 1:
-        raise RefusedError(
-            f"station {request.station} ran {len(recipes)} recipes: {named(recipes)}", remedy="choose one by --recipe"
-        )
+        raise RefusedError(f"{here} ran {len(recipes)} recipes: {named(recipes)}", remedy="choose one by --recipe")
     recipe = request.recipe or recipes[0]
     if recipe not in recipes:
         near = get_close_matches(recipe, recipes, n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise RefusedError(
-            f"station {request.station} has no runs of recipe {echo(recipe, 64)}",
+            f"{here} has no runs of recipe {echo(recipe, 64)}",
             remedy=f"{hint}it ran: {named(recipes)}",
         )
     return tuple(line for line in lines if line.recipe == recipe), recipe
@@ -51,5 +51,6 @@ def _nothing(store: Repository, request: ChartsRequest) -> RefusedError:
         return RefusedError(f"no run of station {echo(request.station, 64)} is stored", remedy=hint)
     of = f"of sensor {echo(request.golden, 64)}" if request.golden else "of production"
     return RefusedError(
-        f"station {request.station} has no analysed run {of}", remedy="golden sensors are charted by --golden SERIAL"
+        f"{of_kind('station', request.station)} has no analysed run {of}",
+        remedy="golden sensors are charted by --golden SERIAL",
     )

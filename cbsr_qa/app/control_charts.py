@@ -7,12 +7,14 @@ from typing import Any
 from cbsr_qa.app.charting import standard_of
 from cbsr_qa.app.charts_document import charts_document
 from cbsr_qa.app.charts_request import FEWEST_GROUPS, FEWEST_RUNS, ChartsRequest, ReferencePeriod, check_request
+from cbsr_qa.app.charts_retired import held_references, retired
 from cbsr_qa.app.charts_runs import charted_runs
 from cbsr_qa.app.figure_series import Series, clock_notes, named, recipe_note, series_of, software_note
 from cbsr_qa.app.metric_chart import MetricChart, metric_chart, no_chart
 from cbsr_qa.clock import RealClock
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.naming import of_kind
 from cbsr_qa.domain.run_figures import MetricKey, RunFigure, RunLine
 from cbsr_qa.domain.station_charts import ChartReference, StandingSignal
 from cbsr_qa.report.numbers import plural
@@ -69,7 +71,11 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
             notes += (
                 f"the reference period begins with the first run of all, of {lines[0].day}: see --reference-from",
             )
-        if request.period is None:
+        ended = retired(store, request, recipe)
+        notes += ended
+        if ended and not held_references(store, request, recipe):
+            charts: tuple[MetricChart, ...] = ()
+        elif request.period is None:
             charts = _against_stored(store, request, recipe, lines)
         else:
             charts = _with_period(store, request, request.period, recipe, lines)
@@ -84,18 +90,13 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
 def _against_stored(
     store: Repository, request: ChartsRequest, recipe: str, lines: Sequence[RunLine]
 ) -> tuple[MetricChart, ...]:
-    found = [
-        one
-        for one in store.chart_references(request.station)
-        if (one.recipe, one.golden) == (recipe, request.golden)
-        and (not request.metrics or one.key.name in request.metrics)
-    ]
+    found = held_references(store, request, recipe)
     lacking = [name for name in request.metrics if name not in {one.key.name for one in found}]
     if not found or lacking:
         of = f" for {named(lacking)}" if lacking else ""
         series_of(lines, store.run_figures(lines), request.metrics)  # a name that nobody measured is said first
         raise RefusedError(
-            f"no reference period is stored{of} for recipe {recipe} on station {request.station}",
+            f"no reference period is stored{of} for recipe {recipe} on {of_kind('station', request.station)}",
             remedy="store one with --reference-runs N or --reference-until DATE, and --operator",
         )
     since = min(one.first_run for one in found)
@@ -117,14 +118,17 @@ def _with_period(
     """Charts with limits of a new reference period."""
     own = [line for line in lines if period.since is None or line.day >= period.since]
     if not own:
-        raise RefusedError(f"station {request.station} has no run since {period.since}", remedy="begin earlier")
+        here = of_kind("station", request.station)
+        raise RefusedError(f"{here} has no run since {period.since}", remedy="begin earlier")
     figures = store.run_figures(own, request.metrics, by_location=request.by_location)
     if request.by_location:
         figures = tuple(figure for figure in figures if figure.key.location)
     known = figures or store.run_figures(own)
     charts = [_new_chart(store, series, request, period, recipe) for series in series_of(own, known, request.metrics)]
+    if not charts:
+        raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
     if all(one.reference is None for one in charts):
-        said = "\n".join(f"  {one.label}: {one.why}" for one in charts[:10])
+        said = "\n".join("; ".join((f"  {one.label}: {one.why}", *one.notes)) for one in charts[:10])
         raise RefusedError(
             f"no limits come of this reference period:\n{said}", remedy="choose another or a longer one"
         )
@@ -151,7 +155,7 @@ def _new_chart(
         )
         count, series = count - rest, replace(series, notes=(*series.notes, left))
     try:
-        standard = standard_of(series.values[:count], request.settings, series.key.label)
+        standard = standard_of(series.values[:count], request.settings)
     except NumericsError as error:
         return no_chart(series, error.reason)
     reference = ChartReference(

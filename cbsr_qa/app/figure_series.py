@@ -2,7 +2,7 @@
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, timedelta
 from difflib import get_close_matches
 from itertools import pairwise
@@ -11,6 +11,7 @@ from typing import Final, TypeVar
 from cbsr_qa.app.golden_lot import measuring_digest
 from cbsr_qa.config.echo import echo
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.naming import of_kind
 from cbsr_qa.domain.run_figures import MetricKey, RunFigure, RunLine
 from cbsr_qa.report.numbers import plural
 from cbsr_qa.store.repository import Repository
@@ -58,17 +59,22 @@ def series_of(lines: Sequence[RunLine], figures: Iterable[RunFigure], names: Seq
     Raises
     ------
     RefusedError
-        If no run measured a name, with the nearest one.
+        If no run measured a name, with the nearest one; or no run measured anything.
     """
-    by_key: dict[MetricKey, dict[str, RunFigure]] = {}
-    for figure in figures:
-        kept = by_key.setdefault(figure.key, {})
-        # Of one metric in two units within one run, the second is worth a note, and no value.
-        kept[figure.run] = figure if figure.run not in kept else _of_two_units(kept[figure.run], figure)
+    by_key = figures_by_run(figures)
     _check_names(names, by_key)
     limited = [key for key, of in by_key.items() if any(_has_limit(one) for one in of.values())]
     wanted = [key for key in by_key if key.name in names] if names else limited or list(by_key)
     return [_series(key, lines, by_key[key]) for key in wanted]
+
+
+def figures_by_run(figures: Iterable[RunFigure]) -> dict[MetricKey, dict[str, RunFigure]]:
+    """Return the figures of each metric by run; one in several units within a run has no value, and says so."""
+    found: dict[MetricKey, dict[str, RunFigure]] = {}
+    for figure in figures:
+        kept = found.setdefault(figure.key, {})
+        kept[figure.run] = figure if figure.run not in kept else _of_several_units(kept[figure.run], figure)
+    return found
 
 
 def clock_notes(lines: Sequence[RunLine]) -> tuple[str, ...]:
@@ -80,8 +86,9 @@ def clock_notes(lines: Sequence[RunLine]) -> tuple[str, ...]:
             back = before.started_at - after.started_at
             if back > _CLOCK_STEP:
                 notes.append(
-                    f"the clock of station {station} was wrong by about {_span(back)} at one of two runs: "
-                    f"{after.run} came after {before.run}, and says {_day(after)} where that says {_day(before)}; "
+                    f"the clock of {of_kind('station', station)} was wrong by about {_span(back)} at one of two "
+                    f"runs: {after.run} came after {before.run}, and says {_day(after)} where that says "
+                    f"{_day(before)}; "
                     "runs are in the order they were made in, not in that of the clock"
                 )
     return tuple(notes)
@@ -117,13 +124,16 @@ def _has_limit(figure: RunFigure) -> bool:
     return figure.lower is not None or figure.upper is not None
 
 
-def _of_two_units(first: RunFigure, second: RunFigure) -> RunFigure:
-    both, places = f"{first.unit} and {second.unit}", first.places + second.places
-    return RunFigure(first.run, first.key, both, None, places, missing=places)
+def _of_several_units(first: RunFigure, second: RunFigure) -> RunFigure:
+    units = tuple(sorted({*(first.units or (first.unit,)), second.unit}))
+    most = max(first, second, key=lambda one: one.places)
+    return replace(most, value=None, places=first.places + second.places, units=units)
 
 
 def _check_names(names: Sequence[str], known: Iterable[MetricKey]) -> None:
     measured = sorted({key.name for key in known})
+    if not measured:
+        raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
     for name in names:
         if name not in measured:
             near = get_close_matches(name, measured, n=1)
@@ -135,29 +145,33 @@ def _check_names(names: Sequence[str], known: Iterable[MetricKey]) -> None:
 
 def _series(key: MetricKey, lines: Sequence[RunLine], figures: Mapping[str, RunFigure]) -> Series:
     there = [(line, figures[line.run]) for line in lines if line.run in figures]
-    unit = _most(figure.unit for _, figure in there)
-    places = _most(figure.places for _, figure in there if figure.unit == unit)
+    whole = [figure for _, figure in there if not figure.units] or [figure for _, figure in there]
+    unit = _most(figure.unit for figure in whole)
+    places = _most(figure.places for figure in whole if figure.unit == unit)
     kept: list[tuple[RunLine, float]] = []
     left: dict[str, list[str]] = {}
     for line in lines:
-        if line.run not in figures:
-            left.setdefault("did not measure it", []).append(_who(line))
-            continue
-        figure = figures[line.run]
-        if figure.unit != unit:
-            why = f"in {figure.unit} instead of {unit}"
-        elif figure.value is None:
-            why = figure.why
-        elif figure.places != places:
-            why = f"the mean of {figure.places} values instead of {places}"
-        else:
+        figure = figures.get(line.run)
+        why = _why_not(figure, unit, places)
+        if why:
+            left.setdefault(why, []).append(_who(line))
+        elif figure is not None and figure.value is not None:
             kept.append((line, figure.value))
-            continue
-        left.setdefault(why, []).append(_who(line))
     notes = tuple(f"left out: {why}: {named(who)}" for why, who in left.items())
     latest = there[-1][1]
     own = tuple(line for line, _ in kept)
     return Series(key, unit, own, tuple(value for _, value in kept), latest.lower, latest.upper, notes)
+
+
+def _why_not(figure: RunFigure | None, unit: str, places: int) -> str:
+    """Say why a run's figure cannot stand beside the others; empty where it can."""
+    if figure is None:
+        return "did not measure it"
+    if figure.unit != unit and not figure.units:
+        return f"in {figure.unit} instead of {unit}"
+    if figure.value is None:
+        return figure.why
+    return "" if figure.places == places else f"the mean of {figure.places} values instead of {places}"
 
 
 def _most(values: Iterable[_T]) -> _T:

@@ -1,7 +1,8 @@
 """Gauge R&R from stored runs: sensors are the parts, stations or operators appraise, repeated runs are trials."""
 
+from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from cbsr_qa.app.figure_series import Series, named, recipe_note, software_note
@@ -17,7 +18,7 @@ from cbsr_qa.report.numbers import plural
 from cbsr_qa.stats.gauge_anova import GaugeAnova, gauge_anova
 from cbsr_qa.stats.gauge_balance import BalancedPart, largest_balanced, missing_runs
 from cbsr_qa.stats.gauge_range import GaugeRange, gauge_range
-from cbsr_qa.stats.gauge_study import Study, study
+from cbsr_qa.stats.gauge_study import Study, on, study
 from cbsr_qa.store.repository import open_store
 
 
@@ -106,23 +107,38 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
     sensors = [line.serial for line in series.lines]
     appraisers = [appraiser_of(line, request.appraiser) for line in series.lines]
     against = against_references(series, appraisers, request.references)
-    missing = missing_runs(sensors, appraisers, request.appraiser)
-    part, values, notes = None, list(series.values), list(series.notes)
+    why = _never_repeated(sensors, appraisers, request.appraiser)
+    missing = () if why else missing_runs(sensors, appraisers, request.appraiser)
+    bare = MetricGauge(
+        series, wanted.tolerance, wanted.of, None, None, None, why, None, missing, against, series.notes
+    )
+    if why:
+        return bare
+    values = list(series.values)
     if missing and request.largest_balanced:
         part = largest_balanced(sensors, appraisers)
+        if not part.kept:
+            crossed = f"twice each {on(request.appraiser)} the same two {request.appraiser}s"
+            return replace(bare, part=part, why=f"no two sensors were run {crossed}: nothing is crossed")
         size = part.words(appraiser=f"{request.appraiser}s")
-        notes.append(f"taken is the largest balanced part of {len(values)} runs: {size}")
+        taken = f"taken is the largest balanced part of {len(values)} runs: {size}"
+        bare = replace(bare, part=part, notes=(*series.notes, taken))
         sensors, appraisers = [sensors[k] for k in part.kept], [appraisers[k] for k in part.kept]
         values = [values[k] for k in part.kept]
     try:
         found, anova, ranges = _studied(sensors, appraisers, values, wanted.tolerance, request)
     except NumericsError as error:
-        return MetricGauge(
-            series, wanted.tolerance, wanted.of, None, None, None, error.reason, part, missing, against, tuple(notes)
-        )
-    return MetricGauge(
-        series, wanted.tolerance, wanted.of, found, anova, ranges, "", part, missing, against, tuple(notes)
-    )
+        return replace(bare, why=error.reason)
+    return replace(bare, study=found, anova=anova, ranges=ranges)
+
+
+def _never_repeated(sensors: Sequence[str], appraisers: Sequence[str], appraiser: str) -> str:
+    """Say that no sensor was run twice by the same appraiser, which no choice of runs mends; empty where one was."""
+    cells = Counter(zip(sensors, appraisers, strict=True))
+    if not cells or max(cells.values()) > 1 or min(len(set(sensors)), len(set(appraisers))) < 2:
+        return ""
+    where = "on a station" if appraiser == "station" else f"by an {appraiser}"
+    return f"every sensor was run once {where}: repeatability needs at least two runs of each"
 
 
 def _studied(
@@ -133,7 +149,7 @@ def _studied(
     request: GaugeRequest,
 ) -> tuple[Study, GaugeAnova, GaugeRange]:
     if not values:
-        raise NumericsError("no sensors were run twice on two stations or by two operators each: nothing is crossed")
+        raise NumericsError("none of these runs has a value of it")
     for noun, names in (("sensor", set(sensors)), (request.appraiser, set(appraisers))):
         if len(names) < 2:
             raise NumericsError(f"all {len(values)} runs are of one {noun}, {names.pop()}")
@@ -152,6 +168,7 @@ def _check_any(metrics: Sequence[MetricGauge]) -> None:
     first = metrics[0]
     said = f"{first.series.key.label}: {first.why}"
     said += f"; uneven: {named(first.missing)}" if first.missing else ""
+    said += "".join(f"; {note}" for note in first.series.notes)
     said += f"\nand of {plural(len(metrics) - 1, 'more metric')}" if len(metrics) > 1 else ""
     lacking = any(one.missing and one.part is None for one in metrics)
     raise RefusedError(

@@ -9,6 +9,7 @@ from cbsr_qa.stats.contrast import Contrast
 from cbsr_qa.stats.gauge_anova import GaugeAnova
 from cbsr_qa.stats.gauge_reference import Linearity
 from cbsr_qa.stats.gauge_study import Variance, Variation
+from cbsr_qa.stats.referenced import Referenced
 from cbsr_qa.stats.samples import Interval
 
 if TYPE_CHECKING:
@@ -50,7 +51,7 @@ def interval_document(interval: Interval | None) -> list[float | None] | None:
     return [end if abs(end) < float("inf") else None for end in (interval.low, interval.high)]
 
 
-def contrast_document(found: Contrast, confidence: float) -> dict[str, Any]:
+def contrast_document(found: Contrast | Referenced, confidence: float) -> dict[str, Any]:
     """Return an estimate with its interval and p value."""
     inside = found.interval(confidence)
     return {
@@ -176,7 +177,7 @@ def _against(found: AgainstReferences, confidence: float) -> dict[str, Any]:
                 "drift_per_day": None
                 if one.stability is None
                 else contrast_document(one.stability.drift, confidence),
-                "in_control": None if one.stability is None else one.stability.chart.in_control,
+                "in_control": None if one.stability is None else one.stability.in_control,
                 "why": one.why,
             }
             for one in found.stability

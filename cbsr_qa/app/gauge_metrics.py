@@ -52,7 +52,7 @@ def wanted_metrics(store: Repository, request: GaugeRequest, lines: Sequence[Run
 def _check_known(request: GaugeRequest, known: set[MetricKey]) -> None:
     names = sorted({key.name for key in known})
     for index, one in enumerate(request.metrics):
-        if any(one.means(key) for key in known):
+        if not known or any(one.means(key) for key in known):
             continue
         if one.name not in names:
             near = get_close_matches(one.name, names, n=1)

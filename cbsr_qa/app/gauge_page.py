@@ -3,6 +3,7 @@
 from typing import Final
 
 from cbsr_qa.app.gauge import Gauge, MetricGauge
+from cbsr_qa.app.gauge_reference_words import reference_tables
 from cbsr_qa.app.gauge_words import (
     GOOD_PERCENT,
     LEAST_CATEGORIES,
@@ -12,7 +13,6 @@ from cbsr_qa.app.gauge_words import (
     metric_words,
     percent,
     period_words,
-    reference_words,
     source_of_variation,
     source_words,
     study_words,
@@ -100,7 +100,7 @@ def _blocks(one: MetricGauge, found: Gauge) -> list[Block]:
         blocks.append(gauge_figure(one.study, one.anova.variation, unit, label=label, appraiser=appraiser))
         blocks += [_components(one, confidence), _anova(one, appraiser)]
     if one.against is not None:
-        blocks += [Paragraph(words) for words in reference_words(one.against, appraiser, confidence)]
+        blocks += reference_tables(one.against, appraiser, confidence)
     if one.missing and one.study is not None:
         blocks.append(Paragraph(f"Uneven: {listed(one.missing, 20)}.", "note"))
     return blocks

@@ -4,7 +4,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import timedelta
-from math import hypot, isfinite
+from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
@@ -16,8 +16,8 @@ from cbsr_qa.config.echo import echo
 from cbsr_qa.config.tables import FileModel, Table, validated
 from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.run_figures import RunLine
-from cbsr_qa.stats.contrast import Contrast
 from cbsr_qa.stats.gauge_reference import Linearity, Stability, bias, linearity, stability
+from cbsr_qa.stats.referenced import Referenced
 
 _GIVEN = re.compile(
     r"(?P<serial>.+)\.(?P<metric>[a-z][a-z0-9_]*)=(?P<value>[^±\s]+?)\s*"
@@ -49,7 +49,7 @@ class BiasLine:
     reference: ReferenceValue
     appraiser: str
     count: int
-    bias: Contrast | None
+    bias: Referenced | None
     why: str = ""
 
 
@@ -189,13 +189,10 @@ def against_references(
 
 def _bias(reference: ReferenceValue, who: str, values: Sequence[float]) -> BiasLine:
     try:
-        found = bias(values, reference.value)
+        found = bias(values, reference.value, uncertainty=reference.uncertainty)
     except NumericsError as error:
         return BiasLine(reference, who, len(values), None, error.reason)
-    # The reference's own uncertainty is known (GUM G.4: degrees of freedom go with the fourth power).
-    whole = hypot(found.standard_error, reference.uncertainty)
-    freedom = found.freedom * (whole / found.standard_error) ** 4
-    return BiasLine(reference, who, len(values), Contrast(found.value, whole, freedom))
+    return BiasLine(reference, who, len(values), found)
 
 
 def _stability(

@@ -124,8 +124,11 @@ class GaugeRequest:
         """
         if self.appraiser not in APPRAISERS:
             raise RefusedError(f"--appraiser is {echo(self.appraiser)}", remedy=f"allowed: {', '.join(APPRAISERS)}")
-        if not 0 < self.confidence < 1:
-            raise RefusedError(f"a confidence of {100 * self.confidence:g} % is none", remedy="allowed: 0 to 100 %")
+        if not 0.5 < self.confidence < 1:
+            raise RefusedError(
+                f"a confidence of {100 * self.confidence:g} % is none",
+                remedy="allowed: above 50 and below 100 %; give per cent, 95 for 95 %",
+            )
         if not self.serials and self.recipe is None:
             raise RefusedError(
                 "no study is named", remedy="name a study's file, or choose runs by --serials S1,S2,… or --recipe R"

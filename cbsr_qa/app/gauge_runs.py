@@ -8,6 +8,7 @@ from cbsr_qa.app.figure_series import clock_notes, named
 from cbsr_qa.app.gauge_request import GaugeRequest
 from cbsr_qa.config.echo import echo
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.naming import of_kind
 from cbsr_qa.domain.run_figures import RunLine
 from cbsr_qa.report.numbers import plural
 from cbsr_qa.store.figures import RunFilter
@@ -84,7 +85,7 @@ def _check_found(
     remedy = f"choose other days, other names or another recipe{_days(of_names)}"
     # Without any run that fits, every name is absent, and it is no name that is wrong.
     if lines:
-        said = [f"{one.at}{one.noun} {one.name} has no analysed run that fits" for one in absent]
+        said = [f"{one.at}{of_kind(one.noun, one.name)} has no analysed run that fits" for one in absent]
         raise RefusedError("\n".join(said), remedy=remedy)
     raise RefusedError(f"{request.at('study')}no analysed run fits this study", remedy=remedy)
 

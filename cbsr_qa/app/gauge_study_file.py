@@ -33,7 +33,7 @@ class StudyTable(Table):
     appraiser: Literal["station", "operator"] = "station"
     by_location: bool = False
     largest_balanced: bool = False
-    confidence_percent: Annotated[float, Field(gt=0, lt=100)] = 95.0
+    confidence_percent: float = 95.0
 
     def problems(self) -> Iterator[Problem]:
         """Yield what does not fit together within the table."""
@@ -41,6 +41,9 @@ class StudyTable(Table):
             yield Problem(("study", "name"), "has characters that cannot be printed; give one line")
         if self.recipe is None and self.serials is None:
             yield Problem(("study",), "has neither recipe nor serials; give one of them, or both")
+        if not 50 < self.confidence_percent < 100:
+            what = f"is {self.confidence_percent:g}; allowed: above 50 and below 100, in per cent (95 for 95 %)"
+            yield Problem(("study", "confidence_percent"), what)
         if self.since and self.until and self.since > self.until:
             yield Problem(("study", "since"), f"is {self.since}, after until = {self.until}")
         for key in ("serials", "stations", "operators"):

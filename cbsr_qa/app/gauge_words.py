@@ -1,18 +1,15 @@
 """What a gauge study says, in sentences for a page and a terminal."""
 
-from collections.abc import Iterator
 from datetime import date
 from math import sqrt
 from typing import TYPE_CHECKING, Final
 
 from cbsr_qa.report.numbers import fixed, number, plural, unit_shown
 from cbsr_qa.stats.gauge_anova import Source
-from cbsr_qa.stats.gauge_study import on
 from cbsr_qa.stats.samples import Interval
 
 if TYPE_CHECKING:
     from cbsr_qa.app.gauge import Gauge, MetricGauge
-    from cbsr_qa.app.gauge_references import AgainstReferences
     from cbsr_qa.app.gauge_request import StudySource
     from cbsr_qa.stats.gauge_study import Variance, Variation
 
@@ -92,56 +89,6 @@ def deviation_words(part: "Variance") -> str:
     if part.interval is None:
         return "–"
     return interval_words(Interval(sqrt(part.interval.low), sqrt(part.interval.high), part.interval.confidence))
-
-
-def reference_words(found: "AgainstReferences", appraiser: str, confidence: float) -> Iterator[str]:
-    """Say how the gauge stands to reference values, which are in the metric's unit."""
-    by = on(appraiser)
-    unit = f" {unit_shown(found.unit)}".rstrip()
-    for one in found.biases:
-        where = f"{one.reference.serial} {by} {one.appraiser}" if one.appraiser else one.reference.serial
-        if one.bias is None:
-            yield f"Bias of {where}: not known: {one.why}."
-            continue
-        likely = one.bias.interval(confidence)
-        clear = "no bias is seen" if likely.holds(0.0) else "biased"
-        yield (
-            f"Bias of {where}: {number(one.bias.value)}{unit} ({interval_words(likely)}) against "
-            f"{number(one.reference.value)}{unit} in {plural(one.count, 'run')}: {clear}."
-        )
-    yield from _linearity_words(found, by, unit, confidence)
-    unknown: dict[str, list[str]] = {}
-    for line in found.stability:
-        where = f"{line.reference.serial} {by} {line.appraiser}"
-        if line.stability is None:
-            unknown.setdefault(line.why, []).append(where)
-            continue
-        drift, chart = line.stability.drift, line.stability.chart
-        signals = "its chart gives no signal" if not chart.signals else f"its chart signals: {chart.signals[0].rule}"
-        inside = interval_words(drift.interval(confidence))
-        yield f"Stability of {where}: drift {number(drift.value)}{unit} a day ({inside}); {signals}."
-    for why, names in unknown.items():
-        yield f"Stability of {listed(tuple(names))}: not known: {why}."
-
-
-def _linearity_words(found: "AgainstReferences", by: str, unit: str, confidence: float) -> Iterator[str]:
-    """Say of each appraiser whether the bias goes with the value, and whether there is any over the references."""
-    unknown: dict[str, list[str]] = {}
-    for one in found.linearity:
-        if one.linearity is None:
-            unknown.setdefault(one.why, []).append(one.appraiser)
-            continue
-        slope = one.linearity.rise()
-        likely = slope.interval(confidence)
-        goes = "no change of the bias with the value is seen" if likely.holds(0.0) else "the bias goes with the value"
-        ends = f"{number(one.linearity.references[0])} to {number(one.linearity.references[-1])}{unit}"
-        any_bias = "no bias is seen" if one.linearity.acceptable(confidence) else "there is a bias somewhere"
-        yield (
-            f"Linearity {by} {one.appraiser}: slope of the bias {number(slope.value)} ({interval_words(likely)}): "
-            f"{goes}; over the references, {ends}, {any_bias}."
-        )
-    for why, names in unknown.items():
-        yield f"Linearity {by} {listed(tuple(names))}: not known: {why}."
 
 
 def percent(value: float) -> str:

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Sequence
 from typing import Final
 
 from cbsr_qa.app.charting import charts_of, standing
-from cbsr_qa.app.figure_series import clock_notes
+from cbsr_qa.app.figure_series import clock_notes, figures_by_run
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.measurement import Bound, Measurement
 from cbsr_qa.domain.run import RunIdentity
@@ -35,7 +35,7 @@ def charts_after(
     references = store.chart_references(identity.station, until)
     if not references:
         return None
-    own = None if measurements is None else {f.key: f for f in figures_in(identity.run, measurements)}
+    own = None if measurements is None else _own(identity.run, measurements)
     signals: list[StandingSignal] = []
     notes: dict[str, None] = {}
     for recipe, golden in dict.fromkeys((one.recipe, one.golden) for one in references):
@@ -60,6 +60,10 @@ def figures_in(run: str, measurements: Iterable[Measurement]) -> tuple[RunFigure
         for location in dict.fromkeys(("", m.location)):
             groups.setdefault((MetricKey(m.name, m.phase, m.qualifier, location), m.unit), []).append(m)
     return tuple(_figure(run, key, unit, members) for (key, unit), members in groups.items())
+
+
+def _own(run: str, measurements: Sequence[Measurement]) -> dict[MetricKey, RunFigure]:
+    return {key: of[run] for key, of in figures_by_run(figures_in(run, measurements)).items()}
 
 
 def _figure(run: str, key: MetricKey, unit: str, members: Sequence[Measurement]) -> RunFigure:
@@ -97,8 +101,7 @@ def _figures(
     found: dict[MetricKey, dict[str, RunFigure]] = {}
     for by_location in sorted({bool(one.key.location) for one in members}):
         names = sorted({one.key.name for one in members if bool(one.key.location) == by_location})
-        for figure in store.run_figures(lines, names, by_location=by_location):
-            found.setdefault(figure.key, {})[figure.run] = figure
+        found |= figures_by_run(store.run_figures(lines, names, by_location=by_location))
     return found
 
 

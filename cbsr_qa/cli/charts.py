@@ -11,7 +11,7 @@ from cbsr_qa.cli.output import emit_json, note, say
 from cbsr_qa.domain.errors import RefusedError
 
 if TYPE_CHECKING:
-    from cbsr_qa.domain.station_charts import ChartSettings
+    from cbsr_qa.domain.station_charts import ChartKind, ChartSettings
 
 _DAY = ["%Y-%m-%d"]
 
@@ -36,8 +36,11 @@ def charts(
     reference_until: Annotated[
         datetime | None, typer.Option(formats=_DAY, help="Store a new reference up to the end of this day (UTC).")
     ] = None,
-    operator: Annotated[str, typer.Option(help="Who sets the new reference.")] = "",
-    why: Annotated[str, typer.Option(help="Why it is set.")] = "",
+    retire: Annotated[
+        str | None, typer.Option(metavar="CHART", help="Retire charts of this kind (i-mr, xbar-r, ewma or cusum).")
+    ] = None,
+    operator: Annotated[str, typer.Option(help="Who sets the new reference, or retires charts.")] = "",
+    why: Annotated[str, typer.Option(help="Why.")] = "",
     dry_run: Annotated[bool, typer.Option("--dry-run", help="Show a new reference without storing it.")] = False,
     output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
@@ -47,7 +50,7 @@ def charts(
 
     Exit code 1 if a chart signals.
     """
-    from cbsr_qa.app.charts_request import ChartsRequest, ReferencePeriod
+    from cbsr_qa.app.charts_request import ChartsRequest, ReferencePeriod, Retirement
     from cbsr_qa.app.control_charts import control_charts
     from cbsr_qa.cli.charts_table import lines
 
@@ -58,7 +61,8 @@ def charts(
         )
     else:
         of_new = {"--chart": chart, "--subgroup": subgroup, "--rules": rules, "--by-location": by_location}
-        _check_stored_holds(of_new | {"--operator": operator, "--why": why, "--dry-run": dry_run})
+        who = {} if retire is not None else {"--operator": operator, "--why": why}
+        _check_stored_holds(of_new | who | {"--dry-run": dry_run})
     request = ChartsRequest(
         station=station,
         recipe=recipe,
@@ -67,6 +71,7 @@ def charts(
         by_location=by_location,
         settings=_settings(chart, subgroup, rules),
         period=period,
+        retirement=None if retire is None else Retirement(_kind("--retire", retire), operator, why),
     )
     found = control_charts(request, database=database)
     if output is not None:
@@ -96,20 +101,26 @@ def _check_stored_holds(of_new: Mapping[str, object]) -> None:
 def _settings(chart: str | None, subgroup: int | None, rules: str | None) -> "ChartSettings":
     from cbsr_qa.domain.station_charts import ChartKind, ChartSettings
 
-    kinds = [str(kind) for kind in ChartKind]
-    chart = chart or str(ChartKind.INDIVIDUALS)
-    if chart not in kinds:
-        raise RefusedError(f"--chart is {chart!r}", remedy=f"allowed: {', '.join(kinds)}")
-    if rules is not None and chart in (ChartKind.EWMA, ChartKind.CUSUM):
+    kind = _kind("--chart", chart or str(ChartKind.INDIVIDUALS))
+    if rules is not None and kind in (ChartKind.EWMA, ChartKind.CUSUM):
         raise RefusedError(
-            f"--rules with --chart {chart}", remedy="Nelson's tests are of i-mr and xbar-r: leave it out"
+            f"--rules with --chart {kind}", remedy="Nelson's tests are of i-mr and xbar-r: leave it out"
         )
     try:
         numbers = tuple(sorted({int(part) for part in (rules or "1,2").split(",")}))
     except ValueError as error:
         raise RefusedError(f"--rules is {rules!r}", remedy="give numbers from 1 to 8, e.g. 1,2,5") from error
-    default = 5 if chart == ChartKind.MEANS else 1
-    return ChartSettings(ChartKind(chart), default if subgroup is None else subgroup, numbers)
+    default = 5 if kind is ChartKind.MEANS else 1
+    return ChartSettings(kind, default if subgroup is None else subgroup, numbers)
+
+
+def _kind(option: str, given: str) -> "ChartKind":
+    from cbsr_qa.domain.station_charts import ChartKind
+
+    kinds = [str(kind) for kind in ChartKind]
+    if given not in kinds:
+        raise RefusedError(f"{option} is {given!r}", remedy=f"allowed: {', '.join(kinds)}")
+    return ChartKind(given)
 
 
 def _day(moment: datetime | None) -> date | None:

@@ -42,7 +42,7 @@ def gauge(
             help="What a golden sensor truly is, or a TOML file; may be repeated.",
         ),
     ] = None,
-    confidence: Annotated[float, typer.Option(help="Of intervals, in per cent.")] = 95.0,
+    confidence: Annotated[float, typer.Option(help="Of intervals, in per cent, above 50 and below 100.")] = 95.0,
     output: Annotated[Path | None, typer.Option(help="HTML page to write.")] = None,
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,

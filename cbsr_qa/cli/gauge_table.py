@@ -49,6 +49,7 @@ def _metric(one: "MetricGauge", appraiser: str, confidence: float) -> Iterator[s
 
 def _components(one: "MetricGauge", confidence: float) -> Iterator[tuple[str, ...]]:
     from cbsr_qa.app.gauge_words import deviation_words, percent
+    from cbsr_qa.report.numbers import number
 
     assert one.anova is not None
     assert one.ranges is not None
@@ -59,12 +60,12 @@ def _components(one: "MetricGauge", confidence: float) -> Iterator[tuple[str, ..
         tolerance = variation.percent_tolerance(part)
         yield (
             shown,
-            f"{part.deviation:.4g}",
+            number(part.deviation, 4),
             deviation_words(part),
             percent(variation.percent_contribution(part)),
             percent(variation.percent_study(part)),
             "–" if tolerance is None else percent(tolerance),
-            f"{getattr(by_range, name).deviation:.4g}",
+            number(getattr(by_range, name).deviation, 4),
         )
 
 
@@ -78,7 +79,7 @@ def _columns(rows: Iterable[tuple[str, ...]]) -> Iterator[str]:
 
 
 def _against(found: "AgainstReferences", appraiser: str, confidence: float) -> Iterator[str]:
-    from cbsr_qa.app.gauge_words import reference_words
+    from cbsr_qa.app.gauge_reference_words import reference_words
 
     for words in reference_words(found, appraiser, confidence):
         yield from _wrapped("    ", printable(words))

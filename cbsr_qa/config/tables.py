@@ -218,6 +218,6 @@ def table_at(model: type[BaseModel], path: KeyPath) -> type[BaseModel] | None:
         else:
             arguments = [a for a in get_args(current) if a is not type(None)]
             current = arguments[-1] if arguments else None
-        while get_origin(current) in (Union, UnionType):
+        while get_origin(current) in (Union, UnionType, Annotated):  # of Annotated the first is the type
             current = next(a for a in get_args(current) if a is not type(None))
     return current if isinstance(current, type) and issubclass(current, BaseModel) else None

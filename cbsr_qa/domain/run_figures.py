@@ -60,6 +60,7 @@ class RunFigure:
     places : how many values it is the mean of.
     missing, bounded : how many of them have no value, and how many are only lower bounds.
     lower, upper : the limit it was judged by; None where there was none on that side.
+    units : of the run's values where they are several, sorted; there is no value then, and ``unit`` is one of them.
     """
 
     run: str
@@ -71,10 +72,13 @@ class RunFigure:
     bounded: int = 0
     lower: float | None = None
     upper: float | None = None
+    units: tuple[str, ...] = ()
 
     @property
     def why(self) -> str:
         """Say why there is no value; empty where there is one."""
+        if self.units:
+            return f"its values are in several units within the run, {' and '.join(self.units)}"
         if self.missing:
             return f"{self.missing} of {self.places} values could not be measured"
         return f"{self.bounded} of {self.places} values are only lower bounds" if self.bounded else ""

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from enum import StrEnum
 
+from cbsr_qa.domain.naming import of_kind
 from cbsr_qa.domain.run_figures import MetricKey
 
 
@@ -48,6 +49,7 @@ class ChartReference:
     mean, deviation : of single values, in ``unit``.
     runs, first_run, last_run : the reference period (phase I).
     operator, made_at, why : who set it, when by the computer's clock, and for what reason.
+    retired : nothing is charted against these limits from here on; all else is what held before.
     """
 
     reference: str
@@ -65,6 +67,7 @@ class ChartReference:
     operator: str
     made_at: datetime
     why: str
+    retired: bool = False
 
     @property
     def label(self) -> str:
@@ -83,6 +86,8 @@ class StandingSignal:
     since_run, since : the run at which it began, and when that began by the station's clock.
     runs : how many runs there were from then on, that one included.
     at_least : it may have begun earlier than was looked back.
+    began_run, began : of a cumulative sum the run after the last at which it was zero, about when the change began;
+        empty and None of other charts.
     """
 
     reference: ChartReference
@@ -91,14 +96,21 @@ class StandingSignal:
     since: datetime
     runs: int
     at_least: bool
+    began_run: str = ""
+    began: datetime | None = None
 
     def words(self) -> str:
         """Say which chart signals since when, and by which rule."""
         when = f"{'at least ' if self.at_least else ''}{self.runs} run{'' if self.runs == 1 else 's'}"
         return (
             f"{self.reference.label}, signals since run {self.since_run} of {self.since:%Y-%m-%d} ({when}): "
-            f"{'; '.join(self.rules)}"
+            f"{'; '.join(self.rules)}{self._began_words()}"
         )
+
+    def _began_words(self) -> str:
+        if self.began is None:
+            return ""
+        return f"; the change began about run {self.began_run} of {self.began:%Y-%m-%d}, at which the sum left zero"
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,4 +131,5 @@ class StationCharts:
 
     def warnings(self) -> tuple[str, ...]:
         """Return one warning a chart that signals."""
-        return tuple(f"station {self.station} is out of control: {signal.words()}" for signal in self.signals)
+        here = of_kind("station", self.station)
+        return tuple(f"{here} is out of control: {signal.words()}" for signal in self.signals)

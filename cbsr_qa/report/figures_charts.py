@@ -70,7 +70,8 @@ def control_figure(parts: Sequence[ChartPart], phase_1: int, unit: str, *, label
     cut = f" Only the latest {MOST_POINTS} runs are drawn." if first else ""
     return drawn(
         build,
-        caption=f"{label}. Grey: the reference period that the limits (dashed) come from. Red: a rule speaks.{cut}",
+        caption=f"{label}. Grey: the reference period that the limits (dashed) come from. "
+        f"Orange: a rule speaks.{cut}",
         alternative=f"Control charts of {label}; the sentences above say which points signal.",
     )
 

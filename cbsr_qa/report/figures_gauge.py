@@ -9,13 +9,16 @@ from matplotlib.figure import Figure as Canvas
 
 from cbsr_qa.domain.report import Figure
 from cbsr_qa.report.numbers import unit_shown
-from cbsr_qa.report.style import BLUE, CYCLE, FAINT, INK, QUIET, VERMILION, canvas, light_grid
+from cbsr_qa.report.style import BLUE, CYCLE, FAINT, QUIET, VERMILION, canvas, light_grid
 from cbsr_qa.report.svg import drawn
 from cbsr_qa.stats.gauge_study import Study, Variation
 from cbsr_qa.stats.range_constants import d2_d3
 
 #: Names along an axis that fit beside each other.
 _MOST_NAMES = 12
+#: Names beside each other in a legend, and the height of one of its rows [in].
+_LEGEND_COLUMNS = 3
+_LEGEND_ROW_IN = 0.15
 
 
 def gauge_figure(study: Study, variation: Variation, unit: str, *, label: str, appraiser: str) -> Figure:
@@ -29,19 +32,21 @@ def gauge_figure(study: Study, variation: Variation, unit: str, *, label: str, a
     appraiser : what measures: ``"station"`` or ``"operator"``.
     """
     shown = unit_shown(unit)
-    axis = f"{label} [{shown}]" if shown else label
+
+    def axis(of: str) -> str:
+        return f"{of} [{shown}]" if shown else of
 
     def build() -> Canvas:
-        figure = canvas(7.4)
-        grid = figure.add_gridspec(3, 2, left=0.1, right=0.985, bottom=0.06, top=0.965, hspace=0.5, wspace=0.26)
-        axes = [figure.add_subplot(grid[row, column]) for row in range(3) for column in range(2)]
+        figure, axes = _panels(_LEGEND_ROW_IN * _legend_rows(study))
         _components(axes[0], variation)
         _by_sensor(axes[1], study)
         _ranges(axes[2], study, appraiser)
         _by_appraiser(axes[3], study, appraiser)
         _means(axes[4], study, appraiser)
         _interaction(axes[5], study, appraiser)
-        figure.text(0.012, 0.5, axis, rotation=90, va="center", ha="center", color=INK)
+        names = ("share [%]", axis("each run"), axis("range"), axis("each run"), axis("mean"), axis("mean"))
+        for one, name in zip(axes, names, strict=True):
+            one.set_ylabel(name)
         return figure
 
     return drawn(
@@ -52,6 +57,15 @@ def gauge_figure(study: Study, variation: Variation, unit: str, *, label: str, a
         f"sensors apart; and means of each sensor by {appraiser}: lines that cross are an interaction.",
         alternative=f"Six panels of the gauge study of {label}; the table has the components.",
     )
+
+
+def _panels(below: float) -> tuple[Canvas, list[Axes]]:
+    """Six axes, row by row, with so much room [in] for the legend below the last."""
+    height = 7.7 + below
+    figure = canvas(height)
+    bottom, top = (0.55 + below) / height, 1 - 0.25 / height
+    grid = figure.add_gridspec(3, 2, left=0.09, right=0.985, bottom=bottom, top=top, hspace=0.55, wspace=0.24)
+    return figure, [figure.add_subplot(grid[row, column]) for row in range(3) for column in range(2)]
 
 
 def _components(axes: Axes, variation: Variation) -> None:
@@ -67,8 +81,8 @@ def _components(axes: Axes, variation: Variation) -> None:
         across = np.arange(len(parts)) + (number - (len(bars) - 1) / 2) * width
         axes.bar(across, heights, 0.92 * width, color=CYCLE[number], label=name)
     axes.set_xticks(range(len(parts)), ["gauge R&R", "repeat.", "reprod.", "sensors"])
-    axes.set_title("components [%]")
-    axes.legend(frameon=False, fontsize=6.5, loc="upper left")
+    axes.set_title("components")
+    _legend_below(axes, 0.24)
 
 
 def _by_sensor(axes: Axes, study: Study) -> None:
@@ -135,8 +149,20 @@ def _interaction(axes: Axes, study: Study, appraiser: str) -> None:
         colour, dashes = CYCLE[column % len(CYCLE)], ("-", "--", ":")[column // len(CYCLE) % 3]
         axes.plot(means[:, column], "o", linestyle=dashes, color=colour, markersize=2.6, label=name[:16])
     if len(study.stations) <= _MOST_NAMES:
-        axes.legend(frameon=False, fontsize=6.5, ncols=2)
+        _legend_below(axes, 0.5)
     _names(axes, study.sensors)
+
+
+def _legend_rows(study: Study) -> int:
+    return -(-len(study.stations) // _LEGEND_COLUMNS) if len(study.stations) <= _MOST_NAMES else 0
+
+
+def _legend_below(axes: Axes, gap_in: float) -> None:
+    """Put the legend under the axes, where it covers nothing; ``gap_in`` is the room for names of ticks [in]."""
+    canvas_in = axes.figure.dpi_scale_trans.inverted()
+    place = (0.5, -gap_in / axes.get_window_extent().transformed(canvas_in).height)
+    small = {"fontsize": 6.5, "handlelength": 1.4, "columnspacing": 1.2, "borderaxespad": 0.0, "borderpad": 0.0}
+    axes.legend(frameon=False, ncols=_LEGEND_COLUMNS, loc="upper center", bbox_to_anchor=place, **small)
 
 
 def _names(axes: Axes, names: Sequence[str]) -> None:

@@ -1,5 +1,6 @@
 """What a run's report says of its station's control charts."""
 
+from cbsr_qa.domain.naming import of_kind
 from cbsr_qa.domain.report import Block, Paragraph
 from cbsr_qa.domain.station_charts import StationCharts
 from cbsr_qa.report.numbers import plural
@@ -9,7 +10,7 @@ def chart_blocks(charts: StationCharts | None) -> tuple[Block, ...]:
     """Say which charts signal since when and by which rule; nothing where the station has no reference stored."""
     if charts is None:
         return ()
-    whole = f"{plural(charts.charts, 'control chart')} of station {charts.station}"
+    whole = f"{plural(charts.charts, 'control chart')} of {of_kind('station', charts.station)}"
     if not charts.signals:
         blocks: list[Block] = [Paragraph(f"None of {whole} signals.")]
     else:

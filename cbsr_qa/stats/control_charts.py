@@ -27,6 +27,8 @@ from cbsr_qa.stats.worst_value import FloatArray
 
 #: Name of the signal of charts to which Nelson's tests do not apply.
 OUTSIDE = "beyond the limit"
+#: What the names of both cumulative sums begin with.
+SUM = "CUSUM"
 
 
 class Phase(StrEnum):
@@ -222,8 +224,8 @@ def cusum(
     above, below = (_sums(sign * (array - standard.mean), slack * standard.deviation, count) for sign in (1, -1))
     limit, zero = np.full(len(array), threshold * standard.deviation), np.zeros(len(array))
     centre = Standard(0.0, standard.deviation)
-    upper = _bounded("CUSUM above", above, centre, zero, limit, count)
-    return upper, _bounded("CUSUM below", -below, centre, -limit, zero, count)
+    upper = _bounded(f"{SUM} above", above, centre, zero, limit, count)
+    return upper, _bounded(f"{SUM} below", -below, centre, -limit, zero, count)
 
 
 def _sums(away: FloatArray, slack: float, reference: int) -> FloatArray:

@@ -48,11 +48,15 @@ def missing_runs(sensors: Sequence[str], stations: Sequence[str], appraiser: str
     cells = _cells(sensors, stations)
     trials = usual_trials(map(len, cells.values()))
     return tuple(
-        f"{sensor} {on(appraiser)} {station} has {len(found)} "
-        + (f"of {trials} runs" if len(found) < trials else f"runs instead of {trials}")
+        f"{sensor} {on(appraiser)} {station} has "
+        + (f"{len(found)} of {_runs(trials)}" if len(found) < trials else f"{_runs(len(found))} instead of {trials}")
         for (sensor, station), found in cells.items()
         if len(found) != trials
     )
+
+
+def _runs(count: int) -> str:
+    return f"{count} run{'s' * (count != 1)}"
 
 
 def largest_balanced(sensors: Sequence[str], stations: Sequence[str]) -> BalancedPart:

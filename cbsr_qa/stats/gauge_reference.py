@@ -1,19 +1,22 @@
 """A gauge against known values: bias, linearity of the bias over the range, and stability over time.
 
 Source: AIAG MSA 4th edition, chapter III, sections B (guidelines for determining stability, bias and linearity). The
-reference values (of golden sensors) are taken as exact, but for linearity where their uncertainties are stated: one
-of a reference moves all its readings' biases together, so that it does not average out as scatter of readings does.
+reference values (of golden sensors) are taken as exact, but for bias and linearity where their uncertainties are
+stated: one of a reference moves all its readings' biases together, so that it does not average out as scatter of
+readings does (:mod:`cbsr_qa.stats.referenced`).
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from math import hypot, sqrt
+from typing import Final
 
 import numpy as np
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.contrast import Contrast, checked
 from cbsr_qa.stats.control_charts import Chart, individuals
+from cbsr_qa.stats.referenced import Referenced
 from cbsr_qa.stats.samples import sample
 from cbsr_qa.stats.straight_line import Line, straight_line
 from cbsr_qa.stats.univariate import summary
@@ -35,33 +38,35 @@ class Linearity:
     known: tuple[tuple[int, float, float], ...] = ()
 
     @property
-    def intercept(self) -> Contrast:
+    def intercept(self) -> Referenced:
         """Return the bias at a reference value of zero."""
         return self.at(0.0)
 
-    def rise(self) -> Contrast:
+    def rise(self) -> Referenced:
         """Return the slope of the bias, the references' uncertainties in its standard error."""
         return self._widened(self.line.rise(), 0.0, 1 / self.line.squares)
 
-    def at(self, reference: float) -> Contrast:
+    def at(self, reference: float) -> Referenced:
         """Return the bias at a reference value, the references' uncertainties in its standard error."""
         line = self.line
         return self._widened(line.at(reference), 1 / line.count, (reference - line.centre) / line.squares)
 
-    def _widened(self, found: Contrast, level: float, slope: float) -> Contrast:
+    def _widened(self, found: Contrast, level: float, slope: float) -> Referenced:
         """Add what errors of the references bring, whose readings weigh level + slope (x − x̄) each.
 
         A reference that is u too high reads (1 + b) u too low, b the slope: the truth is further to the left too.
         """
         line = self.line
         parts = [n * (level + slope * (x - line.centre)) * (1 + line.slope) * u for n, x, u in self.known]
-        error = hypot(found.standard_error, *parts)
-        # They are known, not estimated (GUM G.4): degrees of freedom go with the fourth power.
-        return Contrast(found.value, error, found.freedom * (error / found.standard_error) ** 4)
+        return Referenced(found.value, found.standard_error, found.freedom, hypot(*parts))
 
     def acceptable(self, confidence: float = 0.95) -> bool:
         """Say whether a bias of zero lies within the confidence band at every reference value."""
         return all(self.at(reference).interval(confidence).holds(0.0) for reference in self.references)
+
+
+#: Readings below which a chart says nothing: its limits come of the same few, so that it hardly ever signals.
+FEWEST_CHARTED: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,16 +81,22 @@ class Stability:
     """
 
     drift: Contrast
-    bias: Contrast
+    bias: Referenced
     chart: Chart
 
+    @property
+    def in_control(self) -> bool | None:
+        """Whether the chart gives no signal; None of too few readings for it to say anything."""
+        return None if len(self.chart.points) < FEWEST_CHARTED else self.chart.in_control
 
-def bias(readings: Iterable[float], reference: float, what: str = "bias") -> Contrast:
-    """Return mean reading − reference with its standard error s/√n.
+
+def bias(readings: Iterable[float], reference: float, what: str = "bias", *, uncertainty: float = 0.0) -> Referenced:
+    """Return mean reading − reference, with s/√n of the readings and what is known of the reference.
 
     Parameters
     ----------
     readings : repeated ones of one reference, at least two.
+    uncertainty : one standard deviation of ``reference``, in its unit.
 
     Raises
     ------
@@ -94,7 +105,9 @@ def bias(readings: Iterable[float], reference: float, what: str = "bias") -> Con
     """
     array = sample(readings, what, least=2, spread=True)
     found = summary(array, what)
-    return checked(found.mean - reference, float(found.deviation or 0) / sqrt(len(array)), len(array) - 1, what)
+    scatter = float(found.deviation or 0) / sqrt(len(array))
+    one = checked(found.mean - reference, scatter, len(array) - 1, what)
+    return Referenced(one.value, one.standard_error, one.freedom, uncertainty)
 
 
 def linearity(

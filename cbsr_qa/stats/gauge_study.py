@@ -15,6 +15,7 @@ from math import sqrt
 import numpy as np
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.naming import of_kind
 from cbsr_qa.stats.samples import Interval, constant, sample
 from cbsr_qa.stats.worst_value import FloatArray
 
@@ -146,8 +147,11 @@ def study(
 
 
 def usual_trials(counts: Iterable[int]) -> int:
-    """Return how many runs most cells have (of equally common counts the larger): others have too few or too many."""
-    found = Counter(counts)
+    """Return how many runs most cells have (of equally common counts the larger): others have too few or too many.
+
+    Cells without runs do not count: none is what they have too few of, however many they are.
+    """
+    found = Counter(count for count in counts if count)
     return max(found, key=lambda count: (found[count], count), default=0)
 
 
@@ -164,7 +168,7 @@ def _check_balance(
         if len(found) != trials:
             raise NumericsError(
                 f"gauge study: sensor {sensor} has {len(found)} run{'s' * (len(found) != 1)} {on(appraiser)} "
-                f"{appraiser} {station}, others have {trials}",
+                f"{of_kind(appraiser, station)}, others have {trials}",
                 remedy=f"a crossed study has every sensor {on(appraiser)} every {appraiser} equally often: add the "
                 "missing runs, or leave that sensor out",
             )

@@ -1,4 +1,4 @@
-"""References of control charts: added one after the other; the latest of each chart holds."""
+"""References of control charts: added one after the other; the latest of each chart holds, unless it retires it."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -32,7 +32,7 @@ def save_references(engine: Engine, references: Sequence[ChartReference]) -> Non
 
 
 def current_references(engine: Engine, station: str, until: str = "") -> tuple[ChartReference, ...]:
-    """Return the references that hold of a station's charts, in the order they were stored.
+    """Return the references that hold of a station's charts, in the order they were stored; none of retired charts.
 
     Parameters
     ----------
@@ -44,7 +44,8 @@ def current_references(engine: Engine, station: str, until: str = "") -> tuple[C
     with reading(engine) as connection:
         rows = connection.execute(query.order_by(ChartReferenceRow.reference)).all()
     latest = {(one.recipe, one.golden, one.key, one.settings.kind): one for one in map(_reference, rows)}
-    return tuple(sorted(latest.values(), key=lambda one: one.reference))
+    holding = (one for one in latest.values() if not one.retired)
+    return tuple(sorted(holding, key=lambda one: one.reference))
 
 
 def all_references(engine: Engine, station: str = "") -> tuple[ChartReference, ...]:
@@ -62,7 +63,8 @@ def _values(one: ChartReference) -> dict[str, Any]:
         **{name: getattr(one, name) for name in _PLAIN},
         **{name: getattr(one.key, name) for name in _KEY},
         "kind": str(one.settings.kind),
-        "settings": settings | {"rules": list(one.settings.rules)},
+        # Only where it is, so that rows of earlier versions of this program read alike.
+        "settings": settings | {"rules": list(one.settings.rules)} | ({"retired": True} if one.retired else {}),
     }
 
 
@@ -73,4 +75,5 @@ def _reference(row: Row[Any]) -> ChartReference:
         **{name: own[name] for name in _PLAIN},
         key=MetricKey(*(own[name] for name in _KEY)),
         settings=ChartSettings(ChartKind(own["kind"]), **settings | {"rules": tuple(settings["rules"])}),
+        retired=bool(own["settings"].get("retired", False)),
     )

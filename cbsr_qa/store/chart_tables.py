@@ -25,7 +25,9 @@ class ChartReferenceRow(Base):
     location: Mapped[str]
     unit: Mapped[str]
     kind: Mapped[str] = mapped_column(String(16))  #: a ChartKind
-    settings: Mapped[dict[str, Any]]  #: subgroup, rules, weight, width, slack, threshold
+    settings: Mapped[
+        dict[str, Any]
+    ]  #: subgroup, rules, weight, width, slack, threshold; retired of a row that ends a chart
     mean: Mapped[float]
     deviation: Mapped[float]
     runs: Mapped[int]

@@ -29,7 +29,7 @@ def test_a_stated_uncertainty_never_narrows(count, confidence):
     ("count", "deviation", "known"), [(3, 0.07, 0.02), (2, 1.0, 0.5), (3, 1.0, 1.0), (10, 1.0, 0.3)]
 )
 def test_intervals_hold_the_truth_as_often_as_they_say(count, deviation, known):
-    """Drawn 100 000 times each: a standard error of 0.07 % at 95 %. Never less than said, of two readings up to 7 % more."""
+    """Drawn 100 000 times each: a standard error of 0.07 % at 95 %. Never less than said; of two up to 7 % more."""
     random = np.random.default_rng(7)
     readings = deviation * random.normal(size=(100_000, count))
     away = np.abs(readings.mean(axis=1) + known * random.normal(size=len(readings)))

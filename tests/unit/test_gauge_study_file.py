@@ -111,7 +111,8 @@ def test_page_and_terminal_say_what_was_studied(studied, tmp_path):
         for wanted in ("gain, autumn", "gain.toml", digest, "from 2026-11-01 to 2026-11-30 (UTC)"):
             assert wanted in words
         assert "of the study's tolerance of 2.00 N/V" in words
-        assert "against 10.0 N/V" in words
+        assert "10.000 ± 0.020" in words
+    assert "against 10.000 ± 0.020 N/V in 2 runs" in words
 
 
 def test_the_recipes_limits_are_the_tolerance_where_the_study_states_none(studied):

@@ -31,7 +31,7 @@ def test_the_page_on_watching_a_station_runs_as_printed(database, tmp_path, monk
     for name, text in files:
         Path(name).write_text(text)
     commands = re.findall(r"^\$ cbsr-qa (.*)$", page, re.M)
-    assert len(commands) == 5
+    assert len(commands) == 7
     for command in commands:
         assert guarded(shlex.split(command)) == 0, command
         assert capsys.readouterr().out.strip()
