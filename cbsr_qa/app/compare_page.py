@@ -9,7 +9,7 @@ from cbsr_qa.fleet.comparison import Comparison
 from cbsr_qa.fleet.describe import Described
 from cbsr_qa.fleet.differences import Difference
 from cbsr_qa.fleet.metric import MetricComparison
-from cbsr_qa.fleet.sentences import alike, headline, others, p_words, rules, sentences, significant
+from cbsr_qa.fleet.sentences import alike, besides, headline, p_words, rules, sentences, significant
 from cbsr_qa.report.figures_groups import map_figure, strip_figure
 from cbsr_qa.report.numbers import number, plural, unit_shown
 from cbsr_qa.report.page import Banner, Page
@@ -54,7 +54,7 @@ def _sections(found: Comparison) -> Iterator[Section]:
     said = [words for words in sentences(found) if words not in found.warnings]
     yield Section("In plain words", tuple(Paragraph(words) for words in said))
     yield Section("Groups", (_groups_table(found), *_failure_tables(found)))
-    if len(found.groups) > 1:
+    if len(found.groups) > 1 and found.metrics:
         yield Section("Differences", tuple(_difference_blocks(found)))
     drawn = _drawn(found)
     names = [group.name for group in found.groups]
@@ -68,7 +68,8 @@ def _sections(found: Comparison) -> Iterator[Section]:
         yield Section("Where on the sheet", maps)
     if any(metric.stations for metric in found.metrics):
         yield Section("Stations", (_stations_table(found),))
-    yield Section("Figures of each group", (_described_table(found), _capability_table(found)))
+    if found.metrics:
+        yield Section("Figures of each group", (_described_table(found), _capability_table(found)))
     yield Section("Rules", tuple(Paragraph(words) for words in rules(found)))
 
 
@@ -122,7 +123,8 @@ def _difference_blocks(found: Comparison) -> Iterator[Block]:
         if rows:
             yield text_table(f"{who}: alike within a margin?", _likeness_columns(found), rows, (1, 2, 3, 4, 6))
         rows = [row for pair in pairs for row in _other_rows(*pair)]
-        yield text_table(f"{who} by other methods; p not adjusted", _OTHER_COLUMNS, rows, (2, 3, 4))
+        if rows:
+            yield text_table(f"{who} by other methods; p not adjusted", _OTHER_COLUMNS, rows, (2, 3, 4))
     yield Paragraph(_OTHERS, "note")
     rows = list(_needed_rows(found))
     if rows:
@@ -204,7 +206,7 @@ def _maps(drawn: Sequence[MetricComparison], found: Comparison) -> Iterator[Bloc
             if known:
                 yield map_figure(metric.figures.key.label, metric.figures.unit, who, known)
             rows = [
-                (p.location, number(p.value), f"{number(p.low)} to {number(p.high)}", p_words(p.p_adjusted))
+                (p.location, number(p.value), f"{number(p.low)} to {number(p.high)}", _p(p.p_adjusted))
                 for p in places
             ]
             columns = ("place", "difference", "interval", "p, adjusted for the places")
@@ -218,13 +220,15 @@ def _stations_table(found: Comparison) -> Table:
             f"{one.group} − {one.reference}",
             "–" if one.value is None else number(one.value),
             _ends(one.interval),
-            p_words(one.p_adjusted),
+            _p(one.p_adjusted),
         )
         for metric in found.metrics
         for one in metric.stations
     ]
-    besides = "batches'" if "batches" in others(found) else "groups'"
-    caption = f"What stations read above the one with most runs, the {besides} differences taken out"
+    caption = (
+        f"What stations read above the one with most runs, the {besides(found)} differences taken out; "
+        "only stations that runs connect can be compared"
+    )
     return text_table(caption, ("metric", "stations", "difference", "interval", "p"), rows, (2, 3, 4))
 
 
@@ -257,7 +261,9 @@ def _capability_table(found: Comparison) -> Table:
             else:
                 made = one.capability
                 rows.append((_label(metric), one.group, *map(_index, (made.cp, made.cpk, made.pp, made.ppk)), ""))
-    columns = ("metric", "group", "Cp", "Cpk", "Pp", "Ppk", "why not")
+    columns: tuple[str, ...] = ("metric", "group", "Cp", "Cpk", "Pp", "Ppk", "why not")
+    if not any(row[-1] for row in rows):  # an empty column takes the room of the names
+        columns, rows = columns[:-1], [row[:-1] for row in rows]
     return text_table(
         "Capability against the recipe's limits, stations' differences included, with intervals",
         columns,

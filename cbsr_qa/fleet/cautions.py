@@ -44,7 +44,12 @@ def cautions(
         said.append(
             "periods are taken from those clocks: compare by batch, or leave those days out by --since, --until"
         )
-    return said
+    return [_begun(words, grouping.names) for words in said]
+
+
+def _begun(words: str, names: Sequence[str]) -> str:
+    """Begin with a capital what stands alone, unless it begins with a group's name, which is as it is."""
+    return words if words.startswith(tuple(names)) else words[:1].upper() + words[1:]
 
 
 def _groups_warnings(members: Sequence[FleetRun], grouping: Grouping, terms: Terms) -> Sequence[str]:

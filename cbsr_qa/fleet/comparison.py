@@ -5,14 +5,17 @@ from dataclasses import dataclass, replace
 from datetime import datetime
 from difflib import get_close_matches
 
+import numpy as np
+
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.fleet import FleetTable
 from cbsr_qa.fleet.cautions import cautions
 from cbsr_qa.fleet.describe import Group, groups_of
 from cbsr_qa.fleet.design import design_of
-from cbsr_qa.fleet.figures import MetricFigures, figures_of
+from cbsr_qa.fleet.figures import BoolArray, MetricFigures, figures_of
 from cbsr_qa.fleet.groups import grouped
 from cbsr_qa.fleet.metric import MetricComparison, metric_comparison
+from cbsr_qa.fleet.reference import referred_to
 from cbsr_qa.fleet.terms import Adjustment, Terms
 from cbsr_qa.stats.multiplicity import benjamini_hochberg, holm
 
@@ -56,6 +59,7 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
     every = list(figures_of(table, grouping.used))
     chosen = _wanted(every, terms)
     design = design_of(table.runs, grouping, terms.by)
+    grouping, referred = referred_to(grouping, design, _measured(every, len(table.runs)), terms)
     deciding = grouping.deciding(table.runs, terms.policy)
     metrics = [metric_comparison(figures, table, grouping, deciding, design, terms) for figures in chosen]
     members = [run for run, used in zip(table.runs, grouping.used, strict=True) if used]
@@ -63,10 +67,18 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
         terms=terms,
         groups=tuple(groups_of(table.runs, grouping, every, terms)),
         metrics=tuple(_adjusted(metrics, terms.adjustment)),
-        warnings=tuple(cautions(members, grouping, design, terms, now)),
+        warnings=(*referred, *cautions(members, grouping, design, terms, now)),
         simulated=tuple(sorted({said for simulated in {run.simulated for run in members} for said in simulated})),
         recipes=tuple(sorted({run.recipe for run in members})),
     )
+
+
+def _measured(every: Sequence[MetricFigures], runs: int) -> BoolArray:
+    """(R,) whether a run has a value of anything."""
+    measured: BoolArray = np.zeros(runs, dtype=np.bool_)
+    for figures in every:
+        measured |= ~np.isnan(figures.mean)
+    return measured
 
 
 def _wanted(every: Sequence[MetricFigures], terms: Terms) -> list[MetricFigures]:
@@ -74,6 +86,13 @@ def _wanted(every: Sequence[MetricFigures], terms: Terms) -> list[MetricFigures]
     for name in (*terms.names, *terms.margins, *terms.detect):
         if name not in known:
             raise unknown_metric(name, known)
+    for option, asked in (("--margin", terms.margins), ("--detect", terms.detect)):
+        for name in asked if terms.names else ():
+            if name not in terms.names:
+                raise RefusedError(
+                    f"{option} states {name!r}, which is not among the metrics to compare: {', '.join(terms.names)}",
+                    remedy=f"name it too (--metric {name}), or leave its {option} out",
+                )
     return [figures for figures in every if not terms.names or figures.key.name in terms.names]
 
 

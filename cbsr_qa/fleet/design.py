@@ -29,10 +29,11 @@ class Design:
         where periods or software versions are: every batch at every station is a level, so that no batch is taken
         for a period.
     rows : (N,) indices of the runs.
-    stations : to compare beside the groups, that with most runs first; none where there is one, or they are groups.
+    stations : to compare beside the groups, that with most runs (of the part with most stations) first; none where
+        there is one, or they are groups.
     levels : level → its station and batch; empty where the crossing's levels are stations.
     of_the_stations : crossing by which the stations are compared: of batches and stations where there are levels,
-        else the crossing itself.
+        or materials of several batches are compared; else the crossing itself.
     sides : (R,) what the crossing has on its other side, of every run: a level, or a station.
     """
 
@@ -109,14 +110,21 @@ def design_of(runs: Sequence[FleetRun], grouping: Grouping, by: By) -> Design:
         beside = crossing(batches, stations, serials)  # as where stations are the groups, so that both say one thing
         return Design(by, made, rows, _by_runs(beside), levels, beside, tuple(_level(run) for run in runs))
     made = crossing(labels, stations, serials)
-    return Design(by, made, rows, _by_runs(made), {}, made, at)
+    # Batches of a material differ, and not every station has the same ones.
+    beside = crossing(batches, stations, serials) if by is By.MATERIAL and len(set(batches)) > 1 else made
+    return Design(by, made, rows, _by_runs(beside), {}, beside, at)
 
 
 def _by_runs(made: Crossing) -> tuple[str, ...]:
-    """Stations, that with most runs first; none where there is nothing to compare."""
+    """Stations; none where there is nothing to compare.
+
+    First comes that with most runs in the part with most stations, so that something can be compared with it.
+    """
     if len(made.stations) < 2:
         return ()
-    return tuple(made.stations[index] for index in np.argsort(-np.bincount(made.station), kind="stable"))
+    size, runs = np.bincount(made.station_parts), np.bincount(made.station)
+    order = np.lexsort((-runs, -size[made.station_parts]))
+    return tuple(made.stations[index] for index in order)
 
 
 def _level(run: FleetRun) -> str:

@@ -61,6 +61,8 @@ def figures_of(table: FleetTable, used: BoolArray) -> Iterator[MetricFigures]:
     used : (R,) runs that count; values of the others are left out.
     """
     keys = list(dict.fromkeys(kind.key for kind in table.kinds))
+    if not keys:  # no run holds a measurement
+        return
     places = {key: place for place, key in enumerate(keys)}
     of_kind = np.array([places[kind.key] for kind in table.kinds], dtype=np.intp)
     rows = np.flatnonzero(used[table.run]) if len(table.run) else np.zeros(0, dtype=np.intp)

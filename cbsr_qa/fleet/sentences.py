@@ -1,13 +1,14 @@
 """What a comparison says in plain sentences: first what differs, then what was not shown, then what stays open."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from cbsr_qa.fleet.comparison import Comparison
 from cbsr_qa.fleet.differences import Difference
 from cbsr_qa.fleet.figures import named
 from cbsr_qa.fleet.metric import MetricComparison
 from cbsr_qa.fleet.terms import POLICY_WORDS, QUARANTINE_WORDS, Adjustment, By
-from cbsr_qa.report.numbers import number, plural, unit_shown
+from cbsr_qa.fleet.uncompared import amount, compared_groups, constants, each, listed, refusals, uncompared, untested
+from cbsr_qa.report.numbers import number
 
 _ADJUSTED = {
     Adjustment.HOLM: "adjusted by Holm's method for all metrics and groups",
@@ -17,18 +18,26 @@ _ADJUSTED = {
 
 
 def headline(found: Comparison) -> str:
-    """Return the comparison in one line."""
-    every = [group.name for group in found.groups]
-    names = " and ".join(", ".join(part) for part in (every[:-1], every[-1:]) if part)
-    if len(every) > 3:
-        names = f"{len(every)} {_groups(found)}"
+    """Return the comparison in one line; what could not be compared is not among what is not shown to differ."""
     if not found.compared:
-        return f"{names}: nothing could be compared"
-    tested = {m.figures.key for m in found.metrics if any(d.value is not None for d in m.differences)}
+        return f"{_names([group.name for group in found.groups], found)}: nothing could be compared"
+    names = _names(compared_groups(found), found)
+    tested = {m.figures.key: m for m in found.metrics if any(d.value is not None for d in m.differences)}
     differ = {m.figures.key for m in found.metrics if any(significant(d, found) for d in m.differences)}
-    if not differ:
-        return f"{names} are not shown to differ in any of {plural(len(tested), 'metric')}"
-    return f"{names} differ in {len(differ)} of {plural(len(tested), 'metric')}"
+    only = next(iter(tested)).label if len(tested) == 1 else ""
+    if differ:
+        said = f"{names} differ in {only or f'{len(differ)} of {len(tested)} metrics'}"
+    else:
+        said = f"{names} are not shown to differ in {only or f'any of {len(tested)} metrics'}"
+    rest = uncompared(found)
+    return f"{said}; {rest}" if rest else said
+
+
+def _names(names: Sequence[str], found: Comparison) -> str:
+    if len(names) > 3:
+        every = len(found.groups)
+        return f"{len(names)} {'' if len(names) == every else f'of {every} '}{_groups(found)}"
+    return listed(names)
 
 
 def significant(difference: Difference, found: Comparison) -> bool:
@@ -45,12 +54,15 @@ def sentences(found: Comparison) -> list[str]:
     """Return what there is to say, the most important first."""
     return [
         *_differences(found),
+        *refusals(found, of_idle=False),
+        *constants(found),
         *_equivalent(found),
+        *untested(found),
         *_detectable(found),
         *_claims(found),
         *_not_shown(found),
         *_stations(found),
-        *_refused(found),
+        *refusals(found, of_idle=True),
         *_weak(found),
         *found.warnings,
     ]
@@ -96,18 +108,14 @@ def difference_words(metric: MetricComparison, one: Difference) -> str:
     assert one.interval is not None
     size = one.interval.scaled(-1) if one.value < 0 else one.interval
     unit, side = metric.figures.unit, "below" if one.value < 0 else "above"
-    return f"{_amount(abs(one.value), unit)} ({number(size.low)} to {_amount(size.high, unit)}) {side}"
+    return f"{amount(abs(one.value), unit)} ({number(size.low)} to {amount(size.high, unit)}) {side}"
 
 
 def p_words(p_value: float | None) -> str:
-    """Write a p value: ``p = 0.012``, ``p < 0.0001``."""
+    """Write a p value with two digits: ``p = 0.012``, ``p = 0.50``, ``p < 0.0001``."""
     if p_value is None:
         return "no p"
-    return "p < 0.0001" if p_value < 1e-4 else f"p = {p_value:.2g}"
-
-
-def _amount(value: float, unit: str) -> str:
-    return f"{number(value, 3)} {unit_shown(unit)}".rstrip()
+    return "p < 0.0001" if p_value < 1e-4 else f"p = {p_value:#.2g}"
 
 
 def _groups(found: Comparison) -> str:
@@ -115,14 +123,8 @@ def _groups(found: Comparison) -> str:
     return words.get(found.terms.by.value, f"{found.terms.by}s")
 
 
-def _each(found: Comparison) -> Iterator[tuple[MetricComparison, Difference]]:
-    for metric in found.metrics:
-        for one in metric.differences:
-            yield metric, one
-
-
 def _differences(found: Comparison) -> Iterator[str]:
-    told = [(metric, one) for metric, one in _each(found) if significant(one, found)]
+    told = [(metric, one) for metric, one in each(found) if significant(one, found)]
     for metric, one in sorted(told, key=lambda pair: (pair[1].p_adjusted or 0, -abs(pair[1].effect or 0))):
         size = f", {number(abs(one.effect), 2)} deviations of single sensors" if one.effect else ""
         yield (
@@ -137,6 +139,13 @@ def others(found: Comparison) -> tuple[str, ...]:
         return ("batches",)
     batches = {name for group in found.groups for name in group.batches}
     return ("stations", "batches")[: 1 + (found.terms.by in (By.PERIOD, By.SOFTWARE) and len(batches) > 1)]
+
+
+def besides(found: Comparison) -> str:
+    """Return whose differences are taken out where stations are compared beside the groups."""
+    batches = {name for group in found.groups for name in group.batches}
+    mixed = found.terms.by in (By.MATERIAL, By.PERIOD, By.SOFTWARE) and len(batches) > 1
+    return "batches'" if mixed else "groups'"
 
 
 def _taken_out(one: Difference, found: Comparison) -> str:
@@ -156,8 +165,8 @@ def _chance(found: Comparison) -> str:
 
 def _equivalent(found: Comparison) -> Iterator[str]:
     """Say of each pair with a margin whether it is shown to be alike, by which interval, or what it would take."""
-    tests = sum(one.equivalence is not None for _, one in _each(found))
-    for metric, one in _each(found):
+    tests = sum(one.equivalence is not None for _, one in each(found))
+    for metric, one in each(found):
         test, unit = one.equivalence, metric.figures.unit
         if test is None:
             continue
@@ -165,10 +174,10 @@ def _equivalent(found: Comparison) -> Iterator[str]:
         inside = "lies within" if test.equivalent else "does not lie within"
         if test.equivalent and not shown:
             inside = f"lies within, but not once {_all(tests)} such tests count"
-        ends = f"{number(test.interval.low)} to {_amount(test.interval.high, unit)}"
+        ends = f"{number(test.interval.low)} to {amount(test.interval.high, unit)}"
         yield (
             f"{metric.figures.key.label}: {one.group} and {one.reference} are {'' if shown else 'not shown to be '}"
-            f"alike within ± {_amount(test.margin, unit)}: the {_decides(found)} interval, {ends}, {inside} "
+            f"alike within ± {amount(test.margin, unit)}: the {_decides(found)} interval, {ends}, {inside} "
             f"({p_words(one.equivalence_p)}){'' if shown else f'. {_to_show(one, found)}'}."
         )
 
@@ -201,27 +210,27 @@ def _detectable(found: Comparison) -> Iterator[str]:
         size = found.terms.detect.get(metric.figures.key.name)
         if size is None:
             continue
-        amount = _amount(size, metric.figures.unit)
+        wanted = amount(size, metric.figures.unit)
         fitted = next((one for one in metric.differences if one.deviation is not None), None)
         if fitted is None:
-            yield f"{metric.figures.key.label}: not compared, so how many sensors would find {amount} is not known."
+            yield f"{metric.figures.key.label}: not compared, so how many sensors would find {wanted} is not known."
             continue
         needed = "more than 10⁹" if fitted.needed is None else f"about {fitted.needed}"
         yield (
             f"{metric.figures.key.label}: {needed} sensors of each, {_one_place(found)}, would find a difference of "
-            f"{amount} with {_chance(found)}."
+            f"{wanted} with {_chance(found)}."
         )
 
 
 def _claims(found: Comparison) -> Iterator[str]:
     """Where a test that ignores stations would have claimed what the model does not find, or cannot tell."""
     told = []
-    for metric, one in _each(found):
+    for metric, one in each(found):
         naive = one.naive
         if naive is not None and naive.p_value < found.terms.level and not significant(one, found):
             told.append(
                 f"{metric.figures.key.label} ({one.group} − {one.reference}: "
-                f"{_amount(naive.difference, metric.figures.unit)}, {p_words(naive.p_value)})"
+                f"{amount(naive.difference, metric.figures.unit)}, {p_words(naive.p_value)})"
             )
     if told:
         yield (
@@ -232,22 +241,31 @@ def _claims(found: Comparison) -> Iterator[str]:
 
 def _not_shown(found: Comparison) -> Iterator[str]:
     """Name metrics in which no pair is shown to differ, and of the others the pairs that are not."""
-    open_: list[str] = []
-    margins: list[str] = []
+    open_: list[tuple[str, str]] = []
+    margins: list[tuple[str, str]] = []
     for metric in found.metrics:
-        told = [one for one in metric.differences if one.p_adjusted is not None]
-        pairs = [f"{one.group} − {one.reference}" for one in told if not significant(one, found)]
-        if pairs:
-            some = "" if len(pairs) == len(told) else f" of {named(pairs)}"
+        told = [one for one in metric.differences if one.p_adjusted is not None and not significant(one, found)]
+        if told:
+            pairs = named([f"{one.group} − {one.reference}" for one in told])
             stated = metric.figures.key.name in found.terms.margins
-            (margins if stated else open_).append(f"{metric.figures.key.label}{some}")
+            every = len(told) == len(metric.differences)
+            (margins if stated else open_).append((metric.figures.key.label, "" if every else pairs))
     if open_:
         yield (
-            f"Not shown to differ: {named(open_, 8)}. That does not make them alike: state a margin (--margin) "
+            f"Not shown to differ: {_with_pairs(open_)}. That does not make them alike: state a margin (--margin) "
             "to test for that."
         )
     if margins:
-        yield f"Not shown to differ: {named(margins, 8)}. Whether they are alike within their margin is said above."
+        said = _with_pairs(margins)
+        yield f"Not shown to differ: {said}. Whether they are alike within their margin is said above."
+
+
+def _with_pairs(members: Sequence[tuple[str, str]]) -> str:
+    """List metrics with the pairs meant, where not all are; pairs that are the same for all only once."""
+    pairs = {said for _, said in members}
+    if len(members) > 1 and len(pairs) == 1 and "" not in pairs:
+        return f"{named([label for label, _ in members], 8)}, all of {pairs.pop()}"
+    return named([f"{label} of {said}" if said else label for label, said in members], 8)
 
 
 def _stations(found: Comparison) -> Iterator[str]:
@@ -258,17 +276,6 @@ def _stations(found: Comparison) -> Iterator[str]:
                     f"{metric.figures.key.label}: station {one.group} reads {difference_words(metric, one)} "
                     f"{one.reference} ({p_words(one.p_adjusted)})."
                 )
-
-
-def _refused(found: Comparison) -> Iterator[str]:
-    reasons: dict[str, list[str]] = {}
-    for metric, one in _each(found):
-        if one.value is None:
-            for why in one.warnings:
-                own = why.removeprefix(f"{metric.figures.key.label}: ")
-                reasons.setdefault(own, []).append(metric.figures.key.label)
-    for why, names in reasons.items():
-        yield f"Not compared ({named(list(dict.fromkeys(names)))}): {why}."
 
 
 def _weak(found: Comparison) -> Iterator[str]:

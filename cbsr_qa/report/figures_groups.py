@@ -35,6 +35,10 @@ _MOST_POINTS = 150
 _BINS = 40
 _OUTLINES = "points and outlines show one figure a sensor"
 _MARK_IN = 0.34
+#: Of a group's or a station's name beside a row.
+_MOST_LETTERS = 18
+#: Left of the longest name.
+_LEAST_LEFT_IN = 0.05
 
 
 def strip_figure(label: str, unit: str, samples: Samples, groups: Sequence[str]) -> Figure:
@@ -81,9 +85,22 @@ def _strips(label: str, samples: Samples, groups: Sequence[str]) -> Canvas:
     for row, (group, _, values) in enumerate(samples):
         colour = CYCLE[list(groups).index(group) % len(CYCLE)]
         _row(axes, row, values, colour)
-    name_rows(axes, [f"{group}, {station}  ({len(values)})" for group, station, values in samples])
+    names = [f"{_short(group)}, {_short(station)}  ({len(values)})" for group, station, values in samples]
+    name_rows(axes, names, most=len(names))  # the figure is as high as they need
     axes.set_xlabel(label)
+    box = axes.yaxis.get_tightbbox(None)
+    lacking = 0.0 if box is None else (_LEAST_LEFT_IN * figure.dpi - box.x0) / figure.bbox.width
+    if lacking > 0:
+        axes.set_position((0.22 + lacking, 0.42 / height, 0.75 - lacking, 1 - 0.5 / height))
     return figure
+
+
+def _short(name: str) -> str:
+    """Leave out the middle of a name that is too long to stand beside a row."""
+    if len(name) <= _MOST_LETTERS:
+        return name
+    kept = _MOST_LETTERS - 1
+    return f"{name[: kept - kept // 3].rstrip()}…{name[len(name) - kept // 3 :].lstrip()}"
 
 
 def _row(axes: Axes, row: int, values: FloatArray, colour: str) -> None:
@@ -97,6 +114,8 @@ def _row(axes: Axes, row: int, values: FloatArray, colour: str) -> None:
         # Spread evenly over the row in the order of the values: the same numbers give the same picture.
         offsets = 0.22 * np.sin(2.4 * np.arange(len(values)))
         axes.plot(np.sort(values), row + offsets, "o", color=colour, markersize=2.6, alpha=0.6, markeredgewidth=0)
+    if len(values) == 1:  # the bar of one sensor would hide it
+        return
     low, high = np.quantile(values, (0.25, 0.75))
     axes.plot((low, high), (row, row), color=INK, linewidth=2.2)
     axes.plot((values.mean(), values.mean()), (row - 0.3, row + 0.3), color=INK, linewidth=1.2)

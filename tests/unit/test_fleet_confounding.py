@@ -152,10 +152,10 @@ def test_a_clock_wrong_by_a_year_is_told_by_the_identifiers_where_stations_test_
     year = timedelta(days=365)
     wrong = [replace(run, started_at=run.started_at - year) if run.station == "B" else run for run in runs]
     (said,) = (one for one in compare(table_of(wrong, values), Terms(By.BATCH), NOW).warnings if "clock" in one)
-    assert said.startswith("station B states for 5 runs (S-001, ")
+    assert said.startswith("Station B states for 5 runs (S-001, ")
     assert "began on 2025-01-05 to 2025-01-05, and their identifiers were made 365 days later" in said
     months = compare(table_of(wrong, values), Terms(By.PERIOD), NOW).warnings
-    assert any("periods are taken from those clocks" in one for one in months)
+    assert any("Periods are taken from those clocks" in one for one in months)
     assert not any("clock" in one for one in compare(table_of(runs, values), Terms(By.BATCH), NOW).warnings)
 
 

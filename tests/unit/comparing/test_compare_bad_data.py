@@ -18,7 +18,7 @@ from cbsr_qa.store.repository import open_store
 def test_one_batch_is_described_and_compared_with_nothing(two):
     made = compared(two, groups=("41",))
     assert made.exit_code == 3
-    assert "there is one batch only, 41" in made.document()["warnings"][0]
+    assert "There is one batch only, 41" in made.document()["warnings"][0]
     assert made.document()["distributions"][0]["n"] == 12
 
 
@@ -73,10 +73,10 @@ def test_a_clock_that_is_wrong_by_a_year_is_named(two):
         store_run(store, "Z-1", values, batch="41", station="B", day=365)
         store_run(store, "C-1", values, batch="41", station="C", day=-300)
     warnings = compared(two).document()["warnings"]
-    assert any("the clock of station A was set back: 3 runs (Y-0, Y-1, Y-2)" in words for words in warnings)
-    assert any("the clock of station B was wrong: 1 run (Z-1) began on 2027-11-21" in words for words in warnings)
-    assert any("station C states that it tested 41 300 days away" in words for words in warnings)
-    assert any("periods are taken from those clocks" in w for w in compared(two, By.PERIOD).document()["warnings"])
+    assert any("The clock of station A was set back: 3 runs (Y-0, Y-1, Y-2)" in words for words in warnings)
+    assert any("The clock of station B was wrong: 1 run (Z-1) began on 2027-11-21" in words for words in warnings)
+    assert any("Station C states that it tested 41 300 days away" in words for words in warnings)
+    assert any("Periods are taken from those clocks" in w for w in compared(two, By.PERIOD).document()["warnings"])
 
 
 @pytest.mark.parametrize(
