@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 
+from cbsr_qa.domain.naming import of_kind
 from cbsr_qa.fleet.comparison import Comparison
 from cbsr_qa.fleet.differences import Difference
 from cbsr_qa.fleet.figures import named
@@ -272,10 +273,8 @@ def _stations(found: Comparison) -> Iterator[str]:
     for metric in found.metrics:
         for one in metric.stations:
             if significant(one, found):
-                yield (
-                    f"{metric.figures.key.label}: station {one.group} reads {difference_words(metric, one)} "
-                    f"{one.reference} ({p_words(one.p_adjusted)})."
-                )
+                read = f"{of_kind('station', one.group)} reads {difference_words(metric, one)} {one.reference}"
+                yield f"{metric.figures.key.label}: {read} ({p_words(one.p_adjusted)})."
 
 
 def _weak(found: Comparison) -> Iterator[str]:
