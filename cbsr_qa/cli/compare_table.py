@@ -27,8 +27,9 @@ def lines(found: "Comparison") -> Iterator[str]:
     yield ""
     yield from _groups(found)
     yield ""
-    yield from _differences(found)
-    yield ""
+    if any(metric.differences for metric in found.metrics):
+        yield from _differences(found)
+        yield ""
     for words in rules(found):
         yield from _wrapped("", words)
 
