@@ -73,6 +73,10 @@ def charts(
         period=period,
         retirement=None if retire is None else Retirement(_kind("--retire", retire), operator, why),
     )
+    if output is not None:
+        from cbsr_qa.report.render import check_replaceable
+
+        check_replaceable(output)  # before anything is worked out or stored
     found = control_charts(request, database=database)
     if output is not None:
         from cbsr_qa.app.charts_page import charts_html

@@ -73,6 +73,10 @@ def compare(
         detect=read_amounts(detect or (), "--detect"),
     )
     choice = RunChoice(recipe, _day(since), _day(until))
+    if output is not None:
+        from cbsr_qa.report.render import check_replaceable
+
+        check_replaceable(output)  # before anything is worked out or stored
     made = compare_groups(choice, terms, database=database, now=RealClock().wall())
     if output is not None:
         from cbsr_qa.app.compare_page import write_page

@@ -57,6 +57,10 @@ def gauge(
     from cbsr_qa.app.gauge_study_file import read_study
     from cbsr_qa.cli.gauge_table import lines
 
+    if output is not None:
+        from cbsr_qa.report.render import check_replaceable
+
+        check_replaceable(output)  # before anything is worked out
     if study is not None:
         _check_alone(context, study)
         request = read_study(study)

@@ -146,9 +146,14 @@ def _names(runs: Sequence[FleetRun], labels: Sequence[str], terms: Terms) -> tup
     if terms.groups:
         _check_known(terms.groups, sorted(sensors), terms.by)
         return tuple(dict.fromkeys(terms.groups))
-    # Names of periods of one length sort as their time does.
-    reference = min(sensors, key=lambda name: (0 if terms.by is By.PERIOD else -len(sensors[name]), name))
+    reference = min(sensors, key=lambda name: reference_rank(name, len(sensors[name]), terms.by))
     return (reference, *(name for name in sorted(sensors) if name != reference))
+
+
+def reference_rank(name: str, sensors: int, by: By) -> tuple[int, str]:
+    """Sort groups as references are chosen: the earliest period, or most sensors."""
+    # Names of periods of one length sort as their time does.
+    return (0 if by is By.PERIOD else -sensors, name)
 
 
 def _check_known(wanted: Iterable[str], known: Sequence[str], by: By) -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from cbsr_qa.fleet.design import Design
 from cbsr_qa.fleet.figures import BoolArray, named
-from cbsr_qa.fleet.groups import Grouping
+from cbsr_qa.fleet.groups import Grouping, reference_rank
 from cbsr_qa.fleet.terms import By, Terms
 
 
@@ -23,7 +23,10 @@ def referred_to(grouping: Grouping, design: Design, measured: BoolArray, terms: 
     part_of = _parts(grouping, design, measured)
     sizes = Counter(part_of.values())
     first = grouping.reference
-    best = min(grouping.names, key=lambda name: (-sizes[part_of[name]], *_rank(name, grouping, terms)))
+    best = min(
+        grouping.names,
+        key=lambda name: (-sizes[part_of[name]], *reference_rank(name, len(grouping.tests[name]), terms.by)),
+    )
     if sizes[part_of[best]] < 2 or sizes[part_of[best]] <= sizes[part_of[first]]:
         return grouping, []
     members = [name for name in grouping.names if part_of[name] == part_of[best]]
@@ -35,11 +38,6 @@ def referred_to(grouping: Grouping, design: Design, measured: BoolArray, terms: 
     usual = "is the earliest" if terms.by is By.PERIOD else "has most sensors"
     said = f"The reference is {best}: {first} {usual}, and cannot be compared with {named(members)}"
     return replace(grouping, names=(best, *(name for name in sorted(grouping.names) if name != best))), [said]
-
-
-def _rank(name: str, grouping: Grouping, terms: Terms) -> tuple[int, str]:
-    """Sort as references are chosen: the earliest period, or most sensors."""
-    return (0 if terms.by is By.PERIOD else -len(grouping.tests[name]), name)
 
 
 def _parts(grouping: Grouping, design: Design, measured: BoolArray) -> dict[str, int]:

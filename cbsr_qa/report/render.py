@@ -80,7 +80,7 @@ def write_report(path: Path, html: str) -> None:
     if path.is_dir():
         raise RefusedError(f"the report cannot be written to {path}: that is a folder", remedy="name a file in it")
     if html.startswith(_PAGE):
-        _check_replaceable(path)
+        check_replaceable(path)
     temporary = ""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -100,8 +100,14 @@ def write_report(path: Path, html: str) -> None:
         ) from error
 
 
-def _check_replaceable(path: Path) -> None:
-    """Refuse to put a page in the place of a database, a study or a device: whoever meant that lost it for good."""
+def check_replaceable(path: Path) -> None:
+    """Refuse to put a page in the place of a database, a study or a device: whoever meant that lost it for good.
+
+    Raises
+    ------
+    RefusedError
+        If something is there that is no page, or cannot be read.
+    """
     if not path.exists():
         return
     try:

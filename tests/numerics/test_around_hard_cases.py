@@ -59,7 +59,7 @@ def test_sensitivities_are_right_at_any_contrast_and_good_contact(contrast, rati
 @_FEW
 def test_any_scatter_of_conductances_is_right(seed, decades):
     answer = against_fifty_digits(small_model().changed(conductance=scattered(decades, seed)))
-    check(replace(answer, bound=max(answer.bound, SCATTERED_ERROR)))
+    check(answer if decades <= 5 else replace(answer, bound=max(answer.bound, SCATTERED_ERROR)))
 
 
 @given(base=st.floats(-4, 4), log_factor=st.floats(-4, 4))

@@ -159,3 +159,16 @@ def test_what_was_left_out_of_a_reference_that_is_too_short_is_said(tmp_path, co
     )
     assert code == 2
     assert "20 runs in the reference period instead of 21; left out: in kN/V instead of N/V: S-600" in err
+
+
+def test_a_file_that_is_no_page_is_refused_before_a_reference_is_stored(tmp_path, command):
+    database = tmp_path / "runs.db"
+    fill(database, values(count=40))
+    code, _, said = command(database, *NEW, "--output", database)
+    assert code == 2
+    assert "runs.db is there and is no page: it is not written over" in said
+    with open_store(f"sqlite:///{database}") as store:
+        assert store.chart_references(STATION) == ()
+    command(database, *NEW)
+    with open_store(f"sqlite:///{database}") as store:
+        assert len(store.chart_references(STATION)) == 1
