@@ -6,13 +6,11 @@ execute; datasets are plain numbers and UTF-8 text, readable from MATLAB, LabVIE
 
 import hashlib
 import json
-import os
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, BinaryIO, Final
 
 import h5py
 import numpy as np
@@ -23,6 +21,7 @@ from cbsr_qa.domain.errors import CbsrError, RecordingError, RefusedError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.loads import Load, LoadRecord
 from cbsr_qa.domain.recording import Recording, ScanKind
+from cbsr_qa.files import written_whole
 
 FORMAT: Final = "cbsr-recording"
 SCHEMA_VERSION: Final = 1
@@ -44,7 +43,7 @@ _LOAD_COLUMNS: Final = (
 
 
 def write_recording(path: Path, recording: Recording) -> None:
-    """Write a recording whole or not at all: to a temporary file beside it, then renamed over it.
+    """Write a recording whole or not at all.
 
     Parameters
     ----------
@@ -56,35 +55,27 @@ def write_recording(path: Path, recording: Recording) -> None:
     RecordingError
         If the folder cannot be written to.
     """
-    with written_whole(path) as temporary:
-        temporary.write_bytes(_image(recording))
+    with recording_file(path) as file:
+        file.write(_image(recording))
 
 
 @contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """Give a temporary file beside a recording's, which takes its place when all of it is written.
+def recording_file(path: Path) -> Iterator[BinaryIO]:
+    """Write a recording's file, whatever its format, whole or not at all.
 
     Raises
     ------
     RecordingError
         If the folder cannot be written to.
     """
-    temporary = ""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=".recording-", suffix=path.suffix, dir=path.parent)
-        os.close(handle)
-        yield Path(temporary)
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
+        with written_whole(path) as file:
+            yield file
     except OSError as error:
         raise RecordingError(
             f"the recording cannot be written to {path}: {error.strerror or error}",
             remedy="choose a folder that can be written to",
         ) from error
-    finally:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
 
 
 def _image(recording: Recording) -> bytes:

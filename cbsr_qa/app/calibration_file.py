@@ -16,6 +16,7 @@ from cbsr_qa.domain.calibration import BaselineConductance, Calibration, Settlin
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.force_model import ForceModel
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
+from cbsr_qa.files import written_whole
 
 _JSON: Final = ".json"
 _HDF5: Final = (".h5", ".hdf5")
@@ -135,9 +136,8 @@ def _check_free(output: Path) -> None:
 def _write_json(path: Path, document: dict[str, Any]) -> None:
     text = json.dumps(document, ensure_ascii=False, allow_nan=False, separators=(",", ":")) + "\n"
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with path.open("x", encoding="utf-8") as file:
-            file.write(text)
+        with written_whole(path) as file:
+            file.write(text.encode())
     except FileExistsError as error:
         raise RefusedError(f"{path} cannot be written: {error.filename} is a file, not a folder") from error
     except OSError as error:

@@ -13,6 +13,7 @@ from cbsr_qa.app.frontier_runs import station_seconds, the_bench
 from cbsr_qa.config.paths import var_folder, writable_folder
 from cbsr_qa.config.toml_text import toml_document
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.files import written_whole
 from cbsr_qa.frontier.computer import computer_tasks, worth_their_time
 from cbsr_qa.frontier.point import Clock, Point, Task
 from cbsr_qa.frontier.recommend import Recommended, Wish, recommend
@@ -103,8 +104,8 @@ class Frontier:
         )
         text = toml_document(self.recommended.setting.recipe(the_bench().base, name), comments)
         try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(text, encoding="utf-8")
+            with written_whole(path) as file:
+                file.write(text.encode())
         except OSError as error:
             raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
 

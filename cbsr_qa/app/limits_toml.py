@@ -1,7 +1,5 @@
 """Proposed limits as a file that a recipe takes in by ``limits_from``, or that is pasted into one."""
 
-import os
-import tempfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -10,6 +8,7 @@ from cbsr_qa.config.limit_tables import limits_digest
 from cbsr_qa.config.toml_text import one_line, toml_value
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.measurement import Limit
+from cbsr_qa.files import written_whole
 
 
 def limit_table(limit: Limit) -> dict[str, Any]:
@@ -53,16 +52,10 @@ def write_new(path: Path, text: str) -> None:
         If it exists, or its folder cannot be written to.
     """
     refuse_existing(path)
-    temporary = ""
     try:
-        handle, temporary = tempfile.mkstemp(prefix=".limits-", dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8", newline="\n") as file:
-            file.write(text)
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
+        with written_whole(path) as file:
+            file.write(text.encode())
     except OSError as error:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
         raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error
 
 

@@ -11,11 +11,9 @@ The Jacobian is kept beside the matrix: it is the physical prior for places and 
 and without it a file could not be prepared for a sensor that lost a channel.
 """
 
-import os
 import re
-import uuid
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
@@ -30,6 +28,7 @@ from cbsr_qa.calibrate._encode import encode
 from cbsr_qa.calibrate.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest, schema_version
 from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.files import written_whole
 
 #: More than any calibration holds, all in all; a file that claims more is refused before memory is taken for it.
 _LARGEST_BYTES: Final = 2**30
@@ -68,16 +67,11 @@ def write_calibration(path: Path, calibration: Calibration) -> str:
         ``record_digest`` that its content does not have.
     """
     entries = _as_issued(calibration)
-    partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}.partial")
     try:
         digest = content_digest(entries)
         content = _in_memory(entries, digest)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with partial.open("xb") as file:
+        with written_whole(path) as file:
             file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        partial.replace(path)
     except OSError as error:
         raise CalibrationError(
             f"the calibration file {path} cannot be written: {error.strerror or error}",
@@ -85,9 +79,6 @@ def write_calibration(path: Path, calibration: Calibration) -> str:
         ) from error
     except ValueError as error:
         raise CalibrationError(f"the calibration holds a text that cannot be written: {error}") from error
-    finally:
-        with suppress(OSError):
-            partial.unlink()
     return digest
 
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import CbsrError, NumericsError
 from cbsr_qa.domain.mesh import Mesh
 from cbsr_qa.domain.mesh_arrays import edge_lists, mesh_arrays, mesh_of_arrays
+from cbsr_qa.files import written_whole
 from cbsr_qa.forward.imported import ElectrodeGiven, imported_mesh
 
 #: More than any mesh of a sheet holds; a file that claims more is refused before memory is taken for it.
@@ -32,7 +33,7 @@ def write_mesh(path: Path, mesh: Mesh) -> None:
         If the file cannot be written.
     """
     try:
-        with path.open("wb") as file:
+        with written_whole(path) as file:
             arrays: dict[str, Any] = mesh_arrays(mesh)
             np.savez_compressed(file, **arrays)
     except OSError as error:

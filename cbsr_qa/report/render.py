@@ -1,8 +1,6 @@
 """From a result and its sections to one self-contained HTML file."""
 
-import os
 import re
-import tempfile
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,6 +12,7 @@ from markupsafe import Markup
 from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
+from cbsr_qa.files import written_whole
 from cbsr_qa.interfaces import ReportSection
 from cbsr_qa.report.page import Page, recording_page, run_page
 from cbsr_qa.report.svg import checked_svg
@@ -69,7 +68,7 @@ def render_sections(page: Page, sections: Sequence[Section], *, warnings: Sequen
 
 
 def write_report(path: Path, html: str) -> None:
-    """Write a report whole or not at all: to a temporary file beside it, then renamed over it.
+    """Write a report whole or not at all.
 
     Raises
     ------
@@ -81,19 +80,10 @@ def write_report(path: Path, html: str) -> None:
         raise RefusedError(f"the report cannot be written to {path}: that is a folder", remedy="name a file in it")
     if html.startswith(_PAGE):
         check_replaceable(path)
-    temporary = ""
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        handle, temporary = tempfile.mkstemp(prefix=".report-", suffix=".html", dir=path.parent)
-        with os.fdopen(handle, "w", encoding="utf-8", errors="xmlcharrefreplace", newline="\n") as file:
-            file.write(html)
-            file.flush()
-            os.fsync(file.fileno())
-        Path(temporary).chmod(0o644)
-        Path(temporary).replace(path)
+        with written_whole(path) as file:
+            file.write(html.encode("utf-8", errors="xmlcharrefreplace"))
     except OSError as error:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
         raise RefusedError(
             f"the report cannot be written to {path.parent}: {error.strerror or error}",
             remedy="make the folder writable, name another, or set CBSR_QA_VAR where no file was named",

@@ -3,35 +3,19 @@
 import hashlib
 import os
 import platform
-import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Final
+from typing import Final
 
 from sqlalchemy import Connection, Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.file_lock import FileLock, HeldError, holder
 from cbsr_qa.store.engine import sqlite_file
 from cbsr_qa.store.failures import shown, translated
 
-if sys.platform == "win32":
-    import msvcrt
-
-    def _lock(file: IO[str]) -> None:
-        file.seek(_FAR)  # beyond what is written in it, which others may read
-        msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
-        file.seek(0)
-
-else:
-    import fcntl
-
-    def _lock(file: IO[str]) -> None:
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-
-
-_FAR: Final = 1 << 20
 _NAME_LENGTH: Final = 63  # of an application's name in PostgreSQL
 
 
@@ -68,26 +52,12 @@ def writer_of(engine: Engine, run: str) -> str:
     """Return who writes a run at this moment; empty where nobody does."""
     file = sqlite_file(engine.url)
     if file is not None:
-        return _holder_of_file(_lock_file(file, run))
+        who = holder(_lock_file(file, run))
+        return "" if who is None else _named(who)
     release = _acquired(engine, run, this_process(""))
     if isinstance(release, str):
         return release
     release()
-    return ""
-
-
-def _holder_of_file(path: Path) -> str:
-    """Return who holds a lock file; nothing is written, so a full disk or somebody else's folder is no hindrance."""
-    try:
-        file = path.open(encoding="utf-8")
-    except OSError:  # there is none, or none that may be looked at
-        return ""
-    with file:
-        try:
-            _lock(file)
-        except OSError:
-            file.seek(0)
-            return file.read().strip() or "another process"
     return ""
 
 
@@ -104,45 +74,19 @@ def _lock_file(database: Path, run: str) -> Path:
 
 
 def _file_lock(engine: Engine, path: Path, who: str) -> Callable[[], None] | str:
-    while True:
-        try:
-            file = path.open("a+", encoding="utf-8")
-        except OSError as error:
-            raise StoreError(
-                f"{shown(engine.url)}: no lock can be made beside it ({error.strerror})",
-                remedy="make its folder writable, or name another database",
-            ) from error
-        try:
-            _lock(file)
-        except OSError:
-            with file:
-                file.seek(0)
-                return file.read().strip() or "another process"
-        if _is(file, path):
-            break
-        file.close()  # its holder took it away between our opening and locking it
-
-    def release() -> None:
-        with file, suppress(OSError):
-            path.unlink()
-
     try:
-        file.truncate(0)
-        os.write(file.fileno(), who.encode())
+        return FileLock(path, who.encode(errors="replace")).release
+    except HeldError as error:
+        return _named(error.who)
     except OSError as error:  # a full disk will not hold the run either
-        release()
         raise StoreError(
-            f"{shown(engine.url)}: nothing can be written beside it ({error.strerror})",
-            remedy="free space; everything committed so far is kept",
+            f"{shown(engine.url)}: no lock can be written beside it ({error.strerror})",
+            remedy="make its folder writable, free space, or name another database; everything committed is kept",
         ) from error
-    return release
 
 
-def _is(file: IO[str], path: Path) -> bool:
-    try:
-        return os.path.samestat(os.fstat(file.fileno()), path.stat())
-    except OSError:
-        return False
+def _named(who: bytes) -> str:
+    return who.decode(errors="replace") or "another process"
 
 
 def _advisory(engine: Engine, run: str, who: str) -> Callable[[], None] | str:

@@ -2,13 +2,14 @@
 
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Final, TextIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.recording_file import written_whole
+from cbsr_qa.analysis.recording_file import recording_file
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.frames import ReadingFlag, SampleBlock, VoltageUnit
 from cbsr_qa.domain.patterns import adjacent_pattern
@@ -184,12 +185,14 @@ def left_out(recording: Recording, transcript: Transcript, carried: Collection[s
 
 @contextmanager
 def new_text_file(path: Path) -> Iterator[TextIO]:
-    """Write a text file whole or not at all: to a temporary file beside it, then renamed over it.
+    """Write a text file whole or not at all.
 
     Raises
     ------
     RecordingError
         If the folder cannot be written to.
     """
-    with written_whole(path) as temporary, temporary.open("w", encoding="utf-8", newline="\n") as file:
-        yield file
+    with recording_file(path) as file:
+        text = TextIOWrapper(file, encoding="utf-8", newline="\n")
+        yield text
+        text.detach()
