@@ -13,6 +13,7 @@ from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.store.calibrations import insert_calibration
 from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.failures import stored
 from cbsr_qa.store.result_tables import AnalysisRow, CalibrationRow, MeasurementRow, WarningRow
 
 
@@ -133,7 +134,7 @@ def _analysis(connection: Connection, row: Row[Any]) -> StoredAnalysis:
             run=row.run,
             analysed_at=row.analysed_at,
             software=tuple((name, version) for name, version in row.software),
-            verdict=Verdict(Outcome(row.outcome), row.reason),
+            verdict=Verdict(analysis_outcome(row), row.reason),
             measurements=tuple(_measurement(m) for m in measurements),
             warnings=tuple(connection.scalars(warnings)),
             compute_s=tuple((stage, seconds) for stage, seconds in row.compute_s),
@@ -144,7 +145,13 @@ def _analysis(connection: Connection, row: Row[Any]) -> StoredAnalysis:
         )
 
 
+def analysis_outcome(row: Row[*tuple[Any, ...]]) -> Outcome:
+    """Return the outcome that a row of analyses states. StoreError if it is none."""
+    return stored(Outcome, row.outcome, "analyses.outcome", f"analysis {row.analysis}")
+
+
 def _measurement(row: MeasurementRow) -> Measurement:
+    key = f"analysis {row.analysis}, measurement {row.number},"
     return Measurement(
         name=row.name,
         value=row.value,
@@ -155,11 +162,11 @@ def _measurement(row: MeasurementRow) -> Measurement:
         trial=row.trial,
         qualifier=row.qualifier,
         how=row.how,
-        bound=Bound(row.bound),
+        bound=stored(Bound, row.bound, "measurements.bound", key),
         load=row.load_index,
         strain=row.strain,
         limit=_limit(row),
-        outcome=Outcome(row.outcome),
+        outcome=stored(Outcome, row.outcome, "measurements.outcome", key),
     )
 
 

@@ -15,6 +15,7 @@ from cbsr_qa.domain.calibration import (
 )
 from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, SettlingTime
 from cbsr_qa.domain.sensor import Parameter
+from cbsr_qa.store.failures import stored
 from cbsr_qa.store.result_tables import (
     BaselineRow,
     FitParameterRow,
@@ -148,7 +149,7 @@ def _relaxation_values(relaxation: LoadRelaxation) -> dict[str, Any]:
 
 def _fit(row: RelaxationRow) -> RelaxationFit:
     return RelaxationFit(
-        status=FitStatus(row.status),
+        status=stored(FitStatus, row.status, "calibration_relaxations.status", f"calibration {row.calibration}"),
         offset=row.level,
         amplitudes=_known(row.amplitude_1, row.amplitude_2),
         time_constants_s=_known(row.time_constant_1_s, row.time_constant_2_s),

@@ -24,6 +24,7 @@ from cbsr_qa.store.arrays import digest, packed, packed_flags, unpacked, unpacke
 from cbsr_qa.store.calibration_forces import PrepareForce, force_values, stored_force
 from cbsr_qa.store.codec import decoded_indenter, decoded_sensor_type, encoded
 from cbsr_qa.store.engine import reading
+from cbsr_qa.store.failures import stored
 from cbsr_qa.store.result_tables import AnalysisRow, CalibrationRow, ForceRow
 from cbsr_qa.store.run_tables import RunRow
 
@@ -245,7 +246,7 @@ def _calibration(
         current_A=row.current_a,
         scale=row.scale,
         reconstruction=reconstruction,
-        response=Response(row.response),
+        response=stored(Response, row.response, "calibrations.response", f"calibration {row.calibration}"),
         noise_floor=row.noise_floor,
         mask=row.mask,
         baseline=tuple(lists.baselines(session, row.calibration)),

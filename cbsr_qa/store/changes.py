@@ -12,6 +12,7 @@ from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.run import RunIdentity
 from cbsr_qa.store.change_tables import ConfigurationChangeRow
 from cbsr_qa.store.engine import reading
+from cbsr_qa.store.failures import stored
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_tables import RunRow
 
@@ -90,7 +91,7 @@ def _changes(connection: Connection, *wanted: ColumnElement[bool]) -> tuple[Conf
     return tuple(
         ConfigurationChange(
             run=found.run,
-            kind=FileKind(found.kind),
+            kind=stored(FileKind, found.kind, "configuration_changes.kind", f"run {found.run}"),
             name=found.name,
             earlier_run=found.earlier_run,
             old_digest=found.old_sha256,

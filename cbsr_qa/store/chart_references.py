@@ -9,6 +9,7 @@ from cbsr_qa.domain.run_figures import MetricKey
 from cbsr_qa.domain.station_charts import ChartKind, ChartReference, ChartSettings
 from cbsr_qa.store.chart_tables import ChartReferenceRow
 from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.failures import stored
 
 _PLAIN = (
     *("reference", "station", "recipe", "golden", "unit", "mean", "deviation", "runs", "first_run", "last_run"),
@@ -71,9 +72,10 @@ def _values(one: ChartReference) -> dict[str, Any]:
 def _reference(row: Row[Any]) -> ChartReference:
     own = row._mapping
     settings = {name: own["settings"][name] for name in _SETTINGS}
+    kind = stored(ChartKind, own["kind"], "chart_references.kind", f"reference {own['reference']}")
     return ChartReference(
         **{name: own[name] for name in _PLAIN},
         key=MetricKey(*(own[name] for name in _KEY)),
-        settings=ChartSettings(ChartKind(own["kind"]), **settings | {"rules": tuple(settings["rules"])}),
+        settings=ChartSettings(kind, **settings | {"rules": tuple(settings["rules"])}),
         retired=bool(own["settings"].get("retired", False)),
     )

@@ -4,6 +4,8 @@ import shlex
 import sqlite3
 from collections.abc import Iterator
 from contextlib import contextmanager
+from enum import StrEnum
+from typing import Any, TypeVar
 
 from sqlalchemy import URL
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError, StatementError
@@ -34,6 +36,32 @@ _KNOWN = (
     ("server closed the connection", "hung up", "check the server; everything committed so far is kept"),
     ("terminating connection", "hung up", "check the server; everything committed so far is kept"),
 )
+
+
+_Word = TypeVar("_Word", bound=StrEnum)
+
+
+def stored(words: type[_Word], value: Any, column: str, row: str) -> _Word:
+    """Return a stored text as one of the words that a column may hold.
+
+    Parameters
+    ----------
+    column : with its table, e.g. ``"analyses.outcome"``.
+    row : its key in words, e.g. ``"analysis 0199…"``.
+
+    Raises
+    ------
+    StoreError
+        If it is not one of them.
+    """
+    try:
+        return words(value)
+    except ValueError:
+        raise StoreError(
+            f"the database is damaged: {row} states {column} {str(value)[:64]!r}, which is none of"
+            f" {', '.join(words)}",
+            remedy="restore the database from a copy; the row is left as it is",
+        ) from None
 
 
 def shown(url: URL) -> str:

@@ -16,8 +16,10 @@ from cbsr_qa.domain.fleet import FleetRun, FleetTable, Kind, State
 from cbsr_qa.domain.measurement import Bound
 from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.domain.run_figures import MetricKey
+from cbsr_qa.store.analyses import analysis_outcome
 from cbsr_qa.store.check_tables import StationCheckRow
 from cbsr_qa.store.engine import reading
+from cbsr_qa.store.failures import stored
 from cbsr_qa.store.ids import made_at
 from cbsr_qa.store.result_tables import AnalysisRow, MeasurementRow
 from cbsr_qa.store.run_tables import LoadRow, RunRow, RunStateRow
@@ -155,6 +157,7 @@ def _run(
     of_check: bool,
 ) -> FleetRun:
     software = () if analysis is None else tuple((name, version) for name, version in analysis.software)
+    ended = None if end is None else stored(EndReason, end.end, "run_states.end", f"run {row.run}")
     simulated = tuple(row.simulated)
     return FleetRun(
         run=row.run,
@@ -165,26 +168,11 @@ def _run(
         recipe=shared.setdefault(row.recipe, row.recipe),
         started_at=row.started_at,
         made_at=made_at(row.run),
-        finished=end is not None and end.end == EndReason.FINISHED,
-        outcome=None if analysis is None else _outcome(analysis),
+        finished=ended is EndReason.FINISHED,
+        outcome=None if analysis is None else analysis_outcome(analysis),
         software=shared.setdefault(software, software),
         simulated=shared.setdefault(simulated, simulated),
         of_check=of_check,
-    )
-
-
-def _outcome(analysis: Row[*tuple[Any, ...]]) -> Outcome:
-    try:
-        return Outcome(analysis.outcome)
-    except ValueError:
-        raise _damaged(analysis.analysis, f"outcome {str(analysis.outcome)[:64]!r}", Outcome) from None
-
-
-def _damaged(analysis: str, what: str, words: type[Outcome | Bound] | None = None) -> StoreError:
-    none = "" if words is None else f", which is none of {', '.join(words)}"
-    return StoreError(
-        f"the database is damaged: analysis {analysis} states {what}{none}",
-        remedy="restore the database from a copy, or analyse that run again; the row is left as it is",
     )
 
 
@@ -239,25 +227,27 @@ def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[Kind, in
     words, lower, upper = saying
     told = words.split(_BETWEEN)
     if len(told) != len(_JOINED):
-        raise _bad_row(connection, words)
+        raise StoreError(
+            f"the database is damaged: {_first(connection, words)} states {words[:64]!r}, with the control character"
+            " U+001F in it",
+            remedy="restore the database from a copy; the row is left as it is",
+        )
     name, phase, qualifier, unit, location, outcome, bound = told
-    state = _STATES.get((outcome, bound))
-    if state is None:
-        raise _bad_row(connection, words, outcome, bound)
+    if (outcome, bound) not in _STATES:
+        row = _first(connection, words)
+        stored(Outcome, outcome, "measurements.outcome", row)
+        stored(Bound, bound, "measurements.bound", row)
+    state = _STATES[outcome, bound]
     kind = Kind(MetricKey(name, phase, qualifier), unit, location, lower, upper)
     return kinds.setdefault(kind, len(kinds)), state
 
 
-def _bad_row(connection: Connection, words: str, outcome: str | None = None, bound: str = "") -> StoreError:
-    """Name the first row of such words, and which of them is none."""
+def _first(connection: Connection, words: str) -> str:
+    """Name the first row of such words."""
     m = MeasurementRow
-    query = select(m.analysis).where(_words() == words).order_by(m.analysis, m.number).limit(1)
-    analysis = str(connection.scalar(query))
-    if outcome is None:
-        return _damaged(analysis, f"{words[:64]!r} of a measurement, with the control character U+001F in it")
-    if outcome not in list(Outcome):
-        return _damaged(analysis, f"outcome {outcome[:64]!r} of a measurement", Outcome)
-    return _damaged(analysis, f"bound {bound[:64]!r} of a measurement", Bound)
+    query = select(m.analysis, m.number).where(_words() == words).order_by(m.analysis, m.number).limit(1)
+    row = connection.execute(query).one()
+    return f"analysis {row.analysis}, measurement {row.number},"
 
 
 def _places(connection: Connection, runs: Sequence[FleetRun]) -> dict[str, tuple[float, float]]:

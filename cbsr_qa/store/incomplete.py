@@ -10,6 +10,7 @@ from cbsr_qa.store.change_tables import VerdictOverrideRow
 from cbsr_qa.store.chart_tables import ChartReferenceRow
 from cbsr_qa.store.check_tables import StationCheckRow
 from cbsr_qa.store.engine import reading
+from cbsr_qa.store.failures import stored
 from cbsr_qa.store.ids import made_at
 from cbsr_qa.store.locks import writer_of
 from cbsr_qa.store.result_tables import AnalysisRow, CalibrationRow
@@ -64,7 +65,7 @@ def incomplete_runs(engine: Engine) -> tuple[IncompleteRun, ...]:
             row.run,
             row.serial,
             *stands,
-            row.end,
+            stored(EndReason, row.end, "run_states.end", f"run {row.run}"),
             row.detail,
             writer_of(engine, row.run),
         )

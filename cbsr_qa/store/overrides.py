@@ -7,8 +7,10 @@ from sqlalchemy import Connection, Engine, func, insert, select
 from cbsr_qa.domain.changes import VerdictOverride
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.outcome import EndReason, Outcome
+from cbsr_qa.store.analyses import analysis_outcome
 from cbsr_qa.store.change_tables import VerdictOverrideRow
 from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.failures import stored
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_rows import current_state, run_row
 
@@ -50,8 +52,8 @@ def overrides(engine: Engine, run: str | None = None) -> tuple[VerdictOverride, 
             one.override_id,
             one.run,
             one.analysis,
-            Outcome(one.verdict),
-            Outcome(one.outcome),
+            stored(Outcome, one.verdict, "analyses.outcome", f"analysis {one.analysis}"),
+            stored(Outcome, one.outcome, "verdict_overrides.outcome", f"override {one.override_id}"),
             one.operator,
             one.why,
             one.noted_at,
@@ -78,4 +80,4 @@ def _judged(connection: Connection, run: str) -> tuple[str, Outcome]:
             f"run {run} has no result yet: there is no verdict to override",
             remedy=f"cbsr-qa run --resume {run} works it out",
         )
-    return found.analysis, Outcome(found.outcome)
+    return found.analysis, analysis_outcome(found)

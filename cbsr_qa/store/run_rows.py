@@ -6,8 +6,10 @@ from typing import Any
 from sqlalchemy import Connection, Row, RowMapping, insert, select
 
 from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.store.failures import stored
 from cbsr_qa.store.run_tables import InstrumentRow, RunRow, RunStateRow, SensorRow
 
 
@@ -46,11 +48,12 @@ def run_row(connection: Connection, run: str) -> Row[Any] | None:
 
 
 def current_state(connection: Connection, run: str) -> Row[Any]:
-    """Return how a run stands: the last of its states."""
+    """Return how a run stands: the last of its states. StoreError if its end is none."""
     states = select(*RunStateRow.__table__.columns).where(RunStateRow.run == run)
     row = connection.execute(states.order_by(RunStateRow.number.desc()).limit(1)).one_or_none()
     if row is None:
         raise StoreError(f"there is no run {run}")
+    stored(EndReason, row.end, "run_states.end", f"run {run}, state {row.number},")
     return row
 
 

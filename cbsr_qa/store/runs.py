@@ -16,10 +16,12 @@ from cbsr_qa.domain.loads import EasedStrain, Load, LoadRecord
 from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.domain.run import PhaseRecord, RunIdentity, RunRecord, RunSession
 from cbsr_qa.domain.steps import Role
+from cbsr_qa.store.analyses import analysis_outcome
 from cbsr_qa.store.blocks import frame_block, sample_block
 from cbsr_qa.store.codec import decoded_indenter, decoded_material, decoded_sensor_type
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.extent import last_time_s
+from cbsr_qa.store.failures import stored
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_rows import current_state, identity_of, run_row
 from cbsr_qa.store.run_tables import (
@@ -170,7 +172,7 @@ def _known(connection: Connection, run: str) -> Row[Any]:
 
 
 def _summary(connection: Connection, row: Row[Any]) -> RunSummary:
-    latest = select(AnalysisRow.outcome, AnalysisRow.reason).where(AnalysisRow.run == row.run)
+    latest = select(AnalysisRow.analysis, AnalysisRow.outcome, AnalysisRow.reason).where(AnalysisRow.run == row.run)
     found = connection.execute(latest.order_by(AnalysisRow.analysis.desc()).limit(1)).one_or_none()
     return RunSummary(
         run=row.run,
@@ -180,7 +182,7 @@ def _summary(connection: Connection, row: Row[Any]) -> RunSummary:
         recipe=row.recipe,
         started_at=row.started_at,
         end=EndReason(current_state(connection, row.run).end),
-        outcome=None if found is None else Outcome(found.outcome),
+        outcome=None if found is None else analysis_outcome(found),
         reason="" if found is None else found.reason,
     )
 
@@ -222,7 +224,7 @@ def _phase(
         loops=tuple(load for load in loads if load.eased),
         # A resumed phase rested again: the latest mark is followed by its presses.
         unloaded_from_s=connection.scalar(marks.order_by(UnloadedMarkRow.mark.desc()).limit(1)),
-        role=Role(row.role),
+        role=stored(Role, row.role, "phases.role", f"phase {row.phase} of run {row.run}"),
     )
     return phase, aside
 

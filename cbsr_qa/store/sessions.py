@@ -10,6 +10,7 @@ from sqlalchemy import Connection, Row, select
 from cbsr_qa.domain.loads import LoadRecord
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run import RunSession
+from cbsr_qa.store.failures import stored
 from cbsr_qa.store.run_tables import PhaseRow, RunStateRow, StepRow
 
 #: (from, to) on the run's time line [s]; what is from the very beginning belongs to the session before.
@@ -68,7 +69,7 @@ def _session(begun: Row[Any], last: Row[Any]) -> RunSession:
     return RunSession(
         started_s=begun.time_s,
         ended_s=None if last is begun else last.time_s,
-        end=EndReason(last.end),
+        end=stored(EndReason, last.end, "run_states.end", f"run {last.run}, state {last.number},"),
         detail=last.detail,
         operator=begun.operator or "",
         software=tuple((name, version) for name, version in begun.software or ()),

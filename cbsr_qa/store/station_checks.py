@@ -3,13 +3,14 @@
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Row, insert, select
+from sqlalchemy import Connection, Engine, Row, RowMapping, insert, select
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.station_check import CheckOutcome, CheckResult, RingReadings, StationCheck
 from cbsr_qa.store.blocks import frame_block, frame_values
 from cbsr_qa.store.check_tables import StationCheckFramesRow, StationCheckLineRow, StationCheckRow
 from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.failures import stored
 from cbsr_qa.store.run_rows import instrument_of, instrument_values
 from cbsr_qa.store.run_tables import FrameBlockRow
 
@@ -103,8 +104,16 @@ def _check(connection: Connection, row: Row[Any]) -> StationCheck:
         software=tuple((name, version) for name, version in row.software),
         instruments=tuple(instrument_of(one) for one in row.instruments),
         results=tuple(
-            CheckResult(outcome=CheckOutcome(line["outcome"]), **{name: line[name] for name in _LINE})
+            CheckResult(
+                outcome=stored(CheckOutcome, line["outcome"], "station_check_lines.outcome", f"check {row.check_id}"),
+                **{name: line[name] for name in _LINE},
+            )
             for line in found
         ),
         golden_run=row.golden_run,
     )
+
+
+def _outcome(line: RowMapping) -> CheckOutcome:
+    row = f"check {line['check_id']}, line {line['number']},"
+    return stored(CheckOutcome, line["outcome"], "station_check_lines.outcome", row)

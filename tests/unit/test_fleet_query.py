@@ -56,11 +56,11 @@ def test_runs_of_golden_sensors_that_checked_a_station_are_left_out_and_said(cop
 @pytest.mark.parametrize(
     ("table", "column", "word", "said"),
     [
-        ("measurements", "outcome", "odd", "states outcome 'odd' of a measurement, which is none of pass, "),
-        ("measurements", "bound", "odd", "states bound 'odd' of a measurement, which is none of exact, "),
-        ("measurements", "outcome", "", "states outcome '' of a measurement, which is none of pass, "),
-        ("measurements", "name", "a\x1fb", "of a measurement, with the control character U+001F in it"),
-        ("analyses", "outcome", "odd", "states outcome 'odd', which is none of pass, "),
+        ("measurements", "outcome", "odd", "states measurements.outcome 'odd', which is none of pass, "),
+        ("measurements", "bound", "odd", "states measurements.bound 'odd', which is none of exact, "),
+        ("measurements", "outcome", "", "states measurements.outcome '', which is none of pass, "),
+        ("measurements", "name", "a\x1fb", ", with the control character U+001F in it"),
+        ("analyses", "outcome", "odd", "states analyses.outcome 'odd', which is none of pass, "),
     ],
 )
 def test_words_that_are_none_are_a_damaged_database(copied, table, column, word, said):
