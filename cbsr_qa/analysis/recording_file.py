@@ -102,7 +102,7 @@ def read_recording(path: Path) -> Recording:
     except RecordingError:
         raise
     except CbsrError as error:
-        raise RecordingError(f"{path.name}: {error.reason}", remedy="export the run again") from error
+        raise RecordingError(f"{path.name}: {error.reason}", remedy=error.remedy or "export the run again") from error
     except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
         raise RecordingError(
             f"{path.name} is damaged: {error}", remedy="export the run again, or copy the file again"
@@ -227,11 +227,20 @@ def _read_layout(said: dict[str, Any]) -> Electrodes:
     return ElectrodeLayout(**{**said, "kind": kind})
 
 
+def _real(dataset: h5py.Dataset, kinds: str = "iuf") -> NDArray[np.float64]:
+    """Return a dataset of real numbers as float64."""
+    if dataset.dtype.kind not in kinds:
+        remedy = "readings of alternating current are out of scope" if dataset.dtype.kind == "c" else ""
+        raise RefusedError(f"{dataset.name} holds values of type {dataset.dtype}, not real numbers", remedy=remedy)
+    values: NDArray[np.float64] = dataset[()].astype(np.float64)
+    return values
+
+
 def _read_frames(group: h5py.Group) -> FrameBlock:
     voltages = group["voltages"]
     current = group.attrs.get("current_A")
-    own = group["reading_time_s"][()].astype(np.float64) if "reading_time_s" in group else None
-    times_s = group["time_s"][()].astype(np.float64)
+    own = _real(group["reading_time_s"]) if "reading_time_s" in group else None
+    times_s = _real(group["time_s"])
     if not np.isfinite(times_s).all() or (np.diff(times_s) < 0).any():
         raise RefusedError("the times of its frames are not finite numbers that never fall")
     if current is not None and not np.isfinite(current):
@@ -240,8 +249,8 @@ def _read_frames(group: h5py.Group) -> FrameBlock:
         raise RefusedError("the time of a reading is not a finite number")
     return FrameBlock(
         times_s,
-        voltages[()].astype(np.float64),
-        group["flags"][()].astype(np.uint8),
+        _real(voltages),
+        _real(group["flags"], "iu").astype(np.uint8),
         VoltageUnit(voltages.attrs["unit"]),
         None if current is None else float(current),
         own,
@@ -250,16 +259,16 @@ def _read_frames(group: h5py.Group) -> FrameBlock:
 
 def _read_samples(group: h5py.Group) -> SampleBlock:
     values = group["values"]
-    times_s, held = group["time_s"][()].astype(np.float64), values[()].astype(np.float64)
+    times_s, held = _real(group["time_s"]), _real(values)
     known = np.isfinite(times_s) & np.isfinite(held)  # a sample that was lost is no sample
     return SampleBlock(str(group.attrs["channel"]), str(values.attrs["unit"]), times_s[known], held[known])
 
 
 def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
     labels: list[str] = json.loads(group.attrs["labels"])
-    columns = {name: group[name][()].astype(np.float64) for name, _ in _LOAD_COLUMNS}
+    columns = {name: _real(group[name]) for name, _ in _LOAD_COLUMNS}
     # Absent where nobody noted it, as in files of earlier versions; NaN for single presses without it.
-    cleared = group["clear_s"][()].tolist() if "clear_s" in group else [np.nan] * len(labels)
+    cleared = _real(group["clear_s"]).tolist() if "clear_s" in group else [np.nan] * len(labels)
     return tuple(
         LoadRecord(
             int(group["index"][k]),

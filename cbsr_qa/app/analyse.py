@@ -13,7 +13,7 @@ from cbsr_qa.app.outputs import report_sections
 from cbsr_qa.app.setup import made
 from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.config.paths import reports_folder
-from cbsr_qa.domain.errors import CbsrError, ConfigError, NumericsError, PluginError, RecordingError
+from cbsr_qa.domain.errors import CbsrError, ConfigError, NumericsError, PluginError, RecordingError, RefusedError
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.recording import ReadOptions, Recording
@@ -205,8 +205,11 @@ def guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
     """Run a plugin's code; whatever it raises becomes one clear refusal."""
     try:
         return work()
-    except CbsrError:
-        raise
+    except CbsrError as error:
+        if type(error) is not RefusedError:
+            raise
+        # Of frames or samples, which know no file.
+        raise RecordingError(f"{path.name}: {error.reason}", remedy=error.remedy) from error
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
     except Exception as error:

@@ -2,12 +2,18 @@
 
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
-from typing import Self
+from typing import Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
+
+#: Largest magnitude of a reading, a sample or a current in its unit. Squares and their sums stay finite; every
+#: converter's counts and every instrument's volts, newtons and amperes are far below it.
+LARGEST_VALUE: Final = 1e15
+#: Smallest drive current that is not zero [A]: readings are divided by it.
+SMALLEST_CURRENT_A: Final = 1e-15
 
 
 class VoltageUnit(StrEnum):
@@ -42,7 +48,8 @@ class FrameBlock:
     Raises
     ------
     RefusedError
-        If the shapes disagree or a voltage is not finite (a missing reading is flagged, never NaN).
+        If the shapes disagree, a voltage is not finite (a missing reading is flagged, never NaN), or a voltage or
+        the current is beyond :data:`LARGEST_VALUE`; the first such reading is named.
     """
 
     time_s: NDArray[np.float64]
@@ -62,6 +69,23 @@ class FrameBlock:
         if not np.isfinite(self.voltages).all():
             raise RefusedError(
                 "a frame holds a voltage that is not a finite number", remedy="flag it as missing instead"
+            )
+        self._check_sizes()
+
+    def _check_sizes(self) -> None:
+        beyond = np.argwhere(np.abs(self.voltages) > LARGEST_VALUE)
+        if len(beyond):
+            frame, drive, measure = beyond[0].tolist()
+            raise RefusedError(
+                f"frame {frame}, drive pair {drive}, measure pair {measure} (all from 0) reads"
+                f" {self.voltages[frame, drive, measure]!s} {self.unit.value}; readings are at most"
+                f" {LARGEST_VALUE:g} {self.unit.value}",
+                remedy="flag it as missing, or record it again",
+            )
+        size_A = abs(self.current_A or 0.0)
+        if size_A and not SMALLEST_CURRENT_A <= size_A <= LARGEST_VALUE:
+            raise RefusedError(
+                f"the drive current is {self.current_A:g} A; allowed: {SMALLEST_CURRENT_A:g} to {LARGEST_VALUE:g} A"
             )
 
     def __len__(self) -> int:
@@ -86,6 +110,11 @@ class SampleBlock:
     channel : e.g. ``"force"``; a load cell's compression is positive.
     unit : e.g. ``"N"``.
     time_s, values : (n,) float64 on the same clock as the frames.
+
+    Raises
+    ------
+    RefusedError
+        If the shapes disagree, or a time or value is beyond :data:`LARGEST_VALUE`.
     """
 
     channel: str
@@ -96,6 +125,13 @@ class SampleBlock:
     def __post_init__(self) -> None:
         if self.time_s.shape != self.values.shape or self.time_s.ndim != 1:
             raise RefusedError(f"channel {self.channel}: {self.time_s.shape} times for {self.values.shape} values")
+        for what, unit, column in (("time", "s", self.time_s), ("value", self.unit, self.values)):
+            beyond = np.flatnonzero(np.abs(column) > LARGEST_VALUE)
+            if len(beyond):
+                raise RefusedError(
+                    f"channel {self.channel}: the {what} of sample {beyond[0]} (from 0) is"
+                    f" {column[beyond[0]]!s} {unit}; at most {LARGEST_VALUE:g} {unit} is allowed"
+                )
 
     def __len__(self) -> int:
         return int(self.time_s.shape[0])

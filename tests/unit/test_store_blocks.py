@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
+from cbsr_qa.domain.frames import LARGEST_VALUE, FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.store.blocks import frame_block, frame_values, sample_block, sample_values
 from cbsr_qa.store.run_tables import FrameBlockRow, SampleBlockRow
 
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
+FINITE = st.floats(-LARGEST_VALUE, LARGEST_VALUE)
 KEY = {"run": "r", "phase": 0, "block": 0}
 
 

@@ -54,7 +54,7 @@ class EidorsMat:
         RecordingError
             If the file is damaged, holds no such matrix, several and none was chosen, or not the one asked for.
         """
-        matrices = _matrices(path)
+        matrices = _matrices(path, options.dataset)
         name = _chosen(path, matrices, options.dataset)
         matrix = matrices[name]
         reference, reference_note = _reference(matrices, name) if options.reference is None else (None, "")
@@ -80,7 +80,7 @@ class EidorsMat:
         )
 
 
-def _matrices(path: Path) -> dict[str, Matrix]:
+def _matrices(path: Path, asked: str | None = None) -> dict[str, Matrix]:
     with path.open("rb") as file:
         head = file.read(_HEADER_BYTES + len(_HDF5))
     if head.startswith((_HDF5, b"MATLAB 7.3")) or head.endswith(_HDF5):
@@ -94,13 +94,11 @@ def _matrices(path: Path) -> dict[str, Matrix]:
             f"{path.name} cannot be read as a MATLAB file: {error}",
             remedy="it is cut, damaged or of another format; get it again",
         ) from error
-    found = {name: value for name, value in content.items() if _is_matrix(value) and np.isfinite(value).all()}
-    spoilt = [name for name, value in content.items() if _is_matrix(value) and name not in found]
-    if spoilt and not found:
-        raise RecordingError(
-            f"{path.name}: {', '.join(spoilt)} holds values that are not finite numbers",
-            remedy="a frame needs all of its values; get the file again",
-        )
+    matrices = {name: value for name, value in content.items() if _is_matrix(value)}
+    found = {
+        name: value for name, value in matrices.items() if np.isrealobj(value) and bool(np.isfinite(value).all())
+    }
+    _refuse_unfit(path, [name for name in matrices if name not in found and (not found or name == asked)], matrices)
     if not found:
         raise RecordingError(
             f"{path.name} holds no matrix of {_VALUES} rows",
@@ -109,8 +107,23 @@ def _matrices(path: Path) -> dict[str, Matrix]:
     return {name: np.asarray(value, dtype=np.float64) for name, value in found.items()}
 
 
+def _refuse_unfit(path: Path, names: list[str], matrices: dict[str, NDArray[Any]]) -> None:
+    """Refuse data sets that hold no frames of direct current."""
+    alternating = [name for name in names if np.iscomplexobj(matrices[name])]
+    if alternating:
+        raise RecordingError(
+            f"{path.name}: {', '.join(alternating)} holds complex voltages (alternating current), not real ones",
+            remedy="save the real part as a data set of its own, if that is what the frames are to be",
+        )
+    if names:
+        raise RecordingError(
+            f"{path.name}: {', '.join(names)} holds values that are not finite numbers",
+            remedy="a frame needs all of its values; get the file again",
+        )
+
+
 def _is_matrix(value: object) -> bool:
-    if not isinstance(value, np.ndarray) or value.ndim != 2 or value.dtype.kind not in "iuf":
+    if not isinstance(value, np.ndarray) or value.ndim != 2 or value.dtype.kind not in "iufc":
         return False
     return bool(value.shape[0] == _VALUES and value.shape[1] > 0)
 
