@@ -1,11 +1,16 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and tables that spreadsheets open safely."""
 
+import csv
+import io
 import os
 import secrets
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
+
+#: What spreadsheets take for the beginning of a formula.
+_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
 
 
 @contextmanager
@@ -31,3 +36,22 @@ def written_whole(path: Path) -> Iterator[BinaryIO]:
     finally:
         with suppress(OSError):
             temporary.unlink()
+
+
+def csv_text(rows: Iterable[Iterable[str | float | None]]) -> str:
+    """Write rows as CSV: text in UTF-8, numbers to their last digit, nothing for None.
+
+    An apostrophe goes before text that begins with ``= + - @``, a tab or a carriage return: spreadsheets would work
+    it out as a formula (OWASP, CSV injection). Numbers stay as they are. Halves of characters, which names of files
+    may hold, are escaped.
+    """
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(map(_cell, row) for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: str | float | None) -> str | float | None:
+    if not isinstance(value, str):
+        return value
+    shown = value.encode("utf-8", "backslashreplace").decode()
+    return f"'{shown}" if shown.startswith(_FORMULA) else shown

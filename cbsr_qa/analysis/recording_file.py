@@ -186,6 +186,7 @@ def _put(group: h5py.Group, name: str, values: NDArray[Any], unit: str) -> None:
 
 def _read(path: Path, file: h5py.File) -> Recording:
     said: dict[str, Any] = json.loads(file.attrs["description"])
+    json.dumps(said, ensure_ascii=False).encode()  # JSON can spell halves of characters, which are no text
     layout = said["layout"]
     notes, simulated = _told(said)
     return Recording(
@@ -266,6 +267,7 @@ def _read_samples(group: h5py.Group) -> SampleBlock:
 
 def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
     labels: list[str] = json.loads(group.attrs["labels"])
+    "".join(labels).encode()
     columns = {name: _real(group[name]) for name, _ in _LOAD_COLUMNS}
     # Absent where nobody noted it, as in files of earlier versions; NaN for single presses without it.
     cleared = _real(group["clear_s"]).tolist() if "clear_s" in group else [np.nan] * len(labels)

@@ -1,7 +1,6 @@
 """A sensor's calibration applied to recordings: a row of force for every frame."""
 
-import csv
-import io
+import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,6 +15,7 @@ from cbsr_qa.calibrate.runtime import Calibration
 from cbsr_qa.config.serials import validate_serial
 from cbsr_qa.domain.errors import CalibrationError, CbsrError, RefusedError
 from cbsr_qa.domain.recording import Recording
+from cbsr_qa.files import csv_text, written_whole
 from cbsr_qa.plugins import discover
 
 #: Told of each step, in words.
@@ -144,12 +144,8 @@ def flag_words(flags: int) -> str:
 
 def as_csv(applied: tuple[Applied, ...]) -> str:
     """Return all rows as one CSV table; a column names the recording."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, ("recording", *COLUMNS), lineterminator="\n")
-    writer.writeheader()
-    for one in applied:
-        writer.writerows({"recording": one.path.name, **row} for row in one.rows())
-    return text.getvalue()
+    rows = ((one.path.name, *row.values()) for one in applied for row in one.rows())
+    return csv_text([("recording", *COLUMNS), *rows])
 
 
 def applied_document(calibration: Path, applied: tuple[Applied, ...]) -> dict[str, Any]:
@@ -172,9 +168,9 @@ def write_table(path: Path, table: str) -> None:
         If the file exists already, or its folder cannot be written to.
     """
     try:
-        with path.open("x", encoding="utf-8") as file:
-            file.write(table)
-    except FileExistsError as error:
-        raise RefusedError(f"{path} exists already", remedy="name another file, or remove it first") from error
+        if os.path.lexists(path):
+            raise RefusedError(f"{path} exists already", remedy="name another file, or remove it first")
+        with written_whole(path) as file:
+            file.write(table.encode())
     except OSError as error:
         raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error

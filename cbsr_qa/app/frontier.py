@@ -13,6 +13,7 @@ from cbsr_qa.app.frontier_runs import station_seconds, the_bench
 from cbsr_qa.config.paths import var_folder, writable_folder
 from cbsr_qa.config.toml_text import toml_document
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.naming import check_encodable
 from cbsr_qa.files import written_whole
 from cbsr_qa.frontier.computer import computer_tasks, worth_their_time
 from cbsr_qa.frontier.point import Clock, Point, Task
@@ -97,6 +98,7 @@ class Frontier:
             raise RefusedError(f"there is no recipe to write: {self.why_not}")
         check_recipe(path)
         name = path.stem[:64] or "frontier"
+        check_encodable("the recipe's name", name)
         comments = (
             f"{WRITTEN_BY} {cbsr_qa.__version__}: {self.recommended.why}.",
             f"Simulated: {_said(self.recommended.point)}.",

@@ -22,7 +22,10 @@ def emit_json(document: Mapping[str, Any]) -> None:
     ValueError
         If a number in it is NaN or infinite: such a document is not JSON.
     """
-    _print(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+    text = json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False)
+    if _shown(text) != text:
+        text = json.dumps(document, indent=2, allow_nan=False)
+    _print(text)
 
 
 def say(text: str = "") -> None:
@@ -71,13 +74,19 @@ def _print(text: str) -> None:
     if sys.stdout is None:  # closed by whoever started the program, who wants none
         return
     try:
-        sys.stdout.write(text + "\n")
+        sys.stdout.write(_shown(text) + "\n")
         sys.stdout.flush()
     except BrokenPipeError:
         _discard_the_rest()
     except OSError as error:
         _lost.append(error.strerror or str(error))
         _discard_the_rest()
+
+
+def _shown(text: str) -> str:
+    """Escape what stdout cannot encode, as stderr does: a file's name, or µ where the terminal knows ASCII alone."""
+    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    return text.encode(encoding, "backslashreplace").decode(encoding)
 
 
 def _discard_the_rest() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.naming import check_encodable
 
 #: Largest magnitude of a reading, a sample or a current in its unit. Squares and their sums stay finite; every
 #: converter's counts and every instrument's volts, newtons and amperes are far below it.
@@ -114,7 +115,7 @@ class SampleBlock:
     Raises
     ------
     RefusedError
-        If the shapes disagree, or a time or value is beyond :data:`LARGEST_VALUE`.
+        If the shapes disagree, channel or unit cannot be encoded, or a time or value is beyond :data:`LARGEST_VALUE`.
     """
 
     channel: str
@@ -125,6 +126,7 @@ class SampleBlock:
     def __post_init__(self) -> None:
         if self.time_s.shape != self.values.shape or self.time_s.ndim != 1:
             raise RefusedError(f"channel {self.channel}: {self.time_s.shape} times for {self.values.shape} values")
+        check_encodable(f"channel {self.channel!r}", self.channel, self.unit)
         for what, unit, column in (("time", "s", self.time_s), ("value", self.unit, self.values)):
             beyond = np.flatnonzero(np.abs(column) > LARGEST_VALUE)
             if len(beyond):

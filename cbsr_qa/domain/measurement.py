@@ -5,6 +5,7 @@ from enum import StrEnum
 from typing import Self
 
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.naming import check_encodable
 from cbsr_qa.domain.outcome import Outcome, worst
 
 
@@ -115,6 +116,8 @@ class Measurement:
         for number in (self.value, self.uncertainty):
             if number is not None and not abs(number) < float("inf"):
                 raise RefusedError(f"measurement {self.name}: {number} is not a finite number")
+        texts = self.name, self.unit, self.phase, self.location, self.qualifier, self.how
+        check_encodable(f"measurement {self.name!r}", *texts)
 
     def judged(self, limit: Limit) -> Self:
         """Return this measurement with a limit and its outcome.

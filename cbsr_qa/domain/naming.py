@@ -1,4 +1,23 @@
-"""Names with what they are of, as a reader says them."""
+"""Names with what they are of, as a reader says them, and which text may name anything."""
+
+from cbsr_qa.domain.errors import RefusedError
+
+
+def check_encodable(what: str, *texts: str) -> None:
+    """Refuse text that no file, database or page can hold: halves of characters (lone surrogates).
+
+    Raises
+    ------
+    RefusedError
+        If one cannot be encoded as UTF-8; names ``what`` and the text.
+    """
+    for text in texts:
+        try:
+            text.encode()
+        except UnicodeEncodeError:
+            raise RefusedError(
+                f"{what} holds {text[:60]!r}, which is no text that can be written", remedy="write it in UTF-8"
+            ) from None
 
 
 def of_kind(kind: str, name: str) -> str:

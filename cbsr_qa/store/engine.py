@@ -33,6 +33,7 @@ def parsed_url(text: str) -> URL:
     """
     try:
         url = make_url(text)
+        text.encode()  # drivers take no halves of characters, which names of files may hold
     except (ArgumentError, ValueError):
         # The text is not repeated: it may hold a password.
         raise StoreError(

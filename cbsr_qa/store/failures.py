@@ -84,6 +84,10 @@ def translated(url: URL) -> Iterator[None]:
         yield
     except CbsrError:
         raise
+    except UnicodeEncodeError as error:
+        raise StoreError(
+            f"{shown(url)} cannot hold {error.object[:60]!r}: {error.reason}", remedy="write it in UTF-8"
+        ) from error
     except sqlite3.Error as error:  # outside of a statement, e.g. while a connection is set up
         raise _driver_error(url, error) from error
     except StatementError as error:

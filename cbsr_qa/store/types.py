@@ -1,10 +1,13 @@
 """Column types that behave alike on SQLite and PostgreSQL, and let no NaN and no foreign number type through."""
 
+import re
 from datetime import UTC, datetime
-from typing import Any
+from typing import Any, Final
 
 from sqlalchemy import DateTime, Dialect, Double, Integer, Text
 from sqlalchemy.types import TypeDecorator
+
+_NO_TEXT: Final = re.compile("[\0\ud800-\udfff]")
 
 
 class FiniteDouble(TypeDecorator[float]):
@@ -35,14 +38,14 @@ class Whole(TypeDecorator[int]):
 
 
 class PlainText(TypeDecorator[str]):
-    """Text of any length. PostgreSQL takes no NUL, so what an instrument says with one is stored with U+FFFD."""
+    """Text of any length. PostgreSQL takes no NUL and no database halves of characters: U+FFFD stands for each."""
 
     impl = Text
     cache_ok = True
 
     def process_bind_param(self, value: Any, dialect: Dialect) -> str | None:
         """Replace on the way in."""
-        return None if value is None else str(value).replace("\0", "\ufffd")
+        return None if value is None else _NO_TEXT.sub("\ufffd", str(value))
 
 
 class Instant(TypeDecorator[datetime]):

@@ -1,5 +1,7 @@
 """Files appear whole or not at all, with the permissions the user's umask leaves them."""
 
+import csv
+import io
 import os
 import stat
 import subprocess
@@ -11,7 +13,7 @@ import pytest
 from cbsr_qa.app.limits_toml import write_new
 from cbsr_qa.calibrate.file import write_calibration
 from cbsr_qa.file_lock import FileLock, HeldError, holder
-from cbsr_qa.files import written_whole
+from cbsr_qa.files import csv_text, written_whole
 from cbsr_qa.forward.mesh_files import write_mesh
 from cbsr_qa.report.render import write_report
 from tests.unit.calibration_samples import sample_calibration
@@ -128,3 +130,17 @@ def test_removing_locks_lets_no_two_in(tmp_path):
     assert len(taken) == 800
     assert max(most) == 1
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("begins", ["=", "+", "-", "@", "\t", "\r"])
+def test_a_spreadsheet_takes_no_text_for_a_formula(begins):
+    text = begins + 'HYPERLINK("x";1),2\n3'
+    ((guarded, number, nothing),) = csv.reader(io.StringIO(csv_text([(text, -1.5, None)]), newline=""))
+    assert (guarded, number, nothing) == ("'" + text, "-1.5", "")
+
+
+@pytest.mark.parametrize(
+    ("text", "cell"), [("a=1", "a=1"), ("", ""), ("'x", "'x"), ("a\udcff", "a\\udcff"), ("1.5", "1.5")]
+)
+def test_other_text_stays_as_it_is(text, cell):
+    assert csv_text([(text,)]).rstrip("\n").strip('"') == cell
