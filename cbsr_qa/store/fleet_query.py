@@ -3,7 +3,7 @@
 from array import array
 from collections import defaultdict
 from collections.abc import Sequence
-from datetime import UTC, date, datetime, time, timedelta
+from datetime import UTC, date, datetime, time
 from difflib import get_close_matches
 from functools import reduce
 from typing import Any, Final
@@ -85,7 +85,7 @@ def _chosen(recipe: str | None, since: date | None, until: date | None) -> list[
     if since is not None:
         wanted.append(RunRow.started_at >= _midnight(since))
     if until is not None:
-        wanted.append(RunRow.started_at < _midnight(until) + timedelta(days=1))
+        wanted.append(RunRow.started_at <= datetime.combine(until, time.max, UTC))
     return wanted
 
 

@@ -7,6 +7,8 @@ from threading import Lock
 from uuid import UUID
 
 _COUNTER_BITS = 12
+#: An identifier has room for later years than a date has.
+_YEAR_10000_MS = 253_402_300_800_000
 
 
 class IdSource:
@@ -55,7 +57,9 @@ class IdSource:
 def made_at(identifier: str) -> datetime | None:
     """Return when an identifier was made, by the clock of whoever made it; None where it does not say."""
     found = _parts(identifier)
-    return None if found is None else datetime.fromtimestamp(found[0] / 1000, UTC)
+    if found is None or found[0] >= _YEAR_10000_MS:
+        return None
+    return datetime.fromtimestamp(found[0] / 1000, UTC)
 
 
 def _parts(identifier: str) -> tuple[int, int] | None:

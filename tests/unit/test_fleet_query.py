@@ -1,6 +1,7 @@
 """What a comparison reads from a database, and what ``cbsr-qa compare`` refuses before it does."""
 
 import sqlite3
+from datetime import date
 
 import numpy as np
 import pytest
@@ -104,3 +105,8 @@ def test_groups_and_amounts_are_read():
     assert read_groups(None) == ()
     assert read_groups("42, 41") == ("42", "41")
     assert read_amounts(["a=1", "b=2"], "--margin") == {"a": 1.0, "b": 2.0}
+
+
+def test_the_last_day_there_is_leaves_no_run_out(copied, capsys):
+    with open_store(copied[1]) as store:
+        assert len(store.fleet(until=date.max).runs) == len(store.fleet(until=date(2026, 11, 21)).runs) == 4

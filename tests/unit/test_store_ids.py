@@ -3,10 +3,11 @@
 from datetime import UTC, datetime, timedelta
 from uuid import UUID
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from cbsr_qa.store.ids import IdSource
+from cbsr_qa.store.ids import IdSource, made_at
 
 START = datetime(2026, 11, 21, tzinfo=UTC)
 
@@ -40,3 +41,11 @@ def test_they_are_version_7_and_tell_their_millisecond():
 def test_two_stations_do_not_collide_within_one_millisecond():
     one, other = IdSource(lambda: START), IdSource(lambda: START)
     assert not {one.new() for _ in range(1000)} & {other.new() for _ in range(1000)}
+
+
+@pytest.mark.parametrize(
+    ("milliseconds", "year"), [(253_402_300_799_000, 9999), (253_402_300_800_000, None), (2**48 - 1, None)]
+)
+def test_an_identifier_of_a_year_that_no_date_has_says_no_time(milliseconds, year):
+    made = made_at(str(UUID(int=milliseconds << 80 | 7 << 76 | 2 << 62)))
+    assert (None if made is None else made.year) == year
