@@ -7,11 +7,8 @@ compares batches in a process of its own, and prints its time and the most memor
 
 import argparse
 import os
-import resource
-import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -20,6 +17,7 @@ from typing import Any
 import numpy as np
 from sqlalchemy import insert
 
+from benchmarks.timing import whole_command
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.store.codec import encoded
 from cbsr_qa.store.engine import open_engine, parsed_url, writing
@@ -157,15 +155,7 @@ def _measurements(
 def timed(url: str, page: Path) -> tuple[float, float]:
     """Compare batches in a process of its own; return its time [s] and the most memory it took [MB]."""
     command = [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", "compare", "--by", "batch"]
-    before = time.perf_counter()
-    subprocess.run(
-        [*command, "--database", url, "--output", str(page)],
-        check=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    spent_s = time.perf_counter() - before
-    return spent_s, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    return whole_command([*command, "--database", url, "--output", str(page)])
 
 
 def main() -> None:

@@ -1,7 +1,6 @@
 """The simulated world: what scenes cost, and what their speed costs in accuracy."""
 
 import multiprocessing
-import subprocess
 import sys
 import time
 from collections.abc import Iterator
@@ -15,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rows import Row, ratio_row
-from benchmarks.timing import compare, fastest, shown
+from benchmarks.timing import compare, fastest, shown, whole_command
 from cbsr_qa.app.scene_setting import SceneSetup, effects_of, made_world, set_up
 from cbsr_qa.config.loader import load_material
 from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
@@ -34,11 +33,6 @@ _REPEATS: Final = 5
 _STRAINS: Final = (0.05, 0.10, 0.15, 0.20, 0.25, 0.30)
 _TRIALS: Final = 3
 _CYCLE_S, _HOLD_S = 120.0, 60.0
-_WATCH: Final = """
-import resource, subprocess, sys
-subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL)
-print(resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)
-"""
 _RUNS: Final = ("everything", "base")
 _MATERIALS: Final = ("cbsr-8wt", "cbsr-9wt")
 
@@ -73,12 +67,7 @@ def _command() -> Row:
     program = str(Path(sys.executable).with_name("cbsr-qa"))
     with TemporaryDirectory() as folder:
         command = [program, "scene", "run", "everything", "--output", str(Path(folder) / "everything.h5")]
-        # A process of its own waits for it: what is told of children is the largest of all there were.
-        watch = [sys.executable, "-c", _WATCH, *command]
-        before = time.perf_counter()
-        told = subprocess.run(watch, check=True, capture_output=True, text=True).stdout
-        seconds = time.perf_counter() - before
-    megabytes = float(told.split()[-1])
+        seconds, megabytes = whole_command(command)
     said = f"{shown(seconds)} with the program's start and the file, {megabytes:.0f} MB at most"
     return Row("`cbsr-qa scene run everything`", "≤ 400 MB", said, met=megabytes <= 400)
 

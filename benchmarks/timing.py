@@ -1,8 +1,11 @@
 """Timing of two ways to do the same thing, turn by turn, so that the machine's moods hit both."""
 
+import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 
 @dataclass(frozen=True)
@@ -59,3 +62,22 @@ def shown(seconds: float) -> str:
         if seconds >= size:
             return f"{seconds / size:.2f} {unit}"
     return f"{seconds / 1e-6:.1f} µs"
+
+
+_WATCH: Final = """
+import resource, subprocess, sys, time
+before = time.perf_counter()
+subprocess.run(sys.argv[1:], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+print(time.perf_counter() - before, resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024)
+"""
+
+
+def whole_command(command: Sequence[str]) -> tuple[float, float]:
+    """Run a command to its end, and return its time [s] and the most memory that it or a child of it took [MB].
+
+    A small process of its own starts it and waits: what is told of children is the largest of all there were, and
+    Linux counts what their parent held when it started them as theirs.
+    """
+    watched = subprocess.run([sys.executable, "-c", _WATCH, *command], check=True, capture_output=True, text=True)
+    seconds, megabytes = map(float, watched.stdout.split())
+    return seconds, megabytes

@@ -8,6 +8,7 @@ import numpy as np
 
 from cbsr_qa.calibrate.data_sheet import Estimate, ratio_of_sums
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import finite_numbers
 from cbsr_qa.domain.observation import LoadObservation, Trace
 
 #: From when on a hold's creep is counted [s]: the ramp's own transients, and two frames of 2.5 s, are over.
@@ -25,15 +26,15 @@ def trace_of(load: LoadObservation, signal: str, *, loading: bool) -> Trace | No
 
 
 def end_level(trace: Trace, frames: int) -> float:
-    """Mean of the last samples of a trace, at most this many."""
-    return float(trace.values[-frames:].mean())
+    """Mean of the last samples of a trace, at most this many. NumericsError if one is not finite."""
+    return float(finite_numbers(trace.values[-frames:], f"last values of the {trace.name}").mean())
 
 
 def level_at(trace: Trace, time_s: float) -> float | None:
-    """Value at a time, linear between samples; None outside the trace."""
+    """Value at a time, linear between samples; None outside the trace. NumericsError if a value is not finite."""
     if not trace.time_s[0] <= time_s <= trace.time_s[-1]:
         return None
-    return float(np.interp(time_s, trace.time_s, trace.values))
+    return float(np.interp(time_s, trace.time_s, finite_numbers(trace.values, f"values of the {trace.name}")))
 
 
 def held_alike(

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import finite_numbers
 
 Array = NDArray[np.float64]
 
@@ -68,9 +69,9 @@ def pooled_deviation(cells: Sequence[Sequence[float]]) -> Estimate:
     Raises
     ------
     NumericsError
-        If no cell has two values.
+        If no cell has two values, or a value is not finite.
     """
-    repeated = [np.asarray(cell, dtype=np.float64) for cell in cells if len(cell) > 1]
+    repeated = [finite_numbers(cell, "values of a cell") for cell in cells if len(cell) > 1]
     degrees = sum(len(cell) - 1 for cell in repeated)
     if not degrees:
         raise NumericsError(
@@ -131,9 +132,9 @@ def ratio_of_sums(parts: Sequence[float], wholes: Sequence[float]) -> Estimate:
     Raises
     ------
     NumericsError
-        If there is nothing, lengths differ, or the wholes do not sum to more than zero.
+        If there is nothing, lengths differ, a number is not finite, or the wholes do not sum to more than zero.
     """
-    part, whole = np.asarray(parts, dtype=np.float64), np.asarray(wholes, dtype=np.float64)
+    part, whole = finite_numbers(parts, "parts"), finite_numbers(wholes, "wholes")
     if len(part) != len(whole):
         raise NumericsError(f"{len(part)} parts and {len(whole)} wholes do not fit together")
     total = float(whole.sum())
@@ -152,10 +153,10 @@ def relative_spread(values: Sequence[float]) -> Estimate:
     Raises
     ------
     NumericsError
-        If there are fewer than three values (a spread of two has an error as large as itself), or their mean is not
-        positive.
+        If there are fewer than three values (a spread of two has an error as large as itself), their mean is not
+        positive, or one is not finite.
     """
-    value = np.asarray(values, dtype=np.float64)
+    value = finite_numbers(values, "values of the locations")
     if len(value) < 3:
         raise NumericsError(f"a spread needs three locations; {len(value)} of them gave a value")
     mean = float(value.mean())
@@ -171,9 +172,9 @@ def slope(x: Sequence[float], y: Sequence[float]) -> Estimate:
     Raises
     ------
     NumericsError
-        If all x coincide.
+        If all x coincide, or a number is not finite.
     """
-    place, value = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    place, value = finite_numbers(x, "places of a slope"), finite_numbers(y, "values of a slope")
     centred = place - place.mean()
     square = float(centred @ centred)
     if not square > (1e-9 * float(np.abs(place).max(initial=1e-300))) ** 2 * len(place):
@@ -190,8 +191,8 @@ def slope(x: Sequence[float], y: Sequence[float]) -> Estimate:
 def _sorted_points(
     x: Sequence[float], y: Sequence[float], stderr: Sequence[float] | None
 ) -> tuple[Array, Array, Array | None, NDArray[np.intp]]:
-    place, value = np.asarray(x, dtype=np.float64), np.asarray(y, dtype=np.float64)
-    error = None if stderr is None else np.asarray(stderr, dtype=np.float64)
+    place, value = finite_numbers(x, "places of a characteristic"), finite_numbers(y, "its values")
+    error = None if stderr is None else finite_numbers(stderr, "errors of a characteristic")
     if len(place) != len(value) or (error is not None and len(error) != len(place)):
         raise NumericsError("the points of a characteristic and their errors do not fit together")
     if not FEWEST_POINTS <= len(place) <= _MOST_POINTS:
@@ -199,8 +200,6 @@ def _sorted_points(
             f"a characteristic needs {FEWEST_POINTS} to {_MOST_POINTS} strains; this one has {len(place)}",
             remedy=f"press at {FEWEST_POINTS} strains or more",
         )
-    if not all(np.isfinite(part).all() for part in (place, value)):
-        raise NumericsError("a characteristic was given a number that is not finite")
     order = np.argsort(place, kind="stable")
     if (np.diff(place[order]) <= 1e-9 * np.abs(place).max()).any():
         raise NumericsError("two points of a characteristic have the same stress")

@@ -22,6 +22,7 @@ from cbsr_qa.calibrate.data_sheet import Estimate
 from cbsr_qa.calibrate.loop_levels import Levels, levels_read, relaxed_levels
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.loads import LoadRecord
+from cbsr_qa.domain.numbers import finite_numbers
 from cbsr_qa.domain.observation import LoopObservation
 
 Array = NDArray[np.float64]
@@ -130,15 +131,16 @@ def hysteresis(curves: Sequence[LoopCurve]) -> Hysteresis:
     Raises
     ------
     NumericsError
-        If there is no place, or they were pressed to different strains.
+        If there is no place, they were pressed to different strains, or a number is not finite.
     """
     if not curves:
         raise NumericsError("no place was pressed to strains from below and from above")
     first = curves[0]
     if any(len(c.strain) != len(first.strain) or not np.allclose(c.strain, first.strain) for c in curves):
         raise NumericsError("the loops of different places go through different strains")
-    difference = np.mean([curve.difference for curve in curves], axis=0)
-    stderr = np.sqrt(np.sum([curve.stderr**2 for curve in curves], axis=0)) / len(curves)
+    differences = finite_numbers([curve.difference for curve in curves], "differences between the branches")
+    errors = finite_numbers([curve.stderr for curve in curves], "errors of the differences")
+    difference, stderr = differences.mean(axis=0), np.sqrt((errors**2).sum(axis=0)) / len(curves)
     widest = int(np.argmax(np.abs(difference)))
     found = Estimate(float(abs(difference[widest])), float(stderr[widest]), 0)
     return Hysteresis(found, float(first.strain[first.peak + 1 + widest]), bool(difference[widest] > 0))
@@ -178,6 +180,8 @@ def _strains(record: LoadRecord) -> Array:
 def _differences(output: Array, stress: Array, peak: int) -> Array:
     """Falling less rising output at the falling stress, (loops, falling strains), in shares of the mean span."""
     span = float(output[:, peak].mean())
+    if not abs(span) > 0:
+        raise NumericsError("the output at the deepest strain is zero: there is nothing to be a share of")
     found = []
     for values, at in zip(output, stress, strict=True):
         rising = np.concatenate([[0.0], at[: peak + 1]])

@@ -18,6 +18,7 @@ from cbsr_qa.calibrate.superposition import (
 from cbsr_qa.calibrate.unloading import relaxation_start
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.loads import LoadRecord
+from cbsr_qa.domain.numbers import finite_numbers
 from cbsr_qa.domain.observation import Trace
 from cbsr_qa.domain.relaxation import FitStatus
 
@@ -57,8 +58,9 @@ def levels_read(loops: Sequence[LoadRecord], trace: Trace, last_s: float, noise:
     Raises
     ------
     NumericsError
-        If there is no value in the end of a hold.
+        If there is no value in the end of a hold, or a value is not finite.
     """
+    _check_finite(trace)
     values, errors = [], []
     for loop in loops:
         for held in loop.held:
@@ -69,6 +71,11 @@ def levels_read(loops: Sequence[LoadRecord], trace: Trace, last_s: float, noise:
             values.append(float(last.mean()))
             errors.append(spread / len(last) ** 0.5)
     return Levels(np.reshape(values, (len(loops), -1)), _apart(np.reshape(errors, (len(loops), -1))))
+
+
+def _check_finite(trace: Trace) -> None:
+    finite_numbers(trace.time_s, f"times of the {trace.name}")
+    finite_numbers(trace.values, f"values of the {trace.name}")
 
 
 def relaxed_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -> Levels:
@@ -87,8 +94,9 @@ def relaxed_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) ->
     Raises
     ------
     NumericsError
-        If holds are too short to tell, or the quantity drifts more slowly than they are long.
+        If holds are too short to tell, the quantity drifts more slowly than they are long, or a value is not finite.
     """
+    _check_finite(trace)
     steps = list(_steps(loops, trace, rests))
     shortest = min(len(step.time_s) - step.skipped for step in steps)
     if shortest < _FEWEST:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import finite_numbers
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 
 #: Levels whose places differ by less than this share of their size are one place.
@@ -75,7 +76,7 @@ def fit_quasi_static(
         or their x coincide: slope and intercept cannot then be told apart.
     """
     level, place, value = _checked(strain, x, change)
-    given = np.zeros(len(value)) if stderr is None else np.asarray(stderr, dtype=np.float64)
+    given = np.zeros(len(value)) if stderr is None else finite_numbers(stderr, "standard errors")
     strains = np.unique(level)
     means = np.array([value[level == s].mean() for s in strains])
     errors, deviations = _errors(level, value, given, strains)

@@ -7,6 +7,7 @@ import numpy as np
 from scipy.optimize import brentq
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import finite_numbers
 from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit, SettlingTime
 
 _BANDS: Final = ("steady", "step")
@@ -84,11 +85,11 @@ def restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> tuple
     Raises
     ------
     NumericsError
-        If there is no time, one is negative, or the lengths differ.
+        If there is no time, one is negative or not finite, or the lengths differ.
     """
     if len(times_s) == 0 or len(times_s) != len(censored) or min(times_s) < 0:
         raise NumericsError(f"{len(times_s)} settling times with {len(censored)} marks have no mean")
-    time = np.asarray(times_s, dtype=np.float64)
+    time = finite_numbers(times_s, "settling times")
     settled = ~np.asarray(censored, dtype=np.bool_)
     edges = np.unique(time)
     share, alive = np.empty(len(edges)), 1.0

@@ -14,6 +14,7 @@ from cbsr_qa.calibrate.common_relaxation import (
     fit_common_relaxation,
 )
 from cbsr_qa.domain.characterisation import CharacterisationSettings, StrainSettling
+from cbsr_qa.domain.numbers import finite_numbers
 from cbsr_qa.domain.relaxation import FitStatus
 from cbsr_qa.domain.sensor import Relaxation
 
@@ -78,11 +79,11 @@ def _settling(
 
 
 def mean_trace(traces: Sequence[TimedValues]) -> TimedValues:
-    """Mean of traces that were sampled alike, as far as the shortest reaches."""
+    """Mean of traces that were sampled alike, as far as the shortest reaches. NumericsError if one is not finite."""
     shortest = min((len(values) for _, values in traces), default=0)
     times = np.array([time_s[-shortest:] for time_s, _ in traces]) if shortest else np.zeros((1, 0))
     values = np.array([one[-shortest:] for _, one in traces]) if shortest else np.zeros((1, 0))
-    return times.mean(axis=0), values.mean(axis=0)
+    return times.mean(axis=0), finite_numbers(values, "values of traces").mean(axis=0)
 
 
 def unit_kernel(common: CommonRelaxation | None, traces: Sequence[DirectedTrace], source: str) -> Relaxation | None:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibrate.common_relaxation import CommonRelaxation, TimedValues, fit_common_relaxation
+from cbsr_qa.domain.numbers import finite_numbers
 
 Array = NDArray[np.float64]
 
@@ -157,8 +158,13 @@ def fit_step(trace: TimedValues, constants_s: Array) -> tuple[Array, float]:
     """Level and amplitudes (1 + k,) of one trace with known time constants (k,), and the level's standard error.
 
     Without a time constant, or with too few points, the level is the mean of the trace's last quarter.
+
+    Raises
+    ------
+    NumericsError
+        If a time or value is not finite.
     """
-    time_s, values = trace
+    time_s, values = (finite_numbers(part, "times or values of a step") for part in trace)
     if not len(constants_s) or len(values) < len(constants_s) + 2:
         last = values[-max(len(values) // 4, 1) :]
         spread = float(last.std(ddof=1)) if len(last) > 1 else 0.0

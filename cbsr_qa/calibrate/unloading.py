@@ -5,6 +5,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.numbers import finite_numbers
+
 #: A deviation counts if it is this many noise standard deviations, or this share of the largest, from the end level.
 _CLEAR: Final = 4.0
 _SHARE: Final = 0.05
@@ -25,7 +27,13 @@ def relaxation_start(values: NDArray[np.float64]) -> int:
     Returns
     -------
     int in [0, n).
+
+    Raises
+    ------
+    NumericsError
+        If a value is not finite.
     """
+    values = finite_numbers(values, "values behind a release")
     count = len(values)
     if count < 4:
         return 0

@@ -32,6 +32,28 @@ def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[n
     return np.asarray(array, dtype=np.float64)
 
 
+def finite_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
+    """Return numbers as float64, none of them NaN or infinite.
+
+    Parameters
+    ----------
+    what : they are, in the plural, as a message begins.
+
+    Raises
+    ------
+    NumericsError
+        If one is, naming the first.
+    """
+    array = np.asarray(values, dtype=np.float64)
+    bad = np.flatnonzero(~np.isfinite(array))
+    if bad.size:
+        raise NumericsError(
+            f"{what}: number {bad[0]} (from 0) is {array.flat[bad[0]]}, not a finite number",
+            remedy="leave such values out",
+        )
+    return array
+
+
 def array_of(values: ArrayLike, what: str) -> NDArray[Any]:
     """Return values as an array of whatever type they are.
 

@@ -2,6 +2,8 @@
 
 from math import hypot, sqrt
 
+from cbsr_qa.domain.numbers import finite_numbers
+
 
 def within_deviation(value: float, printed: float, deviation: float) -> bool:
     """Say whether a value is at most one printed deviation from the printed one."""
@@ -34,6 +36,12 @@ def deviations_agree(ours: float, count: int, printed: float, printed_count: int
     Parameters
     ----------
     count, printed_count : numbers of values n, at least 2.
+
+    Raises
+    ------
+    NumericsError
+        If a deviation is not finite.
     """
+    finite_numbers([ours, printed], "deviations")
     errors = ours / sqrt(2 * (count - 1)), printed / sqrt(2 * (printed_count - 1))
     return abs(ours - printed) <= 2 * hypot(*errors)

@@ -19,8 +19,13 @@ cd home
 "$away/venv/bin/cbsr-qa" plugins list >/dev/null
 "$away/venv/bin/cbsr-qa" run --station simulated --recipe nine-locations --serial WHEEL-001 --batch wheel --json >run.json
 "$away/venv/bin/python" - <<'PY'
+import importlib.metadata
 import json
 import pathlib
+
+told = importlib.metadata.distribution("cbsr-qa")
+assert told.metadata["License-Expression"] == "BSD-3-Clause", told.metadata
+assert "BSD 3-Clause License" in told.read_text("licenses/LICENSE"), "the licence is in the wheel"
 
 run = json.loads(pathlib.Path("run.json").read_text())
 assert run["end"] == "finished", run

@@ -72,3 +72,12 @@ def test_runtime_dependencies_are_the_imported_ones():
     assert set(modules) <= imported, "declared but never imported"
     parts = {"markupsafe", "pydantic_core"}  # of jinja2 and pydantic, which require exactly the one that fits
     assert foreign <= set(modules) | parts, "imported but not declared"
+
+
+def test_the_licence_is_stated_and_goes_into_the_wheel():
+    project = _PROJECT["project"]
+    assert project["license"] == "BSD-3-Clause"
+    (file,) = project["license-files"]
+    assert (
+        (_TOP / file).read_text().startswith("BSD 3-Clause License\n\nCopyright (c) 2026, the cbsr-qa developers\n")
+    )
