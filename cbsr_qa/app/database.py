@@ -5,6 +5,7 @@ from typing import Any, Final
 
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.outcome import EndReason
+from cbsr_qa.runner.interrupts import on_stderr
 from cbsr_qa.store.engine import open_engine, parsed_url
 from cbsr_qa.store.incomplete import IncompleteRun, counts, incomplete_runs, runs_without_result
 from cbsr_qa.store.repository import open_store
@@ -107,7 +108,7 @@ def upgrade_database(option: str | None) -> Upgrade:
     """
     engine = open_engine(parsed_url(database_url(option)))
     try:
-        before = upgrade(engine)
+        before = upgrade(engine, tell=on_stderr)
     finally:
         engine.dispose()
     return Upgrade(engine.url.render_as_string(hide_password=True), before.revision, HEAD)

@@ -24,6 +24,7 @@ from cbsr_qa.domain.plan import ReferenceRing
 from cbsr_qa.domain.station_check import CheckOutcome, CheckResult, RingReadings, StationCheck
 from cbsr_qa.plugins import discover
 from cbsr_qa.report.render import report_name, write_report
+from cbsr_qa.runner.interrupts import on_stderr
 from cbsr_qa.store.repository import Repository, open_store
 
 #: Shipped recipe of a golden sensor's run.
@@ -104,7 +105,7 @@ def check_station(
     confirm: Confirm = None if ask is None else lambda words: _confirmed(ask, words)
     # An operator is asked once for one thing, whoever wants to know.
     placed: Confirm = None if simulated or confirm is None else cache(confirm)
-    with open_store(database_url(request.database)) as store:
+    with open_store(database_url(request.database), tell=on_stderr) as store:
         if placed is not None and request.golden is not None and ring is None:
             # Contacts are looked at while the instruments are put together: something must be connected by then.
             placed(_place_words(request.golden))

@@ -1,8 +1,9 @@
-"""One writer a run: a lock that goes with the process, however it ends."""
+"""One writer a run, one maker of tables, one run a seed: locks that go with the process, however it ends."""
 
 import hashlib
 import os
 import platform
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,6 +18,10 @@ from cbsr_qa.store.engine import sqlite_file
 from cbsr_qa.store.failures import shown, translated
 
 _NAME_LENGTH: Final = 63  # of an application's name in PostgreSQL
+
+#: How long another program that makes tables is waited for, and in silence [s].
+SCHEMA_WAIT_S: Final = 60.0
+PATIENCE_S: Final = 1.0
 
 
 def this_process(operator: str) -> str:
@@ -48,6 +53,50 @@ def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
         release()
 
 
+@contextmanager
+def changing_schema(engine: Engine, tell: Callable[[str], None] | None = None) -> Iterator[None]:
+    """Hold the right to create or change tables; waits for whoever holds it.
+
+    Parameters
+    ----------
+    tell : told who is waited for, once that has taken :data:`PATIENCE_S`.
+
+    Raises
+    ------
+    StoreError
+        If another process still holds it after :data:`SCHEMA_WAIT_S`; the message says who.
+    """
+    begun_s, told = time.monotonic(), tell is None
+    while isinstance(release := _acquired(engine, "schema", this_process("")), str):
+        waited_s, busy = time.monotonic() - begun_s, f"{shown(engine.url)} is being created or upgraded by {release}"
+        if waited_s >= SCHEMA_WAIT_S:
+            raise StoreError(
+                f"{busy}; waited {SCHEMA_WAIT_S:g} s for it", remedy="try again when it is done, or end that process"
+            )
+        if not told and waited_s >= PATIENCE_S and tell is not None:
+            tell(f"{busy}; waiting {SCHEMA_WAIT_S:g} s at most")
+            told = True
+        time.sleep(0.05)
+    try:
+        yield
+    finally:
+        release()
+
+
+@contextmanager
+def seed_claimed(engine: Engine, serial: str, seed: int, who: str) -> Iterator[bool]:
+    """Claim the seed of a sensor's run while entered; yields whether no other process has claimed it."""
+    name = hashlib.sha256(f"{serial}/{seed}".encode()).hexdigest()[:16]
+    release = _acquired(engine, f"seed-{name}", who)
+    if isinstance(release, str):
+        yield False
+        return
+    try:
+        yield True
+    finally:
+        release()
+
+
 def writer_of(engine: Engine, run: str) -> str:
     """Return who writes a run at this moment; empty where nobody does."""
     file = sqlite_file(engine.url)
@@ -61,16 +110,16 @@ def writer_of(engine: Engine, run: str) -> str:
     return ""
 
 
-def _acquired(engine: Engine, run: str, who: str) -> Callable[[], None] | str:
+def _acquired(engine: Engine, name: str, who: str) -> Callable[[], None] | str:
     """Return what gives the lock back, or who holds it."""
     if engine.url.get_backend_name() == "postgresql":
-        return _advisory(engine, run, who)
+        return _advisory(engine, name, who)
     file = sqlite_file(engine.url)
-    return (lambda: None) if file is None else _file_lock(engine, _lock_file(file, run), who)
+    return (lambda: None) if file is None else _file_lock(engine, _lock_file(file, name), who)
 
 
-def _lock_file(database: Path, run: str) -> Path:
-    return database.with_name(f"{database.name}-{run}.lock")
+def _lock_file(database: Path, name: str) -> Path:
+    return database.with_name(f"{database.name}-{name}.lock")
 
 
 def _file_lock(engine: Engine, path: Path, who: str) -> Callable[[], None] | str:
@@ -89,8 +138,8 @@ def _named(who: bytes) -> str:
     return who.decode(errors="replace") or "another process"
 
 
-def _advisory(engine: Engine, run: str, who: str) -> Callable[[], None] | str:
-    number = int.from_bytes(hashlib.sha256(f"cbsr-qa run {run}".encode()).digest()[:8], signed=True)
+def _advisory(engine: Engine, name: str, who: str) -> Callable[[], None] | str:
+    number = int.from_bytes(hashlib.sha256(f"cbsr-qa run {name}".encode()).digest()[:8], signed=True)
     with translated(engine.url):
         connection = engine.connect().execution_options(isolation_level="AUTOCOMMIT")
         try:

@@ -53,7 +53,12 @@ _CLOCKS_DIFFER: Final = timedelta(minutes=1)
 
 
 def open_store(
-    url: str, *, create: bool = True, durable: bool = True, wall: Callable[[], datetime] | None = None
+    url: str,
+    *,
+    create: bool = True,
+    durable: bool = True,
+    wall: Callable[[], datetime] | None = None,
+    tell: Callable[[str], None] | None = None,
 ) -> "Repository":
     """Open a database that is up to date.
 
@@ -63,6 +68,7 @@ def open_store(
     create : make the tables where there are none yet.
     durable : wait for the disk at every commit, see :func:`cbsr_qa.store.engine.open_engine`.
     wall : tells the time for identifiers and analyses; by default the computer's clock.
+    tell : told while another program that makes the tables is waited for.
 
     Raises
     ------
@@ -72,7 +78,7 @@ def open_store(
     engine = open_engine(parsed_url(url), durable=durable)
     version = schema.found_version(engine)
     if version.age is schema.Age.EMPTY and create:
-        schema.upgrade(engine)
+        schema.upgrade(engine, tell=tell)
     elif version.age is not schema.Age.CURRENT:
         raise schema.refusal(engine, version)
     return Repository(engine, wall or RealClock().wall)

@@ -1,5 +1,6 @@
 """Versions of the database's schema: what is there, what this program needs, and how to get from one to the other."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import Enum
 from typing import Final
@@ -9,6 +10,7 @@ from sqlalchemy import Connection, Engine, inspect, text
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.engine import reading, sqlite_file, use_write_ahead_log, writing
 from cbsr_qa.store.failures import address, shown
+from cbsr_qa.store.locks import changing_schema
 
 #: Revisions in order; the last is what this program reads and writes. Kept here so that opening a database
 #: that is up to date costs no import of Alembic; a test compares it with the migration scripts.
@@ -55,8 +57,14 @@ def found_version(engine: Engine) -> SchemaVersion:
         return _found(connection)
 
 
-def upgrade(engine: Engine, target: str = HEAD) -> SchemaVersion:
+def upgrade(
+    engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] | None = None
+) -> SchemaVersion:
     """Bring a database to a revision, in one transaction: after an error it is as it was.
+
+    Parameters
+    ----------
+    tell : told while another program that creates or upgrades the same database is waited for.
 
     Returns
     -------
@@ -67,21 +75,20 @@ def upgrade(engine: Engine, target: str = HEAD) -> SchemaVersion:
     StoreError
         If it is newer than this program, belongs to another, or cannot be written.
     """
-    before = found_version(engine)
-    if before.age in (Age.NEWER, Age.FOREIGN):
-        raise refusal(engine, before)
+    _upgradable(engine, found_version(engine))
     _make_folder(engine)
-    use_write_ahead_log(engine)
-    with writing(engine) as connection:
-        before = _found(connection)  # again, under the lock: another program may have been faster
-        if before.revision != target:
-            _alembic(connection, "upgrade", target)
+    with changing_schema(engine, tell):
+        use_write_ahead_log(engine)
+        with writing(engine) as connection:
+            before = _upgradable(engine, _found(connection))  # again: another program may have been faster
+            if before.revision != target:
+                _alembic(connection, "upgrade", target)
     return before
 
 
 def downgrade(engine: Engine, target: str) -> None:
     """Take a database back to an earlier revision (``"base"``: nothing left); what only later ones hold is lost."""
-    with writing(engine) as connection:
+    with changing_schema(engine), writing(engine) as connection:
         _alembic(connection, "downgrade", target)
 
 
@@ -105,6 +112,12 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
             )
         case _:
             return StoreError(f"{shown(engine.url)} does not exist or is empty", remedy="test a sensor first")
+
+
+def _upgradable(engine: Engine, version: SchemaVersion) -> SchemaVersion:
+    if version.age in (Age.NEWER, Age.FOREIGN):
+        raise refusal(engine, version)
+    return version
 
 
 def _found(connection: Connection) -> SchemaVersion:
