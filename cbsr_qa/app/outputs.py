@@ -17,6 +17,7 @@ from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import RunIdentity
+from cbsr_qa.domain.sensor_history import SensorHistory
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import ReportSection
 from cbsr_qa.plugins import Plugins
@@ -88,6 +89,11 @@ class RunOutcome:
         return self.result.record.identity.simulated
 
     @property
+    def sensor_history(self) -> SensorHistory | None:
+        """Runs of the sensor that began before this one."""
+        return self.result.sensor_history
+
+    @property
     def exit_code(self) -> int:
         """0 passed, 1 failed, 3 aborted, broken, not measured, or a file could not be written."""
         finished = self.result.record.end is EndReason.FINISHED
@@ -116,6 +122,7 @@ class RunOutcome:
             "limits_version": None if self.result.limits_version is None else self.result.limits_version.version,
             "overrides": [override.document() for override in self.result.overrides],
             "changes": [change_row(change) for change in self.result.history.of(self.run)],
+            "sensor_history": None if self.sensor_history is None else self.sensor_history.document(),
             "warnings": list(self.warnings),
             "simulated": list(self.simulated),
             "seed": self.seed,

@@ -121,9 +121,10 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
     stored = next(iter(store.analyses(run)), None)
     check = store.latest_station_check(record.identity.station, record.identity.started_at)
     history = store.change_history(record)
+    earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
     if stored is None:
         now = _analysed_now(record, recipe, plugins)
-        return replace(now, station_check=check, history=history), recipe.sections
+        return replace(now, station_check=check, history=history, sensor_history=earlier), recipe.sections
     observation, why = _observed(record, recipe, plugins)
     characterisation, why = _characterised(record, recipe) if recipe.characterisation else (None, why)
     calibration, unseen = _calibration(store, stored, observation)
@@ -142,6 +143,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
         station_charts=charts_after(store, record.identity, until=stored.analysis),
         history=history,
         overrides=store.overrides(run),
+        sensor_history=earlier,
     )
     return result, recipe.sections
 

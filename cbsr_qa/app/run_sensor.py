@@ -1,9 +1,12 @@
 """Test one sensor: from files and a serial number to verdict, stored run, report and calibration file."""
 
 import hashlib
-from collections.abc import Callable
+from collections.abc import Callable, Collection
+from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Self
+from itertools import count
+from pathlib import Path
+from typing import Any, Self
 
 from cbsr_qa.app.outputs import RunOutcome
 from cbsr_qa.app.session import Session, check_configuration
@@ -12,14 +15,17 @@ from cbsr_qa.app.software import software_versions
 from cbsr_qa.app.stages import Stages
 from cbsr_qa.clock import RealClock
 from cbsr_qa.config.merge import Configuration
-from cbsr_qa.config.paths import calibrations_folder, database_url, reports_folder, writable_folder
+from cbsr_qa.config.paths import calibrations_folder, check_folder, database_url, reports_folder, writable_folder
 from cbsr_qa.config.serials import validate_batch, validate_operator, validate_reason, validate_serial
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.domain.sensor_history import SensorHistory
 from cbsr_qa.plugins import Plugins, discover
 from cbsr_qa.runner.dry_run import DryRun
-from cbsr_qa.store.repository import database_exists, open_store
+from cbsr_qa.runner.interrupts import on_stderr
+from cbsr_qa.store.engine import parsed_url, sqlite_file
+from cbsr_qa.store.repository import check_usable, database_exists, open_store
 
 #: Seeds are kept to what every tool that reads a run can hold as an integer.
 _SEED_BITS = 31
@@ -53,23 +59,61 @@ class RunRequest:
         return configure(self.station, self.recipe, sensor_type=self.sensor_type, material=self.material, seed=seed)
 
 
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """What a run would take, whether the station allows it, and the runs of the sensor so far."""
+
+    dry: DryRun
+    history: SensorHistory
+
+    @property
+    def refused(self) -> RefusedError | None:
+        """What the run would be refused with; None where it would begin."""
+        try:
+            self.dry.refuse()
+        except RefusedError as error:
+            return error
+        return None
+
+    @property
+    def exit_code(self) -> int:
+        """2 where the run would be refused, else 0."""
+        return 0 if self.refused is None else self.refused.exit_code
+
+    def lines(self) -> tuple[str, ...]:
+        """Return the summary as lines of text."""
+        told = (f"sensor        {self.history.words}",) if self.history.words else ()
+        return (*self.dry.lines(), *told)
+
+    def document(self) -> dict[str, Any]:
+        """Return the summary as one JSON document."""
+        refused = {"refused": None} if self.refused is None else self.refused.document()
+        return {**self.dry.document(), "sensor_history": self.history.document(), **refused}
+
+
 def default_seed(serial: str, earlier_runs: int) -> int:
     """Seed of a run nobody gave one: the same for the same try of the same sensor, another for the next try."""
     digest = hashlib.sha256(f"{serial}/{earlier_runs}".encode()).digest()
     return int.from_bytes(digest[:4]) >> (32 - _SEED_BITS)
 
 
-def plan_run(request: RunRequest) -> DryRun:
-    """Walk a run without moving or writing anything.
+def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
+    """Walk a run without moving or writing anything, by the checks that the run itself would make.
+
+    Parameters
+    ----------
+    attended : whether somebody would be there to answer; nobody is asked.
 
     Raises
     ------
     RefusedError
-        As :func:`run_sensor`, before anything moves; broken limits are listed in the result instead.
+        As :func:`run_sensor`; limits of the station that would be broken are listed in the result instead.
     """
-    configuration, plugins = _checked(request.checked())
-    with Session(configuration, plugins, Stages(), _nobody_in_a_dry_run) as session:
-        return session.walk()
+    plugins = _checked(request.checked())
+    configuration = request.configuration(_seed(request))
+    ask = _nobody_in_a_dry_run if attended else None
+    with Session(configuration, plugins, Stages(), ask) as session:
+        return PlannedRun(session.walk(), _history(request, configuration))
 
 
 def _nobody_in_a_dry_run(text: str) -> str:
@@ -101,36 +145,74 @@ def run_sensor(
     InstrumentError
         If an instrument does not answer at the start.
     """
-    configuration, plugins = _checked(request.checked())
+    plugins = _checked(request.checked())
+    taken: list[int] = []
+    while True:
+        configuration = request.configuration(_seed(request, taken))
+        with Session(configuration, plugins, Stages(tell), ask, why=request.why) as session:
+            session.walk().refuse()
+            outcome = _stored_run(request, configuration, plugins, session)
+        if outcome is not None:
+            return outcome
+        taken.append(configuration.seed)
+        tell("another run of this sensor has begun meanwhile: opening the bench again with the next seed")
+
+
+def _stored_run(
+    request: RunRequest, configuration: Configuration, plugins: Plugins, session: Session
+) -> RunOutcome | None:
+    """Run a session that was walked; None, with nothing moved, where another run of the sensor has its seed."""
+    for folder in _folders():
+        writable_folder(folder)
     # Frames of a virtual clock can be made again after a power cut; those of a bench cannot.
     durable = configuration.station.clock == "real"
-    with Session(configuration, plugins, Stages(tell), ask, why=request.why) as session:
-        session.walk().refuse()
-        for folder in (reports_folder(), calibrations_folder()):
-            writable_folder(folder)
-        with open_store(database_url(request.database), durable=durable) as store:
-            run = store.new_id()
-            identity = _identity(run, request, configuration, session.instruments(), plugins)
-            with store.writing_alone(run, request.operator):
-                return session.run(identity, store)
+    with open_store(database_url(request.database), durable=durable, tell=on_stderr) as store, ExitStack() as held:
+        run = store.new_id()
+        identity = _identity(run, request, configuration, session.instruments(), plugins)
+        if request.seed is None:
+            claim = store.seed_claimed(request.serial, configuration.seed, request.operator)
+            if not held.enter_context(claim):
+                return None
+        held.enter_context(store.writing_alone(run, request.operator))
+        return session.run(identity, store)
 
 
-def _checked(request: RunRequest) -> tuple[Configuration, Plugins]:
-    """Configuration and plugins of a run; what is wrong with the files is said before a database is looked at."""
+def _folders() -> tuple[Path, ...]:
+    return reports_folder(), calibrations_folder()
+
+
+def _checked(request: RunRequest) -> Plugins:
+    """Refuse what can be known to be wrong before the bench is opened; what is wrong with the files is said first."""
     plugins = discover()
     check_configuration(request.configuration(0), plugins)
-    return request.configuration(_seed(request)), plugins
+    url = database_url(request.database)
+    file = sqlite_file(parsed_url(url))
+    for folder in (*_folders(), *(() if file is None else (file.parent,))):
+        check_folder(folder)
+    check_usable(url)
+    return plugins
 
 
-def _seed(request: RunRequest) -> int:
-    """Seed of a run, without making a database where there is none yet."""
+def _seed(request: RunRequest, taken: Collection[int] = ()) -> int:
+    """Seed of a run: as given, or that of the sensor's next try that no run has, without making a database."""
     if request.seed is not None:
         return request.seed
     url = database_url(request.database)
+    stored: tuple[int | None, ...] = ()
+    if database_exists(url):
+        with open_store(url, create=False) as store:
+            stored = store.seeds_of(request.serial)
+    seeds = (default_seed(request.serial, number) for number in count(len(stored)))
+    return next(seed for seed in seeds if seed not in stored and seed not in taken)
+
+
+def _history(request: RunRequest, configuration: Configuration) -> SensorHistory:
+    sensor = SensorIdentity(request.serial, request.batch, configuration.sensor_type.name)
+    url = database_url(request.database)
     if not database_exists(url):
-        return default_seed(request.serial, 0)
+        return SensorHistory(sensor, configuration.recipe.name)
     with open_store(url, create=False) as store:
-        return default_seed(request.serial, len(store.find_runs(request.serial)))
+        return store.sensor_history(sensor, configuration.recipe.name)
 
 
 def _identity(

@@ -246,6 +246,7 @@ def _concluded(
     with stages.stage("reading the run back"):
         record = store.load_run(run)
     recipe, history = configuration.recipe, store.change_history(record)
+    earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
     conclusion = conclude(record, recipe, plugins, stages)
     issued_at = RealClock().wall().isoformat()
     charts = charts_after(store, record.identity, conclusion.measurements)
@@ -263,12 +264,14 @@ def _concluded(
             *warnings,
             *(charts.warnings() if charts else ()),
             *unexplained(history.of(run)),
+            *earlier.differences,
         ),
         limits_version=recipe.limits_version,
         characterisation=conclusion.characterisation,
         station_check=store.latest_station_check(record.identity.station, record.identity.started_at),
         station_charts=charts,
         history=history,
+        sensor_history=earlier,
     )
     store.save_result(result)
     resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)

@@ -9,7 +9,7 @@ from cbsr_qa.cli.output import emit_json, note, say
 
 if TYPE_CHECKING:
     from cbsr_qa.app.outputs import RunOutcome
-    from cbsr_qa.runner.dry_run import DryRun
+    from cbsr_qa.app.run_sensor import PlannedRun
 
 #: What a new run cannot do without, and what may be given with --resume.
 _NEEDED = ("station", "recipe", "serial")
@@ -69,8 +69,7 @@ def run(
         why=why,
     )
     if dry_run:
-        _show_dry_run(plan_run(request), as_json)
-        return 0
+        return _shown_plan(plan_run(request, attended=operator_at_terminal() is not None), as_json)
     return _shown(run_sensor(request, tell=lambda stage: note(f"{stage} …"), ask=operator_at_terminal()), as_json)
 
 
@@ -111,6 +110,8 @@ def _show(outcome: "RunOutcome") -> None:
     for warning in outcome.warnings:
         note(f"warning: {warning}")
     say(f"{outcome.headline}: {outcome.reason}")
+    if outcome.sensor_history is not None and outcome.sensor_history.words:
+        say(f"sensor       {outcome.sensor_history.words}")
     say(f"run          {outcome.run}")
     say(f"report       {outcome.report or 'none'}")
     say(f"calibration  {outcome.calibration or 'none: ' + (outcome.calibration_why or 'not written')}")
@@ -123,9 +124,14 @@ def _show(outcome: "RunOutcome") -> None:
         say(f"simulated    {'; '.join(outcome.simulated)}")
 
 
-def _show_dry_run(dry: "DryRun", as_json: bool) -> None:
+def _shown_plan(planned: "PlannedRun", as_json: bool) -> int:
     if as_json:
-        emit_json(dry.document())
-        return
-    for line in dry.lines():
-        say(line)
+        emit_json(planned.document())
+    else:
+        for line in planned.lines():
+            say(line)
+    for warning in planned.history.differences:
+        note(f"warning: {warning}")
+    if planned.refused is not None:
+        note(f"cbsr-qa: the run would be refused for what is not allowed\n{planned.refused.remedy}")
+    return planned.exit_code

@@ -1,5 +1,6 @@
 """Where a run writes: one folder, and nowhere else."""
 
+import errno
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -41,6 +42,21 @@ def materials_folder(environment: Mapping[str, str] = os.environ) -> Path:
     return var_folder(environment) / "materials"
 
 
+def check_folder(folder: Path) -> None:
+    """Refuse a folder that could not be created or written to; nothing is written to find out.
+
+    Raises
+    ------
+    ConfigError
+        Naming it and what is in the way.
+    """
+    there = next((one for one in (folder, *folder.absolute().parents) if os.path.lexists(one)), folder)
+    if not there.is_dir():
+        raise _unwritable(folder, os.strerror(errno.ENOTDIR if there.exists() else errno.ENOENT))
+    if not os.access(there, os.W_OK | os.X_OK):
+        raise _unwritable(folder, os.strerror(errno.EACCES))
+
+
 def writable_folder(folder: Path) -> Path:
     """Create a folder if need be and make sure that files can be written there, before anything is moved.
 
@@ -55,8 +71,12 @@ def writable_folder(folder: Path) -> Path:
         probe.touch(exist_ok=True)
         probe.unlink()
     except OSError as error:
-        raise ConfigError(
-            f"folder {folder} cannot be written to: {error.strerror}",
-            remedy="free it, or name another one in CBSR_QA_VAR",
-        ) from error
+        raise _unwritable(folder, error.strerror or str(error)) from error
     return folder
+
+
+def _unwritable(folder: Path, why: str) -> ConfigError:
+    return ConfigError(
+        f"folder {folder} cannot be written to: {why}",
+        remedy="free it, or name another one in CBSR_QA_VAR, for the database with --database",
+    )

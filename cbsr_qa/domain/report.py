@@ -10,6 +10,7 @@ from cbsr_qa.domain.measurement import Measurement, Verdict
 from cbsr_qa.domain.observation import RunObservation
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.domain.sensor_history import SensorHistory
 from cbsr_qa.domain.station_charts import StationCharts
 from cbsr_qa.domain.station_check import StationCheck
 
@@ -88,6 +89,7 @@ class RunResult:
     station_charts : how the station's control charts stood with this run; None where none has a reference.
     history : changes of the run's files since its sensor type last passed its recipe.
     overrides : decisions against the verdicts of the run, oldest first; ``verdict`` stays what was found.
+    sensor_history : runs of the sensor that began before this one; None where nobody looked.
     """
 
     record: RunRecord
@@ -104,3 +106,4 @@ class RunResult:
     station_charts: StationCharts | None = None
     history: ChangeHistory = field(default_factory=ChangeHistory)
     overrides: tuple[VerdictOverride, ...] = ()
+    sensor_history: SensorHistory | None = None

@@ -82,6 +82,7 @@ def run_page(result: RunResult) -> Page:
         ("Run", identity.run),
         ("Station time", duration(record.station_s)),
         _issued(result),
+        *_tries(result),
     )
     observed = result.observation.warnings if result.observation else ()
     warnings = tuple(dict.fromkeys((*_overridden(result), *result.warnings, *observed)))
@@ -96,6 +97,14 @@ def _issued(result: RunResult) -> tuple[str, str]:
     passed = result.verdict.outcome in (Outcome.PASS, Outcome.MARGINAL)
     why = next(iter(found.refused), "" if passed else "the run did not pass")
     return "Material file", f"none: {why}" if why else "issued"
+
+
+def _tries(result: RunResult) -> tuple[tuple[str, str], ...]:
+    """Number of this try of the recipe, and the sensor's runs that began before this one."""
+    history = result.sensor_history
+    if history is None:
+        return ()
+    return (("Sensor's earlier runs", history.words or "none in this database"),)
 
 
 def recording_page(result: RecordingResult) -> Page:

@@ -1,7 +1,7 @@
 """The store's front door: open a database, journal runs into it, ask it about them."""
 
-from collections.abc import Callable, Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from datetime import date, datetime, timedelta
 from types import TracebackType
 from typing import Final, Self
@@ -20,7 +20,8 @@ from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import RunIdentity, RunRecord, RunSession
 from cbsr_qa.domain.run_figures import RunFigure, RunLine
-from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
+from cbsr_qa.domain.sensor_history import SensorHistory
 from cbsr_qa.domain.station_charts import ChartReference
 from cbsr_qa.domain.station_check import RingReadings, StationCheck
 from cbsr_qa.store import (
@@ -35,6 +36,7 @@ from cbsr_qa.store import (
     overrides,
     runs,
     schema,
+    sensor_history,
     station_checks,
 )
 from cbsr_qa.store.analyses import StoredAnalysis
@@ -76,12 +78,34 @@ def open_store(
         If it is missing (and not to be created), damaged, of another version or another program, or unreachable.
     """
     engine = open_engine(parsed_url(url), durable=durable)
-    version = schema.found_version(engine)
-    if version.age is schema.Age.EMPTY and create:
-        schema.upgrade(engine, tell=tell)
-    elif version.age is not schema.Age.CURRENT:
-        raise schema.refusal(engine, version)
+    try:
+        version = schema.found_version(engine)
+        if version.age is schema.Age.EMPTY and create:
+            schema.upgrade(engine, tell=tell)
+        elif version.age is not schema.Age.CURRENT:
+            raise schema.refusal(engine, version)
+    except BaseException:
+        engine.dispose()
+        raise
     return Repository(engine, wall or RealClock().wall)
+
+
+def check_usable(url: str) -> None:
+    """Refuse a database that a run could not be stored in; nothing is written, and a file that is missing stays so.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be reached or written, is of another version, or is another program's.
+    """
+    engine = open_engine(parsed_url(url))
+    try:
+        version = schema.found_version(engine)
+        if version.age not in (schema.Age.EMPTY, schema.Age.CURRENT):
+            raise schema.refusal(engine, version)
+        schema.check_writable(engine, version)
+    finally:
+        engine.dispose()
 
 
 def database_exists(url: str) -> bool:
@@ -173,6 +197,16 @@ class Repository:
         """Hold the right to write a run while entered; StoreError naming who does, where another process does."""
         return locks.writing_alone(self._engine, run, locks.this_process(operator))
 
+    @contextmanager
+    def seed_claimed(self, serial: str, seed: int, operator: str = "") -> Iterator[bool]:
+        """Claim a seed for a run of a sensor while entered; yields False where another run of it has the seed."""
+        with locks.seed_claimed(self._engine, serial, seed, locks.this_process(operator)) as claimed:
+            yield claimed and seed not in self.seeds_of(serial)
+
+    def seeds_of(self, serial: str) -> tuple[int | None, ...]:
+        """Return the seeds of all runs of a sensor, oldest first; None where a configuration states none."""
+        return sensor_history.seeds_of(self._engine, serial)
+
     def writer_of(self, run: str) -> str:
         """Return who writes a run at this moment; empty where nobody does."""
         return locks.writer_of(self._engine, run)
@@ -208,6 +242,10 @@ class Repository:
     def find_runs(self, serial: str | None = None) -> tuple[RunSummary, ...]:
         """Return runs, the latest first: of one sensor, or all."""
         return runs.find_runs(self._engine, serial)
+
+    def sensor_history(self, sensor: SensorIdentity, recipe: str, before: str = "") -> SensorHistory:
+        """Return the runs of a sensor that began before a run (empty: all), as seen from a run of this recipe."""
+        return SensorHistory(sensor, recipe, sensor_history.earlier_runs(self._engine, sensor.serial, before))
 
     def resolve(self, run_or_serial: str) -> str:
         """Return the run meant: itself, or the latest of a sensor. StoreError if it is neither."""

@@ -57,9 +57,7 @@ def found_version(engine: Engine) -> SchemaVersion:
         return _found(connection)
 
 
-def upgrade(
-    engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] | None = None
-) -> SchemaVersion:
+def upgrade(engine: Engine, target: str = HEAD, *, tell: Callable[[str], None] | None = None) -> SchemaVersion:
     """Bring a database to a revision, in one transaction: after an error it is as it was.
 
     Parameters
@@ -90,6 +88,23 @@ def downgrade(engine: Engine, target: str) -> None:
     """Take a database back to an earlier revision (``"base"``: nothing left); what only later ones hold is lost."""
     with changing_schema(engine), writing(engine) as connection:
         _alembic(connection, "downgrade", target)
+
+
+def check_writable(engine: Engine, version: SchemaVersion) -> None:
+    """Make sure that a user may add rows, or tables where there are none yet, by adding none.
+
+    Raises
+    ------
+    StoreError
+        If the database is read-only, or refuses the user.
+    """
+    if version.age is Age.CURRENT:
+        with writing(engine) as connection:
+            connection.execute(text("INSERT INTO runs SELECT * FROM runs WHERE 1 = 0"))
+    elif sqlite_file(engine.url) is None:
+        with reading(engine) as connection:
+            connection.execute(text("CREATE TABLE cbsr_qa_probe (one INTEGER)"))
+            connection.rollback()
 
 
 def refusal(engine: Engine, version: SchemaVersion) -> StoreError:

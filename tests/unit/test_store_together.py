@@ -2,10 +2,10 @@
 
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
 from functools import partial
 
 import pytest
-import sqlalchemy as sa
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store import locks, schema
@@ -15,22 +15,24 @@ from cbsr_qa.store.repository import open_store
 STATIONS = 4
 
 
+_TOGETHER = []
+
+
 def started(barrier):
     """Have a process wait for the others once it has loaded everything."""
     import alembic.command  # noqa: F401 - what takes longest to load
 
-    global _together
-    _together = barrier
+    _TOGETHER.append(barrier)
 
 
 def opened(url, _):
-    _together.wait(60)
+    _TOGETHER[0].wait(60)
     with open_store(url) as store:
         return store.counts()["runs"]
 
 
 def upgraded(url, _):
-    _together.wait(60)
+    _TOGETHER[0].wait(60)
     engine = open_engine(parsed_url(url))
     before = schema.upgrade(engine).revision
     engine.dispose()
@@ -56,3 +58,23 @@ def test_stations_that_upgrade_one_database_together_upgrade_it_once(stations, d
     before = stations(partial(upgraded, database_url))
     assert sorted(before) == ["0001", *[schema.HEAD] * (STATIONS - 1)]
     engine.dispose()
+
+
+def test_who_changes_the_schema_is_waited_for_aloud_and_not_for_ever(database_url, monkeypatch):
+    monkeypatch.setattr(locks, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(locks, "SCHEMA_WAIT_S", 0.3)
+    engine, told = open_engine(parsed_url(database_url)), []
+    with locks.changing_schema(engine), pytest.raises(StoreError, match=r"created or upgraded by .*waited 0\.3 s"):
+        open_store(database_url, tell=told.append)
+    (said,) = told
+    assert "is being created or upgraded by somebody on" in said
+    assert "waiting 0.3 s at most" in said
+    engine.dispose()
+    open_store(database_url).close()
+
+
+def test_a_seed_is_claimed_by_one_run_at_a_time_and_of_one_sensor(database_url):
+    with open_store(database_url) as store, ExitStack() as held:
+        claims = [("S-1", 7), ("S-1", 7), ("S-1", 8), ("S-2", 7)]
+        claimed = [held.enter_context(store.seed_claimed(*claim)) for claim in claims]
+        assert claimed == [True, False, True, True]

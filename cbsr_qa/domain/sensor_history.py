@@ -1,0 +1,138 @@
+"""Earlier runs of one sensor: how many tries there were, how they ended, and what they state of the sensor."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime
+from typing import Any, Final
+
+from cbsr_qa.domain.outcome import EndReason, Outcome
+from cbsr_qa.domain.sensor import SensorIdentity
+
+_ORDINALS: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
+#: Tries that are told one by one, the latest ones.
+_TOLD: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierRun:
+    """One earlier run.
+
+    Parameters
+    ----------
+    outcome, reason : of its latest analysis; None and empty where it has none.
+    overridden : the outcome somebody decided on instead, and who; None where nobody did.
+    of_check : whether it belongs to a check of a station.
+    """
+
+    run: str
+    started_at: datetime
+    sensor: SensorIdentity
+    recipe: str
+    end: EndReason
+    outcome: Outcome | None
+    reason: str
+    overridden: tuple[Outcome, str] | None = None
+    of_check: bool = False
+
+    @property
+    def day(self) -> str:
+        """Day it began on, UTC."""
+        return f"{self.started_at:%Y-%m-%d}"
+
+    @property
+    def words(self) -> str:
+        """Day and how it ended."""
+        if self.end is EndReason.RUNNING:
+            return f"{self.day} cut off or still under way"
+        if self.end is not EndReason.FINISHED:
+            return f"{self.day} {self.end}"
+        if self.outcome is None:
+            return f"{self.day} no result"
+        why = "" if self.outcome is Outcome.PASS else f" ({self.reason.partition(' (allowed')[0]})"
+        decided = "" if self.overridden is None else f", overridden to {self.overridden[0]} by {self.overridden[1]}"
+        return f"{self.day} {self.outcome}{why}{decided}"
+
+
+@dataclass(frozen=True, slots=True)
+class SensorHistory:
+    """Runs of a sensor that began before one run of it, with the results the database holds of them.
+
+    Parameters
+    ----------
+    sensor, recipe : of the run itself.
+    earlier : oldest first.
+    """
+
+    sensor: SensorIdentity
+    recipe: str
+    earlier: tuple[EarlierRun, ...] = ()
+
+    @property
+    def tries(self) -> tuple[EarlierRun, ...]:
+        """Earlier runs of the same recipe, without those that checked a station."""
+        return tuple(one for one in self.earlier if one.recipe == self.recipe and not one.of_check)
+
+    @property
+    def ordinal(self) -> str:
+        """Number of this try, as a word up to the tenth."""
+        number = len(self.tries) + 1
+        if number <= len(_ORDINALS):
+            return _ORDINALS[number - 1]
+        ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
+        return f"{number}{ending}"
+
+    @property
+    def words(self) -> str:
+        """Number of this try and what came before; empty where nothing did."""
+        checks = [one for one in self.earlier if one.of_check]
+        others = [one for one in self.earlier if one.recipe != self.recipe and not one.of_check]
+        told = []
+        if self.tries or others:
+            told.append(f"{self.ordinal} try of this recipe")
+        if self.tries:
+            before = len(self.tries) - _TOLD
+            more = f", and {before} before" if before > 0 else ""
+            told.append(f"earlier: {', '.join(one.words for one in self.tries[-_TOLD:])}{more}")
+        if others:
+            told.append(f"{_runs(others)} of other recipes, the latest ({others[-1].recipe}) {others[-1].words}")
+        if checks:
+            told.append(f"{_runs(checks)} in checks of stations, the latest {checks[-1].words}")
+        return "; ".join(told)
+
+    @property
+    def differences(self) -> tuple[str, ...]:
+        """Say where earlier runs state another batch or type; a batch that was not stated differs from none."""
+        return tuple(
+            f"sensor {self.sensor.serial}: {what} {now!r} now; its run of {one.day} says {before!r}:"
+            " one is wrong, or two sensors have this serial number"
+            for what, now, stated in (
+                ("batch", self.sensor.batch, [(one.sensor.batch, one) for one in self.earlier]),
+                ("type", self.sensor.sensor_type, [(one.sensor.sensor_type, one) for one in self.earlier]),
+            )
+            for before, one in dict(stated).items()
+            if now and before and before != now
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the same as a JSON object."""
+        return {"try": len(self.tries) + 1, "earlier_runs": [_row(one) for one in self.earlier]}
+
+
+def _runs(some: Iterable[EarlierRun]) -> str:
+    count = len(list(some))
+    return f"{count} run{'' if count == 1 else 's'}"
+
+
+def _row(one: EarlierRun) -> dict[str, Any]:
+    return {
+        "run": one.run,
+        "started_at": one.started_at.isoformat(),
+        "recipe": one.recipe,
+        "batch": one.sensor.batch,
+        "sensor_type": one.sensor.sensor_type,
+        "end": str(one.end),
+        "outcome": None if one.outcome is None else str(one.outcome),
+        "reason": one.reason,
+        "overridden_to": None if one.overridden is None else str(one.overridden[0]),
+        "station_check": one.of_check,
+    }
