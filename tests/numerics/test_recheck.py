@@ -134,5 +134,5 @@ class TestMetric:
 
 
 def test_the_recipe_takes_five_minutes():
-    dry = plan_run(RunRequest("simulated", "re-verification", "S"))
+    dry = plan_run(RunRequest("simulated", "re-verification", "S")).dry
     assert dry.duration_s < 300

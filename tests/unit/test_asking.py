@@ -94,8 +94,10 @@ def test_without_a_terminal_a_station_worked_by_hand_is_refused(station, monkeyp
 
 
 def test_a_dry_run_asks_nobody(station):
-    dry = plan_run(RunRequest(station, "nine-locations", "S-1", seed=1))
-    assert dry.loads > 0
+    request = RunRequest(station, "nine-locations", "S-1", seed=1)
+    assert plan_run(request, attended=True).dry.loads > 0
+    with pytest.raises(ConfigError, match="worked by hand"):
+        plan_run(request)
 
 
 def test_instruments_and_prompts_are_given_the_operator(station, monkeypatch):

@@ -7,6 +7,8 @@ from functools import partial
 
 import pytest
 
+from cbsr_qa.app.run_sensor import RunRequest, default_seed, run_sensor
+from cbsr_qa.app.session import Session
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store import locks, schema
 from cbsr_qa.store.engine import open_engine, parsed_url
@@ -39,10 +41,24 @@ def upgraded(url, _):
     return before
 
 
+def seed_of_a_run(url, folder, _):
+    """Begin a run of one sensor and hold it until all have begun theirs; returns its seed."""
+
+    def begun(session, identity, store):
+        _TOGETHER[0].wait(60)
+        return session._configuration.seed
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CBSR_QA_VAR", folder)
+        patch.setattr(Session, "run", begun)
+        return run_sensor(RunRequest("simulated", "nine-locations", "S-1", database=url))
+
+
 @pytest.fixture(scope="module")
 def stations():
     """Call a function in as many processes as there are stations, at the same moment."""
     context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["alembic.command", "cbsr_qa.app.run_sensor", "cbsr_qa_plugins"])
     barrier = context.Barrier(STATIONS)
     with ProcessPoolExecutor(STATIONS, context, started, (barrier,)) as pool:
         yield lambda function: list(pool.map(function, range(STATIONS)))
@@ -58,6 +74,13 @@ def test_stations_that_upgrade_one_database_together_upgrade_it_once(stations, d
     before = stations(partial(upgraded, database_url))
     assert sorted(before) == ["0001", *[schema.HEAD] * (STATIONS - 1)]
     engine.dispose()
+
+
+@pytest.mark.slow
+def test_runs_of_one_sensor_that_begin_together_have_the_seeds_of_its_first_tries(stations, database_url, tmp_path):
+    seeds = stations(partial(seed_of_a_run, database_url, str(tmp_path)))
+    assert sorted(seeds) == sorted(default_seed("S-1", number) for number in range(STATIONS))
+    assert not list(tmp_path.glob("*.lock"))
 
 
 def test_who_changes_the_schema_is_waited_for_aloud_and_not_for_ever(database_url, monkeypatch):
