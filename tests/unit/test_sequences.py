@@ -235,6 +235,9 @@ def test_unknown_options_are_refused_with_the_nearest(sequence):
         (RandomLoadsSequence, {"radius_mm": [10]}, "radius_mm is"),
         (RandomLoadsSequence, {"radius_mm": [10, 5]}, "radius_mm is"),
         (RandomLoadsSequence, {"strain_percent": [0, 5]}, "strain_percent is 0"),
+        (RandomLoadsSequence, {"strain_percent": [0.05, 0.3]}, "strain_percent is 0.05"),
+        (LocationGridSequence, {"strains_percent": [0.2]}, "strains_percent is 0.2"),
+        (NoiseFigureSequence, {"strain_percent": 0.99}, "strain_percent is 0.99"),
         (RandomLoadsSequence, {"count": 0}, "count is 0"),
         (RandomLoadsSequence, {"stream": " "}, "stream is ' '"),
     ],
@@ -244,3 +247,9 @@ def test_options_out_of_range_are_refused_with_what_is_allowed(sequence, options
         sequence(**options)
     assert said in refused.value.reason
     assert refused.value.remedy.startswith("allowed: ")
+
+
+def test_a_strain_that_was_meant_as_a_fraction_is_told_in_per_cent():
+    with pytest.raises(ConfigError, match="strains_percent is 0.2") as refused:
+        LocationGridSequence(strains_percent=[0.2])
+    assert refused.value.remedy == "allowed: a number from 1 to 60, in per cent: write 20 for the fraction 0.2"

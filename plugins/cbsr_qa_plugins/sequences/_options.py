@@ -7,6 +7,9 @@ from typing import Any, Final
 
 from cbsr_qa.domain.errors import ConfigError
 
+#: Lowest strain any sequence may be asked for [%]: 0.04 mm of a 4 mm sheet, less than one step of 0.05 mm in which the
+#: head feels for the surface. Whoever asks for less has written a fraction instead of per cent.
+STRAIN_FLOOR_PERCENT: Final = 1.0
 #: Highest strain any sequence may be asked for [%]; what the station allows is checked by the runner besides.
 STRAIN_CEILING_PERCENT: Final = 60.0
 #: Longest single hold or rest [s].
@@ -54,11 +57,14 @@ class Options:
         return self.strain_of(name, self._given.get(name, default_percent))
 
     def strain_of(self, name: str, percent: object) -> float:
-        """Return one value of a strain option as a fraction; above 0 and at most the ceiling."""
-        value = self._number(name, percent, 0.0, STRAIN_CEILING_PERCENT)
-        if value == 0.0:
-            raise self._refused(name, percent, f"above 0 and at most {STRAIN_CEILING_PERCENT:g}")
-        return value / 100
+        """Return one value of a strain option as a fraction; from the floor to the ceiling."""
+        try:
+            return self._number(name, percent, STRAIN_FLOOR_PERCENT, STRAIN_CEILING_PERCENT) / 100
+        except ConfigError as error:
+            if not isinstance(percent, float) or not 0 < percent < STRAIN_FLOOR_PERCENT:
+                raise
+            hint = f"{error.remedy}, in per cent: write {100 * percent:g} for the fraction {percent:g}"
+            raise ConfigError(error.reason, remedy=hint) from None
 
     def whole(self, name: str, default: int, low: int, high: int) -> int:
         """Return a whole number in [low, high]."""

@@ -60,7 +60,9 @@ class RandomLoadsSequence:
         given = Options(_NAME, options, _KNOWN)
         self._count = given.whole("count", 10, 1, 10_000)
         self._radius_mm = given.interval("radius_mm", (0.0, 40.0), 0.0, 1e3)
-        self._strain_percent = given.interval("strain_percent", (5.0, 30.0), 0.01, STRAIN_CEILING_PERCENT)
+        self._strain_percent = given.interval("strain_percent", (5.0, 30.0), 0.0, STRAIN_CEILING_PERCENT)
+        for percent in self._strain_percent:
+            given.strain_of("strain_percent", percent)
         self._hold_s = given.duration_s("hold_s", 60.0, shortest_s=1.0)
         self._rest_s = given.duration_s("rest_s", 60.0)
         self._initial_rest_s = given.duration_s("initial_rest_s", 240.0)
