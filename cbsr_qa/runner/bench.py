@@ -4,6 +4,7 @@ import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from difflib import get_close_matches
 from typing import Any, Final
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
@@ -28,7 +29,7 @@ MULTIPLEXER: Final = "multiplexer"
 #: Channel whose samples the force ceiling is held against.
 FORCE_CHANNEL: Final = "force"
 
-#: What fills a role; every other role is a sampler's.
+#: What fills a role; every other role is a sampler's, and named as the channel it samples.
 _PROTOCOLS: Final[dict[str, type]] = {
     FRAME_SOURCE: FrameSource,
     FORCE_APPLICATOR: ForceApplicator,
@@ -64,8 +65,9 @@ class Bench:
     Raises
     ------
     ConfigError
-        Naming role and driver, if an instrument does not provide what it is said to, a role is filled twice or
-        not at all, nothing measures the force, or an instrument that needs another does not find it.
+        Naming role and driver, if an instrument does not provide what it is said to (a role is one of the bench's, or
+        the channel that an instrument samples), a role is filled twice or not at all, nothing measures the force, or
+        an instrument that needs another does not find it.
     """
 
     def __init__(
@@ -222,6 +224,15 @@ def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
 
 
 def _checked(one: Mounted, role: str) -> Mounted:
+    channel = str(getattr(one.instrument, "channel", "")).replace(" ", "_")
+    if role not in _PROTOCOLS and role != channel:
+        near = get_close_matches(role, filter(None, (*_PROTOCOLS, channel)), n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise ConfigError(
+            f"instrument {one.name} is said to provide {role!r}, which is neither a role nor what it samples:"
+            f" {f'it samples {channel!r}' if channel else 'it samples nothing'}",
+            remedy=f"{hint}roles: {', '.join(_PROTOCOLS)}, and what an instrument samples, such as 'force'",
+        )
     protocol = _PROTOCOLS.get(role, Sampler)
     if not isinstance(one.instrument, protocol):
         lacking = sorted(name for name in _members(protocol) if not hasattr(one.instrument, name))
@@ -247,18 +258,10 @@ def _filled(filled: dict[str, Mounted], role: str) -> Any:
 
 
 def _samplers(mounted: list[Mounted]) -> tuple[Sampler, ...]:
-    by_channel: dict[str, Mounted] = {}
-    for one in mounted:
-        assert isinstance(one.instrument, Sampler)
-        first = by_channel.setdefault(one.instrument.channel, one)
-        if first is not one:
-            raise ConfigError(
-                f"channel {one.instrument.channel!r} is sampled by {first.name} and by {one.name}",
-                remedy="give one of them the driver that is meant, or take it out of the station file",
-            )
-    if FORCE_CHANNEL not in by_channel:
+    samplers = tuple(one.instrument for one in mounted if isinstance(one.instrument, Sampler))
+    if all(one.channel != FORCE_CHANNEL for one in samplers):
         raise ConfigError(
             f"no instrument of the station samples {FORCE_CHANNEL!r}",
             remedy="a head must not press without it: name a load cell's role in 'provides'",
         )
-    return tuple(one.instrument for one in by_channel.values() if isinstance(one.instrument, Sampler))
+    return samplers

@@ -250,6 +250,6 @@ def test_options_out_of_range_are_refused_with_what_is_allowed(sequence, options
 
 
 def test_a_strain_that_was_meant_as_a_fraction_is_told_in_per_cent():
-    with pytest.raises(ConfigError, match="strains_percent is 0.2") as refused:
+    with pytest.raises(ConfigError, match=r"strains_percent is 0\.2") as refused:
         LocationGridSequence(strains_percent=[0.2])
     assert refused.value.remedy == "allowed: a number from 1 to 60, in per cent: write 20 for the fraction 0.2"

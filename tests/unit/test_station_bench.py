@@ -19,7 +19,8 @@ from cbsr_qa.testing.bench import Script, ScriptedApplicator, ScriptedFrames, Sc
 OK, WARNING, FAILED, NOT_DONE = CheckOutcome
 RING = ReferenceRing((1e4,), 0.001, 5, 0.01, 0.01, 1e-3, 1e-3, 100.0)
 TODAY = date(2026, 11, 22)
-ROLES = ("force_applicator", "frame_source", "load_cell")
+PROVIDED = {"force_applicator": "force_applicator", "frame_source": "frame_source", "load_cell": "force"}
+ROLES = tuple(PROVIDED)
 
 
 @pytest.fixture(scope="module")
@@ -39,7 +40,7 @@ class Bench:
             "frame_source": ScriptedFrames(self.script, shape, 2.5),
             "load_cell": ScriptedLoadCell(self.script, applicator),
         }
-        specs = tuple(InstrumentSpec(role, f"driver-{role}", (role,), {}, None) for role in ROLES)
+        specs = tuple(InstrumentSpec(role, f"driver-{role}", (PROVIDED[role],), {}, None) for role in ROLES)
         self.configuration = replace(simulated, station=replace(simulated.station, instruments=specs, **station))
         self.factories = {role: lambda context: self.instruments[context.role] for role in ROLES}
 
@@ -149,7 +150,7 @@ def test_a_channel_without_samples_fails(bench):
 def test_instruments_that_make_no_bench_are_said_so(bench):
     bench.factories["load_cell"] = lambda context: ScriptedApplicator(bench.script)
     bench.look()
-    assert "is said to provide 'load_cell' but is no Sampler" in bench.lines["whole bench", "together"].said
+    assert "is said to provide 'force', which is neither a role" in bench.lines["whole bench", "together"].said
 
 
 def test_a_real_instrument_on_a_virtual_clock_makes_no_bench(bench):
@@ -243,7 +244,7 @@ class Scanner(ScriptedFrames):
         self.peers = peers
 
     def identity(self):
-        return replace(super().identity(), simulated=self.peers is not None and "load_cell" in self.peers)
+        return replace(super().identity(), simulated=self.peers is not None and "force" in self.peers)
 
 
 def test_one_that_works_through_others_is_asked_once_it_has_them(bench):

@@ -31,8 +31,18 @@ def test_an_address_that_is_none_is_said_with_its_instrument_once():
     assert said.reason == "instrument 'load_cell' (serial-load-cell): address 'usb:1A867523' is no USB device"
 
 
-def test_two_instruments_of_one_channel_are_refused_with_what_to_do():
-    said = refused("load_cell", driver="serial-thermometer", provides=("second_temperature",))
+@pytest.mark.parametrize(
+    ("role", "changes", "samples", "near"),
+    [
+        ("load_cell", {"provides": ("forse",)}, "it samples 'force'", "'force'"),
+        ("load_cell", {"provides": ("force", "temperature")}, "it samples 'force'", ""),
+        ("load_cell", {"driver": "serial-thermometer"}, "it samples 'temperature'", ""),
+        ("multiplexer", {"provides": ("multiplexr",)}, "it samples nothing", "'multiplexer'"),
+    ],
+)
+def test_a_role_that_nobody_knows_is_refused_with_the_nearest(role, changes, samples, near):
+    said = refused(role, **changes)
     assert isinstance(said, ConfigError)
-    assert said.reason.startswith("channel 'temperature' is sampled by load_cell (serial-thermometer)")
-    assert "driver" in said.remedy
+    assert said.reason.startswith(f"instrument {role} (")
+    assert said.reason.endswith(f"which is neither a role nor what it samples: {samples}")
+    assert said.remedy.startswith(f"did you mean {near}? roles: frame_source" if near else "roles: frame_source")

@@ -7,8 +7,8 @@ from typing import Any, Final
 
 from cbsr_qa.domain.errors import ConfigError
 
-#: Lowest strain any sequence may be asked for [%]: 0.04 mm of a 4 mm sheet, less than one step of 0.05 mm in which the
-#: head feels for the surface. Whoever asks for less has written a fraction instead of per cent.
+#: Lowest strain any sequence may be asked for [%]: 0.04 mm of a 4 mm sheet, less than one step of 0.05 mm in which
+#: the head feels for the surface. Whoever asks for less has written a fraction instead of per cent.
 STRAIN_FLOOR_PERCENT: Final = 1.0
 #: Highest strain any sequence may be asked for [%]; what the station allows is checked by the runner besides.
 STRAIN_CEILING_PERCENT: Final = 60.0
