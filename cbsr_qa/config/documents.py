@@ -23,16 +23,19 @@ _TOO_DEEP = re.compile(rf"""(?<![\w"'.-])(?:[\w"'-]++\s*+\.\s*+){{{MOST_KEY_PART
 
 
 class DocumentKind(Enum):
-    """What a configuration file describes: (name in messages, folder among the shipped files)."""
+    """What a configuration file describes: (name in messages, folder among the shipped files, the table it needs).
 
-    STATION = ("station", "")
-    RECIPE = ("recipe", "recipes")
-    SENSOR_TYPE = ("sensor type", "sensor_types")
-    MATERIAL = ("material", "materials")
-    SCENE = ("scene", "scenes")
-    LIMITS = ("limits", "limits")
-    REFERENCES = ("reference values", "references")
-    GAUGE_STUDY = ("gauge study", "studies")
+    A file may hold what another kind needs (a recipe its limits): it is of the first kind here whose table it has.
+    """
+
+    STATION = ("station", "", "station")
+    RECIPE = ("recipe", "recipes", "recipe")
+    SENSOR_TYPE = ("sensor type", "sensor_types", "sensor_type")
+    MATERIAL = ("material", "materials", "material")
+    SCENE = ("scene", "scenes", "scene")
+    GAUGE_STUDY = ("gauge study", "studies", "study")
+    LIMITS = ("limits", "limits", "limits_version")
+    REFERENCES = ("reference values", "references", "reference")
 
     @property
     def noun(self) -> str:
@@ -43,6 +46,11 @@ class DocumentKind(Enum):
     def folder(self) -> str:
         """Where shipped files of this kind are, below ``cbsr_qa._stations``."""
         return self.value[1]
+
+    @property
+    def table(self) -> str:
+        """The top-level table that every file of this kind has, and by which it is known."""
+        return self.value[2]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,6 +151,7 @@ def _unknown(kind: DocumentKind, name: str) -> ConfigError:
     remedy = []
     if name and _is_file(Path(f"{name}.toml")):
         remedy.append(f"for the file in this folder give {name}.toml")
+    remedy += [f"{echo(name)} is a shipped {other.noun}" for other in DocumentKind if name in shipped_names(other)]
     remedy.append(f"shipped: {', '.join(known) or 'none'}; or give the path of a .toml file")
     return ConfigError(f"there is no {kind.noun} named {echo(name)}", remedy=hint + "; ".join(remedy))
 
@@ -182,6 +191,12 @@ def _parsed(kind: DocumentKind, label: str, path: Path | None, text: str) -> Doc
         raise ConfigError(
             f"{label} is not valid TOML: {said}", remedy="see https://toml.io for the syntax"
         ) from error
+    found = next((other for other in DocumentKind if other.table in data), kind)
+    within_others = kind in (DocumentKind.LIMITS, DocumentKind.REFERENCES)
+    if found is not kind and (kind.table not in data or within_others):
+        raise ConfigError(
+            f"{label} is a {found.noun} file, not a {kind.noun} file", remedy=f"give a {kind.noun} file here"
+        )
     return Document(kind, label, path, text, data)
 
 

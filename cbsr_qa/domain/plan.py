@@ -36,7 +36,8 @@ class InstrumentSpec:
     ----------
     role : the table's name.
     driver : name of the instrument plugin.
-    provides : roles it fills for the runner: ``frame_source``, ``force_applicator``, or any name for a sampler.
+    provides : roles it fills for the runner: ``frame_source``, ``force_applicator``, ``source_meter``,
+        ``multiplexer``, or the channel it samples.
     options : everything else in the table, for the driver.
     calibration_due : ISO date or None.
     model, serial : what the instrument must say it is; empty where the table does not say.
