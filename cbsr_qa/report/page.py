@@ -104,7 +104,7 @@ def _tries(result: RunResult) -> tuple[tuple[str, str], ...]:
     history = result.sensor_history
     if history is None:
         return ()
-    return (("Sensor's earlier runs", history.words or "none in this database"),)
+    return (("Earlier runs", history.words or "none of this sensor in the database"),)
 
 
 def recording_page(result: RecordingResult) -> Page:

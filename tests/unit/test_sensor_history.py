@@ -1,0 +1,134 @@
+"""Earlier runs of a sensor: counted as tries, told in words, and read from the store as they stood before a run."""
+
+import json
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import pytest
+from report_samples import sample_run
+from stored_lots import judged, store_run
+
+from cbsr_qa.app.outputs import RunOutcome
+from cbsr_qa.cli import run as cli
+from cbsr_qa.domain.measurement import Measurement, Verdict
+from cbsr_qa.domain.outcome import EndReason, Outcome
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.domain.sensor_history import EarlierRun, SensorHistory
+from cbsr_qa.domain.station_check import StationCheck
+from cbsr_qa.report.page import run_page
+from cbsr_qa.store.repository import open_store
+
+SENSOR = SensorIdentity("S-7", "42", "disc-100mm")
+
+
+def earlier(day, outcome=Outcome.PASS, reason="all 3 limits are met", end=EndReason.FINISHED, **more):
+    began = datetime(2026, 11, day, 8, tzinfo=UTC)
+    made = EarlierRun(f"run-{day}", began, SENSOR, "nine-locations", end, outcome, reason)
+    return replace(made, **more)
+
+
+FAIL = earlier(20, Outcome.FAIL, "centre of mass error is 8.2 mm (allowed: at most 6.5 mm)")
+STOPPED = earlier(21, None, "", EndReason.ABORTED)
+CHECKS = tuple(earlier(day, recipe="golden-check", of_check=True) for day in (3, 4))
+
+
+@pytest.mark.parametrize(
+    ("runs", "said"),
+    [
+        ((), ""),
+        ((FAIL,), "second try of this recipe; earlier: 2026-11-20 fail (centre of mass error is 8.2 mm)"),
+        (
+            (FAIL, STOPPED),
+            "third try of this recipe; earlier: 2026-11-20 fail (centre of mass error is 8.2 mm), 2026-11-21 aborted",
+        ),
+        (
+            (replace(FAIL, overridden=(Outcome.PASS, "Zoë")),),
+            "second try of this recipe; earlier: 2026-11-20 fail (centre of mass error is 8.2 mm),"
+            " overridden to pass by Zoë",
+        ),
+        (
+            (earlier(2, recipe="re-verification"), earlier(3, None, "", EndReason.RUNNING)),
+            "second try of this recipe; earlier: 2026-11-03 cut off or still under way;"
+            " 1 run of other recipes, the latest (re-verification) 2026-11-02 pass",
+        ),
+        (CHECKS, "2 runs in checks of stations, the latest 2026-11-04 pass"),
+        (
+            tuple(earlier(day) for day in range(1, 8)),
+            "eighth try of this recipe; earlier: 2026-11-03 pass, 2026-11-04 pass, 2026-11-05 pass,"
+            " 2026-11-06 pass, 2026-11-07 pass, and 2 before",
+        ),
+    ],
+)
+def test_the_number_of_the_try_and_what_came_before_are_told(runs, said):
+    assert SensorHistory(SENSOR, "nine-locations", runs).words == said
+
+
+@pytest.mark.parametrize(
+    ("tries", "ordinal"), [(0, "first"), (9, "tenth"), (10, "11th"), (21, "22nd"), (112, "113th")]
+)
+def test_tries_are_numbered_as_people_do(tries, ordinal):
+    assert SensorHistory(SENSOR, "nine-locations", tries * (FAIL,)).ordinal == ordinal
+
+
+@pytest.mark.parametrize(
+    ("sensor", "said"),
+    [
+        (SENSOR, ()),
+        (replace(SENSOR, batch=""), ()),
+        (replace(SENSOR, batch="41"), ("batch '41' now; its run of 2026-11-21 says '42'",)),
+        (replace(SENSOR, sensor_type="elbow"), ("type 'elbow' now; its run of 2026-11-21 says 'disc-100mm'",)),
+    ],
+)
+def test_another_batch_or_type_than_earlier_runs_state_is_told_once(sensor, said):
+    nobody = replace(STOPPED, sensor=replace(SENSOR, batch=""), run="run-22")
+    found = SensorHistory(sensor, "nine-locations", (FAIL, STOPPED, nobody)).differences
+    assert [one.split(": ")[1] for one in found] == list(said)
+    assert all(one.startswith("sensor S-7: ") and "two sensors have this serial number" in one for one in found)
+
+
+def test_the_store_tells_a_run_of_those_before_it_alone(database_url):
+    with open_store(database_url) as store:
+        bad, good = (judged((Measurement("drift", drift, "%/min"),)) for drift in (0.9, 0.1))
+        first = store_run(store, "S-7", bad, batch="41", recipe="nine-locations")
+        stopped = store_run(store, "S-7", good, batch="42", recipe="nine-locations", end=EndReason.ABORTED)
+        golden = store_run(store, "S-7", good, batch="", recipe="golden-check")
+        at = datetime(2026, 11, 22, tzinfo=UTC)
+        store.save_station_check(StationCheck(store.new_id(), "b", "", at, "t", 64 * "a", (), (), (), golden))
+        last = store_run(store, "S-7", good, batch="42", recipe="nine-locations")
+        store_run(store, "S-8", bad, recipe="nine-locations")
+        for outcome in (Outcome.PASS, Outcome.FAIL):
+            store.override_verdict(first, outcome, operator="Zoë", why="so")
+        found = store.sensor_history(SENSOR, "nine-locations", last)
+        assert [one.run for one in found.earlier] == [first, stopped, golden]
+        assert [(one.outcome, one.end, one.of_check) for one in found.earlier] == [
+            (Outcome.FAIL, EndReason.FINISHED, False),
+            (None, EndReason.ABORTED, False),
+            (Outcome.PASS, EndReason.FINISHED, True),
+        ]
+        assert found.earlier[0].overridden == (Outcome.FAIL, "Zoë")
+        assert "drift" in found.earlier[0].reason
+        assert (found.ordinal, found.document()["try"]) == ("third", 3)
+        assert len(found.differences) == 1
+        assert store.sensor_history(SENSOR, "nine-locations", first).words == ""
+        assert len(store.sensor_history(SENSOR, "nine-locations").earlier) == 4
+
+
+def test_last_lines_document_and_page_one_tell_the_history(capsys):
+    result = replace(sample_run(), sensor_history=SensorHistory(SENSOR, "nine-locations", (FAIL, STOPPED)))
+    words = result.sensor_history.words
+    outcome = RunOutcome(result, None, None, (), 1.0, 7)
+    told = json.loads(json.dumps(outcome.document()))["sensor_history"]
+    assert (told["try"], [one["outcome"] for one in told["earlier_runs"]]) == (3, ["fail", None])
+    cli._show(outcome)
+    assert f"sensor       {words}" in capsys.readouterr().out.splitlines()
+    assert dict(run_page(result).identity)["Earlier runs"] == words
+
+
+def test_a_first_run_says_nothing_of_earlier_ones(capsys):
+    result = replace(sample_run(), sensor_history=SensorHistory(SENSOR, "nine-locations"))
+    cli._show(RunOutcome(result, None, None, (), 1.0, 7))
+    assert "sensor  " not in capsys.readouterr().out
+    assert dict(run_page(result).identity)["Earlier runs"] == "none of this sensor in the database"
+    assert replace(result, verdict=Verdict(Outcome.PASS, "")).sensor_history.document() == {
+        "try": 1, "earlier_runs": []
+    }  # fmt: skip
