@@ -71,6 +71,9 @@ def test_without_a_seed_a_second_try_of_a_sensor_is_not_the_first_again(twice):
     first, second = twice[1]
     assert first["seed"] != second["seed"]
     assert first["run"] < second["run"]
+    assert [run["sensor_history"]["try"] for run in twice[1]] == [1, 2]
+    (earlier,) = second["sensor_history"]["earlier_runs"]
+    assert (earlier["run"], earlier["outcome"]) == (first["run"], first["outcome"])
 
 
 def test_the_calibration_is_in_the_database_as_rows_and_superseded_by_the_next(twice):
