@@ -20,7 +20,9 @@ def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[Earlier
     run, state, analysis, override = RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow
     last_state = select(func.max(state.number)).where(state.run == run.run).correlate(run).scalar_subquery()
     last_analysis = select(func.max(analysis.analysis)).where(analysis.run == run.run).correlate(run)
-    last_override = select(func.max(override.override_id)).where(override.analysis == analysis.analysis)
+    last_override = select(func.max(override.override_id)).where(
+        override.run == run.run, override.analysis == analysis.analysis
+    )
     query = (
         select(
             *(run.run, run.started_at, run.serial, run.batch, run.sensor_type, run.recipe),
@@ -31,7 +33,7 @@ def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[Earlier
         )
         .join(state, and_(state.run == run.run, state.number == last_state))
         .outerjoin(analysis, analysis.analysis == last_analysis.scalar_subquery())
-        .outerjoin(override, override.override_id == last_override.correlate(analysis).scalar_subquery())
+        .outerjoin(override, override.override_id == last_override.correlate(run, analysis).scalar_subquery())
         .where(run.serial == serial)
         .order_by(run.run)
     )
