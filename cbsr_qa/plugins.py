@@ -10,6 +10,7 @@ from typing import Any
 import pluggy
 
 from cbsr_qa import hookspecs
+from cbsr_qa.domain.contained import failure
 from cbsr_qa.domain.errors import AbortedError, PluginError
 from cbsr_qa.hookspecs import PROJECT, Kind
 
@@ -40,6 +41,9 @@ class PluginFailure:
     distribution: str
     entry_point: str
     reason: str
+
+    def __str__(self) -> str:
+        return f"plugin distribution {self.distribution} ({self.entry_point}) could not be loaded: {self.reason}"
 
 
 class Plugins:
@@ -78,9 +82,9 @@ class Plugins:
         module, _, attribute = registration.target.partition(":")
         try:
             factory: Factory = getattr(importlib.import_module(module), attribute)
-        except Exception as error:
+        except BaseException as error:
             raise PluginError(
-                f"{kind} plugin {name!r} of {registration.distribution} cannot be loaded: {_said(error)}",
+                f"{kind} plugin {name!r} of {registration.distribution} cannot be loaded: {failure(error)}",
                 remedy="mend or uninstall that distribution",
             ) from error
         return factory
@@ -103,10 +107,10 @@ class Plugins:
         for implementation in getattr(self.manager.hook, hook).get_hookimpls():
             try:
                 implementation.function(**{name: arguments[name] for name in implementation.argnames})
-            except Exception as error:
+            except BaseException as error:
                 if may_abort and isinstance(error, AbortedError):
                     raise
-                warn(f"plugin {implementation.plugin_name} failed in {hook}: {_said(error)}")
+                warn(f"plugin {implementation.plugin_name} failed in {hook}: {failure(error)}")
 
     def add(self, plugin: object, distribution: str, version: str, entry_point: str) -> None:
         """Take in one plugin; whatever it does wrong is kept as a failure."""
@@ -125,10 +129,10 @@ class Plugins:
             hook = getattr(plugin, "cbsr_register", None)
             if hook is not None:
                 hook(register)
-        except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
             if self.manager.is_registered(plugin):
                 self.manager.unregister(plugin)
-            self.failures.append(PluginFailure(distribution, entry_point, _said(error)))
+            self.failures.append(PluginFailure(distribution, entry_point, failure(error)))
         else:
             self._registered |= pending
 
@@ -158,8 +162,8 @@ def discover(*, blocked: Iterable[str] = (), found: Iterable[EntryPoint] | None 
             continue
         try:
             module = point.load()
-        except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
-            plugins.failures.append(PluginFailure(distribution, point.name, _said(error)))
+        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+            plugins.failures.append(PluginFailure(distribution, point.name, failure(error)))
         else:
             plugins.add(module, distribution, version, point.name)
     return plugins
@@ -170,6 +174,3 @@ def _provenance(point: EntryPoint) -> tuple[str, str, str]:
         return "unknown", "unknown", point.name
     return point.dist.name, point.dist.version, point.name
 
-
-def _said(error: BaseException) -> str:
-    return f"{type(error).__name__}: {error}"

@@ -3,7 +3,8 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 
-from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.analysis.answers import answered
+from cbsr_qa.domain.contained import failure
 from cbsr_qa.domain.measurement import Limit, Measurement
 from cbsr_qa.domain.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.outcome import SEVERITY
@@ -21,17 +22,16 @@ def measure_run(
 
     Returns
     -------
-    The measurements in that order, and a warning for every metric that failed: one that raises takes nothing
-    else down, and a limit on it then finds nothing measured.
+    The measurements in that order, and a warning for every metric that failed: one that raises, or answers with what
+    is no measurement, takes nothing else down, and a limit on it then finds nothing measured.
     """
     taken: list[Measurement] = []
     warnings: list[str] = []
     for name, metric in metrics.items():
         try:
-            taken += _ask(metric, observation)
-        except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
-            reason = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
-            warnings.append(f"metric {name} failed and measured nothing: {reason}")
+            taken += ask(metric, observation)
+        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+            warnings.append(f"metric {name} failed and measured nothing: {failure(error)}")
     return tuple(taken), tuple(warnings)
 
 
@@ -57,15 +57,16 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
     return tuple(judged)
 
 
-def _ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
+def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
+    """Ask one metric about every load and the whole run; errors as of :func:`answered` and the metric's own."""
     taken: list[Measurement] = []
     if isinstance(metric, LoadMetric):
         for load in observation.loads:
-            taken += metric.measure_load(load, observation)
+            taken += answered(metric.measure_load(load, observation))
             if load.alternate is not None:
                 taken += _other_reference(metric, load.alternate, observation)
     if isinstance(metric, RunMetric):
-        taken += metric.measure_run(observation)
+        taken += answered(metric.measure_run(observation))
     return taken
 
 
@@ -74,7 +75,7 @@ def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservat
     other = "before the press" if run.settings.reference == "run" else "unloaded run"
     return [
         replace(m, qualifier=f"{m.qualifier}, reference {other}".removeprefix(", "))
-        for m in metric.measure_load(load, run)
+        for m in answered(metric.measure_load(load, run))
     ]
 
 

@@ -14,6 +14,7 @@ from cbsr_qa.calibrate.issue import issue_calibration
 from cbsr_qa.calibrate.prepared_force import prepared_again
 from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.characterisation import Characterisation, CharacterisationSettings
+from cbsr_qa.domain.contained import failure
 from cbsr_qa.domain.errors import CalibrationError, CbsrError, NumericsError
 from cbsr_qa.domain.measurement import Limit, Measurement, Verdict, decide
 from cbsr_qa.domain.observation import RunObservation
@@ -71,8 +72,8 @@ def conclude(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages
     try:
         with stages.stage("imaging"):
             observation = observe_run(record, reconstruction, recipe.analysis)
-    except Exception as error:  # noqa: BLE001 - a stranger's reconstruction may raise anything, and the run is stored
-        why = f"the frames cannot be imaged: {_said(error)}"
+    except BaseException as error:  # noqa: BLE001 - a stranger's reconstruction may raise anything, and the run is stored
+        why = f"the frames cannot be imaged: {failure(error)}"
         remedy = error.remedy if isinstance(error, CbsrError) else ""
         return Conclusion(None, (), Verdict(Outcome.NOT_MEASURED, why), (remedy,) if remedy else ())
     with stages.stage("metrics"):
@@ -163,6 +164,3 @@ def _overlap_threshold(recipe: Recipe) -> float:
 def _measured(conclusion: Conclusion, name: str) -> float | None:
     return next((m.value for m in conclusion.measurements if m.name == name and m.value is not None), None)
 
-
-def _said(error: Exception) -> str:
-    return error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"

@@ -11,6 +11,7 @@ from cbsr_qa.app.stages import Stages
 from cbsr_qa.calibrate.file import write_calibration
 from cbsr_qa.config.paths import calibrations_folder, reports_folder
 from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.contained import failure
 from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.measurement import Measurement
 from cbsr_qa.domain.outcome import EndReason, Outcome
@@ -250,7 +251,6 @@ def report_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[Repo
     for name in names or plugins.in_order(Kind.SECTION):
         try:
             sections.append(plugins.factory(Kind.SECTION, name)())
-        except Exception as error:  # noqa: BLE001 - a stranger's constructor may raise anything
-            said = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
-            missing.append(f"The report section {name} is left out: {said}")
+        except BaseException as error:  # noqa: BLE001 - a stranger's constructor may raise anything
+            missing.append(f"The report section {name} is left out: {failure(error)}")
     return sections, missing

@@ -8,6 +8,7 @@ from typing import Final
 from cbsr_qa.analysis.run_weights import check_weighing
 from cbsr_qa.analysis.strip_measurements import MEASURES
 from cbsr_qa.app.setup import made
+from cbsr_qa.domain.contained import contained
 from cbsr_qa.domain.errors import CbsrError, ConfigError, RefusedError
 from cbsr_qa.domain.measurement import Limit
 from cbsr_qa.domain.plan import Recipe, Station
@@ -46,7 +47,9 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
         check_weighing(reconstruction, recipe.reconstruction.name, recipe.analysis)
         metrics = [made(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics]
         _check_limits(recipe.limits, metrics)
-        linear(reconstruction.prepare(imaging_problem(sensor_type)))
+        problem = imaging_problem(sensor_type)
+        with contained(f"reconstruction {recipe.reconstruction.name!r}"):
+            linear(reconstruction.prepare(problem))
     except CbsrError as error:
         raise type(error)(f"recipe {recipe.name!r}: {error.reason}", remedy=error.remedy) from error
 
@@ -63,7 +66,7 @@ def check_unloaded(plan: Plan, recipe: Recipe) -> None:
     weighed = FEWEST_FRAMES if recipe.analysis.noise_weighting == "measured" else 0
     needed = max(split, weighed)
     for phase in plan.phases:
-        taken = _unloaded_frames(phase.sequence.steps(plan.context))
+        taken = _unloaded_frames(phase.steps(plan.context))
         if taken is None:
             continue
         if taken < needed:
@@ -86,7 +89,7 @@ def check_cycles(plan: Plan, recipe: Recipe) -> None:
     if recipe.characterisation is None:
         return
     meant = [phase for phase in plan.phases if getattr(phase.sequence, "role", None) is Role.CHARACTERISATION]
-    steps = [step for phase in meant for step in phase.sequence.steps(plan.context)]
+    steps = [step for phase in meant for step in phase.steps(plan.context)]
     places = {(step.load.x_mm, step.load.y_mm) for step in steps if isinstance(step, Press)}
     if len(places) != 1:
         found = f"press cycles at {len(places)} places" if places else "no phase of press cycles"

@@ -10,6 +10,7 @@ from typing import Any
 from cbsr_qa.clock import Clock, RealClock, VirtualClock
 from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type, load_station
 from cbsr_qa.config.merge import Configuration, merge
+from cbsr_qa.domain.contained import contained
 from cbsr_qa.domain.errors import ConfigError, PluginError
 from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
 from cbsr_qa.domain.recording import Recording
@@ -91,11 +92,13 @@ def made(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str) -> Any:
     """
     factory = plugins.factory(kind, choice.name)
     try:
-        return factory(**choice.options)
+        with contained(f"{where}: {kind} {choice.name!r}"):
+            return factory(**choice.options)
     except ConfigError as error:
         raise ConfigError(f"{where}: {error.reason}", remedy=error.remedy) from error
-    except TypeError as error:
-        raise _untaken(factory, kind, choice, where) or error from error
+    except PluginError as error:
+        untaken = _untaken(factory, kind, choice, where) if isinstance(error.__cause__, TypeError) else None
+        raise untaken or error from error.__cause__
 
 
 def _untaken(factory: Factory, kind: Kind, choice: PluginChoice, where: str) -> ConfigError | None:
@@ -246,7 +249,8 @@ def _opened(
     )
     factory = plugins.factory(Kind.INSTRUMENT, spec.driver)
     try:
-        instrument: Instrument = factory(context)
+        with contained(f"instrument {spec.role!r}"):
+            instrument: Instrument = factory(context)
     except (PluginError, ConfigError) as error:
         who = f"instrument {spec.role!r}"
         named, said = f"{who} ({spec.driver})", error.reason

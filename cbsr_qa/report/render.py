@@ -9,7 +9,8 @@ from typing import Any, Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from cbsr_qa.domain.errors import CbsrError, RefusedError
+from cbsr_qa.domain.contained import failure
+from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.load_events import RecordingResult
 from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
 from cbsr_qa.files import written_whole
@@ -157,9 +158,8 @@ def _shown(
             content = section.render(result)
             if content is not None:
                 yield _prepared(content, f"s{number}")
-        except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
-            said = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
-            failed.append(f"The report section {type(section).__name__} failed and is left out: {said}")
+        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+            failed.append(f"The report section {type(section).__name__} failed and is left out: {failure(error)}")
 
 
 def _prepared(section: Section, anchor: str) -> _Shown:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from typing import Any, Final
 
+from cbsr_qa.domain.contained import contained
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.plan import InstrumentSpec
 from cbsr_qa.domain.run import InstrumentIdentity
@@ -177,7 +178,8 @@ def identity_of(one: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
     ----------
     emulated : it works through instruments that the station emulates, so that it is simulated with them.
     """
-    said = one.instrument.identity()
+    with contained(f"instrument {one.name}"):
+        said = one.instrument.identity()
     _recognise(one.spec, said)
     return replace(
         said,
@@ -218,7 +220,8 @@ def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
     for one in mounted:
         if isinstance(one.instrument, Linked):
             try:
-                one.instrument.link(peers)
+                with contained(f"instrument {one.name}"):
+                    one.instrument.link(peers)
             except ConfigError as error:
                 raise ConfigError(f"instrument {one.name}: {error.reason}", remedy=error.remedy) from error
 

@@ -5,6 +5,7 @@ from contextlib import suppress
 from dataclasses import replace
 from typing import Final
 
+from cbsr_qa.domain.contained import failure
 from cbsr_qa.domain.errors import AbortedError, CbsrError, SafetyError
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run_events import RunEnded, RunEvent
@@ -80,9 +81,10 @@ class Documents:
                 listener(event)
             except AbortedError:  # it stops the run, and says who wants that
                 raise
-            except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+            except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+                said = failure(error)
                 self._listeners.remove(listener)
-                self._warn(f"{_name(listener)} failed and is not told more: {type(error).__name__}: {error}")
+                self._warn(f"{_name(listener)} failed and is not told more: {said}")
 
 
 def _unstored(event: RunEnded, error: SafetyError) -> str:

@@ -4,6 +4,7 @@ import logging
 from contextlib import suppress
 from typing import Final
 
+from cbsr_qa.domain.contained import said
 from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, SafetyError
 from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.runner.interrupts import Stopped
@@ -58,8 +59,10 @@ def _what(error: BaseException) -> str:
             return f"rule {error.rule!r}: {error.reason}"
         case InstrumentError():
             return f"instrument {error.reason}"
+        case CbsrError():
+            return error.reason
         case _:
-            return f"error {type(error).__name__}: {error}"
+            return f"error {said(error)}"
 
 
 def _remedy(error: BaseException) -> str:

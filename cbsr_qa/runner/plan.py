@@ -1,10 +1,13 @@
 """What a run is going to do, put together from station and recipe."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 
+from cbsr_qa.domain.contained import contained
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.domain.plan import Motion, SafetyLimits
 from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.domain.steps import Step
 from cbsr_qa.interfaces import Sequence, SequenceContext
 
 
@@ -21,6 +24,11 @@ class PlannedPhase:
     name: str
     sequence_name: str
     sequence: Sequence
+
+    def steps(self, context: SequenceContext) -> Iterator[Step]:
+        """Yield the sequence's steps; PluginError where its code fails."""
+        with contained(f"sequence {self.sequence_name!r} of phase {self.name!r}"):
+            yield from self.sequence.steps(context)
 
 
 @dataclass(frozen=True, slots=True)

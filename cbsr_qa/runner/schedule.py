@@ -96,7 +96,7 @@ def schedule(
 
 
 def _scheduled(plan: Plan, index: int, phase: PlannedPhase, done: frozenset[LoadKey], ended: bool) -> ScheduledPhase:
-    steps = tuple(islice(phase.sequence.steps(plan.context), MOST_STEPS + 1))
+    steps = tuple(islice(phase.steps(plan.context), MOST_STEPS + 1))
     if not 0 < len(steps) <= MOST_STEPS:
         found = "no step" if not steps else f"more than {MOST_STEPS} steps"
         raise RefusedError(f"sequence {phase.sequence_name!r} of phase {phase.name!r} makes {found}")

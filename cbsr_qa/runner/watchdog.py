@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Final, Self
 
 from cbsr_qa.clock import RealClock
+from cbsr_qa.domain.contained import Interruption, contained
 from cbsr_qa.domain.errors import SafetyError
 
 #: Beyond what its work takes, a call gets this long once the run is to stop in order [s, real time].
@@ -17,7 +18,7 @@ REACTION_S: Final = 0.5
 LOOK_S: Final = 0.1
 
 
-class BrokenInto(BaseException):
+class BrokenInto(Interruption):
     """Raised in the run's thread, in the middle of the call that hangs."""
 
     def __init__(self, error: SafetyError) -> None:
@@ -101,11 +102,14 @@ class Watchdog:
         ------
         SafetyError
             With rule ``"no answer"`` if it was broken into or came back too late, and for every call after that.
+        PluginError
+            For what else it raised, see :func:`~cbsr_qa.domain.contained.contained`.
         """
         self._raise_late()
         self._call = _Call(what, self._clock.now(), work_s)
         try:
-            yield
+            with contained(what):
+                yield
         except BrokenInto as broken:
             raise broken.error from None
         finally:

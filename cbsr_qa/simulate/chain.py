@@ -9,6 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from cbsr_qa.domain.contained import failure
 from cbsr_qa.domain.errors import CbsrError, ConfigError, PluginError
 from cbsr_qa.domain.frames import ReadingFlag
 from cbsr_qa.domain.plan import PluginChoice, Scene
@@ -101,7 +102,7 @@ class Chain:
                 finite = _finite(stage, moment)
             except CbsrError:
                 raise
-            except Exception as error:
+            except BaseException as error:
                 raise _failed(name, error, f" at {moment.time_s:.6g} s") from error
             if not finite:
                 what = f"effect {name!r} leaves {' or '.join(_CHANGED[stage])} that is no finite number"
@@ -147,13 +148,13 @@ def _blaming(name: str) -> Iterator[None]:
         yield
     except CbsrError:
         raise
-    except Exception as error:
+    except BaseException as error:
         raise _failed(name, error) from error
 
 
-def _failed(name: str, error: Exception, when: str = "") -> PluginError:
+def _failed(name: str, error: BaseException, when: str = "") -> PluginError:
     return PluginError(
-        f"effect {name!r} failed{when}: {type(error).__name__}: {error}",
+        f"effect {name!r} failed{when}: {failure(error)}",
         remedy="tell its author, or take it out of the scene",
     )
 
@@ -191,8 +192,8 @@ def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Call
         effect: AnyEffect = factory(setting, **choice.options)
     except CbsrError as error:
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r}: {error.reason}", remedy=error.remedy) from error
-    except Exception as error:
-        what = str(error) if isinstance(error, TypeError | ValueError) else f"{type(error).__name__}: {error}"
+    except BaseException as error:
+        what = str(error) if isinstance(error, TypeError | ValueError) else failure(error)
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r} cannot be made: {what}") from error
     _check_names(choice.name, effect)
     if effect.perturbs not in STAGES:

@@ -32,7 +32,7 @@ FAULTS = {
     "bug": (
         lambda: ZeroDivisionError("in a driver"),
         EndReason.BROKEN,
-        "error ZeroDivisionError: in a driver, while",
+        "failed: ZeroDivisionError: in a driver, while",
     ),
     "ctrl-c": (KeyboardInterrupt, EndReason.ABORTED, "by the operator (Ctrl-C)"),
     "abort": (lambda: AbortedError("the foreman"), EndReason.ABORTED, "by the foreman"),
