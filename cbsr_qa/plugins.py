@@ -1,6 +1,7 @@
 """Finding plugins: one door, lazily, and a plugin that fails takes nothing else down."""
 
 import importlib
+import threading
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -169,8 +170,13 @@ def discover(*, blocked: Iterable[str] = (), found: Iterable[EntryPoint] | None 
     return plugins
 
 
+def left_running(before: Iterable[threading.Thread]) -> list[str]:
+    """Say which threads would hold the end of the program; those from before are not named."""
+    names = sorted(thread.name for thread in set(threading.enumerate()) - set(before) if not thread.daemon)
+    return [f"thread {name!r} of a plugin is still running, and is not waited for" for name in names]
+
+
 def _provenance(point: EntryPoint) -> tuple[str, str, str]:
     if point.dist is None:
         return "unknown", "unknown", point.name
     return point.dist.name, point.dist.version, point.name
-

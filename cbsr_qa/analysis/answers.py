@@ -74,7 +74,7 @@ def _number(said: object) -> object:
 def _whole(said: object) -> object:
     if said is None:
         return None
-    if isinstance(said, bool) or not isinstance(said, Integral) or not 0 <= said <= _LARGEST:
+    if isinstance(said, bool) or not isinstance(said, Integral) or not 0 <= int(said) <= _LARGEST:
         return _WRONG
     return int(said)
 

@@ -163,4 +163,3 @@ def _overlap_threshold(recipe: Recipe) -> float:
 
 def _measured(conclusion: Conclusion, name: str) -> float | None:
     return next((m.value for m in conclusion.measurements if m.name == name and m.value is not None), None)
-

@@ -125,6 +125,7 @@ def run_sensor(
     *,
     tell: Callable[[str], None] = lambda stage: None,
     ask: Callable[[str], str] | None = None,
+    begun: Callable[[str], None] = lambda run: None,
 ) -> RunOutcome:
     """Test one sensor.
 
@@ -133,6 +134,7 @@ def run_sensor(
     tell : told what the computer is busy with.
     ask : shows a text to the operator and returns the answer; None where nobody is there: then a recipe with prompts,
         and a station with instruments that are worked by hand, are refused.
+    begun : told the run's identifier before anything of it is stored.
 
     Returns
     -------
@@ -151,7 +153,7 @@ def run_sensor(
         configuration = request.configuration(_seed(request, taken))
         with Session(configuration, plugins, Stages(tell), ask, why=request.why) as session:
             session.walk().refuse()
-            outcome = _stored_run(request, configuration, plugins, session)
+            outcome = _stored_run(request, configuration, plugins, session, begun)
         if outcome is not None:
             return outcome
         taken.append(configuration.seed)
@@ -159,7 +161,11 @@ def run_sensor(
 
 
 def _stored_run(
-    request: RunRequest, configuration: Configuration, plugins: Plugins, session: Session
+    request: RunRequest,
+    configuration: Configuration,
+    plugins: Plugins,
+    session: Session,
+    begun: Callable[[str], None],
 ) -> RunOutcome | None:
     """Run a session that was walked; None, with nothing moved, where another run of the sensor has its seed."""
     for folder in _folders():
@@ -173,6 +179,7 @@ def _stored_run(
             claim = store.seed_claimed(request.serial, configuration.seed, request.operator)
             if not held.enter_context(claim):
                 return None
+        begun(run)
         held.enter_context(store.writing_alone(run, request.operator))
         return session.run(identity, store)
 

@@ -1,5 +1,6 @@
 """One session of a run, new or resumed: the bench open, the plan driven, what was stored concluded."""
 
+import threading
 from collections.abc import Callable, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass
@@ -22,7 +23,7 @@ from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.domain.run_events import PhaseFinished, PhaseStarted, RunEnded, RunEvent, RunStarted
-from cbsr_qa.plugins import Plugins
+from cbsr_qa.plugins import Plugins, left_running
 from cbsr_qa.runner.asking import Asking
 from cbsr_qa.runner.dry_run import DryRun, dry_run
 from cbsr_qa.runner.execute import execute
@@ -245,7 +246,7 @@ def _concluded(
 ) -> RunOutcome:
     with stages.stage("reading the run back"):
         record = store.load_run(run)
-    recipe, history = configuration.recipe, store.change_history(record)
+    recipe, history, threads = configuration.recipe, store.change_history(record), threading.enumerate()
     earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
     conclusion = conclude(record, recipe, plugins, stages)
     issued_at = RealClock().wall().isoformat()
@@ -262,6 +263,8 @@ def _concluded(
         warnings=(
             *conclusion.warnings,
             *warnings,
+            *map(str, plugins.failures),
+            *left_running(threads),
             *(charts.warnings() if charts else ()),
             *unexplained(history.of(run)),
             *earlier.differences,

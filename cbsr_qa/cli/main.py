@@ -4,6 +4,8 @@ import gc
 import os
 import sys
 import traceback
+from collections.abc import Callable
+from functools import wraps
 from pathlib import Path
 from typing import Annotated, Any, cast
 
@@ -29,7 +31,9 @@ from cbsr_qa.cli import (
     station,
     verdict,
 )
-from cbsr_qa.cli.output import emit_json, lost_output, note, reader_has_gone
+from cbsr_qa.cli.output import claim_stdout, emit_json, lost_output, note, reader_has_gone
+from cbsr_qa.cli.supervised import supervised
+from cbsr_qa.domain.contained import said
 from cbsr_qa.domain.errors import CbsrError
 
 app = typer.Typer(
@@ -58,6 +62,28 @@ app.add_typer(db.app, name="db")
 app.add_typer(verdict.app, name="verdict")
 
 
+def _with_stdout_claimed(command: Callable[..., Any]) -> Callable[..., Any]:
+    @wraps(command)
+    def claiming(*arguments: Any, **options: Any) -> Any:
+        claim_stdout()
+        return command(*arguments, **options)
+
+    return claiming
+
+
+def _claim_stdout_in_every_command(group: typer.Typer) -> None:
+    """Let stdout be the document's alone once a command begins, and with it plugins; help is printed before."""
+    for one in group.registered_commands:
+        assert one.callback is not None
+        one.callback = _with_stdout_claimed(one.callback)
+    for sub in group.registered_groups:
+        assert sub.typer_instance is not None
+        _claim_stdout_in_every_command(sub.typer_instance)
+
+
+_claim_stdout_in_every_command(app)
+
+
 def _version(asked: bool) -> None:
     if asked:
         sys.stdout.write(f"cbsr-qa {cbsr_qa.__version__}\n")
@@ -83,6 +109,9 @@ _UsageError = cast(type[Exception], typer.BadParameter.__mro__[1])
 #: What typer makes of Ctrl-C where it is not the one to end the program.
 _INTERRUPTED = 130
 
+#: With one of these nothing is measured.
+_NO_RUN = {"--help", "--dry-run"}
+
 #: Numerical libraries take their number of threads from these when they are loaded.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -100,25 +129,36 @@ def entry() -> None:
     """
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     gc.set_threshold(*_COLLECTED)
-    sys.exit(guarded(sys.argv[1:]))
+    sys.exit(ended(sys.argv[1:]))
 
 
-def guarded(arguments: list[str]) -> int:
-    """Run one command and return its exit code; every expected error becomes one clear message.
+def ended(arguments: list[str]) -> int:
+    """Run one command as the installed program does and return its exit code; a run gets a process of its own."""
+    if arguments[:1] != ["run"] or _NO_RUN & {*arguments} or not hasattr(os, "fork"):
+        return guarded(arguments)
+    return guarded(arguments, lambda given: supervised(given, guarded))
+
+
+def _command(arguments: list[str]) -> object:
+    return app(arguments, prog_name="cbsr-qa", standalone_mode=False)
+
+
+def guarded(arguments: list[str], command: Callable[[list[str]], object] = _command) -> int:
+    """Run one command and return its exit code; every error becomes one clear message.
 
     Output that did not get where it was to go (a full disk, a closed terminal) is exit code 3, unless the command was
     refused: whoever reads it has no outcome. A reader that has gone changes no exit code.
     """
-    code, why = _ended(arguments), lost_output()
+    code, why = _ended(arguments, command), lost_output()
     if not why:
         return code
     note(f"cbsr-qa: the output could not be written: {why}\n{_LOST}")
     return 3 if code < 2 else code
 
 
-def _ended(arguments: list[str]) -> int:
+def _ended(arguments: list[str], command: Callable[[list[str]], object]) -> int:
     try:
-        result = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
+        result = command(arguments)
         if result == _INTERRUPTED:
             raise KeyboardInterrupt
     except CbsrError as error:
@@ -130,7 +170,7 @@ def _ended(arguments: list[str]) -> int:
         return _misused(error, arguments)
     except (typer.Abort, KeyboardInterrupt):
         return _aborted(arguments)
-    except Exception as error:  # noqa: BLE001 - exit code 1 means that a sensor failed, and nothing else
+    except BaseException as error:  # noqa: BLE001 - exit code 1 means that a sensor failed, and nothing else
         # Help that is piped into a program which has gone; an instrument's broken pipe is another thing.
         return 0 if isinstance(error, BrokenPipeError) and reader_has_gone() else _unexpected(error, arguments)
     return result if isinstance(result, int) else 0
@@ -144,10 +184,10 @@ def _aborted(arguments: list[str]) -> int:
     return 3
 
 
-def _unexpected(error: Exception, arguments: list[str]) -> int:
+def _unexpected(error: BaseException, arguments: list[str]) -> int:
     """Say that the program is at fault, with where; exit code 3: nothing was decided."""
     where = traceback.extract_tb(error.__traceback__)[-1]
-    reason = f"internal error: {type(error).__name__}: {error} ({Path(where.filename).name}, line {where.lineno})"
+    reason = f"internal error: {said(error)} ({Path(where.filename).name}, line {where.lineno})"
     if "--json" in arguments:
         emit_json({"broken": {"reason": reason, "remedy": _REPORT_IT}})
     note(f"cbsr-qa: {reason}\n{_REPORT_IT}")

@@ -6,7 +6,7 @@ import shlex
 import sys
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any
+from typing import Any, TextIO
 
 import typer
 
@@ -58,40 +58,73 @@ def lost_output() -> str:
 
 def reader_has_gone() -> bool:
     """Whether stdout is a pipe that nobody reads any more, with something left to write into it."""
+    stream = _stream()
+    if stream is None:
+        return False
     try:
-        sys.stdout.flush()
+        stream.flush()
     except BrokenPipeError:
-        _discard_the_rest()
+        _discard_the_rest(stream)
         return True
     return False
 
+
+def claim_stdout(stream: TextIO | None = None) -> None:
+    """Keep stdout for :func:`emit_json` and :func:`say`; what anybody else prints goes to stderr from here on.
+
+    That holds for ``print``, for code in C and for subprocesses, to the end of the process. Where ``sys.stdout`` is
+    not the process's own (a test's), or the process has none, nothing is done.
+
+    Parameters
+    ----------
+    stream : what they write to instead of the stdout there was.
+    """
+    global _claimed
+    stdout, stderr = sys.__stdout__, sys.__stderr__
+    if stdout is None or sys.stdout is not stdout:
+        return
+    stdout.flush()
+    own = stdout.fileno()
+    if stream is None:
+        stream = os.fdopen(os.dup(own), "w", encoding=stdout.encoding, errors=stdout.errors)
+    os.dup2(os.open(os.devnull, os.O_WRONLY) if stderr is None else stderr.fileno(), own)
+    sys.stdout, _claimed = sys.stderr, stream
+
+
+def _stream() -> TextIO | None:
+    return sys.stdout if _claimed is None else _claimed
+
+
+#: What stdout was before it was claimed.
+_claimed: TextIO | None = None
 
 #: Why output was lost; a command goes on to its end without a reader, and its exit code says what came of it.
 _lost: list[str] = []
 
 
 def _print(text: str) -> None:
-    if sys.stdout is None:  # closed by whoever started the program, who wants none
+    stream = _stream()
+    if stream is None:  # closed by whoever started the program, who wants none
         return
     try:
-        sys.stdout.write(_shown(text) + "\n")
-        sys.stdout.flush()
+        stream.write(_shown(text) + "\n")
+        stream.flush()
     except BrokenPipeError:
-        _discard_the_rest()
+        _discard_the_rest(stream)
     except OSError as error:
         _lost.append(error.strerror or str(error))
-        _discard_the_rest()
+        _discard_the_rest(stream)
 
 
 def _shown(text: str) -> str:
     """Escape what stdout cannot encode, as stderr does: a file's name, or µ where the terminal knows ASCII alone."""
-    encoding = getattr(sys.stdout, "encoding", None) or "utf-8"
+    encoding = getattr(_stream(), "encoding", None) or "utf-8"
     return text.encode(encoding, "backslashreplace").decode(encoding)
 
 
-def _discard_the_rest() -> None:
+def _discard_the_rest(stream: TextIO) -> None:
     """Send the buffer and all that follows to nowhere, or the interpreter fails over it at its end."""
     with suppress(OSError, ValueError):
         nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, sys.stdout.fileno())
+        os.dup2(nowhere, stream.fileno())
         os.close(nowhere)

@@ -6,6 +6,7 @@ import typer
 
 from cbsr_qa.cli.asking import operator_at_terminal
 from cbsr_qa.cli.output import emit_json, note, say
+from cbsr_qa.cli.supervised import begun
 
 if TYPE_CHECKING:
     from cbsr_qa.app.outputs import RunOutcome
@@ -46,6 +47,7 @@ def run(
     if resume is not None:
         from cbsr_qa.app.resume import resume_run
 
+        begun(resume, database)
         outcome = resume_run(
             resume,
             database=database,
@@ -70,7 +72,13 @@ def run(
     )
     if dry_run:
         return _shown_plan(plan_run(request, attended=operator_at_terminal() is not None), as_json)
-    return _shown(run_sensor(request, tell=lambda stage: note(f"{stage} …"), ask=operator_at_terminal()), as_json)
+    outcome = run_sensor(
+        request,
+        tell=lambda stage: note(f"{stage} …"),
+        ask=operator_at_terminal(),
+        begun=lambda run: begun(run, database),
+    )
+    return _shown(outcome, as_json)
 
 
 def _check_given(context: typer.Context, *, resuming: bool) -> None:

@@ -8,7 +8,7 @@ from pathlib import Path
 import matplotlib.figure  # noqa: F401 - loaded here so that no fork has to
 
 from cbsr_qa.app import analyse, run_sensor  # noqa: F401
-from cbsr_qa.cli.main import guarded
+from cbsr_qa.cli.main import ended
 from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.reconstruct.problem import imaging_problem
 
@@ -19,12 +19,13 @@ def run(folder: Path, arguments: list[str], environment: dict[str, str], out: Pa
     """Run one command as the installed program does, its output in two files."""
     os.chdir(folder)
     os.environ.update(environment)
+    sys.path[:0] = filter(None, environment.get("PYTHONPATH", "").split(os.pathsep))
     with ExitStack() as stack:
         for stream, path in ((sys.stdout, out), (sys.stderr, err)):
             target = stack.enter_context(path.open("w"))
             stream.flush()
             os.dup2(target.fileno(), stream.fileno())
-        code = guarded(arguments)
+        code = ended(arguments)
         sys.stdout.flush()
         sys.stderr.flush()
     os._exit(code)

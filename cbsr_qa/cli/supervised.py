@@ -1,0 +1,269 @@
+"""A run in a process of its own, and its parent, which reports success only where the store holds the verdict.
+
+The parent is the process that was started. It forks before anything heavy is loaded and enters no plugin's code, so
+that no plugin can end it. See docs/decisions/0024.
+"""
+
+import io
+import json
+import os
+import select
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, ClassVar, Final, NoReturn
+
+from cbsr_qa.cli.output import again, claim_stdout, note, say
+from cbsr_qa.domain.errors import BrokenRunError, CbsrError, StoreError
+
+#: Signals that are handed on to the run, which stops in order.
+_HANDED_ON: Final = tuple(
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
+    if hasattr(signal, name)  # Windows knows two
+)
+#: How long the run may take to say that a signal has reached it as well [s].
+_ECHO_S: Final = 0.25
+
+Work = Callable[[list[str]], int]
+_Mask = set[int | signal.Signals]
+
+
+class BrokenProcessError(CbsrError):
+    """The process that was to run ended in the middle, before a run had begun (exit code 3)."""
+
+    exit_code = 3
+
+    def document(self) -> dict[str, Any]:
+        """Return what ``--json`` prints for it."""
+        return {"broken": {"reason": self.reason, "remedy": self.remedy}}
+
+
+def begun(run: str, database: str | None) -> None:
+    """Tell the parent, where there is one, which run this is and in which database (None: the default one)."""
+    _Child.tell(run=run, database=database)
+
+
+def supervised(arguments: list[str], work: Work) -> int:
+    """Do the work in a child; its output is shown once it has ended as it should.
+
+    Parameters
+    ----------
+    work : takes the arguments and returns the exit code.
+
+    Returns
+    -------
+    The child's exit code; 0 only where the database holds the verdict of the run that was begun.
+
+    Raises
+    ------
+    BrokenRunError, BrokenProcessError
+        If it ended in any other way.
+    """
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)  # until handlers are in place, signals wait
+    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+    report, alive, echo = os.pipe(), os.pipe(), os.pipe()
+    child = os.fork()
+    if child == 0:
+        for end in (report[0], alive[1], echo[0]):
+            os.close(end)
+        _Child.run(arguments, work, mask, report=report[1], alive=alive[0], echo=echo[1])
+    for end in (report[1], alive[0], echo[1]):
+        os.close(end)
+    try:
+        parent = _Parent(child, report[0], echo[0], mask)
+        status = parent.wait()
+    finally:
+        for end in (report[0], alive[1], echo[0]):
+            os.close(end)
+    return _concluded(parent.told(), status)
+
+
+class _Child:
+    """The process that measures."""
+
+    report: ClassVar[int | None] = None
+
+    @classmethod
+    def tell(cls, **message: Any) -> None:
+        """Report to the parent; a process that a plugin has forked off reports as itself, and is not believed."""
+        if cls.report is not None:
+            left = json.dumps({"pid": os.getpid(), **message}).encode() + b"\n"
+            while left:
+                left = left[os.write(cls.report, left) :]
+
+    @classmethod
+    def run(cls, arguments: list[str], work: Work, mask: _Mask, *, report: int, alive: int, echo: int) -> NoReturn:
+        """Do the work, and end whatever a plugin has left running."""
+        code = 3
+        try:
+            encoding = getattr(sys.stdout, "encoding", None) or "utf-8"  # what cannot be shown is escaped by it
+            cls.report, printed = report, io.TextIOWrapper(io.BytesIO(), encoding, newline="")
+            claim_stdout(printed)
+            os.set_blocking(echo, False)
+            signal.set_wakeup_fd(echo, warn_on_full_buffer=False)  # C code writes every signal's number there
+            threading.Thread(target=_end_with_parent, args=(alive,), name="parent", daemon=True).start()
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+            code = work(arguments)
+            signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)
+            _name_what_runs()
+            printed.seek(0)
+            cls.tell(code=code, printed=printed.read())
+        finally:
+            os._exit(code)  # neither threads nor hooks at the interpreter's end are waited for
+
+
+def _name_what_runs() -> None:
+    from cbsr_qa.plugins import left_running
+
+    for line in left_running([threading.main_thread()]):
+        note(f"warning: {line}")
+
+
+def _end_with_parent(alive: int) -> None:
+    """Stop in order once the parent has gone: nobody would hear how the run ends, or could stop it by its name."""
+    with suppress(OSError):
+        os.read(alive, 1)
+    os.kill(os.getpid(), signal.SIGTERM)
+
+
+class _Parent:
+    """Waits for the child, and stands in for it towards whoever knows this process only.
+
+    The keyboard's signals reach both processes, those that somebody sends to the parent do not. What the child has
+    not heard within :data:`_ECHO_S` is handed on to it: never twice, which would mean "at once" to a run.
+    """
+
+    def __init__(self, child: int, report: int, echo: int, mask: _Mask) -> None:
+        self._child, self._report, self._echo, self._mask = child, report, echo, mask
+        self._said = b""
+        self._reads = True
+        self._loads: threading.Thread | None = None
+
+    def told(self) -> dict[str, Any]:
+        """Return what the child reported; the last word counts."""
+        told: dict[str, Any] = {}
+        for line in self._said.splitlines():
+            with suppress(ValueError):
+                message = json.loads(line)
+                if message["pid"] == self._child:
+                    told |= message
+        return told
+
+    def wait(self) -> int:
+        """Return the status the child ended with."""
+        woken, wakes = os.pipe()
+        for end in (woken, wakes, self._report, self._echo):
+            os.set_blocking(end, False)
+        waker = signal.set_wakeup_fd(wakes, warn_on_full_buffer=False)
+        heard = [n for n in _HANDED_ON if signal.getsignal(n) is not signal.SIG_IGN]
+        before = {number: signal.signal(number, lambda *_: None) for number in (*heard, signal.SIGCHLD)}
+        try:
+            signal.pthread_sigmask(signal.SIG_SETMASK, self._mask)
+            while (status := self._ended()) is None:
+                select.select([woken, *[self._report] * self._reads], [], [])
+                self._read_report()
+                self._hand_on({*(_read(woken) or b"")} & {*heard})
+            self._read_report()
+            return status
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
+            signal.set_wakeup_fd(waker)
+            os.close(woken)
+            os.close(wakes)
+
+    def _ended(self) -> int | None:
+        """Return the child's status once it has ended; stop and go on with it (Ctrl-Z): a shell sees the parent."""
+        found, status = os.waitpid(self._child, os.WNOHANG | os.WUNTRACED)
+        if found and os.WIFSTOPPED(status):
+            os.kill(os.getpid(), signal.SIGSTOP)
+            os.kill(self._child, signal.SIGCONT)
+        return status if found and not os.WIFSTOPPED(status) else None
+
+    def _read_report(self) -> None:
+        while self._reads and (more := _read(self._report)) is not None:
+            self._said += more
+            self._reads = bool(more)
+        if self._loads is None and self._said:  # a run has begun: there is time, and its end will not wait for it
+            self._loads = threading.Thread(target=_load_the_store, daemon=True)
+            self._loads.start()
+
+    def _hand_on(self, numbers: set[int]) -> None:
+        unheard = self._unheard(numbers)
+        for number in unheard:
+            os.kill(self._child, number)
+        self._unheard(unheard)  # its echo is no answer to the next one
+
+    def _unheard(self, numbers: set[int]) -> set[int]:
+        """Wait for the echoes of signals; return those without."""
+        left, until_s = set(numbers), time.monotonic() + _ECHO_S
+        while left and (wait_s := until_s - time.monotonic()) > 0:
+            if select.select([self._echo], [], [], wait_s)[0]:
+                heard = _read(self._echo)
+                if not heard:  # it has ended
+                    break
+                left -= set(heard)
+        return left
+
+
+def _read(end: int) -> bytes | None:
+    """Return what is in a pipe; None where nothing is, empty bytes where nothing will ever be."""
+    try:
+        return os.read(end, 1 << 16)
+    except BlockingIOError:
+        return None
+
+
+def _load_the_store() -> None:
+    from cbsr_qa.store import outcomes  # noqa: F401 - half a second
+
+
+def _concluded(told: dict[str, Any], status: int) -> int:
+    code, run, database = told.get("code"), told.get("run"), told.get("database")
+    why = _cut_off(status, code) or ("" if code else _unstored(run, database))
+    if why:
+        raise _broken(run, database, why)
+    if told["printed"]:
+        say(told["printed"].removesuffix("\n"))
+    assert isinstance(code, int)
+    return code
+
+
+def _broken(run: str | None, database: str | None, why: str) -> CbsrError:
+    look = "look at the bench before you touch it: the head may be down and the source on"
+    if run is None:
+        return BrokenProcessError(f"{why}; no run had begun", remedy=f"{look}. Then start it again")
+    on = f"cbsr-qa run --resume {run}{again(database)}"
+    return BrokenRunError(run, why, remedy=f"{look}. What was stored stays, and this goes on: {on}")
+
+
+def _cut_off(status: int, code: int | None) -> str:
+    """Say how the child ended, where it did not end by returning its exit code."""
+    if os.WIFSIGNALED(status):
+        number = os.WTERMSIG(status)
+        name = next((one.name for one in signal.Signals if one == number), f"signal {number}")
+        return f"the process of the run was killed by {name}"
+    found = os.WEXITSTATUS(status)
+    if code == found:
+        return ""
+    return f"the process of the run ended in the middle, with exit code {found}: a plugin ended it (os._exit)"
+
+
+def _unstored(run: str | None, database: str | None) -> str:
+    """Say why the database does not bear out that a run has passed; empty where it does."""
+    from cbsr_qa.config.paths import database_url
+    from cbsr_qa.store.outcomes import latest_outcome
+
+    if run is None:
+        return "the process of the run ended without a verdict"
+    try:
+        outcome = latest_outcome(database_url(database), run)
+    except StoreError as error:
+        return f"its verdict cannot be read back: {error.reason}"
+    if outcome is None or outcome.exit_code:
+        return f"the process of the run reported success, and the database holds {outcome or 'no verdict'}"
+    return ""
