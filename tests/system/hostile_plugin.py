@@ -9,7 +9,7 @@ from cbsr_qa.hookspecs import Kind, hookimpl
 def _act(place):
     where, _, code = os.environ.get("HOSTILE", "").partition(": ")
     if where == place:
-        exec(code, {"os": os})  # noqa: S102
+        exec(code, {"os": os})
 
 
 @hookimpl

@@ -1,15 +1,16 @@
 """Whatever a plugin does, a run that says it passed has stored its verdict, and prints one document."""
 
+import json
 import os
 import shutil
 import signal
 import sqlite3
-import subprocess
 import time
 from pathlib import Path
 
+import killing
 import pytest
-from command import PROGRAM, QUICK, cbsr_qa, document, short_recipe
+from command import _forks, cbsr_qa, document, short_recipe
 
 _THREAD = (
     "import threading, time; threading.Thread(target=time.sleep, args=(60,), name='lingering').start()"
@@ -26,18 +27,19 @@ def bench(tmp_path_factory):
     (information / "METADATA").write_text("Metadata-Version: 2.1\nName: hostile\nVersion: 1.0\n")
     (information / "entry_points.txt").write_text("[cbsr_qa]\nhostile = hostile_plugin\n")
     shutil.copy(Path(__file__).with_name("hostile_plugin.py"), folder / "site")
-    short_recipe(folder, metrics=(*QUICK, "hostile"))
-    short_recipe(folder, "without.toml", metrics=QUICK)
+    killing.write_files(folder)  # a scene that is quickly simulated
+    short_recipe(folder, metrics=("centre-of-mass-error", "hostile"))
+    short_recipe(folder, "without.toml", metrics=("centre-of-mass-error",))
     return folder
 
 
 def _arguments(recipe="short.toml"):
-    return ["run", "--station", "simulated", "--recipe", recipe, "--serial", "S-1", "--seed", "5", "--json"]
+    return ["run", "--station", "station.toml", "--recipe", recipe, "--serial", "S-1", "--seed", "5", "--json"]
 
 
 def _run(bench, folder, hostile, *, recipe="short.toml", **options):
-    for name in ("short.toml", "without.toml"):
-        shutil.copy(bench / name, folder)
+    for file in bench.glob("*.toml"):
+        shutil.copy(file, folder)
     return cbsr_qa(
         folder, *_arguments(recipe), check=False, HOSTILE=hostile, PYTHONPATH=str(bench / "site"), **options
     )
@@ -102,9 +104,7 @@ def test_a_plugin_that_cannot_be_loaded_is_named_by_the_run(place, error, bench,
 
 
 def test_success_is_not_believed_where_the_database_lacks_the_verdict(bench, tmp_path):
-    forged = (
-        "metric: from cbsr_qa.store import analyses; analyses.save_result = lambda *given, **named: None"
-    )
+    forged = "metric: from cbsr_qa.store import analyses; analyses.save_result = lambda *given, **named: None"
     done = _run(bench, tmp_path, forged)
     assert done.returncode == 3
     assert "reported success, and the database holds no verdict" in document(done)["reason"]
@@ -114,3 +114,74 @@ def test_a_run_that_was_cut_off_goes_on_by_its_name(bench, tmp_path):
     cut = document(_run(bench, tmp_path, "measuring: os._exit(0)"))
     done = cbsr_qa(tmp_path, "run", "--resume", cut["run"], "--json", PYTHONPATH=str(bench / "site"))
     assert document(done)["outcome"] == "pass"
+
+
+def _job(bench, folder, hostile, *, ignored=()):
+    """Start a run in a process group of its own; return the process and where its output goes."""
+    import warm
+
+    for file in bench.glob("*.toml"):
+        shutil.copy(file, folder)
+    written = folder / "out", folder / "err"
+    environment = {"CBSR_QA_VAR": "var", "HOSTILE": hostile, "PYTHONPATH": str(bench / "site")}
+    given = (ignored, folder, _arguments(), environment, *written)
+    process = _forks().Process(target=warm.run_as_a_job, args=given)
+    process.start()
+    return process, written
+
+
+#: Who is sent which signal in the middle of a measurement, and how the run then says it ended.
+_SIGNALS = {
+    "the keyboard's, to both": ("os.kill(0, 2)", "by the operator (Ctrl-C), while"),
+    "to the parent alone": ("os.kill(os.getppid(), 15)", "by signal SIGTERM, while"),
+    "to the run alone": ("os.kill(os.getpid(), 15)", "by signal SIGTERM, while"),
+    "the keyboard's twice": ("os.kill(0, 2); time.sleep(.5); os.kill(0, 2)", "by the operator (Ctrl-C) and at once"),
+    "to the parent twice": (
+        "p = os.getppid(); os.kill(p, 1); time.sleep(1); os.kill(p, 1)",
+        "by signal SIGHUP and at once by a second signal",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", _SIGNALS)
+def test_a_signal_reaches_the_run_once(case, bench, tmp_path):
+    sends, said = _SIGNALS[case]
+    process, (out, err) = _job(bench, tmp_path, f"measuring: import time; {sends}; time.sleep(1)")
+    process.join(timeout=100)
+    assert process.exitcode == 3, err.read_text()
+    found = json.loads(out.read_text())
+    assert (found["end"], found["end_detail"][: len(said)]) == ("aborted", said)
+
+
+def test_a_signal_that_was_ignored_stays_ignored(bench, tmp_path):
+    process, (out, err) = _job(bench, tmp_path, "measuring: os.kill(0, 2)", ignored=(signal.SIGINT,))
+    process.join(timeout=100)
+    assert (process.exitcode, json.loads(out.read_text())["end"]) == (0, "finished"), err.read_text()
+
+
+def test_a_run_that_is_suspended_shows_it_and_goes_on(bench, tmp_path):
+    process, (out, _) = _job(bench, tmp_path, "metric: os.kill(0, 20)")
+    _until(lambda: _state(process.pid) == "T")
+    os.kill(process.pid, signal.SIGCONT)  # as a shell's fg, but to the parent alone
+    process.join(timeout=100)
+    assert (process.exitcode, json.loads(out.read_text())["outcome"]) == (0, "pass")
+
+
+def test_a_run_whose_parent_is_killed_stops_in_order(bench, tmp_path):
+    process, _ = _job(bench, tmp_path, "measuring: import time; os.kill(os.getppid(), 9); time.sleep(1)")
+    process.join(timeout=100)
+    assert process.exitcode == -signal.SIGKILL
+    _until(lambda: _verdicts(tmp_path) == ["not measured"])
+    record = killing.came_of(tmp_path, killing.latest_run(tmp_path, "S-1")).record
+    assert (record.end, record.end_detail[:18]) == ("aborted", "by signal SIGTERM,")
+
+
+def _until(condition):
+    until_s = time.monotonic() + 60
+    while not condition():
+        assert time.monotonic() < until_s
+        time.sleep(0.05)
+
+
+def _state(pid):
+    return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]

@@ -1,6 +1,7 @@
 """What commands that run in a fork find loaded already: the modules, and the shipped sensor's model."""
 
 import os
+import signal
 import sys
 from contextlib import ExitStack
 from pathlib import Path
@@ -29,3 +30,11 @@ def run(folder: Path, arguments: list[str], environment: dict[str, str], out: Pa
         sys.stdout.flush()
         sys.stderr.flush()
     os._exit(code)
+
+
+def run_as_a_job(ignored: tuple[int, ...], *arguments: object) -> None:
+    """Run one command in a process group of its own, as a shell does, with some signals ignored."""
+    os.setpgid(0, 0)
+    for number in ignored:
+        signal.signal(number, signal.SIG_IGN)
+    run(*arguments)  # type: ignore[arg-type]
