@@ -30,10 +30,12 @@ def failure(error: BaseException) -> str:
 
 
 def said(error: BaseException) -> str:
-    """Return type and message of an error in printable characters, of limited length; nothing is raised."""
+    """Return type and message of an error in printable characters, of limited length; the error itself raises nothing."""
     try:
         text = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
-    except Exception:  # noqa: BLE001 - even its message is a stranger's code
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # noqa: BLE001 - even its message is a stranger's code
         text = type(error).__name__
     plain = "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text[:_LONGEST])
     return plain + "…" * (len(text) > _LONGEST)
