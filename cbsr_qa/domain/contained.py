@@ -30,7 +30,7 @@ def failure(error: BaseException) -> str:
 
 
 def said(error: BaseException) -> str:
-    """Return type and message of an error in printable characters, of limited length; the error itself raises nothing."""
+    """Return type and message of an error, printable and of limited length; it raises nothing itself."""
     try:
         text = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
     except KeyboardInterrupt:

@@ -185,3 +185,10 @@ def _until(condition):
 
 def _state(pid):
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
+
+
+def test_what_a_plugin_prints_spoils_no_commands_document(bench, tmp_path):
+    said = "import: print('hello'); os.write(1, b'hello'); os.system('echo hello')"
+    done = cbsr_qa(tmp_path, "plugins", "list", "--json", HOSTILE=said, PYTHONPATH=str(bench / "site"))
+    assert "hostile" in [row["name"] for row in document(done)["plugins"]]
+    assert done.stderr.count("hello") == 3
