@@ -168,6 +168,8 @@ class _Parent:
                 self._read_report()
                 self._hand_on({*(_read(woken) or b"")} & {*heard})
             self._read_report()
+            if self._loads is not None:
+                self._loads.join()
             return status
         finally:
             for number, handler in before.items():
@@ -188,7 +190,7 @@ class _Parent:
         while self._reads and (more := _read(self._report)) is not None:
             self._said += more
             self._reads = bool(more)
-        if self._loads is None and self._said:  # a run has begun: there is time, and its end will not wait for it
+        if self._loads is None and b'"run":' in self._said:  # it has begun: its end need not wait for this
             self._loads = threading.Thread(target=_load_the_store, daemon=True)
             self._loads.start()
 
