@@ -16,6 +16,7 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.calibrate.hdf5_content import attribute, attribute_names, members
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
 from cbsr_qa.domain.errors import CbsrError, RecordingError, RefusedError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
@@ -26,6 +27,9 @@ from cbsr_qa.files import written_whole
 FORMAT: Final = "cbsr-recording"
 SCHEMA_VERSION: Final = 1
 SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+
+#: In bytes, of a file whose content is our own.
+_ANY_SIZE: Final = 2**40
 
 #: How notes of files that have no ``simulated`` of their own begin.
 _SIMULATED_NOTE: Final = "simulated: "
@@ -103,25 +107,25 @@ def read_recording(path: Path) -> Recording:
         raise
     except CbsrError as error:
         raise RecordingError(f"{path.name}: {error.reason}", remedy=error.remedy or "export the run again") from error
-    except (OSError, KeyError, ValueError, TypeError, RuntimeError) as error:
+    except (OSError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, RuntimeError) as error:
         raise RecordingError(
             f"{path.name} is damaged: {error}", remedy="export the run again, or copy the file again"
         ) from error
 
 
 def _check(path: Path, file: h5py.File) -> None:
-    if file.attrs.get("format") != FORMAT:
+    if attribute(file, "format") != FORMAT:
         raise RecordingError(
             f"{path.name} is an HDF5 file but not a recording of this program",
             remedy="a calibration file is looked at with cbsr-qa calibration show",
         )
-    version = int(file.attrs["schema_version"])
+    version = int(attribute(file, "schema_version"))
     if not 1 <= version <= SCHEMA_VERSION:
         raise RecordingError(
             f"{path.name} has schema version {version}; this program reads up to {SCHEMA_VERSION}",
             remedy="update cbsr-qa",
         )
-    if file.attrs["sha256"] != _digest(file):
+    if attribute(file, "sha256") != _digest(file, path.stat().st_size):
         raise RecordingError(
             f"{path.name} was changed after it was written (its digest does not fit)", remedy="export the run again"
         )
@@ -291,23 +295,22 @@ def _times_s(columns: dict[str, NDArray[np.float64]], k: int) -> tuple[float, fl
     return press, hold, release, up, rest
 
 
-def _digest(file: h5py.File) -> str:
-    """SHA-256 over names, shapes, types, values and attributes in sorted order, however HDF5 packs them."""
-    sha = hashlib.sha256()
+def _digest(file: h5py.File, size_bytes: int = _ANY_SIZE) -> str:
+    """SHA-256 over names, shapes, types, values and attributes in sorted order, however HDF5 packs them.
 
-    def add(name: str, item: h5py.Group | h5py.Dataset) -> None:
+    All of a file is looked at (see :func:`~cbsr_qa.calibrate.hdf5_content.members`) before any value is read.
+    """
+    sha = hashlib.sha256()
+    held = dict(members(file, size_bytes))
+    for name, item in [("/", file), *sorted(held.items())]:
         sha.update(name.encode() + b"\x00")
         if isinstance(item, h5py.Dataset):
+            if item.dtype.kind not in "iufb":
+                raise RecordingError(f"{name} holds no numbers, but {item.dtype}")
             values = np.ascontiguousarray(item[()])
             sha.update(f"{values.shape}{values.dtype.str}".encode())
             sha.update(values.tobytes())
-        for key in sorted(item.attrs):
+        for key in attribute_names(item):
             if key != "sha256":
-                sha.update(f"{key}={item.attrs[key]!s}\x00".encode())
-
-    add("/", file)
-    names: list[str] = []
-    file.visit(names.append)
-    for name in sorted(names):
-        add(name, file[name])
+                sha.update(f"{key}={attribute(item, key)!s}\x00".encode())
     return sha.hexdigest()

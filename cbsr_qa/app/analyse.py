@@ -22,6 +22,7 @@ from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import Reconstruction, RecordingFormat
 from cbsr_qa.plugins import Plugins, discover
 from cbsr_qa.report.render import render_recording, report_name, write_report
+from cbsr_qa.untrusted import read_untrusted
 
 _HEAD_BYTES = 4096
 
@@ -202,7 +203,11 @@ def _empty(
 
 
 def guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
-    """Run a plugin's code; whatever it raises becomes one clear refusal."""
+    """Run a format's code on a file in a limited child process; whatever it raises becomes one clear refusal."""
+    return read_untrusted(path, lambda: _refusing(path, name, work), refusal=RecordingError)
+
+
+def _refusing(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
     try:
         return work()
     except CbsrError as error:
@@ -212,6 +217,8 @@ def guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
         raise RecordingError(f"{path.name}: {error.reason}", remedy=error.remedy) from error
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
+    except MemoryError:
+        raise
     except Exception as error:
         raise RecordingError(
             f"{path.name} cannot be read as {name}: {type(error).__name__}: {error}",

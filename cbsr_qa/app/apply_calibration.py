@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from cbsr_qa.app.read_recording import read_recording_file
+from cbsr_qa.calibrate.file import read_contained
 from cbsr_qa.calibrate.force import Flag, Forces
 from cbsr_qa.calibrate.recorded_frames import recorded_frames
 from cbsr_qa.calibrate.runtime import Calibration
@@ -99,7 +100,7 @@ def apply_calibration(
     ConfigError
         If that serial number is none.
     """
-    sensor, plugins = Calibration.load(calibration), discover()
+    sensor, plugins = Calibration(read_contained(calibration)), discover()
     remarks = _serial_remarks(sensor.issued.sensor.serial, request.serial)
     found = []
     for path in recordings:

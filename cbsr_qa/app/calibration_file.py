@@ -13,10 +13,11 @@ from cbsr_qa.calibrate.force import ForceInverse, least_force_N, map_tables
 from cbsr_qa.calibrate.json_file import json_document, read_json_calibration
 from cbsr_qa.calibrate.matched import TemplateFilter, interpolated
 from cbsr_qa.domain.calibration import BaselineConductance, Calibration, SettlingSummary
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.errors import CalibrationError, RefusedError
 from cbsr_qa.domain.force_model import ForceModel
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
 from cbsr_qa.files import written_whole
+from cbsr_qa.untrusted import read_untrusted
 
 _JSON: Final = ".json"
 _HDF5: Final = (".h5", ".hdf5")
@@ -30,8 +31,9 @@ def show_calibration(path: Path) -> dict[str, Any]:
     CalibrationError
         If the file is not sound; nothing of an unsound file is shown.
     """
-    verified = verify_calibration(path)
-    calibration = read_calibration(path)
+    verified, calibration = read_untrusted(
+        path, lambda: (verify_calibration(path), read_calibration(path)), refusal=CalibrationError
+    )
     return {
         "file": str(path),
         "digest": verified.digest,
@@ -111,7 +113,7 @@ def export_calibration(source: Path, output: Path, *, firmware: bool = False, st
         raise RefusedError(f"firmware takes JSON, not {output.suffix}", remedy="name a file .json")
     _check_free(output)
     read = read_json_calibration if source.suffix.lower() == _JSON else read_calibration
-    calibration = read(source)
+    calibration = read_untrusted(source, lambda: read(source), refusal=CalibrationError)
     loss = None
     if kind in _HDF5:
         write_calibration(output, calibration)
@@ -152,7 +154,7 @@ def verify_file(path: Path) -> dict[str, Any]:
     CalibrationError
         If the file is not sound, saying what is wrong with it.
     """
-    verified = verify_calibration(path)
+    verified = read_untrusted(path, lambda: verify_calibration(path), refusal=CalibrationError)
     return {
         "file": str(path),
         "sound": True,
@@ -160,6 +162,7 @@ def verify_file(path: Path) -> dict[str, Any]:
         "record_digest": verified.record_digest,
         "schema_version": verified.schema_version,
         "datasets": verified.datasets,
+        "bytes_checked": verified.bytes_checked,
     }
 
 

@@ -3,7 +3,8 @@
 Every value is a dataset with an attribute ``units``. Texts are UTF-8 strings, yes and no are one byte (0 or 1),
 a number that does not exist is NaN, an index that does not exist is −1, an optional array that does not exist is
 empty. Attributes of the root say ``format``, ``schema_version`` and ``digest``, which is of the content, not of the
-file's bytes (see :mod:`cbsr_qa.calibrate.digests`): copying or repacking a file with another HDF5 library keeps it.
+file's bytes (see :mod:`cbsr_qa.calibrate.digests`): writing the content again with another HDF5 library keeps it. The
+512 bytes before the HDF5 file (its user block, which every HDF5 library skips) hold a digest of all bytes after them.
 Schema version 1 had no group ``force``, version 2 matrix and Jacobian in double precision; what holds no more is
 still written so. Large arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
 
@@ -11,10 +12,11 @@ The Jacobian is kept beside the matrix: it is the physical prior for places and 
 and without it a file could not be prepared for a sensor that lost a channel.
 """
 
+import hashlib
 import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -26,31 +28,26 @@ from cbsr_qa.calibrate._content import Entry
 from cbsr_qa.calibrate._decode import decode
 from cbsr_qa.calibrate._encode import encode
 from cbsr_qa.calibrate.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest, schema_version
-from cbsr_qa.domain.calibration import Calibration
-from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.calibrate.hdf5_content import attribute, members, texts
+from cbsr_qa.domain.calibration import Calibration, VerifiedFile
+from cbsr_qa.domain.errors import CalibrationError, RefusedError
 from cbsr_qa.files import written_whole
+from cbsr_qa.untrusted import read_untrusted
 
-#: More than any calibration holds, all in all; a file that claims more is refused before memory is taken for it.
-_LARGEST_BYTES: Final = 2**30
-#: Names and texts in a list, more than any calibration has: a few bytes of a file can claim millions of either.
-_MOST_NAMES: Final = 10_000
-_MOST_TEXTS: Final = 100_000
+#: More than any calibration file has.
+_LARGEST_BYTES: Final = 2**28
 _DIGEST: Final = re.compile("[0-9a-f]{64}")
 #: Arrays from this size on are compressed; below it a chunk costs more than it saves.
 _COMPRESSED_BYTES: Final = 2**13
 #: How far gzip looks back for bytes it has seen.
 _LOOKS_BACK: Final = 2**15
 
-
-@dataclass(frozen=True, slots=True)
-class VerifiedFile:
-    """What was found out about a sound calibration file; digests as in :mod:`cbsr_qa.calibrate.digests`."""
-
-    path: Path
-    schema_version: int
-    digest: str
-    record_digest: str
-    datasets: int
+#: Of the block before the HDF5 file: the smallest that HDF5 skips.
+_BLOCK_BYTES: Final = 512
+BLOCK_BEGINS: Final = b"cbsr-qa calibration file: HDF5 after these 512 bytes\n"
+_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+_NOT_WHOLE: Final = "not a whole HDF5 file (truncated, damaged or something else)"
+_COPY_AGAIN: Final = "copy it again from where it was issued"
 
 
 def write_calibration(path: Path, calibration: Calibration) -> str:
@@ -69,9 +66,9 @@ def write_calibration(path: Path, calibration: Calibration) -> str:
     entries = _as_issued(calibration)
     try:
         digest = content_digest(entries)
-        content = _in_memory(entries, digest)
+        image = _in_memory(entries, digest)
         with written_whole(path) as file:
-            file.write(content)
+            file.write(_block(image) + image)
     except OSError as error:
         raise CalibrationError(
             f"the calibration file {path} cannot be written: {error.strerror or error}",
@@ -84,7 +81,7 @@ def write_calibration(path: Path, calibration: Calibration) -> str:
 
 def _in_memory(entries: Mapping[str, Entry], digest: str) -> bytes:
     """Return the file's bytes: HDF5 itself is kept off the disk, since a full one makes it crash the program."""
-    with h5py.File("calibration.h5", "w", driver="core", backing_store=False) as file:
+    with h5py.File("calibration.h5", "w", driver="core", backing_store=False, userblock_size=_BLOCK_BYTES) as file:
         _write(file, entries, digest)
         file.flush()
         return bytes(file.id.get_file_image())
@@ -99,8 +96,19 @@ def read_calibration(path: Path) -> Calibration:
         If it is not there, truncated, edited since it was issued, of a later version, or not a calibration.
     """
     with _naming(path):
-        entries, digest = _read(path)
+        entries, digest, _ = _read(path)
         return replace(decode(entries), digest=digest, record_digest=record_digest(entries))
+
+
+def read_contained(path: Path) -> Calibration:
+    """Read a calibration file of unknown origin in a child process (see :mod:`cbsr_qa.untrusted`).
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`read_calibration`, and where reading crashes, hangs or takes too much memory.
+    """
+    return read_untrusted(path, lambda: read_calibration(path), refusal=CalibrationError)
 
 
 def verify_calibration(path: Path) -> VerifiedFile:
@@ -112,9 +120,9 @@ def verify_calibration(path: Path) -> VerifiedFile:
         As :func:`read_calibration`.
     """
     with _naming(path):
-        entries, digest = _read(path)
+        entries, digest, checked = _read(path)
         decode(entries)
-        return VerifiedFile(path, schema_version(entries), digest, record_digest(entries), len(entries))
+        return VerifiedFile(path, schema_version(entries), digest, record_digest(entries), len(entries), checked)
 
 
 def _as_issued(calibration: Calibration) -> Mapping[str, Entry]:
@@ -154,18 +162,18 @@ def _packing(path: str, data: NDArray[Any]) -> dict[str, Any]:
     return packing
 
 
-def _read(path: Path) -> tuple[dict[str, Entry], str]:
-    check_is_file(path)
+def _read(path: Path) -> tuple[dict[str, Entry], str, bool]:
+    """Return what a file holds, its digest, and whether its bytes were held against a digest of theirs."""
+    data = file_bytes(path)
+    checked = _check_bytes(data)
     try:
-        with h5py.File(path, "r") as file:
+        with h5py.File(h5py.h5f.open_file_image(data), "r") as file:
             version = _version(file)
-            entries = dict(_entries(file, "", _Room(_LARGEST_BYTES)))
+            held = members(file, len(data))
+            entries = {path: _entry(path, item) for path, item in held if isinstance(item, h5py.Dataset)}
             stated = _stated(file)
-    except (OSError, RuntimeError, KeyError, UnicodeDecodeError) as error:
-        raise CalibrationError(
-            f"not a whole HDF5 file (truncated, damaged or something else): {error}",
-            remedy="copy it again from where it was issued",
-        ) from error
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise CalibrationError(f"{_NOT_WHOLE}: {error}", remedy=_COPY_AGAIN) from error
     digest = content_digest(entries, version)
     if digest != stated:
         raise CalibrationError(
@@ -177,7 +185,49 @@ def _read(path: Path) -> tuple[dict[str, Entry], str]:
         raise CalibrationError(
             f"written to schema version {version}, but what it holds is that of version {schema_version(entries)}"
         )
-    return entries, digest
+    return entries, digest, checked
+
+
+def _block(image: bytes) -> bytes:
+    """Return what stands before the HDF5 file: a digest of its bytes, which HDF5 skips as a user block."""
+    stated = f"SHA-256 of what follows them: {hashlib.sha256(image).hexdigest()}\n"
+    return (BLOCK_BEGINS + stated.encode()).ljust(_BLOCK_BYTES, b"\0")
+
+
+def _check_bytes(data: bytes) -> bool:
+    """Hold the bytes of a file against the digest before them; False where it has none, as files once had.
+
+    Before HDF5 sees any of them: one changed byte can crash its library.
+    """
+    if data.startswith(_SIGNATURE):
+        return False
+    if not data.startswith(BLOCK_BEGINS):
+        raise CalibrationError(_NOT_WHOLE, remedy=_COPY_AGAIN)
+    if data[:_BLOCK_BYTES] != _block(data[_BLOCK_BYTES:]):
+        raise CalibrationError(
+            "truncated, damaged, or changed after it was issued: the SHA-256 of its bytes is not the one it states",
+            remedy=_COPY_AGAIN,
+        )
+    return True
+
+
+def file_bytes(path: Path) -> bytes:
+    """Return all bytes of a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        If it is not there, no file, cannot be read, or too large for a calibration.
+    """
+    check_is_file(path)
+    try:
+        with path.open("rb") as file:
+            data = file.read(_LARGEST_BYTES + 1)
+    except OSError as error:
+        raise CalibrationError(f"cannot be read: {error.strerror or error}") from error
+    if len(data) > _LARGEST_BYTES:
+        raise CalibrationError(f"larger than {_LARGEST_BYTES >> 20} MiB: too large for a calibration")
+    return data
 
 
 def printable(text: str) -> str:
@@ -205,15 +255,15 @@ def check_is_file(path: Path) -> None:
 
 def _stated(file: h5py.File) -> str:
     """Return the digest a file states; empty where it states what is none, and might be anything."""
-    stated = file.attrs.get("digest")
+    stated = attribute(file, "digest")
     return stated if isinstance(stated, str) and _DIGEST.fullmatch(stated) else ""
 
 
 def _version(file: h5py.File) -> int:
-    stated = file.attrs.get("format")
+    stated = attribute(file, "format")
     if not (isinstance(stated, str) and stated == FORMAT):
         raise CalibrationError("an HDF5 file, but not a calibration", remedy="give a file that `cbsr-qa run` issued")
-    version = file.attrs.get("schema_version")
+    version = attribute(file, "schema_version")
     if not isinstance(version, np.integer):
         raise CalibrationError("the schema version is missing or no whole number")
     if version > SCHEMA_VERSION:
@@ -226,50 +276,12 @@ def _version(file: h5py.File) -> int:
     return int(version)
 
 
-class _Room:
-    """What a file may still claim."""
-
-    def __init__(self, left: int) -> None:
-        self._left = left
-        self._names = 0
-
-    def enter(self, path: str) -> None:
-        self._names += 1
-        if self._names > _MOST_NAMES:
-            raise CalibrationError(f"more than {_MOST_NAMES} names up to {path}: no calibration has as many")
-
-    def take(self, path: str, dataset: Any) -> None:
-        if dataset.size is None or dataset.nbytes > self._left:
-            raise CalibrationError(f"{path} is empty or too large for a calibration")
-        self._left -= dataset.nbytes
-
-
-def _entries(group: h5py.Group, prefix: str, room: _Room) -> Iterator[tuple[str, Entry]]:
-    for name in group:
-        path = f"{prefix}{name}"
-        room.enter(path)
-        # Links could lead out of the file, or around in circles; nothing we write has any.
-        if not isinstance(group.get(name, getlink=True), h5py.HardLink) or path.count("/") > 4:
-            raise CalibrationError(f"{path} is a link, not content")
-        item = group[name]
-        if isinstance(item, h5py.Group):
-            yield from _entries(item, f"{path}/", room)
-        else:
-            yield path, _entry(path, item, room)
-
-
-def _entry(path: str, dataset: Any, room: _Room) -> Entry:
-    if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual:
-        raise CalibrationError(f"{path} does not hold its own data")
-    room.take(path, dataset)
-    units = dataset.attrs.get("units")
+def _entry(path: str, dataset: h5py.Dataset) -> Entry:
+    units = attribute(dataset, "units")
     if not isinstance(units, str):
         raise CalibrationError(f"{path} states no units")
     if h5py.check_string_dtype(dataset.dtype) is not None:
-        if dataset.ndim > 1 or dataset.size > _MOST_TEXTS:
-            raise CalibrationError(f"{path} holds texts of the shape {dataset.shape}; a list of them is expected")
-        texts = dataset.asstr()[()]
-        return Entry(units, texts if isinstance(texts, str) else tuple(texts.tolist()))
+        return Entry(units, texts(path, dataset))
     values = np.asarray(dataset[()])
     if values.dtype == np.float64:
         return Entry(units, values.astype(np.float64))
@@ -287,6 +299,6 @@ def _naming(path: Path) -> Iterator[None]:
     """Put the file's name before whatever is said about it."""
     try:
         yield
-    except CalibrationError as error:
+    except RefusedError as error:
         reason = printable(error.reason)
         raise CalibrationError(f"calibration file {path}: {reason}", remedy=error.remedy) from error

@@ -21,13 +21,14 @@ from cbsr_qa.calibrate._content import Entry, Value
 from cbsr_qa.calibrate._decode import decode
 from cbsr_qa.calibrate._encode import encode
 from cbsr_qa.calibrate.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest, schema_version
-from cbsr_qa.calibrate.file import check_is_file, printable
+from cbsr_qa.calibrate.file import file_bytes, printable
 from cbsr_qa.domain.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
 
 #: Arrays of more values are written as bytes.
 _SPELT_OUT: Final = 256
-_LARGEST_BYTES: Final = 2**28
+#: Lists, objects and what is in them; each takes some hundred bytes of memory when it is parsed.
+_MOST_VALUES: Final = 4_000_000
 _KINDS: Final[Mapping[str, Any]] = {"f8": np.float64, "f4": np.float32, "i8": np.int64, "u1": np.bool_}
 
 
@@ -100,13 +101,11 @@ def _read(path: Path) -> tuple[dict[str, Entry], str]:
 
 
 def _document(path: Path) -> dict[str, Any]:
-    check_is_file(path)
+    data = file_bytes(path)
+    if sum(map(data.count, (b",", b"[", b"{"))) > _MOST_VALUES:
+        raise CalibrationError(f"JSON of more than {_MOST_VALUES} values: too many for a calibration")
     try:
-        if path.stat().st_size > _LARGEST_BYTES:
-            raise CalibrationError("the file is too large for a calibration")
-        document = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise CalibrationError(f"cannot be read: {error.strerror or error}") from error
+        document = json.loads(data)
     except (ValueError, RecursionError) as error:
         raise CalibrationError(f"not JSON: {error}", remedy="copy it again from where it was written") from error
     return document if isinstance(document, dict) else {}

@@ -1,6 +1,7 @@
 """What a passed run issues for its sensor."""
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -169,3 +170,20 @@ class Calibration:
     no_force: str = ""
     digest: str = ""
     record_digest: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class VerifiedFile:
+    """What was found out about a sound calibration file; digests as in :mod:`cbsr_qa.calibrate.digests`.
+
+    Parameters
+    ----------
+    bytes_checked : whether the file states a digest of its bytes, which was checked before they were parsed.
+    """
+
+    path: Path
+    schema_version: int
+    digest: str
+    record_digest: str
+    datasets: int
+    bytes_checked: bool

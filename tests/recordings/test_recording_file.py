@@ -130,7 +130,7 @@ def changed(path, change):
         (lambda file: file["frames"].attrs.__setitem__("current_A", 2.0), "digest"),
         (lambda file: file.attrs.__setitem__("schema_version", SCHEMA_VERSION + 1), "schema version 2"),
         (lambda file: file.attrs.__setitem__("format", "other"), "not a recording of this program"),
-        (lambda file: file.attrs.__delitem__("sha256"), "damaged"),
+        (lambda file: file.attrs.__delitem__("sha256"), "digest"),
     ],
 )
 def test_an_edited_foreign_or_later_file_is_refused_by_name(tmp_path, change, said):

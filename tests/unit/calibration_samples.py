@@ -1,6 +1,8 @@
 """A small calibration that uses every field, for tests of what is done with one."""
 
 import hashlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -186,6 +188,15 @@ def assert_same(one: Any, other: Any, path: str) -> None:
         assert one.hex() == other.hex(), path
     else:
         assert one == other, path
+
+
+@contextmanager
+def edited(path: Path) -> Iterator[h5py.File]:
+    """A file open for changes; it loses the digest of its bytes, as whoever forges one would see to it."""
+    with h5py.File(path, "r+") as file:
+        yield file
+        block = file.userblock_size
+    path.write_bytes(path.read_bytes()[block:])
 
 
 def plain_digest(path: Path) -> str:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from calibration_samples import (
     assert_same,
+    edited,
     old_calibration,
     plain_digest,
     sample_calibration,
@@ -48,10 +49,10 @@ def test_a_file_of_before_is_read_with_the_name_its_method_implied(tmp_path, met
     """A file with two datasets fewer, whose digest is worked out as anybody would."""
     path = tmp_path / "old.h5"
     write_calibration(path, _with_choice(method))
-    with h5py.File(path, "r+") as file:
+    with edited(path) as file:
         del file["reconstruction/regularisation_name"], file["reconstruction/regularisation_criterion"]
     stated = plain_digest(path)
-    with h5py.File(path, "r+") as file:
+    with edited(path) as file:
         file.attrs["digest"] = stated
     old = read_calibration(path)
     assert (old.reconstruction.choice.name, old.reconstruction.choice.criterion) == (called, "")

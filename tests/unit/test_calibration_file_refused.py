@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 import pytest
 from calibration_samples import (
+    edited,
     plain_digest,
     sample_calibration,
     sample_sensor_type,
@@ -49,41 +50,42 @@ def test_a_truncated_file_is_refused(issued, share):
     ],
 )
 def test_an_edited_value_is_refused(issued, path, value):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         file[path][...] = value
     with pytest.raises(CalibrationError, match="changed after it was issued"):
         read_calibration(issued)
 
 
 def test_changed_units_are_refused(issued):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         file["validity/force"].attrs["units"] = "kN"
     with pytest.raises(CalibrationError, match="changed after it was issued"):
         verify_calibration(issued)
 
 
 def test_an_added_or_removed_dataset_is_refused(issued):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         file.create_dataset("extra", data=1.0).attrs["units"] = "1"
     with pytest.raises(CalibrationError, match="changed after it was issued"):
         verify_calibration(issued)
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         del file["extra"]
-        verify_calibration(issued)
+    verify_calibration(issued)
+    with edited(issued) as file:
         del file["image/mask"]
     with pytest.raises(CalibrationError, match="changed after it was issued"):
         verify_calibration(issued)
 
 
 def test_a_missing_digest_is_refused(issued):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         del file.attrs["digest"]
     with pytest.raises(CalibrationError, match="states no SHA-256"):
         verify_calibration(issued)
 
 
 def test_a_future_version_is_refused_by_name(issued):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         file.attrs["schema_version"] = np.int64(7)
     with pytest.raises(CalibrationError, match="version 7; this program knows versions up to 3"):
         read_calibration(issued)
@@ -91,7 +93,7 @@ def test_a_future_version_is_refused_by_name(issued):
 
 @pytest.mark.parametrize("version", [np.int64(0), np.float64(1.0), "1"])
 def test_a_version_that_never_was_is_refused(issued, version):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         file.attrs["schema_version"] = version
     with pytest.raises(CalibrationError, match="version"):
         read_calibration(issued)
@@ -115,21 +117,21 @@ def test_another_hdf5_file_and_no_hdf5_file_are_refused(tmp_path):
 
 @pytest.mark.parametrize("stated", [np.array([1, 2]), np.array(["cbsr-qa calibration"] * 2, dtype=object), 3.0])
 def test_a_format_that_is_no_word_is_not_a_calibrations(issued, stated):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         file.attrs["format"] = stated
     with pytest.raises(CalibrationError, match="not a calibration"):
         read_calibration(issued)
 
 
 def test_what_is_stated_instead_of_a_digest_is_not_printed(issued):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         file.attrs["digest"] = "\x1b[31mred"
     with pytest.raises(CalibrationError, match="states no SHA-256"):
         read_calibration(issued)
 
 
 def test_names_within_names_come_to_an_end(issued):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         inner = file.create_group("b0")
         for depth in range(1, 4):
             outer = file.create_group(f"b{depth}")
@@ -142,7 +144,7 @@ def test_names_within_names_come_to_an_end(issued):
 
 @pytest.mark.parametrize("shape", [(1, 2), (2**26,)])
 def test_texts_are_lists_and_not_millions(issued, shape):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         del file["assumed"]
         texts = file.create_dataset("assumed", shape, dtype=h5py.string_dtype(), chunks=True)
         texts.attrs["units"] = "text"
@@ -151,7 +153,7 @@ def test_texts_are_lists_and_not_millions(issued, shape):
 
 
 def test_control_characters_in_a_name_do_not_reach_the_terminal(issued):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         file["force/\x1b[2J"] = np.complex128(1)
         file["force/\x1b[2J"].attrs["units"] = "1"
     with pytest.raises(CalibrationError) as caught:
@@ -167,12 +169,12 @@ def test_a_name_no_file_can_have_is_refused(tmp_path):
 def _forge(path: Path) -> None:
     """State the digest that the content now has, as somebody would who knows how."""
     digest = plain_digest(path)
-    with h5py.File(path, "r+") as file:
+    with edited(path) as file:
         file.attrs["digest"] = digest
 
 
 def test_content_that_contradicts_itself_is_refused_even_with_a_fitting_digest(issued):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         del file["baseline_conductance/x"]
         file.create_dataset("baseline_conductance/x", data=np.zeros(3)).attrs["units"] = "mm"
     _forge(issued)
@@ -196,7 +198,7 @@ def test_content_that_contradicts_itself_is_refused_even_with_a_fitting_digest(i
     ],
 )
 def test_content_of_the_wrong_kind_is_named_even_with_a_fitting_digest(issued, path, value, said):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         del file[path]
         if value is not None:
             file.create_dataset(path, data=value).attrs["units"] = "1"
@@ -209,7 +211,7 @@ def test_links_out_of_the_file_are_not_followed(issued, tmp_path):
     secret = tmp_path / "secret.h5"
     with h5py.File(secret, "w") as file:
         file["x"] = 1.0
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         del file["image/mask"]
         file["image/mask"] = h5py.ExternalLink(str(secret), "/x")
     with pytest.raises(CalibrationError, match="image/mask is a link"):
@@ -217,18 +219,18 @@ def test_links_out_of_the_file_are_not_followed(issued, tmp_path):
 
 
 def test_circular_groups_end(issued):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         file["image/again"] = file["image"]
     with pytest.raises(CalibrationError, match="is a link"):
         read_calibration(issued)
 
 
 def test_a_dataset_of_another_type_or_of_absurd_size_is_refused(issued):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         file.create_dataset("huge", shape=(10**12,), dtype="f8", chunks=(1000,)).attrs["units"] = "1"
     with pytest.raises(CalibrationError, match="too large"):
         read_calibration(issued)
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         del file["huge"]
         file.create_dataset("odd", data=np.zeros(2, dtype="f2")).attrs["units"] = "1"
     with pytest.raises(CalibrationError, match="odd is of the type float16"):

@@ -8,7 +8,14 @@ from dataclasses import replace
 import h5py
 import numpy as np
 import pytest
-from calibration_samples import assert_same, old_calibration, sample_calibration, sample_force, sparse_calibration
+from calibration_samples import (
+    assert_same,
+    edited,
+    old_calibration,
+    sample_calibration,
+    sample_force,
+    sparse_calibration,
+)
 from stored_runs import calibration, journalled, short_run
 
 from cbsr_qa.calibrate.digests import PREPARED, stamped
@@ -56,7 +63,7 @@ def _digest_as_documented(path):
 
 def _forged(path, changes):
     """Change datasets of a file as somebody would who knows how, its digest included."""
-    with h5py.File(path, "r+") as file:
+    with edited(path) as file:
         for name, value in changes.items():
             units, kind = "1", None
             if name in file:
@@ -68,7 +75,7 @@ def _forged(path, changes):
                     units
                 )
     stated = _digest_as_documented(path)
-    with h5py.File(path, "r+") as file:
+    with edited(path) as file:
         file.attrs["digest"] = stated
 
 
@@ -95,7 +102,7 @@ def test_a_calibration_without_a_model_says_why(tmp_path):
 
 
 def test_a_version_that_does_not_fit_the_content_is_refused(issued):
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         file.attrs["schema_version"] = np.int64(1)
     _forged(issued, {})
     with pytest.raises(CalibrationError, match="schema version 1, but what it holds is that of version 2"):
@@ -159,13 +166,13 @@ def test_what_cannot_be_worked_with_is_refused_by_name_even_with_a_fitting_diges
 
 
 def test_many_arrays_that_claim_too_much_together_are_refused_before_they_are_read(issued, monkeypatch):
-    monkeypatch.setattr("cbsr_qa.calibrate.file._LARGEST_BYTES", 2**20)
+    monkeypatch.setattr("cbsr_qa.calibrate.hdf5_content.largest_content", lambda size_bytes: 2**20)
     assert read_calibration(issued).force is not None
-    with h5py.File(issued, "r+") as file:
+    with edited(issued) as file:
         for number in range(3):
             shape = (2**19 // 8,)
             file.create_dataset(f"fill{number}", shape=shape, dtype="f8", chunks=(1000,)).attrs["units"] = "1"
-    with pytest.raises(CalibrationError, match="fill1 is empty or too large"):
+    with pytest.raises(CalibrationError, match=r"fill1 of the shape \(65536,\) is empty or too large"):
         read_calibration(issued)
 
 

@@ -116,7 +116,7 @@ def test_a_number_that_does_not_exist_is_null():
 def test_a_file_that_is_not_there_or_too_large_is_refused(tmp_path, monkeypatch):
     with pytest.raises(CalibrationError, match="no such file"):
         read_json_calibration(tmp_path / "x.json")
-    monkeypatch.setattr("cbsr_qa.calibrate.json_file._LARGEST_BYTES", 10)
+    monkeypatch.setattr("cbsr_qa.calibrate.file._LARGEST_BYTES", 10)
     (tmp_path / "x.json").write_text(_text(json_document(sample_calibration())))
     with pytest.raises(CalibrationError, match="too large"):
         read_json_calibration(tmp_path / "x.json")

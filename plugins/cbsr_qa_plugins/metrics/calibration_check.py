@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from cbsr_qa.analysis.recheck import Recheck, recheck
+from cbsr_qa.calibrate.file import read_contained
 from cbsr_qa.calibrate.runtime import Calibration
 from cbsr_qa.config.paths import calibrations_folder
 from cbsr_qa.domain.errors import CbsrError, ConfigError
@@ -50,7 +51,7 @@ class CalibrationCheck:
         """Measure; without a calibration that fits, everything is without value and says why."""
         try:
             path = self._path or _latest(run.record.identity.sensor.serial)
-            found = recheck(run, Calibration.load(path))
+            found = recheck(run, Calibration(read_contained(path)))
         except CbsrError as error:
             return tuple(Measurement(name, None, unit, how=error.reason) for name, unit in self.measures.items())
         return _measurements(found, f"against {path.name}")

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording_file import FORMAT, SIGNATURE, read_recording, write_recording
+from cbsr_qa.calibrate.file import BLOCK_BEGINS
 from cbsr_qa.domain.errors import RecordingError, RefusedError
 from cbsr_qa.domain.loads import LoadRecord
 from cbsr_qa.domain.recording import ReadOptions, Recording
@@ -20,7 +21,7 @@ class CbsrRecording:
 
     def recognises(self, path: Path, head: bytes) -> bool:
         """Tell by HDF5's own signature; an HDF5 file of another kind is refused by name when read."""
-        return head.startswith(SIGNATURE) and path.suffix != ".mat"
+        return head.startswith((SIGNATURE, BLOCK_BEGINS)) and path.suffix != ".mat"
 
     def datasets(self, path: Path) -> tuple[str, ...]:
         """Such a file is one data set."""

@@ -1,10 +1,9 @@
 """MATLAB files of 16-electrode adjacent data as EIDORS distributes them (format ``eidors-mat``)."""
 
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import scipy.io
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
@@ -12,6 +11,7 @@ from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
 from cbsr_qa.domain.patterns import adjacent_pattern
 from cbsr_qa.domain.recording import ReadOptions, Recording, ScanKind
+from cbsr_qa_plugins.recordings.mat_file import real_matrices
 
 _ELECTRODES: Final = 16
 _VALUES: Final = _ELECTRODES**2
@@ -81,38 +81,35 @@ class EidorsMat:
 
 
 def _matrices(path: Path, asked: str | None = None) -> dict[str, Matrix]:
-    with path.open("rb") as file:
-        head = file.read(_HEADER_BYTES + len(_HDF5))
-    if head.startswith((_HDF5, b"MATLAB 7.3")) or head.endswith(_HDF5):
+    data = path.read_bytes()
+    if data.startswith((_HDF5, b"MATLAB 7.3")) or data[_HEADER_BYTES:].startswith(_HDF5):
         raise RecordingError(
             f"{path.name} is a MATLAB file of version 7.3 (HDF5)", remedy="save it in MATLAB or Octave with -v7"
         )
     try:
-        content: dict[str, Any] = scipy.io.loadmat(path)
-    except Exception as error:  # a damaged file makes scipy raise nearly anything
+        matrices, alternating = real_matrices(data, _VALUES)
+    except ValueError as error:
         raise RecordingError(
             f"{path.name} cannot be read as a MATLAB file: {error}",
             remedy="it is cut, damaged or of another format; get it again",
         ) from error
-    matrices = {name: value for name, value in content.items() if _is_matrix(value)}
-    found = {
-        name: value for name, value in matrices.items() if np.isrealobj(value) and bool(np.isfinite(value).all())
-    }
-    _refuse_unfit(path, [name for name in matrices if name not in found and (not found or name == asked)], matrices)
+    found = {name: matrix for name, matrix in matrices.items() if np.isfinite(matrix).all()}
+    unfit = [name for name in (*alternating, *matrices) if name not in found and (not found or name == asked)]
+    _refuse_unfit(path, unfit, alternating)
     if not found:
         raise RecordingError(
             f"{path.name} holds no matrix of {_VALUES} rows",
             remedy=f"frames are columns of {_VALUES} values, index {_ELECTRODES}·drive + measure",
         )
-    return {name: np.asarray(value, dtype=np.float64) for name, value in found.items()}
+    return found
 
 
-def _refuse_unfit(path: Path, names: list[str], matrices: dict[str, NDArray[Any]]) -> None:
+def _refuse_unfit(path: Path, names: list[str], alternating: tuple[str, ...]) -> None:
     """Refuse data sets that hold no frames of direct current."""
-    alternating = [name for name in names if np.iscomplexobj(matrices[name])]
-    if alternating:
+    complex_ones = [name for name in names if name in alternating]
+    if complex_ones:
         raise RecordingError(
-            f"{path.name}: {', '.join(alternating)} holds complex voltages (alternating current), not real ones",
+            f"{path.name}: {', '.join(complex_ones)} holds complex voltages (alternating current), not real ones",
             remedy="save the real part as a data set of its own, if that is what the frames are to be",
         )
     if names:
@@ -120,12 +117,6 @@ def _refuse_unfit(path: Path, names: list[str], matrices: dict[str, NDArray[Any]
             f"{path.name}: {', '.join(names)} holds values that are not finite numbers",
             remedy="a frame needs all of its values; get the file again",
         )
-
-
-def _is_matrix(value: object) -> bool:
-    if not isinstance(value, np.ndarray) or value.ndim != 2 or value.dtype.kind not in "iufc":
-        return False
-    return bool(value.shape[0] == _VALUES and value.shape[1] > 0)
 
 
 def _chosen(path: Path, matrices: dict[str, Matrix], asked: str | None) -> str:

@@ -1,5 +1,6 @@
 """Lines of a text file whatever is in it: one at a time, each of bounded length."""
 
+import encodings.utf_8_sig  # noqa: F401 - where files are read, no other file can be opened beside them
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
