@@ -112,8 +112,7 @@ def export_calibration(source: Path, output: Path, *, firmware: bool = False, st
     if firmware and kind != _JSON:
         raise RefusedError(f"firmware takes JSON, not {output.suffix}", remedy="name a file .json")
     _check_free(output)
-    read = read_json_calibration if source.suffix.lower() == _JSON else read_calibration
-    calibration = read_untrusted(source, lambda: read(source), refusal=CalibrationError)
+    calibration = read_any(source)
     loss = None
     if kind in _HDF5:
         write_calibration(output, calibration)
@@ -124,6 +123,18 @@ def export_calibration(source: Path, output: Path, *, firmware: bool = False, st
     else:
         _write_json(output, json_document(calibration))
     return Converted(source, output, output.stat().st_size, calibration.digest, loss)
+
+
+def read_any(path: Path) -> Calibration:
+    """Read a calibration of unknown origin, HDF5 or JSON by its suffix, in a limited child process.
+
+    Raises
+    ------
+    CalibrationError
+        If the file is not sound, or cannot be read within the limits.
+    """
+    read = read_json_calibration if path.suffix.lower() == _JSON else read_calibration
+    return read_untrusted(path, lambda: read(path), refusal=CalibrationError)
 
 
 def _check_free(output: Path) -> None:

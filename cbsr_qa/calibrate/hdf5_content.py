@@ -57,6 +57,8 @@ class _Walk:
             self._names += 1
             if self._names > _MOST_NAMES:
                 raise RefusedError(f"more than {_MOST_NAMES} names up to {path}: no file of ours has as many")
+            if not path.isprintable():
+                raise RefusedError(f"{path!r} is a name that no file of ours has")
             # Links could lead out of the file, or around in circles.
             if not isinstance(group.get(name, getlink=True), h5py.HardLink) or path.count("/") >= _DEEPEST:
                 raise RefusedError(f"{path} is a link, not content")
@@ -95,14 +97,17 @@ def _chunk_bytes(dataset: h5py.Dataset) -> int:
 
 
 def attribute(item: h5py.Group | h5py.Dataset, name: str) -> Any:
-    """Return an attribute that is one number or text; None where there is none, or something else."""
+    """Return an attribute that is one number or a text of UTF-8; None where there is none, or something else."""
     if name not in item.attrs:
         return None
     about = item.attrs.get_id(name)
     text = h5py.check_string_dtype(about.dtype) is not None
     if about.shape != () or about.dtype.itemsize > _LARGEST_ATTRIBUTE or not (text or about.dtype.kind in "iufb"):
         return None
-    return item.attrs[name]
+    value = item.attrs[name]
+    if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
+        return None  # bytes that are no UTF-8
+    return value
 
 
 def attribute_names(item: h5py.Group | h5py.Dataset) -> list[str]:
