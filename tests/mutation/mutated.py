@@ -11,7 +11,6 @@ from pathlib import Path
 
 import h5py
 import scipy.io
-
 from board_files import BoardFile, counts
 from calibration_samples import sample_calibration
 from test_recording_file import sample
