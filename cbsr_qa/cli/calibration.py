@@ -36,6 +36,8 @@ def verify(file: _File, json: bool = JsonOption) -> None:
     else:
         say(f"{document['file']} is sound: {document['datasets']} datasets, schema {document['schema_version']}")
         say(f"SHA-256 {document['digest']}")
+        if not document["bytes_checked"]:
+            note("the file states no SHA-256 of its bytes, so they were not checked before HDF5 parsed them")
 
 
 @app.command("export")
