@@ -38,7 +38,7 @@ _MEGABYTE: Final = 2**20
 #: Seconds of processor time, and as many on the clock; text is read at a megabyte in 1 to 2 s on a busy computer.
 _SECONDS: Final = 8.0
 _SECONDS_PER_MB: Final = 10.0
-#: Memory beyond what the program itself has, plus this many times the file's size.
+#: Memory beyond what the program itself has, plus this many times the file's size, or half of the computer's.
 _MEMORY: Final = 2**30
 _MEMORY_PER_BYTE: Final = 16
 #: Files a reader has open at once: its own. Links of an HDF5 file would need a second one.
@@ -75,7 +75,9 @@ class Limits:
     @classmethod
     def of(cls, size_bytes: int) -> "Limits":
         """Limits of a file of a size; large files may take more of both."""
-        return cls(_SECONDS + _SECONDS_PER_MB * size_bytes / _MEGABYTE, _MEMORY + _MEMORY_PER_BYTE * size_bytes)
+        half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
+        memory_bytes = _MEMORY + min(_MEMORY_PER_BYTE * size_bytes, half)
+        return cls(_SECONDS + _SECONDS_PER_MB * size_bytes / _MEGABYTE, memory_bytes)
 
 
 def largest_content(size_bytes: int) -> int:
@@ -156,7 +158,7 @@ def _confined(outgoing: int, limits: Limits) -> int:
     for standard in range(3):
         os.dup2(nothing, standard)
     os.dup2(outgoing, 3)
-    os.closerange(4, resource.getrlimit(resource.RLIMIT_NOFILE)[0])
+    os.closerange(4, max(resource.getrlimit(resource.RLIMIT_NOFILE)[0], 2**16))
     pages = int(Path("/proc/self/statm").read_text().split()[0])
     lowered = {
         resource.RLIMIT_AS: pages * resource.getpagesize() + limits.memory_bytes,
@@ -167,7 +169,9 @@ def _confined(outgoing: int, limits: Limits) -> int:
         resource.RLIMIT_NPROC: 0,
     }
     for what, most in lowered.items():
-        resource.setrlimit(what, (most, most))
+        allowed = resource.getrlimit(what)[1]
+        least = most if allowed == resource.RLIM_INFINITY else min(most, allowed)
+        resource.setrlimit(what, (least, least))
     return 3
 
 
