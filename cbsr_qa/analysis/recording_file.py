@@ -305,7 +305,7 @@ def _digest(file: h5py.File, size_bytes: int = _ANY_SIZE) -> str:
     for name, item in [("/", file), *sorted(held.items())]:
         sha.update(name.encode() + b"\x00")
         if isinstance(item, h5py.Dataset):
-            if item.dtype.kind not in "iufb":
+            if item.dtype.kind not in "iufcb":
                 raise RecordingError(f"{name} holds no numbers, but {item.dtype}")
             values = np.ascontiguousarray(item[()])
             sha.update(f"{values.shape}{values.dtype.str}".encode())

@@ -82,7 +82,7 @@ class _Walk:
                 f" {self._all / 2**20:.0f} MiB"
             )
         self._left -= max(dataset.nbytes, _chunk_bytes(dataset))
-        if not text and dataset.dtype.kind not in "iufb":
+        if not text and dataset.dtype.kind not in "iufcb":
             raise RefusedError(f"{path} is of the type {dataset.dtype}, which is neither number nor text")
         packing = dataset.id.get_create_plist()
         if any(packing.get_filter(k)[0] not in _FILTERS for k in range(packing.get_nfilters())):
