@@ -219,7 +219,7 @@ def _refusing(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
     except MemoryError:
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise RecordingError(
             f"{path.name} cannot be read as {name}: {type(error).__name__}: {error}",
             remedy="the file is damaged, or of another format: name it with --format",
