@@ -4,6 +4,7 @@ import multiprocessing
 import tomllib
 from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass
 from importlib.resources import files
 from os import cpu_count
@@ -11,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cbsr_qa.app.reproduce_figures import SheetFigures, StripFigures
-from cbsr_qa.app.reproduce_runs import FULL_WORDS, QUICK_WORDS, SEED, Job, all_jobs, simulate
+from cbsr_qa.app.reproduce_runs import FULL_WORDS, QUICK_WORDS, SEED, Job, all_jobs, not_reproduced, simulate
 from cbsr_qa.app.reproduce_tables import centre_presses, compared_tables
 from cbsr_qa.domain.published import ComparedTable, Comparison, Ours, Printed
 from cbsr_qa.frontier.sweep import begin_worker
@@ -106,6 +107,11 @@ def reproduce_paper(
     quick : fewer trials and strains.
     tell : told what is done.
     processes : how many work at once; by default two, or one where there is one core.
+
+    Raises
+    ------
+    NotReproducedError
+        If a simulated sensor gave no figures; the others are given up.
     """
     jobs = all_jobs(quick=quick)
     tell(f"simulating {len(jobs)} sensors with seed {SEED}: {', '.join(job.words for job in jobs)}")
@@ -151,7 +157,11 @@ def _simulated(
         waiting = {pool.submit(simulate, job): job for job in jobs}
         try:
             for future in as_completed(waiting):
-                job, figures = waiting[future], future.result()
+                job = waiting[future]
+                try:
+                    figures = future.result()
+                except BrokenProcessPool as error:
+                    raise not_reproduced(job, "its process was killed; see whether memory ran out") from error
                 done += 1
                 tell(f"{job.words}: {figures.compute_s:.0f} s ({done} of {len(jobs)})")
                 yield job, figures

@@ -18,7 +18,7 @@ from cbsr_qa.app.stages import Stages
 from cbsr_qa.config.documents import DocumentKind, open_document
 from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type, load_station
 from cbsr_qa.config.merge import Configuration, merge
-from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.errors import NotReproducedError
 from cbsr_qa.domain.run import RunIdentity, RunRecord
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.plugins import Plugins, discover
@@ -102,8 +102,8 @@ def simulate(job: Job) -> SheetFigures | StripFigures:
 
     Raises
     ------
-    NumericsError
-        If the run did not come to an analysis; names it, and says why.
+    NotReproducedError
+        If the run stopped or could not be analysed; names the run and says why.
     """
     started, plugins = time.perf_counter(), discover()
     configuration = configuration_of(job)
@@ -119,9 +119,7 @@ def _figures(
     if conclusion.characterisation is not None:
         return strip_figures(conclusion.characterisation, station_s, time.perf_counter() - started)
     if conclusion.observation is None:
-        raise NumericsError(
-            f"the simulated {job.words} was not analysed: {conclusion.verdict.reason}", remedy="please report this"
-        )
+        raise not_reproduced(job, conclusion.verdict.reason)
     return sheet_figures(
         conclusion.observation,
         conclusion.measurements,
@@ -129,6 +127,16 @@ def _figures(
         job.sheet,
         station_s,
         time.perf_counter() - started,
+    )
+
+
+def not_reproduced(job: Job, why: str) -> NotReproducedError:
+    """Return the error that ends a reproduction, for the sensor that gave no figures."""
+    station, recipe, scene = _SETTINGS[job.sheet]
+    return NotReproducedError(
+        f"the simulated {job.words} (station {station}, recipe {recipe}, scene {scene}, seed {job.seed}) gave no "
+        f"figures: {why}",
+        remedy="nothing was written; --quick presses fewer loads and leaves the bench sheet out",
     )
 
 

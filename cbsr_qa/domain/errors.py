@@ -110,6 +110,16 @@ class BrokenRunError(CbsrError):
         return {**ending, "remedy": self.remedy, **nothing}
 
 
+class NotReproducedError(CbsrError):
+    """A simulated sensor of a reproduction gave no figures: its run stopped, or has no analysis (exit code 3)."""
+
+    exit_code = 3
+
+    def document(self) -> dict[str, Any]:
+        """Return what ``--json`` prints for it."""
+        return {"broken": {"reason": self.reason, "remedy": self.remedy}}
+
+
 class UnconcludedError(CbsrError):
     """The bench had done its part, and somebody stopped the program before the result was written (exit code 3).
 

@@ -16,6 +16,7 @@ from command import PROGRAM, cbsr_qa, document
 from cbsr_qa.analysis.recording_file import read_recording
 from cbsr_qa.config.documents import DocumentKind, open_document, shipped_names
 from cbsr_qa.config.loader import load_scene_plan
+from cbsr_qa.domain.frames import ReadingFlag
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.plugins import discover
 
@@ -111,6 +112,9 @@ def test_every_shipped_scene_runs(shipped):
     assert {block.channel for block in recording.samples} == {"force", "x", "y", "z"}
     assert [(load.load.x_mm, load.load.y_mm) for load in recording.loads] == [load.place_mm for load in plan.loads]
     assert [load["label"] for load in said["loads"]] == [f"L{k}" for k in range(len(plan.loads))]
+    limited = (recording.frames.flags & ReadingFlag.COMPLIANCE) > 0
+    # One reading while a pin bounces; in every frame all of the two drive pairs of an electrode that is open.
+    assert limited.sum() == {"everything": 1, "faulty-electrode": 32 * len(recording.frames)}.get(name, 0)
 
 
 def test_analyse_finds_the_loads_of_every_shipped_scene(shipped):

@@ -1,19 +1,23 @@
 """``reproduce paper`` on figures made by hand: its rows, its document, its page and its words."""
 
 import json
+import os
+import pickle
 import re
 import shlex
+import signal
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from cbsr_qa.app import reproduce
+from cbsr_qa.app import reproduce, reproduce_runs
 from cbsr_qa.app.reproduce import published, reproduction
 from cbsr_qa.app.reproduce_figures import ForcePress, SettlingOf, SheetFigures, StripFigures
-from cbsr_qa.app.reproduce_runs import all_jobs, configuration_of
+from cbsr_qa.app.reproduce_runs import all_jobs, configuration_of, not_reproduced
 from cbsr_qa.cli.main import guarded
 from cbsr_qa.cli.reproduce_table import WIDTH, lines
+from cbsr_qa.domain.errors import NotReproducedError
 from cbsr_qa.domain.published import Kind, Ours, Rule
 
 _ORACLE = Path(__file__).resolve().parents[3] / "shared" / "oracle" / "paper_tables.json"
@@ -196,6 +200,41 @@ def test_the_documented_command_writes_its_page_and_prints_tables_or_one_documen
     assert list(document) == ["about", *_KEYS]
     assert document["about"]["quick"] is False
     assert asked == [all_jobs(quick=True), all_jobs(quick=False)]
+
+
+@pytest.mark.parametrize("as_json", [False, True])
+def test_a_run_that_stops_ends_the_command_with_the_sensor_and_the_rule(as_json, monkeypatch, capsys):
+    """An electrode that is open from the beginning stops the first run at its first frame."""
+    monkeypatch.setattr(reproduce, "cpu_count", lambda: 1)
+    monkeypatch.setitem(reproduce_runs._SETTINGS, "uniform", ("simulated", "paper", "faulty-electrode"))
+    assert guarded(["reproduce", "paper", "--quick", *(["--json"] if as_json else [])]) == 3
+    said = capsys.readouterr()
+    assert (
+        "the simulated 8 wt% uniform sheet (station simulated, recipe paper, scene faulty-electrode, seed 1)"
+        in said.err
+    )
+    assert "the run was broken: rule 'compliance'" in said.err
+    assert "report" not in said.err
+    if as_json:
+        assert "electrode 12 may be open" in json.loads(said.out)["broken"]["reason"]
+    else:
+        assert said.out == ""
+
+
+def _killed(job):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_process_that_is_killed_is_said_to_be(monkeypatch):
+    monkeypatch.setattr(reproduce, "simulate", _killed)
+    with pytest.raises(NotReproducedError, match=r"wt% .* gave no figures: its process was killed"):
+        reproduce.reproduce_paper(quick=True, processes=2)
+
+
+def test_the_reason_of_a_worker_reaches_its_parent_whole():
+    error = not_reproduced(all_jobs(quick=True)[0], "the run was aborted")
+    there = pickle.loads(pickle.dumps(error))
+    assert (str(there), there.document()) == (str(error), error.document())
 
 
 def test_quick_presses_less_and_leaves_the_bench_sheet_out():
