@@ -33,20 +33,20 @@ def _forks():
     return context
 
 
-def cbsr_qa(folder, *arguments, check=True, fresh=False, **environment):
+def cbsr_qa(folder, *arguments, check=True, fresh=False, limit_s=300, **environment):
     """Run one command in a folder; by default it must succeed.
 
     In a fork of a process that has loaded everything; ``fresh`` starts the installed program itself.
     """
     environment = {"CBSR_QA_VAR": "var", **environment}
     run = _fresh if fresh else _forked
-    done = run(folder, [str(argument) for argument in arguments], environment)
+    done = run(folder, [str(argument) for argument in arguments], environment, limit_s)
     if check and done.returncode:
         raise AssertionError(f"{arguments} ended with {done.returncode}:\n{done.stdout}\n{done.stderr}")
     return done
 
 
-def _fresh(folder, arguments, environment):
+def _fresh(folder, arguments, environment, limit_s):
     return subprocess.run(
         [str(PROGRAM), *arguments],
         cwd=folder,
@@ -54,11 +54,11 @@ def _fresh(folder, arguments, environment):
         capture_output=True,
         text=True,
         check=False,
-        timeout=300,
+        timeout=limit_s,
     )
 
 
-def _forked(folder, arguments, environment):
+def _forked(folder, arguments, environment, limit_s):
     import warm
 
     with tempfile.TemporaryDirectory() as written:
@@ -67,8 +67,8 @@ def _forked(folder, arguments, environment):
         err.touch()
         process = _forks().Process(target=warm.run, args=(Path(folder), arguments, environment, out, err))
         process.start()
-        process.join(timeout=300)
-        assert process.exitcode is not None, f"{arguments} has not ended after 300 s"
+        process.join(timeout=limit_s)
+        assert process.exitcode is not None, f"{arguments} has not ended after {limit_s} s"
         return subprocess.CompletedProcess(arguments, process.exitcode, out.read_text(), err.read_text())
 
 

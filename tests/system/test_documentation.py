@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from pages import HOW_TO, TOP, blocks, commands, typed, write_files
+from pages import HOW_TO, SHORTENED, TOP, TYPED, blocks, commands, typed, write_files
 
 from cbsr_qa.app.fleet_demo import SAID, build_fleet
 from cbsr_qa.domain.frames import SampleBlock
@@ -95,6 +95,24 @@ def test_the_page_on_comparing_batches_shows_the_sentences_that_are_printed(tmp_
         for sentence in re.split(r"\n- ", sentences)[1:]:
             assert " ".join(sentence.split()) in plain
         assert SAID in plain
+
+
+def test_every_page_with_commands_is_typed_somewhere():
+    shown = {str(page.relative_to(TOP)) for page in _PAGES if commands(page)}
+    assert shown == {*TYPED, *SHORTENED}
+    for page, test in TYPED.items():
+        assert page.rsplit("/", 1)[-1] in (TOP / "tests" / test).read_text(), f"{test} does not read {page}"
+
+
+def test_the_page_on_building_a_bench_runs_as_printed(tmp_path):
+    (command,) = commands(HOW_TO / "build-this-bench.md")
+    assert "station time" in typed(tmp_path, command).stdout
+
+
+def test_the_page_on_recordings_images_with_another_method(tmp_path):
+    (command,) = commands(TOP / "docs" / "reference" / "recordings.md")
+    typed(tmp_path, "cbsr-qa scene run faulty-electrode --output shown.h5")
+    assert "temporal" in typed(tmp_path, command.replace(" FILE ", " shown.h5 ")).stdout
 
 
 @pytest.mark.parametrize("page", _PAGES, ids=lambda page: page.name)

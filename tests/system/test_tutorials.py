@@ -3,12 +3,10 @@
 import html
 import re
 
-import pytest
-from pages import TOP, typed, write_files
+from pages import TOP, assert_printed, typed, write_files
 
 _FIRST = TOP / "docs" / "tutorials" / "your-first-recipe.md"
 _FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-_DECIMAL = re.compile(r"\d+\.\d+")
 
 
 def test_the_first_tutorial_runs_as_printed(tmp_path):
@@ -21,7 +19,7 @@ def test_the_first_tutorial_runs_as_printed(tmp_path):
             printed = _typed_in_turn(tmp_path, block, codes)
         else:
             assert language == "text"
-            _assert_printed(block, printed)
+            assert_printed(block, printed)
     assert codes == [0, 0, 1, 2, 0, 0, 0]
 
     _, failed, _ = (_words(report) for report in sorted((tmp_path / "var" / "reports").iterdir()))
@@ -53,16 +51,6 @@ def _typed_in_turn(folder, block, codes):
         else:  # the shell's, of which the test has no need
             assert command.split()[0] in ("export", "mkdir", "cd"), command
     return " ".join(" ".join(screen).split())
-
-
-def _assert_printed(shown, printed):
-    """What a page shows is on the screen: dots stand for anything, last digits of decimals may differ."""
-    shown = " ".join(shown.split())
-    pattern = re.escape(_DECIMAL.sub("#", shown)).replace(r"\#", r"(\d+\.\d+)").replace("…", ".*?")
-    found = re.search(rf"(?<!\S){pattern}(?!\S)", printed)
-    assert found, f"{shown}\nis not what was printed:\n{printed}"
-    for stated, computed in zip(_DECIMAL.findall(shown), found.groups(), strict=True):
-        assert float(stated) == pytest.approx(float(computed), rel=0.05), shown
 
 
 def _words(report):

@@ -1,0 +1,53 @@
+"""What the documentation tells a user to type and ``make test`` shortens, in full; and its figures."""
+
+import importlib
+import os
+import re
+import subprocess
+import sys
+from importlib.metadata import version
+
+import pytest
+from pages import SHORTENED, TOP, TYPED, assert_printed, blocks, in_full, typed
+
+LIMIT_S = 4 * 3600
+PAPER = TOP / "docs" / "explanation" / "paper.md"
+FIGURES = TOP / "docs" / "explanation" / "figures"
+
+
+@pytest.mark.parametrize("page", [page for page in (*TYPED, *SHORTENED) if in_full(page)])
+def test_a_page_runs_in_full(tmp_path, page):
+    for line in in_full(page):
+        if line.startswith("python "):
+            subprocess.run([sys.executable, *line.split()[1:]], cwd=tmp_path, env=_environment("var"), check=True)
+            continue
+        printed = typed(tmp_path, line, limit_s=LIMIT_S).stdout
+        assert printed.strip(), line
+        if line.startswith("cbsr-qa reproduce paper") and "--quick" not in line:
+            for shown in blocks(PAPER, "text"):
+                assert_printed(shown, printed)
+
+
+@pytest.mark.parametrize("target", ["demo", "fleet-demo"])
+def test_what_the_readme_has_a_stranger_make_is_made(tmp_path, target):
+    assert f"make {target}`" in (TOP / "README.md").read_text() + (TOP / "docs/how-to/compare-batches.md").read_text()
+    subprocess.run(["make", target], cwd=TOP, env=_environment(str(tmp_path)), check=True, timeout=LIMIT_S)
+    assert any(tmp_path.iterdir())
+
+
+def _environment(var):
+    """Without a screen, so that no browser opens."""
+    screens = ("DISPLAY", "WAYLAND_DISPLAY")
+    return {**{name: value for name, value in os.environ.items() if name not in screens}, "CBSR_QA_VAR": var}
+
+
+@pytest.mark.parametrize(("script", "folder"), [("draw_simulation", FIGURES), ("draw_force", FIGURES / "force")])
+def test_every_figure_is_what_its_script_draws_today(monkeypatch, script, folder):
+    pinned = re.search(r"^matplotlib==(.+)$", (TOP / "constraints.txt").read_text(), re.M)[1]
+    if version("matplotlib") != pinned:
+        pytest.skip(f"the figures were drawn with matplotlib {pinned}, here is {version('matplotlib')}")
+    monkeypatch.syspath_prepend(TOP / "docs" / "figures")
+    figures = importlib.import_module(script).FIGURES
+    as_file = importlib.import_module("simulation_figures.look").as_file
+    stale = [name for name, draw in figures.items() if as_file(name, draw) != (folder / f"{name}.svg").read_text()]
+    assert not stale
