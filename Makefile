@@ -62,7 +62,7 @@ bench: $(VENV)/.dev-stamp ## Time what matters, as ratios (see benchmarks/)
 faults: $(VENV)/.dev-stamp ## Strike every step of a run with every fault; writes docs/reference/faults.md (an hour)
 	@$(BIN)/python tests/faults/campaign.py docs/reference/faults.md
 
-soak: $(VENV)/.dev-stamp ## Kill 200 runs at random moments and resume them; twelve hours of faults; a thousand fleets; 20 000 damaged files (an hour)
+soak: $(VENV)/.dev-stamp ## What takes too long for make test: see docs/reference/soak.md (an hour or more)
 	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q tests/soak $(PYTEST_ARGS)
 
 clean: ## Remove what was made, but not var/
