@@ -6,22 +6,28 @@ compares batches in a process of its own, and prints its time and the most memor
 """
 
 import argparse
+import hashlib
 import os
 import sys
 import tempfile
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from sqlalchemy import insert
+from sqlalchemy import Connection, insert
 
 from benchmarks.timing import whole_command
 from cbsr_qa.domain.loads import Indenter
 from cbsr_qa.store.codec import encoded
+from cbsr_qa.store.documents import FIGURES, documents
 from cbsr_qa.store.engine import open_engine, parsed_url, writing
+from cbsr_qa.store.fleet_digest import stored_figures
 from cbsr_qa.store.ids import IdSource
+from cbsr_qa.store.link_tables import LinkRow
+from cbsr_qa.store.links import link_digest
 from cbsr_qa.store.repository import open_store
 from cbsr_qa.store.result_tables import AnalysisRow, MeasurementRow
 from cbsr_qa.store.run_tables import RunRow, RunStateRow, SensorRow
@@ -59,8 +65,27 @@ def fill(url: str, sensors: int, metrics: int, on_all: int, seed: int = 41) -> i
         with writing(engine) as connection:
             for table, rows in tables.items():
                 connection.execute(insert(table), rows)
+            connection.execute(insert(LinkRow), list(_links(connection, tables)))
     engine.dispose()
     return runs
+
+
+def _links(connection: Connection, tables: dict[Any, Rows]) -> Iterator[dict[str, Any]]:
+    """The chains of the runs, as the journal and the analysis would have made them, for all runs at once."""
+    of_run: dict[str, list[tuple[str, str, str]]] = {row["run"]: [] for row in tables[RunRow]}
+    owner = {row["analysis"]: row["run"] for row in tables[AnalysisRow]}
+    for table, rows in tables.items():
+        if table is not SensorRow:
+            for run, some in groupby(rows, lambda row: row.get("run") or owner[row["analysis"]]):
+                of_run[run] += [(table.__tablename__, *one) for one in documents(table.__table__, list(some))]
+    for analysis, run in owner.items():
+        of_run[run].append((FIGURES, analysis, stored_figures(connection, analysis)))
+    for run, entries in of_run.items():
+        before = ""
+        for number, (kind, document, content) in enumerate(entries):
+            before = link_digest(before, kind, document, content)
+            values = {"kind": kind, "document": document, "content_sha256": content, "sha256": before, "mac": None}
+            yield {"run": run, "number": number, **values}
 
 
 def _sensor(
@@ -95,10 +120,11 @@ def _sensor(
                 "operator": "simulated",
                 "started_at": at,
                 "configuration": "{}",
-                "configuration_digest": "0" * 64,
+                "configuration_digest": hashlib.sha256(b"{}").hexdigest(),
                 "software": _SOFTWARE,
                 "simulated": ["the whole fleet"],
                 "setting": setting,
+                "chain": "sha256",
             }
         )
         state = {"detail": "", "time_s": 0.0, "spent": [], "operator": None, "software": None, "noted_at": None}

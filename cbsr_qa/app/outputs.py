@@ -122,6 +122,7 @@ class RunOutcome:
             "measurements": [measurement_row(m) for m in self.result.measurements],
             "limits_version": None if self.result.limits_version is None else self.result.limits_version.version,
             "overrides": [override.document() for override in self.result.overrides],
+            "chain": record.chain.document(),
             "changes": [change_row(change) for change in self.result.history.of(self.run)],
             "sensor_history": None if self.sensor_history is None else self.sensor_history.document(),
             "warnings": list(self.warnings),

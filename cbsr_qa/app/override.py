@@ -3,12 +3,14 @@
 from dataclasses import dataclass
 from typing import Any, Final
 
+from cbsr_qa.app.decided_again import check_decided
+from cbsr_qa.config.merge import restore
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.config.serials import validate_operator, validate_reason
 from cbsr_qa.domain.changes import VerdictOverride
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.outcome import Outcome
-from cbsr_qa.store.repository import open_store
+from cbsr_qa.store.repository import Repository, open_store
 
 _OUTCOMES: Final = {"pass": Outcome.PASS, "fail": Outcome.FAIL}
 
@@ -55,7 +57,7 @@ def override_verdict(run: str, outcome: str, *, by: str, why: str, database: str
     ConfigError
         If the outcome, the name or the reason cannot be used.
     StoreError
-        If there is no such run, or it has no verdict.
+        If there is no such run, it is not what was stored, or it has no verdict.
     """
     if outcome not in _OUTCOMES:
         raise ConfigError(f"a verdict cannot be overridden to {outcome!r}", remedy=f"allowed: {', '.join(_OUTCOMES)}")
@@ -64,6 +66,15 @@ def override_verdict(run: str, outcome: str, *, by: str, why: str, database: str
             raise ConfigError(f"an override needs {option}", remedy=f"say {what}")
     name, reason = validate_operator(by), validate_reason(why)
     with open_store(database_url(database), create=False) as store:
+        _check_decided(store, run)
         made = store.override_verdict(run, _OUTCOMES[outcome], operator=name, why=reason)
         (analysis, *_) = store.analyses(run)
     return Overridden(made, analysis.calibration)
+
+
+def _check_decided(store: Repository, run: str) -> None:
+    """Refuse to decide against a verdict that does not follow from what is stored."""
+    analyses = store.analyses(run)
+    if analyses:
+        limits = restore(store.configuration(run)).recipe.limits
+        check_decided(store.load_run(run), analyses[0], limits)

@@ -7,6 +7,7 @@ from pathlib import Path
 from cbsr_qa.analysis.observe import observe_run
 from cbsr_qa.analysis.strip_cycles import characterise_run
 from cbsr_qa.app.conclude import conclude
+from cbsr_qa.app.decided_again import check_decided
 from cbsr_qa.app.material_output import material_path, why_no_material, write_material
 from cbsr_qa.app.outputs import calibration_path, report_sections
 from cbsr_qa.app.setup import made
@@ -17,6 +18,7 @@ from cbsr_qa.calibrate.prepared_force import prepared_force
 from cbsr_qa.config.merge import restore
 from cbsr_qa.config.paths import database_url, reports_folder
 from cbsr_qa.domain.calibration import Calibration
+from cbsr_qa.domain.chain import ChainState
 from cbsr_qa.domain.changes import VerdictOverride
 from cbsr_qa.domain.characterisation import Characterisation
 from cbsr_qa.domain.errors import CalibrationError, NumericsError, StoreError
@@ -42,6 +44,7 @@ class Rendered:
     outcome: str
     reason: str
     report: Path
+    chain: ChainState
     overrides: tuple[VerdictOverride, ...] = ()
 
 
@@ -61,7 +64,7 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
     Raises
     ------
     StoreError
-        If there is no such database, run or sensor.
+        If there is no such database, run or sensor, or the run is not what was stored.
     RefusedError
         If the folder cannot be written to; nothing was written then.
     """
@@ -102,16 +105,23 @@ def render_again(run: str, rebuild: Rebuild, plugins: Plugins, folder: Path) -> 
     write_report(path, render_run(result, sections, warnings=missing))
     verdict = result.verdict
     return Rendered(
-        identity.run, identity.sensor.serial, str(verdict.outcome), verdict.reason, path, result.overrides
+        identity.run,
+        identity.sensor.serial,
+        str(verdict.outcome),
+        verdict.reason,
+        path,
+        result.record.chain,
+        result.overrides,
     )
 
 
 def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, tuple[str, ...]]:
     """Put a run's result together again.
 
-    Measurements, verdict and calibration are those that were stored with the latest analysis: nothing is judged
-    anew. Images, which are not stored, are worked out from the stored frames with the stored configuration. A run
-    that was never analysed (cut off before it) is analysed here, and nothing of that is stored.
+    Measurements, verdict and calibration are those that were stored with the latest analysis; a verdict that does
+    not follow from the stored measurements and limits is refused. Images, which are not stored, are worked out from
+    the stored frames with the stored configuration. A run that was never analysed (cut off before it) is analysed
+    here, and nothing of that is stored.
 
     Returns
     -------
@@ -125,6 +135,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
     if stored is None:
         now = _analysed_now(record, recipe, plugins)
         return replace(now, station_check=check, history=history, sensor_history=earlier), recipe.sections
+    check_decided(record, stored, recipe.limits)
     observation, why = _observed(record, recipe, plugins)
     characterisation, why = _characterised(record, recipe) if recipe.characterisation else (None, why)
     calibration, unseen = _calibration(store, stored, observation)

@@ -49,8 +49,9 @@ def resume_run(
     Raises
     ------
     RefusedError
-        Before anything moves: there is no such run, it is finished, another process writes it, its configuration
-        does not pass today's checks, or one of its plugins is missing.
+        Before anything moves: there is no such run, it is not what was stored, it is finished, another process
+        writes it, it is signed with a key that is not set, its configuration does not pass today's checks, or one of
+        its plugins is missing.
     InstrumentError
         If an instrument does not answer.
     """
@@ -67,18 +68,19 @@ def resume_run(
 
 
 def _configuration(store: Repository, run: str) -> str:
-    """Return what a run was configured with; StoreError where there is no such run."""
+    """Return what a run was configured with; StoreError where it is not there, or not what was stored."""
     try:
         return store.configuration(run)
     except StoreError as error:
         raise StoreError(
             f"{error.reason} ({store.shown})",
-            remedy=f"cbsr-qa db status lists the runs that can be resumed; {_ELSEWHERE}",
+            remedy=error.remedy or f"cbsr-qa db status lists the runs that can be resumed; {_ELSEWHERE}",
         ) from error
 
 
 def _resumed(store: Repository, run: str, operator: str, stages: Stages, ask: Ask | None) -> RunOutcome:
     plugins = discover()
+    store.check_resumable(run)
     configuration = restore(store.configuration(run))
     stored, now = store.identity(run), RealClock().wall()
     identity = replace(stored, operator=operator, software=software_versions(plugins), started_at=now)

@@ -245,7 +245,7 @@ def _concluded(
     warnings: Sequence[str],
 ) -> RunOutcome:
     with stages.stage("reading the run back"):
-        record = store.load_run(run)
+        record = store.whole_run(run)
     recipe, history, threads = configuration.recipe, store.change_history(record), threading.enumerate()
     earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
     conclusion = conclude(record, recipe, plugins, stages)

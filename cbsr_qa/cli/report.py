@@ -14,7 +14,7 @@ def report(
     database: Annotated[str | None, typer.Option(help="SQLAlchemy URL; by default SQLite in var/.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
 ) -> None:
-    """Render the report of a stored run again; nothing is measured or judged anew."""
+    """Render the report of a stored run again; a verdict that does not follow is refused."""
     from cbsr_qa.app.render import render_stored
 
     rendered = render_stored(run, database=database, folder=to)
@@ -26,9 +26,11 @@ def report(
                 "outcome": rendered.outcome,
                 "reason": rendered.reason,
                 "report": str(rendered.report),
+                "chain": rendered.chain.document(),
                 "overrides": [override.document() for override in rendered.overrides],
             }
         )
     else:
         said = "".join(f", overridden to {one.outcome} by {one.operator}" for one in rendered.overrides[-1:])
         say(f"{rendered.report}: run {rendered.run}, {rendered.outcome}{said}")
+        say(f"rows: {rendered.chain.words}")

@@ -126,6 +126,7 @@ def _show(outcome: "RunOutcome") -> None:
     if outcome.material or outcome.material_why:
         say(f"material     {outcome.material or 'none: ' + outcome.material_why}")
     say(f"time         {outcome.station_s / 60:.1f} min of station time, {outcome.compute_s:.1f} s of computing")
+    say(f"rows         {outcome.result.record.chain.words}")
     if outcome.resume:
         say(f"go on with   {outcome.resume}")
     if outcome.simulated:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from datetime import datetime
 
+from cbsr_qa.domain.chain import ChainState
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.loads import Indenter, LoadRecord
@@ -130,6 +131,7 @@ class RunRecord:
     station_s : time the sensor occupied the station [s].
     sessions : in order; one where the run was not interrupted.
     set_aside : frames that are stored and do not count: a load that was cut off was pressed again.
+    chain : state of the digests it is under, checked when it was loaded.
     """
 
     identity: RunIdentity
@@ -143,6 +145,7 @@ class RunRecord:
     spent: tuple[tuple[str, float], ...] = field(default=())  #: station seconds by kind of step
     sessions: tuple[RunSession, ...] = field(default=())
     set_aside: int = 0
+    chain: ChainState = field(default_factory=ChainState)
 
     def phase(self, name: str) -> PhaseRecord:
         """Return a phase by the recipe's name for it.

@@ -5,16 +5,21 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Row, insert, select
+from sqlalchemy import Connection, Engine, Row, select
 from sqlalchemy.orm import Session
 
 from cbsr_qa.domain.measurement import Bound, Limit, Measurement, Verdict
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.store.calibrations import insert_calibration
+from cbsr_qa.store.chain import RESULTS, check_run
+from cbsr_qa.store.documents import FIGURES
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.failures import stored
+from cbsr_qa.store.fleet_digest import stored_figures
+from cbsr_qa.store.links import add_links, add_rows
 from cbsr_qa.store.result_tables import AnalysisRow, CalibrationRow, MeasurementRow, WarningRow
+from cbsr_qa.store.run_rows import run_row
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +66,7 @@ def save_result(
     Raises
     ------
     StoreError
-        If the run is not stored, or a number is not finite; nothing of it is stored then.
+        If the run is not stored, not what was stored, or a number is not finite; nothing of it is stored then.
     """
     run, observation = result.record.identity.run, result.observation
     values = {
@@ -77,25 +82,27 @@ def save_result(
         "compute_s": [[stage, float(seconds)] for stage, seconds in result.compute_s],
     }
     with writing(engine) as connection:
-        connection.execute(insert(AnalysisRow), values)
-        _insert_all(connection, WarningRow, analysis, [{"text": text} for text in result.warnings])
-        _insert_all(connection, MeasurementRow, analysis, [_values(m) for m in result.measurements])
+        check_run(connection, run)
+        add_rows(connection, run, AnalysisRow, [values])
+        add_rows(connection, run, WarningRow, _numbered(analysis, [{"text": text} for text in result.warnings]))
+        add_rows(connection, run, MeasurementRow, _numbered(analysis, [_values(m) for m in result.measurements]))
+        add_links(connection, run, [(FIGURES, analysis, stored_figures(connection, analysis))])
         if result.calibration is not None:
             insert_calibration(connection, result.calibration, analysis)
 
 
 def analyses_of(engine: Engine, run: str) -> tuple[StoredAnalysis, ...]:
-    """Return every analysis of a run, the latest first."""
+    """Return every analysis of a run, the latest first. StoreError if the run is not what was stored."""
     with reading(engine) as connection:
+        if run_row(connection, run) is not None:
+            check_run(connection, run, RESULTS)
         query = select(*AnalysisRow.__table__.columns).where(AnalysisRow.run == run)
         rows = connection.execute(query.order_by(AnalysisRow.analysis.desc())).all()
         return tuple(_analysis(connection, row) for row in rows)
 
 
-def _insert_all(connection: Connection, table: Any, analysis: str, rows: list[dict[str, Any]]) -> None:
-    numbered = [{"analysis": analysis, "number": number, **row} for number, row in enumerate(rows)]
-    if numbered:
-        connection.execute(insert(table), numbered)
+def _numbered(analysis: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{"analysis": analysis, "number": number, **row} for number, row in enumerate(rows)]
 
 
 def _values(measurement: Measurement) -> dict[str, Any]:

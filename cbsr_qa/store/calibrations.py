@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Engine, insert, select, update
+from sqlalchemy import Connection, Engine, select, update
 from sqlalchemy.orm import Session
 
 from cbsr_qa.domain.calibration import Calibration, Validity
@@ -22,9 +22,11 @@ from cbsr_qa.domain.sensor import QuasiStatic, Response, SensorIdentity
 from cbsr_qa.store import calibration_rows as lists
 from cbsr_qa.store.arrays import digest, packed, packed_flags, unpacked, unpacked_flags
 from cbsr_qa.store.calibration_forces import PrepareForce, force_values, stored_force
+from cbsr_qa.store.chain import RESULTS, check_run
 from cbsr_qa.store.codec import decoded_indenter, decoded_sensor_type, encoded
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.failures import stored
+from cbsr_qa.store.links import add_rows
 from cbsr_qa.store.result_tables import AnalysisRow, CalibrationRow, ForceRow
 from cbsr_qa.store.run_tables import RunRow
 
@@ -56,13 +58,12 @@ def insert_calibration(connection: Connection, calibration: Calibration, analysi
         raise StoreError(
             f"calibration {calibration.calibration} has no digest: it was never issued, and is not stored"
         )
-    connection.execute(insert(CalibrationRow), _values(calibration, analysis))
+    run, name = calibration.run, {"calibration": calibration.calibration}
+    add_rows(connection, run, CalibrationRow, [_values(calibration, analysis)])
     for table, rows in lists.list_rows(calibration):
-        if rows:
-            connection.execute(insert(table), [{"calibration": calibration.calibration, **row} for row in rows])
+        add_rows(connection, run, table, [name | row for row in rows])
     if calibration.force is not None:
-        row = {"calibration": calibration.calibration, **force_values(calibration.force)}
-        connection.execute(insert(ForceRow), row)
+        add_rows(connection, run, ForceRow, [name | force_values(calibration.force)])
     earlier = update(CalibrationRow).where(
         CalibrationRow.serial == calibration.sensor.serial,
         CalibrationRow.calibration != calibration.calibration,
@@ -103,11 +104,12 @@ def load_calibration(
     Raises
     ------
     StoreError
-        If there is no such calibration, its reference frame or force model is not what was stored, the matrix is not
-        its own, or nobody prepares its templates.
+        If there is no such calibration, it or its run is not what was stored, the matrix is not its own, or nobody
+        prepares its templates.
     """
     with reading(engine) as connection, Session(bind=connection) as session:
         row = _known(session, calibration)
+        check_run(connection, row.run, RESULTS)
         _check_matrix(row, reconstruction)
         _check_weighting(session.get_one(AnalysisRow, row.analysis), row, reconstruction)
         return _calibration(session, row, replace(reconstruction, choice=_choice(row)), prepare_force)

@@ -5,7 +5,7 @@ import json
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from sqlalchemy import ColumnElement, Connection, Engine, and_, func, insert, or_, select
+from sqlalchemy import ColumnElement, Connection, Engine, and_, func, or_, select
 
 from cbsr_qa.domain.changes import NO_REASON, ChangeHistory, ConfigurationChange, Difference, FileKind, differences
 from cbsr_qa.domain.outcome import Outcome
@@ -13,6 +13,7 @@ from cbsr_qa.domain.run import RunIdentity
 from cbsr_qa.store.change_tables import ConfigurationChangeRow
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.failures import stored
+from cbsr_qa.store.links import add_rows
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_tables import RunRow
 
@@ -53,8 +54,7 @@ def note_changes(connection: Connection, identity: RunIdentity, configuration: s
                     "why": why or NO_REASON,
                 }
             )
-    if rows:
-        connection.execute(insert(ConfigurationChangeRow), rows)
+    add_rows(connection, identity.run, ConfigurationChangeRow, rows)
 
 
 def all_changes(engine: Engine) -> tuple[ConfigurationChange, ...]:

@@ -10,6 +10,7 @@ from cbsr_qa.domain.measurement import Bound
 from cbsr_qa.domain.run_figures import MetricKey, RunFigure, RunLine
 from cbsr_qa.store.check_tables import StationCheckRow
 from cbsr_qa.store.engine import reading
+from cbsr_qa.store.fleet_check import check_analyses
 from cbsr_qa.store.result_tables import AnalysisRow, MeasurementRow
 from cbsr_qa.store.run_tables import RunRow
 
@@ -55,12 +56,18 @@ def run_figures(
     ----------
     lines : of the runs.
     names : of measurements; none for all.
+
+    Raises
+    ------
+    StoreError
+        If a chained run, or a measurement of it, is not what was stored.
     """
     runs = {line.analysis: line.run for line in lines}
     found: list[RunFigure] = []
     keys: dict[tuple[str, ...], MetricKey] = {}
     with reading(engine) as connection:
         for some in _portions(list(runs)):
+            check_analyses(connection, some)
             rows = connection.execute(_figures_query(some, names, by_location))
             found += [_figure(runs, keys, row) for row in rows]
     return tuple(found)

@@ -1,15 +1,12 @@
 """The runs of a fleet with the values of their latest analyses: a few queries, whatever the number of runs."""
 
-from array import array
-from collections import defaultdict
 from collections.abc import Sequence
 from datetime import UTC, date, datetime, time
 from difflib import get_close_matches
-from functools import reduce
 from typing import Any, Final
 
 import numpy as np
-from sqlalchemy import ColumnElement, Connection, Engine, Executable, Row, Select, or_, select
+from sqlalchemy import ColumnElement, Connection, Engine, Row, Select, or_, select
 
 from cbsr_qa.domain.errors import RefusedError, StoreError
 from cbsr_qa.domain.fleet import FleetRun, FleetTable, Kind, State
@@ -20,12 +17,11 @@ from cbsr_qa.store.analyses import analysis_outcome
 from cbsr_qa.store.check_tables import StationCheckRow
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.failures import stored
+from cbsr_qa.store.fleet_check import AT_ONCE, Figures, Known, check_figures, figures_query
+from cbsr_qa.store.fleet_digest import BETWEEN, JOINED, RUN_COLUMNS, facts, words
 from cbsr_qa.store.ids import made_at
 from cbsr_qa.store.result_tables import AnalysisRow, MeasurementRow
 from cbsr_qa.store.run_tables import LoadRow, RunRow, RunStateRow
-
-#: Rows that are fetched at once: few enough to stay in the processor's cache, which halves the time.
-_AT_ONCE: Final = 2_000
 
 _BAD: Final = {str(Outcome.FAIL): State.FAILED, str(Outcome.NOT_MEASURED): State.UNMEASURED}
 #: State of a value by its outcome and what it says of its quantity.
@@ -66,14 +62,15 @@ def fleet_table(
     RefusedError
         If no run is of the recipe (with the nearest name).
     StoreError
-        If the database cannot be read, or holds an outcome or a bound that is none.
+        If the database cannot be read, holds an outcome or a bound that is none, or something that is read of a
+        chained run is not what was stored.
     """
     chosen = _chosen(recipe, since, until)
     with reading(engine) as connection:
-        runs, places = _runs(connection, chosen)
+        runs, places, known = _runs(connection, chosen)
         if recipe is not None and not runs:
             _check_recipe(connection, recipe)
-        kinds, columns = _values(connection, chosen, names, places)
+        kinds, columns = _values(connection, chosen, names, places, known)
         run, kind, value, state = columns
         return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
 
@@ -103,8 +100,10 @@ def _midnight(day: date) -> datetime:
     return datetime.combine(day, time(), UTC)
 
 
-def _runs(connection: Connection, chosen: list[ColumnElement[bool]]) -> tuple[list[FleetRun], dict[str, int]]:
-    """Runs in order, and the place of each latest analysis among them.
+def _runs(
+    connection: Connection, chosen: list[ColumnElement[bool]]
+) -> tuple[list[FleetRun], dict[str, int], list[Known | None]]:
+    """Runs in order, the place of each latest analysis among them, and what was read of it where a run is chained.
 
     States and analyses are put to their runs here: a database that has no statistics of its tables yet may join them
     by counting every analysis again for every run.
@@ -114,29 +113,20 @@ def _runs(connection: Connection, chosen: list[ColumnElement[bool]]) -> tuple[li
     analysed = select(a.run, a.analysis, a.outcome, a.software).order_by(a.analysis)
     analyses = _latest_of(connection, analysed, chosen)
     of_checks = set(connection.scalars(select(StationCheckRow.golden_run)))
-    query = (
-        select(
-            RunRow.run,
-            RunRow.serial,
-            RunRow.batch,
-            RunRow.setting["material"]["name"].as_string().label("material"),
-            RunRow.station,
-            RunRow.recipe,
-            RunRow.started_at,
-            RunRow.simulated,
-        )
-        .where(*chosen)
-        .order_by(RunRow.run)
-    )
+    query = select(*RUN_COLUMNS, RunRow.chain).where(*chosen).order_by(RunRow.run)
     runs: list[FleetRun] = []
     places: dict[str, int] = {}
+    known: list[Known | None] = []
     shared: dict[Any, Any] = {}  # tens of thousands of runs name the same few versions
-    for row in connection.execute(query.execution_options(yield_per=_AT_ONCE)):
-        analysis = analyses.get(row.run)
+    for row in connection.execute(query.execution_options(yield_per=AT_ONCE)):
+        analysis, told = analyses.get(row.run), None
         if analysis is not None:
-            places[analysis.analysis] = len(runs)
+            name = analysis.analysis
+            told = (row.run, name, facts(row, name, analysis.outcome, analysis.software))
+            places[name] = len(runs)
+        known.append(told if row.chain is not None else None)
         runs.append(_run(row, ends.get(row.run), analysis, shared, of_check=row.run in of_checks))
-    return runs, places
+    return runs, places, known
 
 
 def _latest_of(
@@ -145,7 +135,7 @@ def _latest_of(
     """The last row of each run, of rows in their order."""
     if chosen:
         query = query.where(query.selected_columns.run.in_(select(RunRow.run).where(*chosen)))
-    return {row.run: row for row in connection.execute(query.execution_options(yield_per=_AT_ONCE))}
+    return {row.run: row for row in connection.execute(query.execution_options(yield_per=AT_ONCE))}
 
 
 def _run(
@@ -176,15 +166,9 @@ def _run(
     )
 
 
-#: Stands between words that the database joins: no text has it.
-_BETWEEN: Final = "\x1f"
-_JOINED: Final = ("name", "phase", "qualifier", "unit", "location", "outcome", "bound")
-
-
-def _measured(chosen: list[ColumnElement[bool]], names: Sequence[str]) -> Executable:
-    """Analysis, value, its words joined, and limits: a fleet has a million values, and each column takes its time."""
-    m = MeasurementRow
-    query = select(m.analysis, m.value, _words(), m.lower_limit, m.upper_limit)
+def _measured(chosen: list[ColumnElement[bool]], names: Sequence[str]) -> Select[*tuple[Any, ...]]:
+    """A fleet has a million values, and each column takes its time."""
+    m, query = MeasurementRow, figures_query()
     if chosen:
         analysed = select(AnalysisRow.analysis).join(RunRow, RunRow.run == AnalysisRow.run).where(*chosen)
         query = query.where(m.analysis.in_(analysed))
@@ -193,59 +177,58 @@ def _measured(chosen: list[ColumnElement[bool]], names: Sequence[str]) -> Execut
     return query
 
 
-def _words() -> ColumnElement[str]:
-    first, *others = (getattr(MeasurementRow, name) for name in _JOINED)
-    return reduce(lambda joined, one: joined.concat(_BETWEEN).concat(one), others, first)
-
-
 def _values(
-    connection: Connection, chosen: list[ColumnElement[bool]], names: Sequence[str], places: dict[str, int]
+    connection: Connection,
+    chosen: list[ColumnElement[bool]],
+    names: Sequence[str],
+    places: dict[str, int],
+    known: list[Known | None],
 ) -> tuple[tuple[Kind, ...], tuple[Any, ...]]:
-    """Kinds, and the columns of :class:`FleetTable`."""
-    run, said, value = array("i"), array("i"), array("d")
-    # Whole columns at a time, and what is said of a value counted where it is first met.
-    sayings: defaultdict[tuple[Any, ...], int] = defaultdict()
-    sayings.default_factory = sayings.__len__
-    rows = connection.execute(_measured(chosen, names).execution_options(yield_per=_AT_ONCE))
-    for block in rows.partitions():
-        analysis, number, *what = zip(*block, strict=True)
-        run.extend([places.get(one, -1) for one in analysis])
-        said.extend(map(sayings.__getitem__, zip(*what, strict=True)))
-        value.frombytes(np.array(number, dtype=np.float64).tobytes())
+    """Kinds, and the columns of :class:`FleetTable`; checked where runs are chained."""
+    # A digest is over all measurements of an analysis.
+    chained = any(known)
+    figures = Figures(connection, _measured(chosen, () if chained else names), places)
     kinds: dict[Kind, int] = {}
-    meant = [_meant(connection, saying, kinds) for saying in sayings]
-    # Left out are earlier analyses of a run, and those that were stored while this was read.
-    runs = np.array(run, dtype=np.int32)
-    listed = runs >= 0
-    kind, state = np.array(meant, dtype=np.int32).reshape(-1, 2)[np.array(said, dtype=np.int32)[listed]].T
-    columns = runs[listed], kind, np.array(value, dtype=np.float64)[listed], state.astype(np.uint8)
+    meant = [_meant(connection, saying, kinds, names) for saying in figures.sayings]
+    if chained:
+        check_figures(connection, chosen, known, figures)
+    kind, state = np.array(meant, dtype=np.int32).reshape(-1, 2)[figures.said].T
+    asked = kind >= 0
+    columns = figures.place[asked], kind[asked], figures.value[asked], state[asked].astype(np.uint8)
     return tuple(kinds), columns
 
 
-def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[Kind, int]) -> tuple[int, int]:
-    """Kind and state that joined words and limits stand for; a kind that was not met before is added."""
-    words, lower, upper = saying
-    told = words.split(_BETWEEN)
-    if len(told) != len(_JOINED):
+def _meant(
+    connection: Connection, saying: tuple[Any, ...], kinds: dict[Kind, int], names: Sequence[str]
+) -> tuple[int, int]:
+    """Kind and state that joined words and limits stand for; a kind that was not met before is added.
+
+    The kind is −1 where its metric was not asked for, and it is within its limits.
+    """
+    said, lower, upper = saying
+    told = said.split(BETWEEN)
+    if len(told) != len(JOINED):
         raise StoreError(
-            f"the database is damaged: {_first(connection, words)} states {words[:64]!r}, with the control character"
+            f"the database is damaged: {_first(connection, said)} states {said[:64]!r}, with the control character"
             " U+001F in it",
             remedy="restore the database from a copy; the row is left as it is",
         )
     name, phase, qualifier, unit, location, outcome, bound = told
     if (outcome, bound) not in _STATES:
-        row = _first(connection, words)
+        row = _first(connection, said)
         stored(Outcome, outcome, "measurements.outcome", row)
         stored(Bound, bound, "measurements.bound", row)
     state = _STATES[outcome, bound]
+    if names and name not in names and outcome not in _BAD:
+        return -1, state
     kind = Kind(MetricKey(name, phase, qualifier), unit, location, lower, upper)
     return kinds.setdefault(kind, len(kinds)), state
 
 
-def _first(connection: Connection, words: str) -> str:
+def _first(connection: Connection, said: str) -> str:
     """Name the first row of such words."""
     m = MeasurementRow
-    query = select(m.analysis, m.number).where(_words() == words).order_by(m.analysis, m.number).limit(1)
+    query = select(m.analysis, m.number).where(words() == said).order_by(m.analysis, m.number).limit(1)
     row = connection.execute(query).one()
     return f"analysis {row.analysis}, measurement {row.number},"
 

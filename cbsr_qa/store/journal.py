@@ -7,7 +7,7 @@ from dataclasses import asdict
 from functools import singledispatchmethod
 from typing import Any
 
-from sqlalchemy import Connection, Engine, func, insert, select, update
+from sqlalchemy import Connection, Engine, func, select, update
 from sqlalchemy.orm import InstrumentedAttribute
 
 from cbsr_qa.clock import on_tick
@@ -32,8 +32,10 @@ from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.store.blocks import frame_values, sample_values
 from cbsr_qa.store.changes import note_changes
 from cbsr_qa.store.codec import encoded
+from cbsr_qa.store.documents import phase_end
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.extent import last_time_s
+from cbsr_qa.store.links import add_links, add_rows
 from cbsr_qa.store.run_rows import begin_run, current_state, run_row
 from cbsr_qa.store.run_tables import (
     FrameBlockRow,
@@ -127,7 +129,8 @@ class Journal:
         if connection.scalar(known) is None:  # a resumed phase keeps its first beginning
             values = {"name": event.name, "sequence": event.sequence, "role": str(event.role)}
             times = {"started_s": event.time_s, "ended_s": None}
-            connection.execute(insert(PhaseRow), {"run": self._run, "phase": event.index, **values, **times})
+            row = {"run": self._run, "phase": event.index, **values, **times}
+            add_rows(connection, self._run, PhaseRow, [row])
 
     @_store.register
     def _(self, event: StepStarted, connection: Connection) -> None:
@@ -160,7 +163,7 @@ class Journal:
         load = times.pop("load")
         times["eased"] = [[one.strain, one.start_s, one.hold_start_s] for one in event.record.eased] or None
         values = {"run": self._run, "phase": event.phase, "load_index": times.pop("index"), **load, **times}
-        connection.execute(insert(LoadRow), values)
+        add_rows(connection, self._run, LoadRow, [values])
 
     @_store.register
     def _(self, event: PhaseFinished, connection: Connection) -> None:
@@ -169,6 +172,7 @@ class Journal:
         )
         if connection.execute(unended.values(ended_s=event.time_s)).rowcount != 1:
             raise StoreError(f"phase {event.index} of run {self._run} was not started, or has ended already")
+        add_links(connection, self._run, [phase_end(event.index, event.time_s)])
 
     @_store.register
     def _(self, event: RunEnded, connection: Connection) -> None:
@@ -192,7 +196,8 @@ class Journal:
             "software": None if begun is None else [list(pair) for pair in begun.software],
             "noted_at": None if begun is None else begun.started_at,
         }
-        connection.execute(insert(RunStateRow), {**values, **who, "spent": [[kind, float(s)] for kind, s in spent]})
+        row = {**values, **who, "spent": [[kind, float(s)] for kind, s in spent]}
+        add_rows(connection, self._run, RunStateRow, [row])
 
     def _add(
         self, connection: Connection, column: InstrumentedAttribute[int], phase: int, values: dict[str, Any]
@@ -204,5 +209,6 @@ class Journal:
             place = table.run == self._run, table.phase == phase
             last = connection.scalar(select(func.max(column)).where(*place))
             self._next[key] = 0 if last is None else last + 1
-        connection.execute(insert(table), {"run": self._run, "phase": phase, column.key: self._next[key], **values})
+        row = {"run": self._run, "phase": phase, column.key: self._next[key], **values}
+        add_rows(connection, self._run, table, [row])
         self._next[key] += 1

@@ -2,15 +2,17 @@
 
 from datetime import datetime
 
-from sqlalchemy import Connection, Engine, func, insert, select
+from sqlalchemy import Connection, Engine, func, select
 
 from cbsr_qa.domain.changes import VerdictOverride
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.store.analyses import analysis_outcome
+from cbsr_qa.store.chain import check_run
 from cbsr_qa.store.change_tables import VerdictOverrideRow
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.failures import stored
+from cbsr_qa.store.links import add_rows
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_rows import current_state, run_row
 
@@ -27,13 +29,14 @@ def save_override(
     Raises
     ------
     StoreError
-        If the run is not stored, has not finished, or has no result yet; nothing is stored then.
+        If the run is not stored, not what was stored, has not finished, or has no result yet; nothing is stored then.
     """
     with writing(engine) as connection:
         analysis, verdict = _judged(connection, run)
         made = VerdictOverride(override, run, analysis, verdict, outcome, operator, why, noted_at)
         values = {"run": run, "analysis": analysis, "outcome": str(outcome), "operator": operator, "why": why}
-        connection.execute(insert(VerdictOverrideRow), {"override_id": override, "noted_at": noted_at, **values})
+        row = {"override_id": override, "noted_at": noted_at, **values}
+        add_rows(connection, run, VerdictOverrideRow, [row])
     return made
 
 
@@ -66,6 +69,7 @@ def _judged(connection: Connection, run: str) -> tuple[str, Outcome]:
     """Return the latest analysis of a run with its outcome."""
     if run_row(connection, run) is None:
         raise StoreError(f"there is no run {run}", remedy="cbsr-qa report SERIAL names the latest run of a sensor")
+    check_run(connection, run)
     end = current_state(connection, run).end
     if end != EndReason.FINISHED:
         raise StoreError(

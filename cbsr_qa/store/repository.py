@@ -29,6 +29,7 @@ from cbsr_qa.store import (
     calibrations,
     changes,
     chart_references,
+    damage,
     figures,
     fleet_query,
     incomplete,
@@ -48,7 +49,9 @@ from cbsr_qa.store.figures import RunFilter
 from cbsr_qa.store.ids import IdSource, made_at
 from cbsr_qa.store.incomplete import IncompleteRun, latest_id
 from cbsr_qa.store.journal import Journal
+from cbsr_qa.store.links import KEY_OPTION
 from cbsr_qa.store.runs import RunSummary
+from cbsr_qa.store.signing import SigningKey
 
 #: Clocks of computers that share a database may differ by this much without anybody being told.
 _CLOCKS_DIFFER: Final = timedelta(minutes=1)
@@ -76,8 +79,12 @@ def open_store(
     ------
     StoreError
         If it is missing (and not to be created), damaged, of another version or another program, or unreachable.
+    ConfigError
+        If the signing key that is set cannot be used, see :mod:`cbsr_qa.store.signing`.
     """
+    key = SigningKey.from_environment()
     engine = open_engine(parsed_url(url), durable=durable)
+    engine.update_execution_options(**{KEY_OPTION: key})
     try:
         version = schema.found_version(engine)
         if version.age is schema.Age.EMPTY and create:
@@ -223,6 +230,14 @@ class Repository:
         """Return the canonical JSON a run was configured with."""
         return runs.configuration_of(self._engine, run)
 
+    def whole_run(self, run: str) -> RunRecord:
+        """Load a run afresh, the whole database file checked. StoreError where something is damaged."""
+        return damage.whole_run(self._engine, run)
+
+    def check_resumable(self, run: str) -> None:
+        """Check all that is stored of a run, and that it can be added to. StoreError where not."""
+        runs.check_resumable(self._engine, run)
+
     def finished_loads(self, run: str) -> frozenset[tuple[int, int]]:
         """Return (phase, index) of the presses of a run that were held to their end."""
         return runs.finished_loads(self._engine, run)
@@ -260,7 +275,7 @@ class Repository:
         return incomplete.counts(self._engine)
 
     def save_result(self, result: RunResult, *, software: Sequence[tuple[str, str]] | None = None) -> str:
-        """Store what was concluded from a run, its calibration included, in one transaction.
+        """Store what was concluded from a run, its calibration included, in one transaction, and read it back.
 
         Parameters
         ----------
@@ -269,12 +284,20 @@ class Repository:
         Returns
         -------
         Identifier of the new analysis; earlier ones stay.
+
+        Raises
+        ------
+        StoreError
+            If the run is not what was stored, or what was stored of the analysis cannot be read back.
         """
+        damage.look_afresh(self._engine)
         analysis = self.new_id()
         versions = result.record.identity.software if software is None else software
         analyses.save_result(
             self._engine, result, analysis=analysis, analysed_at=self._wall(), software=tuple(versions)
         )
+        damage.look_afresh(self._engine)
+        self.analyses(result.record.identity.run)
         return analysis
 
     def analyses(self, run: str) -> tuple[StoredAnalysis, ...]:

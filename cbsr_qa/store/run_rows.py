@@ -10,6 +10,7 @@ from cbsr_qa.domain.outcome import EndReason
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.store.failures import stored
+from cbsr_qa.store.links import add_rows, new_chain
 from cbsr_qa.store.run_tables import InstrumentRow, RunRow, RunStateRow, SensorRow
 
 
@@ -19,27 +20,28 @@ def begin_run(connection: Connection, identity: RunIdentity, configuration: str,
     if connection.scalar(select(SensorRow.serial).where(SensorRow.serial == sensor.serial)) is None:
         values = {"serial": sensor.serial, "batch": sensor.batch, "sensor_type": sensor.sensor_type}
         connection.execute(insert(SensorRow), {**values, "first_seen": identity.started_at})
-    connection.execute(
-        insert(RunRow),
-        {
-            "run": identity.run,
-            "serial": sensor.serial,
-            "batch": sensor.batch,
-            "sensor_type": sensor.sensor_type,
-            "station": identity.station,
-            "recipe": identity.recipe,
-            "operator": identity.operator,
-            "started_at": identity.started_at,
-            "configuration": configuration,
-            "configuration_digest": identity.configuration_digest,
-            "software": [list(pair) for pair in identity.software],
-            "simulated": list(identity.simulated),
-            "setting": setting,
-        },
-    )
-    for position, instrument in enumerate(identity.instruments):
-        place = {"run": identity.run, "position": position}
-        connection.execute(insert(InstrumentRow), place | instrument_values(instrument))
+    row = {
+        "run": identity.run,
+        "serial": sensor.serial,
+        "batch": sensor.batch,
+        "sensor_type": sensor.sensor_type,
+        "station": identity.station,
+        "recipe": identity.recipe,
+        "operator": identity.operator,
+        "started_at": identity.started_at,
+        "configuration": configuration,
+        "configuration_digest": identity.configuration_digest,
+        "software": [list(pair) for pair in identity.software],
+        "simulated": list(identity.simulated),
+        "setting": setting,
+        "chain": new_chain(connection),
+    }
+    instruments = [
+        {"run": identity.run, "position": position} | instrument_values(instrument)
+        for position, instrument in enumerate(identity.instruments)
+    ]
+    add_rows(connection, identity.run, RunRow, [row])
+    add_rows(connection, identity.run, InstrumentRow, instruments)
 
 
 def run_row(connection: Connection, run: str) -> Row[Any] | None:

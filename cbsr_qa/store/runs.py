@@ -18,10 +18,12 @@ from cbsr_qa.domain.run import PhaseRecord, RunIdentity, RunRecord, RunSession
 from cbsr_qa.domain.steps import Role
 from cbsr_qa.store.analyses import analysis_outcome
 from cbsr_qa.store.blocks import frame_block, sample_block
+from cbsr_qa.store.chain import IDENTITY, check_run
 from cbsr_qa.store.codec import decoded_indenter, decoded_material, decoded_sensor_type
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.extent import last_time_s
 from cbsr_qa.store.failures import stored
+from cbsr_qa.store.links import key_to_continue
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_rows import current_state, identity_of, run_row
 from cbsr_qa.store.run_tables import (
@@ -58,7 +60,7 @@ class RunSummary:
 
 
 def load_run(engine: Engine, run: str) -> RunRecord:
-    """Load a run with every frame that counts, each block's digest checked.
+    """Load a run with every frame that counts, its chain and each block's digest checked.
 
     Frames and samples of a press that was cut off and made again do not count; how many frames is said.
 
@@ -68,7 +70,7 @@ def load_run(engine: Engine, run: str) -> RunRecord:
         If there is no such run, or what is stored is not what was measured.
     """
     with reading(engine) as connection:
-        row = _known(connection, run)
+        chain, row = check_run(connection, run), _known(connection, run)
         state = current_state(connection, run)
         states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
         spent = _summed(pair for one in connection.scalars(states) for pair in one)
@@ -87,6 +89,7 @@ def load_run(engine: Engine, run: str) -> RunRecord:
                 spent=spent,
                 sessions=sessions,
                 set_aside=set_aside,
+                chain=chain,
             )
         except (KeyError, TypeError, ValueError, RefusedError) as error:
             if isinstance(error, StoreError):
@@ -95,15 +98,30 @@ def load_run(engine: Engine, run: str) -> RunRecord:
 
 
 def identity(engine: Engine, run: str) -> RunIdentity:
-    """Return what traces a run, without its frames. StoreError if it is not there."""
+    """Return what traces a run, without its frames. StoreError if it is not there, or not what was stored."""
     with reading(engine) as connection:
+        check_run(connection, run, IDENTITY)
         return identity_of(connection, _known(connection, run))
 
 
 def configuration_of(engine: Engine, run: str) -> str:
-    """Return the canonical JSON a run was configured with."""
+    """Return the canonical JSON a run was configured with. StoreError as for :func:`identity`."""
     with reading(engine) as connection:
+        check_run(connection, run, IDENTITY)
         return str(_known(connection, run).configuration)
+
+
+def check_resumable(engine: Engine, run: str) -> None:
+    """Check everything that is stored of a run that is going to be added to.
+
+    Raises
+    ------
+    StoreError
+        If there is no such run, it is not what was stored, or it is signed and its key is not set.
+    """
+    with reading(engine) as connection:
+        check_run(connection, run)
+        key_to_continue(connection, run, _known(connection, run).chain)
 
 
 def finished_loads(engine: Engine, run: str) -> frozenset[tuple[int, int]]:

@@ -1,8 +1,10 @@
 """What the documentation tells a user to type is typed here, and its snippets are run."""
 
 import html
+import json
 import re
 import shlex
+import subprocess
 import tomllib
 from types import SimpleNamespace
 
@@ -49,6 +51,23 @@ def test_the_page_on_scenes_runs_as_printed(tmp_path):
         "two-heads-seed7.h5",
         "two-heads-seed7.ert-board-csv.csv",
     }
+
+
+def test_the_page_on_signing_runs_as_printed(tmp_path):
+    page = HOW_TO / "sign-runs.md"
+    make, export = (block.strip() for block in blocks(page, "sh"))
+    subprocess.run(["bash", "-c", make], cwd=tmp_path, check=True)
+    assert (tmp_path / "cbsr-qa.key").stat().st_mode & 0o077 == 0
+    name, value = export.removeprefix("export ").split("=")
+    tested, reported = (typed(tmp_path, line, check=False, **{name: value}) for line in commands(page))
+    chain = json.loads(reported.stdout)["chain"]
+    assert f"chained and signed (key {chain['key_id']})" in tested.stdout
+    assert chain | {"key_id": ""} == {"state": "chained", "signature": "checked", "key_id": ""}
+    secret = (tmp_path / "cbsr-qa.key").read_text().strip()
+    written = [path for path in (tmp_path / "var").rglob("*") if path.is_file()]
+    assert len(written) >= 2
+    assert not any(secret.encode() in path.read_bytes() for path in written)
+    assert secret not in tested.stdout + tested.stderr + reported.stdout + reported.stderr
 
 
 @pytest.mark.slow

@@ -11,7 +11,7 @@ from alembic.migration import MigrationContext
 from alembic.script import ScriptDirectory
 
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.store import change_tables, chart_tables, check_tables, schema
+from cbsr_qa.store import change_tables, chart_tables, check_tables, link_tables, schema
 from cbsr_qa.store.engine import open_engine, parsed_url, reading, writing
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_tables import Base
@@ -22,6 +22,8 @@ CHECKS = {
 }
 
 CHANGES = {table.__tablename__ for table in (change_tables.ConfigurationChangeRow, change_tables.VerdictOverrideRow)}
+
+LINKS = link_tables.LinkRow.__tablename__
 
 
 @pytest.fixture
@@ -94,10 +96,11 @@ def test_data_survive_every_step_up_and_down(engine):
     assert content(engine) == before
     schema.upgrade(engine)
     concluded |= {"calibration_forces", *CHECKS, *CHANGES, chart_tables.ChartReferenceRow.__tablename__}
-    # Eased, notes; operator, software and time of a session.
+    concluded.add(LINKS)
+    # Eased, notes; chain; operator, software and time of a session.
     later = {
         name: [(*row, *[None] * columns) for row in before[name]]
-        for name, columns in (("loads", 1), ("instruments", 1), ("run_states", 3))
+        for name, columns in (("loads", 1), ("instruments", 1), ("runs", 1), ("run_states", 3))
     }
     assert content(engine) == before | later | {name: [] for name in concluded}
 
@@ -201,6 +204,20 @@ def test_nothing_was_noted_of_changes_before_and_what_was_is_lost_on_the_way_bac
     assert {name: len(full[name]) for name in CHANGES} == dict.fromkeys(CHANGES, 1)
     assert {name: full[name] for name in before} == before
     schema.downgrade(engine, "0008")
+    assert content(engine) == before
+
+
+def test_runs_of_before_are_unchained_and_chains_are_lost_on_the_way_back(engine):
+    schema.upgrade(engine, "0010")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0011")
+    assert content(engine)[LINKS] == []
+    with reading(engine) as connection:
+        assert connection.execute(sa.text("SELECT chain FROM runs")).all() == [(None,)]
+    fill(engine, {LINKS})
+    assert len(content(engine)[LINKS]) == 1
+    schema.downgrade(engine, "0010")
     assert content(engine) == before
 
 

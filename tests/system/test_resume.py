@@ -1,5 +1,6 @@
 """``cbsr-qa run --resume``: a run that was interrupted is the run it would have been."""
 
+import hashlib
 import random
 import shlex
 import shutil
@@ -78,14 +79,35 @@ def test_a_run_that_was_cut_off_is_listed_resumed_and_then_refused(cut_off, whol
     assert not list((folder / "var").glob("*.lock"))
 
 
+def unchained(database):
+    """Make runs as they were before chains."""
+    database.execute("delete from run_links")
+    database.execute("update runs set chain = null")
+
+
+def configured(database, configuration):
+    """Have runs begun with a configuration."""
+    digest = hashlib.sha256(configuration.encode()).hexdigest()
+    database.execute("update runs set configuration = ?, configuration_digest = ?", (configuration, digest))
+
+
+def without_result(file, run):
+    """Make a database as it was before a run's result was stored: the newest rows and links gone."""
+    with sqlite3.connect(file) as database:
+        tables = [
+            name for (name,) in database.execute("select name from sqlite_master where name like 'calibration%'")
+        ]
+        for table in ("measurements", "warnings", "analyses", *(t for t in tables if not t.startswith("sqlite_"))):
+            database.execute(f"delete from {table}")
+        first = "select min(number) from run_links where kind = 'analyses'"
+        database.execute(f"delete from run_links where run = ? and number >= ({first})", (run,))
+
+
 def test_a_run_killed_while_its_result_was_worked_out_is_concluded(cut_off):
     folder, run = cut_off
     cbsr_qa(folder, "run", "--resume", run)
+    without_result(folder / "var" / "cbsr-qa.db", run)
     with sqlite3.connect(folder / "var" / "cbsr-qa.db") as database:
-        for table in ("measurements", "calibration_baselines"):
-            database.execute(f"delete from {table}")
-        database.execute("pragma foreign_keys = off")
-        database.execute("delete from analyses")
         (frames,) = database.execute("select count(*) from frame_blocks").fetchone()
     status = document(cbsr_qa(folder, "db", "status", "--json"))
     assert status["without_result"] == [{"run": run, "serial": "S-1"}]
@@ -93,6 +115,28 @@ def test_a_run_killed_while_its_result_was_worked_out_is_concluded(cut_off):
     assert (resumed["end"], resumed["outcome"]) == ("finished", "pass")
     with sqlite3.connect(folder / "var" / "cbsr-qa.db") as database:
         assert database.execute("select count(*) from frame_blocks").fetchone() == (frames,)
+
+
+@pytest.mark.parametrize("measured", [True, False], ids=["not concluded", "cut off"])
+@pytest.mark.parametrize("chained", [True, False], ids=["chained", "unchained"])
+def test_a_run_whose_limit_was_loosened_is_not_resumed(cut_off, whole, tmp_path_factory, measured, chained):
+    folder, run = cut_off
+    if measured:
+        folder = tmp_path_factory.mktemp("loosened")
+        shutil.copytree(whole[0], folder, dirs_exist_ok=True)
+        shutil.rmtree(folder / "var" / "calibrations")
+        run = latest_run(folder, "whole")
+        without_result(folder / "var" / "cbsr-qa.db", run)
+    with sqlite3.connect(folder / "var" / "cbsr-qa.db") as database:
+        looser = "update runs set configuration = replace(configuration, '\"upper\":6.5', '\"upper\":66.5')"
+        database.execute(looser)
+        assert database.execute("select count(*) from runs where configuration like '%66.5%'").fetchone() == (1,)
+        if not chained:
+            unchained(database)
+    refused = cbsr_qa(folder, "run", "--resume", run, "--json", check=False)
+    assert refused.returncode == 2
+    assert "its configuration is not the one it was begun with" in document(refused)["refused"]["reason"]
+    assert not list((folder / "var").glob("calibrations/*"))
 
 
 @pytest.mark.parametrize(
@@ -167,14 +211,16 @@ def test_a_missing_plugin_is_refused_and_other_software_is_said(cut_off):
     path = folder / "var" / "cbsr-qa.db"
     with sqlite3.connect(path) as database:
         (configuration,) = database.execute("select configuration from runs").fetchone()
-        database.execute("update runs set configuration = replace(configuration, 'location-grid', 'location-grit')")
+        other = configuration.replace("location-grid", "location-grit")
+        unchained(database)
+        configured(database, other)
         database.execute("""update runs set software = '[["cbsr-qa", "0.0.1"], ["numpy", "1.0"]]'""")
     refused = cbsr_qa(folder, "run", "--resume", run, "--json", check=False)
     assert refused.returncode == 2
     assert "location-grit" in document(refused)["refused"]["reason"]
     with sqlite3.connect(path) as database:
         assert database.execute("select count(*) from run_states").fetchone() == (1,)
-        database.execute("update runs set configuration = ?", (configuration,))
+        configured(database, configuration)
     resumed = document(cbsr_qa(folder, "run", "--resume", run, "--json"))
     (warning,) = [one for one in resumed["warnings"] if "other software" in one]
     assert "cbsr-qa 0.0.1 →" in warning

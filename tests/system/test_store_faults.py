@@ -1,5 +1,6 @@
 """A database that fails in the middle of a run: the bench is safe, what was committed stays, and the run goes on."""
 
+import shutil
 import sqlite3
 from contextlib import closing
 
@@ -84,12 +85,16 @@ def broken_run(**more):
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     """Frames and samples of every load of a run with nothing in its way."""
-    folder = tmp_path_factory.mktemp("whole")
+    folder = tmp_path_factory.mktemp("undisturbed", numbered=False)
     write_files(folder)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         patch.setenv("CBSR_QA_VAR", "var")
         return run_sensor(request()).result
+
+
+def whole_database(tmp_path_factory):
+    return tmp_path_factory.getbasetemp() / "undisturbed" / "var" / "cbsr-qa.db"
 
 
 def assert_goes_on(run, whole, *, database=None):
@@ -111,7 +116,7 @@ def stored_frames(path, run):
     return set(rows)
 
 
-@pytest.mark.parametrize(("pages", "ends"), [(150, ("running", "broken")), (230, ("finished",))])
+@pytest.mark.parametrize(("pages", "ends"), [(150, ("running", "broken")), (285, ("finished",))])
 def test_a_full_disk(here, benches, whole, monkeypatch, pages, ends):
     """In the middle of the run, and when its result is stored."""
     set_up, path = engines._set_up_sqlite, here / "var" / "cbsr-qa.db"
@@ -136,6 +141,65 @@ def test_a_full_disk(here, benches, whole, monkeypatch, pages, ends):
         assert store.writer_of(run) == ""
     assert_goes_on(run, whole)
     assert kept <= stored_frames(path, run)
+
+
+def zeroed(log, size):
+    log.seek(size // 3)
+    log.write(bytes(size // 3))
+
+
+def scribbled(log, size):
+    random = np.random.default_rng(7)
+    for page in range(size // _LOGGED):
+        log.seek(_HEADER + page * _LOGGED + _LOGGED - _PAGE)
+        log.write(random.bytes(_PAGE) if random.random() < 0.3 else b"")
+
+
+def cut(log, size):
+    log.truncate(size // 2)
+
+
+#: Of a log of SQLite: its header, a page, and a page with its own header [B].
+_HEADER, _PAGE, _LOGGED = 32, 4096, 4120
+
+
+@pytest.mark.parametrize("harm", [zeroed, scribbled, cut])
+def test_a_log_that_is_damaged_in_the_middle_of_a_run_ends_in_no_verdict(here, benches, monkeypatch, harm):
+    """The open connection goes on with the pages it remembers, so that nothing fails until they are looked for."""
+    path = here / "var" / "cbsr-qa.db"
+
+    def damage():
+        log = path.with_name("cbsr-qa.db-wal")
+        with log.open("r+b") as file:
+            harm(file, log.stat().st_size)
+
+    at_document(monkeypatch, 150, damage)
+    with pytest.raises(BrokenRunError, match=r"cbsr-qa\.db is damaged .*, and this run with it") as broken:
+        run_sensor(request())
+    assert broken.value.exit_code == 3
+    assert "restore the database from a copy; what was measured after that copy is lost" in broken.value.remedy
+    assert benches == [True]
+    assert [one.name for one in (here / "var").rglob("S-1*")] == []  # no report, and no calibration
+
+
+def test_damage_beside_a_run_is_told_from_damage_of_the_run(here, whole, tmp_path_factory):
+    """A page of another table is lost: this run is whole, and its file can be recovered."""
+    run, path = whole.record.identity.run, here / "damaged.db"
+    source = whole_database(tmp_path_factory)
+    shutil.copy(source, path)
+    with closing(sqlite3.connect(path)) as database:
+        database.execute("create table other (what)")
+        database.execute("insert into other values (zeroblob(9000))")
+        database.commit()
+        (page,) = database.execute("select rootpage from sqlite_master where name = 'other'").fetchone()
+    with path.open("r+b") as file:
+        file.seek((page - 1) * _PAGE)
+        file.write(b"\xff" * 64)
+    with open_store(f"sqlite:///{path}") as store:
+        with pytest.raises(StoreError, match="every row and frame of this run was checked and is whole") as refused:
+            store.whole_run(run)
+        assert f"sqlite3 {path} .recover" in refused.value.remedy
+        assert store.load_run(run).end is EndReason.FINISHED
 
 
 def test_a_database_that_another_program_does_not_let_go(here, benches, whole, monkeypatch, capfd):

@@ -296,5 +296,5 @@ def test_a_changed_current_is_found_too(repository, path):
     journalled(repository, short_run(run))
     with sqlite3.connect(path) as other:
         other.execute("update frame_blocks set current_a = 0.0004000001 where block = 1")
-    with pytest.raises(StoreError, match="frame block 1"):
+    with pytest.raises(StoreError, match=r"frame_blocks \(phase 0, block 1\) was changed"):
         repository.load_run(run)

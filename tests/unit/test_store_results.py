@@ -157,6 +157,11 @@ def test_edited_rows_are_not_exported(repository, run, tmp_path, edit):
     repository.save_result(result(repository, run, calibration=issued))
     with sqlite3.connect(tmp_path / "runs.db") as other:
         assert other.execute(edit).rowcount == 1
+    with pytest.raises(StoreError, match=r"calibration\w+ \(calibration .+\) was changed"):
+        repository.load_calibration(issued.calibration, issued.reconstruction)
+    with sqlite3.connect(tmp_path / "runs.db") as other:  # as a run of before chains
+        other.execute("delete from run_links")
+        other.execute("update runs set chain = null")
     back = repository.load_calibration(issued.calibration, issued.reconstruction)
     with pytest.raises(CalibrationError, match="not what was issued"):
         write_calibration(tmp_path / "exported.h5", back)

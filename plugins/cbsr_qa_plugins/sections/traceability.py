@@ -60,6 +60,7 @@ def _sensor(record: RunRecord) -> Table:
         ["Readings a frame", f"{drives} drive pairs × {measures} measure pairs"],
         ["Indenter", f"{record.indenter.words()}, {record.indenter.area_mm2:.1f} mm²"],
         ["Configuration digest (SHA-256)", record.identity.configuration_digest],
+        ["Stored rows", record.chain.words],
     ]
     return text_table("What was tested, and with what configuration.", ("Item", "Value"), rows)
 

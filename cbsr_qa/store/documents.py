@@ -1,0 +1,145 @@
+"""What the chain of a run covers: rows as canonical text, alike on every database, and the digests over it.
+
+A document is the rows of one table that share a key. Columns come from the tables themselves, so that one that is
+added later is covered. A column without a value is left out, so that a nullable one changes no digest of before.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from datetime import UTC
+from functools import cache
+from itertools import groupby
+from typing import Any, Final
+
+from sqlalchemy import JSON, Boolean, Column, LargeBinary, RowMapping, String, Table
+
+from cbsr_qa.store.change_tables import ConfigurationChangeRow, VerdictOverrideRow
+from cbsr_qa.store.result_tables import (
+    AnalysisRow,
+    BaselineRow,
+    CalibrationRow,
+    FitParameterRow,
+    ForceRow,
+    MeasurementRow,
+    OverlapBandRow,
+    RelaxationRow,
+    SettlingRow,
+    WarningRow,
+)
+from cbsr_qa.store.run_tables import (
+    Base,
+    FrameBlockRow,
+    InstrumentRow,
+    LoadRow,
+    PhaseRow,
+    RunRow,
+    RunStateRow,
+    SampleBlockRow,
+    StepRow,
+    UnloadedMarkRow,
+)
+from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole
+
+_JSON: Final = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+#: Tables under the chain, with the columns whose values name a document; without any, a run has one document there.
+KEYS: Final[dict[str, tuple[str, ...]]] = {
+    table.__tablename__: columns
+    for table, columns in (
+        (RunRow, ()),
+        (InstrumentRow, ()),
+        (ConfigurationChangeRow, ()),
+        (RunStateRow, ("number",)),
+        (PhaseRow, ("phase",)),
+        (StepRow, ("phase", "entry")),
+        (FrameBlockRow, ("phase", "block")),
+        (SampleBlockRow, ("phase", "block")),
+        (LoadRow, ("phase", "load_index")),
+        (UnloadedMarkRow, ("phase", "mark")),
+        (AnalysisRow, ("analysis",)),
+        (WarningRow, ("analysis",)),
+        (MeasurementRow, ("analysis",)),
+        (CalibrationRow, ("calibration",)),
+        (ForceRow, ("calibration",)),
+        (BaselineRow, ("calibration",)),
+        (SettlingRow, ("calibration",)),
+        (RelaxationRow, ("calibration",)),
+        (FitParameterRow, ("calibration",)),
+        (OverlapBandRow, ("calibration",)),
+        (VerdictOverrideRow, ("override_id",)),
+    )
+}
+#: Columns that are filled in later. The end of a phase has a link of its own; a calibration is superseded by a row of
+#: another run's chain, from which it follows.
+PHASE_END: Final = "phase_ends"
+_LATER: Final = {("phases", "ended_s"), ("calibrations", "superseded_by")}
+#: What a comparison of fleets reads of an analysis, see fleet_digest.py.
+FIGURES: Final = "figures"
+
+_CONVERTERS: Final[tuple[tuple[type, Callable[[Any], Any]], ...]] = (
+    (FiniteDouble, lambda value: float(value) + 0.0),  # SQLite keeps no −0
+    (Whole, int),
+    (PlainText, lambda value: str(value).replace("\0", "\ufffd")),
+    (Instant, lambda value: value.astimezone(UTC).isoformat()),
+    (Boolean, bool),
+    (JSON, lambda value: value),
+    (String, str),
+)
+
+
+def tables() -> Iterator[Table]:
+    """Yield the tables under the chain."""
+    return (Base.metadata.tables[name] for name in KEYS)
+
+
+@cache
+def covered(table: Table) -> tuple[Column[Any], ...]:
+    """Return the columns a digest covers. Bytes are not among them: a digest in the same row covers those."""
+    return tuple(
+        one for one in table.columns if not isinstance(one.type, LargeBinary) and (table.name, one.name) not in _LATER
+    )
+
+
+@cache
+def _conversions(table: Table) -> tuple[tuple[str, Callable[[Any], Any]], ...]:
+    return tuple(
+        (one.name, next(how for kind, how in _CONVERTERS if isinstance(one.type, kind))) for one in covered(table)
+    )
+
+
+def row_text(table: Table, row: Mapping[str, Any] | RowMapping) -> str:
+    """Return a row as canonical JSON: floats to the last bit, instants in UTC, keys sorted."""
+    return canonical({name: how(row[name]) for name, how in _conversions(table) if row.get(name) is not None})
+
+
+def canonical(content: Any) -> str:
+    """Return canonical JSON."""
+    return _JSON.encode(content)
+
+
+def sha256(*parts: str) -> str:
+    """Return the digest of some lines, hexadecimal."""
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def documents(table: Table, rows: Iterable[Mapping[str, Any] | RowMapping]) -> Iterator[tuple[str, str]]:
+    """Yield key and content digest of every document among rows of a table, in the order of their keys."""
+    names = KEYS[table.name]
+    keyed = sorted(("/".join(str(row[name]) for name in names), row_text(table, row)) for row in rows)
+    for key, some in groupby(keyed, key=lambda one: one[0]):
+        yield key, sha256(*(text for _, text in some))
+
+
+def phase_end(phase: int, ended_s: float | None) -> tuple[str, str, str]:
+    """Return kind, key and content digest of the end of a phase."""
+    return PHASE_END, str(phase), sha256(canonical({"phase": phase, "ended_s": float(ended_s or 0.0) + 0.0}))
+
+
+def shown(kind: str, key: str) -> str:
+    """Name a document for people: its table and the columns that find it."""
+    if kind == PHASE_END:
+        return f"phases.ended_s (phase {key})"
+    names = ("analysis",) if kind == FIGURES else KEYS.get(kind, ("document",))
+    found = ", ".join(f"{name} {value}" for name, value in zip(names, key.split("/"), strict=False))
+    return f"{'figures of runs and measurements' if kind == FIGURES else kind}{f' ({found})' if names else ''}"

@@ -1,0 +1,106 @@
+"""Rows of a run and the links of its chain, stored in one transaction."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+from sqlalchemy import Connection, bindparam, insert, select
+
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.store.documents import documents, sha256
+from cbsr_qa.store.link_tables import LinkRow
+from cbsr_qa.store.run_tables import RunRow
+from cbsr_qa.store.signing import VARIABLE, SigningKey
+
+#: Option of an engine that holds the key, and what the column ``runs.chain`` says.
+KEY_OPTION: Final = "cbsr_signing_key"
+_PLAIN, _SIGNED = "sha256", "hmac-sha256:"
+
+# Built once: there is a link with every frame.
+_INSERT: Final = insert(LinkRow)
+_NEWEST: Final = (
+    select(RunRow.chain, LinkRow.number, LinkRow.sha256)
+    .outerjoin(LinkRow, LinkRow.run == RunRow.run)
+    .where(RunRow.run == bindparam("of_run"))
+    .order_by(LinkRow.number.desc())
+    .limit(1)
+    # Two programs that add to one run must not both follow the same link.
+    .with_for_update(of=RunRow, key_share=True)
+)
+
+
+def signing_key(connection: Connection) -> SigningKey | None:
+    """Return the key that is set; None where none is."""
+    key: SigningKey | None = connection.get_execution_options().get(KEY_OPTION)
+    return key
+
+
+def new_chain(connection: Connection) -> str:
+    """Return what a run that begins now notes of its chain: its kind, and which key signs it."""
+    key = signing_key(connection)
+    return _PLAIN if key is None else f"{_SIGNED}{key.key_id}"
+
+
+def key_id_of(chain: str) -> str:
+    """Return which key signs a chain; empty where none does."""
+    return chain.removeprefix(_SIGNED) if chain.startswith(_SIGNED) else ""
+
+
+def link_digest(before: str, kind: str, document: str, content: str) -> str:
+    """Return the digest of a link, of the digest of the one before (empty for the first)."""
+    return sha256(before, kind, document, content)
+
+
+def add_rows(connection: Connection, run: str, table: Any, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Insert rows of a run, and link every document among them; rows of one document come together.
+
+    Raises
+    ------
+    StoreError
+        If the run is signed and its key is not set.
+    """
+    if not rows:
+        return
+    connection.execute(insert(table), rows)
+    kind = table.__tablename__
+    add_links(connection, run, [(kind, *one) for one in documents(table.__table__, rows)])
+
+
+def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str, str]]) -> None:
+    """Append links of (kind, document, content digest) to a run's chain; an unchained run gets none.
+
+    Raises
+    ------
+    StoreError
+        If the run is signed and its key is not set.
+    """
+    chain, last, before = connection.execute(_NEWEST, {"of_run": run}).one()
+    if chain is None:
+        return
+    key = key_to_continue(connection, run, chain)
+    number, before = (-1, "") if last is None else (last, before)
+    rows = []
+    for kind, document, content in entries:
+        number, before = number + 1, link_digest(before, kind, document, content)
+        mac = None if key is None else key.sign(run, before)
+        values = {"kind": kind, "document": document, "content_sha256": content, "sha256": before, "mac": mac}
+        rows.append({"run": run, "number": number, **values})
+    connection.execute(_INSERT, rows)
+
+
+def key_to_continue(connection: Connection, run: str, chain: str | None) -> SigningKey | None:
+    """Return the key that a run's further links are signed with; None where it is not signed.
+
+    Raises
+    ------
+    StoreError
+        If the run is signed and another key is set, or none.
+    """
+    needed, key = key_id_of(chain or ""), signing_key(connection)
+    if not needed:
+        return None
+    if key is None or key.key_id != needed:
+        found = "no key is set" if key is None else f"the key that is set is {key.key_id}"
+        raise StoreError(
+            f"run {run} is signed with key {needed}, and {found}", remedy=f"set {VARIABLE} to the key it began with"
+        )
+    return key
