@@ -26,8 +26,23 @@ def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Li
     StoreError
         If a stored limit, an outcome or the verdict does not follow; it names the measurement.
     """
+    said, found = stored.verdict, stored.measurements
+    if record.end is not EndReason.FINISHED or not found:
+        if said.outcome not in (Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
+            why = "holds no measurement" if record.end is EndReason.FINISHED else f"was {record.end}"
+            raise _refused(stored, f"the verdict states {said.outcome}; the run {why}")
+        return
+    _check_measurements(stored, limits if record.chain.links else None)
+    now = decide(found)
+    same_words = dict(stored.software).get("cbsr-qa") == version("cbsr-qa")
+    if now.outcome is not said.outcome or (same_words and now.reason != said.reason):
+        raise _refused(stored, f"the verdict states {_verdict(said)}; its measurements say {_verdict(now)}")
+
+
+def _check_measurements(stored: StoredAnalysis, limits: Iterable[Limit] | None) -> None:
+    """Judge measurements again, by the limits of the configuration or, where that is None, by their own."""
     own = tuple(replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in stored.measurements)
-    if record.chain.links:
+    if limits is not None:
         again = judge(own, [replace(limit, version="") for limit in limits])
     else:
         again = tuple(
@@ -39,20 +54,6 @@ def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Li
     if len(again) > len(stored.measurements):
         missing = again[len(stored.measurements)]
         raise _refused(stored, f"no measurement is stored for the configuration's limit of {_named(missing)}")
-    _check_verdict(record, stored)
-
-
-def _check_verdict(record: RunRecord, stored: StoredAnalysis) -> None:
-    said, found = stored.verdict, stored.measurements
-    if record.end is not EndReason.FINISHED or not found:
-        if said.outcome not in (Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
-            why = "holds no measurement" if record.end is EndReason.FINISHED else f"was {record.end}"
-            raise _refused(stored, f"the verdict states {said.outcome}; the run {why}")
-        return
-    now = decide(found)
-    same_words = dict(stored.software).get("cbsr-qa") == version("cbsr-qa")
-    if now.outcome is not said.outcome or (same_words and now.reason != said.reason):
-        raise _refused(stored, f"the verdict states {_verdict(said)}; its measurements say {_verdict(now)}")
 
 
 def _named(measurement: Measurement) -> str:

@@ -117,6 +117,28 @@ def test_a_run_killed_while_its_result_was_worked_out_is_concluded(cut_off):
         assert database.execute("select count(*) from frame_blocks").fetchone() == (frames,)
 
 
+@pytest.mark.parametrize("chained", [True, False], ids=["chained", "unchained"])
+def test_a_report_over_measurements_that_were_changed_is_refused(whole, tmp_path, chained):
+    shutil.copytree(whole[0], tmp_path, dirs_exist_ok=True)
+    for report in (tmp_path / "var" / "reports").iterdir():
+        report.unlink()
+    with sqlite3.connect(tmp_path / "var" / "cbsr-qa.db") as database:
+        if not chained:
+            unchained(database)
+    said = cbsr_qa(tmp_path, "report", "whole").stdout
+    assert ("chained, not signed" if chained else "unchained: stored before") in said
+    with sqlite3.connect(tmp_path / "var" / "cbsr-qa.db") as database:
+        database.execute("update measurements set outcome = 'fail' where limited")
+    before = {path: path.read_bytes() for path in (tmp_path / "var" / "reports").iterdir()}
+    for command in (("report", "whole"), ("verdict", "override", latest_run(tmp_path, "whole"), "--outcome", "pass",
+                                          "--by", "Kim", "--why", "so")):  # fmt: skip
+        refused = cbsr_qa(tmp_path, *command, "--json", check=False)
+        assert refused.returncode == 2
+        expected = "measurements (analysis" if chained else "states fail; its value"
+        assert expected in document(refused)["refused"]["reason"]
+    assert before == {path: path.read_bytes() for path in (tmp_path / "var" / "reports").iterdir()}
+
+
 @pytest.mark.parametrize("measured", [True, False], ids=["not concluded", "cut off"])
 @pytest.mark.parametrize("chained", [True, False], ids=["chained", "unchained"])
 def test_a_run_whose_limit_was_loosened_is_not_resumed(cut_off, whole, tmp_path_factory, measured, chained):
