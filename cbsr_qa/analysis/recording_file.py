@@ -73,6 +73,7 @@ def recording_file(path: Path) -> Iterator[BinaryIO]:
         If the folder cannot be written to.
     """
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:
             yield file
     except OSError as error:

@@ -106,6 +106,7 @@ class Frontier:
         )
         text = toml_document(self.recommended.setting.recipe(the_bench().base, name), comments)
         try:
+            path.parent.mkdir(parents=True, exist_ok=True)
             with written_whole(path) as file:
                 file.write(text.encode())
         except OSError as error:

@@ -67,6 +67,7 @@ def write_calibration(path: Path, calibration: Calibration) -> str:
     try:
         digest = content_digest(entries)
         image = _in_memory(entries, digest)
+        path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:
             file.write(_block(image) + image)
     except OSError as error:

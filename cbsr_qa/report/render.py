@@ -82,6 +82,7 @@ def write_report(path: Path, html: str) -> None:
     if html.startswith(_PAGE):
         check_replaceable(path)
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:
             file.write(html.encode("utf-8", errors="xmlcharrefreplace"))
     except OSError as error:
