@@ -60,5 +60,5 @@ def contained(who: str) -> Iterator[None]:
         raise
     except BaseException as error:
         raise PluginError(
-            f"{who} failed: {failure(error)}", remedy="tell its author, or do without that plugin"
+            f"{who} failed: {failure(error)}", remedy="report it to the plugin's author, or do without that plugin"
         ) from error

@@ -19,6 +19,7 @@ TYPED = {
     "docs/how-to/choose-a-recipe.md": "system/test_documentation.py",
     "docs/how-to/describe-a-sensor.md": "system/test_documentation.py",
     "docs/how-to/propose-limits.md": "system/test_limits_commands.py",
+    "docs/how-to/sign-runs.md": "system/test_documentation.py",
     "docs/how-to/simulate-a-scene.md": "system/test_documentation.py",
     "docs/how-to/use-a-calibration.md": "system/test_calibration_page.py",
     "docs/how-to/verify-a-fielded-sensor.md": "system/test_documentation.py",

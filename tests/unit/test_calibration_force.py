@@ -248,6 +248,11 @@ def test_a_map_changed_in_the_database_is_not_loaded_and_a_number_not_exported(s
     prepare, _ = _prepares(made)
     with sqlite3.connect(tmp_path / "runs.db") as other:
         other.execute("update calibration_forces set scatter = 0.5")
+    with pytest.raises(StoreError, match=r"calibration_forces .* was changed"):
+        repository.load_calibration(made.calibration, made.reconstruction, prepare)
+    with sqlite3.connect(tmp_path / "runs.db") as other:  # as of a run from before chains
+        other.execute("delete from run_links")
+        other.execute("update runs set chain = null")
     with pytest.raises(CalibrationError, match="not what was issued"):
         write_calibration(
             tmp_path / "x.h5", repository.load_calibration(made.calibration, made.reconstruction, prepare)

@@ -31,11 +31,15 @@ def test_force_above_the_ceiling_stops_with_the_evidence_stored():
     assert script.count("frame_source.acquire") == 3
 
 
-@pytest.mark.parametrize("force_N", [-21.0, float("nan"), float("inf")])
-def test_pull_and_nonsense_stop_as_push_does(force_N):
+@pytest.mark.parametrize(
+    ("force_N", "said"),
+    [(-21.0, "rule 'force'"), (float("nan"), "rule 'force'"), (float("inf"), "channel force: the value of sample 0")],
+)
+def test_pull_and_nonsense_stop_as_push_does(force_N, said):
     ended, _, script, bench = run(script=Script(VirtualClock(), force_N=lambda t, down: force_N))
     assert_safe(script, bench)
-    assert "rule 'force'" in ended.detail
+    assert ended.end is EndReason.BROKEN
+    assert said in ended.detail
 
 
 def test_a_load_cell_that_falls_silent_under_load_stops_the_run():

@@ -90,7 +90,11 @@ FOREIGN = ZeroDivisionError("no denominator")
     ("error", "said", "remedy"),
     [
         (SILENT, "load_cell at COM3", "plug it in"),
-        (FOREIGN, "ZeroDivisionError: no denominator", "report it to the driver's author"),
+        (
+            FOREIGN,
+            "instrument load_cell (driver-load_cell) failed: ZeroDivisionError: no denominator",
+            "report it to the plugin's author, or do without that plugin",
+        ),
     ],
 )
 def test_one_that_does_not_answer_is_a_line_and_the_others_are_looked_at(bench, method, error, said, remedy):

@@ -75,5 +75,6 @@ def test_the_end_of_a_run_asks_what_indices_answer(database):
             told = connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {statement}", given).all()
             plans.append(" ".join(row[3] for row in told))
     assert "ix_runs_station_run (station=? AND run>?)" in plans[0]
-    assert "sqlite_autoindex_measurements_1 (analysis=?)" in plans[1]
+    assert any("sqlite_autoindex_measurements_1 (analysis=?)" in plan for plan in plans)
+    assert not [plan for plan in plans if re.search(r"SCAN (runs|analyses|measurements|run_links)\b", plan)]
     assert open_store(f"sqlite:///{database}").run_lines(RunFilter(recipe="other")) == ()
