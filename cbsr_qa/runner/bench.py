@@ -178,7 +178,7 @@ def identity_of(one: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
     ----------
     emulated : it works through instruments that the station emulates, so that it is simulated with them.
     """
-    with contained(f"instrument {one.name}"):
+    with contained(f"instrument {one.spec.role!r} ({one.spec.driver})"):
         said = one.instrument.identity()
     _recognise(one.spec, said)
     return replace(
@@ -220,7 +220,7 @@ def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
     for one in mounted:
         if isinstance(one.instrument, Linked):
             try:
-                with contained(f"instrument {one.name}"):
+                with contained(f"instrument {one.spec.role!r} ({one.spec.driver})"):
                     one.instrument.link(peers)
             except ConfigError as error:
                 raise ConfigError(f"instrument {one.name}: {error.reason}", remedy=error.remedy) from error

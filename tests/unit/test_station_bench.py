@@ -92,7 +92,7 @@ FOREIGN = ZeroDivisionError("no denominator")
         (SILENT, "load_cell at COM3", "plug it in"),
         (
             FOREIGN,
-            "instrument load_cell (driver-load_cell) failed: ZeroDivisionError: no denominator",
+            "instrument 'load_cell' (driver-load_cell) failed: ZeroDivisionError: no denominator",
             "report it to the plugin's author, or do without that plugin",
         ),
     ],
