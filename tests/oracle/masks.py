@@ -1,0 +1,48 @@
+"""What is masked before two commits are compared, because it differs between two runs of one commit."""
+
+import re
+from collections.abc import Mapping
+from typing import Final
+
+_HEX = "[0-9a-f]"
+
+#: Pattern → what stands in its place. Identities and times are masked first, by these; folders by :func:`masked`.
+MASKS: Final = tuple(
+    (re.compile(pattern), mask)
+    for pattern, mask in (
+        # Times of the wall clock.
+        (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|\+00:00| UTC)?", "<time>"),
+        # How long this computer took: `"compute_s": [["imaging", 1.2]]`, "4.3 s of computing".
+        (r"[\d.]+ s of computing", "<s> of computing"),
+        (r"computing took [\d.]+ s", "computing took <s>"),
+        (r'(<div role="img" aria-label="[^"]*computing took[^"]*">)(\s|.)*?</svg>', r"\1 <a figure of times>"),
+        (r'("compute_s": )[\d.e+-]+', r"\1<s>"),
+        # Names within a drawing, which are drawn at random.
+        (r"\bf[0-9a-f]{8}-(\w+)", r"<drawing>-\1"),
+        # Versions of the program and of what it needs.
+        (r"(cbsr[-_]qa|numpy|scipy|h5py|python|Python|matplotlib|scikit-image|oracle-killer)([ =:]+|\", \")v?\d+(\.\d+)+\w*", r"\1 <version>"),
+        # Where a line of the program stands.
+        (r"\((\w+\.py), line \d+\)", "(<file>, line <n>)"),
+        (r"\bcbsr_qa(_plugins)?(\.\w+)+(:\w+)?", "<module>"),
+    )
+)
+_UUID = re.compile(rf"{_HEX}{{8}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{12}}")
+#: Digests cover identities and times; those of content are compared through what is dumped.
+_SHA256 = re.compile(rf"\b{_HEX}{{64}}\b")
+
+
+def masked(text: str, folders: Mapping[str, str]) -> str:
+    """Replace what differs between two runs of one commit.
+
+    Parameters
+    ----------
+    folders : path → what stands in its place, the longest first.
+    """
+    for folder in sorted(folders, key=len, reverse=True):
+        text = text.replace(folder, folders[folder])
+    numbers: dict[str, int] = {}
+    text = _UUID.sub(lambda found: f"<id-{numbers.setdefault(found[0], len(numbers) + 1)}>", text)
+    text = _SHA256.sub("<sha256>", text)
+    for pattern, mask in MASKS:
+        text = pattern.sub(mask, text)
+    return text
