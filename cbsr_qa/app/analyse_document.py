@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 
 from cbsr_qa.app.parameter_document import parameter_document
+from cbsr_qa.domain.errors import RowProblem
 from cbsr_qa.domain.load_events import ChannelReport, EventImaging, LoadEvent, Motion, NoiseReport, RecordingResult
-from cbsr_qa.domain.recording import Recording, RowProblem
+from cbsr_qa.domain.recording import Recording
 
 
 def recording_document(recording: Recording, frame_rate_hz: float | None) -> dict[str, Any]:

@@ -6,9 +6,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.errors import RecordingError, RowProblem
 from cbsr_qa.domain.frames import ReadingFlag
-from cbsr_qa.domain.recording import Recording, RowProblem, ScanKind
+from cbsr_qa.domain.recording import Recording, ScanKind
 
 #: Ratio of the readings' sizes. Rods in a tank change it by 8 %, a sheet measured again differs by 16 %.
 _MOST_SCALE: Final = 1.5

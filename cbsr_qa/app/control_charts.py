@@ -2,10 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from cbsr_qa.app.charting import standard_of
-from cbsr_qa.app.charts_document import charts_document
 from cbsr_qa.app.charts_request import FEWEST_GROUPS, FEWEST_RUNS, ChartsRequest, ReferencePeriod, check_request
 from cbsr_qa.app.charts_retired import held_references, retired
 from cbsr_qa.app.charts_runs import charted_runs
@@ -44,10 +42,6 @@ class Charts:
     def signals(self) -> tuple[StandingSignal, ...]:
         """Those that stand."""
         return tuple(one.signal for one in self.charts if one.signal is not None)
-
-    def document(self) -> dict[str, Any]:
-        """Return everything for ``--json``."""
-        return charts_document(self)
 
 
 def control_charts(request: ChartsRequest, *, database: str | None = None) -> Charts:

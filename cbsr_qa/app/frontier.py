@@ -22,7 +22,6 @@ from cbsr_qa.frontier.setting import Setting
 from cbsr_qa.frontier.station import PAPER, station_work
 from cbsr_qa.frontier.station_points import document_of, station_points, tried_of, worth_the_station
 from cbsr_qa.frontier.sweep import Documents, Kept, Work, worked_out
-from cbsr_qa.report.render import render_sections, write_report
 
 #: Of what is simulated and how it is judged: pieces of another version are worked out again.
 _VERSION = 3
@@ -73,18 +72,6 @@ class Frontier:
             "why": self.recommended.why,
             "recipe": None if recipe is None else str(recipe),
         }
-
-    def write(self, path: Path) -> None:
-        """Write a page that stands by itself.
-
-        Raises
-        ------
-        RefusedError
-            If its folder cannot be written to.
-        """
-        from cbsr_qa.app.frontier_page import frontier_page, frontier_sections
-
-        write_report(path, render_sections(frontier_page(self), frontier_sections(self)))
 
     def write_recipe(self, path: Path) -> None:
         """Write the recommended setting as a recipe that ``cbsr-qa run`` takes.

@@ -16,6 +16,7 @@ from cbsr_qa.domain.report import Block, Figure, Paragraph, Section
 from cbsr_qa.frontier.point import Accuracy, Clock, Knob, Point
 from cbsr_qa.frontier.station import PAPER
 from cbsr_qa.report.page import Banner, Page
+from cbsr_qa.report.render import render_sections, write_report
 from cbsr_qa.report.style import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid
 from cbsr_qa.report.svg import drawn
 from cbsr_qa.report.tables import text_table, unit_column
@@ -60,6 +61,17 @@ _NAMES: Final[Mapping[str, str]] = {
 _UNITS: Final = ("s", "mm")
 _HEIGHT_IN: Final = 3.6
 _COLOURS: Final = (*CYCLE, INK)  # one a series
+
+
+def write_page(found: "Frontier", path: Path) -> None:
+    """Write a page that stands by itself.
+
+    Raises
+    ------
+    RefusedError
+        If its folder cannot be written to.
+    """
+    write_report(path, render_sections(frontier_page(found), frontier_sections(found)))
 
 
 def frontier_page(found: "Frontier") -> Page:

@@ -3,10 +3,8 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from cbsr_qa.app.figure_series import Series, named, recipe_note, software_note
-from cbsr_qa.app.gauge_document import gauge_document
 from cbsr_qa.app.gauge_metrics import Toleranced, wanted_metrics
 from cbsr_qa.app.gauge_references import AgainstReferences, against_references
 from cbsr_qa.app.gauge_request import GaugeRequest
@@ -73,10 +71,6 @@ class Gauge:
     def sensors(self) -> tuple[str, ...]:
         """Serial numbers, sorted."""
         return tuple(sorted({line.serial for line in self.runs}))
-
-    def document(self) -> dict[str, Any]:
-        """Return everything for ``--json``."""
-        return gauge_document(self)
 
 
 def gauge(request: GaugeRequest, *, database: str | None = None) -> Gauge:

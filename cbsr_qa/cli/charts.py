@@ -85,7 +85,9 @@ def charts(
         write_report(output, charts_html(found))
         note(f"page         {output}")
     if as_json:
-        emit_json(found.document())
+        from cbsr_qa.app.charts_document import charts_document
+
+        emit_json(charts_document(found))
     else:
         for line in lines(found):
             say(line)

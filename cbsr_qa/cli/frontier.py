@@ -56,7 +56,9 @@ def _write(found: "Frontier", recipe: Path | None, output: Path | None, png: Pat
         found.write_recipe(recipe)
         note(f"recipe       {recipe}{', in place of the one that was there' if there else ''}")
     if output is not None:
-        found.write(output)
+        from cbsr_qa.app.frontier_page import write_page
+
+        write_page(found, output)
         note(f"page         {output}")
     if png is not None:
         from cbsr_qa.app.frontier_page import write_png

@@ -86,7 +86,9 @@ def gauge(
         write_report(output, gauge_html(found))
         note(f"page         {output}")
     if as_json:
-        emit_json(found.document())
+        from cbsr_qa.app.gauge_document import gauge_document
+
+        emit_json(gauge_document(found))
         return
     for line in lines(found):
         say(line)

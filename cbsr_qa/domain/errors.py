@@ -1,10 +1,24 @@
 """Errors a user may meet. Each carries what went wrong, what to do about it, and the exit code it ends with."""
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from dataclasses import dataclass
+from typing import Any, ClassVar
 
-if TYPE_CHECKING:
-    from cbsr_qa.domain.recording import RowProblem
+
+@dataclass(frozen=True, slots=True)
+class RowProblem:
+    """A row that was not used, or used with care.
+
+    Parameters
+    ----------
+    line : 1-based line of the file.
+    what : in words, with what was found.
+    rejected : whether the row's numbers were left out (a log line inside a frame is not a rejected row).
+    """
+
+    line: int
+    what: str
+    rejected: bool
 
 
 class CbsrError(Exception):
@@ -48,7 +62,7 @@ class RecordingError(RefusedError):
     problems : rows that were rejected or noted before the file was given up.
     """
 
-    def __init__(self, reason: str, *, remedy: str = "", problems: Sequence["RowProblem"] = ()) -> None:
+    def __init__(self, reason: str, *, remedy: str = "", problems: Sequence[RowProblem] = ()) -> None:
         super().__init__(reason, remedy=remedy)
         self.problems = tuple(problems)
 

@@ -8,6 +8,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from cbsr_qa.domain.errors import NumericsError
 
+Array = NDArray[np.float64]  #: real numbers in double precision
+Indices = NDArray[np.int64]  #: places in another array
+Mask = NDArray[np.bool_]  #: which entries of another array
+
 
 def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[np.float64]:
     """Return real numbers as float64; those that are are not copied.

@@ -5,6 +5,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from cbsr_qa.domain.electrodes import Electrodes
+from cbsr_qa.domain.errors import RowProblem
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.loads import LoadRecord
 
@@ -14,22 +15,6 @@ class ScanKind(StrEnum):
 
     FULL = "full"  #: every drive pair against every measure pair
     DRIVEN_PAIRS = "driven_pairs"  #: one row: the voltage across each pair while that pair is driven
-
-
-@dataclass(frozen=True, slots=True)
-class RowProblem:
-    """A row that was not used, or used with care.
-
-    Parameters
-    ----------
-    line : 1-based line of the file.
-    what : in words, with what was found.
-    rejected : whether the row's numbers were left out (a log line inside a frame is not a rejected row).
-    """
-
-    line: int
-    what: str
-    rejected: bool
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,6 +8,7 @@ import numpy as np
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.fleet import FleetRun
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.outcome import Outcome
 from cbsr_qa.fleet.figures import MetricFigures
 from cbsr_qa.fleet.groups import Grouping, decides
@@ -15,7 +16,6 @@ from cbsr_qa.fleet.terms import Policy, Quarantine, Terms
 from cbsr_qa.stats.capability import Capability, capability, capability_of_extremes
 from cbsr_qa.stats.crossing import IntArray
 from cbsr_qa.stats.univariate import Quantile, quantile, summary
-from cbsr_qa.stats.worst_value import FloatArray
 from cbsr_qa.stats.yields import Yield, passed_share
 
 _PASSED = (Outcome.PASS, Outcome.MARGINAL)
@@ -151,7 +151,7 @@ def _capability(
         return None, error.reason
 
 
-def _subgroups(values: FloatArray, runs: Sequence[FleetRun], indices: IntArray) -> list[list[float]]:
+def _subgroups(values: Array, runs: Sequence[FleetRun], indices: IntArray) -> list[list[float]]:
     """Values of each batch on each station."""
     found: dict[tuple[str, str], list[float]] = {}
     for index, value in zip(indices.tolist(), values[indices].tolist(), strict=True):
@@ -162,7 +162,7 @@ def _subgroups(values: FloatArray, runs: Sequence[FleetRun], indices: IntArray) 
     return members
 
 
-def _worst(figures: MetricFigures) -> FloatArray:
+def _worst(figures: MetricFigures) -> Array:
     if figures.per_run == 1:
         return figures.mean
     return figures.most if figures.lower is None else figures.least

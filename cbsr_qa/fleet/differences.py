@@ -12,6 +12,7 @@ from math import sqrt
 import numpy as np
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.fleet.figures import MetricFigures
 from cbsr_qa.fleet.terms import Terms
 from cbsr_qa.stats.contrast import Contrast, Equivalence
@@ -21,7 +22,6 @@ from cbsr_qa.stats.mixed_model import Fit, fit
 from cbsr_qa.stats.power import sensors_needed, sensors_to_show_alike
 from cbsr_qa.stats.robust import brunner_munzel, shift
 from cbsr_qa.stats.samples import Interval
-from cbsr_qa.stats.worst_value import FloatArray
 
 REFUSED = "refused"
 
@@ -121,7 +121,7 @@ class Fitted:
         return float(self.fit.effects[len(design.groups) + design.index("station", station)])
 
 
-def fitted(design: Crossing, values: FloatArray, what: str, *, of_stations: bool) -> Fitted:
+def fitted(design: Crossing, values: Array, what: str, *, of_stations: bool) -> Fitted:
     """Fit the model to the runs that have a value.
 
     Parameters
@@ -142,7 +142,7 @@ def difference(
     model: Fitted,
     figures: MetricFigures,
     names: tuple[str, str],
-    values: tuple[FloatArray, FloatArray],
+    values: tuple[Array, Array],
     stations: tuple[Sequence[str], Sequence[str]],
     terms: Terms,
 ) -> Difference:
@@ -195,7 +195,7 @@ def _needed(count: Callable[..., int], size: float | None, deviation: float, ter
         return None
 
 
-def _naive(values: tuple[FloatArray, FloatArray], names: tuple[str, str], terms: Terms) -> Naive | None:
+def _naive(values: tuple[Array, Array], names: tuple[str, str], terms: Terms) -> Naive | None:
     try:
         found = welch(*values, names=names)
         size = hedges(*values, confidence=terms.confidence, names=names).value
@@ -207,11 +207,11 @@ def _naive(values: tuple[FloatArray, FloatArray], names: tuple[str, str], terms:
 def _robust(
     model: Fitted,
     names: tuple[str, str],
-    values: tuple[FloatArray, FloatArray],
+    values: tuple[Array, Array],
     stations: tuple[Sequence[str], Sequence[str]],
     terms: Terms,
 ) -> Robust | None:
-    level: tuple[FloatArray, FloatArray] = values
+    level: tuple[Array, Array] = values
     if not model.of_stations:
         effects = {name: model.station_effect(name) for name in {*stations[0], *stations[1]}}
         level = (_without(values[0], stations[0], effects), _without(values[1], stations[1], effects))
@@ -225,6 +225,6 @@ def _robust(
         return Robust(moved.value, moved.interval, moved.p_value, "Mann–Whitney")
 
 
-def _without(values: FloatArray, stations: Sequence[str], effects: dict[str, float]) -> FloatArray:
-    level: FloatArray = values - np.array([effects[station] for station in stations])
+def _without(values: Array, stations: Sequence[str], effects: dict[str, float]) -> Array:
+    level: Array = values - np.array([effects[station] for station in stations])
     return level

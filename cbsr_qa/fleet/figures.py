@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.fleet import FleetTable, Kind, State
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.run_figures import MetricKey
 from cbsr_qa.report.numbers import plural
 from cbsr_qa.stats.samples import LARGEST
-from cbsr_qa.stats.worst_value import FloatArray
 
 BoolArray = NDArray[np.bool_]
 
@@ -39,11 +39,11 @@ class MetricFigures:
     unit: str
     lower: float | None
     upper: float | None
-    mean: FloatArray
-    least: FloatArray
-    most: FloatArray
+    mean: Array
+    least: Array
+    most: Array
     per_run: int
-    at: Mapping[str, FloatArray]
+    at: Mapping[str, Array]
     failed: BoolArray
     warnings: tuple[str, ...]
 
@@ -104,22 +104,22 @@ def _figures(key: MetricKey, table: FleetTable, rows: NDArray[np.intp], used: Bo
     )
 
 
-def _means(run: NDArray[np.int32], value: FloatArray, runs: int) -> FloatArray:
+def _means(run: NDArray[np.int32], value: Array, runs: int) -> Array:
     counts = np.bincount(run, minlength=runs)
     sums = np.bincount(run, value, runs)
-    means: FloatArray = np.full(runs, np.nan)
+    means: Array = np.full(runs, np.nan)
     np.divide(sums, counts, out=means, where=counts > 0)
     return means
 
 
-def _extremes(pick: np.ufunc, run: NDArray[np.int32], value: FloatArray, runs: int) -> FloatArray:
-    found: FloatArray = np.full(runs, np.inf if pick is np.minimum else -np.inf)
+def _extremes(pick: np.ufunc, run: NDArray[np.int32], value: Array, runs: int) -> Array:
+    found: Array = np.full(runs, np.inf if pick is np.minimum else -np.inf)
     pick.at(found, run, value)
     found[np.isinf(found)] = np.nan
     return found
 
 
-def _by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -> dict[str, FloatArray]:
+def _by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -> dict[str, Array]:
     members: dict[str, list[int]] = {}
     for index in np.unique(table.kind[rows]):
         members.setdefault(table.kinds[index].location, []).append(int(index))
@@ -168,7 +168,7 @@ def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Itera
         yield f"{left} of it, of recipes that do not measure it: {named(others)}"
 
 
-def _beyond(table: FleetTable, run: NDArray[np.int32], value: FloatArray) -> Iterator[str]:
+def _beyond(table: FleetTable, run: NDArray[np.int32], value: Array) -> Iterator[str]:
     """Name values that no arithmetic can be done with."""
     if len(run):
         said = plural(len(set(run.tolist())), "run has a value that is", "runs have values that are")

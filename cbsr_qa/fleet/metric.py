@@ -8,6 +8,7 @@ import numpy as np
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.fleet import FleetRun, FleetTable
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.fleet.describe import Described, described
 from cbsr_qa.fleet.design import Design
 from cbsr_qa.fleet.differences import REFUSED, Difference, Fitted, difference, fitted
@@ -16,7 +17,6 @@ from cbsr_qa.fleet.groups import Grouping
 from cbsr_qa.fleet.places import PlaceDifference, differences_by_place
 from cbsr_qa.fleet.terms import Terms
 from cbsr_qa.stats.crossing import IntArray
-from cbsr_qa.stats.worst_value import FloatArray
 
 #: What all places of a grid share is how the disc was seated and where the axes are: the station's, not the sensor's.
 OF_THE_STATION: Final = ("registration_shift", "registration_rotation", "registration_scale")
@@ -45,7 +45,7 @@ class MetricComparison:
     differences: tuple[Difference, ...]
     stations: tuple[Difference, ...]
     maps: Mapping[str, tuple[PlaceDifference, ...]]
-    samples: tuple[tuple[str, str, FloatArray], ...]
+    samples: tuple[tuple[str, str, Array], ...]
     notes: tuple[str, ...]
 
 
@@ -127,7 +127,7 @@ def _stations(model: Fitted, stations: tuple[str, ...], terms: Terms) -> Sequenc
 
 def _samples(
     figures: MetricFigures, runs: Sequence[FleetRun], known: Mapping[str, IntArray]
-) -> tuple[tuple[str, str, FloatArray], ...]:
+) -> tuple[tuple[str, str, Array], ...]:
     found = []
     for name, indices in known.items():
         at: dict[str, list[int]] = {}

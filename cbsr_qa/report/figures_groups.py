@@ -7,8 +7,8 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure as Canvas
 from matplotlib.patches import Circle
-from numpy.typing import NDArray
 
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.report import Figure
 from cbsr_qa.report.numbers import number
 from cbsr_qa.report.style import (
@@ -26,9 +26,8 @@ from cbsr_qa.report.style import (
 from cbsr_qa.report.svg import drawn
 from cbsr_qa.report.tables import unit_column
 
-FloatArray = NDArray[np.float64]
 #: Group, station, and one figure a sensor.
-Samples = Sequence[tuple[str, str, FloatArray]]
+Samples = Sequence[tuple[str, str, Array]]
 
 #: Sensors of one row that are drawn as points; more are drawn as an outline of their distribution.
 _MOST_POINTS = 150
@@ -103,7 +102,7 @@ def _short(name: str) -> str:
     return f"{name[: kept - kept // 3].rstrip()}…{name[len(name) - kept // 3 :].lstrip()}"
 
 
-def _row(axes: Axes, row: int, values: FloatArray, colour: str) -> None:
+def _row(axes: Axes, row: int, values: Array, colour: str) -> None:
     if len(values) > _MOST_POINTS:
         counts, edges = np.histogram(values, _BINS)
         half = 0.38 * counts / counts.max()

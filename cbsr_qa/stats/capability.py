@@ -24,10 +24,10 @@ import numpy as np
 from scipy import stats
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.noncentral import noncentrality
 from cbsr_qa.stats.samples import Interval, constant, sample, share
 from cbsr_qa.stats.univariate import centred
-from cbsr_qa.stats.worst_value import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -219,7 +219,7 @@ def _nearer(low: _Spread, high: _Spread, below: float, above: float, confidence:
     return Index(min(values), interval, "noncentral t of both sides, Bonferroni, for normal values")
 
 
-def _room_of_both(low: _Spread, high: _Spread, apart: FloatArray, width: float, confidence: float) -> Index:
+def _room_of_both(low: _Spread, high: _Spread, apart: Array, width: float, confidence: float) -> Index:
     """Return Cp of both sides, with the interval that follows from those of three: both deviations, and ḡ − l̄."""
     tail = (1 - confidence) / 6
     error = float(apart.std(ddof=1)) / sqrt(len(apart))

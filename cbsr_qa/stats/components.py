@@ -7,8 +7,9 @@ from math import sqrt
 import numpy as np
 from scipy import stats
 
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.tolerance import factor_of_quantile, two_sided_factor
-from cbsr_qa.stats.worst_value import FloatArray, raised_for_skewness, worst_of
+from cbsr_qa.stats.worst_value import raised_for_skewness, worst_of
 
 #: Fewer repeated runs say too little of how runs of one sensor differ: allowing for that doubt would widen limits
 #: (by half for one repeat) more than the repeats tell.
@@ -78,7 +79,7 @@ class Components:
         half = deviation * np.interp(away, nodes, np.sqrt(stats.ncx2.ppf(coverage, 1, nodes**2)))
         return float(np.quantile(half, confidence)) / self.deviation
 
-    def _draws(self) -> tuple[FloatArray, FloatArray]:
+    def _draws(self) -> tuple[Array, Array]:
         """Fiducial draws of the mean's error and of the deviation, from a fixed seed: one lot has one limit."""
         random, freedom = np.random.default_rng(20090502), self.sensors - 1
         between = freedom * self.between / random.chisquare(freedom, _DRAWS)

@@ -19,11 +19,11 @@ from math import sqrt
 import numpy as np
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.nelson import ALL_RULES, Rule, nelson
 from cbsr_qa.stats.range_constants import d2_d3
 from cbsr_qa.stats.samples import constant, sample
 from cbsr_qa.stats.univariate import centred
-from cbsr_qa.stats.worst_value import FloatArray
 
 #: Name of the signal of charts to which Nelson's tests do not apply.
 OUTSIDE = "beyond the limit"
@@ -73,10 +73,10 @@ class Chart:
     """
 
     name: str
-    points: FloatArray
+    points: Array
     centre: float
-    lower: FloatArray
-    upper: FloatArray
+    lower: Array
+    upper: Array
     deviation: float
     reference: int
     signals: tuple[Signal, ...]
@@ -228,7 +228,7 @@ def cusum(
     return upper, _bounded(f"{SUM} below", -below, centre, -limit, zero, count)
 
 
-def _sums(away: FloatArray, slack: float, reference: int) -> FloatArray:
+def _sums(away: Array, slack: float, reference: int) -> Array:
     sums = np.empty(len(away))
     for part in _phases(len(away), reference):
         steps = accumulate(away[part], lambda total, step: max(0.0, total + step - slack), initial=0.0)
@@ -240,7 +240,7 @@ def _phases(count: int, reference: int) -> tuple[slice, slice]:
     return slice(0, reference), slice(reference, count)
 
 
-def _standard(array: FloatArray, reference: Reference, what: str) -> tuple[Standard, int]:
+def _standard(array: Array, reference: Reference, what: str) -> tuple[Standard, int]:
     """Mean and short-term deviation of the reference period, and its length."""
     if isinstance(reference, Standard):
         _check_deviation(reference.deviation, what)
@@ -265,7 +265,7 @@ def _check_deviation(deviation: float, what: str) -> None:
 
 
 def _judged(
-    name: str, points: FloatArray, centre: float, error: float, deviation: float, count: int, rules: Collection[Rule]
+    name: str, points: Array, centre: float, error: float, deviation: float, count: int, rules: Collection[Rule]
 ) -> Chart:
     """Chart with limits of three errors and Nelson's tests."""
     found = nelson((points - centre) / error, rules)
@@ -275,16 +275,14 @@ def _judged(
     return Chart(name, points, centre, centre - half, centre + half, deviation, count, signals)
 
 
-def _ranges(name: str, ranges: FloatArray, size: int, deviation: float, count: int) -> Chart:
+def _ranges(name: str, ranges: Array, size: int, deviation: float, count: int) -> Chart:
     d2, d3 = d2_d3(size)
     lower = np.full(len(ranges), max(d2 - 3 * d3, 0.0) * deviation)
     upper = np.full(len(ranges), (d2 + 3 * d3) * deviation)
     return _bounded(name, ranges, Standard(d2 * deviation, deviation), lower, upper, count)
 
 
-def _bounded(
-    name: str, points: FloatArray, standard: Standard, lower: FloatArray, upper: FloatArray, count: int
-) -> Chart:
+def _bounded(name: str, points: Array, standard: Standard, lower: Array, upper: Array, count: int) -> Chart:
     """Chart on which a point beyond a limit is the only signal."""
     outside = np.flatnonzero((points < lower) | (points > upper))
     signals = tuple(Signal(OUTSIDE, int(index), _phase(int(index), count)) for index in outside)

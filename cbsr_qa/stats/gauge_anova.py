@@ -15,10 +15,10 @@ from enum import StrEnum
 import numpy as np
 from scipy import stats
 
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.gauge_study import CATEGORY_FACTOR, Study, Variance, Variation, check_tolerance, clipped
 from cbsr_qa.stats.large_sample import MeanSquare, pivot_interval, sum_interval
 from cbsr_qa.stats.samples import Interval, share
-from cbsr_qa.stats.worst_value import FloatArray
 
 #: AIAG's level: an interaction that is less significant is taken for repeatability.
 POOLING_LEVEL = 0.25
@@ -211,16 +211,16 @@ class _GaugeShare:
     shape: tuple[int, int, int]
     pooled: bool
 
-    def __call__(self, drawn: FloatArray) -> FloatArray:
+    def __call__(self, drawn: Array) -> Array:
         p, o, r = self.shape
         sensor, station, inner = drawn[:3]
         trial = inner if self.pooled else drawn[3]
         gauge = np.maximum(station - inner, 0) / (p * r) + np.maximum(inner - trial, 0) / r + trial
         spread = np.maximum(sensor - inner, 0) / (o * r)
-        ratio: FloatArray = gauge / (gauge + spread)
+        ratio: Array = gauge / (gauge + spread)
         return ratio
 
-    def categories(self, drawn: FloatArray) -> FloatArray:
+    def categories(self, drawn: Array) -> Array:
         """1.41 × √(sensor / gauge variance)."""
-        count: FloatArray = CATEGORY_FACTOR * np.sqrt(1 / self(drawn) - 1)
+        count: Array = CATEGORY_FACTOR * np.sqrt(1 / self(drawn) - 1)
         return count

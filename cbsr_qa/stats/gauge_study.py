@@ -16,8 +16,8 @@ import numpy as np
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.naming import of_kind
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.samples import Interval, constant, sample
-from cbsr_qa.stats.worst_value import FloatArray
 
 #: AIAG counts six deviations for all of a process's or a gauge's variation.
 SIX = 6.0
@@ -36,7 +36,7 @@ class Study:
     appraiser : what the stations are, for messages.
     """
 
-    values: FloatArray
+    values: Array
     sensors: tuple[str, ...]
     stations: tuple[str, ...]
     appraiser: str = "station"

@@ -5,10 +5,11 @@ from math import exp, sqrt
 
 from scipy import stats
 
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.components import FEWEST_REPEATS, components
 from cbsr_qa.stats.lot_limits import Bound, Distribution, Runs
 from cbsr_qa.stats.risk import Risks, risks_of_bound
-from cbsr_qa.stats.worst_value import FloatArray, worst_of
+from cbsr_qa.stats.worst_value import worst_of
 
 #: An expanded uncertainty covers what ± 2 standard deviations of a normal distribution do.
 EXPANDED_SHARE = 0.9545
@@ -85,7 +86,7 @@ def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
         return None
     true, shape, limit = sqrt(remaining), worst_of(bound.independent), scale.forward(bound.limit)
 
-    def density(y: FloatArray) -> FloatArray:
+    def density(y: Array) -> Array:
         return shape.density((y - parts.mean) / true) / true
 
     return risks_of_bound(density, limit, limit - scale.forward(inside), u)

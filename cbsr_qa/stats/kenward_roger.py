@@ -13,8 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.sensor_sums import SensorSums
-from cbsr_qa.stats.worst_value import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,12 +28,12 @@ class SmallSample:
     variances : (2, 2) ndarray, W/σ⁴.
     """
 
-    plain: FloatArray
-    adjusted: FloatArray
-    slopes: FloatArray
-    variances: FloatArray
+    plain: Array
+    adjusted: Array
+    slopes: Array
+    variances: Array
 
-    def freedom(self, contrast: FloatArray) -> float:
+    def freedom(self, contrast: Array) -> float:
         """Return the degrees of freedom of one contrast, (p,) → number: 2 / Σ W_ij t_i t_j, t_i = lᵀΦP_iΦl / lᵀΦl."""
         row = self.plain @ contrast
         traces = np.array([row @ slope @ row for slope in self.slopes]) / float(contrast @ row)
@@ -44,13 +44,13 @@ def small_sample(sums: SensorSums, ratio: float) -> SmallSample:
     """Return the covariances at a ratio of variances θ ≥ 0."""
     inner = sums.within[:-1, :-1]
 
-    def between(power: int, times: int) -> FloatArray:
+    def between(power: int, times: int) -> Array:
         return sums.products(ratio, power, times)[:-1, :-1]
 
     plain = np.asarray(np.linalg.inv(inner + between(1, 0)), dtype=np.float64)
-    slopes: FloatArray = -np.stack([inner + between(2, 0), between(2, 1)])
+    slopes: Array = -np.stack([inner + between(2, 0), between(2, 1)])
     mixed = between(3, 1)
-    curves: FloatArray = np.array([[inner + between(3, 0), mixed], [mixed, between(3, 2)]])
+    curves: Array = np.array([[inner + between(3, 0), mixed], [mixed, between(3, 2)]])
     variances = np.asarray(np.linalg.inv(_information(sums, ratio, plain, slopes, curves)), dtype=np.float64)
     squares = (slopes @ plain)[:, None] @ slopes
     lost = np.einsum("ij,ijkl->kl", variances, curves - squares)
@@ -58,9 +58,7 @@ def small_sample(sums: SensorSums, ratio: float) -> SmallSample:
     return SmallSample(plain, 0.5 * (adjusted + adjusted.T), slopes, variances)
 
 
-def _information(
-    sums: SensorSums, ratio: float, plain: FloatArray, slopes: FloatArray, curves: FloatArray
-) -> FloatArray:
+def _information(sums: SensorSums, ratio: float, plain: Array, slopes: Array, curves: Array) -> Array:
     """Expected restricted information ½ [tr(V⁻¹V_iV⁻¹V_j) − 2 tr(ΦQ_ij) + tr(ΦP_iΦP_j)] of both variances."""
     inside = sums.runs - sums.total_sensors
     traces = np.array(
@@ -72,5 +70,5 @@ def _information(
     turned = [plain @ slope for slope in slopes]
     crossed = np.array([[np.sum(one * two.T) for two in turned] for one in turned])
     fitted = np.einsum("ab,ijba->ij", plain, curves)
-    information: FloatArray = 0.5 * (traces - 2 * fitted + crossed)
+    information: Array = 0.5 * (traces - 2 * fitted + crossed)
     return information

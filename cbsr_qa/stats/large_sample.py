@@ -13,8 +13,8 @@ from math import sqrt
 import numpy as np
 from scipy import stats
 
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.samples import Interval
-from cbsr_qa.stats.worst_value import FloatArray
 
 _DRAWS = 20_000
 
@@ -85,9 +85,7 @@ def _pairs(parts: Sequence[MeanSquare], tails: _Tails) -> float:
     return total / (len(parts) - 1) if len(parts) > 1 else 0.0
 
 
-def pivot_interval(
-    squares: Sequence[MeanSquare], function: Callable[[FloatArray], FloatArray], confidence: float
-) -> Interval:
+def pivot_interval(squares: Sequence[MeanSquare], function: Callable[[Array], Array], confidence: float) -> Interval:
     """Return the interval of a function of the true mean squares.
 
     Parameters

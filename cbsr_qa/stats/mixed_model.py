@@ -16,6 +16,7 @@ import numpy as np
 from scipy import linalg
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.components import FEWEST_REPEATS
 from cbsr_qa.stats.contrast import Contrast, checked
 from cbsr_qa.stats.crossing import Crossing
@@ -24,7 +25,6 @@ from cbsr_qa.stats.reml import Ratio, variance_ratio
 from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, sample
 from cbsr_qa.stats.sensor_sums import SensorSums, sensor_sums
 from cbsr_qa.stats.univariate import centred
-from cbsr_qa.stats.worst_value import FloatArray
 
 
 class Model(StrEnum):
@@ -55,14 +55,14 @@ class Fit:
 
     model: Model
     design: Crossing
-    effects: FloatArray
+    effects: Array
     run_deviation: float
     sensor_deviation: float | None
     ratio: Interval | None
     criterion: float | None
     notes: tuple[str, ...]
     small: SmallSample | None
-    covariance: FloatArray
+    covariance: Array
     freedom: float
 
     def group_difference(self, first: str, second: str) -> Contrast:
@@ -99,10 +99,10 @@ class Fit:
         weights[len(self.design.groups) + places[1]] -= 1
         return self._contrast(weights, f"station {first} − {second}")
 
-    def _weights(self) -> FloatArray:
+    def _weights(self) -> Array:
         return np.zeros(len(self.effects))
 
-    def _contrast(self, weights: FloatArray, what: str) -> Contrast:
+    def _contrast(self, weights: Array, what: str) -> Contrast:
         inner = weights[self.design.kept()]
         if not inner.any() and not weights.any():
             raise NumericsError(f"{what}: there is nothing to compare with itself")
@@ -110,7 +110,7 @@ class Fit:
         return checked(float(weights @ self.effects), sqrt(float(inner @ self.covariance @ inner)), freedom, what)
 
 
-def fit(design: Crossing, values: FloatArray, what: str = "values") -> Fit:
+def fit(design: Crossing, values: Array, what: str = "values") -> Fit:
     """Fit the model to one metric.
 
     Parameters
@@ -144,9 +144,9 @@ class _Reduced:
     sums: SensorSums
     origin: float
     scale: float
-    start: FloatArray
+    start: Array
 
-    def effects(self, design: Crossing, inner: FloatArray) -> FloatArray:
+    def effects(self, design: Crossing, inner: Array) -> Array:
         """Return the effects in the response's unit, zeros for the stations that are left out."""
         every = np.zeros(len(design.groups) + len(design.stations))
         every[design.kept()] = self.scale * (self.start + inner)
@@ -154,7 +154,7 @@ class _Reduced:
         return every
 
 
-def _reduce(design: Crossing, array: FloatArray, what: str) -> _Reduced:
+def _reduce(design: Crossing, array: Array, what: str) -> _Reduced:
     origin, away = centred(array)
     scale = float(np.abs(away).max())
     if scale <= LEAST_SPREAD * float(np.abs(array).max()):
@@ -163,7 +163,7 @@ def _reduce(design: Crossing, array: FloatArray, what: str) -> _Reduced:
     if matrix.shape[0] == matrix.shape[1]:
         raise _nothing_left(what, len(design.sensors), matrix.shape[1])
     normal, right = (matrix.T @ matrix).toarray(), np.asarray(matrix.T @ (away / scale), dtype=np.float64)
-    start: FloatArray = linalg.solve(normal, right, assume_a="pos")
+    start: Array = linalg.solve(normal, right, assume_a="pos")
     rest = away / scale - matrix @ start
     if float(np.abs(rest).max()) * scale <= LEAST_SPREAD * max(float(np.abs(array).max()), scale):
         raise NumericsError(f"{what}: values do not differ within groups and stations, which leaves no variance")

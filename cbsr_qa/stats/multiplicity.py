@@ -9,11 +9,11 @@ from collections.abc import Sequence
 import numpy as np
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.samples import sample
-from cbsr_qa.stats.worst_value import FloatArray
 
 
-def holm(p_values: Sequence[float]) -> FloatArray:
+def holm(p_values: Sequence[float]) -> Array:
     """Return Holm's adjusted values: max over j ≤ i of (m − j + 1) p_(j), in the order given.
 
     Parameters
@@ -34,14 +34,14 @@ def holm(p_values: Sequence[float]) -> FloatArray:
     return _back(np.maximum.accumulate(factors * values[order]), order)
 
 
-def benjamini_hochberg(p_values: Sequence[float]) -> FloatArray:
+def benjamini_hochberg(p_values: Sequence[float]) -> Array:
     """Return Benjamini and Hochberg's adjusted values: min over j ≥ i of m p_(j) / j; see :func:`holm`."""
     values, order = _ordered(p_values)
     raised = len(values) / np.arange(1, len(values) + 1) * values[order]
     return _back(np.minimum.accumulate(raised[::-1])[::-1], order)
 
 
-def _ordered(p_values: Sequence[float]) -> tuple[FloatArray, "np.ndarray[tuple[int], np.dtype[np.intp]]"]:
+def _ordered(p_values: Sequence[float]) -> tuple[Array, "np.ndarray[tuple[int], np.dtype[np.intp]]"]:
     values = sample(p_values, "p values", least=0)
     outside = values[(values < 0) | (values > 1)]
     if len(outside):
@@ -49,7 +49,7 @@ def _ordered(p_values: Sequence[float]) -> tuple[FloatArray, "np.ndarray[tuple[i
     return values, np.argsort(values, kind="stable")
 
 
-def _back(adjusted: FloatArray, order: "np.ndarray[tuple[int], np.dtype[np.intp]]") -> FloatArray:
+def _back(adjusted: Array, order: "np.ndarray[tuple[int], np.dtype[np.intp]]") -> Array:
     result = np.empty_like(adjusted)
     result[order] = np.minimum(adjusted, 1.0)
     return result

@@ -10,7 +10,7 @@ from enum import StrEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.stats.worst_value import FloatArray
+from cbsr_qa.domain.numbers import Array
 
 Flags = NDArray[np.bool_]
 
@@ -31,7 +31,7 @@ class Rule(StrEnum):
 ALL_RULES = tuple(Rule)
 
 
-def nelson(standard: FloatArray, rules: Collection[Rule] = ALL_RULES) -> dict[Rule, Flags]:
+def nelson(standard: Array, rules: Collection[Rule] = ALL_RULES) -> dict[Rule, Flags]:
     """Return at which points each rule gives a signal.
 
     Parameters
@@ -58,55 +58,55 @@ def _lasting(flags: Flags, window: int) -> Flags:
     return whole
 
 
-def _beyond(z: FloatArray) -> Flags:
+def _beyond(z: Array) -> Flags:
     """0.0027."""
     return _lasting(np.abs(z) > 3, 1)
 
 
-def _same_side(z: FloatArray) -> Flags:
+def _same_side(z: Array) -> Flags:
     """2/2⁹ = 0.0039."""
     return _lasting(z > 0, 9) | _lasting(z < 0, 9)
 
 
-def _trend(z: FloatArray) -> Flags:
+def _trend(z: Array) -> Flags:
     """2/6! = 0.0028."""
     steps = np.diff(z, prepend=np.nan)
     return _lasting(steps > 0, 5) | _lasting(steps < 0, 5)
 
 
-def _alternating(z: FloatArray) -> Flags:
+def _alternating(z: Array) -> Flags:
     """2 E₁₄/14! = 0.0046, E₁₄ the number of alternating orders."""
     steps = np.diff(z, prepend=np.nan)
     turns = np.concatenate([[False], steps[1:] * steps[:-1] < 0]) if len(z) else np.zeros(0, dtype=bool)
     return _lasting(turns, 12)
 
 
-def _two_of_three(z: FloatArray) -> Flags:
+def _two_of_three(z: Array) -> Flags:
     """2 q (1 − (1 − q)²) = 0.0020, q = 0.0228."""
     return _most_beyond(z, 2, 2, 3) | _most_beyond(-z, 2, 2, 3)
 
 
-def _four_of_five(z: FloatArray) -> Flags:
+def _four_of_five(z: Array) -> Flags:
     """2 q P(3 or 4 of 4) = 0.0044, q = 0.159."""
     return _most_beyond(z, 1, 4, 5) | _most_beyond(-z, 1, 4, 5)
 
 
-def _hugging(z: FloatArray) -> Flags:
+def _hugging(z: Array) -> Flags:
     """0.683¹⁵ = 0.0033."""
     return _lasting(np.abs(z) < 1, 15)
 
 
-def _avoiding(z: FloatArray) -> Flags:
+def _avoiding(z: Array) -> Flags:
     """0.317⁸ = 0.0001."""
     return _lasting(np.abs(z) > 1, 8)
 
 
-def _most_beyond(z: FloatArray, line: float, least: int, window: int) -> Flags:
+def _most_beyond(z: Array, line: float, least: int, window: int) -> Flags:
     found: Flags = (z > line) & (_last(z > line, window) >= least)
     return found
 
 
-_TESTS: dict[Rule, Callable[[FloatArray], Flags]] = {
+_TESTS: dict[Rule, Callable[[Array], Flags]] = {
     Rule.BEYOND: _beyond,
     Rule.SAME_SIDE: _same_side,
     Rule.TREND: _trend,

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from scipy import optimize, special, stats
 
-from cbsr_qa.stats.worst_value import FloatArray
+from cbsr_qa.domain.numbers import Array
 
 #: Beyond it the normal part of a noncentral t is nothing beside its χ part (1e-8), and its series no longer converge.
 _LARGE = 1e4
@@ -61,7 +61,7 @@ def integrated(t: float, freedom: float, delta: float) -> float:
 
 
 @lru_cache(maxsize=1)
-def _legendre() -> tuple[FloatArray, FloatArray]:
+def _legendre() -> tuple[Array, Array]:
     """Nodes and weights of Gauss and Legendre between −1 and 1, found once."""
     nodes, weights = special.roots_legendre(_NODES)
     return nodes, weights

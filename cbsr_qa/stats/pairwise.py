@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.stats.worst_value import FloatArray
+from cbsr_qa.domain.numbers import Array
 
 IntArray = NDArray[np.intp]
 
@@ -13,7 +13,7 @@ _MOST_MADE = 1_000_000
 _FEW_MADE = 50_000
 
 
-def ordered_differences(x: FloatArray, y: FloatArray, ranks: Sequence[int]) -> list[float]:
+def ordered_differences(x: Array, y: Array, ranks: Sequence[int]) -> list[float]:
     """Return the differences of the given ranks.
 
     Parameters
@@ -34,13 +34,13 @@ def ordered_differences(x: FloatArray, y: FloatArray, ranks: Sequence[int]) -> l
     return [_by_counting(x, y, rank) for rank in ranks]
 
 
-def _of_ranks(values: FloatArray, ranks: Sequence[int]) -> list[float]:
+def _of_ranks(values: Array, ranks: Sequence[int]) -> list[float]:
     places = [rank - 1 for rank in ranks]
     ordered = np.partition(values, sorted(set(places)))
     return [float(ordered[place]) for place in places]
 
 
-def _by_counting(x: FloatArray, y: FloatArray, rank: int) -> float:
+def _by_counting(x: Array, y: Array, rank: int) -> float:
     """Close in on a rank: ``below`` differences are up to ``low``, and ``upto`` ≥ rank up to ``high``."""
     low, high = np.nextafter(x[0] - y[-1], -np.inf), x[-1] - y[0]
     first, last = np.zeros(len(y), dtype=np.intp), np.full(len(y), len(x), dtype=np.intp)
@@ -60,10 +60,10 @@ def _by_counting(x: FloatArray, y: FloatArray, rank: int) -> float:
     return _of_ranks(_between(x, y, first, last), [rank - int(first.sum())])[0]
 
 
-def _between(x: FloatArray, y: FloatArray, first: IntArray, last: IntArray) -> FloatArray:
+def _between(x: Array, y: Array, first: IntArray, last: IntArray) -> Array:
     """Differences of each y and the sorted x from ``first`` up to ``last``."""
     many = last - first
     which = np.repeat(np.arange(len(y)), many)
     place = np.arange(len(which)) - np.repeat(np.cumsum(many) - many, many) + np.repeat(first, many)
-    differences: FloatArray = x[place] - y[which]
+    differences: Array = x[place] - y[which]
     return differences

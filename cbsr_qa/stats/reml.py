@@ -19,9 +19,9 @@ import numpy as np
 from scipy import optimize, stats
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.samples import Interval
 from cbsr_qa.stats.sensor_sums import SensorSums
-from cbsr_qa.stats.worst_value import FloatArray
 
 #: θ that are tried before the minimum is refined; the likelihood may have two.
 _GRID = np.concatenate([[0.0], np.logspace(-7, 12, 77)])
@@ -51,19 +51,19 @@ class Likelihood:
         """Return f: N − p, or N for the full likelihood."""
         return self.sums.runs - (self.sums.columns if self.restricted else 0)
 
-    def criterion(self, ratio: FloatArray) -> FloatArray:
+    def criterion(self, ratio: Array) -> Array:
         """Return ℓ of θ, (k,) → (k,)."""
         logs = np.concatenate([self._logs(some) for some in np.array_split(ratio, self._blocks(len(ratio)))])
         spread = np.log1p(np.multiply.outer(ratio, self.sums.sizes)) @ self.sums.sensors
         determinant = 2 * logs[:, :-1].sum(axis=1) if self.restricted else 0.0
         f = self.freedom
-        value: FloatArray = spread + determinant + f * (1 + log(2 * pi / f) + 2 * logs[:, -1])
+        value: Array = spread + determinant + f * (1 + log(2 * pi / f) + 2 * logs[:, -1])
         return value
 
-    def _logs(self, ratio: FloatArray) -> FloatArray:
+    def _logs(self, ratio: Array) -> Array:
         """Logarithms of the Cholesky factor's diagonal: of A, and √R last."""
         factor = np.linalg.cholesky(self.sums.within + self.sums.products(ratio))
-        logs: FloatArray = np.log(np.diagonal(factor, axis1=-2, axis2=-1))
+        logs: Array = np.log(np.diagonal(factor, axis1=-2, axis2=-1))
         return logs
 
     def _blocks(self, count: int) -> int:

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import special
 
-from cbsr_qa.stats.worst_value import FloatArray
+from cbsr_qa.domain.numbers import Array
 
 #: Density of true values: (n,) values → (n,) densities.
-Density = Callable[[FloatArray], FloatArray]
+Density = Callable[[Array], Array]
 
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(400)
 _REACH = 8.0  #: standard uncertainties beyond which a measurement misleads nobody
@@ -48,8 +48,8 @@ def risks_of_bound(density: Density, limit: float, guard: float, uncertainty: fl
     """
     accepted_to = limit - guard
 
-    def accepted(true: FloatArray) -> FloatArray:
-        share: FloatArray = special.ndtr((accepted_to - true) / uncertainty)
+    def accepted(true: Array) -> Array:
+        share: Array = special.ndtr((accepted_to - true) / uncertainty)
         return share
 
     bad, bad_weights = _panel(limit, limit + _REACH * uncertainty)
@@ -59,6 +59,6 @@ def risks_of_bound(density: Density, limit: float, guard: float, uncertainty: fl
     return Risks(consumer, producer)
 
 
-def _panel(low: float, high: float) -> tuple[FloatArray, FloatArray]:
+def _panel(low: float, high: float) -> tuple[Array, Array]:
     half = 0.5 * (high - low)
     return low + half * (_NODES + 1), half * _WEIGHTS

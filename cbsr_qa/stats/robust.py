@@ -14,9 +14,9 @@ import numpy as np
 from scipy import stats
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.pairwise import ordered_differences
 from cbsr_qa.stats.samples import Interval, constant, sample, share
-from cbsr_qa.stats.worst_value import FloatArray
 
 #: Without ties and up to this many pairs the distribution of U is counted, beyond it is normal to three digits.
 MOST_COUNTED = 2500
@@ -129,7 +129,7 @@ def brunner_munzel(
 
 
 @lru_cache(maxsize=64)
-def _shares_up_to(first: int, second: int) -> FloatArray:
+def _shares_up_to(first: int, second: int) -> Array:
     """P(U ≤ u) for u = 0 … n₁n₂, without ties: coefficients of the Gaussian binomial ∏ (1 − q^(n₂+i))/(1 − q^i)."""
     counts = np.zeros(first * second + 1)
     counts[0] = 1.0
@@ -138,7 +138,7 @@ def _shares_up_to(first: int, second: int) -> FloatArray:
         counts[step:] = counts[step:] - counts[: len(counts) - step] if step < len(counts) else counts[step:]
         for start in range(i):
             counts[start::i] = np.cumsum(counts[start::i])
-    shares: FloatArray = np.cumsum(counts) / counts.sum()
+    shares: Array = np.cumsum(counts) / counts.sum()
     return shares
 
 
@@ -152,7 +152,7 @@ def _approximate(statistic: float, pairs: int, spread: float) -> float:
     return float(2 * stats.norm.sf(z))
 
 
-def _deviation_of_u(every: FloatArray, first: int, second: int) -> float:
+def _deviation_of_u(every: Array, first: int, second: int) -> float:
     """√(n₁n₂/12 (N + 1 − Σ(t³ − t)/(N(N − 1)))), t the sizes of ties."""
     ties, count = np.unique(every, return_counts=True)[1].astype(float), first + second
     lost = float(np.sum(ties**3 - ties)) / (count * (count - 1))

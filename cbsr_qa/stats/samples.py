@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.stats.worst_value import FloatArray
+from cbsr_qa.domain.numbers import Array
 
 #: Beyond it squares and their sums are no numbers.
 LARGEST = 1e150
@@ -38,7 +38,7 @@ class Interval:
         return Interval(ends[0], ends[1], self.confidence)
 
 
-def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool = False) -> FloatArray:
+def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool = False) -> Array:
     """Return values as an array that statistics can be made of.
 
     Parameters
@@ -74,7 +74,7 @@ def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool =
     return array
 
 
-def constant(array: FloatArray) -> bool:
+def constant(array: Array) -> bool:
     """Say whether values differ by no more than rounding."""
     return bool(np.ptp(array) <= LEAST_SPREAD * np.abs(array).max())
 

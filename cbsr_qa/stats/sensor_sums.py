@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.crossing import IntArray, SparseArray
-from cbsr_qa.stats.worst_value import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,17 +33,17 @@ class SensorSums:
     """
 
     runs: int
-    sizes: FloatArray
-    sensors: FloatArray
-    within: FloatArray
-    between: FloatArray
+    sizes: Array
+    sensors: Array
+    within: Array
+    between: Array
 
     @property
     def columns(self) -> int:
         """Return p."""
         return len(self.within) - 1
 
-    def products(self, ratio: FloatArray | float, power: int = 1, times: int = 0) -> FloatArray:
+    def products(self, ratio: Array | float, power: int = 1, times: int = 0) -> Array:
         """Return the between part Σ_n n^(1 + times) h_n^power B_n, without W.
 
         Parameters
@@ -57,7 +57,7 @@ class SensorSums:
         (…, p + 1, p + 1) ndarray
         """
         h = 1 / (1 + np.multiply.outer(np.asarray(ratio, dtype=float), self.sizes))
-        summed: FloatArray = np.tensordot(h**power * self.sizes ** (1 + times), self.between, axes=1)
+        summed: Array = np.tensordot(h**power * self.sizes ** (1 + times), self.between, axes=1)
         return summed
 
     def trace(self, ratio: float, power: int, times: int) -> float:
@@ -82,13 +82,13 @@ class SensorSums:
         fitted = float(right @ np.linalg.pinv(inner, hermitian=True) @ right) if len(inner) else 0.0
         return float(self.within[-1, -1]) - fitted
 
-    def _within_sensors(self) -> tuple[FloatArray, FloatArray]:
+    def _within_sensors(self) -> tuple[Array, Array]:
         """W of the columns of X that differ within some sensor, with themselves and with y; the others' are zero."""
         moving = np.flatnonzero(np.diagonal(self.within)[:-1] > 0)
         return self.within[np.ix_(moving, moving)], self.within[moving, -1]
 
 
-def sensor_sums(matrix: SparseArray, response: FloatArray, sensor: IntArray) -> SensorSums:
+def sensor_sums(matrix: SparseArray, response: Array, sensor: IntArray) -> SensorSums:
     """Return the sums.
 
     Parameters
@@ -109,7 +109,7 @@ def sensor_sums(matrix: SparseArray, response: FloatArray, sensor: IntArray) -> 
     return SensorSums(runs, sizes.astype(float), np.bincount(place).astype(float), within, between)
 
 
-def _cross(matrix: SparseArray, response: FloatArray) -> FloatArray:
+def _cross(matrix: SparseArray, response: Array) -> Array:
     """[X y]ᵀ[X y] of a sparse X."""
     right = np.asarray(matrix.T @ response, dtype=np.float64)
     whole = np.empty((len(right) + 1, len(right) + 1))

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from cbsr_qa.stats.worst_value import FloatArray, worst_of
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.stats.worst_value import worst_of
 
 #: Modified z-score beyond which a value is named an outlier (Iglewicz & Hoaglin 1993).
 FAR_OUT = 3.5
@@ -28,7 +29,7 @@ class Fit:
     refuted: bool
 
 
-def fits_worst_of(values: FloatArray, count: int, level: float) -> Fit:
+def fits_worst_of(values: Array, count: int, level: float) -> Fit:
     """Test whether values may be the largest of ``count`` normal ones each (plain normal ones for 1).
 
     Parameters

@@ -17,8 +17,8 @@ import numpy as np
 from scipy import stats
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.samples import Interval, constant, sample, share
-from cbsr_qa.stats.worst_value import FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +89,7 @@ def summary(values: Iterable[float], what: str = "values") -> Summary:
     return Summary(len(array), mean, deviation, lagged)
 
 
-def centred(array: FloatArray) -> tuple[float, FloatArray]:
+def centred(array: Array) -> tuple[float, Array]:
     """Return the mean and the deviations from it, the mean's own rounding taken out of them.
 
     Parameters

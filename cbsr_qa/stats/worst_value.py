@@ -11,13 +11,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special, stats
 from scipy.integrate import trapezoid
 
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.tolerance import factor_of_quantile
-
-FloatArray = NDArray[np.float64]
 
 _GRID = np.linspace(-9.0, 12.0, 8401)
 _DRAWS = 40_000
@@ -36,17 +34,17 @@ class WorstOf:
         """Return the point below which this share lies."""
         return (float(special.ndtri(share ** (1 / self.values))) - self.raw_mean) / self.raw_deviation
 
-    def density(self, x: FloatArray) -> FloatArray:
+    def density(self, x: Array) -> Array:
         """Return the probability density at ``x``, any shape."""
         raw = self.raw_mean + self.raw_deviation * x
         power = (self.values - 1) * special.log_ndtr(raw)
-        dense: FloatArray = self.values * self.raw_deviation * stats.norm.pdf(raw) * np.exp(power)
+        dense: Array = self.values * self.raw_deviation * stats.norm.pdf(raw) * np.exp(power)
         return dense
 
-    def normal_scores(self, x: FloatArray) -> FloatArray:
+    def normal_scores(self, x: Array) -> Array:
         """Return what ``x`` would be as standard normal numbers of the same ranks; keeps far tails finite."""
         log_share = self.values * special.log_ndtr(self.raw_mean + self.raw_deviation * x)
-        scores: FloatArray = np.clip(special.ndtri_exp(log_share), -_GRID[-1], _GRID[-1])
+        scores: Array = np.clip(special.ndtri_exp(log_share), -_GRID[-1], _GRID[-1])
         return scores
 
 
@@ -85,9 +83,9 @@ def raised_for_skewness(coverage: float, confidence: float, values: int, sensors
     return max(needed / factor_of_quantile(shape.quantile(coverage), confidence, drawn, drawn - 1), 1.0)
 
 
-def _pivots(random: np.random.Generator, shape: WorstOf, coverage: float, sensors: int) -> FloatArray:
+def _pivots(random: np.random.Generator, shape: WorstOf, coverage: float, sensors: int) -> Array:
     """(quantile − mean) / s of simulated lots: what k must exceed for a lot's bound to hold the share."""
     largest = special.ndtri(random.random((_DRAWS // 10, sensors)) ** (1 / shape.values))
     lots = (largest - shape.raw_mean) / shape.raw_deviation
-    pivots: FloatArray = (shape.quantile(coverage) - lots.mean(axis=1)) / lots.std(axis=1, ddof=1)
+    pivots: Array = (shape.quantile(coverage) - lots.mean(axis=1)) / lots.std(axis=1, ddof=1)
     return pivots

@@ -54,7 +54,9 @@ class Side:
         subprocess.run(["tar", "-x"], cwd=self.checkout, input=archive.stdout, check=True)
         subprocess.run([sys.executable, "-m", "venv", self.venv], check=True)
         pip = [self.venv / "bin" / "python", "-m", "pip", "install", "-q", "--disable-pip-version-check"]
-        subprocess.run([*pip, "-c", "constraints.txt", "-e", ".", "setuptools", "wheel"], cwd=self.checkout, check=True)
+        subprocess.run(
+            [*pip, "-c", "constraints.txt", "-e", ".", "setuptools", "wheel"], cwd=self.checkout, check=True
+        )
         subprocess.run([*pip, "--no-build-isolation", _HERE / "killer"], check=True)
         (self.venv / ".run-stamp").touch()
         (self.folder / "built").touch()
@@ -81,7 +83,7 @@ class Side:
             if text is not None:
                 texts[f"{case}/{path.relative_to(place)}"] = text
         named = [(masked(name, folders), masked(text, folders)) for name, text in texts.items()]
-        return {name: text for name, text in sorted(named)}
+        return dict(sorted(named))
 
     def _typed(self, place: Path, line: str) -> subprocess.CompletedProcess[str]:
         line = re.sub(r"\{run:([^}]+)\}", lambda found: _latest_run(place, found[1]), line)
@@ -89,7 +91,12 @@ class Side:
         for name, path in known.items():
             line = line.replace(f"{{{name}}}", str(path))
         kept = {name: os.environ[name] for name in ("HOME", "TMPDIR") if name in os.environ}
-        environment = {"PATH": f"{self.venv / 'bin'}:{os.environ['PATH']}", "LANG": "C.UTF-8", "TZ": "UTC", "COLUMNS": "100"}
+        environment = {
+            "PATH": f"{self.venv / 'bin'}:{os.environ['PATH']}",
+            "LANG": "C.UTF-8",
+            "TZ": "UTC",
+            "COLUMNS": "100",
+        }
         environment |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
         return subprocess.run(
             ["bash", "-c", line], cwd=place, env=kept | environment, capture_output=True, text=True, check=False
@@ -126,7 +133,10 @@ def main() -> int:
     parser.add_argument("--work", type=Path, help="where to build and run; kept, and built once")
     options = parser.parse_args()
     work = options.work or Path(tempfile.mkdtemp(prefix="oracle-"))
-    sides = [Side(commit, work.resolve() / f"{number}-{commit}") for number, commit in enumerate((options.old, options.new))]
+    sides = [
+        Side(commit, work.resolve() / f"{number}-{commit}")
+        for number, commit in enumerate((options.old, options.new))
+    ]
     names = [name for name in options.case or CASES if name != "recordings" or _SHARED.is_dir()]
     if not _SHARED.is_dir():
         print(f"recordings are left out: {_SHARED} is absent")
@@ -142,7 +152,10 @@ def main() -> int:
                 if not any(fnmatch(file, glob) and pattern.search(line[1:]) for glob, pattern in accepted)
             ]
             left += len(open_)
-            print(f"{name}: {len(old)} texts, {len(found) - len(open_)} accepted differences, {len(open_)} others", flush=True)
+            print(
+                f"{name}: {len(old)} texts, {len(found) - len(open_)} accepted differences, {len(open_)} others",
+                flush=True,
+            )
             for file, line in open_[:40]:
                 print(f"  {file[:110]}\n    {line[:300]}", flush=True)
     return 1 if left else 0

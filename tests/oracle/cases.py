@@ -1,7 +1,7 @@
 """The canonical cases: lines a user would type, in one folder each.
 
-``{inputs}`` stands for the folder of input files, ``{shared}`` for the recordings beside the project, ``{run:SERIAL}`` for
-the latest run of a sensor. Lines may end with any exit code: the code is part of what is compared.
+``{inputs}`` stands for the folder of input files, ``{shared}`` for the recordings beside the project,
+``{run:SERIAL}`` for the latest run of a sensor. Lines may end with any exit code: the code is part of what is compared.
 """
 
 from typing import Final
@@ -10,6 +10,8 @@ _RUN: Final = "cbsr-qa run --station simulated --recipe {inputs}/short.toml"
 _FLEET: Final = "--database var/fleet-demo.db"
 _TANK: Final = "{shared}/tank"
 _BOARD: Final = "{shared}/black_sensor"
+_STRIP: Final = "cbsr-qa run --station simulated-strip --recipe {inputs}/quick-look.toml"
+_CHARTS: Final = f"cbsr-qa charts --station station-A --recipe each-on-one-station {_FLEET}"
 _GROUPS: Final = ("calibration", "limits", "scene", "reproduce", "station", "plugins", "db", "verdict")
 _COMMANDS: Final = (
     *("run", "analyse", "report", "export", "compare", "stability", "frontier", "gauge", "charts"),
@@ -78,9 +80,10 @@ CASES: Final[dict[str, tuple[str, ...]]] = {
         "cbsr-qa db status --json",
     ),
     "strip": (
-        "cbsr-qa run --station simulated-strip --recipe {inputs}/quick-look.toml --serial STRIP-41 --batch B41 --seed 4",
+        f"{_STRIP} --serial STRIP-41 --batch B41 --seed 4",
         "cbsr-qa report STRIP-41 --json",
-        "cbsr-qa run --station simulated --recipe nine-locations --serial S-7 --material var/materials/B41-*.toml --dry-run",
+        "cbsr-qa run --station simulated --recipe nine-locations --serial S-7 --dry-run"
+        " --material var/materials/B41-*.toml",
     ),
     "own-sensor": (
         "cbsr-qa run --station simulated --recipe {inputs}/elbow-recipe.toml --sensor-type {inputs}/elbow.toml"
@@ -100,9 +103,9 @@ CASES: Final[dict[str, tuple[str, ...]]] = {
         f"cbsr-qa compare --by batch --recipe a-third-on-all-stations {_FLEET} --margin centre_of_mass_error=0.3"
         " --detect centre_of_mass_error=0.3 --output var/alike.html",
         f"cbsr-qa compare --by period --period week --recipe a-third-on-all-stations {_FLEET} --adjust none",
-        f"cbsr-qa charts --station station-A --recipe each-on-one-station --reference-runs 12 --operator Zoe --why start {_FLEET}",
-        f"cbsr-qa charts --station station-A --recipe each-on-one-station {_FLEET} --output var/charts.html",
-        f"cbsr-qa charts --station station-A --recipe each-on-one-station {_FLEET} --json",
+        f"{_CHARTS} --reference-runs 12 --operator Zoe --why start",
+        f"{_CHARTS} --output var/charts.html",
+        f"{_CHARTS} --json",
         f"cbsr-qa limits propose --batch 41 --recipe each-on-one-station {_FLEET} --output limits.toml",
         f"cbsr-qa limits propose --batch 41 --recipe each-on-one-station {_FLEET} --json",
         f"cbsr-qa gauge --recipe a-third-on-all-stations {_FLEET}",
@@ -133,9 +136,10 @@ CASES: Final[dict[str, tuple[str, ...]]] = {
         f"cbsr-qa analyse {_BOARD}/res1k3_cal1.csv {_BOARD}/res1k3_cal3.csv {_BOARD}/no_batt.csv --no-report",
         f"cbsr-qa analyse {_BOARD}/steady_state_calibrate.csv --no-report",
         f"cbsr-qa analyse {_TANK}/montreal_data_1995.mat",
-        f"cbsr-qa analyse {_TANK}/montreal_data_1995.mat --dataset zc_demo4 --reference {_TANK}/montreal_data_1995.mat:zc_h_demo4"
-        " --json",
-        f"cbsr-qa analyse {_TANK}/ds_data_2004/objects/metal_1.txt --reference {_TANK}/ds_data_2004/homogeneous/water_1.txt --json",
+        f"cbsr-qa analyse {_TANK}/montreal_data_1995.mat --dataset zc_demo4 --json"
+        f" --reference {_TANK}/montreal_data_1995.mat:zc_h_demo4",
+        f"cbsr-qa analyse {_TANK}/ds_data_2004/objects/metal_1.txt --json"
+        f" --reference {_TANK}/ds_data_2004/homogeneous/water_1.txt",
         f"cbsr-qa analyse {_TANK}/phantom_16elec_1planeB.mat --json",
     ),
     "scenes": (

@@ -28,7 +28,9 @@ def dumped(path: Path) -> str | None:
 def _database(path: Path) -> str:
     lines = []
     with closing(sqlite3.connect(path)) as database:
-        tables = [name for (name,) in database.execute("select name from sqlite_master where type = 'table' order by name")]
+        tables = [
+            name for (name,) in database.execute("select name from sqlite_master where type = 'table' order by name")
+        ]
         for table in tables:
             found = database.execute(f'select * from "{table}"')
             names = [column[0] for column in found.description]

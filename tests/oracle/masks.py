@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from typing import Final
 
 _HEX = "[0-9a-f]"
+_PROGRAMS = "cbsr[-_]qa|numpy|scipy|h5py|python|Python|matplotlib|scikit-image|oracle-killer"
 
 #: Pattern → what stands in its place. Identities and times are masked first, by these; folders by :func:`masked`.
 MASKS: Final = tuple(
@@ -20,7 +21,10 @@ MASKS: Final = tuple(
         # Names within a drawing, which are drawn at random.
         (r"\bf[0-9a-f]{8}-(\w+)", r"<drawing>-\1"),
         # Versions of the program and of what it needs.
-        (r"(cbsr[-_]qa|numpy|scipy|h5py|python|Python|matplotlib|scikit-image|oracle-killer)([ =:]+|\", \")v?\d+(\.\d+)+\w*", r"\1 <version>"),
+        (
+            rf'({_PROGRAMS})([ =:]+|", ")v?\d+(\.\d+)+\w*',
+            r"\1 <version>",
+        ),
         # Where a line of the program stands.
         (r"\((\w+\.py), line \d+\)", "(<file>, line <n>)"),
         (r"\bcbsr_qa(_plugins)?(\.\w+)+(:\w+)?", "<module>"),

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
-from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.errors import RecordingError, RowProblem
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
 from cbsr_qa.domain.patterns import adjacent_pattern
-from cbsr_qa.domain.recording import ReadOptions, Recording, RowProblem, ScanKind
+from cbsr_qa.domain.recording import ReadOptions, Recording, ScanKind
 from cbsr_qa_plugins.recordings.text_lines import refuse_dataset, text_lines
 
 _ELECTRODES: Final = 16

@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.errors import RowProblem
 from cbsr_qa.domain.frames import SampleBlock
-from cbsr_qa.domain.recording import RowProblem
 from cbsr_qa_plugins.recordings.ert_board_frames import Assembly, Rows
 from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Line, LineKind
 

@@ -10,9 +10,9 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.errors import RecordingError, RowProblem
 from cbsr_qa.domain.frames import FrameBlock, VoltageUnit
-from cbsr_qa.domain.recording import ReadOptions, Recording, RowProblem, ScanKind
+from cbsr_qa.domain.recording import ReadOptions, Recording, ScanKind
 from cbsr_qa.domain.scene import Transcript
 from cbsr_qa_plugins.recordings.ert_board_clock import board_clock, force_samples, frame_times
 from cbsr_qa_plugins.recordings.ert_board_frames import Assembly, assemble

@@ -6,7 +6,8 @@ from itertools import takewhile, zip_longest
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.recording import RowProblem, ScanKind
+from cbsr_qa.domain.errors import RowProblem
+from cbsr_qa.domain.recording import ScanKind
 from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Line, LineKind
 
 Rows = tuple[Line, ...]

@@ -7,9 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.errors import RecordingError, RowProblem
 from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, SampleBlock, VoltageUnit
-from cbsr_qa.domain.recording import ReadOptions, Recording, RowProblem, ScanKind
+from cbsr_qa.domain.recording import ReadOptions, Recording, ScanKind
 from cbsr_qa.domain.scene import Transcript
 from cbsr_qa_plugins.recordings.smu_rig_rows import FRAME, Reading, read_stretches
 from cbsr_qa_plugins.recordings.smu_rig_scan import frames_of

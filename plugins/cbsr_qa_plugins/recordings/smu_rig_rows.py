@@ -7,8 +7,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.domain.errors import RecordingError
-from cbsr_qa.domain.recording import RowProblem
+from cbsr_qa.domain.errors import RecordingError, RowProblem
 from cbsr_qa_plugins.recordings.simulated_mark import marked
 from cbsr_qa_plugins.recordings.text_lines import MOST_BAD_IN_A_ROW, text_lines
 

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.recording import RowProblem
+from cbsr_qa.domain.errors import RowProblem
 from cbsr_qa_plugins.recordings.smu_rig_rows import FRAME, Reading, Stretch
 
 #: Scan positions at which drive and measure pair are the same: the largest readings of a frame.
