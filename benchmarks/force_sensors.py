@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.observe import observe_run
-from cbsr_qa.app.setup import made, open_station, plan_of, station_clock
+from cbsr_qa.app.setup import open_station, plan_of, station_clock
 from cbsr_qa.clock import Clock
 from cbsr_qa.config.documents import DocumentKind, open_document
 from cbsr_qa.config.loader import Loaded, load_material, load_recipe, load_sensor_type, load_station
@@ -27,7 +27,7 @@ from cbsr_qa.domain.scene import SheetDesign
 from cbsr_qa.domain.sensor import Material, SensorIdentity
 from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role, Step
 from cbsr_qa.hookspecs import Kind
-from cbsr_qa.plugins import discover
+from cbsr_qa.plugins import discover, made
 from cbsr_qa.runner.bench import Bench
 from cbsr_qa.runner.plan import Plan, PlannedPhase
 

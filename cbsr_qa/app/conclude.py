@@ -7,7 +7,6 @@ from cbsr_qa.analysis.observe import observe_run
 from cbsr_qa.analysis.run_force import run_force
 from cbsr_qa.analysis.strip_cycles import characterise_run
 from cbsr_qa.analysis.strip_measurements import measure_characterisation
-from cbsr_qa.app.setup import made
 from cbsr_qa.app.stages import Stages
 from cbsr_qa.calibrate.force_learning import LearnedForce
 from cbsr_qa.calibrate.issue import issue_calibration
@@ -22,7 +21,7 @@ from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.hookspecs import Kind
-from cbsr_qa.plugins import Plugins
+from cbsr_qa.plugins import Plugins, made
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,7 +8,7 @@ from functools import lru_cache
 from typing import Any, Final
 
 from cbsr_qa.analysis.observe import observe_run
-from cbsr_qa.app.setup import made, open_station, plan_of, station_clock
+from cbsr_qa.app.setup import open_station, plan_of, station_clock
 from cbsr_qa.config.documents import DocumentKind, open_document
 from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type, load_station
 from cbsr_qa.config.merge import Configuration, merge
@@ -24,7 +24,7 @@ from cbsr_qa.frontier.setting import GRID, HELD_OUT
 from cbsr_qa.frontier.station import Bench
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import Reconstruction, Sequence, SequenceContext
-from cbsr_qa.plugins import discover
+from cbsr_qa.plugins import discover, made
 from cbsr_qa.runner.dry_run import dry_run
 from cbsr_qa.runner.execute import execute
 from cbsr_qa.runner.memory_journal import MemoryJournal

@@ -7,7 +7,6 @@ from typing import Final
 
 from cbsr_qa.analysis.run_weights import check_weighing
 from cbsr_qa.analysis.strip_measurements import MEASURES
-from cbsr_qa.app.setup import made
 from cbsr_qa.domain.contained import contained
 from cbsr_qa.domain.errors import CbsrError, ConfigError, RefusedError
 from cbsr_qa.domain.measurement import Limit
@@ -18,7 +17,7 @@ from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.domain.steps import AcquireFrames, MarkUnloaded, Press, Role
 from cbsr_qa.forward.strip import check_strip
 from cbsr_qa.hookspecs import Kind
-from cbsr_qa.plugins import Plugins
+from cbsr_qa.plugins import Plugins, made
 from cbsr_qa.reconstruct.noise_weights import FEWEST_FRAMES
 from cbsr_qa.reconstruct.problem import imaging_problem
 from cbsr_qa.runner.plan import Plan

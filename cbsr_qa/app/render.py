@@ -10,7 +10,6 @@ from cbsr_qa.app.conclude import conclude
 from cbsr_qa.app.decided_again import check_decided
 from cbsr_qa.app.material_output import material_path, why_no_material, write_material
 from cbsr_qa.app.outputs import calibration_path, report_sections
-from cbsr_qa.app.setup import made
 from cbsr_qa.app.stages import Stages
 from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.calibrate.file import write_calibration
@@ -29,7 +28,7 @@ from cbsr_qa.domain.plan import Recipe
 from cbsr_qa.domain.report import RunResult
 from cbsr_qa.domain.run import RunRecord
 from cbsr_qa.hookspecs import Kind
-from cbsr_qa.plugins import Plugins, discover
+from cbsr_qa.plugins import Plugins, discover, made
 from cbsr_qa.report.render import render_run, report_name, write_report
 from cbsr_qa.store.analyses import StoredAnalysis
 from cbsr_qa.store.repository import Repository, open_store

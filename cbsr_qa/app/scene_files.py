@@ -8,13 +8,12 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
-from cbsr_qa.app.setup import made
 from cbsr_qa.config.paths import scenes_folder, writable_folder
 from cbsr_qa.domain.errors import CbsrError, ConfigError, PluginError, RefusedError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import RecordingWriter
-from cbsr_qa.plugins import Plugins
+from cbsr_qa.plugins import Plugins, made
 from cbsr_qa.simulate.scene_recording import RecordedScene
 
 #: Format every scene is written in.

@@ -1,12 +1,11 @@
 """From configuration files to a plan, a clock and a bench."""
 
-import inspect
 from collections.abc import Callable, Iterable, Mapping
-from difflib import get_close_matches
 from functools import partial
 from pathlib import Path
 from typing import Any
 
+from cbsr_qa.app.read_recording import read_recording_file
 from cbsr_qa.clock import Clock, RealClock, VirtualClock
 from cbsr_qa.config.loader import load_material, load_recipe, load_scene, load_sensor_type, load_station
 from cbsr_qa.config.merge import Configuration, merge
@@ -20,7 +19,7 @@ from cbsr_qa.emulate.rig import EmulatedRig
 from cbsr_qa.emulate.start import Emulation
 from cbsr_qa.hookspecs import Kind
 from cbsr_qa.interfaces import Instrument, StationContext
-from cbsr_qa.plugins import Factory, Plugins
+from cbsr_qa.plugins import Plugins, made
 from cbsr_qa.runner.bench import Bench, open_bench
 from cbsr_qa.runner.plan import Plan, PlannedPhase
 from cbsr_qa.runner.stopping import Action
@@ -77,42 +76,6 @@ def plan_of(configuration: Configuration, plugins: Plugins) -> Plan:
         station.motion,
         station.safety,
         configuration.seed,
-    )
-
-
-def made(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str) -> Any:
-    """Make the object a plugin stands for, with its options.
-
-    Raises
-    ------
-    PluginError
-        If the plugin is unknown, cannot be loaded, or its factory fails.
-    ConfigError
-        If it refuses its options; the message names where they are given.
-    """
-    factory = plugins.factory(kind, choice.name)
-    try:
-        with contained(f"{where}: {kind} {choice.name!r}"):
-            return factory(**choice.options)
-    except ConfigError as error:
-        raise ConfigError(f"{where}: {error.reason}", remedy=error.remedy) from error
-    except PluginError as error:
-        untaken = _untaken(factory, kind, choice, where) if isinstance(error.__cause__, TypeError) else None
-        raise untaken or error from error.__cause__
-
-
-def _untaken(factory: Factory, kind: Kind, choice: PluginChoice, where: str) -> ConfigError | None:
-    """Say which options a factory does not take, or lacks; None if its TypeError came from elsewhere."""
-    taken = inspect.signature(factory).parameters
-    wrong = [name for name in choice.options if name not in taken]
-    lacking = [name for name, p in taken.items() if p.default is p.empty and name not in choice.options]
-    if any(p.kind is p.VAR_KEYWORD for p in taken.values()) or not (wrong or lacking):
-        return None
-    near = [close for name in wrong for close in get_close_matches(name, taken, n=1)]
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    said = f"takes no option {wrong[0]!r}" if wrong else f"needs option {lacking[0]!r}"
-    return ConfigError(
-        f"{where}: {kind} {choice.name!r} {said}", remedy=f"{hint}options: {', '.join(taken) or 'none'}"
     )
 
 
@@ -216,8 +179,6 @@ def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock, res
 
 
 def _recording(plugins: Plugins, path: Path, format_: str | None, dataset: str | None) -> Recording:
-    from cbsr_qa.app.read_recording import read_recording_file  # it imports the analysis, which most benches do not
-
     return read_recording_file(path, plugins, format_=format_, dataset=dataset)
 
 

@@ -1,7 +1,7 @@
 """The canonical cases: lines a user would type, in one folder each.
 
 ``{inputs}`` stands for the folder of input files, ``{shared}`` for the recordings beside the project,
-``{run:SERIAL}`` for the latest run of a sensor. Lines may end with any exit code: the code is part of what is compared.
+``{run:SERIAL}`` for the latest run of a sensor. Lines may end with any exit code, which is part of what is compared.
 """
 
 from typing import Final

@@ -6,7 +6,6 @@ from types import SimpleNamespace
 import pytest
 from simulated_setting import HEAD, material, scene, sensor_type
 
-from cbsr_qa.app.setup import made
 from cbsr_qa.clock import VirtualClock
 from cbsr_qa.domain.contained import contained, said
 from cbsr_qa.domain.errors import PluginError, RefusedError
@@ -16,7 +15,7 @@ from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.scene import Moment, SceneSetting
 from cbsr_qa.domain.steps import Press, Release
 from cbsr_qa.hookspecs import Kind
-from cbsr_qa.plugins import Plugins, discover
+from cbsr_qa.plugins import Plugins, discover, made
 from cbsr_qa.runner.bench import Bench
 from cbsr_qa.runner.execute import execute
 from cbsr_qa.runner.schedule import schedule
