@@ -1,3 +1,4 @@
+sed -i 's/^from cbsr_qa.analysis.recording_images import Array, /from cbsr_qa.analysis.recording_images import /' cbsr_qa/analysis/recording_imaged_events.py
 sed -i 's/^Indices = NDArray\[np.int32\]/SparseIndices = NDArray[np.int32]/; s/\bIndices\b/SparseIndices/g; s/SparseSparseIndices/SparseIndices/g' cbsr_qa/forward/refinement.py && python3 - <<'EOP'
 from pathlib import Path
 p=Path('cbsr_qa/analysis/recording_imaged_events.py'); t=p.read_text()
