@@ -9,12 +9,15 @@ Only on Linux. Elsewhere the function is called directly, and the bounds that re
 Windows cannot fork, and on macOS a fork after the system's libraries have started threads is not safe.
 """
 
+import codecs
 import contextlib
+import errno
 import faulthandler
 import gc
 import io
 import os
 import pickle
+import re
 import select
 import signal
 import struct
@@ -35,15 +38,26 @@ Result = TypeVar("Result")
 #: Whether there are children here.
 CONTAINED: Final = sys.platform == "linux"
 _MEGABYTE: Final = 2**20
-#: Seconds of processor time, and as many on the clock; text is read at a megabyte in 1 to 2 s on a busy computer.
+#: Seconds of processor time; a megabyte of text takes 1 to 2 s. What packed files hold is bounded by their size too.
 _SECONDS: Final = 8.0
 _SECONDS_PER_MB: Final = 10.0
+#: Seconds on the clock for each of processor time: others may need the computer at the same time.
+_CLOCK: Final = 6.0
+#: Bytes that a file of any size may hold unpacked, and for each byte of it.
+_CONTENT: Final = 16 * _MEGABYTE
+_CONTENT_PER_BYTE: Final = 20
 #: Memory beyond what the program itself has, plus this many times the file's size, or half of the computer's.
 _MEMORY: Final = 2**30
 _MEMORY_PER_BYTE: Final = 16
 #: Files a reader has open at once: its own. Links of an HDF5 file would need a second one.
 _OPEN_FILES: Final = 1
 _COPY: Final = "the file is damaged: copy it again from where it was recorded or issued"
+_BUSY: Final = "the computer may be busy: try again when it is idle; if it fails again, the file is damaged"
+#: Characters without a space, and of a whole message, that are repeated from a file.
+_LONGEST_WORD: Final = 200
+_LONGEST_REASON: Final = 2000
+#: Python imports these from files when text of theirs is first met, and a child opens none beside its own.
+_CODECS: Final = ("ascii", "latin-1", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "cp1252")
 
 #: What numpy needs besides dataclasses to put arrays and numbers together again.
 _NUMPY: Final = {
@@ -65,12 +79,17 @@ class Limits:
 
     Parameters
     ----------
-    seconds : on the clock, and of processor time.
+    seconds : of processor time.
     memory_bytes : beyond what the program itself has.
     """
 
     seconds: float
     memory_bytes: int
+
+    @property
+    def clock_s(self) -> float:
+        """On the clock."""
+        return _CLOCK * self.seconds
 
     @classmethod
     def of(cls, size_bytes: int) -> "Limits":
@@ -81,8 +100,8 @@ class Limits:
 
 
 def largest_content(size_bytes: int) -> int:
-    """Bytes a file of a size may hold unpacked: numbers that were measured hardly pack at all, made-up ones do."""
-    return max(256 * _MEGABYTE, 20 * size_bytes)
+    """Bytes a file of a size may hold unpacked, eight for each number: measured ones hardly pack, made-up ones do."""
+    return max(_CONTENT, _CONTENT_PER_BYTE * size_bytes)
 
 
 def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[RefusedError]) -> Result:
@@ -103,9 +122,15 @@ def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[Refu
         If the function raises anything else: a defect of the reader, not of the file.
     """
     if not CONTAINED:
-        return read()
+        try:
+            return read()
+        except RefusedError as error:
+            error.reason = shortened(error.reason)
+            raise
+    for codec in _CODECS:
+        codecs.lookup(codec)
     limits = Limits.of(_size(path))
-    deadline = time.monotonic() + limits.seconds
+    deadline = time.monotonic() + limits.clock_s
     incoming, outgoing = os.pipe()
     with os.fdopen(incoming, "rb", buffering=0) as pipe:
         child = _forked(read, outgoing, limits)
@@ -117,9 +142,15 @@ def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[Refu
                 os.kill(child, signal.SIGKILL)  # it has said all, or says nothing any more
             _, status = os.waitpid(child, 0)
     if told is None:
-        why = _why(path, limits, status, late=time.monotonic() >= deadline)
-        raise refusal(why, remedy=_COPY)
+        late = time.monotonic() >= deadline
+        raise refusal(_why(path, limits, status, late=late), remedy=_BUSY if late else _COPY)
     return cast(Result, _result(path, told, limits, refusal))
+
+
+def shortened(reason: str) -> str:
+    """Return what is said of a file, what it repeats of the file cut: a name or unit may be a megabyte."""
+    cut = re.sub(rf"\S{{{_LONGEST_WORD},}}", lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", reason)
+    return cut if len(cut) <= _LONGEST_REASON else f"{cut[:_LONGEST_REASON]}… ({len(cut)} characters)"
 
 
 def _size(path: Path) -> int:
@@ -180,13 +211,10 @@ def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:
     arrays: list[pickle.PickleBuffer] = []
     try:
         told: tuple[Any, ...] = ("read", read())
-    except RefusedError as error:
-        problems = tuple(getattr(error, "problems", ()))
-        told = ("refused", type(error).__name__, error.reason, error.remedy, problems)
     except MemoryError:
         told = ("memory",)
     except Exception as error:  # noqa: BLE001 - the parent says it
-        told = ("broken", f"{type(error).__name__}: {error}")
+        told = _failed(error)
     try:
         head = pickle.dumps(told, protocol=5, buffer_callback=arrays.append)
         return [head, *(array.raw() for array in arrays)]
@@ -194,6 +222,18 @@ def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:
         return [pickle.dumps(("memory",))]
     except Exception as error:  # noqa: BLE001 - a format may return anything
         return [pickle.dumps(("strange", str(error)))]
+
+
+def _failed(error: Exception) -> tuple[Any, ...]:
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno == errno.EMFILE:
+            return "second", None if cause.filename is None else str(cause.filename)
+        cause = cause.__cause__ or cause.__context__
+    if isinstance(error, RefusedError):
+        problems = tuple(getattr(error, "problems", ()))
+        return "refused", type(error).__name__, error.reason, error.remedy, problems
+    return "broken", f"{type(error).__name__}: {error}"
 
 
 def _told(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] | None:
@@ -226,8 +266,13 @@ def _received(pipe: io.FileIO, count: int, deadline: float) -> bytearray | None:
 
 
 def _why(path: Path, limits: Limits, status: int, *, late: bool) -> str:
-    if late or (os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU):
-        return f"reading {path.name} took more than {limits.seconds:.0f} s, the limit for a file of its size"
+    if late:
+        return f"reading {path.name} took more than {limits.clock_s:.0f} s, the limit for a file of its size"
+    if os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU:
+        return (
+            f"reading {path.name} took more than {limits.seconds:.0f} s of processor time, the limit for a file of"
+            " its size"
+        )
     if os.WIFSIGNALED(status) and os.WTERMSIG(status) != signal.SIGKILL:
         name = signal.Signals(os.WTERMSIG(status)).name
         return f"the library that reads {path.name} crashed ({name})"
@@ -249,6 +294,12 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
             " file of its size",
             remedy=_COPY,
         )
+    if kind == "second":
+        other = "another file" if told[0] is None else f"the file {shortened(told[0])}"
+        raise refusal(
+            f"reading {path.name} opens {other} beside it, which no recording and no calibration needs",
+            remedy="the file is damaged or leads to other files; a format's plugin imports its modules beforehand",
+        )
     if kind == "strange":
         raise refusal(
             f"{path.name}: its format's plugin returned something other than a recording: {told[0]}",
@@ -259,7 +310,7 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
 
 def _refused(kind: str, reason: str, remedy: str, problems: tuple[Any, ...]) -> RefusedError:
     """The error a child raised; one of a plugin's own kind becomes the kind all are of."""
-    named = getattr(errors, kind, RefusedError)
+    named, reason = getattr(errors, kind, RefusedError), shortened(reason)
     if named is errors.RecordingError:
         return errors.RecordingError(reason, remedy=remedy, problems=problems)
     return cast(RefusedError, named(reason, remedy=remedy))

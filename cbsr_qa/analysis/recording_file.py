@@ -16,8 +16,9 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.recording_entries import Described, group_of, json_of, numbers, real_of, text_of, texts, unit_of
 from cbsr_qa.calibrate.hdf5_content import attribute, attribute_names, members
-from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
+from cbsr_qa.config.echo import echo
 from cbsr_qa.domain.errors import CbsrError, RecordingError, RefusedError
 from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.loads import Load, LoadRecord
@@ -30,6 +31,7 @@ SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
 
 #: In bytes, of a file whose content is our own.
 _ANY_SIZE: Final = 2**40
+_MOST_DROPPED: Final = 2**53
 
 #: How notes of files that have no ``simulated`` of their own begin.
 _SIMULATED_NOTE: Final = "simulated: "
@@ -110,7 +112,7 @@ def read_recording(path: Path) -> Recording:
         raise RecordingError(f"{path.name}: {error.reason}", remedy=error.remedy or "export the run again") from error
     except (OSError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, RuntimeError) as error:
         raise RecordingError(
-            f"{path.name} is damaged: {error}", remedy="export the run again, or copy the file again"
+            f"{path.name} is damaged: HDF5 cannot read it ({error})", remedy="export the run again, or copy the file again"
         ) from error
 
 
@@ -120,7 +122,9 @@ def _check(path: Path, file: h5py.File) -> None:
             f"{path.name} is an HDF5 file but not a recording of this program",
             remedy="a calibration file is looked at with cbsr-qa calibration show",
         )
-    version = int(attribute(file, "schema_version"))
+    version = attribute(file, "schema_version")
+    if not isinstance(version, np.integer):
+        raise RecordingError(f"{path.name} states no schema version, or one that is not a whole number")
     if not 1 <= version <= SCHEMA_VERSION:
         raise RecordingError(
             f"{path.name} has schema version {version}; this program reads up to {SCHEMA_VERSION}",
@@ -190,96 +194,79 @@ def _put(group: h5py.Group, name: str, values: NDArray[Any], unit: str) -> None:
 
 
 def _read(path: Path, file: h5py.File) -> Recording:
-    said: dict[str, Any] = json.loads(file.attrs["description"])
-    json.dumps(said, ensure_ascii=False).encode()  # JSON can spell halves of characters, which are no text
-    layout = said["layout"]
+    said = Described(json_of(file, "description"), "description")
     notes, simulated = _told(said)
+    scan = said.text("scan")
+    if scan not in set(ScanKind):
+        raise RefusedError(f"description.scan is {echo(scan)}; allowed: {', '.join(ScanKind)}")
     return Recording(
         path=path,
         format=FORMAT,
-        dataset=str(said["dataset"]),
-        scan=ScanKind(said["scan"]),
-        frames=_read_frames(file["frames"]),
-        reference=_read_frames(file["reference"]) if "reference" in file else None,
-        still=bool(said["still"]),
-        magnitudes_only=bool(said["magnitudes_only"]),
-        clock=str(said["clock"]),
-        samples=tuple(_read_samples(file["samples"][key]) for key in sorted(file["samples"]))
-        if "samples" in file
-        else (),
-        loads=_read_loads(file["loads"]) if "loads" in file else (),
-        layout=None if layout is None else _read_layout(layout),
-        sensor_type=said["sensor_type"],
+        dataset=said.text("dataset"),
+        scan=ScanKind(scan),
+        frames=_read_frames(group_of(file, "frames")),
+        reference=_read_frames(group_of(file, "reference")) if "reference" in file else None,
+        still=said.flag("still"),
+        magnitudes_only=said.flag("magnitudes_only"),
+        clock=said.text("clock"),
+        samples=_read_channels(group_of(file, "samples")) if "samples" in file else (),
+        loads=_read_loads(group_of(file, "loads")) if "loads" in file else (),
+        layout=None if said.absent("layout") else said.within("layout").layout(),
+        sensor_type=None if said.absent("sensor_type") else said.text("sensor_type"),
         notes=notes,
-        frames_dropped=int(said.get("frames_dropped", 0)),
+        frames_dropped=said.whole("frames_dropped", _MOST_DROPPED) if "frames_dropped" in said else 0,
         simulated=simulated,
     )
 
 
-def _told(said: dict[str, Any]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+def _told(said: Described) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return the notes and what was simulated, which files of earlier versions hold as notes."""
-    notes = tuple(str(note) for note in said["notes"])
+    notes = said.texts("notes")
     if "simulated" in said:
-        return notes, tuple(str(what) for what in said["simulated"])
+        return notes, said.texts("simulated")
     marked = tuple(note for note in notes if note.startswith(_SIMULATED_NOTE))
     others = tuple(note for note in notes if note not in marked)
     return others, tuple(note.removeprefix(_SIMULATED_NOTE) for note in marked)
 
 
-def _read_layout(said: dict[str, Any]) -> Electrodes:
-    kind = ElectrodeKind(said["kind"])
-    if "places_mm" in said:
-        return PlacedElectrodes(kind, tuple((float(x), float(y)) for x, y in said["places_mm"]), said["width_mm"])
-    return ElectrodeLayout(**{**said, "kind": kind})
-
-
-def _real(dataset: h5py.Dataset, kinds: str = "iuf") -> NDArray[np.float64]:
-    """Return a dataset of real numbers as float64."""
-    if dataset.dtype.kind not in kinds:
-        remedy = "readings of alternating current are out of scope" if dataset.dtype.kind == "c" else ""
-        raise RefusedError(f"{dataset.name} holds values of type {dataset.dtype}, not real numbers", remedy=remedy)
-    values: NDArray[np.float64] = dataset[()].astype(np.float64)
-    return values
-
-
 def _read_frames(group: h5py.Group) -> FrameBlock:
-    voltages = group["voltages"]
-    current = group.attrs.get("current_A")
-    own = _real(group["reading_time_s"]) if "reading_time_s" in group else None
-    times_s = _real(group["time_s"])
+    current_A = real_of(group, "current_A", "the drive current")
+    own = numbers(group, "reading_time_s") if "reading_time_s" in group else None
+    times_s = numbers(group, "time_s")
     if not np.isfinite(times_s).all() or (np.diff(times_s) < 0).any():
         raise RefusedError("the times of its frames are not finite numbers that never fall")
-    if current is not None and not np.isfinite(current):
-        raise RefusedError(f"its drive current is {current} A")
     if own is not None and not np.isfinite(own).all():
         raise RefusedError("the time of a reading is not a finite number")
-    return FrameBlock(
-        times_s,
-        _real(voltages),
-        _real(group["flags"], "iu").astype(np.uint8),
-        VoltageUnit(voltages.attrs["unit"]),
-        None if current is None else float(current),
-        own,
-    )
+    voltages, unit = numbers(group, "voltages"), unit_of(group, "voltages")
+    if unit not in set(VoltageUnit):
+        allowed = ", ".join(VoltageUnit)
+        raise RefusedError(f"{group.name}/voltages states the unit {echo(unit)}; allowed: {allowed}")
+    flags = numbers(group, "flags", "iu").astype(np.uint8)
+    return FrameBlock(times_s, voltages, flags, VoltageUnit(unit), current_A, own)
+
+
+def _read_channels(group: h5py.Group) -> tuple[SampleBlock, ...]:
+    return tuple(_read_samples(group_of(group, key)) for key in sorted(group))
 
 
 def _read_samples(group: h5py.Group) -> SampleBlock:
-    values = group["values"]
-    times_s, held = _real(group["time_s"]), _real(values)
+    times_s = numbers(group, "time_s")
+    held = numbers(group, "values", shape=times_s.shape)
     known = np.isfinite(times_s) & np.isfinite(held)  # a sample that was lost is no sample
-    return SampleBlock(str(group.attrs["channel"]), str(values.attrs["unit"]), times_s[known], held[known])
+    return SampleBlock(text_of(group, "channel"), unit_of(group, "values"), times_s[known], held[known])
 
 
 def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
-    labels: list[str] = json.loads(group.attrs["labels"])
-    "".join(labels).encode()
-    columns = {name: _real(group[name]) for name, _ in _LOAD_COLUMNS}
+    labels = texts(f"attribute labels of {group.name}", json_of(group, "labels"))
+    shape = (len(labels),)
+    columns = {name: numbers(group, name, shape=shape) for name, _ in _LOAD_COLUMNS}
+    index, trial = (numbers(group, name, "iu", shape) for name in ("index", "trial"))
     # Absent where nobody noted it, as in files of earlier versions; NaN for single presses without it.
-    cleared = _real(group["clear_s"]).tolist() if "clear_s" in group else [np.nan] * len(labels)
+    cleared = numbers(group, "clear_s", shape=shape).tolist() if "clear_s" in group else [np.nan] * len(labels)
     return tuple(
         LoadRecord(
-            int(group["index"][k]),
-            Load(label, *_place(columns, k), int(group["trial"][k])),
+            int(index[k]),
+            Load(label, *_place(columns, k), int(trial[k])),
             *_times_s(columns, k),
             clear_s=None if np.isnan(cleared[k]) else cleared[k],
         )
@@ -307,7 +294,7 @@ def _digest(file: h5py.File, size_bytes: int = _ANY_SIZE) -> str:
         sha.update(name.encode() + b"\x00")
         if isinstance(item, h5py.Dataset):
             if item.dtype.kind not in "iufcb":
-                raise RecordingError(f"{name} holds no numbers, but {item.dtype}")
+                raise RefusedError(f"{name} holds values of type {item.dtype}, not numbers")
             values = np.ascontiguousarray(item[()])
             sha.update(f"{values.shape}{values.dtype.str}".encode())
             sha.update(values.tobytes())

@@ -11,6 +11,8 @@ from cbsr_qa.app.analyse_document import recording_document, result_document, un
 from cbsr_qa.app.analyse_reference import with_reference
 from cbsr_qa.app.outputs import report_sections
 from cbsr_qa.app.read_recording import guarded, recognised
+from cbsr_qa.config.documents import DocumentKind, shipped_names
+from cbsr_qa.config.echo import echo
 from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.config.paths import reports_folder
 from cbsr_qa.domain.errors import CbsrError, ConfigError, NumericsError, RecordingError
@@ -179,11 +181,11 @@ def _sensor_type(recording: Recording, request: AnalyseRequest) -> tuple[SensorT
         return load_sensor_type(request.sensor_type).value, []
     if recording.sensor_type is None:
         return None, []
-    try:
+    # A name, never a path: a file of unknown origin opens no other.
+    if recording.sensor_type in shipped_names(DocumentKind.SENSOR_TYPE):
         return load_sensor_type(recording.sensor_type).value, []
-    except CbsrError as error:
-        said = f"the recording states sensor type {recording.sensor_type!r}, which is not known here: {error.reason}"
-        return None, [f"{said}; it is imaged on a nominal disc"]
+    said = f"the recording states sensor type {echo(recording.sensor_type)}, which is not a shipped one"
+    return None, [f"{said}; it is imaged on a nominal disc; give the file of the sensor type with --sensor-type"]
 
 
 def _report(

@@ -202,6 +202,11 @@ def _check_bytes(data: bytes) -> bool:
     """
     if data.startswith(_SIGNATURE):
         return False
+    if data[:64].lstrip().startswith(b"{"):
+        raise CalibrationError(
+            "JSON, not HDF5, which is what this command takes",
+            remedy="`cbsr-qa calibration export X.json --output X.h5` makes HDF5 of it",
+        )
     if not data.startswith(BLOCK_BEGINS):
         raise CalibrationError(_NOT_WHOLE, remedy=_COPY_AGAIN)
     if data[:_BLOCK_BYTES] != _block(data[_BLOCK_BYTES:]):

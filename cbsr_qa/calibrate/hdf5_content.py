@@ -76,12 +76,13 @@ class _Walk:
         text = h5py.check_string_dtype(dataset.dtype) is not None
         if text and (dataset.ndim > 1 or (dataset.size or 0) > _MOST_TEXTS):
             raise RefusedError(f"{path} holds texts of the shape {dataset.shape}; a list of them is expected")
-        if dataset.size is None or max(dataset.nbytes, _chunk_bytes(dataset)) > self._left:
+        held = _unpacked_bytes(dataset)
+        if dataset.size is None or held > self._left:
             raise RefusedError(
                 f"{path} of the shape {dataset.shape} is empty or too large: a file of this size may hold"
                 f" {self._all / 2**20:.0f} MiB"
             )
-        self._left -= max(dataset.nbytes, _chunk_bytes(dataset))
+        self._left -= held
         if not text and dataset.dtype.kind not in "iufcb":
             raise RefusedError(f"{path} is of the type {dataset.dtype}, which is neither number nor text")
         packing = dataset.id.get_create_plist()
@@ -89,11 +90,12 @@ class _Walk:
             raise RefusedError(f"{path} is packed otherwise than with gzip")
 
 
-def _chunk_bytes(dataset: h5py.Dataset) -> int:
-    count = int(dataset.dtype.itemsize)
+def _unpacked_bytes(dataset: h5py.Dataset) -> int:
+    """Bytes of all values, or of one chunk where that is larger; whatever their type, numbers become float64."""
+    count = 1
     for length in dataset.chunks or (0,):
         count *= int(length)
-    return count
+    return max(int(dataset.size or 0), count) * max(int(dataset.dtype.itemsize), 8)
 
 
 def attribute(item: h5py.Group | h5py.Dataset, name: str) -> Any:

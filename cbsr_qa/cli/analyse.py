@@ -90,7 +90,8 @@ def _show(outcome: "Analysed", *, chosen: bool) -> None:
     recording, channels = result.recording, result.channels
     for remark in (*recording.notes, *outcome.warnings):
         note(f"note: {remark}")
-    rate = "still" if result.frame_rate_hz is None else f"{result.frame_rate_hz:.2f} frames/s"
+    rate_hz = result.frame_rate_hz
+    rate = "still" if rate_hz is None else f"{rate_hz:{'.2f' if rate_hz < 1e6 else '.3g'}} frames/s"
     name = f"{outcome.path.name}:{recording.dataset}" if recording.dataset else outcome.path.name
     frames, rows = _counted(len(recording.frames), "frame"), _counted(recording.rows_rejected, "row")
     say(f"{name}: {frames}, {rate}, {rows} rejected")

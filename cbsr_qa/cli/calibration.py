@@ -116,7 +116,7 @@ def apply(
         note(f"written to {output}")
     if json:
         emit_json(applied_document(file, applied))
-    elif output is None:
+    elif output is None and any(one.refused is None for one in applied):
         say(as_csv(applied).rstrip())
     return max(0 if one.refused is None else one.refused.exit_code for one in applied)
 

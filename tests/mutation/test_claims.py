@@ -1,5 +1,6 @@
 """Files that claim what they do not hold: links, data elsewhere, and sizes that no memory has."""
 
+import json
 import os
 import struct
 import zlib
@@ -12,6 +13,7 @@ from calibration_samples import edited, plain_digest, sample_calibration
 from test_recording_file import sample
 
 from cbsr_qa.analysis.recording_file import _digest, write_recording
+from cbsr_qa.app.analyse import AnalyseRequest, _sensor_type
 from cbsr_qa.app.calibration_file import read_any, show_calibration, verify_file
 from cbsr_qa.app.read_recording import read_recording_file
 from cbsr_qa.calibrate.file import read_calibration, write_calibration
@@ -112,6 +114,103 @@ def test_a_digest_that_fits_a_recording_forged_by_hand_opens_it(recording):
         file["samples/00/values"][0] = 7.0
         file.attrs["sha256"] = _digest(file)
     assert _read(recording).samples[0].values[0] == 7.0
+
+
+def _described(**values):
+    def change(file):
+        said = json.loads(file.attrs["description"])
+        file.attrs["description"] = json.dumps({**said, **values})
+
+    return change
+
+
+def _attribute(item, name, value):
+    return lambda file: file[item].attrs.__setitem__(name, value)
+
+
+def _replaced(name, value):
+    def change(file):
+        unit = file[name].attrs["unit"]
+        del file[name]
+        if value is None:
+            file.create_group(name)
+        else:
+            file.create_dataset(name, data=value).attrs["unit"] = unit
+
+    return change
+
+
+_LAYOUT = {
+    "count": 16,
+    "kind": "pin",
+    "ring_radius_mm": 40.0,
+    "width_mm": 1.0,
+    "first_angle_deg": 0.0,
+    "counterclockwise": True,
+}
+_STRANGE = [
+    (_described(sensor_type=5), "description.sensor_type is 5; a text is expected"),
+    (_described(sensor_type=["a"]), "description.sensor_type is a list; a text is expected"),
+    (_described(sensor_type={"a": 1}), "description.sensor_type is an object"),
+    (_described(dataset="x" * 60_000), "description.dataset is a text of 60000 characters; at most 1000"),
+    (_described(notes=5), "description.notes is 5; a list of texts is expected"),
+    (_described(notes=[["a"]]), "description.notes is not a list of texts"),
+    (_described(simulated="abc"), "description.simulated is 'abc'"),
+    (_described(simulated=[{"a": 1}]), "description.simulated is not a list of texts"),
+    (_described(scan="x"), "description.scan is 'x'; allowed: full, driven_pairs"),
+    (_described(still="no"), "description.still is 'no'; true or false is expected"),
+    (_described(frames_dropped=-5), "description.frames_dropped is -5; 0 to"),
+    (_described(frames_dropped=1e308), "description.frames_dropped is 1e.308; a whole number"),
+    (_described(frames_dropped=float("nan")), "attribute description of / is not JSON"),
+    (_described(layout=[]), "description.layout is a list; an object is expected"),
+    (_described(layout={}), "description.layout.kind is missing"),
+    (_described(layout={**_LAYOUT, "count": 15.5}), "description.layout.count is 15.5; a whole number"),
+    (_described(layout={**_LAYOUT, "width_mm": None}), "description.layout.width_mm is null; a number"),
+    (_described(layout={**_LAYOUT, "kind": "x"}), "description.layout.kind is 'x'; allowed: pin, arc"),
+    (_described(layout={**_LAYOUT, "more": 1}), "description.layout.'more' is not known"),
+    (_described(layout={"kind": "pin", "places_mm": [[1]], "width_mm": 1}), "pairs of numbers"),
+    (_attribute("/", "description", "[" * 60_000), "attribute description of / is not JSON"),
+    (_attribute("/", "description", "7"), "description is 7; an object is expected"),
+    (_attribute("/", "schema_version", 1e308), "states no schema version, or one that is not a whole"),
+    (_attribute("/", "schema_version", "9" * 6000), "states no schema version, or one that is not a whole"),
+    (_attribute("frames", "current_A", 1 + 2j), r"the drive current .* is complex128; one finite real number"),
+    (_attribute("frames", "current_A", True), r"the drive current .* is True; one finite real number"),
+    (_attribute("frames", "current_A", "x"), r"the drive current .* is x; one finite real number"),
+    (_attribute("frames", "current_A", np.ones(2)), r"the drive current .*; one finite real number"),
+    (_attribute("frames/voltages", "unit", "V" * 60_000), "attribute unit of /frames/voltages is a text of 60000"),
+    (_attribute("frames/voltages", "unit", "mV"), "/frames/voltages states the unit 'mV'; allowed: V, count"),
+    (_attribute("frames/voltages", "unit", 3.0), "attribute unit of /frames/voltages is missing or not one text"),
+    (_attribute("frames/voltages", "unit", b"\xff"), "attribute unit of /frames/voltages is missing or not one text"),
+    (_replaced("frames/flags", None), "/frames/flags is a group; a dataset is expected"),
+    (_replaced("frames/flags", 0.5), "/frames/flags holds values of type float64, not whole numbers"),
+    (_replaced("samples/00/values", np.ones(3)), r"/samples/00/values has shape \(3,\)"),
+    (_replaced("loads/trial", np.ones(9, int)), r"/loads/trial has shape \(9,\)"),
+    (lambda file: file.create_group("samples/zz"), "time_s is missing in /samples/zz"),
+    (lambda file: file.__delitem__("frames/flags"), "flags is missing in /frames"),
+]
+
+
+@pytest.mark.parametrize(("change", "said"), _STRANGE)
+def test_what_a_recording_holds_in_place_of_something_else_is_refused_by_name(recording, change, said):
+    with h5py.File(recording, "r+") as file:
+        change(file)
+        file.attrs["sha256"] = _digest(file)
+    with pytest.raises(RecordingError, match=rf"r\.h5.*{said}") as refused:
+        _read(recording)
+    assert len(refused.value.reason) < 400
+
+
+@pytest.mark.parametrize("named", ["/etc/passwd", "x.toml", "../disc-100mm", "a/\0", "no-such", "/" + "a" * 900])
+def test_a_recording_names_a_shipped_sensor_type_or_none_and_no_file(recording, monkeypatch, named):
+    opened = []
+    monkeypatch.setattr("cbsr_qa.app.analyse.load_sensor_type", opened.append)
+    with h5py.File(recording, "r+") as file:
+        _described(sensor_type=named)(file)
+        file.attrs["sha256"] = _digest(file)
+    found, remarks = _sensor_type(_read(recording), AnalyseRequest())
+    assert (found, opened) == (None, [])
+    assert len(remarks[0]) < 300
+    assert "is not a shipped one" in remarks[0]
 
 
 def test_texts_that_are_all_the_same_megabyte_are_refused(issued):

@@ -1,0 +1,232 @@
+"""One entry of a recording file, checked where it is read: that it is there, and its kind, type, shape and length.
+
+Whoever wrote the file may have put anything under any name. Refusals name the entry, what was found and what is
+expected; whoever opened the file puts its name before them.
+"""
+
+import json
+import math
+from dataclasses import fields
+from typing import Any, Final, NoReturn
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibrate.hdf5_content import attribute
+from cbsr_qa.config.echo import echo, printable
+from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
+from cbsr_qa.domain.errors import RefusedError
+
+#: Characters of one text: names have some tens, notes some hundreds.
+_LONGEST_TEXT: Final = 1000
+_LONGEST_NOTE: Final = 2**14
+_LONGEST_JSON: Final = 2**24
+_MOST_ELECTRODES: Final = 4096
+
+
+def group_of(parent: h5py.Group, name: str) -> h5py.Group:
+    """Return a group. RefusedError where it is missing, or a dataset."""
+    found = _member(parent, name)
+    if not isinstance(found, h5py.Group):
+        raise RefusedError(f"{found.name} is a dataset; a group is expected")
+    return found
+
+
+def numbers(
+    parent: h5py.Group, name: str, kinds: str = "iuf", shape: tuple[int, ...] | None = None
+) -> NDArray[np.float64]:
+    """Read a dataset of real numbers as float64.
+
+    Parameters
+    ----------
+    kinds : numpy's letters of the types it may have.
+    shape : the one it must have; None for any.
+
+    Raises
+    ------
+    RefusedError
+        If it is missing, a group, or of another type or shape.
+    """
+    dataset = _dataset(parent, name)
+    if dataset.dtype.kind not in kinds:
+        remedy = "readings of alternating current are out of scope" if dataset.dtype.kind == "c" else ""
+        expected = "real numbers" if "f" in kinds else "whole numbers"
+        raise RefusedError(f"{dataset.name} holds values of type {dataset.dtype}, not {expected}", remedy=remedy)
+    if shape is not None and dataset.shape != shape:
+        raise RefusedError(f"{dataset.name} has shape {dataset.shape}; {shape} is expected")
+    values: NDArray[np.float64] = dataset[()].astype(np.float64)
+    return values
+
+
+def unit_of(parent: h5py.Group, name: str) -> str:
+    """Return the unit that a dataset states."""
+    return text_of(_dataset(parent, name), "unit")
+
+
+def text_of(item: h5py.Group | h5py.Dataset, name: str, longest: int = _LONGEST_TEXT) -> str:
+    """Return an attribute that is one text. RefusedError where it is missing, something else or too long."""
+    value = attribute(item, name)
+    if not isinstance(value, str):
+        raise RefusedError(f"attribute {name} of {item.name} is missing or not one text of UTF-8")
+    return _text(f"attribute {name} of {item.name}", value, longest)
+
+
+def real_of(item: h5py.Group, name: str, what: str) -> float | None:
+    """Return an attribute that is one finite real number; None where there is none.
+
+    Parameters
+    ----------
+    what : how messages name it.
+
+    Raises
+    ------
+    RefusedError
+        If it is anything else: a text, a list, a complex number, true or false.
+    """
+    if name not in item.attrs:
+        return None
+    value = attribute(item, name)
+    if not isinstance(value, np.integer | np.floating) or not np.isfinite(value):
+        said = item.attrs.get_id(name).dtype if value is None else printable(str(value))
+        raise RefusedError(f"{what} ({name} of {item.name}) is {said}; one finite real number is expected")
+    return float(value)
+
+
+def json_of(item: h5py.Group, name: str) -> Any:
+    """Return what an attribute says in JSON. RefusedError where it is no JSON, or holds NaN or halves of characters."""
+    text = text_of(item, name, _LONGEST_JSON)
+    try:
+        said = json.loads(text, parse_constant=_no_constant)
+        json.dumps(said, ensure_ascii=False).encode()  # JSON can spell halves of characters, which are no text
+    except (ValueError, RecursionError) as error:
+        raise RefusedError(f"attribute {name} of {item.name} is not JSON") from error
+    return said
+
+
+def _no_constant(name: str) -> NoReturn:
+    raise ValueError(name)
+
+
+class Described:
+    """An object of a file's JSON; every value is checked when it is taken out.
+
+    Parameters
+    ----------
+    said : as parsed.
+    where : how messages name it.
+    """
+
+    def __init__(self, said: Any, where: str) -> None:
+        if not isinstance(said, dict):
+            raise RefusedError(f"{where} is {_kind(said)}; an object is expected")
+        self._said, self._where = said, where
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._said
+
+    def text(self, key: str) -> str:
+        """One text."""
+        return _text(f"{self._where}.{key}", self._take(key, str, "a text"))
+
+    def texts(self, key: str) -> tuple[str, ...]:
+        """A list of texts."""
+        return texts(f"{self._where}.{key}", self._take(key, list, "a list of texts"))
+
+    def flag(self, key: str) -> bool:
+        """True or false."""
+        return bool(self._take(key, bool, "true or false"))
+
+    def whole(self, key: str, most: int) -> int:
+        """A whole number from 0 on."""
+        value = self._take(key, int, "a whole number")
+        if not 0 <= value <= most:
+            raise RefusedError(f"{self._where}.{key} is {_kind(value)}; 0 to {most} are allowed")
+        return int(value)
+
+    def real(self, key: str) -> float:
+        """A finite number."""
+        return _real(f"{self._where}.{key}", self._take(key, (int, float), "a number"))
+
+    def absent(self, key: str) -> bool:
+        """Whether a value that need not be known is null."""
+        return self._take(key, object, "a value") is None
+
+    def within(self, key: str) -> "Described":
+        """An object in it."""
+        return Described(self._take(key, dict, "an object"), f"{self._where}.{key}")
+
+    def layout(self) -> Electrodes:
+        """Itself as a layout of electrodes."""
+        kind = self.text("kind")
+        if kind not in set(ElectrodeKind):
+            raise RefusedError(f"{self._where}.kind is {echo(kind)}; allowed: {', '.join(ElectrodeKind)}")
+        if "places_mm" in self:
+            return PlacedElectrodes(ElectrodeKind(kind), self._places("places_mm"), self.real("width_mm"))
+        known = {field.name for field in fields(ElectrodeLayout)}
+        if unknown := sorted(set(self._said) - known):
+            raise RefusedError(f"{self._where}.{echo(unknown[0])} is not known; allowed: {', '.join(sorted(known))}")
+        return ElectrodeLayout(
+            self.whole("count", _MOST_ELECTRODES),
+            ElectrodeKind(kind),
+            self.real("ring_radius_mm"),
+            self.real("width_mm"),
+            self.real("first_angle_deg"),
+            self.flag("counterclockwise"),
+        )
+
+    def _places(self, key: str) -> tuple[tuple[float, float], ...]:
+        where, found = f"{self._where}.{key}", []
+        for place in self._take(key, list, "a list of places"):
+            if not isinstance(place, list) or len(place) != 2:
+                raise RefusedError(f"{where} holds {echo(str(place))}; pairs of numbers are expected")
+            found.append((_real(where, place[0]), _real(where, place[1])))
+        return tuple(found[: _MOST_ELECTRODES + 1])
+
+    def _take(self, key: str, kind: Any, expected: str) -> Any:
+        if key not in self._said:
+            raise RefusedError(f"{self._where}.{key} is missing")
+        value = self._said[key]
+        if not isinstance(value, kind) or (isinstance(value, bool) and kind not in (bool, object)):
+            raise RefusedError(f"{self._where}.{key} is {_kind(value)}; {expected} is expected")
+        return value
+
+
+def texts(where: str, said: Any) -> tuple[str, ...]:
+    """Check that something is a list of texts, and return it."""
+    if not isinstance(said, list) or not all(isinstance(one, str) for one in said):
+        raise RefusedError(f"{where} is not a list of texts")
+    return tuple(_text(where, one, _LONGEST_NOTE) for one in said)
+
+
+def _text(where: str, value: str, longest: int = _LONGEST_TEXT) -> str:
+    if len(value) > longest:
+        raise RefusedError(f"{where} is a text of {len(value)} characters; at most {longest} are allowed")
+    return value
+
+
+def _real(where: str, value: Any) -> float:
+    real = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) < 1e300
+    if not real or not math.isfinite(value):
+        raise RefusedError(f"{where} is {_kind(value)}; a finite number is expected")
+    return float(value)
+
+
+def _kind(value: Any) -> str:
+    """How a message names what was found."""
+    if isinstance(value, str):
+        return echo(value)
+    return {dict: "an object", list: "a list"}.get(type(value)) or json.dumps(value)[:60]
+
+
+def _dataset(parent: h5py.Group, name: str) -> h5py.Dataset:
+    found = _member(parent, name)
+    if not isinstance(found, h5py.Dataset):
+        raise RefusedError(f"{found.name} is a group; a dataset is expected")
+    return found
+
+
+def _member(parent: h5py.Group, name: str) -> h5py.Group | h5py.Dataset:
+    if name not in parent:
+        raise RefusedError(f"{name} is missing in {parent.name}")
+    return parent[name]
