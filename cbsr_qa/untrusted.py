@@ -125,8 +125,8 @@ def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[Refu
         try:
             return read()
         except RefusedError as error:
-            error.reason = shortened(error.reason)
-            raise
+            problems = tuple(getattr(error, "problems", ()))
+            raise _refused(type(error).__name__, error.reason, error.remedy, problems) from error
     for codec in _CODECS:
         codecs.lookup(codec)
     limits = Limits.of(_size(path))
@@ -202,7 +202,8 @@ def _confined(outgoing: int, limits: Limits) -> int:
     for what, most in lowered.items():
         allowed = resource.getrlimit(what)[1]
         least = most if allowed == resource.RLIM_INFINITY else min(most, allowed)
-        resource.setrlimit(what, (least, least))
+        # A second later the kernel kills without saying why.
+        resource.setrlimit(what, (least, allowed if what == resource.RLIMIT_CPU else least))
     return 3
 
 

@@ -68,6 +68,10 @@ def _filled(file, secret):
     file.create_dataset("samples/00/values", (10 * 2**27,), "f8", fillvalue=1.0, chunks=(1000,))
 
 
+def _bytes(file, secret):
+    file.create_dataset("samples/00/values", (2**22,), "i1", fillvalue=1, chunks=(1000,))
+
+
 def _chunk(file, secret):
     file.create_dataset("samples/00/values", (6,), "f8", chunks=(2**28,), maxshape=(None,))
 
@@ -92,7 +96,8 @@ _CLAIMS = [
     (_outside, "samples/00/values does not hold its own data"),
     (_pipe, "samples/00/values does not hold its own data"),
     (_virtual, "samples/00/values does not hold its own data"),
-    (_filled, "samples/00/values of the shape .* too large: a file of this size may hold 256 MiB"),
+    (_filled, "samples/00/values of the shape .* too large: a file of this size may hold 16 MiB"),
+    (_bytes, "samples/00/values of the shape .* too large"),
     (_chunk, "samples/00/values of the shape .* too large"),
     (_compound, "which is neither number nor text"),
     (_packed, "packed otherwise than with gzip"),
@@ -334,6 +339,9 @@ def test_a_packed_matrix_is_unpacked_as_far_as_it_claims_and_may(
     large = struct.pack("<II", 14, claimed) + head + struct.pack("<II", 9, claimed) + zeros
     with pytest.raises(RecordingError, match=r"vv of \(256, 2097152\) is too large for a file of"):
         _read(_mat(tmp_path / "large.mat", _zip(zlib.compress(large))))
+    many = _variable(6, (256, 2**14), b"vv", _element(2, bytes(256 * 2**14)))  # a byte each, but eight once read
+    with pytest.raises(RecordingError, match=r"vv of \(256, 16384\) is too large for a file of"):
+        _read(_mat(tmp_path / "many.mat", _zip(zlib.compress(many))))
     assert len(_read(_mat(tmp_path / "more.mat", _zip(zlib.compress(FRAMES + zeros)))).frames) == 2
 
 

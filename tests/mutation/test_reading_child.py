@@ -3,6 +3,8 @@
 import os
 import signal
 import socket
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -49,8 +51,8 @@ def _exit():
 @pytest.mark.parametrize(
     ("read", "said"),
     [
-        (_loop, "reading some.h5 took more than 1 s, the limit for a file of its size"),
-        (_sleep, "reading some.h5 took more than 1 s"),
+        (_loop, "reading some.h5 took more than 1 s of processor time, the limit for a file of its size\nthe file is dam"),
+        (_sleep, "reading some.h5 took more than 2 s, the limit for a file of its size\nthe computer may be busy: try"),
         (_hog, r"reading some.h5 needs more than 1.0 GiB of memory"),
         (_crash, r"the library that reads some.h5 crashed \(SIGSEGV\)"),
         (_exit, "the process that was reading some.h5 ended before it was done"),
@@ -58,6 +60,7 @@ def _exit():
 )
 def test_a_child_that_dies_is_a_refusal_that_names_the_file(file, monkeypatch, read, said):
     monkeypatch.setattr(untrusted, "_SECONDS", 1.0)
+    monkeypatch.setattr(untrusted, "_CLOCK", 2.0 if read is _sleep else 60.0)
     with pytest.raises(CalibrationError, match=said):
         read_untrusted(file, read, refusal=CalibrationError)
     assert read_untrusted(file, file.read_bytes, refusal=CalibrationError) == b"0123456789"
@@ -111,9 +114,48 @@ def test_no_file_is_written_and_none_opened_beside_the_one_that_is_read(file):
         with file.open(), Path("/etc/passwd").open() as other:
             return other.read()
 
-    for read, said in ((write, "File too large"), (beside, "Too many open files")):
-        with pytest.raises(RuntimeError, match=said):
+    def hidden():
+        try:
+            beside()
+        except OSError as error:
+            raise RecordingError("damaged") from error
+
+    with pytest.raises(RuntimeError, match="File too large"):
+        read_untrusted(file, write, refusal=RecordingError)
+    for read in (beside, hidden):
+        with pytest.raises(RecordingError, match=r"some\.h5 opens the file /etc/passwd beside it"):
             read_untrusted(file, read, refusal=RecordingError)
+
+
+def test_text_in_any_coding_is_read_while_the_file_is_open(file):
+    script = f"""
+import sys
+from pathlib import Path
+from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.untrusted import read_untrusted
+def read():
+    with Path({str(file)!r}).open("rb"):
+        return [b"ab".decode(coding) for coding in ("ascii", "latin-1", "utf-8-sig", "utf-16", "cp1252")]
+for name in [name for name in sys.modules if name.startswith("encodings.") and name != "encodings.utf_8"]:
+    del sys.modules[name]
+print(len(read_untrusted(Path({str(file)!r}), read, refusal=RecordingError)))
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["5"]
+
+
+@pytest.mark.parametrize("contained", [True, False])
+def test_what_a_refusal_repeats_of_a_file_is_cut(file, monkeypatch, contained):
+    monkeypatch.setattr(untrusted, "CONTAINED", contained)
+    for said in ("x" * 60_000, "x " * 60_000):
+
+        def refuse(said=said):
+            raise RecordingError(f"the unit {said} is none", remedy="what to do")
+
+        with pytest.raises(RecordingError, match=r"the unit x.*… \(\d+ characters\)") as refused:
+            read_untrusted(file, refuse, refusal=CalibrationError)
+        assert len(refused.value.reason) < 2100
+        assert refused.value.remedy == "what to do"
 
 
 def test_what_a_reader_prints_is_seen_by_nobody(file, capfd):
@@ -128,5 +170,5 @@ def test_where_no_child_can_be_made_files_are_read_directly(file, monkeypatch):
 
 def test_large_files_may_take_longer_and_more_memory():
     small, large = untrusted.Limits.of(0), untrusted.Limits.of(100 * 2**20)
-    assert (small.seconds, small.memory_bytes) == (8, 2**30)
+    assert (small.seconds, small.clock_s, small.memory_bytes) == (8, 48, 2**30)
     assert (large.seconds, large.memory_bytes) == (1008, 2**30 + 1600 * 2**20)
