@@ -73,7 +73,7 @@ def text_of(item: h5py.Group | h5py.Dataset, name: str, longest: int = _LONGEST_
 
 
 def real_of(item: h5py.Group, name: str, what: str) -> float | None:
-    """Return an attribute that is one finite real number; None where there is none.
+    """Return an attribute that is one finite real number; None where it is missing.
 
     Parameters
     ----------
@@ -94,7 +94,7 @@ def real_of(item: h5py.Group, name: str, what: str) -> float | None:
 
 
 def json_of(item: h5py.Group, name: str) -> Any:
-    """Return what an attribute says in JSON. RefusedError where it is no JSON, or holds NaN or halves of characters."""
+    """Return what an attribute says in JSON. RefusedError where it is not JSON, or holds NaN or lone surrogates."""
     text = text_of(item, name, _LONGEST_JSON)
     try:
         said = json.loads(text, parse_constant=_no_constant)

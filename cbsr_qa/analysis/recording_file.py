@@ -112,7 +112,8 @@ def read_recording(path: Path) -> Recording:
         raise RecordingError(f"{path.name}: {error.reason}", remedy=error.remedy or "export the run again") from error
     except (OSError, LookupError, ValueError, TypeError, ArithmeticError, AttributeError, RuntimeError) as error:
         raise RecordingError(
-            f"{path.name} is damaged: HDF5 cannot read it ({error})", remedy="export the run again, or copy the file again"
+            f"{path.name} is damaged: HDF5 cannot read it ({error})",
+            remedy="export the run again, or copy the file again",
         ) from error
 
 

@@ -51,8 +51,8 @@ def _exit():
 @pytest.mark.parametrize(
     ("read", "said"),
     [
-        (_loop, "reading some.h5 took more than 1 s of processor time, the limit for a file of its size\nthe file is dam"),
-        (_sleep, "reading some.h5 took more than 2 s, the limit for a file of its size\nthe computer may be busy: try"),
+        (_loop, "some.h5 took more than 1 s of processor time, the limit for a file of its size\nthe file is dam"),
+        (_sleep, "some.h5 took more than 2 s, the limit for a file of its size\nthe computer may be busy: try"),
         (_hog, r"reading some.h5 needs more than 1.0 GiB of memory"),
         (_crash, r"the library that reads some.h5 crashed \(SIGSEGV\)"),
         (_exit, "the process that was reading some.h5 ended before it was done"),

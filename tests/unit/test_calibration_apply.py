@@ -236,6 +236,7 @@ def test_apply_writes_no_file_over_another(folder, tmp_path):
 
 
 def test_apply_says_what_no_recording_and_no_model_are(folder, tmp_path):
+    assert _run("apply", folder / "sensor.h5", tmp_path / "absent.h5").stdout == ""
     done = _run("apply", folder / "sensor.h5", tmp_path / "absent.h5", "--json")
     assert done.return_value == 2
     assert "there is no file" in json.loads(done.stdout)["recordings"][0]["refused"]["reason"]

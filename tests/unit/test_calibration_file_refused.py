@@ -109,6 +109,9 @@ def test_another_hdf5_file_and_no_hdf5_file_are_refused(tmp_path):
     text.write_text("no HDF5 at all")
     with pytest.raises(CalibrationError, match="not a whole HDF5 file"):
         read_calibration(text)
+    text.write_text('{"format": "cbsr-calibration"}')
+    with pytest.raises(CalibrationError, match=r"JSON, not HDF5.*\n.*calibration export X\.json --output X\.h5"):
+        read_calibration(text)
     with pytest.raises(CalibrationError, match="no such file"):
         read_calibration(tmp_path / "absent.h5")
     with pytest.raises(CalibrationError, match="a folder or a device"):
