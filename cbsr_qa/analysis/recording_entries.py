@@ -216,7 +216,9 @@ def _kind(value: Any) -> str:
     """How a message names what was found."""
     if isinstance(value, str):
         return echo(value)
-    return {dict: "an object", list: "a list"}.get(type(value)) or json.dumps(value)[:60]
+    if isinstance(value, dict | list):
+        return "an object" if isinstance(value, dict) else "a list"
+    return json.dumps(value)[:60]
 
 
 def _dataset(parent: h5py.Group, name: str) -> h5py.Dataset:
