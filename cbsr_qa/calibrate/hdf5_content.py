@@ -79,8 +79,8 @@ class _Walk:
         held = _unpacked_bytes(dataset)
         if dataset.size is None or held > self._left:
             raise RefusedError(
-                f"{path} of the shape {dataset.shape} is empty or too large: a file of this size may hold"
-                f" {self._all / 2**20:.0f} MiB"
+                f"{path} of the shape {dataset.shape} is empty or too large: all datasets of a file of this size"
+                f" may hold {self._all / 2**20:.0f} MiB together"
             )
         self._left -= held
         if not text and dataset.dtype.kind not in "iufcb":

@@ -96,7 +96,7 @@ _CLAIMS = [
     (_outside, "samples/00/values does not hold its own data"),
     (_pipe, "samples/00/values does not hold its own data"),
     (_virtual, "samples/00/values does not hold its own data"),
-    (_filled, "samples/00/values of the shape .* too large: a file of this size may hold 16 MiB"),
+    (_filled, "samples/00/values of the shape .* too large: all datasets of a file of this size may hold 16 MiB"),
     (_bytes, "samples/00/values of the shape .* too large"),
     (_chunk, "samples/00/values of the shape .* too large"),
     (_compound, "which is neither number nor text"),
