@@ -146,7 +146,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, t
         calibration=calibration,
         calibration_why=unseen or stored.calibration_why,
         compute_s=stored.compute_s,
-        warnings=_warnings(stored, why),
+        warnings=tuple(dict.fromkeys((*_warnings(stored, why), *record.chain.warnings, *earlier.changed))),
         limits_version=recipe.limits_version,
         characterisation=characterisation,
         station_check=check,
@@ -207,7 +207,11 @@ def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins) -> RunRes
         calibration_why="this run was never concluded at the station",
         limits_version=recipe.limits_version,
         characterisation=found.characterisation,
-        warnings=(*found.warnings, "this run was analysed for this report alone; no analysis of it is stored"),
+        warnings=(
+            *found.warnings,
+            *record.chain.warnings,
+            "this run was analysed for this report alone; no analysis of it is stored",
+        ),
     )
 
 

@@ -22,6 +22,8 @@ class EarlierRun:
     outcome, reason : of its latest analysis; None and empty where it has none.
     overridden : the outcome somebody decided on instead, and who; None where nobody did.
     of_check : whether it belongs to a check of a station.
+    changed : what is not as it was stored; nothing but name, day and recipe is then known. Empty where nothing is.
+    chained : whether changed rows of it would be noticed.
     """
 
     run: str
@@ -33,6 +35,8 @@ class EarlierRun:
     reason: str
     overridden: tuple[Outcome, str] | None = None
     of_check: bool = False
+    changed: str = ""
+    chained: bool = True
 
     @property
     def day(self) -> str:
@@ -42,6 +46,13 @@ class EarlierRun:
     @property
     def words(self) -> str:
         """Day and how it ended."""
+        return self._ended if self.chained else f"{self._ended} (no chain)"
+
+    @property
+    def _ended(self) -> str:
+        if self.changed:
+            where = self.changed.removeprefix(f"run {self.run}: ").partition(" was ")[0].partition(" cannot ")[0]
+            return f"{self.day} changed since it was stored (run {self.run}, {where})"
         if self.end is EndReason.RUNNING:
             return f"{self.day} cut off or still under way"
         if self.end is not EndReason.FINISHED:
@@ -100,6 +111,18 @@ class SensorHistory:
         return "; ".join(told)
 
     @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a run of this sensor is to warn of."""
+        return (*self.differences, *self.changed)
+
+    @property
+    def changed(self) -> tuple[str, ...]:
+        """Say which earlier runs are not what was stored."""
+        return tuple(
+            f"an earlier run was changed since it was stored: {one.changed}" for one in self.earlier if one.changed
+        )
+
+    @property
     def differences(self) -> tuple[str, ...]:
         """Say where earlier runs state another batch or type; a batch that was not stated differs from none."""
         return tuple(
@@ -130,9 +153,11 @@ def _row(one: EarlierRun) -> dict[str, Any]:
         "recipe": one.recipe,
         "batch": one.sensor.batch,
         "sensor_type": one.sensor.sensor_type,
-        "end": str(one.end),
+        "end": None if one.changed else str(one.end),
         "outcome": None if one.outcome is None else str(one.outcome),
         "reason": one.reason,
         "overridden_to": None if one.overridden is None else str(one.overridden[0]),
         "station_check": one.of_check,
+        "changed": one.changed or None,
+        "chained": one.chained,
     }

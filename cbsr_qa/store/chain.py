@@ -37,7 +37,7 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
 
     Returns
     -------
-    State of the chain; unchained for a run from before chains.
+    State of the chain; unchained where the run states none, which may have been removed.
 
     Raises
     ------
@@ -115,7 +115,11 @@ def _documents(connection: Connection, run: str, kinds: Collection[str]) -> Iter
     """Yield kind, key and content digest of what is stored of a run."""
     for table in (one for one in tables() if one.name in kinds):
         query = select(*covered(table)).where(_of_run(table, run))
-        for key, content in documents(table, connection.execute(query).mappings()):
+        try:
+            found = list(documents(table, connection.execute(query).mappings()))
+        except (KeyError, TypeError, ValueError) as error:  # a value that its column cannot hold
+            raise _broken(run, f"{table.name} cannot be read: {type(error).__name__}: {error}") from error
+        for key, content in found:
             yield table.name, key, content
     if PHASE_END in kinds:
         ended = select(PhaseRow.phase, PhaseRow.ended_s).where(PhaseRow.run == run, PhaseRow.ended_s.is_not(None))

@@ -56,7 +56,7 @@ def add_rows(connection: Connection, run: str, table: Any, rows: Sequence[Mappin
     Raises
     ------
     StoreError
-        If the run is signed and its key is not set.
+        As :func:`key_to_continue`.
     """
     if not rows:
         return
@@ -71,12 +71,12 @@ def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str
     Raises
     ------
     StoreError
-        If the run is signed and its key is not set.
+        As :func:`key_to_continue`.
     """
     chain, last, before = connection.execute(_NEWEST, {"of_run": run}).one()
+    key = key_to_continue(connection, run, chain)
     if chain is None:
         return
-    key = key_to_continue(connection, run, chain)
     number, before = (-1, "") if last is None else (last, before)
     rows = []
     for kind, document, content in entries:
@@ -93,11 +93,18 @@ def key_to_continue(connection: Connection, run: str, chain: str | None) -> Sign
     Raises
     ------
     StoreError
-        If the run is signed and another key is set, or none.
+        If the run is signed and another key is set, or none; or it is not signed and a key is set: whoever can write
+        the database can remove signatures and chain.
     """
     needed, key = key_id_of(chain or ""), signing_key(connection)
     if not needed:
-        return None
+        if key is None:
+            return None
+        raise StoreError(
+            f"run {run} {'has no chain' if chain is None else 'is not signed'}, and a signing key is set: nothing is"
+            " added to it",
+            remedy=f"unset {VARIABLE} to go on with this run, knowing that no key vouches for its rows",
+        )
     if key is None or key.key_id != needed:
         found = "no key is set" if key is None else f"the key that is set is {key.key_id}"
         raise StoreError(

@@ -117,7 +117,7 @@ def check_resumable(engine: Engine, run: str) -> None:
     Raises
     ------
     StoreError
-        If there is no such run, it is not what was stored, or it is signed and its key is not set.
+        If there is no such run, it is not what was stored, or the key that is set is not the run's.
     """
     with reading(engine) as connection:
         check_run(connection, run)

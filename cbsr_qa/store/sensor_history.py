@@ -1,22 +1,53 @@
-"""Earlier runs of one sensor in one query, and the seeds they had."""
+"""Earlier runs of one sensor, each checked against its chain, and the seeds they had."""
 
 import json
-from typing import Any
+from datetime import UTC, datetime
+from typing import Any, Final
 
-from sqlalchemy import Engine, and_, exists, func, select
+from sqlalchemy import Connection, Engine, and_, exists, func, select
 
+from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.outcome import EndReason, Outcome
 from cbsr_qa.domain.sensor import SensorIdentity
 from cbsr_qa.domain.sensor_history import EarlierRun
+from cbsr_qa.store.chain import check_run
 from cbsr_qa.store.change_tables import VerdictOverrideRow
 from cbsr_qa.store.check_tables import StationCheckRow
 from cbsr_qa.store.engine import reading
+from cbsr_qa.store.ids import made_at
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_tables import RunRow, RunStateRow
 
 
+#: What is read of an earlier run.
+_READ: Final = frozenset(table.__tablename__ for table in (RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow))
+
+
 def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[EarlierRun, ...]:
-    """Return the runs of a sensor that began before a run (empty: all), oldest first."""
+    """Return the runs of a sensor that began before a run (empty: all), oldest first.
+
+    A run that is not what was stored is returned with what is wrong with it, and without its result.
+    """
+    run, of_check = RunRow, exists().where(StationCheckRow.golden_run == RunRow.run)
+    query = select(run.run, run.recipe, of_check).where(run.serial == serial).order_by(run.run)
+    if before:
+        query = query.where(run.run < before)
+    with reading(engine) as connection:
+        return tuple(_checked(connection, serial, *row) for row in connection.execute(query).all())
+
+
+def _checked(connection: Connection, serial: str, run: str, recipe: str, of_check: bool) -> EarlierRun:
+    try:
+        chained = bool(check_run(connection, run, _READ).links)
+        return _earlier(_row(connection, run), of_check=of_check, chained=chained)
+    except (StoreError, ValueError) as error:
+        changed = error.reason if isinstance(error, StoreError) else f"run {run}: {error}"
+        began = made_at(run) or datetime.fromtimestamp(0, UTC)
+        sensor = SensorIdentity(serial, "", "")
+        return EarlierRun(run, began, sensor, recipe, EndReason.RUNNING, None, "", of_check=of_check, changed=changed)
+
+
+def _row(connection: Connection, of: str) -> Any:
     run, state, analysis, override = RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow
     last_state = select(func.max(state.number)).where(state.run == run.run).correlate(run).scalar_subquery()
     last_analysis = select(func.max(analysis.analysis)).where(analysis.run == run.run).correlate(run)
@@ -29,18 +60,13 @@ def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[Earlier
             *(state.end, analysis.outcome, analysis.reason),
             override.outcome.label("decided"),
             override.operator.label("by"),
-            exists().where(StationCheckRow.golden_run == run.run).label("of_check"),
         )
         .join(state, and_(state.run == run.run, state.number == last_state))
         .outerjoin(analysis, analysis.analysis == last_analysis.scalar_subquery())
         .outerjoin(override, override.override_id == last_override.correlate(run, analysis).scalar_subquery())
-        .where(run.serial == serial)
-        .order_by(run.run)
+        .where(run.run == of)
     )
-    if before:
-        query = query.where(run.run < before)
-    with reading(engine) as connection:
-        return tuple(_earlier(row) for row in connection.execute(query))
+    return connection.execute(query).one()
 
 
 def seeds_of(engine: Engine, serial: str) -> tuple[int | None, ...]:
@@ -50,7 +76,7 @@ def seeds_of(engine: Engine, serial: str) -> tuple[int | None, ...]:
         return tuple(json.loads(text).get("seed") for text in connection.scalars(query))
 
 
-def _earlier(row: Any) -> EarlierRun:
+def _earlier(row: Any, *, of_check: bool, chained: bool) -> EarlierRun:
     return EarlierRun(
         run=row.run,
         started_at=row.started_at,
@@ -60,5 +86,6 @@ def _earlier(row: Any) -> EarlierRun:
         outcome=None if row.outcome is None else Outcome(row.outcome),
         reason=row.reason or "",
         overridden=None if row.decided is None else (Outcome(row.decided), row.by),
-        of_check=row.of_check,
+        of_check=of_check,
+        chained=chained,
     )

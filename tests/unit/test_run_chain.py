@@ -266,7 +266,7 @@ def test_a_run_of_before_is_unchained_and_goes_on_so(tmp_path):
     edit(tmp_path / "runs.db", "delete from run_links; update runs set chain = null", run)
     with open_store(url) as store:
         assert store.load_run(run).chain == ChainState()
-        assert store.load_run(run).chain.words.startswith("unchained")
+        assert store.load_run(run).chain.words.startswith("no chain: ")
         journalled(store, [RunStarted(identity(run)), *short_run(run)[10:12]])
         assert store.load_run(run).chain.document() == {"state": "unchained", "signature": "none", "key_id": None}
 
@@ -299,7 +299,7 @@ def test_the_state_of_a_chain_is_said(tmp_path, monkeypatch, begun_with, read_wi
                 store.check_resumable(run)
             with pytest.raises(StoreError, match="is signed with key"):
                 journalled(store, [RunStarted(identity(run))])
-        else:
+        elif begun_with == read_with:
             store.check_resumable(run)
     assert KEY not in "".join(sqlite3.connect(tmp_path / "runs.db").iterdump())
 
@@ -385,3 +385,38 @@ def test_measurements_in_another_order_are_the_same_fleet(tmp_path):
         database.executemany(f"insert into measurements values ({','.join('?' * len(rows[0]))})", rows)
     with open_store(url) as store:
         assert sorted(store.fleet().value) == sorted(before.value)
+
+
+def stripped(path):
+    with sqlite3.connect(path) as database:
+        database.executescript("delete from run_links; update runs set chain = null")
+
+
+@pytest.mark.parametrize("chained", [True, False], ids=["not signed", "no chain"])
+def test_a_run_that_no_key_vouches_for_is_not_added_to_where_a_key_is_set(tmp_path, monkeypatch, chained):
+    url = f"sqlite:///{tmp_path / 'runs.db'}"
+    run = filled(url)
+    if not chained:
+        stripped(tmp_path / "runs.db")
+    monkeypatch.setenv(VARIABLE, KEY)
+    said = f"run {run} {'is not signed' if chained else 'has no chain'}, and a signing key is set"
+    with open_store(url) as store:
+        result, before = RunResult(store.load_run(run), None, MEASURED, decide(MEASURED), None, ""), store.counts()
+        for add in (
+            lambda: store.check_resumable(run),
+            lambda: store.save_result(result),
+            lambda: store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so"),
+        ):
+            with pytest.raises(StoreError, match=said) as refused:
+                add()
+            assert f"unset {VARIABLE}" in refused.value.remedy
+        assert store.counts() == before
+
+
+def test_a_run_without_a_chain_warns_of_it(tmp_path):
+    url = f"sqlite:///{tmp_path / 'runs.db'}"
+    run = filled(url)
+    with open_store(url) as store:
+        assert store.load_run(run).chain.warnings == ()
+        stripped(tmp_path / "runs.db")
+        assert "or the chain was removed" in store.load_run(run).chain.warnings[0]

@@ -1,6 +1,7 @@
 """Earlier runs of a sensor: counted as tries, told in words, and read from the store as they stood before a run."""
 
 import json
+import sqlite3
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -111,6 +112,39 @@ def test_the_store_tells_a_run_of_those_before_it_alone(database_url):
         assert len(found.differences) == 1
         assert store.sensor_history(SENSOR, "nine-locations", first).words == ""
         assert len(store.sensor_history(SENSOR, "nine-locations").earlier) == 4
+
+
+EDITED = {
+    "verdict": ("update analyses set outcome = 'pass'", "analyses"),
+    "word": ("update analyses set outcome = 'good'", "analyses"),
+    "date": ("update runs set started_at = 'today'", "runs"),
+    "end": ("update run_states set end = 'aborted' where number = 0", "run_states"),
+    "override": ("update verdict_overrides set outcome = 'pass'", "verdict_overrides"),
+    "link": ("delete from run_links where kind = 'analyses'", "analyses"),
+}
+
+
+@pytest.mark.parametrize(("statement", "table"), EDITED.values(), ids=EDITED)
+def test_an_earlier_run_that_was_changed_is_named_and_stops_nothing(tmp_path, statement, table):
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store:
+        run = store_run(store, "S-7", judged((Measurement("drift", 0.9, "%/min"),)), recipe="nine-locations")
+        store.override_verdict(run, Outcome.FAIL, operator="Zoë", why="so")
+        with sqlite3.connect(tmp_path / "runs.db") as database:
+            assert database.execute(statement).rowcount >= 1
+        found = store.sensor_history(SENSOR, "nine-locations")
+    assert "changed since it was stored (run " + run in found.words
+    assert table in found.earlier[0].changed
+    assert (found.earlier[0].outcome, found.ordinal, len(found.warnings)) == (None, "second", 1)
+    told = found.document()["earlier_runs"][0]
+    assert (told["end"], told["outcome"], table in told["changed"]) == (None, None, True)
+
+
+def test_an_earlier_run_without_a_chain_is_told_apart(tmp_path):
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store:
+        store_run(store, "S-7", judged((Measurement("drift", 0.9, "%/min"),)), recipe="nine-locations")
+        with sqlite3.connect(tmp_path / "runs.db") as database:
+            database.executescript("delete from run_links; update runs set chain = null")
+        assert store.sensor_history(SENSOR, "nine-locations").words.endswith(" (no chain)")
 
 
 def test_last_lines_document_and_page_one_tell_the_history(capsys):
