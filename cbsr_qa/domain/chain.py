@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Any, Final
 
-
 _NONE: Final = (
     "no chain: from before version 0011 of the database, or the chain was removed; changed rows cannot be told"
 )

@@ -4,7 +4,7 @@ import hashlib
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, Final
 
-from sqlalchemy import Connection, Row, Table, select
+from sqlalchemy import Boolean, Connection, Integer, Row, Table, select, type_coerce
 from sqlalchemy.orm import aliased
 
 from cbsr_qa.domain.chain import ChainState
@@ -114,7 +114,12 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
 def _documents(connection: Connection, run: str, kinds: Collection[str]) -> Iterator[tuple[str, str, str]]:
     """Yield kind, key and content digest of what is stored of a run."""
     for table in (one for one in tables() if one.name in kinds):
-        query = select(*covered(table)).where(_of_run(table, run))
+        # Every number but 0 is read as true: what stands there is wanted.
+        columns = (
+            type_coerce(one, Integer).label(one.name) if isinstance(one.type, Boolean) else one
+            for one in covered(table)
+        )
+        query = select(*columns).where(_of_run(table, run))
         try:
             found = list(documents(table, connection.execute(query).mappings()))
         except (KeyError, TypeError, ValueError) as error:  # a value that its column cannot hold

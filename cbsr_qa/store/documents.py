@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC
 from functools import cache
 from itertools import groupby
+from numbers import Real
 from typing import Any, Final
 
 from sqlalchemy import JSON, Boolean, Column, LargeBinary, RowMapping, String, Table
@@ -77,12 +78,19 @@ _LATER: Final = {("phases", "ended_s"), ("calibrations", "superseded_by")}
 #: What a comparison of fleets reads of an analysis, see fleet_digest.py.
 FIGURES: Final = "figures"
 
+
+def _foreign(value: Any) -> Any:
+    """Stand for a value that is none of its column's kind, which a reader would round or parse: like no other."""
+    return [type(value).__name__, repr(value)]
+
+
 _CONVERTERS: Final[tuple[tuple[type, Callable[[Any], Any]], ...]] = (
-    (FiniteDouble, lambda value: float(value) + 0.0),  # SQLite keeps no −0
-    (Whole, int),
+    # SQLite keeps no −0.
+    (FiniteDouble, lambda value: float(value) + 0.0 if isinstance(value, Real) else _foreign(value)),
+    (Whole, lambda value: int(value) if isinstance(value, Real) and value % 1 == 0 else _foreign(value)),
     (PlainText, lambda value: str(value).replace("\0", "\ufffd")),
     (Instant, lambda value: value.astimezone(UTC).isoformat()),
-    (Boolean, bool),
+    (Boolean, lambda value: bool(value) if value in (0, 1) else _foreign(value)),
     (JSON, lambda value: value),
     (String, str),
 )

@@ -18,7 +18,6 @@ from cbsr_qa.store.ids import made_at
 from cbsr_qa.store.result_tables import AnalysisRow
 from cbsr_qa.store.run_tables import RunRow, RunStateRow
 
-
 #: What is read of an earlier run.
 _READ: Final = frozenset(table.__tablename__ for table in (RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow))
 

@@ -159,7 +159,12 @@ EDITS = {
         "update run_links set content_sha256 = replace(content_sha256, 'a', 'b')",
         "link .* in run_links.* does not follow",
     ),
-    "a value of another kind": ("update loads set x_mm = 'far'", "cannot be read"),
+    "text for a number": ("update loads set x_mm = 'far'", r"loads \(phase 0, load_index 0\) was changed"),
+    "bytes for a number": ("update loads set x_mm = cast(x_mm as blob)", "loads .* was changed"),
+    "a part of a whole number": ("update warnings set number = number + 0.25", "warnings .* was changed"),
+    "an endless whole number": ("update loads set trial = 9e999", "loads .* was changed"),
+    "truer than true": ("update measurements set limited = 2 where limited", "measurements .* was changed"),
+    "a date that is none": ("update runs set started_at = 'now'", "runs cannot be read"),
 }
 
 
