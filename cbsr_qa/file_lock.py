@@ -1,5 +1,6 @@
 """A lock of one process: a locked file that says who holds it, and goes when it is released."""
 
+import errno
 import os
 import sys
 from contextlib import suppress
@@ -29,6 +30,7 @@ else:
 
 _FAR: Final = 1 << 20
 _LONGEST: Final = 4096  # of what a file says about its holder [bytes]
+_TRIES: Final = 1000  # to lock a file that others remove; some file systems answer "no such file" for ever
 
 
 class HeldError(Exception):
@@ -62,8 +64,12 @@ class FileLock:
     def __init__(self, path: Path, who: bytes, *, shared: bool = False) -> None:
         self._path = path
         self._file: int | None = None
-        while self._file is None:
+        for _ in range(_TRIES):
             self._file = _locked(path, shared=shared)
+            if self._file is not None:
+                break
+        else:
+            raise OSError(errno.ENOENT, "a file that is made there is gone at once", str(path))
         try:
             os.ftruncate(self._file, 0)
             os.lseek(self._file, 0, os.SEEK_SET)

@@ -88,6 +88,8 @@ def translated(url: URL) -> Iterator[None]:
         raise StoreError(
             f"{shown(url)} cannot hold {error.object[:60]!r}: {error.reason}", remedy="write it in UTF-8"
         ) from error
+    except (UnicodeDecodeError, OverflowError) as error:  # Python's sqlite3 itself, of bytes that SQLite never checks
+        raise _driver_error(url, sqlite3.DatabaseError(f"malformed: {error}")) from error
     except sqlite3.Error as error:  # outside of a statement, e.g. while a connection is set up
         raise _driver_error(url, error) from error
     except StatementError as error:

@@ -1,6 +1,7 @@
 """Databases that cannot be used: each gives one clear message with what to do, and nothing is half-written."""
 
 import sqlite3
+from pathlib import Path
 
 import pytest
 from sqlalchemy import event
@@ -72,6 +73,24 @@ def test_a_truncated_database_is_named(filled, share):
     message = refused(filled)
     assert "is damaged or cut off" in message or "is not a database" in message
     assert filled.read_bytes() == before
+
+
+def test_a_schema_that_is_no_text_is_damage(filled):
+    whole = filled.read_bytes()
+    assert b"CREATE TABLE runs" in whole
+    filled.write_bytes(whole.replace(b"tableruns", b"tableru\xffs"))
+    before = filled.read_bytes()
+    assert before != whole
+    message = refused(filled)
+    assert "is damaged or cut off" in message
+    assert filled.read_bytes() == before
+
+
+def test_a_file_system_that_makes_no_files_is_refused():
+    if not Path("/proc/self").exists():
+        pytest.skip("no /proc")
+    with pytest.raises(StoreError, match="no lock can be written beside it"):
+        open_store("sqlite:////proc/cbsr-qa-test.db")
 
 
 def test_another_programs_database_is_left_alone(path):
