@@ -232,7 +232,9 @@ def concluded(
         again = report_command(run, store) if store.analyses(run) else resume_command(run, store)
         raise UnconcludedError(run, again, error.by) from error
     except StoreError as error:
-        remedy = "; then this goes on: ".join(filter(None, [error.remedy, resume_command(run, store)]))
+        remedy = "; where the database then holds the run, this goes on: ".join(
+            filter(None, [error.remedy, resume_command(run, store)])
+        )
         raise BrokenRunError(run, error.reason, remedy=remedy) from error
 
 

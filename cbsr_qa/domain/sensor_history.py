@@ -126,14 +126,19 @@ class SensorHistory:
     def differences(self) -> tuple[str, ...]:
         """Say where earlier runs state another batch or type; a batch that was not stated differs from none."""
         return tuple(
-            f"sensor {self.sensor.serial}: {what} {now!r} now; its run of {one.day} says {before!r}:"
+            f"sensor {self.sensor.serial}: {what} {now!r} now; {', '.join(others)}:"
             " one is wrong, or two sensors have this serial number"
             for what, now, stated in (
                 ("batch", self.sensor.batch, [(one.sensor.batch, one) for one in self.earlier]),
                 ("type", self.sensor.sensor_type, [(one.sensor.sensor_type, one) for one in self.earlier]),
             )
-            for before, one in dict(stated).items()
-            if now and before and before != now
+            if (
+                others := [
+                    f"its run of {one.day} says {before!r}"
+                    for before, one in dict(stated).items()
+                    if now and before and before != now
+                ]
+            )
         )
 
     def document(self) -> dict[str, Any]:

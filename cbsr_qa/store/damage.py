@@ -38,21 +38,23 @@ def whole_run(engine: Engine, run: str) -> RunRecord:
     except StoreError as error:
         if not problem:
             raise
+        of_file = error.reason.startswith(shown(engine.url))  # says again what the check of the file said
+        of_run = "" if of_file else f": {error.reason}"
         raise StoreError(
-            f"{shown(engine.url)} is damaged ({problem}), and this run with it ({error.reason})",
+            f"{problem}, and this run with it{of_run}",
             remedy="restore the database from a copy; what was measured after that copy is lost",
         ) from error
     if problem:
         file = address(engine.url)
         raise StoreError(
-            f"{shown(engine.url)} is damaged ({problem}); every row and frame of this run was checked and is whole",
+            f"{problem}; every row and frame of this run was checked and is whole",
             remedy=f"restore the database from a copy, or recover the file: sqlite3 {file} .recover | sqlite3 NEW",
         )
     return record
 
 
 def _problem(engine: Engine) -> str:
-    """Return the first problem SQLite finds in a file; empty where there is none, and for other databases."""
+    """Say which file has a problem, and the first one found; empty where there is none, and for other databases."""
     file = sqlite_file(engine.url)
     if file is None:
         return ""
@@ -62,4 +64,5 @@ def _problem(engine: Engine) -> str:
             said = str(connection.exec_driver_sql(f"PRAGMA {check}").scalar())
     except StoreError as error:
         return error.reason
-    return "" if said == "ok" else " ".join(said.removeprefix("*** in database main ***").split())
+    found = " ".join(said.removeprefix("*** in database main ***").split())
+    return "" if said == "ok" else f"{shown(engine.url)} is damaged ({found})"

@@ -79,6 +79,10 @@ _LATER: Final = {("phases", "ended_s"), ("calibrations", "superseded_by")}
 FIGURES: Final = "figures"
 
 
+def _real(value: Any) -> bool:
+    return isinstance(value, Real)
+
+
 def _foreign(value: Any) -> Any:
     """Stand for a value that is none of its column's kind, which a reader would round or parse: like no other."""
     return [type(value).__name__, repr(value)]
@@ -86,8 +90,8 @@ def _foreign(value: Any) -> Any:
 
 _CONVERTERS: Final[tuple[tuple[type, Callable[[Any], Any]], ...]] = (
     # SQLite keeps no −0.
-    (FiniteDouble, lambda value: float(value) + 0.0 if isinstance(value, Real) else _foreign(value)),
-    (Whole, lambda value: int(value) if isinstance(value, Real) and value % 1 == 0 else _foreign(value)),
+    (FiniteDouble, lambda value: float(value) + 0.0 if _real(value) else _foreign(value)),
+    (Whole, lambda value: int(value) if _real(value) and value % 1 == 0 else _foreign(value)),
     (PlainText, lambda value: str(value).replace("\0", "\ufffd")),
     (Instant, lambda value: value.astimezone(UTC).isoformat()),
     (Boolean, lambda value: bool(value) if value in (0, 1) else _foreign(value)),

@@ -176,6 +176,8 @@ def test_a_log_that_is_damaged_in_the_middle_of_a_run_ends_in_no_verdict(here, b
     at_document(monkeypatch, 150, damage)
     with pytest.raises(BrokenRunError, match=r"cbsr-qa\.db is damaged .*, and this run with it") as broken:
         run_sensor(request())
+    assert broken.value.reason.count("is damaged") == 1
+    assert "where the database then holds the run, this goes on: cbsr-qa run --resume" in broken.value.remedy
     assert broken.value.exit_code == 3
     assert "restore the database from a copy; what was measured after that copy is lost" in broken.value.remedy
     assert benches == [True]

@@ -87,6 +87,12 @@ def test_another_batch_or_type_than_earlier_runs_state_is_told_once(sensor, said
     assert all(one.startswith("sensor S-7: ") and "two sensors have this serial number" in one for one in found)
 
 
+def test_several_other_batches_are_one_warning():
+    runs = tuple(earlier(day, sensor=replace(SENSOR, batch=str(day))) for day in (3, 4))
+    (said,) = SensorHistory(SENSOR, "nine-locations", runs).differences
+    assert "batch '42' now; its run of 2026-11-03 says '3', its run of 2026-11-04 says '4': one is" in said
+
+
 def test_the_store_tells_a_run_of_those_before_it_alone(database_url):
     with open_store(database_url) as store:
         bad, good = (judged((Measurement("drift", drift, "%/min"),)) for drift in (0.9, 0.1))
