@@ -32,7 +32,7 @@ from cbsr_qa.cli import (
     verdict,
 )
 from cbsr_qa.cli.output import claim_stdout, emit_json, lost_output, note, reader_has_gone
-from cbsr_qa.cli.supervised import supervised
+from cbsr_qa.cli.supervised import end_child, supervise
 from cbsr_qa.domain.contained import said
 from cbsr_qa.domain.errors import CbsrError
 
@@ -62,26 +62,35 @@ app.add_typer(db.app, name="db")
 app.add_typer(verdict.app, name="verdict")
 
 
-def _with_stdout_claimed(command: Callable[..., Any]) -> Callable[..., Any]:
+#: Whether commands get a process of their own: only where this process ends with the command.
+_supervising = False
+
+
+def _supervised(command: Callable[..., Any]) -> Callable[..., Any]:
+    judging = command is run.run
+
     @wraps(command)
-    def claiming(*arguments: Any, **options: Any) -> Any:
+    def begun(*arguments: Any, **options: Any) -> Any:
+        # Here the command line is parsed, by nobody but click, and no plugin has been entered.
+        if _supervising and (code := supervise(judges=judging and not options["dry_run"])) is not None:
+            return code
         claim_stdout()
         return command(*arguments, **options)
 
-    return claiming
+    return begun
 
 
-def _claim_stdout_in_every_command(group: typer.Typer) -> None:
-    """Let stdout be the document's alone once a command begins, and with it plugins; help is printed before."""
+def _supervise_every_command(group: typer.Typer) -> None:
+    """Give every command a child of this process once it begins, and stdout to its document; help needs neither."""
     for one in group.registered_commands:
         assert one.callback is not None
-        one.callback = _with_stdout_claimed(one.callback)
+        one.callback = _supervised(one.callback)
     for sub in group.registered_groups:
         assert sub.typer_instance is not None
-        _claim_stdout_in_every_command(sub.typer_instance)
+        _supervise_every_command(sub.typer_instance)
 
 
-_claim_stdout_in_every_command(app)
+_supervise_every_command(app)
 
 
 def _version(asked: bool) -> None:
@@ -109,9 +118,6 @@ _UsageError = cast(type[Exception], typer.BadParameter.__mro__[1])
 #: What typer makes of Ctrl-C where it is not the one to end the program.
 _INTERRUPTED = 130
 
-#: With one of these nothing is measured.
-_NO_RUN = {"--help", "--dry-run"}
-
 #: Numerical libraries take their number of threads from these when they are loaded.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 
@@ -133,32 +139,32 @@ def entry() -> None:
 
 
 def ended(arguments: list[str]) -> int:
-    """Run one command as the installed program does and return its exit code; a run gets a process of its own."""
-    if arguments[:1] != ["run"] or _NO_RUN & {*arguments} or not hasattr(os, "fork"):
-        return guarded(arguments)
-    return guarded(arguments, lambda given: supervised(given, guarded))
+    """Run one command as the installed program does, in a child of this process; return its exit code."""
+    global _supervising
+    _supervising, code = hasattr(os, "fork"), 3
+    try:
+        code = guarded(arguments)
+    finally:
+        end_child(code)
+    return code
 
 
-def _command(arguments: list[str]) -> object:
-    return app(arguments, prog_name="cbsr-qa", standalone_mode=False)
-
-
-def guarded(arguments: list[str], command: Callable[[list[str]], object] = _command) -> int:
+def guarded(arguments: list[str]) -> int:
     """Run one command and return its exit code; every error becomes one clear message.
 
     Output that did not get where it was to go (a full disk, a closed terminal) is exit code 3, unless the command was
     refused: whoever reads it has no outcome. A reader that has gone changes no exit code.
     """
-    code, why = _ended(arguments, command), lost_output()
+    code, why = _ended(arguments), lost_output()
     if not why:
         return code
     note(f"cbsr-qa: the output could not be written: {why}\n{_LOST}")
     return 3 if code < 2 else code
 
 
-def _ended(arguments: list[str], command: Callable[[list[str]], object]) -> int:
+def _ended(arguments: list[str]) -> int:
     try:
-        result = command(arguments)
+        result: object = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
         if result == _INTERRUPTED:
             raise KeyboardInterrupt
     except CbsrError as error:

@@ -1,7 +1,7 @@
-"""A run in a process of its own, and its parent, which reports success only where the store holds the verdict.
+"""A command in a process of its own, and its parent, which believes no success that it was not told of.
 
-The parent is the process that was started. It forks before anything heavy is loaded and enters no plugin's code, so
-that no plugin can end it. See docs/decisions/0024.
+The parent is the process that was started. It parses the command line, forks before anything heavy is loaded and
+enters no plugin's code, so that no plugin can end it. See docs/decisions/0024.
 """
 
 import io
@@ -12,28 +12,26 @@ import signal
 import sys
 import threading
 import time
-from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, ClassVar, Final, NoReturn
+from typing import Any, ClassVar, Final
 
 from cbsr_qa.cli.output import again, claim_stdout, note, say
 from cbsr_qa.domain.errors import BrokenRunError, CbsrError, StoreError
 
-#: Signals that are handed on to the run, which stops in order.
+#: Signals that are handed on to the child; a run stops in order.
 _HANDED_ON: Final = tuple(
     getattr(signal, name)
     for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT", "SIGTSTP")
     if hasattr(signal, name)  # Windows knows two
 )
-#: How long the run may take to say that a signal has reached it as well [s].
+#: How long the child may take to say that a signal has reached it as well [s].
 _ECHO_S: Final = 0.25
 
-Work = Callable[[list[str]], int]
 _Mask = set[int | signal.Signals]
 
 
 class BrokenProcessError(CbsrError):
-    """The process that was to run ended in the middle, before a run had begun (exit code 3)."""
+    """The process of a command ended in the middle; no run had begun (exit code 3)."""
 
     exit_code = 3
 
@@ -47,21 +45,21 @@ def begun(run: str, database: str | None) -> None:
     _Child.tell(run=run, database=database)
 
 
-def supervised(arguments: list[str], work: Work) -> int:
-    """Do the work in a child; its output is shown once it has ended as it should.
+def supervise(*, judges: bool) -> int | None:
+    """Fork: the child goes on with the command, and the parent waits for its end and shows its output.
 
     Parameters
     ----------
-    work : takes the arguments and returns the exit code.
+    judges : whether success means that a sensor has passed: the database must then hold that verdict.
 
     Returns
     -------
-    The child's exit code; 0 only where the database holds the verdict of the run that was begun.
+    In the child None; it must call :func:`end_child`. In the parent the exit code that the child has reported.
 
     Raises
     ------
     BrokenRunError, BrokenProcessError
-        If it ended in any other way.
+        In the parent, if the child ended in any other way.
     """
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)  # until handlers are in place, signals wait
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
@@ -70,7 +68,8 @@ def supervised(arguments: list[str], work: Work) -> int:
     if child == 0:
         for end in (report[0], alive[1], echo[0]):
             os.close(end)
-        _Child.run(arguments, work, mask, report=report[1], alive=alive[0], echo=echo[1])
+        _Child.begin(mask, report=report[1], alive=alive[0], echo=echo[1])
+        return None
     for end in (report[1], alive[0], echo[1]):
         os.close(end)
     try:
@@ -79,13 +78,19 @@ def supervised(arguments: list[str], work: Work) -> int:
     finally:
         for end in (report[0], alive[1], echo[0]):
             os.close(end)
-    return _concluded(parent.told(), status)
+    return _concluded(parent.told(), status, judges=judges)
+
+
+def end_child(code: int) -> None:
+    """Report the end to the parent and leave, with whatever a plugin has left running; nothing in other processes."""
+    _Child.end(code)
 
 
 class _Child:
-    """The process that measures."""
+    """The process that enters plugins' code."""
 
     report: ClassVar[int | None] = None
+    printed: ClassVar[io.TextIOWrapper]
 
     @classmethod
     def tell(cls, **message: Any) -> None:
@@ -96,27 +101,34 @@ class _Child:
                 left = left[os.write(cls.report, left) :]
 
     @classmethod
-    def run(cls, arguments: list[str], work: Work, mask: _Mask, *, report: int, alive: int, echo: int) -> NoReturn:
-        """Do the work, and end whatever a plugin has left running."""
-        code = 3
+    def begin(cls, mask: _Mask, *, report: int, alive: int, echo: int) -> None:
+        """Keep what is printed for the parent, and hear signals."""
+        encoding = getattr(sys.stdout, "encoding", None) or "utf-8"  # what cannot be shown is escaped by it
+        cls.report, cls.printed = report, io.TextIOWrapper(io.BytesIO(), encoding, newline="")
+        claim_stdout(cls.printed)
+        os.set_blocking(echo, False)
+        signal.set_wakeup_fd(echo, warn_on_full_buffer=False)  # C code writes every signal's number there
+        threading.Thread(target=_end_with_parent, args=(alive,), name="parent", daemon=True).start()
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+
+    @classmethod
+    def end(cls, code: int) -> None:
+        if cls.report is None:
+            return
         try:
-            encoding = getattr(sys.stdout, "encoding", None) or "utf-8"  # what cannot be shown is escaped by it
-            cls.report, printed = report, io.TextIOWrapper(io.BytesIO(), encoding, newline="")
-            claim_stdout(printed)
-            os.set_blocking(echo, False)
-            signal.set_wakeup_fd(echo, warn_on_full_buffer=False)  # C code writes every signal's number there
-            threading.Thread(target=_end_with_parent, args=(alive,), name="parent", daemon=True).start()
-            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-            code = work(arguments)
             signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)
             _name_what_runs()
-            printed.seek(0)
-            cls.tell(code=code, printed=printed.read())
+            cls.printed.seek(0)
+            cls.tell(code=code, printed=cls.printed.read())
+            if sys.stderr is not None:
+                sys.stderr.flush()
         finally:
             os._exit(code)  # neither threads nor hooks at the interpreter's end are waited for
 
 
 def _name_what_runs() -> None:
+    if "cbsr_qa.plugins" not in sys.modules:  # no plugin was loaded
+        return
     from cbsr_qa.plugins import left_running
 
     for line in left_running([threading.main_thread()]):
@@ -139,7 +151,7 @@ class _Parent:
 
     def __init__(self, child: int, report: int, echo: int, mask: _Mask) -> None:
         self._child, self._report, self._echo, self._mask = child, report, echo, mask
-        self._said = b""
+        self._said = bytearray()
         self._reads = True
         self._loads: threading.Thread | None = None
 
@@ -190,9 +202,9 @@ class _Parent:
         while self._reads and (more := _read(self._report)) is not None:
             self._said += more
             self._reads = bool(more)
-        if self._loads is None and b'"run":' in self._said:  # it has begun: its end need not wait for this
-            self._loads = threading.Thread(target=_load_the_store, daemon=True)
-            self._loads.start()
+            if self._loads is None and b'"run":' in more:  # it has begun: its end need not wait for this
+                self._loads = threading.Thread(target=_load_the_store, daemon=True)
+                self._loads.start()
 
     def _hand_on(self, numbers: set[int]) -> None:
         unheard = self._unheard(numbers)
@@ -224,19 +236,25 @@ def _load_the_store() -> None:
     from cbsr_qa.store import outcomes  # noqa: F401 - half a second
 
 
-def _concluded(told: dict[str, Any], status: int) -> int:
+def _concluded(told: dict[str, Any], status: int, *, judges: bool) -> int:
     code, run, database = told.get("code"), told.get("run"), told.get("database")
-    why = _cut_off(status, code) or ("" if code else _unstored(run, database))
+    why = _cut_off(status, code)
     if why:
-        raise _broken(run, database, why)
+        why = f"the process of the {'run' if judges else 'command'} {why}"
+    elif judges and not code:
+        why = _unstored(run, database)
+    if why:
+        raise _broken(run, database, why, judges=judges)
     if told["printed"]:
         say(told["printed"].removesuffix("\n"))
     assert isinstance(code, int)
     return code
 
 
-def _broken(run: str | None, database: str | None, why: str) -> CbsrError:
+def _broken(run: str | None, database: str | None, why: str, *, judges: bool) -> CbsrError:
     look = "look at the bench before you touch it: the head may be down and the source on"
+    if not judges:
+        return BrokenProcessError(why, remedy=f"if the command uses the bench, {look}. Then start it again")
     if run is None:
         return BrokenProcessError(f"{why}; no run had begun", remedy=f"{look}. Then start it again")
     on = f"cbsr-qa run --resume {run}{again(database)}"
@@ -247,12 +265,9 @@ def _cut_off(status: int, code: int | None) -> str:
     """Say how the child ended, where it did not end by returning its exit code."""
     if os.WIFSIGNALED(status):
         number = os.WTERMSIG(status)
-        name = next((one.name for one in signal.Signals if one == number), f"signal {number}")
-        return f"the process of the run was killed by {name}"
+        return f"was killed by {next((one.name for one in signal.Signals if one == number), f'signal {number}')}"
     found = os.WEXITSTATUS(status)
-    if code == found:
-        return ""
-    return f"the process of the run ended in the middle, with exit code {found}: a plugin ended it (os._exit)"
+    return "" if code == found else f"ended in the middle, with exit code {found}: a plugin ended it (os._exit)"
 
 
 def _unstored(run: str | None, database: str | None) -> str:

@@ -5,6 +5,8 @@ import os
 import shutil
 import signal
 import sqlite3
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -33,16 +35,18 @@ def bench(tmp_path_factory):
     return folder
 
 
+_FILES = ("--station", "station.toml", "--serial", "S-1", "--seed", "5")
+
+
 def _arguments(recipe="short.toml"):
-    return ["run", "--station", "station.toml", "--recipe", recipe, "--serial", "S-1", "--seed", "5", "--json"]
+    return ["run", *_FILES, "--recipe", recipe, "--json"]
 
 
-def _run(bench, folder, hostile, *, recipe="short.toml", **options):
+def _run(bench, folder, hostile, *, recipe="short.toml", arguments=(), **options):
     for file in bench.glob("*.toml"):
         shutil.copy(file, folder)
-    return cbsr_qa(
-        folder, *_arguments(recipe), check=False, HOSTILE=hostile, PYTHONPATH=str(bench / "site"), **options
-    )
+    given = arguments or _arguments(recipe)
+    return cbsr_qa(folder, *given, check=False, HOSTILE=hostile, PYTHONPATH=str(bench / "site"), **options)
 
 
 def _verdicts(folder):
@@ -192,3 +196,46 @@ def test_what_a_plugin_prints_spoils_no_commands_document(bench, tmp_path):
     done = cbsr_qa(tmp_path, "plugins", "list", "--json", HOSTILE=said, PYTHONPATH=str(bench / "site"))
     assert "hostile" in [row["name"] for row in document(done)["plugins"]]
     assert done.stderr.count("hello") == 3
+
+
+_RUN = ("run", *_FILES, "--recipe", "short.toml")
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        (*_RUN, "--why", "--help"),
+        ("--", *_RUN),
+        (*_RUN, "--why", "--dry-run"),
+        (*_RUN, "--dry-run"),
+        (*_RUN, "--why", "--help", "--json"),
+        ("plugins", "list"),
+        ("plugins", "list", "--json"),
+        ("station", "check", "station.toml", "--json"),
+    ],
+    ids=" ".join,
+)
+def test_no_command_that_a_plugin_ends_is_silent(arguments, bench, tmp_path):
+    done = _run(bench, tmp_path, "import: os._exit(0)", arguments=arguments)
+    assert done.returncode == 3, done.stderr
+    assert "ended in the middle, with exit code 0: a plugin ended it" in done.stderr
+    if "--json" in arguments:
+        assert "ended in the middle" in document(done)["broken"]["reason"]
+    else:
+        assert done.stdout == ""
+
+
+def test_a_thread_of_a_plugin_holds_no_command(bench, tmp_path):
+    begun_s = time.monotonic()
+    done = _run(bench, tmp_path, _THREAD.replace("import", "import: import", 1), arguments=("plugins", "list"))
+    assert time.monotonic() - begun_s < 30
+    assert done.returncode == 0
+    assert "hostile" in done.stdout
+    assert "warning: thread 'lingering' of a plugin is still running" in done.stderr
+
+
+def test_help_needs_no_second_process():
+    for arguments in (["--version"], ["run", "--help"], ["plugins", "list", "--help"]):
+        code = f"import os; os.fork = None; from cbsr_qa.cli.main import ended; raise SystemExit(ended({arguments}))"
+        done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True, timeout=60)
+        assert (done.returncode, bool(done.stdout)) == (0, True), done.stderr
