@@ -10,6 +10,7 @@ from typing import Any, Final
 
 from cbsr_qa.domain.errors import PluginError
 from cbsr_qa.domain.measurement import Bound, Measurement
+from cbsr_qa.domain.naming import with_type
 from cbsr_qa.domain.outcome import Outcome
 
 #: More measurements of one question are refused: a generator may have no end.
@@ -33,7 +34,7 @@ def answered(answer: Iterable[Measurement]) -> list[Measurement]:
         Naming measurement, field, what was found and what is allowed. What the metric's own code raises passes.
     """
     if isinstance(answer, Measurement) or not isinstance(answer, Iterable):
-        raise PluginError(f"it returned {_shown(answer)}; allowed is a tuple of Measurement")
+        raise PluginError(f"it returned {with_type(answer)}; allowed is a tuple of Measurement")
     taken = list(islice(answer, MOST_ANSWERS + 1))
     if len(taken) > MOST_ANSWERS:
         raise PluginError(f"it returned more than {MOST_ANSWERS} measurements")
@@ -42,14 +43,14 @@ def answered(answer: Iterable[Measurement]) -> list[Measurement]:
 
 def _checked(number: int, one: object) -> Measurement:
     if type(one) is not Measurement:
-        raise PluginError(f"measurement {number} is {_shown(one)}; allowed is a Measurement")
+        raise PluginError(f"measurement {number} is {with_type(one)}; allowed is a Measurement")
     plain: dict[str, Any] = {}
     for name in (field.name for field in fields(Measurement)):
         said = getattr(one, name, None)
         check, allowed = _FIELDS[name]
         plain[name] = check(said)
         if plain[name] is _WRONG:
-            raise PluginError(f"measurement {number}: {name} is {_shown(said)}; allowed is {allowed}")
+            raise PluginError(f"measurement {number}: {name} is {with_type(said)}; allowed is {allowed}")
     return replace(one, **plain)
 
 
@@ -112,9 +113,3 @@ _FIELDS: Final[dict[str, tuple[Callable[[object], object], str]]] = {
     "limit": (_unset(None), "None: the recipe's limits judge"),
     "outcome": (_unset(Outcome.NOT_JUDGED), "NOT_JUDGED: the recipe's limits judge"),
 }
-
-
-def _shown(found: object) -> str:
-    """A value with its type, short; a stranger's ``repr`` may raise, which is its metric's failure as well."""
-    text = repr(found) if isinstance(found, str | int | float | complex | None) else ""
-    return f"{text[:60]} ({type(found).__name__})" if text else f"a {type(found).__name__}"

@@ -65,6 +65,12 @@ class PlannedRun:
 
     dry: DryRun
     history: SensorHistory
+    failed_plugins: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the run would warn of too: plugins that could not be loaded, changes since the sensor's last run."""
+        return (*self.failed_plugins, *self.history.differences)
 
     @property
     def refused(self) -> RefusedError | None:
@@ -88,7 +94,8 @@ class PlannedRun:
     def document(self) -> dict[str, Any]:
         """Return the summary as one JSON document."""
         refused = {"refused": None} if self.refused is None else self.refused.document()
-        return {**self.dry.document(), "sensor_history": self.history.document(), **refused}
+        history = self.history.document()
+        return {**self.dry.document(), "sensor_history": history, "warnings": list(self.warnings), **refused}
 
 
 def default_seed(serial: str, earlier_runs: int) -> int:
@@ -113,7 +120,7 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
     configuration = request.configuration(_seed(request))
     ask = _nobody_in_a_dry_run if attended else None
     with Session(configuration, plugins, Stages(), ask) as session:
-        return PlannedRun(session.walk(), _history(request, configuration))
+        return PlannedRun(session.walk(), _history(request, configuration), tuple(map(str, plugins.failures)))
 
 
 def _nobody_in_a_dry_run(text: str) -> str:

@@ -139,7 +139,7 @@ def _shown_plan(planned: "PlannedRun", as_json: bool) -> int:
     else:
         for line in planned.lines():
             say(line)
-    for warning in planned.history.differences:
+    for warning in planned.warnings:
         note(f"warning: {warning}")
     if planned.refused is not None:
         note(f"cbsr-qa: the run would be refused for what is not allowed\n{planned.refused.remedy}")

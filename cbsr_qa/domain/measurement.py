@@ -2,10 +2,10 @@
 
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from typing import Self
+from typing import Final, Self
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.naming import check_encodable
+from cbsr_qa.domain.naming import check_encodable, with_type
 from cbsr_qa.domain.outcome import Outcome, worst
 
 
@@ -75,6 +75,9 @@ class Limit:
         return min(above, below)
 
 
+_TEXTS: Final = ("name", "unit", "phase", "location", "qualifier", "how")
+
+
 @dataclass(frozen=True, slots=True)
 class Measurement:
     """A named number with its unit, or a named refusal.
@@ -113,11 +116,22 @@ class Measurement:
     outcome: Outcome = Outcome.NOT_JUDGED
 
     def __post_init__(self) -> None:
-        for number in (self.value, self.uncertainty):
-            if number is not None and not abs(number) < float("inf"):
+        texts = {field: getattr(self, field) for field in _TEXTS}
+        for field, text in texts.items():
+            if not isinstance(text, str):
+                raise self._wrong(field, text, "text")
+        for field, number in (("value", self.value), ("uncertainty", self.uncertainty)):
+            try:
+                finite = number is None or bool(abs(number) < float("inf"))
+            except (TypeError, ValueError):  # a plugin's own type
+                raise self._wrong(field, number, "a number") from None
+            if not finite:
                 raise RefusedError(f"measurement {self.name}: {number} is not a finite number")
-        texts = self.name, self.unit, self.phase, self.location, self.qualifier, self.how
-        check_encodable(f"measurement {self.name!r}", *texts)
+        check_encodable(f"measurement {self.name!r}", *texts.values())
+
+    def _wrong(self, field: str, found: object, allowed: str) -> RefusedError:
+        name = self.name if isinstance(self.name, str) else with_type(self.name)
+        return RefusedError(f"measurement {name}: {field} is {with_type(found)}, not {allowed}")
 
     def judged(self, limit: Limit) -> Self:
         """Return this measurement with a limit and its outcome.

@@ -20,6 +20,15 @@ def check_encodable(what: str, *texts: str) -> None:
             ) from None
 
 
+def with_type(found: object) -> str:
+    """Return a value of a wrong type as a message shows it: ``5 (int)``, ``an array``; its ``repr`` may raise."""
+    kind = type(found).__name__.removeprefix("nd")
+    text = repr(found) if isinstance(found, str | int | float | complex | None) else ""
+    if text:
+        return f"{text[:60]} ({kind})"
+    return f"{'an' if kind[0].lower() in 'aeiou' else 'a'} {kind}"
+
+
 def of_kind(kind: str, name: str) -> str:
     """Return ``station bench-a``; a name that says its kind itself is not told twice: ``station-B``.
 

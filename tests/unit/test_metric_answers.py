@@ -55,8 +55,8 @@ def _odd():
 _WRONG = {
     "text": (_set(value="3"), "value is '3' (str)"),
     "complex": (_set(value=1j), "value is 1j (complex)"),
-    "array": (_set(value=np.ones(3)), "value is a ndarray"),
-    "0-d array": (_set(value=np.array(1.0)), "value is a ndarray"),
+    "array": (_set(value=np.ones(3)), "value is an array"),
+    "0-d array": (_set(value=np.array(1.0)), "value is an array"),
     "Decimal": (_set(value=Decimal("1.5")), "value is a Decimal"),
     "inexact": (_set(value=Fraction(1, 3)), "value is a Fraction"),
     "huge": (_set(value=10**400), "value is "),
@@ -86,9 +86,18 @@ _WRONG = {
 }
 
 
-@pytest.mark.parametrize("case", _WRONG)
+#: Answers that a metric cannot even make.
+_UNMADE = {
+    "made of a number as unit": (lambda: (Measurement("bad", 1.0, 5),), "measurement bad: unit is 5 (int), not text"),
+    "made without a name": (lambda: (Measurement(None, 1.0, "mm"),), "name is None (NoneType), not text"),
+    "made of text": (lambda: (Measurement("bad", "3", "mm"),), "measurement bad: value is '3' (str), not a number"),
+    "made of an array": (lambda: (Measurement("bad", np.ones(3), "mm"),), "value is an array, not a number"),
+}
+
+
+@pytest.mark.parametrize("case", [*_WRONG, *_UNMADE])
 def test_a_wrong_answer_is_that_metrics_failure_and_the_rest_is_judged(case):
-    answer, said = _WRONG[case]
+    answer, said = (_WRONG | _UNMADE)[case]
     measured, (warning,) = measure_run(_RUN, {"bad-one": _Metric(answer), "fine": _Metric((_GOOD,))})
     assert measured == (_GOOD,)
     assert warning.startswith("metric bad-one failed and measured nothing: ")
