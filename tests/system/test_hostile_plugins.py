@@ -123,7 +123,7 @@ def test_a_run_that_was_cut_off_goes_on_by_its_name(bench, tmp_path):
     assert document(done)["outcome"] == "pass"
 
 
-def _job(bench, folder, hostile, *, ignored=()):
+def _job(bench, folder, hostile, *, ignored=(), arguments=()):
     """Start a run in a process group of its own; return the process and where its output goes."""
     import warm
 
@@ -131,7 +131,7 @@ def _job(bench, folder, hostile, *, ignored=()):
         shutil.copy(file, folder)
     written = folder / "out", folder / "err"
     environment = {"CBSR_QA_VAR": "var", "HOSTILE": hostile, "PYTHONPATH": str(bench / "site")}
-    given = (ignored, folder, _arguments(), environment, *written)
+    given = (ignored, folder, arguments or _arguments(), environment, *written)
     process = _forks().Process(target=warm.run_as_a_job, args=given)
     process.start()
     return process, written
@@ -158,6 +158,23 @@ def test_a_signal_reaches_the_run_once(case, bench, tmp_path):
     assert process.exitcode == 3, err.read_text()
     found = json.loads(out.read_text())
     assert (found["end"], found["end_detail"][: len(said)]) == ("aborted", said)
+
+
+@pytest.mark.parametrize(
+    ("sends", "key", "said"),
+    [
+        ("os.kill(0, 2)", "aborted", "stopped from the keyboard"),
+        ("os.kill(os.getppid(), 2)", "aborted", "stopped from the keyboard"),
+        ("os.kill(os.getppid(), 15)", "broken", "the process of the command was killed by SIGTERM"),
+        ("os.kill(os.getpid(), 9)", "broken", "the process of the command was killed by SIGKILL"),
+    ],
+)
+def test_a_signal_ends_any_command_with_a_document(sends, key, said, bench, tmp_path):
+    hostile = f"import: import time; {sends}; time.sleep(20)"
+    process, (out, err) = _job(bench, tmp_path, hostile, arguments=["plugins", "list", "--json"])
+    process.join(timeout=15)
+    assert process.exitcode == 3, err.read_text()
+    assert json.loads(out.read_text())[key]["reason"] == said
 
 
 def test_a_signal_that_was_ignored_stays_ignored(bench, tmp_path):
