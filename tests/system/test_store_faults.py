@@ -82,7 +82,7 @@ def broken_run(**more):
     return run, said
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def whole(tmp_path_factory):
     """Frames and samples of every load of a run with nothing in its way."""
     folder = tmp_path_factory.mktemp("undisturbed", numbered=False)
