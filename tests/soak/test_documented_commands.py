@@ -1,6 +1,7 @@
 """What the documentation tells a user to type and ``make test`` shortens, in full; and its figures."""
 
 import importlib
+import json
 import os
 import re
 import subprocess
@@ -8,7 +9,17 @@ import sys
 from importlib.metadata import version
 
 import pytest
-from pages import SHORTENED, TOP, TYPED, assert_printed, blocks, in_full, typed
+from pages import (
+    SHORTENED,
+    TOP,
+    TYPED,
+    assert_printed,
+    assert_same_figures,
+    assert_same_tables,
+    blocks,
+    in_full,
+    typed,
+)
 
 LIMIT_S = 4 * 3600
 PAPER = TOP / "docs" / "explanation" / "paper.md"
@@ -51,3 +62,36 @@ def test_every_figure_is_what_its_script_draws_today(monkeypatch, script, folder
     as_file = importlib.import_module("simulation_figures.look").as_file
     stale = [name for name, draw in figures.items() if as_file(name, draw) != (folder / f"{name}.svg").read_text()]
     assert not stale
+
+
+def test_the_tables_of_what_accuracy_costs_are_those_of_today(tmp_path, monkeypatch):
+    points = json.loads(typed(tmp_path, "cbsr-qa frontier --json", limit_s=LIMIT_S).stdout)["points"]
+    monkeypatch.syspath_prepend(TOP / "docs" / "figures")
+    tables = importlib.import_module("write_frontier_tables")
+    page = tables.PAGE.read_text()
+    assert_same_tables(page, tables.written(page, [tables.Point.from_document(one) for one in points]))
+
+
+def test_the_trials_of_compensation_are_those_of_today():
+    printed = _benchmark("benchmarks", "steady_state")
+    section = (TOP / "docs/reference/performance.md").read_text().partition("## Transient compensation")[2]
+    stated, found = ([line for line in text.splitlines() if "frames/s:" in line] for text in (section, printed))
+    assert len(stated) == len(found) > 20
+    for one, other in zip(stated, found, strict=True):
+        assert_same_figures(one, other, one.partition("|")[2][:60])
+
+
+def test_the_strips_of_the_page_on_characterisation_are_those_of_today():
+    page = " ".join((TOP / "docs/explanation/characterisation.md").read_text().split())
+    printed = re.findall(r"60 cycles, (.+?): (\S+ ± \S+(?: kPa| s)?),", _benchmark("benchmarks.characterisation"))
+    assert len(printed) == 8
+    for quantity, figure in printed:
+        (row,) = re.findall(rf"\| {quantity} \|[^|]+\|[^|]+\|", page)
+        assert f" {figure}, true" in row, quantity
+
+
+def _benchmark(*words):
+    """What a benchmark prints, typed in the checkout."""
+    command = [sys.executable, "-m", *words]
+    run = subprocess.run(command, cwd=TOP, env=_environment("var"), check=True, capture_output=True, text=True)
+    return run.stdout

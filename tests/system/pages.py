@@ -82,3 +82,56 @@ def assert_printed(shown, printed):
     assert found, f"{shown}\nis not what was printed:\n{printed}"
     for stated, computed in zip(_DECIMAL.findall(shown), found.groups(), strict=True):
         assert float(stated) == pytest.approx(float(computed), rel=0.05), shown
+
+
+_MARKED = re.compile(r"<!-- table: (.+?) -->\n\n(.*?)\n\n<!-- end -->", re.S)
+
+
+def marked_tables(text):
+    """Return the rows of every table between markers, by its name: a dict of cells by column each."""
+    tables = {}
+    for name, table in _MARKED.findall(text):
+        columns, _, *rows = ([cell.strip() for cell in line.strip("|").split("|")] for line in table.splitlines())
+        tables[name] = [dict(zip(columns, row, strict=True)) for row in rows]
+    return tables
+
+
+_FIGURE = re.compile(r"(\d+(?:\.(\d+))?)(e[-+]\d+)?")
+
+
+def assert_same_figures(stated, computed, where):
+    """Two cells say the same: words alike, numbers within 5 % or one in the last digit that is printed."""
+    assert _FIGURE.sub("#", stated) == _FIGURE.sub("#", computed), where
+    for shown, found in zip(_FIGURE.finditer(stated), _FIGURE.finditer(computed), strict=True):
+        last = float(f"1e-{len(shown[2] or '')}") * float(f"1{shown[3] or 'e0'}")
+        assert float(shown[0]) == pytest.approx(float(found[0]), rel=0.05, abs=1.01 * last), (where, stated, computed)
+
+
+#: Columns of ``what-accuracy-costs.md`` that a machine decides, and words of those that are measured on the sheet.
+_OF_A_MACHINE = ("set-up", "•", "worth it")
+_MEASURED = ("error", "map", "gauge", "settling", "E_CoM", "A_OL", "SD", "missed", "inclusion")
+_COSTS = (*_OF_A_MACHINE, "unknowns", "memory", "time")
+
+
+def assert_same_tables(stated, computed):
+    """Marked tables of two pages have the same figures, row by row of the same settings; times of a machine aside."""
+    theirs = marked_tables(computed)
+    for name, rows in marked_tables(stated).items():
+        found = {_settings_of(row): row for row in theirs[name]}
+        same = [row for row in rows if _settings_of(row) in found]  # which rows are shown hangs on times
+        assert len(same) >= 0.7 * len(rows) > 0, name
+        for row in same:
+            other = found[_settings_of(row)]
+            for column in _told(row):
+                assert_same_figures(row[column], other[column], (name, _settings_of(row), column))
+
+
+def _settings_of(row):
+    return tuple(cell for name, cell in row.items() if name not in _COSTS and not any(w in name for w in _MEASURED))
+
+
+def _told(row):
+    """Columns that are no time of a machine and no rounding of sixteen digits."""
+    of_station = [name for name in row if name == "time" and "min" in row[name]]
+    of_sheet = [name for name in row if name not in (*_OF_A_MACHINE, "time") and not row[name].endswith("e-16")]
+    return [*of_sheet, *of_station]
