@@ -6,7 +6,7 @@ execute; datasets are plain numbers and UTF-8 text, readable from MATLAB, LabVIE
 
 import hashlib
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -232,6 +232,8 @@ def _told(said: Described) -> tuple[tuple[str, ...], tuple[str, ...]]:
 
 def _read_frames(group: h5py.Group) -> FrameBlock:
     current_A = real_of(group, "current_A", "the drive current")
+    if current_A is not None and current_A <= 0:
+        raise RefusedError(f"the drive current (current_A of {group.name}) is {current_A:g} A; it must be above 0")
     own = numbers(group, "reading_time_s") if "reading_time_s" in group else None
     times_s = numbers(group, "time_s")
     if not np.isfinite(times_s).all() or (np.diff(times_s) < 0).any():
@@ -262,8 +264,11 @@ def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
     shape = (len(labels),)
     columns = {name: numbers(group, name, shape=shape) for name, _ in _LOAD_COLUMNS}
     index, trial = (numbers(group, name, "iu", shape) for name in ("index", "trial"))
+    for name, unit in _LOAD_COLUMNS:
+        _check_finite(group, name, columns[name], unit, labels)
     # Absent where nobody noted it, as in files of earlier versions; NaN for single presses without it.
     cleared = numbers(group, "clear_s", shape=shape).tolist() if "clear_s" in group else [np.nan] * len(labels)
+    _check_finite(group, "clear_s", np.nan_to_num(np.array(cleared), posinf=np.inf, neginf=-np.inf), "s", labels)
     return tuple(
         LoadRecord(
             int(index[k]),
@@ -273,6 +278,16 @@ def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
         )
         for k, label in enumerate(labels)
     )
+
+
+def _check_finite(
+    group: h5py.Group, name: str, column: NDArray[np.float64], unit: str, labels: Sequence[str]
+) -> None:
+    for k in np.flatnonzero(~np.isfinite(column))[:1].tolist():
+        raise RefusedError(
+            f"{group.name}/{name}, row {k} (from 0), of load {echo(labels[k])}, is {column[k]:g} {unit};"
+            " a finite number is expected"
+        )
 
 
 def _place(columns: dict[str, NDArray[np.float64]], k: int) -> tuple[float, float, float]:
