@@ -36,7 +36,7 @@ from cbsr_qa.store.repository import Repository, open_store
 
 @dataclass(frozen=True, slots=True)
 class Rendered:
-    """What was rendered, and where it is."""
+    """What was rendered, where it is, and what its page warns of."""
 
     run: str
     serial: str
@@ -45,6 +45,7 @@ class Rendered:
     report: Path
     chain: ChainState
     overrides: tuple[VerdictOverride, ...] = ()
+    warnings: tuple[str, ...] = ()
 
 
 #: Makes the result of a run, and the names of the sections its recipe asks for, from what is stored.
@@ -111,6 +112,7 @@ def render_again(run: str, rebuild: Rebuild, plugins: Plugins, folder: Path) -> 
         path,
         result.record.chain,
         result.overrides,
+        tuple(dict.fromkeys((*result.warnings, *missing))),
     )
 
 

@@ -28,6 +28,7 @@ def report(
                 "report": str(rendered.report),
                 "chain": rendered.chain.document(),
                 "overrides": [override.document() for override in rendered.overrides],
+                "warnings": list(rendered.warnings),
             }
         )
     else:

@@ -1,11 +1,16 @@
 """Reports rendered again: the seam to whatever rebuilds a result, and the order of sections."""
 
+import json
+from contextlib import nullcontext
+from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import pytest
 from report_samples import sample_run
 
 from cbsr_qa.app.render import render_again
+from cbsr_qa.cli.main import guarded
 from cbsr_qa.domain.errors import RefusedError, StoreError
 from cbsr_qa.plugins import discover
 
@@ -36,6 +41,16 @@ def test_rendering_twice_changes_no_byte(result, tmp_path):
 def test_a_section_that_is_not_installed_is_a_warning_in_the_report(result, tmp_path):
     rendered = render_again("a run", lambda run: (result, ("limits", "strangers")), discover(), tmp_path)
     assert "strangers" in rendered.report.read_text(encoding="utf-8")
+    assert any("strangers" in warning for warning in rendered.warnings)
+
+
+def test_what_the_page_warns_of_is_in_the_document_too(result, tmp_path, monkeypatch, capsys):
+    warned = replace(result, warnings=("its rows are not chained",))
+    monkeypatch.setattr("cbsr_qa.app.render.open_store", lambda *_, **__: nullcontext(Mock()))
+    monkeypatch.setattr("cbsr_qa.app.render.rebuilt", lambda *_: (warned, SECTIONS))
+    monkeypatch.setattr("cbsr_qa.app.render._calibration_again", lambda _: None)
+    assert guarded(["report", "S-1", "--to", str(tmp_path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["warnings"] == ["its rows are not chained"]
 
 
 def test_what_is_not_stored_is_not_rendered(tmp_path):
