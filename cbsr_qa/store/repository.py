@@ -98,9 +98,7 @@ def open_store(
 
 
 def check_usable(url: str) -> None:
-    """Refuse a database that a run could not be stored in; nothing is written, and a file that is missing stays so.
-
-    Whether a folder takes a new file is not tried: a file system may refuse that whatever its permissions say.
+    """Refuse a database that a run could not be stored in; what is written for that is removed again.
 
     Raises
     ------

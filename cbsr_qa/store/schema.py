@@ -1,8 +1,10 @@
 """Versions of the database's schema: what is there, what this program needs, and how to get from one to the other."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from enum import Enum
+from pathlib import Path
 from typing import Final
 
 from sqlalchemy import Connection, Engine, inspect, text
@@ -93,15 +95,20 @@ def downgrade(engine: Engine, target: str) -> None:
 def check_writable(engine: Engine, version: SchemaVersion) -> None:
     """Make sure that a user may add rows, or tables where there are none yet, by adding none.
 
+    Where a SQLite file is to be made, its lock file is made beside it and removed; so is the folder.
+
     Raises
     ------
     StoreError
-        If the database is read-only, or refuses the user.
+        If the database is read-only, refuses the user, or its folder takes no new file.
     """
     if version.age is Age.CURRENT:
         with writing(engine) as connection:
             connection.execute(text("INSERT INTO runs SELECT * FROM runs WHERE 1 = 0"))
-    elif sqlite_file(engine.url) is None:
+    elif (file := sqlite_file(engine.url)) is not None:
+        with _folder_for_now(engine, file.parent), changing_schema(engine):
+            pass
+    else:
         with reading(engine) as connection:
             connection.execute(text("CREATE TABLE cbsr_qa_probe (one INTEGER)"))
             connection.rollback()
@@ -158,6 +165,19 @@ def _make_folder(engine: Engine) -> None:
             f"{shown(engine.url)}: its folder cannot be made: {error.strerror}",
             remedy="free it, or name another database with --database or CBSR_QA_DATABASE",
         ) from error
+
+
+@contextmanager
+def _folder_for_now(engine: Engine, folder: Path) -> Iterator[None]:
+    """Make the folder of a database, and remove again what was made of it; StoreError if it cannot be made."""
+    made = [above for above in (folder, *folder.parents) if not above.exists()]
+    try:
+        _make_folder(engine)
+        yield
+    finally:
+        for above in made:
+            with suppress(OSError):  # it was not made, or somebody's files are in it
+                above.rmdir()
 
 
 def _alembic(connection: Connection, direction: str, target: str) -> None:

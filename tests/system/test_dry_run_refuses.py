@@ -1,6 +1,7 @@
 """A dry run is refused where the run would be, with the same words and the same exit code."""
 
 import sqlite3
+import sys
 
 import pytest
 from command import cbsr_qa, document, short_recipe
@@ -85,6 +86,21 @@ def test_a_dry_run_is_refused_as_the_run_is_and_neither_writes_anything(tmp_path
     assert said in refused["reason"]
     assert refused == document(run)["refused"]
     assert sorted(tmp_path.rglob("*")) == before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a file system that takes no files")
+def test_a_file_system_that_takes_no_files_is_refused_by_both(tmp_path):
+    asked = ["run", "--station", "simulated", "--recipe", short_recipe(tmp_path), "--serial", "S-1", "--seed", "1"]
+    there = ["--database", "sqlite:////proc/x.db", "--json"]
+    run, dry = (cbsr_qa(tmp_path, *asked, *there, *more, check=False) for more in ([], ["--dry-run"]))
+    assert (run.returncode, dry.returncode) == (2, 2)
+    assert document(dry)["refused"] == document(run)["refused"]
+    assert "/proc/x.db" in document(dry)["refused"]["reason"]
+
+
+def test_a_dry_run_leaves_neither_database_nor_folder(tmp_path):
+    check_usable(f"sqlite:///{tmp_path}/new/folder/x.db")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_what_the_station_does_not_allow_is_listed_before_the_refusal(tmp_path):
