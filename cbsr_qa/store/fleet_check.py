@@ -3,6 +3,7 @@
 from array import array
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from itertools import repeat
 from typing import Any, Final
 
 import numpy as np
@@ -17,8 +18,11 @@ from cbsr_qa.store.links import key_id_of, link_digest, signing_key
 from cbsr_qa.store.result_tables import AnalysisRow, MeasurementRow
 from cbsr_qa.store.run_tables import RunRow
 
-#: Rows that are fetched at once: few enough to stay in the processor's cache, which halves the time.
+#: Rows that are asked of a server at once.
 AT_ONCE: Final = 2_000
+#: Rows that are made at once: few enough for their memory to be used again while it is in the processor's cache,
+#: which takes two thirds of the time of 2000.
+_BLOCK: Final = 200
 
 
 #: Run, analysis and facts.
@@ -36,10 +40,10 @@ class Figures:
         run, said, value = array("i"), array("i"), array("d")
         sayings: defaultdict[tuple[Any, ...], int] = defaultdict()
         sayings.default_factory = sayings.__len__
-        rows = connection.execute(query.execution_options(yield_per=AT_ONCE))
-        for block in rows.partitions():
+        rows = connection.execute(query.execution_options(stream_results=True, max_row_buffer=AT_ONCE))
+        for block in rows.partitions(_BLOCK):
             analysis, number, *what = zip(*block, strict=True)
-            run.extend([places.get(one, -1) for one in analysis])
+            run.extend(map(places.get, analysis, repeat(-1)))
             said.extend(map(sayings.__getitem__, zip(*what, strict=True)))
             value.frombytes(np.array(number, dtype=np.float64).tobytes())
         self.sayings = list(sayings)
