@@ -62,6 +62,9 @@ app.add_typer(db.app, name="db")
 app.add_typer(verdict.app, name="verdict")
 
 
+#: Whether the command was asked for a document, once its line was read: "--json" may be another option's value.
+_asked_for_json: list[bool] = []
+
 #: Whether commands get a process of their own: only where this process ends with the command.
 _supervising = False
 
@@ -71,6 +74,7 @@ def _supervised(command: Callable[..., Any]) -> Callable[..., Any]:
 
     @wraps(command)
     def begun(*arguments: Any, **options: Any) -> Any:
+        _asked_for_json.append(bool(options.get("as_json")))
         # Here the command line is parsed, by nobody but click, and no plugin has been entered.
         if _supervising and (code := supervise(judges=judging and not options["dry_run"])) is not None:
             return code
@@ -162,13 +166,18 @@ def guarded(arguments: list[str]) -> int:
     return 3 if code < 2 else code
 
 
+def _wants_json(arguments: list[str]) -> bool:
+    return any(_asked_for_json or ["--json" in arguments])
+
+
 def _ended(arguments: list[str]) -> int:
+    _asked_for_json.clear()
     try:
         result: object = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
         if result == _INTERRUPTED:
             raise KeyboardInterrupt
     except CbsrError as error:
-        if "--json" in arguments:
+        if _wants_json(arguments):
             emit_json(error.document())
         note(f"cbsr-qa: {error}")
         return error.exit_code
@@ -184,7 +193,7 @@ def _ended(arguments: list[str]) -> int:
 
 def _aborted(arguments: list[str]) -> int:
     """Say that somebody stopped a command that has no end of its own for that, as a run has."""
-    if "--json" in arguments:
+    if _wants_json(arguments):
         emit_json({"aborted": {"reason": "stopped from the keyboard", "remedy": "start it again"}})
     note("cbsr-qa: aborted")
     return 3
@@ -194,7 +203,7 @@ def _unexpected(error: BaseException, arguments: list[str]) -> int:
     """Say that the program is at fault, with where; exit code 3: nothing was decided."""
     where = traceback.extract_tb(error.__traceback__)[-1]
     reason = f"internal error: {said(error)} ({Path(where.filename).name}, line {where.lineno})"
-    if "--json" in arguments:
+    if _wants_json(arguments):
         emit_json({"broken": {"reason": reason, "remedy": _REPORT_IT}})
     note(f"cbsr-qa: {reason}\n{_REPORT_IT}")
     if os.environ.get("CBSR_QA_TRACEBACK"):
@@ -206,7 +215,7 @@ def _misused(error: Any, arguments: list[str]) -> int:
     """Say what is wrong with the command line."""
     if not error.format_message():
         return 2  # a command without any argument: typer has printed its help
-    if "--json" in arguments:
+    if _wants_json(arguments):
         emit_json({"refused": {"reason": error.format_message(), "remedy": "see cbsr-qa COMMAND --help"}})
     error.show()
     return 2

@@ -2,7 +2,10 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Final
+
+#: Characters of what is said of a row.
+LONGEST_PROBLEM: Final = 300
 
 
 @dataclass(frozen=True, slots=True)
@@ -12,13 +15,18 @@ class RowProblem:
     Parameters
     ----------
     line : 1-based line of the file.
-    what : in words, with what was found.
+    what : in words, with what was found; cut after :data:`LONGEST_PROBLEM` characters.
     rejected : whether the row's numbers were left out (a log line inside a frame is not a rejected row).
     """
 
     line: int
     what: str
     rejected: bool
+
+    def __post_init__(self) -> None:
+        """Cut what a file may have made long: a line of megabytes is no message."""
+        if len(self.what) > LONGEST_PROBLEM:
+            object.__setattr__(self, "what", f"{self.what[:LONGEST_PROBLEM]}… ({len(self.what)} characters)")
 
 
 class CbsrError(Exception):
