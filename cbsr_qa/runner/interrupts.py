@@ -1,5 +1,6 @@
 """Ctrl-C, termination and hang-up during a run: the first ends it in order, the second at once."""
 
+import multiprocessing
 import os
 import signal
 import sys
@@ -34,6 +35,10 @@ def on_stderr(line: str) -> None:
         os.write((sys.__stderr__ or sys.stderr).fileno(), f"{line}\n".encode())
 
 
+def _nobody(line: str) -> None:
+    """Tell nobody."""
+
+
 class Interrupts:
     """While entered, signals end the run at a moment when nothing can be torn.
 
@@ -47,7 +52,8 @@ class Interrupts:
 
     Parameters
     ----------
-    tell : told in words what a signal does, and what another would do.
+    tell : told in words what a signal does, and what another would do; not in a worker of a pool, whose parent heard
+        the same signal and answers for all of them.
     """
 
     def __init__(self, tell: Callable[[str], None] = on_stderr) -> None:
@@ -57,7 +63,7 @@ class Interrupts:
         self.waiting: Callable[[], bool] = lambda: False
         #: Called on the first signal: what is under way gets little time from now on.
         self.hurry: Callable[[], None] = lambda: None
-        self._tell = tell
+        self._tell = tell if multiprocessing.parent_process() is None else _nobody
         self._before: dict[signal.Signals, Any] = {}
         self._alarm_before: Any = None
         self._first: signal.Signals | None = None
