@@ -188,6 +188,7 @@ def _calibration(
     """Load the calibration an analysis issued, or say why it cannot be shown: its matrix is not stored as rows."""
     if stored.calibration is None:
         return None, ""
+    store.check_calibration(stored.calibration)  # also where it cannot be shown
     if observation is None:
         return None, f"{stored.calibration} was issued, but cannot be shown without images"
     try:

@@ -64,12 +64,7 @@ def stored_force(
     row = session.get(ForceRow, calibration)
     if row is None:
         return None
-    arrays = (row.merging, row.log_response, row.log_response_stderr)
-    if digest(f"{row.merged}x{row.readings}|1/V|{row.nodes}", arrays) != row.force_sha256:
-        raise StoreError(
-            f"calibration {calibration}: its force model is not what was stored",
-            remedy="restore the database from a copy",
-        )
+    check_force(row)
     if prepare is None:
         raise StoreError(f"calibration {calibration} holds a force model, whose templates nobody prepares")
     merging = unpacked(row.merging, (row.merged, row.readings))
@@ -89,6 +84,16 @@ def stored_force(
         unloading=_kernel(row, "unloading"),
         **{name: getattr(row, name) for name in NUMBERS},
     )
+
+
+def check_force(row: ForceRow) -> None:
+    """Raise StoreError where the bytes of a force model do not fit their digest."""
+    arrays = (row.merging, row.log_response, row.log_response_stderr)
+    if digest(f"{row.merged}x{row.readings}|1/V|{row.nodes}", arrays) != row.force_sha256:
+        raise StoreError(
+            f"calibration {row.calibration}: its force model is not what was stored",
+            remedy="restore the database from a copy",
+        )
 
 
 def _kernel_values(kernel: RelaxationKernel) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from cbsr_qa.domain.reconstruction import LinearReconstruction, ParameterChoice
 from cbsr_qa.domain.sensor import QuasiStatic, Response, SensorIdentity
 from cbsr_qa.store import calibration_rows as lists
 from cbsr_qa.store.arrays import digest, packed, packed_flags, unpacked, unpacked_flags
-from cbsr_qa.store.calibration_forces import PrepareForce, force_values, stored_force
+from cbsr_qa.store.calibration_forces import PrepareForce, check_force, force_values, stored_force
 from cbsr_qa.store.chain import RESULTS, check_run
 from cbsr_qa.store.codec import decoded_indenter, decoded_sensor_type, encoded
 from cbsr_qa.store.engine import reading
@@ -86,6 +86,15 @@ def used_readings(engine: Engine, calibration: str) -> NDArray[np.bool_]:
     with reading(engine) as connection, Session(bind=connection) as session:
         row = _known(session, calibration)
         return unpacked_flags(row.used, (row.drives, row.measures)).astype(np.bool_)
+
+
+def check_arrays(engine: Engine, calibration: str) -> None:
+    """Hold the arrays of a calibration against their digests; StoreError where one was changed."""
+    with reading(engine) as connection, Session(bind=connection) as session:
+        _known(session, calibration)
+        force = session.get(ForceRow, calibration)
+        if force is not None:
+            check_force(force)
 
 
 def load_calibration(

@@ -389,6 +389,10 @@ class Repository:
         """Return which readings a calibration images, (drives, measures) bool."""
         return calibrations.used_readings(self._engine, calibration)
 
+    def check_calibration(self, calibration: str) -> None:
+        """Hold the arrays of a calibration against their digests; StoreError where one was changed."""
+        calibrations.check_arrays(self._engine, calibration)
+
     def load_calibration(
         self, calibration: str, reconstruction: LinearReconstruction, prepare_force: PrepareForce | None = None
     ) -> Calibration:

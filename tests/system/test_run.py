@@ -91,6 +91,17 @@ def test_report_renders_the_same_bytes_again(finished):
     assert (folder / again["report"]).read_bytes() == before
 
 
+@pytest.mark.parametrize("column", ["reference", "used"])
+def test_arrays_of_a_calibration_that_were_changed_are_refused_by_report(finished, tmp_path, column):
+    path = tmp_path / "copy.db"
+    with sqlite3.connect(finished[0] / "var" / "cbsr-qa.db") as source, sqlite3.connect(path) as database:
+        source.backup(database)
+        database.execute(f"update calibrations set {column} = zeroblob(length({column}))")
+    said = cbsr_qa(tmp_path, "report", "S-1", "--database", str(path), check=False)
+    assert said.returncode == 2
+    assert "is not what was stored" in said.stderr
+
+
 def test_weights_from_the_measured_noise_reach_report_database_and_calibration_file(finished, tmp_path):
     recipe = short_recipe(tmp_path, **{'weighting = "equal"': 'weighting = "measured"'})
     files = ["--station", "simulated", "--recipe", recipe, "--serial", "S-1", "--json", "--seed", "11"]
