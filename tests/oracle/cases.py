@@ -150,9 +150,11 @@ CASES: Final[dict[str, tuple[str, ...]]] = {
         "cbsr-qa analyse var/scenes/faulty-electrode-seed7.h5 --json",
         "cbsr-qa analyse var/scenes/faulty-electrode-seed3.ert-board-csv.csv --sensor-type disc-100mm",
     ),
+    "stability": (
+        "cbsr-qa stability --json --output stability.html",
+        "cbsr-qa stability --area statistics",
+    ),
     "studies": (
-        "cbsr-qa stability --output stability.html",
-        "cbsr-qa stability --json",
         "cbsr-qa reproduce paper --quick --output paper.html",
         "cbsr-qa plugins list",
         "cbsr-qa plugins list --json",

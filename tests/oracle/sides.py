@@ -1,0 +1,177 @@
+"""The two sides of a comparison: a commit, checked out and installed once, and a folder where its cases run."""
+
+import json
+import os
+import re
+import shutil
+import signal
+import sqlite3
+import subprocess
+import sys
+import time
+from collections import Counter
+from collections.abc import Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from tests.oracle.cases import CASES
+from tests.oracle.dumps import dumped
+from tests.oracle.masks import masked
+
+HERE = Path(__file__).resolve().parent
+TOP = HERE.parents[1]
+SHARED = TOP.parent / "shared" / "data"
+#: Seconds that one line may take; a line that takes longer is ended, and its exit code says so.
+_LONGEST = 900
+
+
+@dataclass(frozen=True)
+class Build:
+    """One commit: its checkout and its environment, in a folder that is named by its hash."""
+
+    commit: str
+    folder: Path
+
+    @classmethod
+    def of(cls, revision: str, work: Path) -> "Build":
+        hash_ = _git("rev-parse", "--verify", f"{revision}^{{commit}}").decode().strip()[:12]
+        return cls(hash_, work / "builds" / hash_)
+
+    @property
+    def checkout(self) -> Path:
+        return self.folder / "checkout"
+
+    @property
+    def venv(self) -> Path:
+        return self.folder / "venv"
+
+    def make(self) -> None:
+        """Check the commit out and install it, once a folder; the plugin that kills runs is installed beside it."""
+        if (self.folder / "built").exists():
+            return
+        shutil.rmtree(self.folder, ignore_errors=True)
+        self.checkout.mkdir(parents=True)
+        archive = _git("archive", self.commit)
+        subprocess.run(["tar", "-x"], cwd=self.checkout, input=archive, check=True)
+        # Built from a copy: setuptools leaves a folder behind where it builds.
+        shutil.copytree(HERE / "killer", self.folder / "killer")
+        subprocess.run([sys.executable, "-m", "venv", self.venv], check=True)
+        pip = [self.venv / "bin" / "python", "-m", "pip", "install", "-q", "--disable-pip-version-check"]
+        wanted = ["-c", "constraints.txt", "-e", ".", "setuptools", "wheel"]
+        subprocess.run([*pip, *wanted], cwd=self.checkout, check=True, stderr=subprocess.DEVNULL)
+        subprocess.run([*pip, "--no-build-isolation", self.folder / "killer"], check=True, stderr=subprocess.DEVNULL)
+        (self.venv / ".run-stamp").touch()
+        (self.folder / "built").touch()
+
+
+@dataclass(frozen=True)
+class Side:
+    """A build, and where its cases are run; both sides may be of one build."""
+
+    build: Build
+    folder: Path
+
+    def place(self, case: str) -> Path:
+        return self.folder / case
+
+    def run(self, case: str) -> None:
+        """Run one case; what its lines print is kept beside its folder."""
+        place = self.place(case)
+        shutil.rmtree(place, ignore_errors=True)
+        place.mkdir(parents=True)
+        printed = {}
+        for number, line in enumerate(CASES[case], start=1):
+            began = time.monotonic()
+            printed[f"{number:02} {line}"] = self._typed(place, line)
+            self._say(f"{case} {number}/{len(CASES[case])} {time.monotonic() - began:.0f} s: {line[:70]}")
+        self._kept(case).write_text(json.dumps(printed, indent=1))
+
+    def texts(self, case: str) -> dict[str, str]:
+        """Return name → masked text of everything that the case printed and wrote."""
+        place = self.place(case)
+        folders = {
+            str(place): "<folder>",
+            str(self.build.checkout): "<checkout>",
+            str(self.build.venv): "<venv>",
+            str(HERE / "inputs"): "<inputs>",
+            str(SHARED): "<shared>",
+            os.environ.get("TMPDIR", "/tmp"): "<tmp>",
+        }
+        texts = {f"{case}/{name}": text for name, text in json.loads(self._kept(case).read_text()).items()}
+        for path in sorted(place.rglob("*")):
+            text = dumped(path) if path.is_file() else None
+            if text is not None:
+                texts[f"{case}/{path.relative_to(place)}"] = text
+        return _by_name(texts, folders)
+
+    def _kept(self, case: str) -> Path:
+        return self.folder / f"{case}.printed.json"
+
+    def _say(self, text: str) -> None:
+        print(f"  [{self.folder.name} {self.build.commit}] {text}", file=sys.stderr, flush=True)
+
+    def _typed(self, place: Path, line: str) -> str:
+        try:
+            line = re.sub(r"\{run:([^}]+)\}", lambda found: _latest_run(place, found[1]), line)
+        except sqlite3.Error as error:
+            return f"no run to name: {error}\n"
+        known = {
+            "inputs": HERE / "inputs",
+            "shared": SHARED,
+            "checkout": self.build.checkout,
+            "venv": self.build.venv,
+        }
+        for name, path in known.items():
+            line = line.replace(f"{{{name}}}", str(path))
+        with subprocess.Popen(
+            ["bash", "-c", line],
+            cwd=place,
+            env=self._environment(),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            errors="backslashreplace",
+            start_new_session=True,
+        ) as process:
+            try:
+                out, err = process.communicate(timeout=_LONGEST)
+            except subprocess.TimeoutExpired:
+                os.killpg(process.pid, signal.SIGKILL)
+                out, err = process.communicate()
+                err += f"\nended by the oracle after {_LONGEST} s"
+        return f"exit {process.returncode}\n{out}\n--- stderr\n{err}"
+
+    def _environment(self) -> dict[str, str]:
+        kept = {name: os.environ[name] for name in ("HOME", "TMPDIR") if name in os.environ}
+        return {
+            **kept,
+            "PATH": f"{self.build.venv / 'bin'}:{os.environ['PATH']}",
+            "LANG": "C.UTF-8",
+            "TZ": "UTC",
+            "COLUMNS": "100",
+            "OMP_NUM_THREADS": "1",
+            "OPENBLAS_NUM_THREADS": "1",
+        }
+
+
+def _by_name(texts: Mapping[str, str], folders: Mapping[str, str]) -> dict[str, str]:
+    """Return masked name → masked text; texts whose names are the same once masked are numbered in their order."""
+    named: dict[str, str] = {}
+    met: Counter[str] = Counter()
+    for raw, text in texts.items():
+        name = masked(raw, folders)
+        met[name] += 1
+        named[name if met[name] == 1 else f"{name} ({met[name]})"] = masked(text, folders)
+    return dict(sorted(named.items()))
+
+
+def _git(*arguments: str) -> bytes:
+    return subprocess.run(["git", *arguments], cwd=TOP, check=True, capture_output=True).stdout
+
+
+def _latest_run(place: Path, serial: str) -> str:
+    with closing(sqlite3.connect(f"file:{place / 'var' / 'cbsr-qa.db'}?mode=ro", uri=True)) as database:
+        (run,) = database.execute("select max(run) from runs where serial = ?", (serial,)).fetchone()
+        return str(run)
