@@ -2,7 +2,8 @@
 
 ``python -m tests.oracle OLD NEW [--case NAME …] [--work FOLDER]``: exit code 1 where something differs that
 ``accepted.toml`` does not list with its reason. Recordings are those in ``../shared``; cases that need them are left
-out, saying so, where it is absent. ``OLD`` and ``NEW`` may be one commit: then nothing at all may differ.
+out, saying so, where it is absent. ``OLD`` and ``NEW`` may be one commit: then nothing at all may differ. With
+``--again`` a commit's case is run once and compared as often as one likes, also with another commit.
 """
 
 import argparse
@@ -24,7 +25,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("new")
     parser.add_argument("--case", action="append", choices=CASES, help="only this one; may be repeated")
     parser.add_argument("--work", type=Path, help="where to build and run; kept, and a commit is built once")
-    parser.add_argument("--again", action="store_true", help="run nothing: compare what was run in --work before")
+    parser.add_argument("--again", action="store_true", help="run only what was not run in --work before")
     parser.add_argument("--lines", type=int, default=40, help="how many differences to print of each case")
     return parser.parse_args()
 
@@ -66,18 +67,17 @@ def main() -> int:
         return 2
     work = (options.work or Path(tempfile.mkdtemp(prefix="oracle-"))).resolve()
     builds = [Build.of(revision, work) for revision in (options.old, options.new)]
-    sides = [Side(build, work / "cases" / number) for number, build in zip(("old", "new"), builds, strict=True)]
+    sides = [Side(builds[0], 1), Side(builds[1], 2 if builds[0] == builds[1] else 1)]
     names = [name for name in options.case or CASES if name != "recordings" or SHARED.is_dir()]
     if not SHARED.is_dir():
         print(f"recordings are left out: {SHARED} is absent")
     left = 0
     with ThreadPoolExecutor(2) as pool:
-        if not options.again:
-            list(pool.map(Build.make, set(builds)))
+        list(pool.map(Build.make, set(builds)))
         for name in names:
             began = time.monotonic()
-            if not options.again:
-                list(pool.map(lambda side, name=name: side.run(name), sides))
+            wanted = [side for side in sides if not (options.again and side.was_run(name))]
+            list(pool.map(lambda side, name=name: side.run(name), wanted))
             left += _compared(name, sides, accepted, options.lines)
             print(f"  {time.monotonic() - began:.0f} s", flush=True)
     print(f"{left} differences that are not accepted")

@@ -31,12 +31,16 @@ class Build:
     """One commit: its checkout and its environment, in a folder that is named by its hash."""
 
     commit: str
-    folder: Path
+    work: Path
 
     @classmethod
     def of(cls, revision: str, work: Path) -> "Build":
         hash_ = _git("rev-parse", "--verify", f"{revision}^{{commit}}").decode().strip()[:12]
-        return cls(hash_, work / "builds" / hash_)
+        return cls(hash_, work)
+
+    @property
+    def folder(self) -> Path:
+        return self.work / "builds" / self.commit
 
     @property
     def checkout(self) -> Path:
@@ -67,10 +71,19 @@ class Build:
 
 @dataclass(frozen=True)
 class Side:
-    """A build, and where its cases are run; both sides may be of one build."""
+    """A build, and which time its cases are run: both sides may be of one build."""
 
     build: Build
-    folder: Path
+    time: int
+
+    @property
+    def folder(self) -> Path:
+        return self.build.work / "cases" / f"{self.build.commit}-{self.time}"
+
+    def was_run(self, case: str) -> bool:
+        """Whether the case was run to its end as it stands today."""
+        kept = self._kept(case)
+        return kept.exists() and list(json.loads(kept.read_text())) == _names(case)
 
     def place(self, case: str) -> Path:
         return self.folder / case
@@ -80,10 +93,11 @@ class Side:
         place = self.place(case)
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir(parents=True)
+        self._kept(case).unlink(missing_ok=True)
         printed = {}
-        for number, line in enumerate(CASES[case], start=1):
+        for number, (name, line) in enumerate(zip(_names(case), CASES[case], strict=True), start=1):
             began = time.monotonic()
-            printed[f"{number:02} {line}"] = self._typed(place, line)
+            printed[name] = self._typed(place, line)
             self._say(f"{case} {number}/{len(CASES[case])} {time.monotonic() - began:.0f} s: {line[:70]}")
         self._kept(case).write_text(json.dumps(printed, indent=1))
 
@@ -109,7 +123,7 @@ class Side:
         return self.folder / f"{case}.printed.json"
 
     def _say(self, text: str) -> None:
-        print(f"  [{self.folder.name} {self.build.commit}] {text}", file=sys.stderr, flush=True)
+        print(f"  [{self.folder.name}] {text}", file=sys.stderr, flush=True)
 
     def _typed(self, place: Path, line: str) -> str:
         try:
@@ -154,6 +168,10 @@ class Side:
             "OMP_NUM_THREADS": "1",
             "OPENBLAS_NUM_THREADS": "1",
         }
+
+
+def _names(case: str) -> list[str]:
+    return [f"{number:02} {line}" for number, line in enumerate(CASES[case], start=1)]
 
 
 def _by_name(texts: Mapping[str, str], folders: Mapping[str, str]) -> dict[str, str]:
