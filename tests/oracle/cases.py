@@ -72,6 +72,14 @@ CASES: Final[dict[str, tuple[str, ...]]] = {
         "cbsr-qa run --resume {run:K-1}",
         "cbsr-qa report K-1 --to resumed",
     ),
+    "failing": (
+        "ORACLE_FAIL=load cbsr-qa plugins list",
+        "ORACLE_FAIL=load cbsr-qa plugins list --json",
+        "CBSR_QA_TRACEBACK=1 ORACLE_FAIL=random cbsr-qa scene run base",
+        "ORACLE_FAIL=random cbsr-qa scene run base --json",
+        f"CBSR_QA_TRACEBACK=1 ORACLE_FAIL=random {_RUN} --serial F-0 --seed 5",
+        f"ORACLE_FAIL=phase {_RUN} --serial F-1 --seed 5",
+    ),
     "broken": (
         "cbsr-qa run --station {inputs}/weak.toml --recipe {inputs}/short.toml --serial W-1 --seed 5 --dry-run",
         "cbsr-qa run --station {inputs}/weak.toml --recipe {inputs}/short.toml --serial W-1 --seed 5 --json",

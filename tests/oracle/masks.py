@@ -2,10 +2,12 @@
 
 import re
 from collections.abc import Mapping
+from datetime import date, timedelta
 from typing import Final
 
 _HEX = "[0-9a-f]"
 _PACKAGE: Final = r"cbsr_qa(?:_plugins)?"
+_SPAN: Final = r"[\d.]+ (?:h|min|s)(?: [\d.]+ (?:min|s))?\b"
 _PROGRAMS = "cbsr[-_]qa|numpy|scipy|h5py|python|Python|matplotlib|scikit-image|oracle-killer"
 
 #: Pattern → what stands in its place. Identities and times are masked first, by these; folders by :func:`masked`.
@@ -14,9 +16,12 @@ MASKS: Final = tuple(
     for pattern, mask in (
         # Times of the wall clock.
         (r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d(\.\d+)?)?(Z|\+00:00| UTC)?", "<time>"),
+        # Limits that were proposed: the day, and a digest of the runs they rest on.
+        (rf"\b\d{{4}}-\d\d-\d\d-{_HEX}{{8}}\b", "<day>-<digest>"),
+        (rf"SHA-256 {_HEX}{{16}}…", "SHA-256 <digest>…"),
         # How long this computer took: `"compute_s": [["imaging", 1.2]]`, "4.3 s of computing".
-        (r"[\d.]+ s of computing", "<s> of computing"),
-        (r"computing took [\d.]+ s", "computing took <s>"),
+        (rf"{_SPAN} of computing", "<s> of computing"),
+        (rf"computing took {_SPAN}", "computing took <s>"),
         (r'(<div role="img" aria-label="[^"]*computing took[^"]*">)(\s|.)*?</svg>', r"\1 <a figure of times>"),
         (r"(?m)^[^\n:]+: \d+ s \((\d+) of (\d+)\)$", r"<one of them>: <s> (\1 of \2)"),
         # What the effects of a scene cost: "time-skew   0.487 ##  share = 1", "a frame takes 0.430 ms; … 0.35 s".
@@ -43,6 +48,7 @@ UUID = re.compile(rf"{_HEX}{{8}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{4}}-{_HEX}{{12}
 #: `"compute_s": {"imaging": 1.2, …}`, `"compute_s": [["imaging", 1.2], …]`
 _PARTS: Final = re.compile(r'"compute_s": (?:\{[^{}]*\}|\[(?:[^][]|\[[^][]*\])*\])')
 _NUMBER: Final = re.compile(r"(?<=[\s:,[])\d[\d.e+-]*")
+_DAY: Final = re.compile(r"\b\d{4}-\d\d-\d\d\b")
 #: Digests cover identities and times; those of content are compared through what is dumped.
 _SHA256 = re.compile(rf"\b{_HEX}{{64}}\b")
 
@@ -62,4 +68,13 @@ def masked(text: str, folders: Mapping[str, str]) -> str:
     text = _PARTS.sub(lambda found: _NUMBER.sub("<s>", found[0]), text)
     for pattern, mask in MASKS:
         text = pattern.sub(mask, text)
-    return text
+    return _DAY.sub(_day, text)
+
+
+def _day(found: re.Match[str]) -> str:
+    """Mask a day on which a case may have been run; days that were given stay."""
+    try:
+        age = date.today() - date.fromisoformat(found[0])
+    except ValueError:
+        return found[0]
+    return "<day>" if timedelta(0) <= age <= timedelta(days=7) else found[0]

@@ -45,6 +45,8 @@ def test_columns_beside_a_module_move_with_its_length() -> None:
         ("run 01a204f9-99f9-71de-afdf-4f328c017698", "run 01a204fa-5ef1-7684-b295-03d665d2d73e"),
         ("at 2026-11-22 20:37:26.897724", "at 2026-11-22T21:00:00Z"),
         ("8.0 min of station time, 12.8 s of computing", "8.0 min of station time, 9.1 s of computing"),
+        ("computing took 1 min 2 s until", "computing took 59.4 s until"),
+        ("version 2026-03-02-b6b40338, 3 limits", "version 2026-03-02-f4419b5c, 3 limits"),
         ("cbsr-qa 0.1.0", "cbsr-qa 0.2.0"),
         ('["cbsr-qa", "0.1.0"]', '["cbsr-qa", "0.2.0"]'),
         (
@@ -70,6 +72,7 @@ def test_what_differs_between_two_runs_of_one_commit_is_masked(one: str, other: 
         ('"exit": 3, "condition": 1.99', '"exit": 3, "condition": 2.99'),
         ("cbsr-qa run", "cbsr-qa report"),
         ("exit 0", "exit 1"),
+        ("week of 2026-03-02", "week of 2026-03-03"),
     ],
 )
 def test_what_a_user_reads_is_not_masked(one: str, other: str) -> None:
