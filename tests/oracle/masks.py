@@ -19,6 +19,8 @@ MASKS: Final = tuple(
         # Limits that were proposed: the day, and a digest of the runs they rest on.
         (rf"\b\d{{4}}-\d\d-\d\d-{_HEX}{{8}}\b", "<day>-<digest>"),
         (rf"SHA-256 {_HEX}{{16}}…", "SHA-256 <digest>…"),
+        # The page of a recording is named by a digest of the file and its settings; the file may hold identities.
+        (rf"-{_HEX}{{8}}(?=\.html)", "-<digest>"),
         # How long this computer took: `"compute_s": [["imaging", 1.2]]`, "4.3 s of computing".
         (rf"{_SPAN} of computing", "<s> of computing"),
         (rf"computing took {_SPAN}", "computing took <s>"),

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from tests.oracle.cases import CASES
 from tests.oracle.dumps import dumped
-from tests.oracle.masks import masked
+from tests.oracle.masks import UUID, masked
 
 HERE = Path(__file__).resolve().parent
 TOP = HERE.parents[1]
@@ -117,7 +117,7 @@ class Side:
             text = dumped(path) if path.is_file() else None
             if text is not None:
                 texts[f"{case}/{path.relative_to(place)}"] = text
-        return _by_name(texts, folders)
+        return by_name(texts, folders)
 
     def _kept(self, case: str) -> Path:
         return self.folder / f"{case}.printed.json"
@@ -174,15 +174,19 @@ def _names(case: str) -> list[str]:
     return [f"{number:02} {line}" for number, line in enumerate(CASES[case], start=1)]
 
 
-def _by_name(texts: Mapping[str, str], folders: Mapping[str, str]) -> dict[str, str]:
-    """Return masked name → masked text; texts whose names are the same once masked are numbered in their order."""
+def by_name(texts: Mapping[str, str], folders: Mapping[str, str]) -> dict[str, str]:
+    """Return masked name → masked text.
+
+    Texts whose names are the same once masked are numbered: by the identities in their names, which are in the order
+    of time, and where the names hold digests instead, by what they say.
+    """
     named: dict[str, str] = {}
     met: Counter[str] = Counter()
-    for raw, text in texts.items():
-        name = masked(raw, folders)
+    entries = [(masked(raw, folders), UUID.findall(raw), masked(text, folders)) for raw, text in texts.items()]
+    for name, _, text in sorted(entries):
         met[name] += 1
-        named[name if met[name] == 1 else f"{name} ({met[name]})"] = masked(text, folders)
-    return dict(sorted(named.items()))
+        named[name if met[name] == 1 else f"{name} ({met[name]})"] = text
+    return named
 
 
 def _git(*arguments: str) -> bytes:

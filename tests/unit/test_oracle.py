@@ -10,6 +10,7 @@ import pytest
 from tests.oracle.accepted import Difference, WrongListError, differences, judged, read_accepted
 from tests.oracle.dumps import dumped
 from tests.oracle.masks import masked
+from tests.oracle.sides import by_name
 
 _OLD = """Traceback (most recent call last):
   File "/one/checkout/cbsr_qa/calibrate/issue.py", line 33, in issued
@@ -148,3 +149,11 @@ def test_an_empty_list_accepts_nothing(tmp_path: Path) -> None:
 def test_a_wrong_list_is_refused(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(WrongListError, match=said):
         read_accepted(_list(tmp_path, text))
+
+
+def test_texts_named_by_digests_are_paired_by_what_they_say_and_runs_by_their_time() -> None:
+    runs = ["01a204f9-99f9-71de-afdf-4f328c017698", "01a204fa-5ef1-7684-b295-03d665d2d73e"]
+    one = by_name({"p-00000000.html": "a", "p-11111111.html": "b", f"{runs[0]}.h5": "z", f"{runs[1]}.h5": "y"}, {})
+    two = by_name({"p-00000000.html": "b", "p-11111111.html": "a", f"{runs[0]}.h5": "z", f"{runs[1]}.h5": "y"}, {})
+    assert one == two
+    assert list(one.values()) == ["z", "y", "a", "b"]
