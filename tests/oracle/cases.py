@@ -26,7 +26,6 @@ CASES: Final[dict[str, tuple[str, ...]]] = {
         "cbsr-qa run --station simulated --recipe nine-locations --serial S-1 --dry-run",
         "cbsr-qa run --station simulated --recipe nine-locations --serial S-1 --dry-run --json",
         "cbsr-qa run --station simulated --recipe nine-locations --serial S-1 --batch 41 --seed 7 --operator Zoe",
-        "cbsr-qa report S-1 --to again",
         "cbsr-qa report S-1 --to again --json",
         "cbsr-qa calibration show var/calibrations/S-1-*.h5",
         "cbsr-qa calibration show var/calibrations/S-1-*.h5 --json",
