@@ -3,7 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from cbsr_qa.analysis.recording_images import Array, EventImages, Sighting, Tell, prepare_for_events
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording_images import EventImages, Sighting, Tell, prepare_for_events
 from cbsr_qa.analysis.recording_overlaps import with_fates, with_imaged_places
 from cbsr_qa.analysis.recording_scene import RecordedScene
 from cbsr_qa.analysis.recording_tracks import motion_of
@@ -13,6 +16,8 @@ from cbsr_qa.domain.load_events import EventImaging, LoadEvent
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.domain.reconstruction import LinearReconstruction
 from cbsr_qa.interfaces import Reconstruction
+
+Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

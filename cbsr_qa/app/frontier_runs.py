@@ -23,7 +23,8 @@ from cbsr_qa.domain.steps import AcquireFrames, Hold, Press, Role, Step
 from cbsr_qa.frontier.setting import GRID, HELD_OUT
 from cbsr_qa.frontier.station import Bench
 from cbsr_qa.hookspecs import Kind
-from cbsr_qa.interfaces import Reconstruction, Sequence, SequenceContext
+from cbsr_qa.interfaces import Reconstruction, SequenceContext
+from cbsr_qa.interfaces import Sequence as LoadSequence
 from cbsr_qa.plugins import discover, made
 from cbsr_qa.runner.dry_run import dry_run
 from cbsr_qa.runner.execute import execute
@@ -124,7 +125,7 @@ def _reconstruction() -> Reconstruction:
 class _Sparse:
     """A sequence of whose rests only the last frames are taken, the times of all else unchanged."""
 
-    def __init__(self, sequence: Sequence, frame_s: float, whole_holds: bool) -> None:
+    def __init__(self, sequence: LoadSequence, frame_s: float, whole_holds: bool) -> None:
         self._sequence, self._frame_s, self._whole_holds = sequence, frame_s, whole_holds
         self.role = getattr(sequence, "role", Role.OTHER)
 

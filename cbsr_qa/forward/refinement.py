@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import NumericsError
 
 Array = NDArray[np.float64]
-Indices = NDArray[np.int32]
+SparseIndices = NDArray[np.int32]
 
 _MOST_STEPS: Final = 12
 _DONE: Final = 1e-13  # of the largest potential: the next correction would be one of rounding
@@ -37,8 +37,8 @@ class Conductors:
     """
 
     values: Array
-    row: Indices
-    start: Indices
+    row: SparseIndices
+    start: SparseIndices
 
     def out_of(self, high: Array, low: Array) -> Array:
         """Current out of each node into the others for potentials high + low, (n, k) [V] both: (n, k) [A]."""
