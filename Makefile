@@ -32,7 +32,7 @@ demo: $(VENV)/.run-stamp ## Test a simulated sensor: run, verdict, report, calib
 	@$(BIN)/cbsr-qa run --station simulated --recipe nine-locations --serial DEMO-001 --batch demo --operator demo
 
 fleet-demo: $(VENV)/.run-stamp ## Build a fleet of 3 batches at 3 stations, compare the batches, open the pages (in var/)
-	@$(BIN)/python -m cbsr_qa.cli.fleet_demo
+	@$(BIN)/python -m cbsr_qa.cli.studies.fleet_demo
 	@for design in each-on-one-station a-third-on-all-stations; do \
 		printf '\n%s\n' "$$design"; \
 		page="$$CBSR_QA_VAR/fleet-demo-$$design.html"; \

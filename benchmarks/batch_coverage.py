@@ -17,9 +17,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.stats.contrast import Contrast
-from cbsr_qa.stats.crossing import crossing
-from cbsr_qa.stats.difference import welch
+from cbsr_qa.stats import Contrast, crossing, welch
 from cbsr_qa.stats.mixed_model import fit
 
 Array = NDArray[np.float64]

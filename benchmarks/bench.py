@@ -7,9 +7,9 @@ from typing import Final, Self
 
 from benchmarks.rows import Row
 from benchmarks.timing import shown
-from cbsr_qa.app.setup import configure, open_station, station_clock
-from cbsr_qa.emulate.start import Emulation
-from cbsr_qa.plugins import discover
+from cbsr_qa.plugin import discover
+from cbsr_qa.simulate.instruments import Emulation
+from cbsr_qa.station import configure, open_station, station_clock
 
 TITLE = "Bench"
 

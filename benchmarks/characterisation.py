@@ -17,12 +17,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibrate.characterise import characterise
-from cbsr_qa.config.loader import load_material
-from cbsr_qa.domain.characterisation import Characterisation, CharacterisationSettings, FittedLine
+from cbsr_qa.calibration.strip import characterise
+from cbsr_qa.config import load_material
+from cbsr_qa.domain.results import Characterisation, CharacterisationSettings, FittedLine
 from cbsr_qa.domain.sensor import Response
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "numerics"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "samples"))
 
 from strip_samples import PAPER, Truth, readings, specimen
 

@@ -7,8 +7,8 @@ Normal values of deviation 1, a reference of 30 or 100 runs, and what is told at
 
 import numpy as np
 
-from cbsr_qa.app.charting import STANDS, UNCOUNTED, charts_of, standard_of
-from cbsr_qa.domain.station_charts import ChartKind, ChartSettings
+from cbsr_qa.domain.run import ChartKind, ChartSettings
+from cbsr_qa.studies.charts import STANDS, UNCOUNTED, charts_of, standard_of
 
 SERIES = 150
 CHARTS = {

@@ -13,7 +13,7 @@ from statsmodels.regression.mixed_linear_model import MixedLM
 from benchmarks.fleet_comparison import fill, timed
 from benchmarks.rows import Row, ratio_row
 from benchmarks.timing import compare
-from cbsr_qa.stats.crossing import Crossing, crossing
+from cbsr_qa.stats import Crossing, crossing
 from cbsr_qa.stats.mixed_model import fit
 
 TITLE = "Batches compared"

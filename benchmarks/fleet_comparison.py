@@ -20,17 +20,11 @@ import numpy as np
 from sqlalchemy import Connection, insert
 
 from benchmarks.timing import whole_command
-from cbsr_qa.domain.loads import Indenter
-from cbsr_qa.store.codec import encoded
-from cbsr_qa.store.documents import FIGURES, documents
-from cbsr_qa.store.engine import open_engine, parsed_url, writing
-from cbsr_qa.store.fleet_digest import stored_figures
-from cbsr_qa.store.ids import IdSource
-from cbsr_qa.store.link_tables import LinkRow
-from cbsr_qa.store.links import link_digest
-from cbsr_qa.store.repository import open_store
-from cbsr_qa.store.result_tables import AnalysisRow, MeasurementRow
-from cbsr_qa.store.run_tables import RunRow, RunStateRow, SensorRow
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.store import IdSource, open_engine, open_store, parsed_url, writing
+from cbsr_qa.store.chain import FIGURES, documents, link_digest, stored_figures
+from cbsr_qa.store.runs import encoded
+from cbsr_qa.store.tables import AnalysisRow, LinkRow, MeasurementRow, RunRow, RunStateRow, SensorRow
 
 STATIONS = ("A", "B", "C")
 BATCHES = ("41", "42", "43")
@@ -52,7 +46,7 @@ def fill(url: str, sensors: int, metrics: int, on_all: int, seed: int = 41) -> i
     -------
     Number of runs.
     """
-    from cbsr_qa.config.loader import load_material, load_sensor_type
+    from cbsr_qa.config import load_material, load_sensor_type
 
     setting = encoded(load_sensor_type("disc-100mm").value, Indenter(13.0), load_material("cbsr-8wt").value)
     with open_store(url, durable=False) as store:

@@ -14,13 +14,12 @@ from numpy.typing import NDArray
 
 from benchmarks.rows import Row, ratio_row
 from benchmarks.timing import compare, fastest, shown
-from cbsr_qa.analysis.recording_file import read_recording
-from cbsr_qa.calibrate import Calibration
-from cbsr_qa.domain.image import Image
-from cbsr_qa.domain.loads import LoadRecord
-from cbsr_qa.domain.recording import Recording
-from cbsr_qa.imaging.blobs import find_blobs
-from cbsr_qa.imaging.masks import percentage_mask
+from cbsr_qa.analysis import read_recording
+from cbsr_qa.calibration import Calibration
+from cbsr_qa.domain.readings import Recording
+from cbsr_qa.domain.results import Image
+from cbsr_qa.domain.run import LoadRecord
+from cbsr_qa.eit.imaging import find_blobs, percentage_mask
 
 TITLE = "Force from a calibration file"
 

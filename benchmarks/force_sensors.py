@@ -12,24 +12,36 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.observe import observe_run
-from cbsr_qa.app.setup import open_station, plan_of, station_clock
-from cbsr_qa.clock import Clock
-from cbsr_qa.config.documents import DocumentKind, open_document
-from cbsr_qa.config.loader import Loaded, load_material, load_recipe, load_sensor_type, load_station
-from cbsr_qa.config.merge import Configuration, merge
-from cbsr_qa.domain.frames import FrameBlock, SampleBlock, join_frames, join_samples
-from cbsr_qa.domain.loads import Load, LoadRecord
-from cbsr_qa.domain.observation import RunObservation
-from cbsr_qa.domain.outcome import EndReason
-from cbsr_qa.domain.run import PhaseRecord, RunIdentity, RunRecord
-from cbsr_qa.domain.scene import SheetDesign
+from cbsr_qa.analysis.run import observe_run
+from cbsr_qa.config import (
+    Configuration,
+    DocumentKind,
+    Loaded,
+    load_material,
+    load_recipe,
+    load_sensor_type,
+    load_station,
+    merge,
+    open_document,
+)
+from cbsr_qa.domain.plan import (
+    AcquireFrames,
+    FindSurface,
+    Hold,
+    MarkUnloaded,
+    Press,
+    Release,
+    Role,
+    SheetDesign,
+    Step,
+)
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_samples
+from cbsr_qa.domain.results import EndReason, RunObservation
+from cbsr_qa.domain.run import Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord
 from cbsr_qa.domain.sensor import Material, SensorIdentity
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role, Step
-from cbsr_qa.hookspecs import Kind
-from cbsr_qa.plugins import discover, made
-from cbsr_qa.runner.bench import Bench
-from cbsr_qa.runner.plan import Plan, PlannedPhase
+from cbsr_qa.plugin import Kind, discover, made
+from cbsr_qa.station import Bench, Plan, PlannedPhase, open_station, plan_of, station_clock
+from cbsr_qa.system import Clock
 
 Array = NDArray[np.float64]
 

@@ -12,15 +12,13 @@ from numpy.typing import NDArray
 from benchmarks.nine_sites import Loads, Score, disc, elsewhere, loads, mean_score, score
 from benchmarks.rows import Row
 from benchmarks.timing import fastest, shown
-from cbsr_qa.analysis.recording_imaging import nominal_disc, sheet_for
-from cbsr_qa.analysis.recording_tank import fitted_tank
-from cbsr_qa.analysis.size_response import size_response
+from cbsr_qa.analysis.recording import fitted_tank, nominal_disc, sheet_for
+from cbsr_qa.analysis.run import size_response
 from cbsr_qa.app.analyse import AnalyseRequest, analyse_file
-from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
-from cbsr_qa.hookspecs import Kind
-from cbsr_qa.plugins import discover
-from cbsr_qa.reconstruct import greit_matrix
-from cbsr_qa.reconstruct.problem import imaging_problem
+from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction
+from cbsr_qa.eit.inverse import imaging_problem
+from cbsr_qa.eit.inverse.greit import matrix as greit_matrix
+from cbsr_qa.plugin import Kind, discover
 
 Array = NDArray[np.float64]
 Method = Callable[[ImagingProblem], LinearReconstruction]

@@ -13,11 +13,9 @@ from benchmarks.localisation import TRIED
 from benchmarks.nine_sites import Loads, Score, disc, loads, score
 from benchmarks.rows import Row
 from benchmarks.timing import fastest, shown
-from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction
-from cbsr_qa.hookspecs import Kind
-from cbsr_qa.interfaces import Reconstruction
-from cbsr_qa.plugins import discover
-from cbsr_qa.reconstruct.problem import imaging_problem
+from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction
+from cbsr_qa.eit.inverse import imaging_problem
+from cbsr_qa.plugin import Kind, Reconstruction, discover
 
 Array = NDArray[np.float64]
 

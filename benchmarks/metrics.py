@@ -8,20 +8,22 @@ from numpy.typing import NDArray
 
 from benchmarks.rows import Row
 from benchmarks.timing import compare, fastest, shown
-from cbsr_qa.config.loader import load_recipe, load_sensor_type
-from cbsr_qa.domain.footprints import Footprint, PolygonFootprint, RoundFootprint
-from cbsr_qa.domain.image import Image, Region
-from cbsr_qa.domain.loads import NINE_LOCATIONS_MM, Indenter
-from cbsr_qa.domain.mesh import Mesh
-from cbsr_qa.forward.meshing import image_mesh
-from cbsr_qa.hookspecs import Kind
-from cbsr_qa.imaging.blobs import masked_blobs, nearest_blob
-from cbsr_qa.imaging.contours import masked_contours
-from cbsr_qa.imaging.noise_floor import floored
-from cbsr_qa.imaging.shape import spatial_figures
-from cbsr_qa.imaging.two_touch import two_touch_resolution
-from cbsr_qa.plugins import discover
-from cbsr_qa.reconstruct.problem import imaging_problem
+from cbsr_qa.config import load_recipe, load_sensor_type
+from cbsr_qa.domain.geometry import Footprint, PolygonFootprint, RoundFootprint
+from cbsr_qa.domain.results import Image, Region
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM, Indenter
+from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.eit.imaging import (
+    floored,
+    masked_blobs,
+    masked_contours,
+    nearest_blob,
+    spatial_figures,
+    two_touch_resolution,
+)
+from cbsr_qa.eit.inverse import imaging_problem
+from cbsr_qa.eit.mesh import image_mesh
+from cbsr_qa.plugin import Kind, discover
 
 TITLE = "Figures of merit"
 

@@ -7,20 +7,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from cbsr_qa.config.loader import load_sensor_type
-from cbsr_qa.domain.footprints import RoundFootprint
-from cbsr_qa.domain.image import Image
-from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
-from cbsr_qa.domain.mesh import Mesh
-from cbsr_qa.domain.reconstruction import ImagingProblem
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.forward.coverage import cover
-from cbsr_qa.forward.local import LocalUpdate
-from cbsr_qa.forward.meshing import sheet_mesh
-from cbsr_qa.forward.model import ForwardModel
-from cbsr_qa.imaging.blobs import nearest_blob
-from cbsr_qa.imaging.contours import contour_regions
-from cbsr_qa.imaging.shape import spatial_figures
+from cbsr_qa.config import load_sensor_type
+from cbsr_qa.domain.geometry import RoundFootprint
+from cbsr_qa.domain.results import Image, ImagingProblem
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.domain.sensor import Mesh, SensorType
+from cbsr_qa.eit.forward import ForwardModel, LocalUpdate, cover
+from cbsr_qa.eit.imaging import contour_regions, nearest_blob, spatial_figures
+from cbsr_qa.eit.mesh import sheet_mesh
 
 Array = NDArray[np.float64]
 

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.forward.analytic import ConcentricSheet, point_transfer_impedance
+from cbsr_qa.eit.forward import ConcentricSheet, point_transfer_impedance
 
 Array = NDArray[np.float64]
 

@@ -15,9 +15,7 @@ from collections.abc import Iterator
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.app.frontier_runs import the_bench
-from cbsr_qa.frontier.setting import Setting
-from cbsr_qa.frontier.station import Tried, tried_alone, tried_on_paper
+from cbsr_qa.studies.frontier import Setting, Tried, the_bench, tried_alone, tried_on_paper
 
 Array = NDArray[np.float64]
 

@@ -14,17 +14,12 @@ from benchmarks.nine_sites import disc, loads, score
 from benchmarks.peers import peer
 from benchmarks.rows import Row
 from benchmarks.timing import compare, fastest, shown
-from cbsr_qa.domain.mesh import Mesh
-from cbsr_qa.domain.patterns import adjacent_pattern
-from cbsr_qa.domain.reconstruction import LinearReconstruction
-from cbsr_qa.forward.model import point_model
-from cbsr_qa.reconstruct.choice import hyperparameter_for
-from cbsr_qa.reconstruct.dual import dual_matrix, dual_spectrum
-from cbsr_qa.reconstruct.pixels import pixel_imaging
-from cbsr_qa.reconstruct.priors import noser
-from cbsr_qa.reconstruct.problem import imaging_problem
-from cbsr_qa.reconstruct.regularisation import Criterion
-from cbsr_qa_plugins.reconstruction.gauss_newton_laplace import GaussNewtonLaplace
+from cbsr_qa.domain.results import LinearReconstruction
+from cbsr_qa.domain.sensor import Mesh, adjacent_pattern
+from cbsr_qa.eit.forward import point_model
+from cbsr_qa.eit.inverse import dual_matrix, dual_spectrum, imaging_problem, noser, pixel_imaging
+from cbsr_qa.eit.inverse.choice import Criterion, hyperparameter_for
+from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonLaplace
 
 TITLE = "Linear reconstructions"
 

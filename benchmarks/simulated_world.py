@@ -15,15 +15,13 @@ from numpy.typing import NDArray
 
 from benchmarks.rows import Row, ratio_row
 from benchmarks.timing import compare, fastest, shown, whole_command
-from cbsr_qa.app.scene_setting import SceneSetup, effects_of, made_world, set_up
-from cbsr_qa.config.loader import load_material
-from cbsr_qa.domain.loads import NINE_LOCATIONS_MM
-from cbsr_qa.domain.scene_plan import SceneLoad
-from cbsr_qa.forward.load_family import LoadFamily
-from cbsr_qa.plugins import discover
-from cbsr_qa.simulate.scene_recording import record_scene
-from cbsr_qa.simulate.sheet import SimulatedSheet
-from cbsr_qa.simulate.world import SimulatedWorld
+from cbsr_qa.config import load_material
+from cbsr_qa.domain.plan import SceneLoad
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.eit.loads import LoadFamily
+from cbsr_qa.plugin import discover
+from cbsr_qa.simulate import SimulatedSheet, SimulatedWorld, record_scene
+from cbsr_qa.studies.scenes import SceneSetup, effects_of, made_world, set_up
 
 TITLE = "Simulated world"
 

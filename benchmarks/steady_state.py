@@ -11,7 +11,7 @@ import numpy as np
 
 from benchmarks.rows import Row
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "numerics"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "samples"))
 
 from steady_readings import through_readings
 from steady_trials import Found, Trial, rms, tried

@@ -1,8 +1,8 @@
 """Calibration and quality assurance of soft pressure sensors read by electrical impedance tomography.
 
 Importing this package loads nothing heavy: no scipy, no database, no plugin. Everything a plugin author
-needs is in :mod:`cbsr_qa.domain` (the words of the trade), :mod:`cbsr_qa.interfaces` (what to implement)
-and :mod:`cbsr_qa.hookspecs` (how to be found).
+needs is in :mod:`cbsr_qa.domain` (the words of the trade) and :mod:`cbsr_qa.plugin` (what to implement, and
+how to be found).
 """
 
 from typing import Final

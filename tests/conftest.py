@@ -25,6 +25,9 @@ for _name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT"):
 hypothesis.settings.register_profile("any computer", deadline=None)
 hypothesis.settings.load_profile("any computer")
 
+# Fixtures that tests of several rooms use.
+pytest_plugins = ["round_sensors", "shared_recordings"]
+
 _SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 

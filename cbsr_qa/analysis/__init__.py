@@ -1,1 +1,5 @@
-"""Stored frames to corrected frames, images, events and measurements: pure functions of what is stored."""
+"""Stored frames to measurements and a verdict: pure functions, given the plugins."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

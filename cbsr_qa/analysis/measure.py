@@ -1,14 +1,120 @@
-"""Observations to judged measurements: asks every metric, then holds the answers against the recipe's limits."""
+"""Observations to judged measurements: asks every metric, then holds the answers against the recipe's limits.
 
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+What a metric answers is looked at where it is asked: nothing else can be stored, judged and shown.
+"""
 
-from cbsr_qa.analysis.answers import answered
-from cbsr_qa.domain.contained import failure
-from cbsr_qa.domain.measurement import Limit, Measurement
-from cbsr_qa.domain.observation import LoadObservation, RunObservation
-from cbsr_qa.domain.outcome import SEVERITY
-from cbsr_qa.interfaces import LoadMetric, RunMetric
+import math
+import re
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import fields, replace
+from itertools import islice
+from numbers import Integral, Real
+from typing import Any, Final
+
+from cbsr_qa.domain import PluginError, with_type
+from cbsr_qa.domain.results import SEVERITY, Bound, Limit, LoadObservation, Measurement, Outcome, RunObservation
+from cbsr_qa.plugin import LoadMetric, RunMetric, failure
+
+#: More measurements of one question are refused: a generator may have no end.
+MOST_ANSWERS: Final = 10_000
+#: Longest text of a measurement [characters].
+LONGEST_TEXT: Final = 2_000
+#: Control characters, which databases and pages do not take, and halves of characters.
+_UNWRITABLE: Final = re.compile("[\x00-\x1f\x7f-\x9f\ud800-\udfff]")
+#: Largest whole number that every database takes.
+_LARGEST: Final = 2**31 - 1
+
+
+def answered(answer: Iterable[Measurement]) -> list[Measurement]:
+    """Return what a metric answered as plain measurements.
+
+    Numpy's numbers, and whole ones, become floats; fields that were set after construction are looked at too.
+
+    Raises
+    ------
+    PluginError
+        Naming measurement, field, what was found and what is allowed. What the metric's own code raises passes.
+    """
+    if isinstance(answer, Measurement) or not isinstance(answer, Iterable):
+        raise PluginError(f"it returned {with_type(answer)}; allowed is a tuple of Measurement")
+    taken = list(islice(answer, MOST_ANSWERS + 1))
+    if len(taken) > MOST_ANSWERS:
+        raise PluginError(f"it returned more than {MOST_ANSWERS} measurements")
+    return [_checked(number, one) for number, one in enumerate(taken, start=1)]
+
+
+def _checked(number: int, one: object) -> Measurement:
+    if type(one) is not Measurement:
+        raise PluginError(f"measurement {number} is {with_type(one)}; allowed is a Measurement")
+    plain: dict[str, Any] = {}
+    for name in (field.name for field in fields(Measurement)):
+        said = getattr(one, name, None)
+        check, allowed = _FIELDS[name]
+        plain[name] = check(said)
+        if plain[name] is _WRONG:
+            raise PluginError(f"measurement {number}: {name} is {with_type(said)}; allowed is {allowed}")
+    return replace(one, **plain)
+
+
+#: What a check returns for a value that is not allowed.
+_WRONG: Final = object()
+
+
+def _number(said: object) -> object:
+    # Not bool: a metric that answers True has compared something, and says no quantity.
+    if said is None:
+        return None
+    if isinstance(said, bool) or not isinstance(said, Real):
+        return _WRONG
+    try:
+        number = float(said)
+        exact = number == said
+    except (OverflowError, ValueError, TypeError):
+        return _WRONG
+    return number if exact and math.isfinite(number) else _WRONG
+
+
+def _whole(said: object) -> object:
+    if said is None:
+        return None
+    if isinstance(said, bool) or not isinstance(said, Integral) or not 0 <= int(said) <= _LARGEST:
+        return _WRONG
+    return int(said)
+
+
+def _text(said: object) -> object:
+    if not isinstance(said, str) or len(said) > LONGEST_TEXT or _UNWRITABLE.search(said):
+        return _WRONG
+    return str.__str__(said)  # plain also where it is numpy's or an enumeration's
+
+
+def _named(said: object) -> object:
+    return _text(said) if said else _WRONG
+
+
+def _bound(said: object) -> object:
+    return said if isinstance(said, Bound) else _WRONG
+
+
+def _unset(value: object) -> Callable[[object], object]:
+    return lambda said: value if said is value else _WRONG
+
+
+_TEXT: Final = (_text, f"text of at most {LONGEST_TEXT} characters without control characters")
+_NAMED: Final = (_named, f"text of 1 to {LONGEST_TEXT} characters without control characters")
+_NUMBER: Final = (_number, "a finite real number that a float holds exactly, or None")
+_WHOLE: Final = (_whole, f"a whole number from 0 to {_LARGEST}, or None")
+
+#: Field → what makes it plain, and what is allowed in words.
+_FIELDS: Final[dict[str, tuple[Callable[[object], object], str]]] = {
+    **dict.fromkeys(("name", "unit"), _NAMED),
+    **dict.fromkeys(("phase", "location", "qualifier", "how"), _TEXT),
+    **dict.fromkeys(("value", "uncertainty", "strain"), _NUMBER),
+    **dict.fromkeys(("trial", "load"), _WHOLE),
+    "bound": (_bound, "a Bound"),
+    "limit": (_unset(None), "None: the recipe's limits judge"),
+    "outcome": (_unset(Outcome.NOT_JUDGED), "NOT_JUDGED: the recipe's limits judge"),
+}
 
 
 def measure_run(

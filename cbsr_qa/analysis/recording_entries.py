@@ -13,10 +13,10 @@ import h5py
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.calibrate.hdf5_content import attribute
-from cbsr_qa.config.echo import echo, printable
-from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.calibration.file import attribute
+from cbsr_qa.config import echo, printable
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, PlacedElectrodes
 
 #: Characters of one text: names have some tens, notes some hundreds.
 _LONGEST_TEXT: Final = 1000

@@ -3,8 +3,7 @@
 from collections.abc import Iterator
 from typing import Final
 
-from cbsr_qa.domain.characterisation import Characterisation, FittedLine, StrainLevel, StrainSettling
-from cbsr_qa.domain.measurement import Bound, Measurement
+from cbsr_qa.domain.results import Bound, Characterisation, FittedLine, Measurement, StrainLevel, StrainSettling
 from cbsr_qa.domain.sensor import Parameter, Response
 
 #: Measurement → unit.

@@ -1,1 +1,5 @@
-"""One function per use case; the only place where things are put together."""
+"""Where things are put together: one function a use case."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

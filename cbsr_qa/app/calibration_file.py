@@ -7,17 +7,19 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.calibrate.file import read_calibration, verify_calibration, write_calibration
-from cbsr_qa.calibrate.firmware import firmware_document
-from cbsr_qa.calibrate.force import ForceInverse, least_force_N, map_tables
-from cbsr_qa.calibrate.json_file import json_document, read_json_calibration
-from cbsr_qa.calibrate.matched import TemplateFilter, interpolated
-from cbsr_qa.domain.calibration import BaselineConductance, Calibration, SettlingSummary
-from cbsr_qa.domain.errors import CalibrationError, RefusedError
-from cbsr_qa.domain.force_model import ForceModel
+from cbsr_qa.calibration.file import (
+    firmware_document,
+    json_document,
+    read_calibration,
+    read_json_calibration,
+    verify_calibration,
+    write_calibration,
+)
+from cbsr_qa.calibration.runtime import ForceInverse, TemplateFilter, interpolated, least_force_N, map_tables
+from cbsr_qa.domain import CalibrationError, RefusedError
+from cbsr_qa.domain.results import BaselineConductance, Calibration, ForceModel, SettlingSummary
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic
-from cbsr_qa.files import written_whole
-from cbsr_qa.untrusted import read_untrusted
+from cbsr_qa.system import read_untrusted, written_whole
 
 _JSON: Final = ".json"
 _HDF5: Final = (".h5", ".hdf5")
@@ -97,7 +99,7 @@ def export_calibration(source: Path, output: Path, *, firmware: bool = False, st
     ----------
     source, output : files; what they are is said by their suffixes, .h5 (or .hdf5) and .json.
     firmware : write the small JSON.
-    stride : of its lattice, see :func:`~cbsr_qa.calibrate.firmware.firmware_document`.
+    stride : of its lattice, see :func:`~cbsr_qa.calibration.file.firmware_document`.
 
     Raises
     ------

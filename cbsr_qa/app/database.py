@@ -3,13 +3,11 @@
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final
 
-from cbsr_qa.config.paths import database_url
-from cbsr_qa.domain.outcome import EndReason
-from cbsr_qa.runner.interrupts import on_stderr
-from cbsr_qa.store.engine import open_engine, parsed_url
-from cbsr_qa.store.incomplete import IncompleteRun, counts, incomplete_runs, runs_without_result
-from cbsr_qa.store.repository import open_store
-from cbsr_qa.store.schema import HEAD, Age, found_version, refusal, upgrade
+from cbsr_qa.config import database_url
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.station import on_stderr
+from cbsr_qa.store import HEAD, Age, found_version, open_engine, open_store, parsed_url, refusal, upgrade
+from cbsr_qa.store.runs import IncompleteRun, counts, incomplete_runs, runs_without_result
 
 #: Ends of runs that somebody or something stopped, as against those that were cut off.
 _STOPPED: Final = (str(EndReason.ABORTED), str(EndReason.BROKEN))
@@ -82,8 +80,8 @@ def state_words(run: IncompleteRun) -> str:
 
 def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun, ...]:
     """Say what resuming would do next, where the recipe's plugins are there to tell; else what was under way."""
-    from cbsr_qa.app.resume import known_next  # it imports whatever a run needs
-    from cbsr_qa.plugins import discover
+    from cbsr_qa.app.run import known_next  # it imports whatever a run needs
+    from cbsr_qa.plugin import discover
 
     plugins = discover()
     with open_store(url, create=False) as store:

@@ -9,7 +9,7 @@ from cbsr_qa.cli.output import emit_json, note, say
 
 if TYPE_CHECKING:
     from cbsr_qa.app.analyse import Analysed
-    from cbsr_qa.domain.load_events import LoadEvent, RecordingResult
+    from cbsr_qa.domain.readings import LoadEvent, RecordingResult
 
 
 def analyse(
@@ -48,7 +48,7 @@ def analyse(
 ) -> int:
     """Find channels, noise and presses in recordings, without being told where or when."""
     from cbsr_qa.app.analyse import AnalyseRequest, analyse_file
-    from cbsr_qa.config.plugin_options import plugin_options
+    from cbsr_qa.cli.options import plugin_options
 
     request = AnalyseRequest(
         format=format_,

@@ -16,7 +16,7 @@ _File = Annotated[Path, typer.Argument(help="The calibration file (HDF5).")]
 @app.command("show")
 def show(file: _File, json: bool = JsonOption) -> None:
     """Print what a calibration says: identity, range of use, baseline conductance, what was assumed."""
-    from cbsr_qa.app.calibration_file import show_calibration
+    from cbsr_qa.app import show_calibration
 
     document = show_calibration(file)
     if json:
@@ -28,7 +28,7 @@ def show(file: _File, json: bool = JsonOption) -> None:
 @app.command("verify")
 def verify(file: _File, json: bool = JsonOption) -> None:
     """Check that a calibration file is whole, unchanged and of a version this program knows."""
-    from cbsr_qa.app.calibration_file import verify_file
+    from cbsr_qa.app import verify_file
 
     document = verify_file(file)
     if json:
@@ -54,7 +54,7 @@ def export(
     json: bool = JsonOption,
 ) -> None:
     """Convert a calibration: HDF5 to JSON and back without loss, or to small JSON for firmware."""
-    from cbsr_qa.app.calibration_file import export_calibration
+    from cbsr_qa.app import export_calibration
 
     if stride is not None and not firmware:
         raise typer.BadParameter("only --firmware has a lattice of its own", param_hint="--stride")
@@ -102,7 +102,7 @@ def apply(
     json: bool = JsonOption,
 ) -> int:
     """Turn the frames of recordings into force with its standard error, place and flags, a row a frame."""
-    from cbsr_qa.app.apply_calibration import ApplyRequest, applied_document, apply_calibration, as_csv, write_table
+    from cbsr_qa.app import ApplyRequest, applied_document, apply_calibration, as_csv, write_table
 
     request = ApplyRequest(place, format_, dataset, reference, serial)
     applied = apply_calibration(file, recordings, request, tell=lambda said: note(f"{said} …"))

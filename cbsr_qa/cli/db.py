@@ -15,7 +15,7 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document an
 @app.command()
 def upgrade(database: Database = None, as_json: AsJson = False) -> None:
     """Bring a database up to date; make it where there is none."""
-    from cbsr_qa.app.database import upgrade_database
+    from cbsr_qa.app import upgrade_database
 
     done = upgrade_database(database)
     if as_json:
@@ -29,7 +29,7 @@ def upgrade(database: Database = None, as_json: AsJson = False) -> None:
 @app.command()
 def status(database: Database = None, as_json: AsJson = False) -> None:
     """Say which database is used, its version, how much is in it, and which runs did not finish."""
-    from cbsr_qa.app.database import database_status, state_words
+    from cbsr_qa.app import database_status, state_words
 
     found = database_status(database)
     if as_json:
@@ -54,8 +54,8 @@ def status(database: Database = None, as_json: AsJson = False) -> None:
 @app.command()
 def changes(database: Database = None, as_json: AsJson = False) -> None:
     """List what people changed: limits, recipes and other files, control charts, verdicts; who, when, why."""
-    from cbsr_qa.app.changes import list_changes
-    from cbsr_qa.domain.changes import NO_REASON
+    from cbsr_qa.app import list_changes
+    from cbsr_qa.domain.run import NO_REASON
 
     found = list_changes(database)
     if as_json:

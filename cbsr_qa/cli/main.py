@@ -15,26 +15,28 @@ import cbsr_qa
 from cbsr_qa.cli import (
     analyse,
     calibration,
+    db,
+    plugins,
+    run,
+    runs as export,
+    runs as report,
+    runs as verdict,
+    station,
+)
+from cbsr_qa.cli.output import claim_stdout, emit_json, lost_output, note, reader_has_gone
+from cbsr_qa.cli.studies import (
     charts,
     compare,
-    db,
-    export,
     frontier,
     gauge,
     limits,
-    plugins,
-    report,
     reproduce,
-    run,
     scene,
     stability,
-    station,
-    verdict,
 )
-from cbsr_qa.cli.output import claim_stdout, emit_json, lost_output, note, reader_has_gone
 from cbsr_qa.cli.supervised import end_child, supervise
-from cbsr_qa.domain.contained import said
-from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain import CbsrError
+from cbsr_qa.plugin import said
 
 app = typer.Typer(
     name="cbsr-qa",

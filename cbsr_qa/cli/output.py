@@ -1,14 +1,21 @@
-"""What the command line prints: one JSON document on stdout, or words; messages always go to stderr."""
+"""What the command line prints: one JSON document on stdout, or words; messages always go to stderr.
+
+Asks whoever sits at the terminal.
+
+Progress of work that is counted, only on stderr: on a terminal a bar, elsewhere one line a stage.
+"""
 
 import json
 import os
 import shlex
 import sys
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any, TextIO
+from typing import Any, Final, Self, TextIO
 
 import typer
+
+from cbsr_qa.domain import AbortedError
 
 #: Common option: ``--json`` prints one document on stdout and nothing else.
 JsonOption = typer.Option(False, "--json", help="Print one JSON document on stdout and nothing else.")
@@ -128,3 +135,90 @@ def _discard_the_rest(stream: TextIO) -> None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())
         os.close(nowhere)
+
+
+#: Answers that end the run instead of being handed on.
+STOP: Final = ("stop", "abort")
+
+
+def operator_at_terminal() -> Callable[[str], str] | None:
+    """Return what asks the operator; None where no terminal is at the input."""
+    return asked if sys.stdin is not None and sys.stdin.isatty() else None
+
+
+def asked(text: str) -> str:
+    """Show a text on stderr, so that ``--json`` prints one document only, and return the line that is typed.
+
+    Raises
+    ------
+    AbortedError
+        If the answer is "stop" or "abort", or the input has ended.
+    """
+    sys.stderr.write(f"\n{text}\n('stop' ends the run) > ")
+    sys.stderr.flush()
+    line = sys.stdin.readline()
+    if not line:
+        raise AbortedError("the operator, who closed the terminal's input")
+    if line.strip().lower() in STOP:
+        raise AbortedError(f"the operator, who answered {line.strip()!r}")
+    return line.strip()
+
+
+class Counting:
+    """Shows stages, and how much of one is done. Use it as a context manager; leaving it takes the bar away.
+
+    Parameters
+    ----------
+    what : that is counted, e.g. ``"frames"``.
+    stream : where to; by default the process's stderr.
+    """
+
+    def __init__(self, what: str, *, stream: TextIO | None = None) -> None:
+        self._what = what
+        self._stream = stream or sys.stderr
+        self._bar: _Bar | None = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close()
+
+    def stage(self, name: str) -> None:
+        """Begin a stage."""
+        self._close()
+        print(f"{name} …", file=self._stream, flush=True)
+
+    def count(self, done: int, of: int) -> None:
+        """Say how much of the stage is done."""
+        if self._bar is None and self._stream.isatty():
+            self._bar = _Bar(self._what, self._stream)
+        if self._bar is not None:
+            self._bar.show(done, of)
+
+    def _close(self) -> None:
+        if self._bar is not None:
+            bar, self._bar = self._bar, None
+            with suppress(OSError):  # the terminal may be gone before the work is done
+                bar.close()
+
+
+class _Bar:
+    """The bar on a terminal; rich is imported only for it."""
+
+    def __init__(self, what: str, stream: TextIO) -> None:
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+        columns = (BarColumn(bar_width=24), MofNCompleteColumn(), TextColumn(what), TimeRemainingColumn())
+        self._bar = Progress(*columns, console=Console(file=stream), transient=True)
+        self._task = self._bar.add_task(what, total=None)
+        self._bar.start()
+
+    def show(self, done: int, of: int) -> None:
+        """Show what is done."""
+        self._bar.update(self._task, completed=done, total=of)
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._bar.stop()

@@ -20,8 +20,7 @@ def list_plugins(
     as_json: Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")] = False,
 ) -> None:
     """List every plugin by kind and name; name those that could not be loaded, with the reason."""
-    from cbsr_qa.app.plugin_list import kind_named
-    from cbsr_qa.plugins import discover
+    from cbsr_qa.plugin import discover, kind_named
 
     plugins = discover()
     found = plugins.registrations(kind_named(kind))

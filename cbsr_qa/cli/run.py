@@ -4,13 +4,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from cbsr_qa.cli.asking import operator_at_terminal
-from cbsr_qa.cli.output import emit_json, note, say
+from cbsr_qa.cli.output import emit_json, note, operator_at_terminal, say
 from cbsr_qa.cli.supervised import begun
 
 if TYPE_CHECKING:
-    from cbsr_qa.app.outputs import RunOutcome
-    from cbsr_qa.app.run_sensor import PlannedRun
+    from cbsr_qa.app.run import PlannedRun, RunOutcome
 
 #: What a new run cannot do without, and what may be given with --resume.
 _NEEDED = ("station", "recipe", "serial")
@@ -45,7 +43,7 @@ def run(
     """
     _check_given(context, resuming=resume is not None)
     if resume is not None:
-        from cbsr_qa.app.resume import resume_run
+        from cbsr_qa.app.run import resume_run
 
         begun(resume, database)
         outcome = resume_run(
@@ -56,7 +54,7 @@ def run(
             ask=operator_at_terminal(),
         )
         return _shown(outcome, as_json)
-    from cbsr_qa.app.run_sensor import RunRequest, plan_run, run_sensor
+    from cbsr_qa.app.run import RunRequest, plan_run, run_sensor
 
     request = RunRequest(
         station=station,

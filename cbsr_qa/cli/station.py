@@ -1,14 +1,21 @@
-"""``cbsr-qa station``: looks after a station."""
+"""``cbsr-qa station``: looks after a station.
 
-from typing import TYPE_CHECKING, Annotated
+The words of ``cbsr-qa station check``: its lines by whom they are about, and what to do.
+"""
+
+import textwrap
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from cbsr_qa.cli.asking import operator_at_terminal
-from cbsr_qa.cli.output import emit_json, note, say
+from cbsr_qa.cli.output import emit_json, note, operator_at_terminal, say
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck
+from cbsr_qa.report import quantity
 
 if TYPE_CHECKING:
-    from cbsr_qa.app.station_outcome import CheckedStation
+    from cbsr_qa.app.station_check import CheckedStation
+
 
 app = typer.Typer(help="Look after a station.", no_args_is_help=True)
 
@@ -65,9 +72,38 @@ def check(
 
 
 def _show(found: "CheckedStation") -> None:
-    from cbsr_qa.cli.station_table import lines
 
     for line in lines(found.check):
         say(line)
     say(f"check        {found.check.check}")
     say(f"page         {found.page or 'none: ' + found.page_why}")
+
+
+_WIDTH: Final = 100
+_NAME, _OUTCOME, _VALUE = 28, 10, 14
+_INDENT: Final = " " * (_NAME + 4)
+
+
+def lines(check: StationCheck) -> Iterator[str]:
+    """Lay out a check, one line after another; what is not well has its remedy below."""
+    failed, warned = (len(check.lines(outcome)) for outcome in (CheckOutcome.FAILED, CheckOutcome.WARNING))
+    subject = ""
+    for line in check.results:
+        if line.subject != subject:
+            subject = line.subject
+            yield subject
+        yield from _line(line)
+    yield f"{str(check.outcome).upper()}: {failed} failed, {warned} warnings, {len(check.results)} lines"
+
+
+def _line(line: CheckResult) -> Iterator[str]:
+    value = "" if line.value is None else quantity(line.value, line.unit)
+    allowed = f"allowed: {line.allowed}" if line.allowed else ""
+    first = f"  {line.name:<{_NAME}}  {line.outcome!s:<{_OUTCOME}}  {value:<{_VALUE}}"
+    fits = len(first) + len(allowed) + 4 <= _WIDTH
+    yield f"{first}  ({allowed})" if allowed and fits else first.rstrip()
+    for words in ("" if fits else allowed, line.said, f"what to do: {line.remedy}" if line.remedy else ""):
+        # Names of stations and addresses stay whole, so that they can be copied.
+        yield from textwrap.wrap(
+            words, _WIDTH, initial_indent=_INDENT, subsequent_indent=_INDENT, break_on_hyphens=False
+        )

@@ -16,7 +16,7 @@ from contextlib import suppress
 from typing import Any, ClassVar, Final
 
 from cbsr_qa.cli.output import again, claim_stdout, note, say
-from cbsr_qa.domain.errors import BrokenRunError, CbsrError, StoreError
+from cbsr_qa.domain import BrokenRunError, CbsrError, StoreError
 
 #: Signals that are handed on to the child; a run stops in order.
 _HANDED_ON: Final = tuple(
@@ -127,9 +127,9 @@ class _Child:
 
 
 def _name_what_runs() -> None:
-    if "cbsr_qa.plugins" not in sys.modules:  # no plugin was loaded
+    if "cbsr_qa.plugin.discovery" not in sys.modules:  # no plugin was loaded
         return
-    from cbsr_qa.plugins import left_running
+    from cbsr_qa.plugin import left_running
 
     for line in left_running([threading.main_thread()]):
         note(f"warning: {line}")
@@ -233,7 +233,7 @@ def _read(end: int) -> bytes | None:
 
 
 def _load_the_store() -> None:
-    from cbsr_qa.store import outcomes  # noqa: F401 - half a second
+    from cbsr_qa.store.runs import outcomes  # noqa: F401 - half a second
 
 
 def _concluded(told: dict[str, Any], status: int, *, judges: bool) -> int:
@@ -272,8 +272,8 @@ def _cut_off(status: int, code: int | None) -> str:
 
 def _unstored(run: str | None, database: str | None) -> str:
     """Say why the database does not bear out that a run has passed; empty where it does."""
-    from cbsr_qa.config.paths import database_url
-    from cbsr_qa.store.outcomes import latest_outcome
+    from cbsr_qa.config import database_url
+    from cbsr_qa.store.runs import latest_outcome
 
     if run is None:
         return "the process of the run ended without a verdict"

@@ -1,4 +1,7 @@
-"""Configuration files, checked and turned into domain objects: the front door of this package."""
+"""Configuration files, checked and turned into domain objects: the front door of this package.
+
+Mesh files that a sensor type refers to are taken in by content, so that a stored run needs no file.
+"""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -6,17 +9,44 @@ from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 from cbsr_qa.config.documents import Document, DocumentKind, open_document
-from cbsr_qa.config.limits_reference import with_limits
-from cbsr_qa.config.material_file import MaterialFile
-from cbsr_qa.config.mesh_reference import with_mesh
-from cbsr_qa.config.recipe_file import RecipeFile
-from cbsr_qa.config.scene_file import STATION_TABLES, SceneFile
-from cbsr_qa.config.sensor_type_file import SensorTypeFile
-from cbsr_qa.config.station_file import StationFile, resolved_options
+from cbsr_qa.config.limits import with_limits
+from cbsr_qa.config.material import MaterialFile
+from cbsr_qa.config.recipe import RecipeFile
+from cbsr_qa.config.scene import STATION_TABLES, SceneFile
+from cbsr_qa.config.sensor_type import SensorTypeFile
+from cbsr_qa.config.station import StationFile, resolved_options
 from cbsr_qa.config.tables import FileModel, validated
-from cbsr_qa.domain.plan import Recipe, Scene, Station
-from cbsr_qa.domain.scene_plan import ScenePlan
-from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.config.text import line_of
+from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain.plan import Recipe, Scene, ScenePlan, Station
+from cbsr_qa.domain.sensor import Material, SensorType, mesh_arrays
+
+
+def with_mesh(document: Document) -> Document:
+    """Put the content of ``sensor_type.mesh`` in place of its name, which is looked for next to the file.
+
+    Raises
+    ------
+    ConfigError
+        If it cannot be read, or is no mesh a sheet can have.
+    """
+    sheet = document.data.get("sensor_type")
+    name = sheet.get("mesh") if isinstance(sheet, Mapping) else None
+    if not isinstance(name, str):
+        return document
+    from cbsr_qa.eit.mesh import read_mesh  # with all of scipy behind it
+
+    try:
+        mesh = read_mesh((document.folder or Path()) / name)
+    except (NumericsError, ValueError) as error:  # a name with a NUL in it
+        reason, remedy = (error.reason, error.remedy) if isinstance(error, NumericsError) else (str(error), "")
+        line = line_of(document.text, ("sensor_type", "mesh"))
+        where = f"line {line}: " if line else ""
+        raise ConfigError(f"{document.label}: {where}sensor_type.mesh: {reason}", remedy=remedy) from error
+    arrays = {key: array.tolist() for key, array in mesh_arrays(mesh).items()}
+    assert isinstance(sheet, Mapping)
+    return replace(document, data={**document.data, "sensor_type": {**sheet, "mesh": arrays}})
+
 
 T = TypeVar("T")
 

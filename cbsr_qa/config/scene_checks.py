@@ -5,14 +5,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from cbsr_qa.config.echo import plainly
 from cbsr_qa.config.loader import Loaded
 from cbsr_qa.config.tables import Problem, refusal
-from cbsr_qa.domain.kinematics import distance_mm, travel_s
-from cbsr_qa.domain.loads import Indenter
-from cbsr_qa.domain.scene_plan import PressTimes, SceneLoad, ScenePlan, approach_s, press_times
+from cbsr_qa.config.text import plainly
+from cbsr_qa.domain.plan import PressTimes, SceneLoad, ScenePlan, approach_s, distance_mm, press_times, travel_s
+from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.simulate.sheet import finest_mesh_mm
+from cbsr_qa.simulate import finest_mesh_mm
 
 _ROUNDING_S = 1e-9  # of times that are sums of others
 _PER_SIDE = 16  # points of a head's side that are held against the sheet's edge

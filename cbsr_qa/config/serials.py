@@ -3,8 +3,8 @@
 import re
 import unicodedata
 
-from cbsr_qa.config.echo import echo
-from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.config.text import echo
+from cbsr_qa.domain import ConfigError
 
 LONGEST = 64
 

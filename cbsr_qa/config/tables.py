@@ -12,9 +12,8 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
 from cbsr_qa.config.documents import Document, not_finite
-from cbsr_qa.config.echo import echo, printable
-from cbsr_qa.config.lines import KeyPath, line_of
-from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.config.text import KeyPath, echo, line_of, printable
+from cbsr_qa.domain import ConfigError, RefusedError
 
 T = TypeVar("T")
 

@@ -1,4 +1,5 @@
-"""The words of the trade: frozen dataclasses that every layer and every plugin may use.
+"""Words of the trade, which every layer and every plugin may use: errors, numbers, and rooms for the rest."""
 
-Nothing here imports anything but the standard library and numpy.
-"""
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

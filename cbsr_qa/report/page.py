@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 from typing import Final
 
-from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.outcome import EndReason, Outcome
-from cbsr_qa.domain.report import RunResult
-from cbsr_qa.report.numbers import duration, plural
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import EndReason, Outcome, RunResult
+from cbsr_qa.report.tables import duration, plural
 
 _SYMBOLS: Final = {
     Outcome.PASS: "✓",

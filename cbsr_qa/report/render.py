@@ -9,14 +9,13 @@ from typing import Any, Final
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from cbsr_qa.domain.contained import failure
-from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
-from cbsr_qa.files import written_whole
-from cbsr_qa.interfaces import ReportSection
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import Block, Figure, Paragraph, RunResult, Section, Table
+from cbsr_qa.plugin import ReportSection, failure
+from cbsr_qa.report.draw import checked_svg
 from cbsr_qa.report.page import Page, recording_page, run_page
-from cbsr_qa.report.svg import checked_svg
+from cbsr_qa.system import written_whole
 
 _TEMPLATE: Final = "report.html.j2"
 _STYLE: Final = "report.css"

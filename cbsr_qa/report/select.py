@@ -1,15 +1,30 @@
-"""Finding loads and measurements: what several sections ask for."""
+"""Finding loads and measurements: what several sections ask for.
+
+Loads as figures and tables show them, joined with what was measured of them.
+
+The verdict of each location: the worst of all that was judged there.
+"""
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from statistics import fmean, stdev
+from typing import Final
 
-from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.measurement import Measurement
-from cbsr_qa.domain.observation import LoadObservation, RunObservation
-from cbsr_qa.domain.report import RunResult
-from cbsr_qa.domain.steps import Role
-from cbsr_qa.report.numbers import plain, with_uncertainty
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import (
+    SEVERITY,
+    LoadObservation,
+    Measurement,
+    Outcome,
+    RunObservation,
+    RunResult,
+    relative_margin,
+    worst,
+)
+from cbsr_qa.report.draw import SeenLoad, SettledLoad
+from cbsr_qa.report.tables import limit_text, plain, plural, value_cell, with_uncertainty
 
 #: The spatial metrics: measurement name, heading, unit.
 SPATIAL = (
@@ -77,3 +92,120 @@ def spread_text(values: Sequence[float], unit: str = "") -> str:
 def alike(reason: str) -> str:
     """Return a reason without its numbers: reasons that differ in nothing else are told once."""
     return re.sub(r"[\d.,]*\d", "#", reason)
+
+
+def seen_loads(loads: Sequence[LoadObservation], run: RunObservation, measured: Measured) -> tuple[SeenLoad, ...]:
+    """Join loads with their centre-of-mass error and overlap of the main mask."""
+    several = len({load.record.load.trial for load in run.loads}) > 1
+    strains = len({round(load.record.load.strain, 6) for load in run.loads}) > 1
+    return tuple(_seen(load, run, measured, titled(load, trials=several, strains=strains)) for load in loads)
+
+
+def settled_loads(loads: Sequence[LoadObservation]) -> tuple[SettledLoad, ...]:
+    """Return the loads that have any relaxation."""
+    return tuple(
+        SettledLoad(load.record.load.label, load.phase, load.record.load.strain, load.relaxations)
+        for load in loads
+        if load.relaxations
+    )
+
+
+def titled(load: LoadObservation, *, trials: bool, strains: bool) -> str:
+    """Name a load with what tells it from its siblings: ``L3``, ``L3 · 20 %``, ``L3 · 20 % · trial 2``."""
+    wanted = load.record.load
+    parts = [wanted.label]
+    parts += [f"{round(100 * wanted.strain, 1):g} %"] if strains else []
+    parts += [f"trial {wanted.trial + 1}"] if trials and wanted.trial else []
+    return " · ".join(parts)
+
+
+def _seen(load: LoadObservation, run: RunObservation, measured: Measured, title: str) -> SeenLoad:
+    wanted, view = load.record.load, load.mask(run.main_mask)
+    error = measured.of_load("centre_of_mass_error", load)
+    overlap = measured.of_load("area_overlap", load)
+    return SeenLoad(
+        label=wanted.label,
+        title=title,
+        x_mm=wanted.x_mm,
+        y_mm=wanted.y_mm,
+        radius_mm=load.indenter.radius_mm,
+        pressed=load.indenter.at(wanted.x_mm, wanted.y_mm),
+        strain=wanted.strain,
+        image=load.image,
+        sensed=view.region if view else None,
+        error_mm=error.value if error else None,
+        overlap_percent=overlap.value if overlap else None,
+        outcome=error.outcome if error else Outcome.NOT_JUDGED,
+        overlap_outcome=overlap.outcome if overlap else Outcome.NOT_JUDGED,
+        group=load.phase,
+    )
+
+
+#: What stands before an outcome, so that it reads without colour.
+SIGNS: Final = {Outcome.PASS: "✓", Outcome.FAIL: "✗", Outcome.MARGINAL: "≈", Outcome.NOT_MEASURED: "?"}
+#: Locations that are named in words; of more the worst ones are.
+_MOST_NAMED: Final = 6
+
+
+@dataclass(frozen=True, slots=True)
+class LocationVerdict:
+    """What was judged at one place of a phase, over all its trials and strains.
+
+    Parameters
+    ----------
+    deciding : of the worst outcome, the measurement closest to (or furthest beyond) its limit.
+    judged : how many measurements.
+    """
+
+    phase: str
+    label: str
+    x_mm: float
+    y_mm: float
+    outcome: Outcome
+    deciding: Measurement
+    judged: int
+
+
+def location_verdicts(run: RunObservation, judged: Sequence[Measurement]) -> tuple[LocationVerdict, ...]:
+    """Return the verdicts of all places where a single load was judged, in the order they were pressed.
+
+    Parameters
+    ----------
+    judged : measurements with a limit; those that are not about one load are left out.
+    """
+    at = {(load.phase, load.record.index): load.record.load for load in run.loads}
+    groups: dict[tuple[str, str, float, float], list[Measurement]] = {}
+    for m in judged:
+        if m.load is not None and (place := at.get((m.phase, m.load))) is not None:
+            groups.setdefault((m.phase, place.label, place.x_mm, place.y_mm), []).append(m)
+    order = {phase.name: number for number, phase in enumerate(run.record.phases)}
+    found = []
+    for (phase, label, x_mm, y_mm), members in groups.items():
+        outcome = worst(m.outcome for m in members)
+        deciding = min((m for m in members if m.outcome is outcome), key=relative_margin)
+        found.append(LocationVerdict(phase, label, x_mm, y_mm, outcome, deciding, len(members)))
+    return tuple(sorted(found, key=lambda one: order.get(one.phase, 0)))
+
+
+def verdicts_in_words(verdicts: Sequence[LocationVerdict]) -> str:
+    """Say which locations did not pass, and what decided; the worst first."""
+    kept = [one for one in verdicts if one.outcome is not Outcome.PASS]
+    if not kept:
+        return f"By location: all {len(verdicts)} pass." if len(verdicts) > 1 else "By location: the only one passes."
+    kept.sort(key=lambda one: (SEVERITY.index(one.outcome), relative_margin(one.deciding)))
+    named = "; ".join(_named(one) for one in kept[:_MOST_NAMED])
+    more = len(kept) - _MOST_NAMED
+    named += f"; and {more} more" if more > 0 else ""
+    passed = len(verdicts) - len(kept)
+    rest = f" The other {passed} pass." if passed > 1 else " The other one passes." if passed else ""
+    return f"By location, {plural(len(kept), 'does', 'do')} not simply pass: {named}.{rest}"
+
+
+def _named(one: LocationVerdict) -> str:
+    m = one.deciding
+    assert m.limit is not None
+    name = m.name.replace("_", " ").replace("snr", "SNR")
+    if m.value is None:
+        return f"{one.label} ({one.phase}) {one.outcome}, {name}: {m.how}"
+    value, limit = value_cell(m, unit=True).text, limit_text(m.limit)
+    return f"{one.label} ({one.phase}) {one.outcome}, {name} {value} (limit {limit})"

@@ -1,10 +1,127 @@
-"""Cells and rows that several sections write alike."""
+"""Cells and rows that several sections write alike.
+
+Numbers as a reader expects them: as many digits as the uncertainty allows, with a unit, never an ``e-05``.
+"""
 
 from collections.abc import Iterable, Sequence
+from math import floor, log10
+from typing import Final
 
-from cbsr_qa.domain.measurement import Bound, Limit, Measurement
-from cbsr_qa.domain.report import Cell, Table
-from cbsr_qa.report.numbers import plain, quantity, scaled_unit, unit_shown, with_uncertainty
+from cbsr_qa.domain.results import Bound, Cell, Limit, Measurement, Table
+
+_MINUS: Final = "\N{MINUS SIGN}"
+_SUPERSCRIPTS: Final = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+#: SI prefixes by power of ten.
+_PREFIXES: Final = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
+
+#: Units that take a prefix; lengths and times stay in the unit their name states.
+_SCALABLE: Final = frozenset({"V", "A", "S", "ohm", "Ω"})
+
+#: Decimals beyond which a value in this unit says nothing on this bench, unless its uncertainty says otherwise.
+_DECIMALS: Final = {"mm": 2, "mm²": 2, "mm2": 2, "%": 1, "percent": 1, "dB": 1, "s": 1, "N": 2, "kPa": 1}
+
+#: What a unit is written as.
+_SHOWN: Final = {"1": "", "ohm": "Ω", "percent": "%", "mm2": "mm²", "dB": "dB", "degC": "°C", "count": "counts"}
+
+
+def unit_shown(unit: str) -> str:
+    """Return a unit as it is printed; empty for pure numbers."""
+    return _SHOWN.get(unit, unit)
+
+
+def number(value: float, digits: int = 3) -> str:
+    """Write a number with this many significant digits; large and small ones as a power of ten.
+
+    Parameters
+    ----------
+    value : any finite number.
+    digits : significant digits, at least 1.
+    """
+    if value == 0:
+        return "0"
+    exponent = floor(log10(abs(value)))
+    rounded = round(value, digits - 1 - exponent)
+    exponent = floor(log10(abs(rounded)))
+    if -4 < exponent < 5:
+        return fixed(rounded, max(digits - 1 - exponent, 0))
+    return f"{fixed(rounded / 10.0**exponent, digits - 1)} × 10{str(exponent).translate(_SUPERSCRIPTS)}"
+
+
+def fixed(value: float, decimals: int) -> str:
+    """Write a number with this many decimals and a true minus sign; a rounded zero has no sign."""
+    text = f"{value:.{decimals}f}"
+    return text.lstrip("-") if float(text) == 0 else text.replace("-", _MINUS)
+
+
+def plain(value: float, unit: str) -> str:
+    """Write a value whose uncertainty nobody stated: three digits, but no more decimals than its unit deserves."""
+    most = _DECIMALS.get(unit)
+    if most is None or abs(value) >= 1e5 or value == 0:
+        return number(value)
+    if round(value, most) == 0:
+        return number(value, 1)
+    return fixed(value, min(most, max(2 - floor(log10(abs(value))), 0)))
+
+
+def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -> str:
+    """Write value ± one standard deviation, both to the uncertainty's second significant digit at most.
+
+    The uncertainty keeps two digits where its first is 1 or 2, else one (the rule of the Particle Data Group,
+    rounded to leading digits). Without an uncertainty, or with 0, the value gets ``digits`` digits.
+    """
+    if uncertainty is None or uncertainty <= 0:
+        return number(value, digits)
+    first = floor(log10(uncertainty))
+    keep = 1 if round(uncertainty / 10.0**first, 6) < 3 else 0  # 0.3 is stored as a little less
+    decimals = keep - first
+    largest = max(abs(value), uncertainty)
+    if largest < 1e5 and (decimals <= 5 or largest >= 1.0):  # a power would not make these shorter
+        return f"{fixed(value, max(decimals, 0))} ± {fixed(uncertainty, max(decimals, 0))}"
+    exponent = floor(log10(largest))
+    scale = 10.0**exponent
+    shown = max(decimals + exponent, 0)
+    power = f"10{str(exponent).translate(_SUPERSCRIPTS)}"
+    return f"({fixed(value / scale, shown)} ± {fixed(uncertainty / scale, shown)}) × {power}"
+
+
+def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
+    """Write a number with its unit; volts, amperes, siemens and ohms get a prefix (18.1 kΩ)."""
+    scale, shown = scaled_unit(value, unit)
+    if not uncertainty and scale == 1:
+        text = plain(value, unit)
+    else:
+        text = with_uncertainty(value / scale, None if uncertainty is None else uncertainty / scale)
+    gap = "\N{NO-BREAK SPACE}" if shown else ""
+    return f"{text}{gap}{shown}"
+
+
+def scaled_unit(value: float, unit: str) -> tuple[float, str]:
+    """Return what to divide by, and the unit to print, so that a value of this size reads well."""
+    if unit not in _SCALABLE or value == 0:
+        return 1.0, unit_shown(unit)
+    thousands = min(max(3 * floor(log10(abs(value)) / 3 + 1e-12), -9), 9)
+    return 10.0**thousands, f"{_PREFIXES[thousands]}{unit_shown(unit)}"
+
+
+def duration(seconds: float) -> str:
+    """Write a time span: ``0.42 s``, ``42 s``, ``18 min 20 s``, ``5 h 24 min``."""
+    if seconds < 10:
+        return f"{number(seconds, 2)} s"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    if whole < 3600:
+        minutes, rest = divmod(whole, 60)
+        return f"{minutes} min" + (f" {rest} s" if rest else "")
+    hours, rest = divmod(round(seconds / 60), 60)
+    return f"{hours} h" + (f" {rest} min" if rest else "")
+
+
+def plural(count: int, one: str, many: str = "") -> str:
+    """Write a count with its noun: ``no loads``, ``1 load``, ``9 loads``."""
+    noun = one if count == 1 else many or f"{one}s"
+    return f"{count or 'no'} {noun}"
 
 
 def text_table(

@@ -1,1 +1,5 @@
-"""The simulated world: scenes, the chain of enabled effects, addressed random streams."""
+"""The simulated world: scenes, effects, addressed random streams."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,4 +1,7 @@
-"""The effects of a scene as an ordered list of callables; one that is off is not there."""
+"""The effects of a scene as an ordered list of callables; one that is off is not there.
+
+What no effect of the simulated world models.
+"""
 
 import inspect
 import math
@@ -9,12 +12,10 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.domain.contained import failure
-from cbsr_qa.domain.errors import CbsrError, ConfigError, PluginError
-from cbsr_qa.domain.frames import ReadingFlag
-from cbsr_qa.domain.plan import PluginChoice, Scene
-from cbsr_qa.domain.scene import Moment, SceneSetting, SheetDesign, Transcript
-from cbsr_qa.interfaces import AnyEffect, Effect, RecordingEffect, SheetEffect, SwitchingEffect
+from cbsr_qa.domain import CbsrError, ConfigError, PluginError
+from cbsr_qa.domain.plan import Moment, PluginChoice, Scene, SceneSetting, SheetDesign, Transcript
+from cbsr_qa.domain.readings import ReadingFlag
+from cbsr_qa.plugin import AnyEffect, Effect, RecordingEffect, SheetEffect, SwitchingEffect, failure
 from cbsr_qa.simulate.parameters import shown
 
 #: ``effect_factory(name)`` returns what makes the effect: ``factory(setting, **parameters)``.
@@ -264,3 +265,18 @@ def _check_needs(scene: Scene, name: str, effect: AnyEffect, before: Iterable[st
                 f"scene {scene.name!r} has effect {name!r} before {earlier!r}, which it acts on",
                 remedy=f"move {earlier!r} above {name!r}",
             )
+
+
+#: In words, for every scene; docs/explanation/simulation.md has what each effect leaves out by itself.
+NOT_MODELLED: Final[tuple[str, ...]] = (
+    "the third dimension of the sheet, and heating by the current",
+    "capacitance: currents are direct",
+    "conductance that depends on direction; steps, holes and cracks of the sheet",
+    "a sheet that is bent, or that moves while it is pressed",
+    "ageing of the material, and relaxation that depends on strain",
+    "contacts that feel the head, or depend on the current",
+    "stress that one load causes under another; slip under a head",
+    "acceleration of the head; compliance and vibration of the frame",
+    "drift, hysteresis and creep of the load cell",
+    "noise that is correlated in time, and steps in noise",
+)

@@ -1,19 +1,72 @@
-"""One frame of the simulated world: from what presses to readings, each taken at its own time."""
+"""One frame of the simulated world: from what presses to readings, each taken at its own time.
+
+A ring of resistors where the simulated sheet would be: what a station check measures.
+"""
 
 from bisect import bisect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.scene import Moment, SimulatedPress
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.plan import Moment, SheetDesign, SimulatedPress
+from cbsr_qa.eit.forward import ring_impedance
 from cbsr_qa.simulate.chain import Chain
-from cbsr_qa.simulate.ring import SimulatedRing
 from cbsr_qa.simulate.sheet import Place, SimulatedSheet
 
 Array = NDArray[np.float64]
+
+
+class SimulatedRing:
+    """Resistors between neighbouring electrodes, in place of a sheet.
+
+    It is plugged in where the sensor is, so that what leads, source, meter and converter do to a reading they do here
+    too. Effects on the sheet and its contacts do nothing: the resistors are soldered, and there is nothing to press.
+
+    Parameters
+    ----------
+    design : of the sheet that is not there; its electrodes are the ring's terminals.
+    resistances_ohm : the first between electrodes 0 and 1, the last between the last one and 0.
+
+    Raises
+    ------
+    ConfigError
+        If there are not as many as electrodes.
+    NumericsError
+        If one is not above zero.
+    """
+
+    def __init__(self, design: SheetDesign, resistances_ohm: Sequence[float]) -> None:
+        self.design = design
+        self.sensor_type = design.sensor_type
+        electrodes = self.sensor_type.electrodes.count
+        if len(resistances_ohm) != electrodes:
+            raise ConfigError(
+                f"reference_ring_ohm has {len(resistances_ohm)} resistors; the sensor type has {electrodes}"
+                " electrodes",
+                remedy="give one for each pair of neighbouring electrodes",
+            )
+        self._impedance = ring_impedance(resistances_ohm)
+        #: readings, (drives, measures) [V/A]
+        self.unloaded: Array = self.readings(self._impedance)
+
+    def impedances(self, changes: Sequence[Mapping[Place, float]], contact_mm: Array | None = None) -> Array:
+        """The ring's own at every moment, (moments, electrodes, electrodes) [V/A], whatever is pressed."""
+        return np.repeat(self._impedance[None], len(changes), axis=0)
+
+    def readings(self, impedance_ohm: Array) -> Array:
+        """Readings per ampere of a transfer impedance: (drives, measures) [V/A]."""
+        pattern = self.sensor_type.pattern
+        readings: Array = pattern.drive_currents().T @ impedance_ohm @ pattern.measure_matrix()
+        return readings
+
+    def pressed_mm2(self, place: Place) -> float:
+        """Nothing lies under a head."""
+        return 0.0
+
 
 #: Relative conductance changes below this are not solved for. A used reading changes by less than the change itself,
 #: in units of the mean reading, even with the head beside a pin: what is left out is three orders below the noise of
@@ -30,7 +83,7 @@ class SimulatedFrame:
     Parameters
     ----------
     voltages : (drives, measures) [V].
-    flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.frames.ReadingFlag`.
+    flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.readings.ReadingFlag`.
     time_s : (drives, measures) of each reading on the station's clock; None where all are taken at once.
     current_A : (drives, measures) what flowed while each reading was taken.
     drive_ohm : (drives, measures) resistance that its driven pair showed to the source then.

@@ -3,7 +3,7 @@
 import sys
 from typing import Any, Final
 
-from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain import ConfigError
 
 _LARGEST: Final = sys.float_info.max
 #: Beyond any quantity of a scene: its square is still a number, and so is its ratio to the smallest that counts.

@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Final
 
-from cbsr_qa.domain.scene import SimulatedPress, StrainStep
+from cbsr_qa.domain.plan import SimulatedPress, StrainStep
 from cbsr_qa.domain.sensor import QuasiStatic, Relaxation
 
 #: A relative change below which a press is forgotten; a hundredth of what is solved for.

@@ -9,16 +9,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.electrodes import PlacedElectrodes
-from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.scene import SheetDesign
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.forward.coverage import Cover, cover
-from cbsr_qa.forward.load_family import LoadFamily
-from cbsr_qa.forward.loaded_sheet import LoadedSheet
-from cbsr_qa.forward.meshing import sheet_mesh
-from cbsr_qa.forward.model import ForwardModel
-from cbsr_qa.forward.nested_cover import NestedCover, nested_cover
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.plan import SheetDesign
+from cbsr_qa.domain.sensor import PlacedElectrodes, SensorType
+from cbsr_qa.eit.forward import Cover, ForwardModel, cover
+from cbsr_qa.eit.loads import LoadedSheet, LoadFamily, NestedCover, nested_cover
+from cbsr_qa.eit.mesh import sheet_mesh
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -3,15 +3,24 @@
 A counter-based generator (Philox 4×64; Salmon et al. 2011, "Parallel random numbers: as easy as 1, 2, 3") makes
 each address an independent sequence that can be reached at once. So turning an effect on changes no other
 effect's numbers, and neither the number of cores nor a restart changes any.
+
+Addresses of a simulated bench's random numbers within a run: what is measured, never when.
+
+A step that is done again after an interruption gives the numbers it would have given at first, whatever happened
+before it and however long the head travelled to get there.
 """
 
 import hashlib
+import math
+from bisect import bisect_left, bisect_right
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.system import Clock
 
 #: Keeps these keys apart from any other use of the same hash.
 _PURPOSE: Final = b"cbsr-qa stream"
@@ -63,3 +72,64 @@ def _counter(index: int) -> NDArray[np.uint64]:
     if not 0 <= index < _INDICES:
         raise RefusedError(f"random numbers are addressed by whole numbers from 0 to 2^64 - 1, not by {index}")
     return np.array([0, 0, 0, index], dtype=np.uint64)
+
+
+# A phase, a step of it, what the head was told in it, a count: 11, 17, 12 and 24 bits. The runner allows 100 000
+# steps a phase; 2^24 samples of 8 a second are 24 days. A count that runs over goes on in the field above.
+_COUNTS: Final = 1 << 24
+_ACTS: Final = 1 << 12
+_STEPS: Final = 1 << 17
+
+
+class StepAddresses:
+    """Counts frames and force samples within the step under way, and within what the head was last told in it.
+
+    Samples come at a fixed rate, counted from the beginning of their step or from the last order to the head in it:
+    they stand at the same times from a press whenever it is made.
+
+    Parameters
+    ----------
+    clock : the station's.
+    rate_hz : of the samples; a power of two, so that their times are exact.
+    """
+
+    def __init__(self, clock: Clock, rate_hz: int) -> None:
+        self._clock = clock
+        self._rate_hz = rate_hz
+        self._act = 0
+        self._frames = 0
+        self._since_s: list[float] = [clock.now()]
+        self._first: list[int] = [0]
+
+    def begin_step(self, phase: int, number: int) -> int:
+        """A step begins; returns its first address."""
+        return self._begin((phase * _STEPS + number) * _ACTS)
+
+    def begin_act(self) -> int:
+        """The head is told something; returns the first address of what it does."""
+        return self._begin(self._act + 1)
+
+    def frame(self) -> int:
+        """Return the address of the next frame."""
+        self._frames += 1
+        return self._act * _COUNTS + self._frames
+
+    def samples(self, after_s: float, to_s: float) -> Iterator[tuple[float, int]]:
+        """Yield (time, address) of every sample after a time and up to another, in order."""
+        for part in range(max(bisect_right(self._since_s, after_s) - 1, 0), bisect_left(self._since_s, to_s)):
+            since_s = self._since_s[part]
+            ends_s = self._since_s[part + 1] if part + 1 < len(self._since_s) else to_s
+            first = max(math.floor((after_s - since_s) * self._rate_hz), 0) + 1
+            last = math.floor((min(ends_s, to_s) - since_s) * self._rate_hz)
+            for count in range(first, last + 1):
+                yield since_s + count / self._rate_hz, self._first[part] + count
+
+    def _begin(self, act: int) -> int:
+        self._act, self._frames = act, 0
+        now_s = self._clock.now()
+        if now_s == self._since_s[-1]:  # nothing was sampled since
+            self._first[-1] = act * _COUNTS
+        else:
+            self._since_s.append(now_s)
+            self._first.append(act * _COUNTS)
+        return act * _COUNTS

@@ -10,22 +10,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.domain.loads import Indenter
-from cbsr_qa.domain.plan import Scene
-from cbsr_qa.domain.scene import (
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.plan import (
     CONTACT_LENGTH_MM,
     HeadPosition,
     Moment,
+    Scene,
     SceneSetting,
     SheetDesign,
     SimulatedPress,
     Transcript,
 )
+from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import Material, SensorType
 from cbsr_qa.simulate.chain import EffectFactory, build_chain
-from cbsr_qa.simulate.frames import FrameMaker, SimulatedFrame
-from cbsr_qa.simulate.ring import SimulatedRing
+from cbsr_qa.simulate.frames import FrameMaker, SimulatedFrame, SimulatedRing
 from cbsr_qa.simulate.sheet import SimulatedSheet, finest_mesh_mm
 
 Array = NDArray[np.float64]
@@ -61,9 +60,9 @@ class SimulatedWorld:
     scene : current, mesh size and effects.
     sensor_type, material, indenter : what is simulated.
     seed : of the run.
-    effect_factory : finds an effect's factory by name; see :func:`cbsr_qa.simulate.chain.build_chain`.
+    effect_factory : finds an effect's factory by name; see :func:`cbsr_qa.simulate.build_chain`.
     contact_length_mm : contact impedance over sheet resistance, where no effect says otherwise.
-    began_s : when on the run's time line the station's clock began, see :class:`~cbsr_qa.domain.scene.SceneSetting`.
+    began_s : when on the run's time line the station's clock began, see :class:`~cbsr_qa.domain.plan.SceneSetting`.
     sheet : made already for another scene with the same effects on the sheet; by default it is made.
 
     Raises

@@ -1,1 +1,5 @@
-"""Statistics of lots: pure functions of numbers, each checked against certified or printed values."""
+"""Statistics of lots and stations: pure functions, held against certified values."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -18,12 +18,9 @@ from math import sqrt
 
 import numpy as np
 
-from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.numbers import Array
-from cbsr_qa.stats.nelson import ALL_RULES, Rule, nelson
-from cbsr_qa.stats.range_constants import d2_d3
-from cbsr_qa.stats.samples import constant, sample
-from cbsr_qa.stats.univariate import centred
+from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.stats.nelson import ALL_RULES, Rule, d2_d3, nelson
+from cbsr_qa.stats.samples import centred, constant, sample
 
 #: Name of the signal of charts to which Nelson's tests do not apply.
 OUTSIDE = "beyond the limit"

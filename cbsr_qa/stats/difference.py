@@ -5,17 +5,115 @@ Welch 1947 (deviations may differ; ν by Welch–Satterthwaite) and Student's po
     Δ = x̄₁ − x̄₂,  SE² = s₁²/n₁ + s₂²/n₂,  ν = SE⁴ / (Σ (s_g²/n_g)² / (n_g − 1));  pooled: SE² = s_p² (1/n₁ + 1/n₂).
 
 Neither knows of stations: groups measured on different stations are compared by :mod:`cbsr_qa.stats.mixed_model`.
+
+An estimated difference with its standard error: interval, p value, and whether it is small enough not to matter.
+
+Two one-sided tests (Schuirmann 1987) call a difference Δ equivalent to none where both Δ ≤ −m and Δ ≥ m are refuted
+at level α, which is the same as the 1 − 2α interval lying within ± m.
+
+Analysis of variance of groups: whether their means are alike.
+
+    SSB = Σ n_g (x̄_g − x̄)²,  SSW = Σ Σ (x − x̄_g)²,  F = (SSB/(k − 1)) / (SSW/(N − k))
+
+Source: NIST Statistical Reference Datasets, one-way analysis of variance (definitions and certified values).
+
+Many tests at once: p values adjusted so that a page of thirty metrics does not find one difference by chance.
+
+Sources: Holm 1979 (family-wise error); Benjamini & Hochberg 1995 (false discovery rate of independent or positively
+dependent tests). Both are the step-down or step-up procedure turned into adjusted values, capped at 1.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from math import exp, lgamma, log, sqrt
+from math import exp, fsum, inf, isfinite, lgamma, log, sqrt
 
-from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.stats.contrast import Contrast, checked
-from cbsr_qa.stats.noncentral import noncentrality
-from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, sample, share
-from cbsr_qa.stats.univariate import Summary, summary
+import numpy as np
+from scipy import stats
+
+from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.stats.intervals import noncentrality
+from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, Summary, centred, constant, sample, share, summary
+
+
+@dataclass(frozen=True, slots=True)
+class Equivalence:
+    """Result of two one-sided tests.
+
+    Parameters
+    ----------
+    margin : m, in the difference's unit.
+    p_value : the larger of both tests'.
+    interval : of 1 − 2α.
+    equivalent : whether p ≤ α.
+    """
+
+    margin: float
+    p_value: float
+    interval: Interval
+    equivalent: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Contrast:
+    """An estimate that is t-distributed about its true value in units of its standard error.
+
+    Parameters
+    ----------
+    value, standard_error : in the same unit; the error is above 0.
+    freedom : degrees of freedom, above 0, need not be whole.
+    """
+
+    value: float
+    standard_error: float
+    freedom: float
+
+    def statistic(self, null: float = 0.0) -> float:
+        """Return t of the hypothesis that the true value is ``null``."""
+        return (self.value - null) / self.standard_error
+
+    def p_value(self, null: float = 0.0) -> float:
+        """Return the two-sided p value of the hypothesis that the true value is ``null``."""
+        return float(2 * stats.t.sf(abs(self.statistic(null)), self.freedom))
+
+    def interval(self, confidence: float = 0.95) -> Interval:
+        """Return value ± t × standard error."""
+        share(confidence, "confidence")
+        half = float(stats.t.isf((1 - confidence) / 2, self.freedom)) * self.standard_error
+        return Interval(self.value - half, self.value + half, confidence)
+
+    def equivalence(self, margin: float, *, level: float = 0.05) -> Equivalence:
+        """Test whether the true value lies within ± ``margin``.
+
+        Raises
+        ------
+        NumericsError
+            The margin is not a positive number, or the level is none.
+        """
+        if not (margin > 0 and isfinite(margin)):
+            raise NumericsError(f"equivalence: a margin of {margin:g} is none; allowed are positive numbers")
+        if not 0 < level < 0.5:
+            raise NumericsError(f"equivalence: level is {level:g}; allowed are numbers between 0 and 0.5")
+        worst = max(
+            float(stats.t.sf(self.statistic(-margin), self.freedom)),
+            float(stats.t.cdf(self.statistic(margin), self.freedom)),
+        )
+        return Equivalence(margin, worst, self.interval(1 - 2 * level), worst <= level)
+
+
+def checked(value: float, standard_error: float, freedom: float, what: str) -> Contrast:
+    """Return a contrast; refuse one whose numbers say nothing.
+
+    Raises
+    ------
+    NumericsError
+        The standard error is zero or no number, or there are no degrees of freedom.
+    """
+    if not (isfinite(value) and 0 < standard_error < inf and freedom > 0):
+        raise NumericsError(
+            f"{what}: {value:g} with a standard error of {standard_error:g} on {freedom:g} degrees of freedom "
+            "cannot be judged"
+        )
+    return Contrast(value, standard_error, freedom)
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,3 +216,101 @@ def _deviation(group: Summary) -> float:
 
 def _title(names: tuple[str, str]) -> str:
     return f"{names[0]} − {names[1]}"
+
+
+@dataclass(frozen=True, slots=True)
+class OneWay:
+    """Table of a one-way analysis of variance; squares in the square of the values' unit."""
+
+    between: float
+    within: float
+    freedom_between: int
+    freedom_within: int
+    statistic: float
+    p_value: float
+
+    @property
+    def share_between(self) -> float:
+        """R² = SSB / (SSB + SSW)."""
+        return self.between / (self.between + self.within)
+
+    @property
+    def residual_deviation(self) -> float:
+        """√(SSW / (N − k)), in the values' unit."""
+        return sqrt(self.within / self.freedom_within)
+
+
+def one_way(groups: Sequence[Iterable[float]], names: Sequence[str] = ()) -> OneWay:
+    """Return the analysis of variance of at least two groups.
+
+    Parameters
+    ----------
+    groups : values of each group, at least one each and two in one of them.
+    names : of the groups, for messages.
+
+    Raises
+    ------
+    NumericsError
+        One group, an empty one, no repeats, missing values, or groups that differ within by rounding at most.
+    """
+    if len(groups) < 2:
+        raise NumericsError(f"analysis of variance: {len(groups)} group instead of at least 2")
+    labels = names or [f"group {index + 1}" for index in range(len(groups))]
+    arrays = [sample(values, name) for values, name in zip(groups, labels, strict=True)]
+    count = sum(map(len, arrays))
+    if count == len(arrays):
+        raise NumericsError("analysis of variance: every group has one value, which leaves no variance within them")
+    grand, _ = centred(np.concatenate(arrays))
+    parts = [centred(array - grand) for array in arrays]
+    between = fsum(len(rest) * mean**2 for mean, rest in parts)
+    within = fsum(square for _, rest in parts for square in rest**2)
+    # Group by group: a sum of squares against a common threshold calls many small groups' true spread rounding.
+    if all(constant(array) for array in arrays) or not within:
+        raise NumericsError(
+            "analysis of variance: values within the groups differ by rounding at most, which leaves no variance"
+        )
+    free = len(arrays) - 1, count - len(arrays)
+    statistic = (between / free[0]) / (within / free[1])
+    return OneWay(between, within, *free, statistic, float(stats.f.sf(statistic, *free)))
+
+
+def holm(p_values: Sequence[float]) -> Array:
+    """Return Holm's adjusted values: max over j ≤ i of (m − j + 1) p_(j), in the order given.
+
+    Parameters
+    ----------
+    p_values : (m,), of the tests that were made; leave out those that were refused.
+
+    Returns
+    -------
+    (m,) ndarray
+
+    Raises
+    ------
+    NumericsError
+        A value is missing or not between 0 and 1.
+    """
+    values, order = _ordered(p_values)
+    factors = np.arange(len(values), 0, -1)
+    return _back(np.maximum.accumulate(factors * values[order]), order)
+
+
+def benjamini_hochberg(p_values: Sequence[float]) -> Array:
+    """Return Benjamini and Hochberg's adjusted values: min over j ≥ i of m p_(j) / j; see :func:`holm`."""
+    values, order = _ordered(p_values)
+    raised = len(values) / np.arange(1, len(values) + 1) * values[order]
+    return _back(np.minimum.accumulate(raised[::-1])[::-1], order)
+
+
+def _ordered(p_values: Sequence[float]) -> tuple[Array, "np.ndarray[tuple[int], np.dtype[np.intp]]"]:
+    values = sample(p_values, "p values", least=0)
+    outside = values[(values < 0) | (values > 1)]
+    if len(outside):
+        raise NumericsError(f"p values: {outside[0]:g} is not between 0 and 1")
+    return values, np.argsort(values, kind="stable")
+
+
+def _back(adjusted: Array, order: "np.ndarray[tuple[int], np.dtype[np.intp]]") -> Array:
+    result = np.empty_like(adjusted)
+    result[order] = np.minimum(adjusted, 1.0)
+    return result

@@ -6,13 +6,10 @@ from typing import Any, Final
 
 from sqlalchemy import Engine, Select, case, func, literal, select
 
-from cbsr_qa.domain.measurement import Bound
-from cbsr_qa.domain.run_figures import MetricKey, RunFigure, RunLine
-from cbsr_qa.store.check_tables import StationCheckRow
+from cbsr_qa.domain.results import Bound, MetricKey, RunFigure, RunLine
+from cbsr_qa.store.chain import check_analyses
 from cbsr_qa.store.engine import reading
-from cbsr_qa.store.fleet_check import check_analyses
-from cbsr_qa.store.result_tables import AnalysisRow, MeasurementRow
-from cbsr_qa.store.run_tables import RunRow
+from cbsr_qa.store.tables import AnalysisRow, MeasurementRow, RunRow, StationCheckRow
 
 #: Analyses asked for in one query; SQLite before 3.32 takes 999 parameters.
 _AT_ONCE: Final = 900

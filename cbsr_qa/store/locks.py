@@ -12,10 +12,9 @@ from typing import Final
 from sqlalchemy import Connection, Engine, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.file_lock import FileLock, HeldError, holder
-from cbsr_qa.store.engine import sqlite_file
-from cbsr_qa.store.failures import shown, translated
+from cbsr_qa.domain import StoreError
+from cbsr_qa.store.engine import shown, sqlite_file, translated
+from cbsr_qa.system import FileLock, HeldError, holder
 
 _NAME_LENGTH: Final = 63  # of an application's name in PostgreSQL
 

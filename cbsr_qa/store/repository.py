@@ -10,48 +10,55 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Engine
 
-from cbsr_qa.clock import RealClock
-from cbsr_qa.domain.calibration import Calibration
-from cbsr_qa.domain.changes import ChangeHistory, ConfigurationChange, VerdictOverride
-from cbsr_qa.domain.fleet import FleetTable
-from cbsr_qa.domain.loads import Indenter
-from cbsr_qa.domain.outcome import Outcome
-from cbsr_qa.domain.reconstruction import LinearReconstruction
-from cbsr_qa.domain.report import RunResult
-from cbsr_qa.domain.run import RunIdentity, RunRecord, RunSession
-from cbsr_qa.domain.run_figures import RunFigure, RunLine
-from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
-from cbsr_qa.domain.sensor_history import SensorHistory
-from cbsr_qa.domain.station_charts import ChartReference
-from cbsr_qa.domain.station_check import RingReadings, StationCheck
-from cbsr_qa.store import (
-    analyses,
-    calibrations,
-    changes,
-    chart_references,
-    damage,
-    figures,
-    fleet_query,
-    incomplete,
-    locks,
-    overrides,
-    runs,
-    schema,
-    sensor_history,
-    station_checks,
+from cbsr_qa.domain.results import (
+    Calibration,
+    FleetTable,
+    LinearReconstruction,
+    Outcome,
+    RunFigure,
+    RunLine,
+    RunResult,
 )
-from cbsr_qa.store.analyses import StoredAnalysis
-from cbsr_qa.store.calibration_forces import PrepareForce
-from cbsr_qa.store.calibrations import CalibrationSummary
-from cbsr_qa.store.engine import open_engine, parsed_url
-from cbsr_qa.store.failures import address, shown
+from cbsr_qa.domain.run import (
+    ChangeHistory,
+    ChartReference,
+    ConfigurationChange,
+    Indenter,
+    RingReadings,
+    RunIdentity,
+    RunRecord,
+    RunSession,
+    SensorHistory,
+    StationCheck,
+    VerdictOverride,
+)
+from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
+from cbsr_qa.store import (
+    changes,
+    changes as overrides,
+    figures,
+    fleet as fleet_query,
+    locks,
+    schema,
+    stations as chart_references,
+    stations as station_checks,
+)
+from cbsr_qa.store.chain import KEY_OPTION, SigningKey
+from cbsr_qa.store.engine import address, open_engine, parsed_url, shown
 from cbsr_qa.store.figures import RunFilter
-from cbsr_qa.store.ids import IdSource, made_at
-from cbsr_qa.store.incomplete import IncompleteRun, latest_id
-from cbsr_qa.store.journal import Journal
-from cbsr_qa.store.links import KEY_OPTION
-from cbsr_qa.store.runs import RunSummary
-from cbsr_qa.store.signing import SigningKey
+from cbsr_qa.store.results import CalibrationSummary, PrepareForce, StoredAnalysis, analyses, calibrations
+from cbsr_qa.store.runs import (
+    IncompleteRun,
+    Journal,
+    RunSummary,
+    latest_id,
+    outcomes as damage,
+    outcomes as sensor_history,
+    runs,
+    sessions as incomplete,
+)
+from cbsr_qa.store.types import IdSource, made_at
+from cbsr_qa.system import RealClock
 
 #: Clocks of computers that share a database may differ by this much without anybody being told.
 _CLOCKS_DIFFER: Final = timedelta(minutes=1)
@@ -69,9 +76,9 @@ def open_store(
 
     Parameters
     ----------
-    url : SQLAlchemy URL, see :func:`cbsr_qa.config.paths.database_url`.
+    url : SQLAlchemy URL, see :func:`cbsr_qa.config.database_url`.
     create : make the tables where there are none yet.
-    durable : wait for the disk at every commit, see :func:`cbsr_qa.store.engine.open_engine`.
+    durable : wait for the disk at every commit, see :func:`cbsr_qa.store.open_engine`.
     wall : tells the time for identifiers and analyses; by default the computer's clock.
     tell : told while another program that makes the tables is waited for.
 
@@ -80,7 +87,7 @@ def open_store(
     StoreError
         If it is missing (and not to be created), damaged, of another version or another program, or unreachable.
     ConfigError
-        If the signing key that is set cannot be used, see :mod:`cbsr_qa.store.signing`.
+        If the signing key that is set cannot be used, see :mod:`cbsr_qa.store.chain.links`.
     """
     key = SigningKey.from_environment()
     engine = open_engine(parsed_url(url), durable=durable)
@@ -366,7 +373,7 @@ class Repository:
         until: date | None = None,
         names: Sequence[str] = (),
     ) -> FleetTable:
-        """Return runs with the values of their latest analyses, see :func:`cbsr_qa.store.fleet_query.fleet_table`."""
+        """Return runs with the values of their latest analyses, see :func:`cbsr_qa.store.fleet.fleet_table`."""
         return fleet_query.fleet_table(self._engine, recipe=recipe, since=since, until=until, names=names)
 
     def save_station_check(self, check: StationCheck, ring: RingReadings | None = None) -> None:

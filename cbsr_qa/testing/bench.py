@@ -10,17 +10,15 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from cbsr_qa.clock import Clock
-from cbsr_qa.config.loader import load_material, load_sensor_type, load_station
-from cbsr_qa.domain.errors import InstrumentError
-from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.domain.plan import InstrumentSpec
+from cbsr_qa.config import load_material, load_sensor_type, load_station
+from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain.plan import InstrumentSpec, Role, Step
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.domain.sensor import SensorIdentity, SensorType
-from cbsr_qa.domain.steps import Role, Step
-from cbsr_qa.interfaces import SequenceContext
-from cbsr_qa.runner.bench import FORCE_APPLICATOR, FORCE_CHANNEL, FRAME_SOURCE, Bench, Mounted
-from cbsr_qa.runner.plan import Plan, PlannedPhase
+from cbsr_qa.plugin import SequenceContext
+from cbsr_qa.station import FORCE_APPLICATOR, FORCE_CHANNEL, FRAME_SOURCE, Bench, Mounted, Plan, PlannedPhase
+from cbsr_qa.system import Clock
 
 #: Role of the scripted bench's load cell.
 LOAD_CELL = "load_cell"

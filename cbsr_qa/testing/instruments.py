@@ -15,14 +15,13 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.clock import Clock, RealClock
-from cbsr_qa.domain import kinematics
-from cbsr_qa.domain.errors import InstrumentError
-from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit, join_frames
-from cbsr_qa.domain.plan import Motion
+from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain.plan import Motion, steps as kinematics
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit, join_frames
 from cbsr_qa.domain.run import InstrumentIdentity
 from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.interfaces import ForceApplicator, FrameSource, Instrument, Sampler
+from cbsr_qa.plugin import ForceApplicator, FrameSource, Instrument, Sampler
+from cbsr_qa.system import Clock, RealClock
 from cbsr_qa.testing.reconstructions import Checked
 
 #: Safe states are reached within this time, besides the head's travel [s, real time].

@@ -1,9 +1,8 @@
 """Conformance of metrics: their answers are those a run would take."""
 
-from cbsr_qa.analysis.measure import ask
-from cbsr_qa.domain.measurement import Measurement
-from cbsr_qa.domain.observation import RunObservation
-from cbsr_qa.interfaces import LoadMetric, RunMetric
+from cbsr_qa.analysis import ask
+from cbsr_qa.domain.results import Measurement, RunObservation
+from cbsr_qa.plugin import LoadMetric, RunMetric
 
 
 def check_metric(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:

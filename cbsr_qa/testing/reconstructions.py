@@ -11,21 +11,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import CbsrError
-from cbsr_qa.domain.reconstruction import ImagingProblem, LinearReconstruction, PreparedReconstruction
-from cbsr_qa.interfaces import Reconstruction
-from cbsr_qa.reconstruct.scaling import changes, scale_of
-from cbsr_qa.testing.elsewhere import images_elsewhere
-from cbsr_qa.testing.symmetric_problem import SymmetricProblem, symmetric_problem
+from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, PreparedReconstruction
+from cbsr_qa.eit.inverse import changes, scale_of
+from cbsr_qa.plugin import Reconstruction
 from cbsr_qa.testing.targets import (
     CONTRAST,
     PLACES,
+    SymmetricProblem,
     blob_centre,
     example_problem,
     found_at,
+    images_elsewhere,
     noise,
     noise_deviation,
     signal,
+    symmetric_problem,
 )
 
 Array = NDArray[np.float64]

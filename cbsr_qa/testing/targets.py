@@ -1,15 +1,188 @@
-"""Targets on a small problem, and the blobs images make of them: what the conformance checks look at."""
+"""Targets on a small problem, and the blobs images make of them: what the conformance checks look at.
 
-from dataclasses import replace
+What a reconstruction answers in a fresh process, with another number of threads and another hash seed.
+
+A coarse imaging problem that is exactly the same after a turn by one electrode.
+
+Meshes of a sensor type are filled by a smoothing iteration and come near to the electrodes' symmetry only. Here rings
+of nodes are joined by hand, and voltages and images share the mesh: what a method does to the symmetry is its own.
+"""
+
+import os
+import pickle
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from cbsr_qa.config.loader import load_sensor_type
-from cbsr_qa.domain.reconstruction import ImagingProblem, PreparedReconstruction
-from cbsr_qa.reconstruct.problem import imaging_problem, target_signal
+from cbsr_qa.config import load_sensor_type
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.results import ImagingProblem, PreparedReconstruction
+from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Mesh, Response, SensorType, adjacent_pattern
+from cbsr_qa.eit.forward import ForwardModel
+from cbsr_qa.eit.inverse import imaging_problem, target_signal
+from cbsr_qa.plugin import Reconstruction
 
 Array = NDArray[np.float64]
+Factory = Callable[[], Reconstruction]
+
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+_POLITE = {"OPENBLAS_THREAD_TIMEOUT": "4"}  # idle threads sleep at once: others may need the core
+_COMMAND = "import sys; from cbsr_qa.testing.targets import answer; answer(sys.argv[1])"
+
+
+def images_elsewhere(
+    factories: Sequence[Factory], problem: ImagingProblem, changes: Array, *, threads: int
+) -> list[Array]:
+    """Prepare and image in one fresh process.
+
+    Parameters
+    ----------
+    factories : classes or functions a module holds by name, or partials of such.
+    changes : (n, m), as ``PreparedReconstruction.images`` takes them.
+    threads : of the numerical libraries there.
+
+    Returns
+    -------
+    One (n, e) float64 for each factory.
+
+    Raises
+    ------
+    RefusedError
+        If a factory cannot be found by name from another process, or that process fails; says what it said.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            (Path(folder) / "asked").write_bytes(pickle.dumps((list(factories), problem, changes)))
+        except (pickle.PicklingError, AttributeError, TypeError) as error:
+            raise RefusedError(
+                f"another process cannot be asked: {error}",
+                remedy="use a class or function that a module holds by name",
+            ) from error
+        environment = os.environ | dict.fromkeys(_THREADS, str(threads)) | _POLITE | {"PYTHONHASHSEED": str(threads)}
+        environment["PYTHONPATH"] = os.pathsep.join(path for path in sys.path if path)
+        done = subprocess.run(
+            [sys.executable, "-c", _COMMAND, folder], env=environment, capture_output=True, text=True, check=False
+        )
+        if done.returncode:
+            raise RefusedError(f"the other process failed: {done.stderr.strip()}")
+        answered: list[Array] = pickle.loads((Path(folder) / "answered").read_bytes())
+        return answered
+
+
+def answer(folder: str) -> None:
+    """Do what was asked in a folder; called in the other process."""
+    factories, problem, changes = pickle.loads((Path(folder) / "asked").read_bytes())
+    images = [factory().prepare(problem).images(changes) for factory in factories]
+    (Path(folder) / "answered").write_bytes(pickle.dumps(images))
+
+
+Indices = NDArray[np.int64]
+
+_RADIUS_MM = 50.0
+_ELECTRODES = 16
+_RINGS = 8
+_RIM = 4 * _ELECTRODES  # edges along the rim: four for every electrode, of which it covers two
+_CONTACT_MM = 0.5  # contact impedance times sheet conductance
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SymmetricProblem:
+    """A problem and what a turn by one electrode does to it.
+
+    Parameters
+    ----------
+    problem : voltages and images on one mesh.
+    turned : (e,) int64, the element each element comes to lie on.
+    """
+
+    problem: ImagingProblem
+    turned: Indices
+
+    def turn_readings(self, readings: Array) -> Array:
+        """Readings (m,) of the same target one electrode further."""
+        frame = np.zeros(self.problem.used.shape)
+        frame[self.problem.used] = readings
+        turned: Array = np.roll(frame, (1, 1), axis=(0, 1))[self.problem.used]
+        return turned
+
+    def turn_image(self, image: Array) -> Array:
+        """Image (e,) one electrode further."""
+        turned = np.empty_like(image)
+        turned[self.turned] = image
+        return turned
+
+
+@lru_cache(maxsize=1)
+def symmetric_problem() -> SymmetricProblem:
+    """A 100 mm disc with 16 arc electrodes, about 700 elements; made once per process."""
+    mesh = _mesh()
+    width_mm = 2 * np.pi * _RADIUS_MM / _RIM * 2
+    layout = ElectrodeLayout(_ELECTRODES, ElectrodeKind.ARC, _RADIUS_MM, width_mm, 0.0, counterclockwise=True)
+    sensor = SensorType("symmetric disc", _RADIUS_MM, 4.0, layout, adjacent_pattern(_ELECTRODES), Response.AUTO)
+    model = ForwardModel(mesh, sensor.pattern, np.ones(len(mesh.elements)), np.full(_ELECTRODES, _CONTACT_MM))
+    used = sensor.pattern.usable()
+    reference = model.voltages()[used]
+    problem = ImagingProblem(sensor, mesh, model.jacobian()[used], reference, used, measured=reference)
+    return SymmetricProblem(problem, _turned(mesh))
+
+
+def _mesh() -> Mesh:
+    counts = [1, *(_on_ring(ring) for ring in range(1, _RINGS + 1))]
+    starts = np.concatenate([[0], np.cumsum(counts)])
+    radii = _RADIUS_MM * np.arange(_RINGS + 1) / _RINGS
+    angles = [2 * np.pi * np.arange(count) / count for count in counts]
+    nodes = np.vstack(
+        [r * np.column_stack([np.cos(angle), np.sin(angle)]) for r, angle in zip(radii, angles, strict=True)]
+    )
+    elements = [
+        _strip(starts[ring], counts[ring], starts[ring + 1], counts[ring + 1]) for ring in range(len(counts) - 1)
+    ]
+    first = _RIM // _ELECTRODES * np.arange(_ELECTRODES)
+    edges = tuple(starts[-2] + np.array([[k - 1, k], [k, k + 1]]) % _RIM for k in first)
+    return Mesh(nodes, np.vstack(elements), edges)
+
+
+def _on_ring(ring: int) -> int:
+    """Nodes on a ring: the electrodes' number, doubled as often as keeps the edges about as long as on the rim."""
+    doublings = max(0, round(np.log2(_RIM / _ELECTRODES * ring / _RINGS)))
+    return int(_ELECTRODES * 2**doublings)
+
+
+def _strip(inner: int, inner_count: int, outer: int, outer_count: int) -> Indices:
+    """Triangles between two rings, of which the outer has as many nodes as the inner one or twice as many."""
+    here = np.arange(max(outer_count, inner_count))
+    there = (here + 1) % outer_count
+    if inner_count == 1:
+        return np.column_stack([np.full(outer_count, inner), outer + here, outer + there])
+    ratio = outer_count // inner_count
+    near, next_near = inner + here // ratio, inner + (here // ratio + 1) % inner_count
+    outward = np.column_stack([near, outer + here, outer + there])
+    if ratio == 1:
+        return np.vstack([outward, np.column_stack([near, outer + there, next_near])])
+    # Of the two fine edges beyond a coarse one the second is joined to its far end; one triangle fills the gap.
+    second = here % 2 == 1
+    outward[second, 0] = next_near[second]
+    middle = here[~second]
+    return np.vstack([outward, np.column_stack([near[~second], outer + middle + 1, next_near[~second]])])
+
+
+def _turned(mesh: Mesh) -> Indices:
+    angle = 2 * np.pi / _ELECTRODES
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    found = cKDTree(mesh.centroids_mm).query(mesh.centroids_mm @ turn.T)
+    distance, turned = np.asarray(found[0]), np.asarray(found[1], dtype=np.int64)
+    if distance.max() > 1e-9 * _RADIUS_MM or len(np.unique(turned)) < len(turned):
+        raise AssertionError("the mesh is not the same after a turn by one electrode")
+    return turned
+
 
 #: Where targets are, in units of the sheet's radius.
 PLACES = ((0.1, 0.05), (0.5, 0.2), (-0.4, 0.3), (-0.1, -0.55))

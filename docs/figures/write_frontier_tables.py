@@ -13,11 +13,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.app.frontier_page import station_canvas, table_of
-from cbsr_qa.frontier.computer import computer_tasks, measured, worth_their_time
-from cbsr_qa.frontier.point import Accuracy, Clock, Point
-from cbsr_qa.frontier.station_points import worth_the_station
-from cbsr_qa.report.svg import drawn
+from cbsr_qa.report.draw import drawn
+from cbsr_qa.studies.frontier import Accuracy, Clock, Point, station_canvas, table_of, worth_the_station
+from cbsr_qa.studies.frontier.computer import computer_tasks, measured, worth_their_time
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "explanation" / "what-accuracy-costs.md"
 FIGURE: Final = PAGE.parent / "figures" / "frontier" / "station.svg"

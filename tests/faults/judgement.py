@@ -9,11 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from short_run import HELD_FRAMES, NINE_PLACES, UNLOADED_FRAMES, configuration
 
-from cbsr_qa.domain.kinematics import stroke_s
-from cbsr_qa.domain.outcome import EndReason
-from cbsr_qa.domain.run import RunRecord
-from cbsr_qa.domain.run_events import RunEnded
-from cbsr_qa.emulate.rig import EmulatedRig
+from cbsr_qa.domain.plan import stroke_s
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import RunEnded, RunRecord
+from cbsr_qa.simulate.instruments import EmulatedRig
 
 Array = NDArray[np.float64]
 

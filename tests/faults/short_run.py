@@ -5,13 +5,10 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from cbsr_qa.app.setup import configure, plan_of
-from cbsr_qa.config.merge import Configuration
-from cbsr_qa.domain.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role, Step
-from cbsr_qa.interfaces import Sequence, SequenceContext
-from cbsr_qa.plugins import Plugins, discover
-from cbsr_qa.runner.plan import Plan
-from cbsr_qa.runner.schedule import ScheduledStep, schedule
+from cbsr_qa.config import Configuration
+from cbsr_qa.domain.plan import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role, Step
+from cbsr_qa.plugin import Plugins, Sequence, SequenceContext, discover
+from cbsr_qa.station import Plan, ScheduledStep, configure, plan_of, schedule
 
 #: Of the campaign: nine places; and of its sample: two of them.
 NINE_PLACES, TWO_PLACES = (Path(__file__).with_name(name) for name in ("two-frames.toml", "two-places.toml"))

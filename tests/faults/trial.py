@@ -21,19 +21,15 @@ from judgement import (
 )
 from short_run import NINE_PLACES, configuration, plan_for, plugins
 
-from cbsr_qa.app.setup import open_station, station_clock
-from cbsr_qa.clock import RealClock
-from cbsr_qa.config.merge import Configuration
-from cbsr_qa.domain.errors import InstrumentError
-from cbsr_qa.domain.outcome import EndReason
-from cbsr_qa.domain.run import RunIdentity
-from cbsr_qa.domain.run_events import FramesTaken, RunEnded, RunEvent, StepStarted
+from cbsr_qa.config import Configuration
+from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import FramesTaken, RunEnded, RunEvent, RunIdentity, StepStarted
 from cbsr_qa.domain.sensor import SensorIdentity
-from cbsr_qa.emulate.faults import Fault
-from cbsr_qa.emulate.start import Emulation
-from cbsr_qa.runner.bench import Bench
-from cbsr_qa.runner.execute import execute
-from cbsr_qa.store.repository import Repository, open_store
+from cbsr_qa.simulate.instruments import Emulation, Fault
+from cbsr_qa.station import Bench, execute, open_station, station_clock
+from cbsr_qa.store import Repository, open_store
+from cbsr_qa.system import RealClock
 
 #: Roles of the station that faults strike, and which.
 OF_INSTRUMENTS = {

@@ -17,13 +17,12 @@ from test_recording_file import sample
 from test_smu_rig_csv import HEADER, frames, lines_of
 from test_tank_formats import ds_file, vectors
 
-from cbsr_qa.analysis.recording_file import write_recording
-from cbsr_qa.app.calibration_file import read_any, verify_file
-from cbsr_qa.app.read_recording import read_recording_file
-from cbsr_qa.calibrate.file import write_calibration
-from cbsr_qa.calibrate.json_file import json_document
-from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.plugins import discover
+from cbsr_qa.analysis import write_recording
+from cbsr_qa.analysis.recording import read_recording_file
+from cbsr_qa.app import read_any, verify_file
+from cbsr_qa.calibration.file import json_document, write_calibration
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.plugin import discover
 
 #: A file is read or refused within this time [s].
 LONGEST_S = 10.0

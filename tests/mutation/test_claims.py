@@ -12,13 +12,13 @@ import scipy.io
 from calibration_samples import edited, plain_digest, sample_calibration
 from test_recording_file import sample
 
-from cbsr_qa.analysis.recording_file import _digest, write_recording
-from cbsr_qa.app.analyse import AnalyseRequest, _sensor_type
-from cbsr_qa.app.calibration_file import read_any, show_calibration, verify_file
-from cbsr_qa.app.read_recording import read_recording_file
-from cbsr_qa.calibrate.file import read_calibration, write_calibration
-from cbsr_qa.domain.errors import CalibrationError, RecordingError
-from cbsr_qa.plugins import discover
+from cbsr_qa.analysis.recording import read_recording_file
+from cbsr_qa.analysis.recording_files import _digest, write_recording
+from cbsr_qa.app import read_any, show_calibration, verify_file
+from cbsr_qa.app.analyse.analyse import AnalyseRequest, _sensor_type
+from cbsr_qa.calibration.file import read_calibration, write_calibration
+from cbsr_qa.domain import CalibrationError, RecordingError
+from cbsr_qa.plugin import discover
 
 
 def _read(path):
@@ -208,7 +208,7 @@ def test_what_a_recording_holds_in_place_of_something_else_is_refused_by_name(re
 @pytest.mark.parametrize("named", ["/etc/passwd", "x.toml", "../disc-100mm", "a/\0", "no-such", "/" + "a" * 900])
 def test_a_recording_names_a_shipped_sensor_type_or_none_and_no_file(recording, monkeypatch, named):
     opened = []
-    monkeypatch.setattr("cbsr_qa.app.analyse.load_sensor_type", opened.append)
+    monkeypatch.setattr("cbsr_qa.app.analyse.analyse.load_sensor_type", opened.append)
     with h5py.File(recording, "r+") as file:
         _described(sensor_type=named)(file)
         file.attrs["sha256"] = _digest(file)

@@ -11,11 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from cbsr_qa import untrusted
-from cbsr_qa.domain.errors import CalibrationError, RecordingError, RefusedError
-from cbsr_qa.domain.loads import Indenter
-from cbsr_qa.domain.recording import RowProblem
-from cbsr_qa.untrusted import CONTAINED, read_untrusted
+from cbsr_qa.domain import CalibrationError, RecordingError, RefusedError, RowProblem
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.system import CONTAINED, read_untrusted, untrusted
 
 pytestmark = pytest.mark.skipif(not CONTAINED, reason="there are no reading children on this platform")
 
@@ -132,7 +130,7 @@ def test_text_in_any_coding_is_read_while_the_file_is_open(file):
 import sys
 from pathlib import Path
 from cbsr_qa.domain.errors import RecordingError
-from cbsr_qa.untrusted import read_untrusted
+from cbsr_qa.system.untrusted import read_untrusted
 def read():
     with Path({str(file)!r}).open("rb"):
         return [b"ab".decode(coding) for coding in ("ascii", "latin-1", "utf-8-sig", "utf-16", "cp1252")]

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from station_files import station_file
 
-from cbsr_qa.analysis.recording_file import read_recording
+from cbsr_qa.analysis import read_recording
 
 _HERE = Path(__file__).parent
 
@@ -100,7 +100,7 @@ def test_it_is_listed_with_its_distribution(environment, tmp_path):
 
 
 def test_it_appears_in_a_run_and_its_report(environment, tmp_path):
-    from cbsr_qa.config.documents import DocumentKind, open_document
+    from cbsr_qa.config import DocumentKind, open_document
 
     shipped = open_document(DocumentKind.RECIPE, "nine-locations").text
     (tmp_path / "station.toml").write_text(

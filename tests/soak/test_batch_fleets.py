@@ -1,21 +1,13 @@
 """A thousand fleets of known truth through ``compare``: the batch that differs is found, and no station for it."""
 
-import sys
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from cbsr_qa.domain.fleet import FleetRun, FleetTable, Kind, State
-from cbsr_qa.domain.outcome import Outcome
-from cbsr_qa.domain.run_figures import MetricKey
-from cbsr_qa.fleet.comparison import compare
-from cbsr_qa.fleet.terms import By, Terms
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
-
 from benchmarks.batch_coverage import BATCHES, DESIGNS, design, values
+from cbsr_qa.domain.results import FleetRun, FleetTable, Kind, MetricKey, Outcome, State
+from cbsr_qa.studies.compare import By, Terms, compare
 
 SEEDS = 1000
 BEGAN = datetime(2026, 1, 5, tzinfo=UTC)

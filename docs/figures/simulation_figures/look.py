@@ -11,8 +11,7 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.image import AxesImage
 from matplotlib.ticker import MaxNLocator, NullFormatter, StrMethodFormatter
 
-from cbsr_qa.report.style import AMOUNT_MAP, INK, QUIET, light_grid
-from cbsr_qa.report.svg import checked_svg, drawn
+from cbsr_qa.report.draw import AMOUNT_MAP, INK, QUIET, checked_svg, drawn, light_grid
 from simulation_figures.worlds import Array, sensor_type
 
 #: Makes one figure.

@@ -6,9 +6,9 @@ import numpy as np
 from matplotlib.figure import Figure as Canvas
 from scipy.constants import Boltzmann, zero_Celsius
 
-from cbsr_qa.domain.frames import ReadingFlag
-from cbsr_qa.domain.scene import Moment
-from cbsr_qa.report.style import AMOUNT_MAP, BLUE, GREEN, QUIET, VERMILION
+from cbsr_qa.domain.plan import Moment
+from cbsr_qa.domain.readings import ReadingFlag
+from cbsr_qa.report.draw import AMOUNT_MAP, BLUE, GREEN, QUIET, VERMILION
 from simulation_figures import worlds
 from simulation_figures.look import (
     CLOSED,

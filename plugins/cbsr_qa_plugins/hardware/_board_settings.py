@@ -7,10 +7,9 @@ from typing import Any, Final, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.recording_memory import correct_memory
-from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
-from cbsr_qa.interfaces import StationContext
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, correct_memory
+from cbsr_qa.plugin import StationContext
 from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, PAIRS, Counts, scan_order
 from cbsr_qa_plugins.hardware._options import InstrumentTable
 

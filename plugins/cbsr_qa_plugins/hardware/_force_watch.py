@@ -5,10 +5,10 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.clock import Clock
-from cbsr_qa.domain.errors import ConfigError, InstrumentError, SafetyError
+from cbsr_qa.domain import ConfigError, InstrumentError, SafetyError
 from cbsr_qa.domain.plan import SafetyLimits
-from cbsr_qa.interfaces import Instrument, Sampler
+from cbsr_qa.plugin import Instrument, Sampler
+from cbsr_qa.system import Clock
 
 CHANNEL: Final = "force"
 #: Where no station says what it allows: the shipped station's.

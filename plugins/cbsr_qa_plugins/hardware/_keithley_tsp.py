@@ -1,6 +1,140 @@
-"""TSP that brings a unit of Keithley's 2600 series to its settings, and the function that takes a measurement."""
+"""TSP that brings a unit of Keithley's 2600 series to its settings, and the function that takes a measurement.
 
+Questions to a unit of Keithley's 2600 series, each with a word of its own that its answer repeats.
+"""
+
+import itertools
+from contextlib import suppress
 from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import InstrumentError
+from cbsr_qa.plugin.links import VisaLink
+
+#: Set values may be rounded to the instrument's resolution; what is further off was not taken.
+_TOLERANCE = 1e-4
+
+
+class TspUnit:
+    """A unit that is spoken to in TSP.
+
+    Parameters
+    ----------
+    link : the open session.
+    """
+
+    def __init__(self, link: VisaLink) -> None:
+        self._link = link
+        self._words = itertools.count(1)
+        self._known: tuple[str, str] | None = None
+
+    def write(self, line: str) -> None:
+        """Send a line that has no answer."""
+        self._link.write(line)
+
+    def greet(self) -> None:
+        """Ask a stranger who it is, in words every instrument knows: the next ones only the right one knows."""
+        try:
+            self.identity()
+        except InstrumentError as stranger:
+            # An answer left over from before is no stranger: then it comes back into step.
+            try:
+                self.recover()
+            except InstrumentError:
+                raise stranger from None
+
+    def recover(self) -> None:
+        """Get back into step; prompts that another program switched on are switched off before they count as answers.
+
+        Raises
+        ------
+        InstrumentError
+            If there is no answer.
+        """
+        with suppress(InstrumentError):  # a link that is down is opened again first
+            self._link.write("localnode.prompts = 0")
+        self._link.recover()
+
+    def identity(self) -> tuple[str, str, str, str]:
+        """Return maker, model, serial number and firmware.
+
+        Raises
+        ------
+        InstrumentError
+            If it is no unit of the series.
+        """
+        said = self._link.query("*IDN?")
+        parts = [part.strip() for part in said.split(",")]
+        if len(parts) != 4 or "keithley" not in parts[0].lower() or not parts[1].lower().startswith("model 26"):
+            raise self.error(
+                f"it says it is {said[:80]!r}; a Keithley 2600 series unit is expected",
+                remedy="mend the address in the station file",
+            )
+        return parts[0], parts[1], parts[2], parts[3]
+
+    def recognise(self) -> None:
+        """Make sure that it is the unit it was when it was first asked: another one is not the record's.
+
+        Raises
+        ------
+        InstrumentError
+            If it is another unit, or none of the series.
+        """
+        _, model, serial, _ = self.identity()
+        known = self._known or (model, serial)
+        if (model, serial) != known:  # a garbled answer names another unit too: ask again
+            _, model, serial, _ = self.identity()
+        if (model, serial) != known:
+            raise self.error(
+                f"it was {' '.join(known)} when the station was opened; now {model} {serial} answers",
+                remedy="connect the same unit again, or start a new run",
+            )
+        self._known = known
+
+    def numbers(self, *names: str) -> tuple[float, ...]:
+        """Ask for attributes, or what functions return."""
+        word = f"w{next(self._words)}"
+        said = self._link.query(f'print("{word}", {", ".join(names)})', mark=word)
+        try:
+            values = tuple(float(one) for one in said.split("\t"))
+        except ValueError:
+            values = ()
+        if len(values) != len(names):
+            raise self.error(f"answered {said[:80]!r} when asked for {', '.join(names)}", retryable=True)
+        return values
+
+    def table(self, function: str, rows: int, columns: int) -> NDArray[np.float64]:
+        """Call a function ``f(rows, word)`` that prints so many binary numbers and then the word: (rows, columns)."""
+        word = f"{next(self._words) % 1000000:06d}"
+        numbers = self._link.query_binary(f'{function}({rows}, "{word}")', rows * columns, mark=word)
+        return numbers.reshape(rows, columns)
+
+    def check(self, wanted: dict[str, float]) -> None:
+        """Read settings back and compare."""
+        for (name, value), found in zip(wanted.items(), self.numbers(*wanted), strict=True):
+            if abs(found - value) > _TOLERANCE * abs(value):
+                raise self.error(f"{name} was set to {value:.9g}, and reads back as {found:.9g}")
+
+    def check_errors(self, doing: str) -> None:
+        """Empty the error queue; anything in it is refused."""
+        if found := self.errors():
+            raise self.error(f"refused {doing}: {'; '.join(found)}")
+
+    def errors(self) -> list[str]:
+        """Empty the error queue: code and message of each."""
+        found = []
+        for _ in range(int(self.numbers("errorqueue.count")[0])):
+            word = f"w{next(self._words)}"
+            code, message, *_ = [*self._link.query(f'print("{word}", errorqueue.next())', mark=word).split("\t"), ""]
+            found.append(f"{float(code):.0f} {message}")
+        return found
+
+    def error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
+        """Return an error that names role and address."""
+        return InstrumentError(self._link.role, self._link.address, reason, remedy=remedy, retryable=retryable)
+
 
 #: Name of the function on the instrument: ``cbsr_measure(readings, word)``.
 MEASURE: Final = "cbsr_measure"

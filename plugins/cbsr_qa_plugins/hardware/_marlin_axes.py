@@ -7,8 +7,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
-from cbsr_qa.clock import Clock
-from cbsr_qa.domain.errors import CbsrError, InstrumentError
+from cbsr_qa.domain import CbsrError, InstrumentError
+from cbsr_qa.system import Clock
 from cbsr_qa_plugins.hardware._marlin_link import MarlinLink
 
 Position = tuple[float, float, float]

@@ -5,8 +5,8 @@ from collections.abc import Sequence
 from difflib import get_close_matches
 from typing import Any, Final
 
-from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.interfaces import StationContext
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.plugin import StationContext
 
 _MISSING: Final = object()
 

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-from cbsr_qa.domain.errors import InstrumentError
-from cbsr_qa.domain.frames import FrameBlock
+from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain.readings import FrameBlock
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.interfaces import StationContext
-from cbsr_qa.links.serial_link import SerialLink
+from cbsr_qa.plugin import StationContext
+from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa_plugins.hardware._board_settings import BoardSettings
 from cbsr_qa_plugins.hardware._board_stream import (
     BINARY_FRAME,
@@ -48,7 +48,7 @@ def open_board(context: StationContext) -> "ErtBoardStream":
     converter's ends, where they lie elsewhere); ``zero_counts`` (the count of 0 V, taken off; default 0); ``order``
     (``"measure"`` where the voltage pair steps faster, or ``"drive"``); ``first_reading`` (where in that order a
     frame begins); ``current_mA`` (stated where it is known); ``memory_share`` (how much each reading keeps of the
-    one before, as :func:`cbsr_qa.analysis.recording_memory.estimate_memory` finds it from reciprocity: it is taken
+    one before, as :func:`cbsr_qa.domain.readings.estimate_memory` finds it from reciprocity: it is taken
     out of the readings. Of a saturated one the end of the range is taken, and the first reading of a call stays as
     it is).
 

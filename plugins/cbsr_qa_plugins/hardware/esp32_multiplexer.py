@@ -5,14 +5,12 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Final
 
-from cbsr_qa.clock import RealClock
-from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.domain.scan_order import Order, scan_order
-from cbsr_qa.domain.station_check import CheckOutcome, CheckResult
-from cbsr_qa.interfaces import StationContext
-from cbsr_qa.links.serial_link import SerialLink
-from cbsr_qa_plugins.hardware._esp32_replies import Position, counter_in, is_log, last_position
+from cbsr_qa.domain import ConfigError, InstrumentError, RefusedError
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
+from cbsr_qa.plugin import StationContext
+from cbsr_qa.plugin.links import SerialLink
+from cbsr_qa.system import RealClock
+from cbsr_qa_plugins.hardware._esp32 import Order, Position, counter_in, is_log, last_position, scan_order
 from cbsr_qa_plugins.hardware._options import InstrumentTable
 
 _DRIVER: Final = "esp32-multiplexer"

@@ -8,14 +8,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import ConfigError, InstrumentError
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.domain.station_check import CheckOutcome, CheckResult
-from cbsr_qa.interfaces import MeterReading, StationContext
-from cbsr_qa.links.visa_link import VisaLink
-from cbsr_qa_plugins.hardware._keithley_tsp import MEASURE, settings
+from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
+from cbsr_qa.plugin import MeterReading, StationContext
+from cbsr_qa.plugin.links import VisaLink
+from cbsr_qa_plugins.hardware._keithley_tsp import MEASURE, TspUnit, settings
 from cbsr_qa_plugins.hardware._options import InstrumentTable
-from cbsr_qa_plugins.hardware._tsp_unit import TspUnit
 
 _DRIVER: Final = "keithley-2600"
 _OPTIONS: Final = (

@@ -2,12 +2,12 @@
 
 from typing import Final
 
-from cbsr_qa.domain.errors import InstrumentError
+from cbsr_qa.domain import InstrumentError
 from cbsr_qa.domain.plan import Motion
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.interfaces import StationContext
-from cbsr_qa_plugins.hardware._by_hand import Operator
+from cbsr_qa.plugin import StationContext
 from cbsr_qa_plugins.hardware._options import InstrumentTable
+from cbsr_qa_plugins.hardware.manual_samplers import Operator
 
 _DRIVER: Final = "manual-applicator"
 _KEYS: Final = ("label", "number", "tolerance_mm")

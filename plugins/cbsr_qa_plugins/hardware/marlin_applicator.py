@@ -12,23 +12,17 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain.errors import CbsrError, ConfigError, InstrumentError
-from cbsr_qa.domain.frames import SampleBlock
-from cbsr_qa.domain.kinematics import (
-    CLEARANCE_MM,
-    SEARCH_CONTACT_STEPS,
-    SEARCH_DWELL_S,
-    SEARCH_FROM_MM,
-    SEARCH_STEP_MM,
-)
+from cbsr_qa.domain import CbsrError, ConfigError, InstrumentError
+from cbsr_qa.domain.plan import CLEARANCE_MM, SEARCH_CONTACT_STEPS, SEARCH_DWELL_S, SEARCH_FROM_MM, SEARCH_STEP_MM
+from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.interfaces import Instrument, StationContext
-from cbsr_qa.links.serial_link import SerialLink
+from cbsr_qa.plugin import Instrument, StationContext
+from cbsr_qa.plugin.links import SerialLink
 from cbsr_qa_plugins.hardware._force_watch import ForceWatch, force_among
+from cbsr_qa_plugins.hardware._line_sampler import SampleLog
 from cbsr_qa_plugins.hardware._marlin_axes import Machine, MarlinAxes, Position
 from cbsr_qa_plugins.hardware._marlin_link import MarlinLink
 from cbsr_qa_plugins.hardware._options import InstrumentTable
-from cbsr_qa_plugins.hardware._sample_log import SampleLog
 
 _DRIVER: Final = "marlin-applicator"
 _OPTIONS: Final = (

@@ -13,14 +13,14 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.clock import Clock
-from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain import ConfigError, InstrumentError
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.interfaces import StationContext
-from cbsr_qa.links.locks import AddressLock
+from cbsr_qa.plugin import StationContext
+from cbsr_qa.plugin.links import AddressLock
+from cbsr_qa.system import Clock
 from cbsr_qa_plugins.hardware._force_cell import CELL_OPTIONS, CellSettings, ForceCell, Scale
+from cbsr_qa_plugins.hardware._line_sampler import SampleLog
 from cbsr_qa_plugins.hardware._options import InstrumentTable
-from cbsr_qa_plugins.hardware._sample_log import SampleLog
 
 _DRIVER: Final = "phidget-bridge"
 _OPTIONS: Final = ("device_serial", "channel", "gain", "data_interval_ms", "attach_s", *CELL_OPTIONS)

@@ -7,13 +7,11 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain import kinematics
-from cbsr_qa.domain.errors import ConfigError, InstrumentError, PluginError, RecordingError
-from cbsr_qa.domain.frames import FrameBlock, SampleBlock
-from cbsr_qa.domain.plan import Motion
-from cbsr_qa.domain.recording import Recording, ScanKind
+from cbsr_qa.domain import ConfigError, InstrumentError, PluginError, RecordingError
+from cbsr_qa.domain.plan import Motion, steps as kinematics
+from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.interfaces import StationContext
+from cbsr_qa.plugin import StationContext
 from cbsr_qa_plugins.hardware._options import InstrumentTable
 
 _DRIVER: Final = "replayed-recording"

@@ -7,12 +7,11 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.contact_check import ContactFault, ContactState, contact_faults
-from cbsr_qa.domain.errors import ConfigError, InstrumentError
-from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit, join_frames
-from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.domain.station_check import CheckOutcome, CheckResult
-from cbsr_qa.interfaces import Instrument, MeterReading, Multiplexer, SourceMeter, StationContext
+from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, VoltageUnit, join_frames
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity
+from cbsr_qa.plugin import Instrument, MeterReading, Multiplexer, SourceMeter, StationContext
+from cbsr_qa_plugins.hardware._contact_check import ContactFault, ContactState, contact_faults
 from cbsr_qa_plugins.hardware._options import InstrumentTable
 
 _DRIVER: Final = "scanned-frames"

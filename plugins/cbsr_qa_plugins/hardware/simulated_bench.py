@@ -8,16 +8,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.clock import in_ticks, on_tick
-from cbsr_qa.domain.errors import ConfigError, InstrumentError
-from cbsr_qa.domain.frames import FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.domain.plan import Motion
+from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain.plan import CONTACT_LENGTH_MM, Motion
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.run import InstrumentIdentity
-from cbsr_qa.domain.scene import CONTACT_LENGTH_MM
-from cbsr_qa.interfaces import StationContext
-from cbsr_qa.simulate.addresses import StepAddresses
-from cbsr_qa.simulate.head import SimulatedHead
-from cbsr_qa.simulate.world import SimulatedWorld
+from cbsr_qa.plugin import StationContext
+from cbsr_qa.simulate import SimulatedHead, SimulatedWorld, StepAddresses
+from cbsr_qa.system import in_ticks, on_tick
 
 _DRIVER: Final = "simulated-bench"
 _FORCE_RATE_HZ: Final = 8  # of the rig's load cell; a power of two, so that sample times are exact

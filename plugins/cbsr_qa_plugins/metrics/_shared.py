@@ -1,12 +1,15 @@
-"""What metrics share: checking of options, and labels of what was measured at a load."""
+"""What metrics share: checking of options, and labels of what was measured at a load.
+
+What metrics of a whole run share: a figure in percent, and a refusal with its reason.
+"""
 
 from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from typing import Any, Final
 
-from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.domain.measurement import Bound, Measurement
-from cbsr_qa.domain.observation import LoadObservation, MaskView, RunObservation
+from cbsr_qa.calibration.sheet import Estimate
+from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain.results import Bound, LoadObservation, MaskView, Measurement, RunObservation
 
 _NOT_DETECTED: Final = "not detected: no positive element of the image stands above the noise floor"
 _MERGED: Final = "not detected by itself: it shares the region of another load held at the same time"
@@ -86,3 +89,22 @@ def at_load(
         load=load.record.index,
         strain=place.strain,
     )
+
+
+def percent(name: str, estimate: Estimate, how: str, *, qualifier: str = "", location: str = "") -> Measurement:
+    """Make a measurement in percent of an estimate that is a fraction."""
+    stderr = None if estimate.stderr is None else 100 * estimate.stderr
+    return Measurement(
+        name, 100 * estimate.value, "%", uncertainty=stderr, qualifier=qualifier, location=location, how=how
+    )
+
+
+def refused(name: str, unit: str, error: NumericsError, *, qualifier: str = "") -> Measurement:
+    """Make a measurement without a value that says why, and what would help."""
+    how = f"{error.reason}; {error.remedy}" if error.remedy else error.reason
+    return Measurement(name, None, unit, qualifier=qualifier, how=how)
+
+
+def counted(count: int, one: str, many: str = "") -> str:
+    """Write a count with its noun: ``1 press``, ``3 presses``."""
+    return f"{count} {one if count == 1 else many or f'{one}s'}"

@@ -6,14 +6,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.recording_file import FORMAT, SIGNATURE, read_recording, write_recording
-from cbsr_qa.calibrate.file import BLOCK_BEGINS
-from cbsr_qa.domain.errors import RecordingError, RefusedError
-from cbsr_qa.domain.loads import LoadRecord
-from cbsr_qa.domain.recording import ReadOptions, Recording
-from cbsr_qa.domain.scene import Transcript
-from cbsr_qa_plugins.recordings.lab_files import refuse_existing
-from cbsr_qa_plugins.recordings.text_lines import refuse_dataset
+from cbsr_qa.analysis import FORMAT, SIGNATURE, read_recording, write_recording
+from cbsr_qa.calibration.file import BLOCK_BEGINS
+from cbsr_qa.domain import RecordingError, RefusedError
+from cbsr_qa.domain.plan import Transcript
+from cbsr_qa.domain.readings import ReadOptions, Recording
+from cbsr_qa.domain.run import LoadRecord
+from cbsr_qa_plugins.recordings.lab_files import refuse_dataset, refuse_existing
 
 
 class CbsrRecording:

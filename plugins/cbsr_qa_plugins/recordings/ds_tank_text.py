@@ -7,12 +7,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.electrodes import ElectrodeKind, ElectrodeLayout
-from cbsr_qa.domain.errors import RecordingError, RowProblem
-from cbsr_qa.domain.frames import FrameBlock, ReadingFlag, VoltageUnit
-from cbsr_qa.domain.patterns import adjacent_pattern
-from cbsr_qa.domain.recording import ReadOptions, Recording, ScanKind
-from cbsr_qa_plugins.recordings.text_lines import refuse_dataset, text_lines
+from cbsr_qa.domain import RecordingError, RowProblem
+from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ReadOptions, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, adjacent_pattern
+from cbsr_qa_plugins.recordings.lab_files import refuse_dataset, text_lines
 
 _ELECTRODES: Final = 16
 _LENGTH: Final = 208  # 16 drives × 13 measure pairs that touch no driven electrode

@@ -7,10 +7,9 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import RowProblem
-from cbsr_qa.domain.frames import SampleBlock
-from cbsr_qa_plugins.recordings.ert_board_frames import Assembly, Rows
-from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Line, LineKind
+from cbsr_qa.domain import RowProblem
+from cbsr_qa.domain.readings import SampleBlock
+from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Assembly, Line, LineKind, Rows
 
 #: Standard gravity [m/s²] turns the load cell's grams into newtons; compression is negative grams on this rig.
 NEWTON_PER_GRAM = 9.80665e-3

@@ -10,16 +10,13 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain.errors import RecordingError, RowProblem
-from cbsr_qa.domain.frames import FrameBlock, VoltageUnit
-from cbsr_qa.domain.recording import ReadOptions, Recording, ScanKind
-from cbsr_qa.domain.scene import Transcript
+from cbsr_qa.domain import RecordingError, RowProblem
+from cbsr_qa.domain.plan import Transcript
+from cbsr_qa.domain.readings import FrameBlock, ReadOptions, Recording, ScanKind, VoltageUnit
 from cbsr_qa_plugins.recordings.ert_board_clock import board_clock, force_samples, frame_times
-from cbsr_qa_plugins.recordings.ert_board_frames import Assembly, assemble
-from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Line, LineKind, complaint, parse_line
+from cbsr_qa_plugins.recordings.ert_board_rows import PAIRS, Assembly, Line, LineKind, assemble, complaint, parse_line
 from cbsr_qa_plugins.recordings.ert_board_writer import write_ert_board
-from cbsr_qa_plugins.recordings.simulated_mark import marked
-from cbsr_qa_plugins.recordings.text_lines import MOST_BAD_IN_A_ROW, refuse_dataset, text_lines
+from cbsr_qa_plugins.recordings.lab_files import MOST_BAD_IN_A_ROW, marked, refuse_dataset, text_lines
 
 _TITLE = re.compile(rb"(?im)^\s*time(_pc)? \[s\],.*data")
 _WITH_MASS = re.compile(r"(?i)mass")

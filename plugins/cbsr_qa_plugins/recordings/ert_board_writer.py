@@ -12,10 +12,9 @@ from typing import Final, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.frames import ReadingFlag, SampleBlock
-from cbsr_qa.domain.recording import Recording
-from cbsr_qa.domain.scene import Dump, Transcript
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.plan import Dump, Transcript
+from cbsr_qa.domain.readings import ReadingFlag, Recording, SampleBlock
 from cbsr_qa_plugins.recordings.ert_board_clock import NEWTON_PER_GRAM
 from cbsr_qa_plugins.recordings.ert_board_rows import LAST_BOARD_MS
 from cbsr_qa_plugins.recordings.lab_files import (

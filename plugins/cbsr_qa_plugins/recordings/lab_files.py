@@ -1,7 +1,15 @@
-"""What writing a scene in either of the lab's CSV formats has in common."""
+"""What writing a scene in either of the lab's CSV formats has in common.
 
-from collections.abc import Collection, Iterator
+Lines of a text file whatever is in it: one at a time, each of bounded length.
+
+How a lab CSV says that nobody measured it: in further fields of its ``UTC:`` line.
+
+The lab's recorders write one field there. Readers skip the line, so the mark disturbs none, and ours find it.
+"""
+
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from io import TextIOWrapper
 from pathlib import Path
 from typing import Final, TextIO
@@ -9,13 +17,80 @@ from typing import Final, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.recording_file import recording_file
-from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.frames import ReadingFlag, SampleBlock, VoltageUnit
-from cbsr_qa.domain.patterns import adjacent_pattern
-from cbsr_qa.domain.recording import Recording, ScanKind
-from cbsr_qa.domain.scene import Transcript
-from cbsr_qa_plugins.recordings.simulated_mark import mark
+from cbsr_qa.analysis import recording_file
+from cbsr_qa.domain import RecordingError, RefusedError
+from cbsr_qa.domain.plan import Transcript
+from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, Recording, SampleBlock, ScanKind, VoltageUnit
+from cbsr_qa.domain.sensor import adjacent_pattern
+
+#: Characters of a line that are looked at. Rows of readings have a few hundred; a binary file may have no line end.
+LONGEST_LINE: Final = 1 << 14
+#: After this many lines in a row without a reading the rest of a file is not looked at.
+MOST_BAD_IN_A_ROW: Final = 5000
+
+
+@dataclass(frozen=True, slots=True)
+class TextLine:
+    """One line.
+
+    Parameters
+    ----------
+    number : 1-based.
+    text : without its line end; NULs at its ends are gone (a file system pads files with them after a crash).
+    ended : whether a line end follows; False only for the last line of a file.
+    too_long : whether ``text`` is only its beginning.
+    """
+
+    number: int
+    text: str
+    ended: bool
+    too_long: bool
+
+
+def text_lines(path: Path) -> Iterator[TextLine]:
+    """Read a file line by line; bytes that are no UTF-8 come out as replacement characters."""
+    with path.open(encoding="utf-8-sig", errors="replace") as file:
+        number = 0
+        while text := file.readline(LONGEST_LINE):
+            number += 1
+            rest = text
+            while rest and not rest.endswith("\n"):
+                rest = file.readline(LONGEST_LINE)
+            too_long = len(text) == LONGEST_LINE and not text.endswith("\n")
+            yield TextLine(number, text.rstrip("\n").strip("\x00"), bool(rest), too_long)
+
+
+def refuse_dataset(path: Path, options: ReadOptions) -> None:
+    """Refuse a choice among data sets where a file is one.
+
+    Raises
+    ------
+    RecordingError
+        If a data set was chosen.
+    """
+    if options.dataset:
+        raise RecordingError(
+            f"{path.name} is one data set; it has none named {options.dataset!r}", remedy="leave the name out"
+        )
+
+
+_MARK: Final = "simulated: "
+#: Characters for all fields together: the titles must lie within the first 4096 bytes, by which files are recognised.
+_MOST: Final = 900
+_NOT_IN_A_FIELD: Final = str.maketrans({",": ";", '"': "'", "\n": " ", "\r": " "})
+
+
+def mark(simulated: Iterable[str]) -> str:
+    """Further fields of a ``UTC:`` line, each with the comma before it; empty where nothing was simulated."""
+    fields = "".join(f",{_MARK}{what.translate(_NOT_IN_A_FIELD)}" for what in simulated)
+    return fields if len(fields) <= _MOST else fields[:_MOST] + " …"
+
+
+def marked(lines: Iterable[str]) -> tuple[str, ...]:
+    """What ``UTC:`` lines say was simulated, each thing once; empty for a real rig's."""
+    fields = (field.strip() for line in lines for field in line.split(","))
+    return tuple(dict.fromkeys(field.removeprefix(_MARK) for field in fields if field.startswith(_MARK)))
+
 
 #: Date of every file that is written: a clock's would make two files of one scene differ.
 WRITTEN_UTC: Final = "2000-01-01 00:00:00.000000"

@@ -5,17 +5,25 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain.characterisation import Characterisation, FittedLine, StrainLevel, StrainSettling
-from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.observation import Trace
-from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import (
+    Block,
+    Characterisation,
+    Figure,
+    FittedLine,
+    Paragraph,
+    RunResult,
+    Section,
+    StrainLevel,
+    StrainSettling,
+    Table,
+    Trace,
+)
 from cbsr_qa.domain.run import PhaseRecord, RunRecord
 from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation
-from cbsr_qa.domain.steps import Role
-from cbsr_qa.report.figures_characterisation import lines_figure, relaxations_figure, settling_by_strain_figure
-from cbsr_qa.report.figures_time import timeline_figure
-from cbsr_qa.report.numbers import number, plural, quantity, with_uncertainty
-from cbsr_qa.report.tables import text_table
+from cbsr_qa.report import number, plural, quantity, text_table, with_uncertainty
+from cbsr_qa.report.draw import lines_figure, relaxations_figure, settling_by_strain_figure, timeline_figure
 
 _SHOWN_STRAIN: Final = 0.25  # whose cycles the paper's Fig 6 shows
 

@@ -6,28 +6,27 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.force_quality import (
+from cbsr_qa.analysis.run import (
+    HELD_OUT,
+    TRIAL_LEFT_OUT,
     ForceErrors,
+    ForceTest,
+    RunForce,
     calibrated_radius_mm,
     errors_of,
     global_errors,
     map_quality,
     places_mm,
+    run_force,
     tests_of,
 )
-from cbsr_qa.analysis.run_force import HELD_OUT, TRIAL_LEFT_OUT, ForceTest, RunForce, run_force
-from cbsr_qa.calibrate.force_learning import LearnedForce
-from cbsr_qa.calibrate.force_validity import prediction_words
-from cbsr_qa.calibrate.matched import interpolated
-from cbsr_qa.calibrate.seat import Seat
-from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.observation import RunObservation
-from cbsr_qa.domain.report import Block, Cell, Figure, Paragraph, RunResult, Section, Table
-from cbsr_qa.report.figures_force import ForcePanel, RatioPoints, force_figure, ratio_figure
-from cbsr_qa.report.figures_force_map import SheetField, force_map_figure
-from cbsr_qa.report.numbers import number, plural, with_uncertainty
-from cbsr_qa.report.select import observed
-from cbsr_qa.report.tables import text_table, value_cell
+from cbsr_qa.calibration.force import LearnedForce, prediction_words
+from cbsr_qa.calibration.runtime import interpolated
+from cbsr_qa.calibration.sheet import Seat
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import Block, Cell, Figure, Paragraph, RunObservation, RunResult, Section, Table
+from cbsr_qa.report import number, observed, plural, text_table, value_cell, with_uncertainty
+from cbsr_qa.report.draw import ForcePanel, RatioPoints, SheetField, force_figure, force_map_figure, ratio_figure
 
 Array = NDArray[np.float64]
 

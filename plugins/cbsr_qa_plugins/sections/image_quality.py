@@ -1,16 +1,34 @@
-"""GREIT's figures of merit by location, what was seen where nothing pressed, and how close two loads may be."""
+"""GREIT's figures of merit by location, what was seen where nothing pressed, and how close two loads may be.
+
+What the areas of regions say about the sizes of loads: the other side of the overlap.
+
+How much the images are smoothed: the regularisation parameter, what chose it, and what it could have been.
+"""
 
 from collections.abc import Sequence
 from typing import Final
 
-from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.measurement import Measurement
-from cbsr_qa.domain.observation import LoadObservation
-from cbsr_qa.domain.report import Block, Paragraph, RunResult, Section, Table
-from cbsr_qa.domain.steps import Role
-from cbsr_qa.report.numbers import number, plural
-from cbsr_qa.report.select import Measured, by_label, loads_of, observed, spread_text
-from cbsr_qa.report.tables import bound_sign, text_table
+import numpy as np
+
+from cbsr_qa.analysis.run import FLAT, SizeResponse
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import (
+    Block,
+    Figure,
+    LinearReconstruction,
+    LoadObservation,
+    Measurement,
+    Paragraph,
+    ParameterChoice,
+    ParameterCurve,
+    RunObservation,
+    RunResult,
+    Section,
+    Table,
+)
+from cbsr_qa.report import Measured, bound_sign, by_label, loads_of, number, observed, plural, spread_text, text_table
+from cbsr_qa.report.draw import ParameterMark, SizeSeries, parameter_figure, size_figure, value_text
 
 #: Measurement, column.
 _COLUMNS: Final = (
@@ -65,3 +83,180 @@ def _table(loads: Sequence[LoadObservation], measured: Measured) -> Table:
     )
     columns = ["Location", *(title for _, title in _COLUMNS)]
     return text_table(caption, columns, rows, tuple(range(1, len(columns))))
+
+
+class SizeResponses:
+    """Section of the size response; only where the recipe measures it."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where it was not measured."""
+        run = observed(result)
+        if run is None or not isinstance(result, RunResult):
+            return None
+        found = _measured(result.measurements)
+        if not found:
+            return None
+        words = in_words(found)
+        blocks: list[Block] = [Paragraph(words, "note" if any(one.flat for one in found) else "plain")]
+        seen = [one for one in found if one.slope is not None]
+        if seen:
+            caption = (
+                f"Diameter of a circle with the region's area (mask {100 * run.main_mask:g} %) against the diameter"
+                " of what presses, without noise. On the dashed line regions are as large as their loads; a level"
+                " line is a method that answers every load with the same region."
+            )
+            series, head_mm = [_series(one) for one in seen], run.record.indenter.diameter_mm
+            blocks.append(size_figure(series, head_mm, caption=caption, alternative=words))
+        return Section("Size response", (*blocks, _table_size_response(found)))
+
+
+def _table_size_response(found: Sequence[SizeResponse]) -> Table:
+    columns = ("Place", *(f"{diameter:.3g} mm" for diameter in found[0].diameters_mm), "Slope")
+    rows = [[one.place, *(_number(area, 3) for area in one.areas_mm2), _number(one.slope, 2)] for one in found]
+    caption = (
+        "Area of the region [mm²] that round targets of these diameters leave. Slope: of its logarithm over the"
+        f" target's area's; 1 is in proportion, below {FLAT:g} is called flat."
+    )
+    return text_table(caption, columns, rows, tuple(range(1, len(columns))))
+
+
+def in_words(found: Sequence[SizeResponse]) -> str:
+    """Say what an overlap is worth."""
+    seen = [one for one in found if one.slope is not None]
+    if not seen:
+        return "Targets of no size leave a region in the images of this reconstruction."
+    flattest = min(seen, key=lambda one: one.slope or 0.0)
+    first, last = flattest.diameters_mm[0], flattest.diameters_mm[-1]
+    areas = [area for area in flattest.areas_mm2 if area is not None]
+    asked, got = (last / first) ** 2, areas[-1] / areas[0]
+    said = (
+        f"From {first:.3g} to {last:.3g} mm a load grows {number(asked, 2)} times in area; its region"
+        f" ({flattest.place}) grows {number(got, 2)} times."
+    )
+    if any(one.flat for one in seen):
+        return (
+            f"{said} The response is flat: this reconstruction answers loads of every size with nearly the same"
+            " region. An overlap near 100 % says that the region fits this head, not that its size was measured, and"
+            " the area of a region says nothing about an unknown load. The load estimate measures sizes."
+        )
+    return f"{said} Regions follow the size of what presses."
+
+
+def _measured(measurements: Sequence[Measurement]) -> list[SizeResponse]:
+    """Put what was measured together again, place by place."""
+    areas: dict[str, list[tuple[float, float | None]]] = {}
+    for m in measurements:
+        place, _, target = m.qualifier.partition(", target of ")
+        if m.name == "region_area" and target:
+            areas.setdefault(place, []).append((float(target.removesuffix(" mm")), m.value))
+    return [
+        SizeResponse(place, tuple(diameter for diameter, _ in seen), tuple(area for _, area in seen))
+        for place, seen in areas.items()
+    ]
+
+
+def _series(one: SizeResponse) -> SizeSeries:
+    seen = [(d, a) for d, a in zip(one.diameters_mm, one.areas_mm2, strict=True) if a is not None]
+    targets, areas = zip(*seen, strict=True)
+    return SizeSeries(one.place, targets, tuple(float(2 * np.sqrt(area / np.pi)) for area in areas))
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "–" if value is None else number(value, digits)
+
+
+_TITLES: Final = {
+    "noise-figure": "noise figure",
+    "gcv": "cross-validation",
+    "l-curve": "L-curve",
+    "discrepancy": "discrepancy",
+}
+_APART: Final = 0.005  # noise figures of a sensor and of its type that differ less are told as one
+
+
+class RegularisationParameter:
+    """Section of the regularisation parameter, with its curve where the method chose from one."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where nothing was imaged."""
+        run = observed(result)
+        if run is None:
+            return None
+        return Section("Regularisation", tuple(_blocks(run)))
+
+
+def _blocks(run: RunObservation) -> list[Block]:
+    made = run.reconstruction
+    choice, curve = made.choice, made.choice.curve
+    words = _in_words_regularisation(made)
+    if curve is None:
+        return [Paragraph(words)]
+    marks = _marks(choice, curve)
+    return [Paragraph(words), _figure(choice, curve, marks), _table_regularisation(choice, curve, marks)]
+
+
+def _in_words_regularisation(made: LinearReconstruction) -> str:
+    choice, curve = made.choice, made.choice.curve
+    figure = f"Its matrix has noise figure {number(choice.noise_figure)}."
+    if choice.criterion == "none":
+        return f"{made.method} has no regularisation parameter: {choice.how}. {figure}"
+    discrete = curve is not None and curve.discrete
+    value = f"{made.method} images with {choice.name} = {value_text(choice.value, discrete=discrete)}"
+    if curve is None:
+        kept = "" if choice.criterion == "given" else " The method keeps no curve of its search."
+        return f"{value}: {choice.how}.{kept} {figure}"
+    return f"{value}, chosen by {choice.how}.{_own_figure(made, curve)}"
+
+
+def _own_figure(made: LinearReconstruction, curve: ParameterCurve) -> str:
+    """Say the noise figure of this sensor's matrix where it is not that of the curve."""
+    figure, of_type = made.choice.noise_figure, curve.noise_figure_at(made.choice.value)
+    if of_type is not None and abs(figure / of_type - 1) <= _APART:
+        return ""
+    weights = "" if made.problem.noise_variance is None else " weighted by their noise"
+    readings = f"{len(made.problem.reference)} readings{weights}"
+    return f" The matrix of this sensor, from {readings}, has noise figure {number(figure)}."
+
+
+def _marks(choice: ParameterChoice, curve: ParameterCurve) -> list[ParameterMark]:
+    marks = []
+    for answer in curve.answers:
+        chosen = answer.criterion == choice.criterion
+        # A sensor with readings left out may have to keep another number of components than its type.
+        value = choice.value if chosen else answer.value
+        figure = None if value is None else curve.noise_figure_at(value)
+        figure = choice.noise_figure if chosen and figure is None else figure
+        marks.append(ParameterMark(_TITLES.get(answer.criterion, answer.criterion), value, figure, chosen))
+    return marks
+
+
+def _figure(choice: ParameterChoice, curve: ParameterCurve, marks: list[ParameterMark]) -> Figure:
+    smoother = "Fewer components smooth more" if curve.discrete else "Larger values smooth more"
+    target = "" if curve.target is None else f" Dashed: noise figure {curve.target:g}, what the criterion asks for."
+    others = " Open marks: what other criteria would have taken." if len(marks) > 1 else ""
+    caption = (
+        f"Noise figure (Adler et al. 2009) against {choice.name}. {smoother}: less noise, and what presses closer"
+        f" together is no longer told apart. Full mark and line: chosen.{others}{target}"
+    )
+    said = [
+        f"{mark.title} {'chose' if mark.chosen else 'would take'} {value_text(mark.value, discrete=curve.discrete)}"
+        for mark in marks
+        if mark.value is not None
+    ]
+    alternative = f"Noise figure over {choice.name}: {', '.join(said)}."
+    return parameter_figure(curve, marks, choice.name, caption=caption, alternative=alternative)
+
+
+def _table_regularisation(choice: ParameterChoice, curve: ParameterCurve, marks: list[ParameterMark]) -> Table:
+    rows = [
+        [
+            f"{mark.title} (chosen)" if mark.chosen else mark.title,
+            "–" if mark.value is None else value_text(mark.value, discrete=curve.discrete),
+            "–" if mark.noise_figure is None else number(mark.noise_figure),
+            answer.words,
+        ]
+        for mark, answer in zip(marks, curve.answers, strict=True)
+    ]
+    name = choice.name[0].upper() + choice.name[1:] if len(choice.name) > 1 else choice.name
+    caption = "What each criterion takes for the parameter, the noise figure there, and what it looks at."
+    return text_table(caption, ("Criterion", name, "Noise figure", "On"), rows, (1, 2))

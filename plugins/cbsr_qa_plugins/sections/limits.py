@@ -4,16 +4,35 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from cbsr_qa.domain.limits_version import LimitsVersion
-from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.measurement import Measurement, relative_margin
-from cbsr_qa.domain.outcome import SEVERITY, Outcome
-from cbsr_qa.domain.report import Block, Cell, Paragraph, RunResult, Section, Table
-from cbsr_qa.report.figures_verdicts import verdict_figure
-from cbsr_qa.report.numbers import plural
-from cbsr_qa.report.select import alike, spread_text
-from cbsr_qa.report.tables import bound_sign, limit_text, margin_text, text_table, unit_column, value_cell
-from cbsr_qa.report.verdicts import SIGNS, location_verdicts, verdicts_in_words
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import (
+    SEVERITY,
+    Block,
+    Cell,
+    LimitsVersion,
+    Measurement,
+    Outcome,
+    Paragraph,
+    RunResult,
+    Section,
+    Table,
+    relative_margin,
+)
+from cbsr_qa.report import (
+    SIGNS,
+    alike,
+    bound_sign,
+    limit_text,
+    location_verdicts,
+    margin_text,
+    plural,
+    spread_text,
+    text_table,
+    unit_column,
+    value_cell,
+    verdicts_in_words,
+)
+from cbsr_qa.report.draw import verdict_figure
 
 #: A measurement with more qualifiers than this gets one row for all of them.
 _MOST_QUALIFIERS: Final = 8

@@ -6,16 +6,21 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.channel_quality import largest_by_reading, reciprocity_errors, signal_to_noise_dB
-from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.measurement import Measurement
-from cbsr_qa.domain.observation import RunObservation
-from cbsr_qa.domain.outcome import Outcome
-from cbsr_qa.domain.report import Block, Cell, Figure, RunResult, Section, Table
-from cbsr_qa.report.figures_channels import channel_map_figure, pair_bar_figure
-from cbsr_qa.report.numbers import number, quantity, scaled_unit
-from cbsr_qa.report.select import observed
-from cbsr_qa.report.tables import limit_text, text_table, value_cell
+from cbsr_qa.analysis.run import largest_by_reading, reciprocity_errors, signal_to_noise_dB
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import (
+    Block,
+    Cell,
+    Figure,
+    Measurement,
+    Outcome,
+    RunObservation,
+    RunResult,
+    Section,
+    Table,
+)
+from cbsr_qa.report import limit_text, number, observed, quantity, scaled_unit, text_table, value_cell
+from cbsr_qa.report.draw import channel_map_figure, pair_bar_figure
 
 #: Measurements that belong here, by the beginning of their name.
 _WORDS: Final = ("noise", "conductance_noise", "channel", "reciprocity", "drift", "contact", "interelectrode")

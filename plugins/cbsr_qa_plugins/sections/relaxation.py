@@ -2,21 +2,37 @@
 
 from collections.abc import Sequence
 
-from cbsr_qa.analysis.run_agreement import DirectedAgreement, image_against_blobs, sheet_against_strip
-from cbsr_qa.calibrate.relaxation_agreement import SHAPE_MARGIN
-from cbsr_qa.calibrate.settling import restricted_mean
-from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.measurement import Measurement
-from cbsr_qa.domain.observation import RelaxationObservation, RunObservation
-from cbsr_qa.domain.relaxation import FitStatus, RelaxationFit
-from cbsr_qa.domain.report import Block, Cell, Figure, Paragraph, RunResult, Section, Table
-from cbsr_qa.domain.steps import Role
-from cbsr_qa.report.figures_agreement import agreement_figure
-from cbsr_qa.report.figures_relaxation import SettledLoad, relaxation_figure, settling_figure
-from cbsr_qa.report.loads import settled_loads
-from cbsr_qa.report.numbers import number, plain, plural, with_uncertainty
-from cbsr_qa.report.select import alike, loads_of, observed
-from cbsr_qa.report.tables import text_table, value_cell
+from cbsr_qa.analysis.run import DirectedAgreement, image_against_blobs, sheet_against_strip
+from cbsr_qa.calibration.fits import SHAPE_MARGIN, restricted_mean
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import (
+    Block,
+    Cell,
+    Figure,
+    FitStatus,
+    Measurement,
+    Paragraph,
+    RelaxationFit,
+    RelaxationObservation,
+    RunObservation,
+    RunResult,
+    Section,
+    Table,
+)
+from cbsr_qa.report import (
+    alike,
+    loads_of,
+    number,
+    observed,
+    plain,
+    plural,
+    settled_loads,
+    text_table,
+    value_cell,
+    with_uncertainty,
+)
+from cbsr_qa.report.draw import SettledLoad, agreement_figure, relaxation_figure, settling_figure
 
 
 class RelaxationFits:

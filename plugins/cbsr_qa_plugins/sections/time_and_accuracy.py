@@ -2,17 +2,12 @@
 
 from collections.abc import Sequence
 
-from cbsr_qa.analysis.fewer_places import MapCost, map_costs
-from cbsr_qa.analysis.run_force import run_force
-from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.observation import RunObservation
-from cbsr_qa.domain.report import Block, Figure, Paragraph, RunResult, Section, Table
+from cbsr_qa.analysis.run import MapCost, map_costs, run_force
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import Block, Figure, Paragraph, RunObservation, RunResult, Section, Table
 from cbsr_qa.domain.run import PhaseRecord
-from cbsr_qa.report.figures_budget import Budget, budget_figure
-from cbsr_qa.report.figures_metrics import Held, waiting_figure
-from cbsr_qa.report.numbers import duration, number, plural
-from cbsr_qa.report.select import SPATIAL, Measured, observed, spread_text
-from cbsr_qa.report.tables import text_table
+from cbsr_qa.report import SPATIAL, Measured, duration, number, observed, plural, spread_text, text_table
+from cbsr_qa.report.draw import Budget, Held, budget_figure, waiting_figure
 
 
 class TimeAndAccuracy:

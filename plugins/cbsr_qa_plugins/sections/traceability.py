@@ -1,17 +1,15 @@
-"""What the numbers can be traced to: instruments, software, settings."""
+"""What the numbers can be traced to: instruments, software, settings.
+
+How the station stood when the run was made: its latest check, and its control charts.
+"""
 
 from typing import Final
 
-from cbsr_qa.domain.changes import ChangeHistory, VerdictOverride
-from cbsr_qa.domain.electrodes import ElectrodeKind, Electrodes, PlacedElectrodes
-from cbsr_qa.domain.load_events import RecordingResult
-from cbsr_qa.domain.observation import RunObservation
-from cbsr_qa.domain.outcome import EndReason
-from cbsr_qa.domain.report import Block, Paragraph, RunResult, Section, Table
-from cbsr_qa.domain.run import RunRecord, RunSession
-from cbsr_qa.domain.sensor import SensorType
-from cbsr_qa.report.numbers import duration, number, quantity
-from cbsr_qa.report.tables import text_table
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import Block, EndReason, Paragraph, RunObservation, RunResult, Section, Table
+from cbsr_qa.domain.run import ChangeHistory, RunRecord, RunSession, VerdictOverride
+from cbsr_qa.domain.sensor import ElectrodeKind, Electrodes, PlacedElectrodes, SensorType
+from cbsr_qa.report import chart_blocks, duration, number, quantity, station_blocks, text_table
 
 _OUTLINES: Final = {
     "contour": "bounded by a contour inside the elements",
@@ -205,3 +203,15 @@ def _versions(session: RunSession) -> str:
 def _software(record: RunRecord) -> Table:
     rows = [[name, version] for name, version in record.identity.software]
     return text_table("Software.", ("Distribution", "Version"), rows)
+
+
+class StationChecked:
+    """Section of the station's control charts that signal, and its latest check before the run."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None for a recording."""
+        if not isinstance(result, RunResult):
+            return None
+        identity = result.record.identity
+        checked = station_blocks(identity.station, result.station_check, identity.started_at)
+        return Section("Station", (*chart_blocks(result.station_charts), *checked))

@@ -6,12 +6,11 @@ from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.domain.loads import Load
-from cbsr_qa.domain.steps import Role, Step
-from cbsr_qa.interfaces import SequenceContext
-from cbsr_qa_plugins.sequences._cycle import find_surfaces, press_cycle, unloaded
-from cbsr_qa_plugins.sequences._options import UNLOADED_FRAMES, Options
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.plan import Role, Step
+from cbsr_qa.domain.run import Load
+from cbsr_qa.plugin import SequenceContext
+from cbsr_qa_plugins.sequences._shared import UNLOADED_FRAMES, Options, find_surfaces, press_cycle, unloaded
 
 _NAME: Final = "characterisation"
 _KNOWN: Final = (

@@ -1,6 +1,6 @@
 """A door that opens: what the lab that owns the thermometer wants to try on a scene."""
 
-from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain import ConfigError
 
 
 class RoomDraught:

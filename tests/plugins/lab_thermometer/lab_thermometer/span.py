@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cbsr_qa.domain.measurement import Measurement
+from cbsr_qa.domain.results import Measurement
 
 
 class TemperatureSpan:

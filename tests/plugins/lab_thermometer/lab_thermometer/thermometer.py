@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cbsr_qa.domain.frames import SampleBlock
+from cbsr_qa.domain.readings import SampleBlock
 from cbsr_qa.domain.run import InstrumentIdentity
 
 

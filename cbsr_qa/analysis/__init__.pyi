@@ -1,0 +1,13 @@
+from .evaluate import Conclusion as Conclusion, calibrated as calibrated, conclude as conclude
+from .measure import ask as ask, judge as judge
+from .recording_files import (
+    FORMAT as FORMAT,
+    SIGNATURE as SIGNATURE,
+    read_recording as read_recording,
+    recording_file as recording_file,
+    write_recording as write_recording,
+)
+from .ring import RING as RING, check_ring as check_ring, fit_ring as fit_ring
+from .strip_cycles import characterise_run as characterise_run
+from .strip_measurements import MEASURES as MEASURES, measure_characterisation as measure_characterisation
+from .verification import Recheck as Recheck, recheck as recheck

@@ -1,0 +1,16 @@
+from .analysis import (
+    DEFAULT_RECONSTRUCTION as DEFAULT_RECONSTRUCTION,
+    AnalysisChoices as AnalysisChoices,
+    analyse_recording as analyse_recording,
+)
+from .channels import find_faults as find_faults
+from .images import (
+    EventImages as EventImages,
+    Sighting as Sighting,
+    frames_around as frames_around,
+    nearest_frames as nearest_frames,
+)
+from .imaging import nominal_disc as nominal_disc, sheet_for as sheet_for
+from .places import Place as Place
+from .reading import guarded as guarded, read_recording_file as read_recording_file, recognised as recognised
+from .tank import fitted_tank as fitted_tank

@@ -1,0 +1,200 @@
+"""A recording with everything that can be found in it: channels, reading memory, noise, presses."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from time import perf_counter
+from typing import Final, TypeVar
+
+import numpy as np
+
+from cbsr_qa.analysis.recording.imaged_events import Imaged, image_events
+from cbsr_qa.analysis.recording.images import Tell
+from cbsr_qa.analysis.recording.imaging import nominal_disc
+from cbsr_qa.analysis.recording.noise import channel_noise, find_steps, noise_report
+from cbsr_qa.analysis.recording.ready import ReadyReadings, channel_report, make_ready
+from cbsr_qa.analysis.recording.scene import FEWEST_FRAMES, RecordedScene, Searched
+from cbsr_qa.domain import NumericsError, RecordingError
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.readings import (
+    RECIPROCITY_LIMIT,
+    EventImaging,
+    LoadEvent,
+    NoiseReport,
+    NoiseStep,
+    Recording,
+    RecordingResult,
+    ScanKind,
+    VoltageUnit,
+)
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.plugin import Reconstruction
+
+_Result = TypeVar("_Result")
+
+#: What images events where nobody chose.
+DEFAULT_RECONSTRUCTION: Final = "gauss-newton-noser"
+
+
+@dataclass(frozen=True, slots=True)
+class AnalysisChoices:
+    """What a user may decide about the analysis of a recording.
+
+    Parameters
+    ----------
+    correct_memory : True or False; None to correct where the estimate is significant and makes reciprocity better.
+    sensor_type : what was measured; None for the nominal disc, and then nothing is said in millimetres.
+    reconstruction : name and options of what images the events; they are said with the result.
+    """
+
+    correct_memory: bool | None = None
+    sensor_type: SensorType | None = None
+    reconstruction: PluginChoice = field(default_factory=lambda: PluginChoice(DEFAULT_RECONSTRUCTION))
+
+
+def analyse_recording(
+    recording: Recording,
+    reconstruction: Reconstruction,
+    choices: AnalysisChoices | None = None,
+    *,
+    tell: Tell = lambda said: None,
+) -> RecordingResult:
+    """Analyse a recording.
+
+    Parameters
+    ----------
+    recording : as its format read it.
+    reconstruction : images the events, which are found without it.
+    tell : told of each image that takes its time.
+
+    Raises
+    ------
+    RecordingError
+        If a single image has nothing to be compared with, or the named sensor type does not fit the frames.
+    NumericsError, PluginError
+        If the reconstruction cannot image the events; names it.
+    """
+    choices = choices or AnalysisChoices()
+    spent: dict[str, float] = {}
+    pattern = None if choices.sensor_type is None else choices.sensor_type.pattern
+    ready = _timed(spent, "channels", lambda: make_ready(recording, choices.correct_memory, pattern))
+    rate_hz = frame_rate_hz(recording)
+    searched = _timed(spent, "events", lambda: _searched(recording, ready, choices, rate_hz))
+    imaged = _timed(spent, "images", lambda: _imaged(searched, reconstruction, choices.reconstruction, tell))
+    events, why = imaged.events, searched.why
+    noise = _timed(spent, "noise", lambda: _noise(recording, ready, events))
+    return RecordingResult(
+        recording=recording,
+        frame_rate_hz=rate_hz,
+        channels=replace(channel_report(ready), suspect_electrodes=searched.suspect_electrodes),
+        noise=noise,
+        events=events,
+        events_why="" if events else why,
+        warnings=(*_warnings(recording, ready, searched), *imaged.remarks),
+        compute_s=tuple(spent.items()),
+        sensor_type=choices.sensor_type,
+        imaging=imaged.imaging,
+    )
+
+
+def frame_rate_hz(recording: Recording) -> float | None:
+    """Frames a second: from the typical step on the board's clock, from the whole length on the computer's.
+
+    None for still images and where the file says nothing about time. Steps a tenth longer than the median (a
+    watchdog dump inside a frame, lost frames) are left out; a computer's steps are those of its serial buffer, so
+    there only the whole counts.
+    """
+    times = recording.frames.time_s
+    if recording.still or recording.clock == "none" or len(times) < 2 or times[-1] <= times[0]:
+        return None
+    if recording.clock == "computer":
+        return float((len(times) - 1) / (times[-1] - times[0]))
+    steps = np.diff(times)
+    typical = steps[(steps < 1.1 * np.median(steps)) & (steps > 0)]
+    return float(1 / typical.mean()) if typical.size else None
+
+
+def _timed(spent: dict[str, float], stage: str, work: Callable[[], _Result]) -> _Result:
+    begin = perf_counter()
+    result = work()
+    spent[stage] = perf_counter() - begin
+    return result
+
+
+def _searched(
+    recording: Recording, ready: ReadyReadings, choices: AnalysisChoices, rate_hz: float | None
+) -> Searched:
+    if why := _no_image(recording, ready):
+        return Searched((), why)
+    sensor_type = choices.sensor_type or nominal_disc(recording.layout, ready.block.voltages.shape[1])
+    if sensor_type.pattern.shape != ready.block.voltages.shape[1:]:
+        raise RecordingError(
+            f"sensor type {sensor_type.name!r} has frames of {sensor_type.pattern.shape},"
+            f" {recording.path.name} has {ready.block.voltages.shape[1:]}",
+            remedy="name the sensor type that was measured, or none",
+        )
+    try:
+        scene = RecordedScene.of(recording, ready, sensor_type, named=choices.sensor_type is not None)
+    except NumericsError as error:
+        return Searched((), f"no image can be made: {error.reason}")
+    if recording.reference is not None:
+        return scene.objects(rate_hz)
+    return scene.presses(rate_hz)
+
+
+def _imaged(searched: Searched, reconstruction: Reconstruction, chosen: PluginChoice, tell: Tell) -> Imaged:
+    if searched.scene is None or not searched.sightings:
+        return Imaged((), EventImaging(chosen))
+    return image_events(searched.scene, searched.sightings, reconstruction, chosen, tell)
+
+
+def _no_image(recording: Recording, ready: ReadyReadings) -> str:
+    """Why a recording cannot be imaged at all; empty if it can."""
+    if ready.faults.not_connected:
+        return "no signal: every reading is the same, nothing is connected"
+    if ready.faults.frozen and recording.reference is None and not recording.still:
+        return f"all {len(ready.block)} frames are identical: the board (or the file) repeats one frame"
+    if recording.scan is ScanKind.DRIVEN_PAIRS:
+        return "one-row scans measure each pair only while it is driven: there is no image to find a load in"
+    if ready.error is not None and ready.error > RECIPROCITY_LIMIT and not recording.still:
+        return (
+            f"no usable image: the readings are not reciprocal (error {ready.error:.2f}; a passive sheet gives 0,"
+            f" unrelated numbers 1.41, and above {RECIPROCITY_LIMIT:g} nothing is imaged)"
+        )
+    if recording.reference is None and len(ready.block) == 1:
+        raise RecordingError(
+            f"{recording.path.name} is a single image and there is nothing to compare it with",
+            remedy="name the recording of the empty tank with --reference FILE[:NAME]",
+        )
+    if recording.reference is None and len(ready.block) < FEWEST_FRAMES:
+        return (
+            f"{len(ready.block)} frames are too few to tell a press from noise; at least {FEWEST_FRAMES} are needed"
+        )
+    return ""
+
+
+def _noise(recording: Recording, ready: ReadyReadings, events: tuple[LoadEvent, ...]) -> NoiseReport:
+    use = ready.noise_use()
+    block = recording.frames
+    readings = block.voltages[:, use]
+    busy = tuple((event.start_s, event.end_s) for event in events)
+    steps: tuple[NoiseStep, ...] = ()
+    if len(block) > 1:
+        sigma = channel_noise(readings, counts=block.unit is VoltageUnit.COUNT)
+        steps = find_steps(block.time_s, readings, sigma)
+        steps = tuple(s for s in steps if s.what == "noise" or not any(a - 1 <= s.time_s <= b + 1 for a, b in busy))
+    return noise_report(block, use, steps, busy, timed=not recording.still and recording.clock != "none")
+
+
+def _warnings(recording: Recording, ready: ReadyReadings, searched: Searched) -> tuple[str, ...]:
+    said: list[str] = []
+    if recording.problems and recording.rows_rejected:
+        rows = "row was" if recording.rows_rejected == 1 else "rows were"
+        said.append(f"{recording.rows_rejected} {rows} rejected, see the list of problems")
+    if ready.memory is not None and ready.memory.worth_correcting and not ready.corrected:
+        said.append(
+            f"readings keep {ready.memory.share:.0%} of the one before them and were not corrected, as asked for"
+        )
+    said += [*ready.remarks(), *searched.remarks]
+    if searched.sightings and searched.why:
+        said.append(searched.why)
+    return tuple(said)

@@ -1,0 +1,150 @@
+"""When something changed: steps of the matched patterns, at a controlled rate of false alarms.
+
+For each candidate place the series of scores is scanned with windows before and after each moment, at several
+widths. The noise of such a step is not taken from theory but, per place and width, from all moments of the same
+recording (the median absolute deviation), so slow drift, relaxation and coloured noise raise the threshold by
+themselves (a constant-false-alarm-rate detector). Steps already found are kept out of that estimate.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+#: Frames before and after a moment that are compared; wider windows find weaker and slower presses.
+WINDOWS = (2, 4, 8)
+#: A step counts from this many times its noise, and more where few moments make a poor noise estimate: by the share
+#: window / moments. With 200 frames about one recording in 200 of pure noise has one; see
+#: tests/analysis/recording/test_event_detection.py, which measures it.
+THRESHOLD = 5.5
+_MOST_CHANGES = 400
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """A step.
+
+    Parameters
+    ----------
+    frame : the first frame after it.
+    window : frames on either side it was seen with.
+    place : index of the candidate place where it is largest.
+    sign : +1 where the place conducts more afterwards.
+    score : step over its noise.
+    """
+
+    frame: int
+    window: int
+    place: int
+    sign: int
+    score: float
+
+
+def find_changes(scores: Array) -> tuple[Change, ...]:
+    """Find the steps in the scores of all places, in time order.
+
+    Parameters
+    ----------
+    scores : (n, p) float64, unit noise if the readings' noise were white and independent.
+    """
+    found: list[Change] = []
+    for window in WINDOWS:
+        while len(found) < _MOST_CHANGES:
+            more = _strongest(scores, window, found)
+            if not more:
+                break
+            found += more
+    return tuple(sorted(_rescored(scores, found), key=lambda change: change.frame))
+
+
+def nearest_step(scores: Array) -> tuple[float, float]:
+    """Return the step that is nearest to counting, over its noise, and the threshold it is held to.
+
+    Each window has its own threshold. Where there are too few frames for any, the step is 0.
+    """
+    found = [(0.0, threshold_for(len(scores), WINDOWS[0]))]
+    for window in WINDOWS:
+        at, z = _steps(scores, window, [])
+        if z.size:
+            found.append((float(np.abs(z).max()), threshold_for(len(at), window)))
+    return max(found, key=lambda one: one[0] / one[1])
+
+
+def threshold_for(moments: int, window: int) -> float:
+    """Return the threshold for a noise estimate from so many moments."""
+    return THRESHOLD * (1 + window / moments) if moments else np.inf
+
+
+def _strongest(scores: Array, window: int, found: list[Change]) -> list[Change]:
+    """Steps above the threshold, strongest first, none within the windows of a stronger one."""
+    at, z = _steps(scores, window, found)
+    if not z.size:
+        return []
+    size = np.abs(z).max(axis=1)
+    threshold = threshold_for(len(at), window)
+    taken: list[Change] = []
+    for best in np.argsort(-size, kind="stable"):
+        if size[best] < threshold:
+            break
+        if all(abs(int(at[best]) - other.frame) > _reach(window, other) for other in taken):
+            place = int(np.argmax(np.abs(z[best])))
+            taken.append(Change(int(at[best]), window, place, int(np.sign(z[best, place])), float(size[best])))
+    return taken
+
+
+def _reach(window: int, change: Change) -> int:
+    """Frames around a step that windows of this width must keep off so as not to see it."""
+    return window + max(change.window, 2) - 1
+
+
+def _steps(scores: Array, window: int, found: list[Change]) -> tuple[NDArray[np.int64], Array]:
+    """Moments whose windows hold no step found before, and each place's step over its noise there."""
+    at = _quiet(len(scores), window, found)
+    if len(at) < _enough(window):
+        return at, np.empty((0, scores.shape[1]))
+    step = _differences(scores, at, window)
+    middle, noise = _spread(step)
+    return at, (step - middle) / noise
+
+
+def _quiet(frames: int, window: int, found: list[Change]) -> NDArray[np.int64]:
+    """Moments whose windows hold none of the steps."""
+    at = np.arange(window, frames - window + 1, dtype=np.int64)
+    for change in found:
+        at = at[np.abs(at - change.frame) > _reach(window, change)]
+    return at
+
+
+def _enough(window: int) -> int:
+    return max(2 * window, 5)
+
+
+def _differences(scores: Array, at: NDArray[np.int64], window: int) -> Array:
+    """Mean after minus mean before each moment, in units of its white noise: (moments, p)."""
+    total = np.vstack([np.zeros(scores.shape[1]), np.cumsum(scores, axis=0)])
+    step: Array = (total[at + window] - 2 * total[at] + total[at - window]) / np.sqrt(2 * window)
+    return step
+
+
+def _spread(step: Array) -> tuple[Array, Array]:
+    middle: Array = np.median(step, axis=0)
+    noise = 1.4826 * np.median(np.abs(step - middle), axis=0)
+    return middle, np.maximum(noise, max(1.0, float(np.median(noise))))
+
+
+def _rescored(scores: Array, found: list[Change]) -> list[Change]:
+    """Score all steps anew against the noise that is left when every one of them is kept out of it."""
+    out: list[Change] = []
+    for window in WINDOWS:
+        own = [change for change in found if change.window == window]
+        at = _quiet(len(scores), window, found)
+        if not own or len(at) < _enough(window):
+            out += own
+            continue
+        middle, noise = _spread(_differences(scores, at, window))
+        steps = (_differences(scores, np.array([change.frame for change in own]), window) - middle) / noise
+        for change, step in zip(own, steps, strict=True):
+            out.append(replace(change, score=max(abs(float(step[change.place])), change.score)))
+    return out

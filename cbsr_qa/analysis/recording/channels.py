@@ -1,0 +1,278 @@
+"""What the channels of a recording are worth: saturated, stuck, nothing connected.
+
+Changes that come from an electrode and not from the sheet.
+
+A lost, shorted or changed contact changes the readings that touch its electrode, as drive or as measurement, and
+leaves the others alone. A load at the rim near that electrode changes the same readings most, but not only them:
+its pattern reaches all over the sheet. So a change is an electrode's if nearly all of it lies in the readings of one
+electrode (or of one pair of neighbours), and the load it would best be taken for is missing from all the others.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
+from cbsr_qa.domain.sensor import DrivePattern
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Least share of a change's energy, above noise, that lies in the readings of one electrode.
+_INSIDE = 0.9
+#: A load whose pattern is seen at less than this share of its size in all other readings is not there …
+_SEEN_OUTSIDE = 0.5
+#: … by so many standard errors.
+_SIGMAS = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Suspect:
+    """Readings that share one contact, or one pair.
+
+    Parameters
+    ----------
+    name : in words, "electrode 5".
+    electrodes : whose contacts are suspected.
+    readings : (m,) bool, of the used readings.
+    """
+
+    name: str
+    electrodes: tuple[int, ...]
+    readings: Mask
+
+
+def suspects_of(pattern: DrivePattern, used: Mask) -> tuple[Suspect, ...]:
+    """List what a bad contact can touch, fewest readings first.
+
+    Parameters
+    ----------
+    used : (drives, measures) bool with m True entries.
+    """
+    drive, measure = np.nonzero(used)
+    found = [Suspect(f"drive pair {k}", pair, drive == k) for k, pair in enumerate(pattern.drive)]
+    found += [Suspect(f"measure pair {k}", pair, measure == k) for k, pair in enumerate(pattern.measure)]
+    if pattern.drive == pattern.measure:
+        found += [
+            Suspect(f"pair {k} (electrodes {pair[0]} and {pair[1]})", pair, (drive == k) | (measure == k))
+            for k, pair in enumerate(pattern.drive)
+        ]
+    for electrode in range(pattern.electrode_count):
+        driven = np.array([electrode in pair for pair in pattern.drive])
+        measured = np.array([electrode in pair for pair in pattern.measure])
+        found.append(Suspect(f"electrode {electrode}", (electrode,), driven[drive] | measured[measure]))
+    kept = [one for one in found if one.readings.any() and not one.readings.all()]
+    return tuple(sorted(kept, key=lambda one: int(one.readings.sum())))
+
+
+def suspect_in(
+    change: Array, load: Array, hidden: Array, noise: float, suspects: tuple[Suspect, ...]
+) -> Suspect | None:
+    """Find the contact a change comes from.
+
+    Parameters
+    ----------
+    change : (m,) whitened, ``hidden`` projected out.
+    load : (m,) what the best places make of the change, treated alike.
+    hidden : (m,) whitened nuisance, unit length.
+    noise : variance of each reading of the change.
+
+    Returns
+    -------
+    The suspect with the fewest readings that explains the change; None where the sheet may have changed.
+    """
+    for suspect in suspects:
+        inside, outside = _parts(change, hidden, suspect.readings)
+        total = float(inside @ inside + outside @ outside) - noise * len(change)
+        doubt = _SIGMAS * noise * np.sqrt(2 * len(outside))
+        rest = float(outside @ outside) - noise * len(outside)
+        if total <= 0 or rest > (1 - _INSIDE) * total + doubt or total < 4 * doubt:
+            continue
+        if not _seen(load, outside, hidden, suspect.readings, noise):
+            return suspect
+    return None
+
+
+def _seen(load: Array, outside: Array, hidden: Array, readings: Mask, noise: float) -> bool:
+    """Whether the load may be there: its pattern in the readings that the contact does not touch."""
+    expected = _parts(load, hidden, readings)[1]
+    power = float(expected @ expected)
+    if power == 0:
+        return True
+    share, error = float(expected @ outside) / power, float(np.sqrt(noise / power))
+    return share + _SIGMAS * error > _SEEN_OUTSIDE
+
+
+def _parts(change: Array, hidden: Array, readings: Mask) -> tuple[Array, Array]:
+    """Split a change, taking the nuisance out by the readings outside alone: inside it may be part of the fault."""
+    out = ~readings
+    power = float(hidden[out] @ hidden[out])
+    share = float(hidden[out] @ change[out]) / power if power > 0 else 0.0
+    return change[readings] - share * hidden[readings], change[out] - share * hidden[out]
+
+
+#: A channel is at a rail if this share of its readings are exactly there, and flagged if so many are flagged.
+_AT_RAIL = 0.5
+_FLAGGED = 0.01
+#: A channel is stuck if this share of its readings are one and the same value while the others vary.
+_CONSTANT = 0.98
+#: Stuck from some frame on: a run of repeats this improbable, given how often channels repeat themselves by chance.
+_FALSE_RUNS = 1e-4
+_LEAST_REPEATS = 0.05
+#: More repeats than this, and nothing can be said.
+_SELDOM = 0.25
+_FEWEST_FRAMES = 8
+#: Largest share of the previous reading that a clipped reading may show, and how well the channels must agree on it.
+_LARGEST_MEMORY = 0.25
+_MEMORY_SPREAD = 0.03
+#: Readings within one count of each other, everywhere and always: nothing is connected.
+_SILENT_COUNTS = 2.0
+#: A ceiling: at least this share of the pairs are at it, and no reading goes above it by so many times the noise.
+_CEILING_SHARE = 0.25
+_CEILING_SIGMA = 6.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ChannelFaults:
+    """Faults found, each (drives, measures) bool.
+
+    Parameters
+    ----------
+    saturated : at the end of the converter's range, or with the source at its limit.
+    stuck : never changes, or no more from some frame on, or for a stretch no noise explains.
+    missing : not recorded.
+    not_connected : whether no reading differs from any other.
+    frozen : whether every frame is the same although there are several: the board repeats itself.
+    stuck_from : (drives, measures) int64, first frame of the stretch in which a channel is stuck; −1 for the others.
+    """
+
+    saturated: Mask
+    stuck: Mask
+    missing: Mask
+    not_connected: bool
+    frozen: bool
+    stuck_from: NDArray[np.int64]
+
+    @property
+    def bad(self) -> Mask:
+        """Readings not to image from."""
+        bad: Mask = self.saturated | self.stuck | self.missing
+        return bad
+
+
+def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
+    """Look for faults in a block of frames.
+
+    Parameters
+    ----------
+    block : (n, drives, measures), raw: reading memory not taken out.
+    """
+    missing = (block.flags & ReadingFlag.MISSING.value != 0).mean(axis=0) > _AT_RAIL
+    present = block.voltages[:, ~missing]
+    silent = _SILENT_COUNTS if block.unit is VoltageUnit.COUNT else 0.0
+    not_connected = present.size == 0 or float(np.ptp(present)) <= silent
+    flagged = block.flags & (ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE).value != 0
+    saturated = flagged.mean(axis=0) > _FLAGGED
+    frozen = len(block) >= _FEWEST_FRAMES and bool((block.voltages == block.voltages[0]).all())
+    if not not_connected and not frozen:
+        saturated |= _at_rails(block, missing)
+        if scan is ScanKind.DRIVEN_PAIRS:
+            saturated |= _at_ceiling(block.voltages)
+    stuck_from = np.where(missing, -1, _stuck_from(block))
+    return ChannelFaults(saturated & ~missing, stuck_from >= 0, missing, not_connected, frozen, stuck_from)
+
+
+def _at_rails(block: FrameBlock, missing: Mask) -> Mask:
+    voltages = np.where(missing, np.median(block.voltages), block.voltages)
+    clipped = np.zeros(missing.shape, dtype=bool)
+    if len(voltages) < _FEWEST_FRAMES:
+        return clipped
+    for rail in (float(voltages.min()), float(voltages.max())):
+        exact = (voltages == rail).mean(axis=0) >= _AT_RAIL
+        if exact.any():
+            clipped |= exact | _remembering_rail(np.median(voltages, axis=0), rail)
+    return clipped
+
+
+def _remembering_rail(level: Array, rail: float) -> Mask:
+    """Channels clipped at a rail that show a share of the reading before them: level = rail + m (previous − rail).
+
+    Looked for among readings at the same distance from the driven pair (m is common to them and nothing else is).
+    """
+    rows, columns = level.shape
+    clipped = np.zeros(level.shape, dtype=bool)
+    if rows != columns:
+        return clipped
+    previous = np.roll(level.ravel(), 1).reshape(level.shape)
+    k = np.arange(rows)
+    # A single far reading at a rail says nothing of the large ones: one of those must have got there.
+    if not any((level[k, (k + distance) % rows] == rail).any() for distance in (-1, 0, 1)):
+        return clipped
+    for distance in (-1, 0, 1):
+        at = k, (k + distance) % rows
+        share = (level[at] - rail) / np.where(previous[at] == rail, np.inf, previous[at] - rail)
+        middle = float(np.median(share))
+        near = np.abs(share - middle) <= _MEMORY_SPREAD
+        if 0 < middle <= _LARGEST_MEMORY and near.mean() >= 0.75:
+            clipped[at] |= near
+    return clipped
+
+
+def _at_ceiling(voltages: Array) -> Mask:
+    """Different pairs at one level that no reading exceeds: the source has run into its voltage limit.
+
+    Only for one-row scans, where equal levels are not a matter of symmetry.
+    """
+    rows = voltages[:, 0, :]
+    level = np.median(rows, axis=0)
+    sigma = np.maximum(1.4826 * np.median(np.abs(rows - level), axis=0), 1e-12)
+    top = float(np.median(np.sort(level)[-3:]))
+    noise = float(np.median(sigma[level >= top - np.ptp(level) / 2]))
+    together = np.abs(level - top) <= 2 * noise
+    if together.mean() < _CEILING_SHARE or float(rows.max()) > top + _CEILING_SIGMA * noise:
+        return np.zeros(voltages.shape[1:], dtype=bool)
+    # Pairs that have not quite reached the ceiling when they are read (they follow a low one) are at it as well.
+    at: Mask = (top - level <= max(_CEILING_SIGMA * 2 * noise, 0.002 * abs(top)))[None]
+    return at
+
+
+def _stuck_from(block: FrameBlock) -> NDArray[np.int64]:
+    """First frame in which each channel is stuck while most others move; −1 for channels that are not."""
+    n = len(block)
+    begin = np.full(block.voltages.shape[1:], -1, dtype=np.int64)
+    if n < _FEWEST_FRAMES:
+        return begin
+    same = (block.voltages == np.median(block.voltages, axis=0)).mean(axis=0)
+    repeats = block.voltages[1:] == block.voltages[:-1]
+    # Counts with less than a count of noise stand still without being stuck: only judge where most channels move.
+    if float(np.median(same)) > _SELDOM or float(np.median(repeats.mean(axis=0))) > _SELDOM:
+        return begin
+    longest, at = _longest_run(repeats)
+    begin = np.where(longest >= _unlikely_run(repeats, longest), at, begin)
+    begin[same >= _CONSTANT] = 0
+    return begin
+
+
+def _unlikely_run(repeats: Mask, longest: NDArray[np.int64]) -> Array:
+    """Repeats in a row that noise gives a channel in one of ten thousand recordings only.
+
+    A channel's noise is told from how often it repeats itself besides its longest run; quiet ones often do.
+    """
+    besides = (repeats.sum(axis=0) - longest) / np.maximum(len(repeats) - longest, 1)
+    chance = np.maximum(besides, max(float(np.median(repeats.mean(axis=0))), _LEAST_REPEATS))
+    needed = np.log(_FALSE_RUNS / repeats.size) / np.log(np.minimum(chance, _SELDOM))
+    least: Array = np.where(chance > _SELDOM, np.inf, np.maximum(needed, _FEWEST_FRAMES))
+    return least
+
+
+def _longest_run(repeats: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Length and first frame of the longest run of repeats of each channel."""
+    run = np.zeros(repeats.shape[1:], dtype=np.int64)
+    longest, end = np.zeros_like(run), np.zeros_like(run)
+    for k, repeated in enumerate(repeats):
+        run = np.where(repeated, run + 1, 0)
+        longer = run > longest
+        longest = np.where(longer, run, longest)
+        end = np.where(longer, k + 1, end)
+    return longest, end - longest

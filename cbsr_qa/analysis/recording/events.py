@@ -1,0 +1,332 @@
+"""Presses in a recording nobody annotated: one press, one event.
+
+The sheet is slow: it creeps while it is held, keeps much of the change after the release (two thirds, two seconds
+later, on the lab's recordings), and relaxes for long. So a press is looked for as a *step* (:mod:`recording_changes`)
+and everything after it is read off the trace of its own pattern: where the step began, where the trace was largest,
+where its final decline set in (:mod:`recording_traces`). Each press has its own sign, and what happens elsewhere
+meanwhile does not end it. Each is imaged against the frames just before it, so residues of earlier ones do
+not matter.
+
+Not every step is a load: one that is proportional to the frame itself is a change of gain, one in the readings of a
+single contact is that contact (:mod:`recording_contacts`), and one no place explains is neither.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording.changes import Change, find_changes
+from cbsr_qa.analysis.recording.channels import Suspect, suspect_in
+from cbsr_qa.analysis.recording.groups import (
+    SAME_PLACE,
+    Group,
+    find_pulses,
+    group_changes,
+    same_place,
+    without_pulses,
+)
+from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fitted
+from cbsr_qa.analysis.recording.traces import (
+    BEFORE_FRAMES,
+    at_the_step,
+    difference,
+    end_of,
+    noise_energy,
+    rise,
+    rough,
+    signal_energy,
+    slow_rise,
+    smooth,
+    trace,
+)
+
+Array = NDArray[np.float64]
+
+_CLOSE = 3  #: frames: a pulse this close to a press at its place is part of it
+_RESIDUE = 0.6  #: a sheet keeps no more of a short press than this share
+_FAINT = 2.0  #: a pattern whose signal is under so many times its noise, in energy, is too faint to follow its rise
+_EXPLAINED = 0.5  #: least share of a change that the loads must explain …
+_EXPLAINED_SIGMA = 3.0  #: … unless noise may be the reason it is less
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Press:
+    """A press found; frames are indices into the series.
+
+    Parameters
+    ----------
+    start : fractional frame at which the change passed a fifth of its plateau.
+    peak : frame of the largest change.
+    end : fractional frame of the release, or the last frame.
+    before, held : frames of the reference and of the hold; for a load held from the beginning the former is later.
+    places : its loads (several where more than one thing was pressed at once).
+    score : of its strongest step.
+    slow : whether only its release was a step.
+    """
+
+    start: float
+    peak: int
+    end: float
+    before: slice
+    held: slice
+    places: tuple[Place, ...]
+    score: float
+    slow: bool = False
+
+
+@dataclass(slots=True)
+class Found:
+    """Presses, and changes that were not taken for one.
+
+    Parameters
+    ----------
+    rejected : frame, and why in words.
+    gains : frame, and by which share all readings grew.
+    suspects : frame, and the contact.
+    """
+
+    presses: list[Press] = field(default_factory=list)
+    rejected: list[tuple[int, str]] = field(default_factory=list)
+    gains: list[tuple[int, float]] = field(default_factory=list)
+    suspects: list[tuple[int, Suspect]] = field(default_factory=list)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoLoads:
+    """What changes look like that are no loads.
+
+    Parameters
+    ----------
+    frame : (m,) whitened change that doubles every reading; zeros where a common gain cannot be told or is no matter.
+    suspects : contacts.
+    """
+
+    frame: Array
+    suspects: tuple[Suspect, ...] = ()
+
+
+def find_presses(white: Array, match: Matcher, changes: Sequence[Change], no_loads: NoLoads | None = None) -> Found:
+    """Put steps together to presses.
+
+    Parameters
+    ----------
+    white : (n, m) whitened readings, see :meth:`Matcher.whiten`.
+    changes : in time order, of :func:`recording_changes.find_changes`.
+    no_loads : what is not to be taken for a load.
+    """
+    no_loads = no_loads or NoLoads(np.zeros(white.shape[1]))
+    search = _Search(white, match, no_loads, group_changes(white, match, tuple(changes)))
+    for group in search.groups:
+        search.close(group)
+    return search.found
+
+
+def search(white: Array, match: Matcher, no_loads: NoLoads | None = None) -> tuple[Found, tuple[Change, ...]]:
+    """Look for short and for lasting presses.
+
+    Parameters
+    ----------
+    white : (n, m) whitened readings.
+
+    Returns
+    -------
+    What was found, and the steps and pulses it was found from.
+    """
+    pulses = find_pulses(white @ match.patterns)
+    changes = find_changes(white @ match.patterns)
+    found = find_presses(white, match, changes, no_loads)
+    pulses = tuple(pulse for pulse in pulses if not any(_trembles(pulse, press, match) for press in found.presses))
+    if not pulses:
+        return found, changes
+    calm = without_pulses(white, pulses)
+    changes = find_changes(calm @ match.patterns)
+    found = find_presses(calm, match, changes, no_loads)
+    short = _Search(white, match, no_loads or NoLoads(np.zeros(white.shape[1])), [])
+    for pulse in pulses:
+        short.close_short(pulse)
+    for press in short.found.presses:
+        _add_short(press, found)
+    found.suspects += short.found.suspects
+    found.gains += short.found.gains
+    found.rejected += short.found.rejected
+    return found, (*changes, *pulses)
+
+
+def _trembles(pulse: Change, press: Press, match: Matcher) -> bool:
+    """Whether a pulse is a tremble of a press that is held, or its release.
+
+    A press known by its release alone may be no more than the end of the pulse itself.
+    """
+    if press.slow:
+        return False
+    x, y = match.places[pulse.place]
+    apart = min(np.hypot(place.x - x, place.y - y) for place in press.places)
+    return bool(apart <= SAME_PLACE and press.start + _CLOSE < pulse.frame < press.end + _CLOSE)
+
+
+def _add_short(short: Press, found: Found) -> None:
+    """Add a short press, unless it is the beginning or a tremble of one that lasts."""
+    for press in found.presses:
+        apart = np.hypot(press.places[0].x - short.places[0].x, press.places[0].y - short.places[0].y)
+        if apart > SAME_PLACE or not press.start - _CLOSE < short.start < press.end + _CLOSE:
+            continue
+        kept = abs(press.places[0].score) < _RESIDUE * abs(short.places[0].score)
+        if kept and abs(press.start - short.start) < short.end - short.start + _CLOSE:
+            # What lasts is what the sheet keeps of the short press.
+            found.presses.remove(press)
+            break
+        return
+    found.presses.append(short)
+
+
+@dataclass(slots=True)
+class _Search:
+    white: Array
+    match: Matcher
+    no_loads: NoLoads
+    groups: list[Group]
+    found: Found = field(default_factory=Found)
+
+    def close(self, group: Group) -> None:
+        """Work out one press from its steps."""
+        before, held, start, end, along = self._slow(group) if group.slow else self._stepped(group)
+        if places := self._loads(group.frame, before, held):
+            first = min(int(np.ceil(start)), int(end))
+            peak = first + int(np.argmax(along[first : max(int(np.ceil(end)), first + 1)]))
+            score = max(one.score for one in group.changes)
+            self.found.presses.append(Press(start, peak, end, before, held, places, score, group.slow))
+
+    def close_short(self, pulse: Change) -> None:
+        """Work out a press of a few frames."""
+        before = slice(max(pulse.frame - BEFORE_FRAMES, 0), pulse.frame)
+        held = slice(pulse.frame, pulse.frame + pulse.window)
+        if places := self._loads(pulse.frame, before, held):
+            start, end = pulse.frame - 0.5, held.stop - 0.5
+            peak = pulse.frame + int(np.argmax(trace(self.white, before, held)[held]))
+            self.found.presses.append(Press(start, peak, end, before, held, places, pulse.score))
+
+    def _loads(self, frame: int, before: slice, held: slice) -> tuple[Place, ...]:
+        """Return the loads behind a change; none, and why, where it is no load's."""
+        change = difference(self.white, before, held)
+        places, explained = find_places(change, self.match)
+        noise = noise_energy(self.white, before, held) / self.white.shape[1]
+        load = fitted(change, self.match, places)
+        if suspect := suspect_in(change, load, self.match.nuisance, noise, self.no_loads.suspects):
+            self.found.suspects.append((frame, suspect))
+        elif share := self._gain(change):
+            self.found.gains.append((frame, share))
+        elif why := _unlike_a_load(self.white, explained, before, held):
+            self.found.rejected.append((frame, why))
+        else:
+            return places
+        return ()
+
+    def _stepped(self, group: Group) -> tuple[slice, slice, float, float, Array]:
+        """Reference, hold, beginning, end and trace of a press that began with a step."""
+        first = group.changes[0]
+        limits = self._limits(group)
+        before, held = rough(first, group.limit(self.groups, len(self.white)), len(self.white))
+        window = min(change.window for change in group.changes)
+        clear = signal_energy(self.white, before, held) > _FAINT * noise_energy(self.white, before, held)
+        for _ in range(2):
+            end, along = self._end(group, before, held, window, limits)
+            start, down = rise(along, first, int(end)) if clear else at_the_step(first, int(end))
+            before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
+            held = slice(down, max(min(int(end) + (end == limits[-1] - 1), limits[0]), down + 1))
+        return before, held, start, end, along
+
+    def _slow(self, group: Group) -> tuple[slice, slice, float, float, Array]:
+        """Work out the same for a press of which only the release is a step."""
+        release = group.changes[0]
+        until = max(release.frame - release.window // 2, 2)
+        held = slice(max(until - BEFORE_FRAMES, 1), until)
+        before = slice(0, max(min(BEFORE_FRAMES, held.start), 1))
+        along = smooth(trace(self.white, before, held), release.window)
+        start = slow_rise(along, held.start)
+        before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
+        along = smooth(trace(self.white, before, held), release.window)
+        return before, held, start, end_of(along, held.start, self._limits(group)[0]), along
+
+    def _limits(self, group: Group) -> list[int]:
+        """Frames at which something else begins, up to the next press at the same place, or the end."""
+        later = [other for other in self.groups if other.frame > group.frame and other is not group]
+        limits: list[int] = []
+        for other in sorted(later, key=lambda one: one.frame):
+            limits.append(max(other.frame - other.changes[0].window, group.changes[-1].frame + 1))
+            if same_place(group, other, self.match):
+                return limits
+        return [*limits, len(self.white)]
+
+    def _end(self, group: Group, before: slice, held: slice, window: int, limits: list[int]) -> tuple[float, Array]:
+        """Find the end of a press: before the next step elsewhere or beyond it, that one's pattern fitted along."""
+        along = smooth(trace(self.white, before, held), window)
+        end = end_of(along, group.frame, limits[0])
+        for before_it, limit in pairwise(limits):
+            if end < before_it - 1:
+                break
+            besides = [self._pattern(o) for o in self.groups if group.frame < o.frame < limit and not o.slow]
+            along = smooth(trace(self.white, before, held, besides), window)
+            end = end_of(along, group.frame, limit)
+        return end, along
+
+    def _pattern(self, group: Group) -> Array:
+        return difference(
+            self.white, *rough(group.changes[0], group.limit(self.groups, len(self.white)), len(self.white))
+        )
+
+    def _gain(self, change: Array) -> float:
+        """Return by which share all readings grew, if that explains a change as well as any one place does."""
+        power = float(self.no_loads.frame @ self.no_loads.frame)
+        if power == 0:
+            return 0.0
+        along = float(change @ self.no_loads.frame)
+        best = float(np.abs(change @ self.match.patterns).max())
+        return along / power if along**2 / power >= best**2 else 0.0
+
+
+def held_from_the_beginning(presses: Sequence[Press], n: int) -> tuple[list[Press], list[Press]]:
+    """Tell releases of loads that were there from the beginning from loads that stay to the end.
+
+    Both are one step that is never taken back. Where every press that ends has one sign, such a step of the other
+    sign is a release: a sheet answers alike to all its loads.
+
+    Parameters
+    ----------
+    n : number of frames.
+
+    Returns
+    -------
+    All presses, those steps turned into loads from frame 0 on; and the presses of which it cannot be said.
+    """
+    stays = [press.end >= n - 1 for press in presses]
+    signs = {_sign(press) for press, to_the_end in zip(presses, stays, strict=True) if not to_the_end}
+    out: list[Press] = []
+    unclear: list[Press] = []
+    for press, to_the_end in zip(presses, stays, strict=True):
+        if to_the_end and signs == {-_sign(press)}:
+            places = tuple(replace(place, score=-place.score) for place in press.places)
+            end = max(press.start, 0.0)
+            out.append(Press(0.0, 0, end, press.held, press.before, places, press.score))
+            continue
+        out.append(press)
+        if to_the_end and not signs:
+            unclear.append(press)
+    return out, unclear
+
+
+def _sign(press: Press) -> int:
+    return 1 if press.places[0].score > 0 else -1
+
+
+def _unlike_a_load(white: Array, explained: float, before: slice, held: slice) -> str:
+    """Say why a change is not a load's, if even the best places explain too little of it; empty if it may be one."""
+    noise, signal = noise_energy(white, before, held), signal_energy(white, before, held)
+    per_reading = noise / white.shape[1]
+    doubt = _EXPLAINED_SIGMA * per_reading * np.sqrt(2 * white.shape[1] + 4 * signal / per_reading)
+    share = explained * (signal + noise) / signal
+    if share * signal + _EXPLAINED * doubt >= _EXPLAINED * signal:
+        return ""
+    return f"it does not look like a load: the best places explain {share:.0%} of it"

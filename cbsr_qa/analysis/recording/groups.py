@@ -1,0 +1,211 @@
+"""Short presses: up there for one to three frames, and gone again.
+
+Windows of a step hold the beginning and the end of such a press at once. So it is looked for by itself: a pulse is a
+few frames that stand out of the frames before *and* of the frames after them, to the same side. As with steps the
+noise of that comparison is estimated per place from all moments of the same recording.
+
+Steps put together: which of them begin a press, which belong to one, and which take one back.
+
+A sheet is pressed and released, and both are steps. A step at the place of an earlier one and of its sign goes on
+with that press, unless the press had lost much of its trace by then; one of the other sign takes it back. A step
+elsewhere begins a press of its own sign if it leads away from the state the recording began in. One that leads back
+to that state, though nothing that was seen to be pressed explains it, releases a load that
+came too slowly to be a step.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording.changes import Change, threshold_for
+from cbsr_qa.analysis.recording.places import Matcher
+from cbsr_qa.analysis.recording.traces import BEFORE_FRAMES, difference, rough, smooth, trace
+
+Array = NDArray[np.float64]
+
+SAME_PLACE = 0.4  #: of the radius: two steps nearer than this are at the same place
+_NEW_PRESS_LOSS = 0.4  #: a step at the same place is a new press if the trace had lost this share before it
+_CROSSED = 0.5  #: a step of the other sign that goes beyond the state before the press by this share is a new one
+_TAKEN_BACK = 0.5  #: a step is a release if an earlier press explains this share of what the best place does
+
+
+@dataclass(slots=True)
+class Group:
+    """Steps of one press.
+
+    Parameters
+    ----------
+    changes : of the press's sign, in time order; for a press that came slowly only its release.
+    sign : +1 where the place conducts more.
+    releases : steps that take it back.
+    slow : whether it came too slowly for its beginning to be a step.
+    """
+
+    changes: list[Change]
+    sign: int
+    releases: list[Change] = field(default_factory=list)
+    slow: bool = False
+
+    @property
+    def frame(self) -> int:
+        """Frame of its first step."""
+        return self.changes[0].frame
+
+    def limit(self, others: list["Group"], n: int) -> int:
+        """Frame up to which the first pattern may be taken: before its release, and before another press."""
+        after = [change.frame - change.window // 2 for change in self.releases]
+        after += [other.frame - other.changes[0].window for other in others if other.frame > self.frame]
+        return max(min([*after, n]), self.frame + 1)
+
+
+def group_changes(white: Array, match: Matcher, changes: tuple[Change, ...]) -> list[Group]:
+    """Put steps together.
+
+    Parameters
+    ----------
+    white : (n, m) whitened readings. changes : in time order.
+    """
+    groups: list[Group] = []
+    for k, change in enumerate(changes):
+        if any(_taken(change, group, white, match) for group in reversed(groups)):
+            continue
+        group = Group([change], change.sign)
+        # Drift leads away as well: a step that a later one takes back is a press, whatever it led back to.
+        undone = any(c.sign != change.sign and _apart(c, group, match) <= SAME_PLACE for c in changes[k + 1 :])
+        if not undone and _leads_back(change, white, match):
+            if not any(_explains(group, change, white, match) for group in groups):
+                groups.append(Group([change], -change.sign, [change], slow=True))
+        else:
+            groups.append(group)
+    return groups
+
+
+def same_place(one: Group, other: Group, match: Matcher) -> bool:
+    """Whether two presses are at one place, so that the later one ends the earlier."""
+    return min(_apart(change, other, match) for change in one.changes) <= SAME_PLACE
+
+
+def _apart(change: Change, group: Group, match: Matcher) -> float:
+    return min(float(np.hypot(*(match.places[change.place] - match.places[one.place]))) for one in group.changes)
+
+
+def _taken(change: Change, group: Group, white: Array, match: Matcher) -> bool:
+    """Add a step to a press at the same place that it continues or takes back."""
+    if _apart(change, group, match) > SAME_PLACE:
+        return False
+    if group.slow:
+        return change.sign != group.sign
+    if change.sign == group.sign:
+        if not _continues(change, group, white):
+            return False
+        group.changes.append(change)
+        return True
+    along = trace(white, *rough(group.changes[0], min(group.limit([], len(white)), change.frame), len(white)))
+    after = float(along[change.frame : change.frame + max(change.window, 2)].mean())
+    if after < -_CROSSED:
+        return False
+    group.releases.append(change)
+    return True
+
+
+def _continues(change: Change, group: Group, white: Array) -> bool:
+    """Whether nothing much of the trace was lost before a further step."""
+    first = group.changes[0]
+    along = trace(white, *rough(first, min(group.limit([], len(white)), change.frame), len(white)))
+    until = max(change.frame - change.window // 2, group.changes[-1].frame + 1)
+    so_far = smooth(along[first.frame : until])
+    return len(so_far) == 0 or float(so_far[-1]) > (1 - _NEW_PRESS_LOSS) * float(so_far.max())
+
+
+def _sides(change: Change, n: int) -> tuple[slice, slice]:
+    """Frames on either side of a step."""
+    before = slice(max(change.frame - change.window - max(change.window // 2, 1), 0), max(change.frame - 1, 1))
+    after = min(change.frame + max(change.window // 2, 1), n - 1)
+    return before, slice(after, min(after + change.window, n))
+
+
+def _leads_back(change: Change, white: Array, match: Matcher) -> bool:
+    """Whether a step brings its place nearer to the state the recording began in."""
+    before, after = _sides(change, len(white))
+    start = slice(0, max(min(BEFORE_FRAMES, before.start), 2))
+    middle = (white[before].mean(axis=0) + white[after].mean(axis=0)) / 2 - white[start].mean(axis=0)
+    return float(middle @ match.patterns[:, change.place]) * change.sign < 0
+
+
+def _explains(group: Group, change: Change, white: Array, match: Matcher) -> bool:
+    """Whether a step may be a press taken back: one still held, or along its pattern if its place is a little off."""
+    if group.slow or change.sign == group.sign:
+        return False
+    if not group.releases:
+        return True
+    step = difference(white, *_sides(change, len(white)))
+    pattern = difference(white, *rough(group.changes[0], group.limit([], change.frame), len(white)))
+    along = float(step @ pattern) / float(np.linalg.norm(pattern))
+    best = float(np.abs(step @ match.patterns).max())
+    return along < 0 and along**2 >= _TAKEN_BACK * best**2
+
+
+_WIDTHS = (1, 2, 3)  #: frames a pulse may last
+_BESIDE = 4  #: frames on either side it is compared with
+_MOST_PULSES = 100
+
+
+def find_pulses(scores: Array) -> tuple[Change, ...]:
+    """Find short presses, in time order.
+
+    Parameters
+    ----------
+    scores : (n, p) float64, as for :func:`recording_changes.find_changes`.
+
+    Returns
+    -------
+    Changes whose ``window`` is the number of frames they last.
+    """
+    n = len(scores)
+    candidates: list[Change] = []
+    for width in _WIDTHS:
+        at = np.arange(_BESIDE, n - _BESIDE - width + 1)
+        if len(at) < 4 * _BESIDE:
+            continue
+        size, place, sign = _strongest(scores, at, width)
+        over = np.flatnonzero(size > threshold_for(len(at), _BESIDE))
+        candidates += [Change(int(at[k]), width, int(place[k]), int(sign[k]), float(size[k])) for k in over]
+    taken: list[Change] = []
+    for one in sorted(candidates, key=lambda change: -change.score)[: 10 * _MOST_PULSES]:
+        if all(_apart_recording_pulses(one, other) > _BESIDE for other in taken):
+            taken.append(one)
+    return tuple(sorted(taken[:_MOST_PULSES], key=lambda change: change.frame))
+
+
+def without_pulses(white: Array, pulses: tuple[Change, ...]) -> Array:
+    """Bridge the frames of pulses by straight lines: (n, m), for what is looked for besides."""
+    bridged = white.copy()
+    for pulse in pulses:
+        first, last = pulse.frame - 1, pulse.frame + pulse.window
+        share = (np.arange(first + 1, last) - first) / (last - first)
+        bridged[first + 1 : last] = (1 - share)[:, None] * white[first] + share[:, None] * white[last]
+    return bridged
+
+
+def _strongest(scores: Array, at: NDArray[np.int64], width: int) -> tuple[Array, NDArray[np.int64], Array]:
+    """For each moment the size, the place and the sign of the pulse that stands out most."""
+    total = np.vstack([np.zeros(scores.shape[1]), np.cumsum(scores, axis=0)])
+    inside = (total[at + width] - total[at]) / width
+    before = (total[at] - total[at - _BESIDE]) / _BESIDE
+    after = (total[at + width + _BESIDE] - total[at + width]) / _BESIDE
+    rise, fall = _scaled(inside - before), _scaled(inside - after)
+    size = np.where(rise * fall > 0, np.minimum(np.abs(rise), np.abs(fall)), 0.0)
+    place = np.argmax(size, axis=1)
+    rows = np.arange(len(at))
+    return size[rows, place], place, np.sign(rise[rows, place])
+
+
+def _scaled(difference: Array) -> Array:
+    noise = 1.4826 * np.median(np.abs(difference - np.median(difference, axis=0)), axis=0)
+    scaled: Array = difference / np.maximum(noise, max(float(np.median(noise)), 1e-12))
+    return scaled
+
+
+def _apart_recording_pulses(one: Change, other: Change) -> int:
+    return max(one.frame - (other.frame + other.window), other.frame - (one.frame + one.window))

@@ -1,0 +1,269 @@
+"""From what was found in a recording to events with their images.
+
+Where images show events, and whether those that overlap in time each still have a region of their own.
+
+Whether an object that was followed through frames moves, and how.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording.images import EventImages, Sighting, Tell, prepare_for_events
+from cbsr_qa.analysis.recording.scene import RecordedScene
+from cbsr_qa.domain.geometry import RoundFootprint
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.readings import EventImaging, ImagedPlace, LoadEvent, Motion, SampleBlock
+from cbsr_qa.domain.results import Blob, Image, LinearReconstruction
+from cbsr_qa.domain.sensor import Electrodes
+from cbsr_qa.eit.imaging import Assignment, assign_regions, masked_blobs, split_blobs
+from cbsr_qa.plugin import Reconstruction
+
+Array = NDArray[np.float64]
+
+#: Nobody says what pressed: a head of this radius, of the sheet's (13 mm on a 100 mm disc).
+_HEAD: Final = 0.13
+#: Loads differ in strength: a mask that keeps those of a quarter, parted where a valley of 5 % lies between.
+_MASK: Final = 0.25
+_VALLEY: Final = 0.05
+_LARGEST: Final = 0.5  #: a region above half its peak over more than this share of the sheet says no place
+
+
+#: Makes one image (e,) of what several events, by number, change together.
+Together = Callable[[Sequence[int]], Array]
+
+
+def with_fates(
+    events: Sequence[LoadEvent], radius_mm: float, *, together: Together | None = None
+) -> tuple[LoadEvent, ...]:
+    """Say of every event beside others whether it is apart from them in the image, merged with one, or missed.
+
+    The image is that of the changes of the events that last at this one's peak, each once; a region is one of its
+    25 % mask, parted at valleys. It belongs to an event whose place it covers, or whose centre is a head's diameter
+    away at most.
+
+    Parameters
+    ----------
+    radius_mm : of the sheet the images are of.
+    together : images several changes at once; None for the sum of their images, which is the same for linear methods.
+    """
+
+    def summed(numbers: Sequence[int]) -> Array:
+        # What was pressed at once has one change between it.
+        images = {events[k].image.values.tobytes(): events[k].image.values for k in numbers}
+        total: Array = np.sum(list(images.values()), axis=0)
+        return total
+
+    fates = [_fate(number, events, radius_mm, together or summed) for number in range(len(events))]
+    return tuple(replace(event, fate=fate) for event, fate in zip(events, fates, strict=True))
+
+
+def with_imaged_places(events: Sequence[LoadEvent], radius_mm: float, layout: Electrodes) -> tuple[LoadEvent, ...]:
+    """Say of every event where its own image shows it; nowhere, if no region smaller than half the sheet is there.
+
+    Regions are found and assigned as for fates; what was pressed at once shares an image.
+    """
+    return tuple(replace(event, imaged=_imaged(event, events, radius_mm, layout)) for event in events)
+
+
+def _imaged(
+    event: LoadEvent, events: Sequence[LoadEvent], radius_mm: float, layout: Electrodes
+) -> ImagedPlace | None:
+    image = event.image.values.tobytes()
+    beside = [
+        one for one in events if one is not event and one.sign == event.sign and one.image.values.tobytes() == image
+    ]
+    values = np.maximum(event.sign * event.image.values, 0.0)
+    regions, assigned = _assigned(Image(event.image.mesh, values), [event, *beside], radius_mm)
+    own = assigned.region_of[0] if assigned.merged_with[0] is None else assigned.region_of[assigned.merged_with[0]]
+    if own is None:
+        return None
+    inside = regions[own].elements
+    x, y = (float(at) / radius_mm for at in regions[own].centre_mm())
+    largest = float(values[inside].max())
+    areas = event.image.mesh.areas_mm2
+    share = float(areas[inside][values[inside] >= largest / 2].sum() / areas.sum())
+    if share > _LARGEST:
+        return None
+    return ImagedPlace(x, y, layout.electrode_at(x, y), event.sign * largest, share)
+
+
+def _fate(number: int, events: Sequence[LoadEvent], radius_mm: float, together: Together) -> str:
+    event = events[number]
+    beside = [k for k, other in enumerate(events) if k != number and other.start_s <= event.peak_s <= other.end_s]
+    if not beside:
+        return ""
+    values = np.maximum(event.sign * together([number, *beside]), 0.0)
+    return _assigned(Image(event.image.mesh, values), [event, *(events[k] for k in beside)], radius_mm)[1].fate(0)
+
+
+def _assigned(image: Image, events: Sequence[LoadEvent], radius_mm: float) -> tuple[tuple[Blob, ...], Assignment]:
+    """Regions of an image of what conducts as the first event does, and which belongs to which event."""
+    regions = split_blobs(masked_blobs(image, (_MASK,))[0], _VALLEY)
+    head_mm = _HEAD * radius_mm
+    places = [RoundFootprint(one.x_over_R * radius_mm, one.y_over_R * radius_mm, head_mm) for one in events]
+    return regions, assign_regions(regions, places, gate_mm=2 * head_mm)
+
+
+_LEAST_R: Final = 0.1  #: of the radius: what stays within it has not moved
+_JITTERS: Final = 4.0  #: and so many times the scatter from frame to frame
+_FEWEST: Final = 5  #: frames
+_SMOOTHED: Final = 8  #: a track is smoothed over this share of its frames, or three
+
+
+def motion_of(track: tuple[tuple[float, float, float], ...], layout: Electrodes) -> Motion | None:
+    """Say how an object moves.
+
+    Parameters
+    ----------
+    track : (time_s, x_over_R, y_over_R) per frame.
+    layout : numbers directions.
+
+    Returns
+    -------
+    None where it stays, or where there are fewer than five frames to tell that from scatter. It moves if, smoothed
+    by a running median, it is ever further from where it began than a tenth of the radius and than four times the
+    scatter; scatter is that of second differences, which a steady motion leaves at zero.
+    """
+    places = np.array([place[1:] for place in track], dtype=np.float64).reshape(-1, 2)
+    if len(places) < _FEWEST:
+        return None
+    smooth = _running_median(places)
+    jitter = float(np.sqrt(np.mean(np.diff(places, 2, axis=0) ** 2) / 6))
+    if np.hypot(*(smooth - smooth[0]).T).max() < max(_LEAST_R, _JITTERS * jitter):
+        return None
+    numbers = np.array([layout.electrode_at(float(x), float(y)) for x, y in places])
+    along = np.unwrap(numbers, period=layout.count)
+    radii = np.hypot(*places.T)
+    return Motion(
+        begins=(float(numbers[0]), float(radii[0])),
+        ends=(float(numbers[-1]), float(radii[-1])),
+        turns=float(along[-1] - along[0]) / layout.count,
+        nearest_r_over_R=float(np.hypot(*smooth.T).min()),
+    )
+
+
+def _running_median(places: Array) -> Array:
+    """Median of each place (n, 2) with those around it; shorter by what has no neighbours."""
+    window = max(3, len(places) // _SMOOTHED)
+    median: Array = np.median(sliding_window_view(places, window, axis=0), axis=-1)
+    return median
+
+
+@dataclass(frozen=True, slots=True)
+class Imaged:
+    """Events with their images.
+
+    Parameters
+    ----------
+    imaging : how the images were made.
+    remarks : what a reader must know about them, in words.
+    """
+
+    events: tuple[LoadEvent, ...]
+    imaging: EventImaging
+    remarks: tuple[str, ...] = ()
+
+
+def image_events(
+    scene: RecordedScene,
+    sightings: Sequence[Sighting],
+    reconstruction: Reconstruction,
+    chosen: PluginChoice,
+    tell: Tell,
+) -> Imaged:
+    """Image what was found, event by event.
+
+    Parameters
+    ----------
+    sightings : of this scene, at least one.
+    chosen : what ``reconstruction`` was made from.
+    tell : told of each image that takes its time.
+
+    Raises
+    ------
+    NumericsError, PluginError
+        If the reconstruction cannot image them; names it, and the event.
+    """
+    sheet, offset = scene.sheet, scene.ready.offset
+    images = prepare_for_events(reconstruction, chosen.name, sheet, scene.model, sightings, offset=offset)
+    slow = not isinstance(images.prepared, LinearReconstruction)
+    made: list[LoadEvent] = []
+    for number, one in enumerate(sightings, start=1):
+        if slow:
+            tell(f"imaging event {number} of {len(sightings)} with {chosen.name}")
+        made.append(_event(scene, one, images.of(one, _name(scene, number, one.peak_s))))
+
+    def together(numbers: Sequence[int]) -> Array:
+        tell(f"imaging event {numbers[0] + 1} together with those beside it with {chosen.name}")
+        return images.together([sightings[k] for k in numbers])
+
+    fated = with_fates(made, sheet.radius_mm, together=None if images.superposes else together)
+    events = with_imaged_places(fated, sheet.radius_mm, sheet.layout)
+    imaging = EventImaging(chosen, images.prepared.choice, len(sheet.problem.mesh.elements))
+    alone = images.sequences and all(len(one.frames) == 1 for one in sightings)
+    unknown = bool(getattr(reconstruction, "absolute", False)) and offset
+    said = (*images.remarks, *_limits(chosen.name, alone=alone, unknown=unknown), *_unseen(scene, events, images))
+    return Imaged(events, imaging, said)
+
+
+def _name(scene: RecordedScene, number: int, peak_s: float) -> str:
+    """Name an event as the report does, with its time where there is one."""
+    untimed = scene.recording.still or scene.recording.clock == "none"
+    return f"E{number}" if untimed else f"E{number} (at {peak_s:.1f} s)"
+
+
+def _event(scene: RecordedScene, one: Sighting, values: Array) -> LoadEvent:
+    radius, place = scene.sheet.radius_mm, one.place
+    return LoadEvent(
+        start_s=one.start_s,
+        peak_s=min(max(one.peak_s, one.start_s), one.end_s),
+        end_s=one.end_s,
+        x_over_R=place.x,
+        y_over_R=place.y,
+        electrode=scene.sheet.layout.electrode_at(place.x, place.y),
+        sign=one.sign,
+        snr=one.score,
+        image=Image(scene.sheet.problem.mesh, values),
+        x_mm=place.x * radius if scene.named else None,
+        y_mm=place.y * radius if scene.named else None,
+        force_N=_peak_force(scene.recording.samples, one.start_s, one.end_s),
+        track=one.track,
+        motion=motion_of(one.track, scene.sheet.layout),
+    )
+
+
+def _peak_force(samples: tuple[SampleBlock, ...], start_s: float, end_s: float) -> float | None:
+    force = next((block for block in samples if block.channel == "force"), None)
+    if force is None:
+        return None
+    during = force.values[(force.time_s >= start_s) & (force.time_s <= end_s)]
+    return float(during.max()) if during.size else None
+
+
+def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
+    """Say what a method could not be given."""
+    said = []
+    if alone:
+        said.append(f"{name} images consecutive frames; this recording has none, each event is an image by itself")
+    if unknown:
+        said.append(
+            f"{name} starts from the nominal sheet: the readings are counts with an offset nobody states, so those of"
+            " the unloaded sensor itself are not known"
+        )
+    return said
+
+
+def _unseen(scene: RecordedScene, events: Sequence[LoadEvent], images: EventImages) -> list[str]:
+    """Name events that the method's own image does not show: nobody shall look for them in what is left."""
+    return [
+        f"the image of {_name(scene, number, event.peak_s)} by {images.name} does not show it: there is no region"
+        f" near its place (electrode {event.electrode:.1f}, r/R {event.r_over_R:.2f}), and what is elsewhere is not"
+        " this event; choose other options or another reconstruction"
+        for number, event in enumerate(events, start=1)
+        if event.imaged is None
+    ]

@@ -1,0 +1,235 @@
+"""Images of the events of a recording, by whatever reconstruction a user chose.
+
+Events are found without images: the patterns loads leave in the readings are matched (:mod:`recording_places`). What
+is imaged is each event's change alone, never every frame, so that methods that take a second an image can be used.
+A method gets what it asks for (:class:`~cbsr_qa.interfaces.Reconstruction`): changes by default, the frames around an
+event where its images depend on their neighbours, the unloaded readings where its images are absolute.
+"""
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording.imaging import Sheet, UnitModel, plain_model
+from cbsr_qa.analysis.recording.places import Place
+from cbsr_qa.domain import CbsrError, NumericsError, PluginError
+from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, PreparedReconstruction
+from cbsr_qa.plugin import Reconstruction
+
+Array = NDArray[np.float64]
+
+#: Told of each step, in words.
+Tell = Callable[[str], None]
+
+_REMEDY: Final = "choose other options, or another reconstruction; without one gauss-newton-noser is taken"
+_MOST_FRAMES: Final = 256  #: of a hold, and of what is before it, that a method of sequences is handed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sighting:
+    """An event that was found, before it is imaged.
+
+    Parameters
+    ----------
+    start_s, peak_s, end_s : on the recording's clock [s].
+    score : detection statistic over its noise.
+    change : (m,) of the used readings, scaled to the unit model.
+    frames : (k, m) changes of consecutive frames around it, scaled alike; of which ``held`` show it.
+    unloaded : (m,) used readings it is compared with, in the recording's unit.
+    track : (time_s, x, y) of an object that moves.
+    """
+
+    start_s: float
+    peak_s: float
+    end_s: float
+    place: Place
+    score: float
+    change: Array
+    frames: Array
+    held: slice
+    unloaded: Array
+    track: tuple[tuple[float, float, float], ...] = ()
+
+    @property
+    def sign(self) -> int:
+        """+1 where the place conducts more, −1 less."""
+        return 1 if self.place.score > 0 else -1
+
+
+def frames_around(changes: Array, before: slice, held: slice) -> tuple[Array, slice]:
+    """Cut the frames around a press, against those before it.
+
+    Parameters
+    ----------
+    changes : (n, m), evenly spaced.
+    before, held : frames of the reference and of the hold, in either order.
+
+    Returns
+    -------
+    (k, m) at most some 1000 consecutive frames (those next to the step), and which of them are of the hold.
+    """
+    first, last = sorted((before, held), key=lambda part: part.start)
+    begin, end = max(first.start, first.stop - _MOST_FRAMES), min(last.stop, last.start + _MOST_FRAMES)
+    if end - begin > 4 * _MOST_FRAMES:  # a press that took that long to come
+        begin, end = held.start, min(held.stop, held.start + _MOST_FRAMES)
+    frames = changes[begin:end] - changes[before].mean(axis=0)
+    return frames, slice(max(held.start - begin, 0), min(held.stop, end) - begin)
+
+
+def nearest_frames(changes: Array, frame: int) -> tuple[Array, int]:
+    """Frames around one of (n, m): at most 513, and the number of that one among them."""
+    begin = max(frame - _MOST_FRAMES, 0)
+    return changes[begin : frame + _MOST_FRAMES + 1], frame - begin
+
+
+@dataclass(slots=True, eq=False)
+class EventImages:
+    """A reconstruction prepared for the events of a recording.
+
+    Parameters
+    ----------
+    name : of the reconstruction, for whoever reads a refusal.
+    gain : (m,) from the unit model's changes to those the method was prepared for.
+    sequences : whether it is handed the frames around an event.
+    remarks : what a reader must know of how it was prepared, in words.
+    """
+
+    name: str
+    prepared: PreparedReconstruction
+    gain: Array
+    sequences: bool
+    remarks: tuple[str, ...] = ()
+    _made: dict[bytes, Array] = field(default_factory=dict)
+
+    def of(self, sighting: Sighting, name: str = "an event") -> Array:
+        """Image (e,) of an event's change.
+
+        Parameters
+        ----------
+        name : of the event, for a refusal.
+
+        Raises
+        ------
+        NumericsError
+            If the method cannot image it; names method and event.
+        """
+        where = f"{self.name} cannot image {name}"
+        if self.sequences:
+            image: Array = self._images(where, sighting.frames)[sighting.held].mean(axis=0)
+        else:
+            image = self._images(where, sighting.change[None])[0]
+        return image
+
+    def together(self, sightings: Sequence[Sighting]) -> Array:
+        """Image (e,) of the changes of several events, each change once."""
+        changes = {one.change.tobytes(): one for one in sightings}.values()
+        if self.superposes:
+            total: Array = np.sum([self.of(one) for one in changes], axis=0)
+            return total
+        where = f"{self.name} cannot image the {len(changes)} changes up to {sightings[0].peak_s:.1f} s together"
+        image: Array = self._images(where, np.sum([one.change for one in changes], axis=0)[None])[0]
+        return image
+
+    @property
+    def superposes(self) -> bool:
+        """Whether the image of a sum is the sum of the images, as the method says."""
+        return isinstance(self.prepared, LinearReconstruction) or bool(getattr(self.prepared, "linear", False))
+
+    def _images(self, where: str, changes: Array) -> Array:
+        known = changes.tobytes()
+        if known not in self._made:
+            with _by_name(where):
+                images = self.prepared.images(changes * self.gain)
+                self._made[known] = _checked(images, (len(changes), len(self.prepared.problem.mesh.elements)))
+        return self._made[known]
+
+
+def prepare_for_events(
+    reconstruction: Reconstruction,
+    name: str,
+    sheet: Sheet,
+    model: UnitModel,
+    sightings: Sequence[Sighting],
+    *,
+    offset: bool,
+) -> EventImages:
+    """Prepare a reconstruction for events that were found.
+
+    Parameters
+    ----------
+    sightings : at least one; the clearest come first in the sample that criteria look at.
+    offset : whether an unstated offset is part of the readings, so that nobody knows the unloaded ones.
+
+    Raises
+    ------
+    NumericsError
+        If the method cannot be prepared, or needs readings that one scale does not take to the model's; names it.
+    PluginError
+        If it fails in a way no method should.
+    """
+    clearest = {one.change.tobytes(): one.change for one in sorted(sightings, key=lambda one: -one.score)}
+    problem = replace(
+        sheet.problem, nominal=sheet.problem.nominal or sheet.problem, sample=np.array(list(clearest.values()))
+    )
+    gain = np.ones(len(problem.reference))
+    if getattr(reconstruction, "absolute", False) and not offset:
+        problem, gain = _with_measured(name, problem, model, sightings)
+    with _by_name(f"{name} cannot be used for this recording"):
+        prepared, remarks = _prepared(reconstruction, name, problem)
+    return EventImages(name, prepared, gain, bool(getattr(reconstruction, "sequences", False)), remarks)
+
+
+def _prepared(
+    reconstruction: Reconstruction, name: str, problem: ImagingProblem
+) -> tuple[PreparedReconstruction, tuple[str, ...]]:
+    """Prepare on the recording's own changes; without them, and said so, where they settle no parameter."""
+    try:
+        return reconstruction.prepare(problem), ()
+    except NumericsError as refused:
+        try:
+            prepared = reconstruction.prepare(replace(problem, sample=None))
+        except NumericsError:
+            raise refused from None
+        said = f"the parameter of {name} is not chosen on this recording's changes: {refused.reason}"
+        return prepared, (said,)
+
+
+def _with_measured(
+    name: str, problem: ImagingProblem, model: UnitModel, sightings: Sequence[Sighting]
+) -> tuple[ImagingProblem, Array]:
+    """Add the readings before the first event, and the gain that takes changes to their scale."""
+    unloaded = min(sightings, key=lambda one: one.start_s).unloaded
+    plain = plain_model(unloaded, problem)
+    if plain is None:
+        raise NumericsError(
+            f"{name} cannot be used for this recording: it needs the unloaded readings themselves, and one scale does"
+            " not take these to the model's (channels of unequal gain, another geometry, or no sheet at all)",
+            remedy="name the sensor type that was measured, or take a reconstruction of changes",
+        )
+    assert problem.sample is not None
+    gain = plain.gain / model.gain
+    return replace(problem, measured=unloaded * plain.gain, sample=problem.sample * gain), gain
+
+
+@contextmanager
+def _by_name(where: str) -> Iterator[None]:
+    """Refuse by name; whatever a stranger's method raises becomes one clear refusal."""
+    try:
+        yield
+    except CbsrError as error:
+        raise NumericsError(f"{where}: {error.reason}", remedy=error.remedy or _REMEDY) from error
+    except Exception as error:
+        raise PluginError(f"{where}: {type(error).__name__}: {error}", remedy=_REMEDY) from error
+
+
+def _checked(images: object, shape: tuple[int, int]) -> Array:
+    values = np.asarray(images, dtype=np.float64)
+    if values.shape != shape:
+        raise NumericsError(f"it gave images of shape {values.shape}, not {shape}")
+    if not np.isfinite(values).all():
+        raise NumericsError("it gave an image that is not a finite number everywhere")
+    return values

@@ -1,0 +1,204 @@
+"""From a recording's readings to changes of the unit model, and the patterns loads leave in them.
+
+Nobody says what a stranger's recording was measured on, so it is imaged on a nominal unit disc unless a sensor type
+is named; lengths are then in units of its radius. Readings become changes of the unit model in one of two ways:
+
+- volts, and magnitudes of tanks: each channel against its own reference value, (V/V_ref − 1) · model. This takes out
+  channel gains, the sign that magnitudes lack, and that far readings of a deep tank are smaller than a disc's.
+- counts with an offset nobody states: (V − V_ref)/s, with s the slope of the reference frame over the model's
+  (negative where the board turns the polarity). What the board adds to all readings alike is projected out later.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, Response, SensorType, adjacent_pattern
+from cbsr_qa.eit.inverse import imaging_problem
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_NOMINAL_RADIUS_MM = 50.0
+_ARC = 0.1  # length of a nominal electrode, of the radius
+_IMAGE_SIZE = 0.06  # of the radius: 3 mm on a 100 mm disc
+#: A load is looked for as a bump of this width (one standard deviation, of the radius): the head and the blur.
+_BUMP = 0.11
+#: Places further out than this (nearer to the edge of another sheet than what is left of the radius) are the
+#: electrodes' own neighbourhood, where contact changes look like loads.
+_OUTERMOST = 0.9
+#: The reference frame must follow the model this well (correlation) before counts are imaged.
+_LEAST_CORRELATION = 0.5
+#: One scale for all channels is good enough if the reference follows the model this closely (cosine).
+_CLOSE_COSINE = 0.9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sheet:
+    """What a recording is imaged on.
+
+    Parameters
+    ----------
+    problem : linearised model of the used readings.
+    places : (p, 2) float64, candidate places in units of the radius.
+    patterns : (m, p) float64, what a small load at each place does to the used readings.
+    """
+
+    problem: ImagingProblem
+    places: Array
+    patterns: Array
+
+    @property
+    def radius_mm(self) -> float:
+        """Radius of the sheet; of the nominal disc where nobody named a sensor type."""
+        return self.problem.sensor_type.radius_mm
+
+    @property
+    def layout(self) -> Electrodes:
+        """Where the electrodes are."""
+        return self.problem.sensor_type.electrodes
+
+
+def nominal_disc(layout: Electrodes | None, electrode_count: int) -> SensorType:
+    """Disc with arc electrodes on its edge, for recordings whose sensor nobody named.
+
+    Parameters
+    ----------
+    layout : numbering the recording's format documents; electrode 0 on +x, counterclockwise, where it documents none
+        or the electrodes are on no ring.
+    """
+    ring = layout if isinstance(layout, ElectrodeLayout) else None
+    first_deg = 0.0 if ring is None else ring.first_angle_deg
+    turning = True if ring is None else ring.counterclockwise
+    electrodes = ElectrodeLayout(
+        electrode_count, ElectrodeKind.ARC, _NOMINAL_RADIUS_MM, _ARC * _NOMINAL_RADIUS_MM, first_deg, turning
+    )
+    return SensorType(
+        "nominal disc", _NOMINAL_RADIUS_MM, 1.0, electrodes, adjacent_pattern(electrode_count), Response.AUTO
+    )
+
+
+def sheet_for(sensor_type: SensorType, used: Mask) -> Sheet:
+    """Prepare the patterns of the used readings.
+
+    Raises
+    ------
+    NumericsError
+        If too few readings are left.
+    """
+    size_mm = _IMAGE_SIZE * sensor_type.radius_mm
+    problem = imaging_problem(sensor_type, used=used, image_size_mm=size_mm)
+    inner, bumps = _bumps(sensor_type)
+    patterns: Array = problem.jacobian @ bumps
+    return Sheet(problem, problem.mesh.centroids_mm[inner] / sensor_type.radius_mm, patterns)
+
+
+@lru_cache(maxsize=4)
+def _bumps(sensor_type: SensorType) -> tuple[NDArray[np.int64], Array]:
+    mesh = imaging_problem(sensor_type, image_size_mm=_IMAGE_SIZE * sensor_type.radius_mm).mesh
+    places = mesh.centroids_mm / sensor_type.radius_mm
+    if sensor_type.polygon is None:
+        well_inside = np.hypot(*places.T) <= _OUTERMOST
+    else:
+        clearance = sensor_type.polygon.clearance_mm(mesh.centroids_mm) / sensor_type.radius_mm
+        well_inside = clearance >= min(1 - _OUTERMOST, float(clearance.max()) / 2)
+    inner = _thinned(places, np.flatnonzero(well_inside).astype(np.int64))
+    distance = ((places[:, None] - places[None, inner]) ** 2).sum(axis=2)
+    bumps = np.exp(-distance / (2 * _BUMP**2)) * mesh.areas_mm2[:, None]
+    return inner, bumps / bumps.sum(axis=0)
+
+
+def _thinned(places: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Keep places no closer to each other than half a bump: more of them tell nothing more."""
+    kept: list[int] = []
+    for candidate in candidates[np.argsort(np.hypot(*places[candidates].T), kind="stable")]:
+        apart = np.hypot(*(places[kept] - places[candidate]).T)
+        if not kept or apart.min() >= _BUMP / 2:
+            kept.append(int(candidate))
+    return np.array(kept, dtype=np.int64)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnitModel:
+    """How a recording's readings become changes of the unit model.
+
+    Parameters
+    ----------
+    reference : (m,) used readings of the unloaded sheet, in the recording's unit.
+    gain : (m,) unit-model volts per recorded unit.
+    nuisance : (m,) pattern that says nothing about place: an offset common to all counts, or a common gain of volts.
+    """
+
+    reference: Array
+    gain: Array
+    nuisance: Array
+
+    def changes(self, readings: Array) -> Array:
+        """Changes of used readings (n, m) against the reference, in the unit model's volts."""
+        changed: Array = (readings - self.reference) * self.gain
+        return changed
+
+
+def unit_model(reference: Array, problem: ImagingProblem, *, offset: bool) -> UnitModel:
+    """Fit a recording to the unit model.
+
+    Parameters
+    ----------
+    reference : (m,) used readings of the unloaded sheet.
+    offset : whether an unstated offset is part of them.
+
+    Raises
+    ------
+    NumericsError
+        If readings with an offset do not follow the model at all, or one without is zero.
+    """
+    model = problem.reference
+    if not offset:
+        if (reference == 0).any():
+            raise NumericsError("a reference reading is zero", remedy="leave its channel out")
+        return UnitModel(reference, model / reference, model)
+    centred = model - model.mean()
+    slope = float(centred @ (reference - reference.mean()) / (centred @ centred))
+    spread = float(np.linalg.norm(reference - reference.mean()))
+    correlation = abs(slope) * float(np.linalg.norm(centred)) / spread if spread else 0.0
+    if correlation < _LEAST_CORRELATION:
+        raise NumericsError(
+            f"the readings do not look like those of a sheet driven and measured at adjacent pairs"
+            f" (correlation with the model {correlation:.2f}, at least {_LEAST_CORRELATION} is needed)",
+            remedy="check the electrode order, and whether readings are clipped",
+        )
+    return UnitModel(reference, np.full_like(reference, 1 / slope), np.ones_like(reference))
+
+
+def plain_model(reference: Array, problem: ImagingProblem) -> UnitModel | None:
+    """Fit a recording without an offset to the unit model with one scale for all channels.
+
+    Returns
+    -------
+    UnitModel, or None where the reference, given the model's signs, does not follow the model closely.
+    """
+    model = problem.reference
+    signed = np.abs(reference) * np.sign(model)
+    cosine = float(signed @ model / (np.linalg.norm(signed) * np.linalg.norm(model)))
+    if cosine < _CLOSE_COSINE:
+        return None
+    scale = float(signed @ model / (model @ model))
+    return UnitModel(reference, np.sign(model) * np.sign(reference) / scale, signed)
+
+
+def usable_volts(reference: Array, used: Mask, noise: Array | None) -> Mask:
+    """Used readings whose reference value is clear of its noise, so that a relative change means something.
+
+    Parameters
+    ----------
+    reference : (drives, measures). noise : same shape, or None where there is no estimate.
+    """
+    size = np.abs(reference)
+    least = 1e-3 * float(np.median(size[used])) if used.any() else 0.0
+    floor = np.maximum(5 * noise, least) if noise is not None else np.full_like(size, least)
+    usable: Mask = used & (size > floor)
+    return usable

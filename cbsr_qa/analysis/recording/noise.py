@@ -1,0 +1,188 @@
+"""Noise of a recording: robust, and steps are reported rather than averaged over."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.readings import FrameBlock, NoiseReport, NoiseStep, VoltageUnit
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Standard deviation of a Gaussian over its median absolute deviation.
+MAD_TO_SIGMA = 1.4826
+#: Share of the largest steps that noise is not judged by, and the mean of |N(0, 1)| without it: 2 (φ(0) − φ(q)) / 0.8
+#: with q = 1.2816 the normal distribution's 90 % point.
+_TRIMMED = 0.2
+_TRIMMED_MEAN = 0.5586
+#: Uniform rounding to whole counts has this standard deviation.
+_ROUNDING = 1 / np.sqrt(12)
+#: A level step: at least half of the channels jump by this many times their noise within one frame, and stay.
+_JUMP = 8.0
+_STAY_FRAMES = 8
+#: A noise step: the noise changes by at least this ratio for at least so many frames, with this significance.
+_NOISE_RATIO = 1.5
+_NOISE_FRAMES = 12
+_NOISE_T = 8.0
+_OUTLIER = 6.0
+_FEWEST = 4
+_AS_LONG = 0.9  #: stretches of this share of the longest are about as long
+
+
+def channel_noise(readings: Array, *, counts: bool) -> Array:
+    """Rms noise of each channel from successive differences, robust against steps, drift and single outliers.
+
+    Parameters
+    ----------
+    readings : (n, channels), n at least 2.
+    counts : whether the values are whole counts; rounding is then the least noise there can be.
+
+    Returns
+    -------
+    (channels,) float64, in the readings' unit; never zero.
+    """
+    steps = np.diff(readings, axis=0)
+    steps = np.sort(np.abs(steps - np.median(steps, axis=0)), axis=0)
+    # Not the median: of counts it takes few distinct values, and the noise with it.
+    kept = steps[: max(1, round((1 - _TRIMMED) * len(steps)))]
+    sigma = kept.mean(axis=0) / _TRIMMED_MEAN / np.sqrt(2)
+    level = float(np.median(np.abs(readings))) if readings.size else 0.0
+    least = _ROUNDING if counts else 1e-7 * level
+    floored: Array = np.maximum(sigma, least or 1e-300)
+    return floored
+
+
+def find_steps(time_s: Array, readings: Array, sigma: Array) -> tuple[NoiseStep, ...]:
+    """Changes of level or noise that most channels share, in time order.
+
+    Parameters
+    ----------
+    time_s : (n,). readings : (n, channels). sigma : (channels,) of :func:`channel_noise`.
+    """
+    if len(readings) < 2 * _STAY_FRAMES:
+        return ()
+    found = [*_level_steps(time_s, readings, sigma), *_noise_steps(time_s, readings)]
+    return tuple(sorted(found, key=lambda step: step.time_s))
+
+
+def _level_steps(time_s: Array, readings: Array, sigma: Array) -> list[NoiseStep]:
+    jumps = np.abs(np.diff(readings, axis=0)) / sigma
+    candidates = np.flatnonzero((jumps > _JUMP).mean(axis=1) >= 0.5) + 1
+    found: list[NoiseStep] = []
+    last = -_STAY_FRAMES
+    for at in candidates:
+        before = np.median(readings[max(at - _STAY_FRAMES, 0) : at], axis=0)
+        after = np.median(readings[at : at + _STAY_FRAMES], axis=0)
+        if np.mean(np.abs(after - before) > _JUMP * sigma) >= 0.5:
+            middle = float(time_s[at - 1] + time_s[at]) / 2
+            step = NoiseStep(middle, "level", float(np.median(before)), float(np.median(after)))
+            if found and at - last < _STAY_FRAMES:
+                # One step in the middle of a frame: its readings jump in two frames that follow each other.
+                step = replace(step, before=found.pop().before)
+            found.append(step)
+            last = int(at)
+    return found
+
+
+def _noise_steps(time_s: Array, readings: Array) -> list[NoiseStep]:
+    spread = MAD_TO_SIGMA * np.median(np.abs(np.diff(readings, axis=0)), axis=1) / np.sqrt(2)
+    if not (spread > 0).any():
+        return []
+    log = np.log(np.maximum(spread, 0.1 * spread[spread > 0].min()))
+    cuts = sorted(_split(log, 0, len(log)))
+    edges = [0, *cuts, len(log)]
+    levels = [float(np.exp(np.median(log[a:b]))) for a, b in pairwise(edges)]
+    return [
+        NoiseStep(float(time_s[cut]), "noise", levels[k], levels[k + 1])
+        for k, cut in enumerate(cuts)
+        if abs(np.log(levels[k + 1] / levels[k])) > np.log(_NOISE_RATIO)
+    ]
+
+
+def _split(log: Array, start: int, end: int) -> list[int]:
+    """Binary segmentation: cut where the two sides differ most, as long as they differ clearly."""
+    n = end - start
+    if n < 2 * _NOISE_FRAMES:
+        return []
+    part = log[start:end]
+    at = np.arange(_NOISE_FRAMES, n - _NOISE_FRAMES + 1)
+    total = np.concatenate([[0.0], np.cumsum(part)])
+    difference = np.abs((total[n] - total[at]) / (n - at) - total[at] / at)
+    scatter = max(MAD_TO_SIGMA * float(np.median(np.abs(np.diff(part)))) / np.sqrt(2), 1e-12)
+    statistic = difference / (scatter * np.sqrt(1 / at + 1 / (n - at)))
+    best = int(np.argmax(statistic))
+    if statistic[best] < _NOISE_T or difference[best] < np.log(_NOISE_RATIO) / 2:
+        return []
+    cut = start + int(at[best])
+    return [*_split(log, start, cut), cut, *_split(log, cut, end)]
+
+
+def noise_report(
+    block: FrameBlock,
+    use: Mask,
+    steps: tuple[NoiseStep, ...],
+    busy_s: tuple[tuple[float, float], ...],
+    *,
+    timed: bool,
+) -> NoiseReport:
+    """Report the noise of the longest stretch without a step or a load.
+
+    Parameters
+    ----------
+    use : (drives, measures) bool, readings to judge by.
+    busy_s : (start, end) of loads.
+    timed : whether the times mean anything; without, no drift is given.
+    """
+    readings = block.voltages[:, use]
+    unit = block.unit.value
+    quiet = _longest_quiet(block.time_s, readings, steps, busy_s)
+    if quiet is None or quiet.stop - quiet.start < _FEWEST or not readings.size:
+        return NoiseReport(None, unit, None, steps, None, 0)
+    part, times = readings[quiet], block.time_s[quiet]
+    sigma = channel_noise(part, counts=block.unit is VoltageUnit.COUNT)
+    drift = _drift_per_min(times, part) if timed else None
+    rounding = 1 if unit == "count" else 0
+    apart = np.abs(part - np.median(part, axis=0)) > _OUTLIER * np.maximum(sigma, rounding) + rounding / 2
+    return NoiseReport(
+        rms=float(np.median(sigma)),
+        unit=unit,
+        drift_per_min=drift,
+        steps=steps,
+        quiet_s=(float(times[0]), float(times[-1])),
+        frames=len(times),
+        outliers=float(np.mean(apart)),
+    )
+
+
+def _drift_per_min(times: Array, readings: Array) -> float | None:
+    """Median over channels of the slope between the means of the first and the last third [unit/min]."""
+    third = len(times) // 3
+    span = float(times[-third:].mean() - times[:third].mean()) if third else 0.0
+    if span <= 0:
+        return None
+    change = np.median(readings[-third:], axis=0) - np.median(readings[:third], axis=0)
+    return float(np.median(change)) / span * 60
+
+
+def _longest_quiet(
+    time_s: Array, readings: Array, steps: tuple[NoiseStep, ...], busy_s: tuple[tuple[float, float], ...]
+) -> slice | None:
+    group = np.searchsorted(np.array([step.time_s for step in steps]), time_s, side="right")
+    quiet = np.ones(len(time_s), dtype=bool)
+    for start, end in busy_s:
+        quiet &= (time_s < start) | (time_s > end)
+        group = group + (time_s > end)
+    stretches = [np.flatnonzero(quiet & (group == label)) for label in np.unique(group[quiet])]
+    if not stretches:
+        return None
+    longest = max(len(members) for members in stretches)
+    # Where several are about as long, the quietest says what the instrument can do.
+    alike = [members for members in stretches if len(members) >= _AS_LONG * longest]
+    best = min(alike, key=lambda members: _spread_of(readings[members]) if len(alike) > 1 else 0.0)
+    return slice(int(best[0]), int(best[-1]) + 1)
+
+
+def _spread_of(readings: Array) -> float:
+    return float(np.median(channel_noise(readings, counts=False))) if len(readings) > 1 else np.inf

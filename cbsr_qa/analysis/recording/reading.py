@@ -1,0 +1,109 @@
+"""Reading recordings: the format that knows a file, in a child process that can do no harm."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from cbsr_qa.domain import CbsrError, PluginError, RecordingError, RefusedError
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.readings import ReadOptions, Recording
+from cbsr_qa.plugin import Kind, Plugins, RecordingFormat, made
+from cbsr_qa.system import read_untrusted
+
+_HEAD_BYTES = 4096
+
+_Read = TypeVar("_Read")
+
+
+def read_recording_file(path: Path, plugins: Plugins, *, format_: str | None, dataset: str | None) -> Recording:
+    """Read one recording in any format that is known here.
+
+    Parameters
+    ----------
+    format_ : name of a format; None to let the plugins recognise the file.
+    dataset : one of several data sets in a file; None to take the only one.
+
+    Raises
+    ------
+    RecordingError, PluginError
+        If the file cannot be read, nothing in it can be used, or its format is unknown.
+    """
+    reader, name = recognised(path, format_, plugins)
+    return guarded(path, name, lambda: reader.read(path, ReadOptions(dataset)))
+
+
+def recognised(path: Path, asked: str | None, plugins: Plugins) -> tuple[RecordingFormat, str]:
+    """Find the plugin that reads a file.
+
+    Parameters
+    ----------
+    asked : a format by name; None to let each plugin look at the file's name and beginning.
+
+    Raises
+    ------
+    RecordingError
+        If there is no such file, it is empty or cannot be read, or no format knows it.
+    PluginError
+        If the named format is unknown.
+    """
+    head = _head(path)
+    if asked is not None:
+        return made(plugins, Kind.RECORDING, PluginChoice(asked), "--format"), asked
+    failed: list[str] = []
+    for name in plugins.in_order(Kind.RECORDING):
+        try:
+            format_: RecordingFormat = plugins.factory(Kind.RECORDING, name)()
+            if format_.recognises(path, head):
+                return format_, name
+        except PluginError as error:
+            failed.append(error.reason)
+        except Exception as error:  # noqa: BLE001 - a stranger's code may raise anything
+            failed.append(f"{name}: {type(error).__name__}: {error}")
+    known = ", ".join(plugins.names(Kind.RECORDING))
+    raise RecordingError(
+        f"{path.name} is in no format that is known here",
+        remedy="; ".join([f"formats: {known}; name one with --format", *failed]),
+    )
+
+
+def _head(path: Path) -> bytes:
+    try:
+        there = path.exists()
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
+    if not there:
+        raise RecordingError(f"there is no file {path}", remedy="check its name and folder")
+    if not path.is_file():
+        raise RecordingError(f"{path} is not a file", remedy="name the files in it")
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
+    if not head.strip():
+        raise RecordingError(f"{path.name} is empty", remedy="record again, or analyse another file")
+    return head
+
+
+def guarded(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
+    """Run a format's code on a file in a limited child process; whatever it raises becomes one clear refusal."""
+    return read_untrusted(path, lambda: _refusing(path, name, work), refusal=RecordingError)
+
+
+def _refusing(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
+    try:
+        return work()
+    except CbsrError as error:
+        if type(error) is not RefusedError:
+            raise
+        # Of frames or samples, which know no file.
+        raise RecordingError(f"{path.name}: {error.reason}", remedy=error.remedy) from error
+    except OSError as error:
+        raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
+    except MemoryError:
+        raise
+    except (Exception, SystemExit) as error:
+        raise RecordingError(
+            f"{path.name} cannot be read as {name}: {type(error).__name__}: {error}",
+            remedy="the file is damaged, or of another format: name it with --format",
+        ) from error

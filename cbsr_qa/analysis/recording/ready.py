@@ -1,0 +1,244 @@
+"""A recording made ready for imaging: bad channels known, reading memory taken out.
+
+Single readings that jump for a frame or so: replaced before anything is looked for.
+
+A converter, a multiplexer or a cable now and then delivers one reading that has nothing to do with the sheet. Such a
+reading stands out of its own neighbours in time (Hampel's identifier: distance from the running median over the
+noise). So does a short press, but a passive sheet is reciprocal: whatever a load does to V_ij it does to V_ji, in the
+same frame. A reading is a spike only if the one with drive and measurement exchanged did not go along.
+
+Source: F. R. Hampel, "The influence curve and its role in robust estimation", J. Am. Stat. Assoc. 69 (1974) 383–393.
+Departure: the scale is the channel's noise over the whole recording, not that of the window, which a quiet handful
+of frames would underestimate.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording.channels import ChannelFaults, find_faults
+from cbsr_qa.analysis.recording.noise import channel_noise
+from cbsr_qa.domain.readings import (
+    ChannelReport,
+    FrameBlock,
+    MemoryEstimate,
+    Recording,
+    ScanKind,
+    VoltageUnit,
+    correct_memory,
+    estimate_memory,
+    offset_of,
+    reciprocity_error,
+    scan_order,
+)
+from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_HALF_WINDOW = 3  #: frames on either side: spikes of up to three frames are seen
+_SIGMA = 7.0  #: distance from the running median, over the noise
+_GOES_ALONG = 0.25  #: a reciprocal reading that moves by this share of it goes along: no spike
+_FEW = 0.05  #: where there is no reciprocal reading, at most this share of a frame may be spikes
+
+
+def despiked(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array, Mask]:
+    """Replace spikes by the running median of their channel.
+
+    Parameters
+    ----------
+    voltages : (n, drives, measures), reading memory taken out.
+    usable : (drives, measures) bool, channels to mend; the others are left as they are.
+    counts : whether the values are whole counts.
+
+    Returns
+    -------
+    The readings, and (n, drives, measures) bool, which of them were replaced.
+    """
+    n = len(voltages)
+    if n < 2 * _HALF_WINDOW + 2 or not usable.any():
+        return voltages, np.zeros(voltages.shape, dtype=bool)
+    level = np.array(voltages)
+    level[:, usable] = _running_median(voltages[:, usable])
+    sigma = np.ones(usable.shape)
+    sigma[usable] = channel_noise(voltages[:, usable], counts=counts)
+    apart = voltages - level
+    # Where most readings of a frame are far from their neighbours in time, the noise has grown, or the sheet moved.
+    unrest = 1.4826 * np.median(np.abs(apart[:, usable]) / sigma[usable], axis=1)
+    far = (np.abs(apart) > _SIGMA * sigma * np.maximum(unrest, 1.0)[:, None, None]) & usable
+    spikes = far & _alone(apart, far, usable)
+    return np.where(spikes, level, voltages), spikes
+
+
+def _running_median(readings: Array) -> Array:
+    """Median of each channel over the frames around each frame; mirrored at the ends, which do not repeat then."""
+    padded = np.pad(readings, ((_HALF_WINDOW, _HALF_WINDOW), (0, 0)), mode="reflect")
+    windows = np.lib.stride_tricks.sliding_window_view(padded, 2 * _HALF_WINDOW + 1, axis=0)
+    level: Array = np.median(windows, axis=-1)
+    return level
+
+
+def _alone(apart: Array, far: Mask, usable: Mask) -> Mask:
+    """Whether what is reciprocal to a reading did not go along with it."""
+    square = usable.shape[0] == usable.shape[1]
+    partner = usable & usable.T if square else np.zeros_like(usable)
+    few = (far.sum(axis=(1, 2)) <= _FEW * usable.sum())[:, None, None]
+    alone: Mask = np.broadcast_to(few, far.shape)
+    if square:
+        along = apart.swapaxes(1, 2) * np.sign(apart)
+        alone = np.where(partner, along < _GOES_ALONG * np.abs(apart), alone)
+    return alone
+
+
+_MOST_LISTED = 6  #: channels named in a remark
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadyReadings:
+    """What is left of a recording once its instrument's faults are known.
+
+    Parameters
+    ----------
+    block : frames, reading memory taken out where ``corrected``, spikes replaced.
+    reference : (drives, measures) mean of the reference frames, treated alike; None where there are none.
+    faults : of the raw frames.
+    used : (drives, measures) bool, sound readings that touch no driven electrode.
+    memory : estimate; None where none was made.
+    corrected : whether it was taken out of ``block``.
+    error : reciprocity error of ``block``; None for one-row scans.
+    offset : whether an unstated offset is part of the readings, see :func:`has_offset`.
+    spikes, spiky_frames : how many readings of how many frames were replaced, see :mod:`recording_spikes`.
+    """
+
+    block: FrameBlock
+    reference: Array | None
+    faults: ChannelFaults
+    used: Mask
+    memory: MemoryEstimate | None
+    corrected: bool
+    error: float | None
+    offset: bool
+    spikes: int = 0
+    spiky_frames: int = 0
+
+    def remarks(self) -> list[str]:
+        """What was done to readings, and which channels went wrong on the way, in words."""
+        said = []
+        if self.spikes:
+            said.append(
+                f"glitches: {self.spikes} of the readings (in {self.spiky_frames} of the frames) jumped for a frame"
+                " or so, but not with drive and measurement exchanged; replaced by their neighbours in time"
+            )
+        partly = (self.faults.stuck_from > 0) & ~self.faults.saturated
+        if partly.any():
+            first = float(self.block.time_s[int(self.faults.stuck_from[partly].min())])
+            listed = ", ".join(f"[{i}, {j}]" for i, j in np.argwhere(partly)[:_MOST_LISTED])
+            more = int(partly.sum()) - _MOST_LISTED
+            said.append(
+                f"stuck from {first:.1f} s on: channels {listed}{f' and {more} more' if more > 0 else ''};"
+                " they were left out"
+            )
+        return said
+
+    def noise_use(self) -> Mask:
+        """Readings to judge noise by: the used ones; all that are not bad where none is used."""
+        use = self.used if self.used.any() else ~self.faults.bad
+        return use if use.any() else np.ones_like(use)
+
+
+def _usable(recording: Recording, pattern: DrivePattern | None) -> Mask:
+    shape = recording.frames.voltages.shape[1:]
+    if pattern is not None and recording.scan is ScanKind.FULL and pattern.shape == shape:
+        return pattern.usable()
+    if recording.scan is ScanKind.DRIVEN_PAIRS or shape[0] != shape[1]:
+        return np.ones(shape, dtype=bool)
+    return adjacent_pattern(shape[0]).usable()
+
+
+def has_offset(recording: Recording) -> bool:
+    """Whether readings carry an offset nobody states: counts do, volts and magnitudes do not."""
+    return recording.frames.unit is VoltageUnit.COUNT and not recording.magnitudes_only
+
+
+def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern | None = None) -> ReadyReadings:
+    """Find the faults of a recording, and take the reading memory out.
+
+    Parameters
+    ----------
+    wanted : whether to correct reading memory; None to do it where the estimate is worth it.
+    pattern : of the named sensor type; None for the same adjacent pairs driven and measured. Where other pairs are
+        measured than driven no two readings are reciprocal, and what is judged by that is left out.
+    """
+    block = recording.frames
+    faults = find_faults(block, recording.scan)
+    used = _usable(recording, pattern) & ~faults.bad
+    imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
+    memory = None
+    scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
+    mending = scanned and recording.reference is None
+    offset = has_offset(recording)
+    if scanned:
+        # One absurd reading must not decide how the whole frame is corrected.
+        calm = despiked(block.voltages, used, counts=offset)[0] if mending else block.voltages
+        memory = estimate_memory(replace(block, voltages=calm), used)
+    apply = memory is not None and (memory.worth_correcting if wanted is None else wanted) and memory.share < 1
+    reference = None if recording.reference is None else recording.reference.voltages
+    voltages = block.voltages
+    if apply and memory is not None:
+        order = scan_order(block)
+        voltages = correct_memory(voltages, memory.share, order)
+        reference = None if reference is None else correct_memory(reference, memory.share, order)
+    spikes = np.zeros(voltages.shape, dtype=bool)
+    if mending:
+        voltages, spikes = despiked(voltages, used, counts=offset)
+    mean = voltages.mean(axis=0)
+    error = reciprocity_error(mean, used, offset_of(mean, used, counts=offset)) if imaged and used.any() else None
+    return ReadyReadings(
+        replace(block, voltages=voltages),
+        None if reference is None else reference.mean(axis=0),
+        faults,
+        used,
+        memory,
+        bool(apply),
+        error,
+        offset,
+        int(spikes.sum()),
+        int(spikes.any(axis=(1, 2)).sum()),
+    )
+
+
+def channel_report(ready: ReadyReadings) -> ChannelReport:
+    """Put what is known about the channels into the result's words."""
+    memory = ready.memory
+    return ChannelReport(
+        saturated=_pairs(ready.faults.saturated),
+        stuck=_pairs(ready.faults.stuck),
+        not_connected=ready.faults.not_connected,
+        used=int(ready.used.sum()) if ready.used.shape[0] > 1 else 0,
+        snr_db=_snr_db(ready),
+        reciprocity_error=memory.error if memory is not None else ready.error,
+        reading_memory=memory.share if memory is not None else None,
+        reciprocity_error_corrected=memory.error_corrected if memory is not None else None,
+        memory_corrected=ready.corrected,
+    )
+
+
+def _pairs(mask: Mask) -> tuple[tuple[int, int], ...]:
+    one_row = mask.shape[0] == 1
+    return tuple((int(j) if one_row else int(i), int(j)) for i, j in np.argwhere(mask))
+
+
+def _snr_db(ready: ReadyReadings) -> float | None:
+    """Median over channels of level over noise; offsets of counts are taken off full scans."""
+    use = ready.noise_use()
+    block = ready.block
+    if len(block) < 3 or ready.faults.not_connected:
+        return None
+    readings = block.voltages[:, use]
+    level = np.median(readings, axis=0)
+    if block.voltages.shape[1] > 1:
+        level = level - offset_of(np.median(block.voltages, axis=0), use, counts=ready.offset)
+    sigma = channel_noise(readings, counts=block.unit is VoltageUnit.COUNT)
+    ratio = float(np.median(np.abs(level) / sigma))
+    return 20 * float(np.log10(ratio)) if ratio > 0 else None

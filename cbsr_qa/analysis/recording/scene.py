@@ -1,0 +1,296 @@
+"""A recording on its sheet, searched for loads."""
+
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording.changes import nearest_step
+from cbsr_qa.analysis.recording.channels import Suspect, suspects_of
+from cbsr_qa.analysis.recording.events import Found, NoLoads, Press, held_from_the_beginning, search
+from cbsr_qa.analysis.recording.images import Sighting, frames_around, nearest_frames
+from cbsr_qa.analysis.recording.imaging import Sheet, UnitModel, plain_model, sheet_for, unit_model, usable_volts
+from cbsr_qa.analysis.recording.noise import channel_noise
+from cbsr_qa.analysis.recording.places import Matcher, Place, matcher, robust_directions
+from cbsr_qa.analysis.recording.ready import ReadyReadings
+from cbsr_qa.analysis.recording.tank import Object, find_moving, find_still, fitted_tank, reciprocal_noise
+from cbsr_qa.domain.readings import Recording
+from cbsr_qa.domain.sensor import SensorType
+
+Array = NDArray[np.float64]
+
+#: Faster recordings are averaged to about this rate before presses are looked for; nobody presses faster.
+_DETECTION_RATE_HZ = 8.0
+FEWEST_FRAMES = 8  #: fewer cannot tell a press from noise
+_MOST_LISTED = 5  #: changes named in a reason
+_MOST_CONTACTS = 4  #: searches are repeated without a suspect's readings at most so often
+_SAME_CHANGE_S = 1.0  #: changes this close in time are one
+_FIRST_BALL = 0.1  #: radius of a ball in a tank, of the tank's, before one is known
+_BALL_ROUNDS = 3  #: of finding places and sizes of balls in turn
+_LEAST_LEFT = 0.5  #: and only as long as this share of the readings is left
+
+
+@dataclass(frozen=True, slots=True)
+class Searched:
+    """What a search for loads came to.
+
+    Parameters
+    ----------
+    scene : in which they were found, without the readings of suspect contacts; None where nothing was searched.
+    why : why there is no event, where there is none; else what was not taken for one.
+    remarks : what a reader must know about the recording, in words.
+    suspect_electrodes : whose readings were left out.
+    """
+
+    sightings: tuple[Sighting, ...]
+    why: str
+    remarks: tuple[str, ...] = ()
+    suspect_electrodes: tuple[int, ...] = ()
+    scene: "RecordedScene | None" = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedScene:
+    """A recording on its sheet, ready to be searched."""
+
+    recording: Recording
+    ready: ReadyReadings
+    sheet: Sheet
+    model: UnitModel
+    readings: Array  # (n, m)
+    named: bool
+
+    @classmethod
+    def of(
+        cls,
+        recording: Recording,
+        ready: ReadyReadings,
+        sensor_type: SensorType,
+        *,
+        named: bool,
+    ) -> Self:
+        """Put a recording on its sheet.
+
+        Parameters
+        ----------
+        named : whether a user named the sensor type, so that lengths may be given in millimetres.
+
+        Raises
+        ------
+        NumericsError
+            If too few readings are left, or they do not follow the model.
+        """
+        block, used = ready.block, ready.used
+        frame = np.median(block.voltages, axis=0) if ready.reference is None else ready.reference
+        if not ready.offset:
+            noise = None
+            if ready.reference is None:
+                flat = block.voltages.reshape(len(block), -1)
+                noise = channel_noise(flat, counts=False).reshape(frame.shape)
+            used = usable_volts(frame, used, noise)
+        sheet = sheet_for(sensor_type, used)
+        model = unit_model(frame[used], sheet.problem, offset=ready.offset)
+        return cls(recording, ready, sheet, model, block.voltages[:, used], named)
+
+    def without(self, readings: NDArray[np.bool_]) -> Self:
+        """Leave readings out: (m,) bool."""
+        keep = ~readings
+        used = self.sheet.problem.used.copy()
+        used[used] = keep
+        sheet = sheet_for(self.sheet.problem.sensor_type, used)
+        model = UnitModel(self.model.reference[keep], self.model.gain[keep], self.model.nuisance[keep])
+        return replace(self, sheet=sheet, model=model, readings=self.readings[:, keep])
+
+    def objects(self, rate_hz: float | None) -> Searched:
+        """Search against the reference."""
+        changes = self.model.changes(self.readings)
+        sigma = reciprocal_noise(changes, self.sheet.problem.used)
+        if sigma == 0:
+            return Searched((), "the frames equal the reference: nothing has changed")
+        if len(changes) > 1:
+            found, why = find_moving(*self._matched(self.sheet, changes, sigma))
+            remarks: tuple[str, ...] = ()
+        else:
+            found, why, remarks = self._still(changes, sigma)
+            found = self._turned(found)
+        sightings = tuple(self._object_seen(one, changes, timed=rate_hz is not None) for one in found)
+        return Searched(sightings, why, remarks, scene=self)
+
+    def _matched(self, sheet: Sheet, changes: Array, sigma: float) -> tuple[Array, Matcher]:
+        match = matcher(sheet.patterns, sheet.places, np.full(changes.shape[1], sigma), self.model.nuisance)
+        return match.whiten(changes), match
+
+    def _still(self, changes: Array, sigma: float) -> tuple[tuple[Object, ...], str, tuple[str, ...]]:
+        """Search a still image; in a tank that is no sheet with the patterns of balls as large as what is found."""
+        white, match = self._matched(self.sheet, changes, sigma)
+        found, why = find_still(white[0], match)
+        tank = None
+        if found and not self.named and not self.ready.offset:
+            tank = fitted_tank(self.model.reference, self.sheet.problem)
+        if tank is None:
+            return found, why, ()
+        ball, conducts, on_sheet = _FIRST_BALL, found[0].place.score > 0, found
+        for _ in range(_BALL_ROUNDS):
+            sheet = tank.sheet(self.sheet, ball=ball, conducts=conducts)
+            white, match = self._matched(sheet, changes, sigma)
+            found, _ = find_still(white[0], match)
+            if not found:
+                return on_sheet, why, ()
+            ball, conducts = tank.ball_of(found, sheet, changes[0])
+        remark = (
+            f"the reference frame falls off like that of a tank {tank.depth:.2f} radii deep, not like a sheet's:"
+            f" places are those of balls in it, of {ball:.2f} radii or more"
+        )
+        return found, why, (remark,)
+
+    def _turned(self, found: tuple[Object, ...]) -> tuple[Object, ...]:
+        """Take the directions of still objects from a robust fit in one scale, where the tank follows the model."""
+        plain = None if self.ready.offset or not found else plain_model(self.model.reference, self.sheet.problem)
+        if plain is None:
+            return found
+        match = matcher(self.sheet.patterns, self.sheet.places, np.ones(len(plain.gain)), plain.nuisance)
+        places = robust_directions(tuple(one.place for one in found), plain.changes(self.readings)[0], match)
+        return tuple(replace(one, place=place, track=((0, place),)) for one, place in zip(found, places, strict=True))
+
+    def presses(self, rate_hz: float | None) -> Searched:
+        """Search for presses, each against the frames before it.
+
+        Where readings that share one contact changed together they are left out, and all the others searched again.
+        """
+        scene, said, times, electrodes = self, list[str](), list[float](), set[int]()
+        for _ in range(_MOST_CONTACTS):
+            searched, suspects = scene._search(rate_hz)
+            bad = np.zeros(scene.readings.shape[1], dtype=bool)
+            for time_s, suspect in suspects:
+                bad |= suspect.readings
+                # What is left of the same change, where readings remember the one before, is no further contact.
+                if any(abs(time_s - known) < _SAME_CHANGE_S for known in times):
+                    continue
+                times.append(time_s)
+                electrodes |= set(suspect.electrodes)
+                said.append(
+                    f"{suspect.name}: its readings changed together at {time_s:.1f} s: a contact or a cable,"
+                    " not a load; they were left out"
+                )
+            left = scene.readings.shape[1] - int(bad.sum())
+            if not bad.any() or left < _LEAST_LEFT * self.readings.shape[1]:
+                break
+            scene = scene.without(bad)
+        why = searched.why or (
+            "" if searched.sightings else "no change is a load's: " + "; ".join([*said, *searched.remarks])
+        )
+        return replace(
+            searched, why=why, remarks=(*said, *searched.remarks), suspect_electrodes=tuple(sorted(electrodes))
+        )
+
+    def _search(self, rate_hz: float | None) -> tuple[Searched, list[tuple[float, Suspect]]]:
+        """Search once: what was found, and which contacts changed when."""
+        times, readings = self._slowed(rate_hz)
+        changes = self.model.changes(readings)
+        sigma = channel_noise(readings, counts=self.ready.offset) * np.abs(self.model.gain)
+        sigma = np.maximum(sigma, 0.5 * float(np.median(sigma)))
+        match = matcher(self.sheet.patterns, self.sheet.places, sigma, self.model.nuisance)
+        white = match.whiten(changes)
+        found, seen = search(white, match, self._no_loads(match))
+        presses, unclear = held_from_the_beginning(found.presses, len(white))
+        seen_loads = [
+            self._press_seen(press, place, times, readings, changes) for press in presses for place in press.places
+        ]
+        sightings = tuple(sorted(seen_loads, key=lambda one: one.start_s))
+        remarks = (*_gains(found, times), *_signs(sightings, unclear, times))
+        suspects = [(float(times[frame]), suspect) for frame, suspect in found.suspects]
+        why = _rejected(found, times) if seen else _quiet(white @ match.patterns)
+        if not (why or sightings or remarks):
+            at = ", ".join(f"{times[change.frame]:.1f} s" for change in seen[:_MOST_LISTED])
+            why = f"what changes (at {at}) leads back to the state the recording begins in: no load is put on"
+        return Searched(sightings, why, remarks, scene=self), suspects
+
+    def _no_loads(self, match: Matcher) -> NoLoads:
+        problem = self.sheet.problem
+        frame = self.model.reference * self.model.gain
+        white = match.whiten(frame[None])[0]
+        # Where a common gain is the nuisance itself nothing of it is left but rounding.
+        if float(np.linalg.norm(white)) < 1e-6 * float(np.linalg.norm(frame / match.sigma)):
+            white = np.zeros_like(white)
+        return NoLoads(white, suspects_of(problem.sensor_type.pattern, problem.used))
+
+    def _slowed(self, rate_hz: float | None) -> tuple[Array, Array]:
+        """Average fast recordings down to the rate of detection: times and readings."""
+        times, readings = self.ready.block.time_s, self.readings
+        group = max(1, round((rate_hz or 0.0) / _DETECTION_RATE_HZ))
+        whole = len(times) // group * group
+        if group == 1 or whole // group < FEWEST_FRAMES:
+            return times, readings
+        means = readings[:whole].reshape(-1, group, readings.shape[1]).mean(axis=1)
+        return times[:whole].reshape(-1, group).mean(axis=1), means
+
+    def _press_seen(self, press: Press, place: Place, times: Array, readings: Array, changes: Array) -> Sighting:
+        index = np.arange(len(times))
+        start, end = (float(np.interp(at, index, times)) for at in (press.start, press.end))
+        return Sighting(
+            start,
+            float(times[press.peak]),
+            end,
+            place,
+            press.score,
+            changes[press.held].mean(axis=0) - changes[press.before].mean(axis=0),
+            *frames_around(changes, press.before, press.held),
+            readings[press.before].mean(axis=0),
+        )
+
+    def _object_seen(self, found: Object, changes: Array, *, timed: bool) -> Sighting:
+        times = self.ready.block.time_s
+        track = tuple((float(times[k]), place.x, place.y) for k, place in found.track)
+        frames, at = nearest_frames(changes, found.peak) if timed else (changes[found.peak][None], 0)
+        return Sighting(
+            float(times[found.first]),
+            float(times[found.peak]),
+            float(times[found.last]),
+            found.place,
+            found.score,
+            changes[found.peak],
+            frames,
+            slice(at, at + 1),
+            self.model.reference,
+            track if len(track) > 1 else (),
+        )
+
+
+def _quiet(scores: Array) -> str:
+    step, needed = nearest_step(scores)
+    return f"nothing stands out of the noise: the largest step is {step:.1f} times its noise, {needed:.1f} is needed"
+
+
+def _rejected(found: Found, times: Array) -> str:
+    said = [f"a change at {times[frame]:.1f} s is no event: {why}" for frame, why in sorted(found.rejected)]
+    more = f"; and {len(said) - _MOST_LISTED} more like these" if len(said) > _MOST_LISTED else ""
+    return "; ".join(said[:_MOST_LISTED]) + more
+
+
+def _gains(found: Found, times: Array) -> list[str]:
+    """Say where all readings changed in proportion."""
+    return [
+        f"all readings changed in proportion, by {share:+.1%}, at {times[frame]:.1f} s: a gain or the drive current,"
+        " not a load"
+        for frame, share in found.gains
+    ]
+
+
+def _signs(sightings: tuple[Sighting, ...], unclear: list[Press], times: Array) -> list[str]:
+    """Say what the signs of the loads leave open."""
+    said = []
+    if len({one.sign for one in sightings}) > 1:
+        listed = ", ".join(f"{one.start_s:.1f} s {'more' if one.sign > 0 else 'less'}" for one in sightings)
+        said.append(
+            f"the loads disagree about the sign (conducts {listed}): one sheet answers alike to all loads, so one"
+            " of them may be a release, or not a load"
+        )
+    for press in unclear:
+        at = float(np.interp(press.start, np.arange(len(times)), times))
+        less = press.places[0].score > 0
+        said.append(
+            f"the change at {at:.1f} s is never taken back: it may as well be the release of a load held from the"
+            f" beginning, which then conducts {'less' if less else 'more'}"
+        )
+    return said

@@ -1,0 +1,221 @@
+"""Tanks that are no sheets: how deep one is, told from its reference frame, and the patterns of balls in it.
+
+In a tank readings fall off faster with distance than on a sheet, and a large ball is not a small one: the parts of it
+that are near an electrode are seen by it alone. In a tank as deep as it is wide a sheet's patterns put balls of 0.15
+radii up to 0.04 radii too far out; those of balls of the right size, in the tank, are right within 0.01 up to 0.6.
+
+Objects in a tank, against a frame of the empty tank: still images, and objects that move.
+"""
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+
+from cbsr_qa.analysis.recording.imaging import Sheet
+from cbsr_qa.analysis.recording.places import Matcher, Place, find_places
+from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.sensor import DrivePattern, ElectrodeLayout
+from cbsr_qa.eit.forward import DeepTank
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+_DETECTED = 6.0  #: product of pattern and change over the noise from which an object counts
+_EXPLAINED = 0.25  #: and the share of the change it must explain
+_EXPLAINED_MOVING = 0.15  #: the same where an object is followed: frames support each other
+_BRIDGED_FRAMES = 2  #: frames in which an object was not seen that do not end it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Object:
+    """An object, as long as it is there.
+
+    Parameters
+    ----------
+    first, last, peak : frames; ``peak`` is where it shows most.
+    place : at its peak.
+    score : at its peak, over the noise.
+    track : (frame, place) of every frame it was seen in; a single one for a still image.
+    """
+
+    first: int
+    last: int
+    peak: int
+    place: Place
+    score: float
+    track: tuple[tuple[int, Place], ...]
+
+
+def reciprocal_noise(changes: Array, used: Mask) -> float:
+    """Noise of one reading from what is not reciprocal in changes of a passive tank.
+
+    Parameters
+    ----------
+    changes : (n, m) of used readings. used : (drives, measures) with m True entries.
+
+    Returns
+    -------
+    Rms over pairs of (y_ij − y_ji)/√2, in the changes' unit; 0 where no reading has its counterpart.
+    """
+    full = np.zeros((len(changes), *used.shape))
+    full[:, used] = changes
+    both = used & used.T
+    if not both.any():
+        return 0.0
+    return float(np.sqrt(np.mean((full - full.swapaxes(1, 2))[:, both] ** 2) / 2))
+
+
+def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
+    """Find the objects of one still image.
+
+    Parameters
+    ----------
+    change : (m,) whitened.
+
+    Returns
+    -------
+    The objects, and why there is none where there is none.
+    """
+    places, explained = find_places(change, match)
+    if not places or abs(places[0].score) < _DETECTED or explained < _EXPLAINED:
+        score = abs(places[0].score) if places else 0.0
+        return (), (
+            f"nothing stands out of what is not reciprocal: the best place scores {score:.1f}"
+            f" (at least {_DETECTED:g} is needed) and explains {explained:.0%} of the change"
+            f" (at least {_EXPLAINED:.0%})"
+        )
+    kept = [place for place in places if abs(place.score) >= _DETECTED]
+    return tuple(Object(0, 0, 0, place, abs(place.score), ((0, place),)) for place in kept), ""
+
+
+def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
+    """Follow one object through frames.
+
+    Parameters
+    ----------
+    changes : (n, m) whitened changes against the empty tank.
+
+    Returns
+    -------
+    One object per stretch in which it is seen, and why there is none where there is none.
+    """
+    seen: list[tuple[int, Place]] = []
+    best = 0.0
+    for k, change in enumerate(changes):
+        places, explained = find_places(change, match, most=1)
+        if places:
+            best = max(best, abs(places[0].score))
+            if abs(places[0].score) >= _DETECTED and explained >= _EXPLAINED_MOVING:
+                seen.append((k, places[0]))
+    if not seen:
+        return (
+            (),
+            f"nothing stands out of the noise: the best frame scores {best:.1f}, at least {_DETECTED:g} is needed",
+        )
+    stretches: list[list[tuple[int, Place]]] = [[seen[0]]]
+    for before, after in pairwise(seen):
+        if after[0] - before[0] > _BRIDGED_FRAMES + 1:
+            stretches.append([])
+        stretches[-1].append(after)
+    return tuple(_object(stretch) for stretch in stretches), ""
+
+
+def _object(stretch: list[tuple[int, Place]]) -> Object:
+    peak, place = max(stretch, key=lambda one: abs(one[1].score))
+    return Object(stretch[0][0], stretch[-1][0], peak, place, abs(place.score), tuple(stretch))
+
+
+_DEPTHS: Final = (0.3, 5.0)  # in radii: shallower is a sheet, deeper looks alike
+_THIN: Final = 0.05  # depth that stands for a sheet
+_ELECTRODE: Final = 0.1  # width and height of a nominal electrode, of the radius
+_EXPLAINED_RECORDING_TANK: Final = 0.05  # deviation of log readings over distances that a tank may leave,
+_OF_SHEET: Final = 0.25  # and of what a sheet leaves
+_FEWEST: Final = 5  # distances between drive and measurement
+_SIZES: Final = (0.02, 0.3)  # radii of balls, of the tank's
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tank:
+    """A round tank with electrodes at mid-height.
+
+    Parameters
+    ----------
+    depth : in units of the radius.
+    field : of it.
+    """
+
+    depth: float
+    field: DeepTank
+
+    def sheet(self, sheet: Sheet, *, ball: float, conducts: bool) -> Sheet:
+        """Put the patterns of balls of a radius (in units of the tank's) in the place of a sheet's.
+
+        Signs stay as they are on a sheet: positive for what conducts more.
+        """
+        used = sheet.problem.used
+        reference = self.field.readings()[used]
+        changes = self.field.changes(sheet.places, ball, conducts=conducts)[:, used].T * (1 if conducts else -1)
+        patterns = changes / reference[:, None] * sheet.problem.reference[:, None]
+        return replace(sheet, patterns=patterns)
+
+    def ball_of(self, found: tuple[Object, ...], sheet: Sheet, change: Array) -> tuple[float, bool]:
+        """Radius of the balls, and whether they conduct, that the found places and the size of a change call for.
+
+        Nothing changes readings more than a perfect insulator or conductor, so that no smaller ball explains them.
+
+        Parameters
+        ----------
+        change : (m,) of the sheet's readings.
+        """
+        basis = np.column_stack([*(sheet.patterns[:, one.place.index] for one in found), sheet.problem.reference])
+        volume = np.linalg.lstsq(basis, change, rcond=None)[0][:-1]
+        radius = float(np.mean(np.cbrt(3 * np.abs(volume) / (4 * np.pi))))
+        return min(max(radius, _SIZES[0]), _SIZES[1]), bool(volume.sum() > 0)
+
+
+def fitted_tank(reference: Array, problem: ImagingProblem) -> Tank | None:
+    """Fit the depth of a tank to its reference frame: one number, from how readings fall off with distance.
+
+    Parameters
+    ----------
+    reference : (m,), the used readings, of either sign.
+
+    Returns
+    -------
+    Tank, or None where a sheet explains the readings as well, or a tank does not (channels of unequal gain).
+    """
+    electrodes, pattern, used = problem.sensor_type.electrodes, problem.sensor_type.pattern, problem.used
+    if not isinstance(electrodes, ElectrodeLayout) or pattern.shape[0] != pattern.shape[1]:
+        return None
+    groups = _distances(pattern, used)
+    if len(groups) < _FEWEST:
+        return None
+    angles = electrodes.angles_rad()
+
+    def left(depth: float) -> float:
+        field = DeepTank(depth, angles, pattern, electrode=_ELECTRODE)
+        ratio = np.log(np.abs(reference / field.readings()[used]))
+        return float(np.std([np.median(ratio[group]) for group in groups]))
+
+    found = minimize_scalar(left, bounds=_DEPTHS, method="bounded", options={"xatol": 1e-3})
+    depth = float(found.x)
+    if not float(found.fun) < min(_EXPLAINED_RECORDING_TANK, _OF_SHEET * left(_THIN)):
+        return None
+    return Tank(depth, DeepTank(depth, angles, pattern, electrode=_ELECTRODE))
+
+
+def _distances(pattern: DrivePattern, used: Mask) -> list[NDArray[np.int64]]:
+    """Used readings, counted in order, by the distance round the ring between driven and measured pair."""
+    drive, measure = np.nonzero(used)
+    count = pattern.electrode_count
+    first = (
+        np.array([pair[0] for pair in pattern.drive])[drive],
+        np.array([pair[0] for pair in pattern.measure])[measure],
+    )
+    apart = (first[1] - first[0]) % count
+    apart = np.minimum(apart, count - apart)
+    return [np.flatnonzero(apart == one) for one in np.unique(apart)]

@@ -1,0 +1,130 @@
+"""Traces of presses: how strongly a recording shows one pattern from frame to frame, and what is read off it.
+
+The trace is 0 before a press and 1 on the mean of its hold. Where it rises, the press began; where its final decline
+sets in, the press ended (the sheet keeps much of a change, so it need not come back to 0).
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording.changes import Change
+
+Array = NDArray[np.float64]
+
+BEFORE_FRAMES = 8  #: at most so many frames before a press are its reference
+_ROUGH_AFTER_FRAMES = 24  #: and so many after the step give its first, rough pattern
+_BEGUN, _REACHED = 0.2, 0.8  #: shares of the plateau at which a press has begun, and is down
+_RELEASED = 0.15  #: least share of the trace that a release takes back
+_SUDDEN = 0.5  #: a release that takes back this share of its drop within three frames is that step
+_DECLINED = 0.25  #: otherwise it is where this share of the drop is passed
+
+
+def rough(change: Change, limit: int, n: int) -> tuple[slice, slice]:
+    """Frames before a step, and after it up to ``limit``, to take its first pattern from."""
+    before_end = max(change.frame - change.window, 1)
+    after = min(change.frame + max(1, change.window // 2), max(limit - 1, change.frame), n - 1)
+    return (
+        slice(max(before_end - BEFORE_FRAMES, 0), before_end),
+        slice(after, max(min(after + _ROUGH_AFTER_FRAMES, limit), after + 1)),
+    )
+
+
+def difference(white: Array, before: slice, held: slice) -> Array:
+    """Mean of the hold minus mean of the frames before: (m,)."""
+    change: Array = white[held].mean(axis=0) - white[before].mean(axis=0)
+    return change
+
+
+def trace(white: Array, before: slice, held: slice, besides: Sequence[Array] = ()) -> Array:
+    """Amplitude along the press's own pattern: 0 before it, 1 on the mean of the hold.
+
+    Parameters
+    ----------
+    besides : (m,) patterns of what else happens meanwhile, fitted along.
+    """
+    base = white[before].mean(axis=0)
+    basis = np.column_stack([white[held].mean(axis=0) - base, *besides])
+    along: Array = np.linalg.lstsq(basis, (white - base).T, rcond=None)[0][0]
+    return along
+
+
+def smooth(along: Array, window: int = 2) -> Array:
+    """Running median of the odd number of frames above a window: weak presses are seen with wide windows only."""
+    half = window // 2
+    if len(along) < 2 * half + 1:
+        return along
+    padded = np.pad(along, half, mode="edge")
+    smoothed: Array = np.median(np.lib.stride_tricks.sliding_window_view(padded, 2 * half + 1), axis=1)
+    return smoothed
+
+
+def rise(along: Array, first: Change, end: int) -> tuple[float, int]:
+    """Where the press began (fractional frame), and the first frame in which it is down."""
+    after = slice(first.frame, max(end, first.frame + 1))
+    plateau = float(np.median(along[after]))
+    earliest = max(first.frame - 2 * first.window, 0)
+    down = next((k for k in range(earliest, after.stop) if along[k] >= _REACHED * plateau), first.frame)
+    k = max(down, 1)
+    while k > earliest + 1 and along[k - 1] > _BEGUN * plateau:
+        k -= 1
+    low, high = float(along[k - 1]), float(along[k])
+    share = (_BEGUN * plateau - low) / (high - low) if high > low else 0.0
+    return k - 1 + min(max(share, 0.0), 1.0), max(down, k)
+
+
+def slow_rise(along: Array, held: int) -> float:
+    """Where a press began that rose too slowly to show as a step: the last frame before the hold without it."""
+    below = np.flatnonzero(along[:held] < _BEGUN)
+    return float(below[-1]) + 0.5 if len(below) else 0.0
+
+
+def at_the_step(first: Change, end: int) -> tuple[float, int]:
+    """Where the rise is too faint to follow: it happened where the step is largest."""
+    return first.frame - 0.5, min(first.frame + first.window // 2, max(end, first.frame))
+
+
+def noise_energy(white: Array, before: slice, held: slice) -> float:
+    """Energy that noise alone gives the difference of two means."""
+    return float(white.shape[1] * (1 / (before.stop - before.start) + 1 / (held.stop - held.start)))
+
+
+def signal_energy(white: Array, before: slice, held: slice) -> float:
+    """Energy of the difference of two means above what noise gives it."""
+    change = difference(white, before, held)
+    return max(float(change @ change) - noise_energy(white, before, held), 1e-12)
+
+
+def end_of(along: Array, begin: int, limit: int) -> float:
+    """Where the final decline of a trace set in; the last frame where it did not decline."""
+    part = along[begin:limit]
+    if len(part) < 4:
+        return float(limit - 1)
+    top = int(np.argmax(part))
+    last = float(part[-min(3, len(part)) :].mean())
+    drop = float(part[top]) - last
+    noise = 1.4826 * float(np.median(np.abs(np.diff(part)))) / np.sqrt(2)
+    if drop < max(_RELEASED * float(part[top]), 4 * noise):
+        return float(limit - 1)
+    reach = min(3, len(part) - 1 - top)
+    if reach > 0:
+        falls = part[top:-reach] - part[top + reach :]
+        steepest = int(np.argmax(falls))
+        if falls[steepest] >= _SUDDEN * drop:
+            return _crossing(part, top + steepest, float(part[top + steepest]) - falls[steepest] / 2) + begin
+    return _crossing(part, top, float(part[top]) - _DECLINED * drop, last=True) + begin
+
+
+def _crossing(part: Array, begin: int, level: float, *, last: bool = False) -> float:
+    """Fractional index at which a falling trace passes a level: the first time from ``begin`` on, or the last."""
+    above = np.flatnonzero(part[begin:] >= level) + begin
+    if last:
+        k = int(above[-1]) if len(above) else begin
+    else:
+        below = np.flatnonzero(part[begin:] < level) + begin
+        k = int(below[0]) - 1 if len(below) else len(part) - 1
+    if k + 1 >= len(part):
+        return float(len(part) - 1)
+    high, low = float(part[k]), float(part[k + 1])
+    return k + (min(max((high - level) / (high - low), 0.0), 1.0) if high > low else 0.0)

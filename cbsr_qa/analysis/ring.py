@@ -1,0 +1,338 @@
+"""What the frames of a reference ring say of a station, line by line.
+
+Frames of a ring of resistors against its closed form: gain, offset, leads, and what is left of each reading.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.plan import ReferenceRing
+from cbsr_qa.domain.readings import ReadingFlag, VoltageUnit
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings
+from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.eit.forward import lead_readings, ring_impedance, ring_readings
+
+Array = NDArray[np.float64]
+
+#: Readings that ought to be smaller than this share of the largest are held against it instead of themselves.
+_SMALLEST: Final = 1e-3
+#: Flags of readings that say nothing of the ring.
+_BAD: Final = int(ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RingFit:
+    """What frames of a ring come to.
+
+    A mean reading is (1 + gain error) × closed form × current + offset + what the leads add + its residual; fitted by
+    least squares over all readings without a flag, each relative to its size.
+
+    Parameters
+    ----------
+    expected, mean, noise : (drives, measures) the closed form, the mean over the frames, and the standard deviation
+        over them, in the frames' unit. Where that is no volt or the current is not known, the closed form is scaled
+        to the readings.
+    used : (drives, measures) bool; readings without a flag in any frame.
+    flags : (drives, measures) uint8; what was flagged in any frame.
+    gain_error : as a fraction; None where nobody knows volts or current.
+    offset : common to all readings, in their unit; None where the pattern cannot tell it from the gain.
+    lead_ohm : (electrodes,) as the station reads them, gain error and all; None where the pattern cannot tell them,
+        or nobody knows volts or current.
+    residual : (drives, measures) as a fraction of the expected reading.
+    """
+
+    expected: Array
+    mean: Array
+    noise: Array
+    used: NDArray[np.bool_]
+    flags: NDArray[np.uint8]
+    gain_error: float | None
+    offset: float | None
+    lead_ohm: Array | None
+    residual: Array
+
+    def relative(self, values: Array) -> Array:
+        """Return values as a fraction of the expected readings."""
+        return values / _sizes(self.expected)
+
+
+def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
+    """Hold frames of a ring against its closed form.
+
+    Raises
+    ------
+    NumericsError
+        If the ring does not fit the pattern, there are fewer than two frames or no current, or hardly a reading is
+        without a flag.
+    """
+    frames = ring.frames
+    if len(frames) < 2:
+        raise NumericsError("one frame of a ring says nothing of noise", remedy="take two or more")
+    if frames.current_A == 0:
+        raise NumericsError("the frames were taken without a current", remedy="see that the source is on")
+    flags = np.bitwise_or.reduce(frames.flags, axis=0)
+    used = (flags & _BAD) == 0
+    closed = ring_readings(ring.resistances_ohm, pattern)
+    mean = frames.voltages.mean(axis=0)
+    absolute = frames.unit is VoltageUnit.VOLT and frames.current_A is not None
+    current = frames.current_A if absolute and frames.current_A is not None else 1.0
+    found, leads_fitted, offset_fitted = _solve(current * closed, current * lead_readings(pattern), mean, used)
+    gain, offset, leads = found[0], found[1], found[2:]
+    expected = current * closed if absolute else gain * closed
+    fitted = gain * current * closed + offset + current * lead_readings(pattern) @ leads
+    return RingFit(
+        expected=expected,
+        mean=mean,
+        noise=frames.voltages.std(axis=0, ddof=1),
+        used=used,
+        flags=flags,
+        gain_error=gain - 1 if absolute else None,
+        offset=offset if offset_fitted else None,
+        lead_ohm=leads if leads_fitted and absolute else None,
+        residual=np.where(used, mean - fitted, 0.0) / _sizes(expected),
+    )
+
+
+def exchanged(ring: RingReadings, pattern: DrivePattern, *, within: float) -> tuple[int, int] | None:
+    """Return two electrodes that explain all readings if they are taken as exchanged; None where no two do.
+
+    Parameters
+    ----------
+    within : the largest residual that counts as explained, as a fraction.
+    """
+    impedance = ring_impedance(ring.resistances_ohm)
+    driven, measured = pattern.drive_currents(), pattern.measure_matrix()
+    frames = ring.frames
+    used = (np.bitwise_or.reduce(frames.flags, axis=0) & _BAD) == 0
+    mean, leads = frames.voltages.mean(axis=0), lead_readings(pattern)
+    current = frames.current_A or 1.0
+    best: tuple[float, tuple[int, int]] | None = None
+    for pair in combinations(range(pattern.electrode_count), 2):
+        order = np.arange(pattern.electrode_count)
+        order[list(pair)] = pair[::-1]
+        closed = current * (driven.T @ impedance[np.ix_(order, order)] @ measured)
+        (gain, offset, *ohm), _, _ = _solve(closed, current * leads, mean, used)
+        left = mean - gain * closed - offset - current * leads @ np.array(ohm)
+        worst = float(np.abs(np.where(used, left / _sizes(gain * closed), 0.0)).max())
+        if worst <= within and (best is None or worst < best[0]):
+            best = worst, pair
+    return None if best is None else best[1]
+
+
+def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) -> tuple[Array, bool, bool]:
+    """Fit gain, offset and leads; leads, then the offset, are left at zero where the pattern cannot tell them.
+
+    Returns
+    -------
+    (2 + electrodes,) the fit, and whether leads and offset are part of it.
+    """
+    size = _sizes(closed)[used]
+    columns = np.column_stack([closed[used], np.ones(size.size), leads[used]]) / size[:, None]
+    wanted = mean[used] / size
+    found = np.zeros(columns.shape[1])
+    for count in (len(found), 2, 1):
+        part = columns[:, :count]
+        scale = np.linalg.norm(part, axis=0)
+        if size.size > count and (scale > 0).all() and np.linalg.matrix_rank(part / scale) == count:
+            found[:count] = np.linalg.lstsq(part / scale, wanted, rcond=None)[0] / scale
+            return found, count > 2, count > 1
+    raise NumericsError(
+        f"{int(used.sum())} of {used.size} readings of the ring are without a flag, too few to fit a gain",
+        remedy="see that the ring is connected, and lower the drive current where it is at compliance",
+    )
+
+
+def _sizes(expected: Array) -> Array:
+    """What deviations are relative to: the reading's own size, or a little where it ought to be none."""
+    magnitude = np.abs(expected)
+    sizes: Array = np.maximum(magnitude, _SMALLEST * magnitude.max())
+    return sizes
+
+
+def pair_words(pattern: DrivePattern, reading: Sequence[int]) -> str:
+    """Name a reading by its electrodes: ``driven 3–4, measured 7–8``."""
+    (source, sink), (plus, minus) = pattern.drive[reading[0]], pattern.measure[reading[1]]
+    return f"driven {source}–{sink}, measured {plus}–{minus}"
+
+
+#: Subject of these lines.
+RING: Final = "reference ring"
+#: How much more than elsewhere readings across one pair must be off for the pair to be named.
+_STANDS_OUT: Final = 3.0
+_UNKNOWN: Final = "the frames are not in volts, or their current is not known"
+
+
+def check_ring(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> tuple[CheckResult, ...]:
+    """Judge frames of a ring: flags, gain, offset, leads, the worst reading and noise, a line for each.
+
+    Parameters
+    ----------
+    ring : the frames and the resistors they are of.
+    pattern : of the sensor type the station is set up for.
+    allowed : limits of the station file.
+    """
+    try:
+        fit = fit_ring(ring, pattern)
+    except NumericsError as error:
+        return (CheckResult("readings", CheckOutcome.FAILED, said=error.reason, remedy=error.remedy, subject=RING),)
+    return (
+        _flagged(fit, pattern),
+        _gain(fit, allowed),
+        _offset(fit, allowed, str(ring.frames.unit)),
+        _leads(fit, allowed),
+        _worst(fit, ring, pattern, allowed),
+        _noise(fit, pattern, allowed),
+    )
+
+
+def _judged(ok: bool) -> CheckOutcome:
+    return CheckOutcome.OK if ok else CheckOutcome.FAILED
+
+
+def _flagged(fit: RingFit, pattern: DrivePattern) -> CheckResult:
+    count = int((~fit.used).sum())
+    said = f"all {fit.used.size} readings are without a flag"
+    if count:
+        first = tuple(int(index) for index in np.argwhere(~fit.used)[0])
+        what = ReadingFlag(int(fit.flags[first])).name or "flagged"
+        said = f"{count} of {fit.used.size}; the first is {pair_words(pattern, first)}: {what.lower()}"
+    return CheckResult(
+        "flagged readings",
+        _judged(not count),
+        value=float(count),
+        unit="1",
+        allowed="0",
+        said=said,
+        remedy="see that the ring is connected; lower the drive current or the ring's resistance" if count else "",
+        subject=RING,
+    )
+
+
+def _gain(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
+    if fit.gain_error is None:
+        return CheckResult("gain error", CheckOutcome.NOT_DONE, said=_UNKNOWN, subject=RING)
+    ok = abs(fit.gain_error) <= allowed.gain + allowed.tolerance
+    return CheckResult(
+        "gain error",
+        _judged(ok),
+        value=100 * fit.gain_error,
+        unit="%",
+        allowed=_within(100 * (allowed.gain + allowed.tolerance), "%"),
+        said="readings over closed form × current, all together",
+        remedy="" if ok else "check the ring's resistance, then the source's current and the meter's calibration",
+        subject=RING,
+    )
+
+
+def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
+    if fit.offset is None:
+        why = "the pattern cannot tell an offset from the gain"
+        return CheckResult("offset", CheckOutcome.NOT_DONE, said=why, subject=RING)
+    if fit.gain_error is None:
+        return CheckResult("offset", CheckOutcome.OK, value=fit.offset, unit=unit, said=_UNKNOWN, subject=RING)
+    ok = abs(fit.offset) <= allowed.offset_V
+    return CheckResult(
+        "offset",
+        _judged(ok),
+        value=1e3 * fit.offset,
+        unit="mV",
+        allowed=_within(1e3 * allowed.offset_V, "mV"),
+        said="common to all readings",
+        remedy="" if ok else "zero the meter; look for a thermal voltage or a ground loop in the measuring pair",
+        subject=RING,
+    )
+
+
+def _leads(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
+    if fit.lead_ohm is None:
+        why = _UNKNOWN if fit.gain_error is None else "the pattern cannot tell leads from the ring"
+        return CheckResult("lead resistance", CheckOutcome.NOT_DONE, said=why, subject=RING)
+    worst = int(np.argmax(np.abs(fit.lead_ohm)))
+    ok = abs(fit.lead_ohm[worst]) <= allowed.lead_ohm
+    return CheckResult(
+        "lead resistance",
+        _judged(ok),
+        value=float(fit.lead_ohm[worst]),
+        unit="ohm",
+        allowed=_within(allowed.lead_ohm, "Ω"),
+        said=f"largest at electrode {worst}; mean of all {_number(float(fit.lead_ohm.mean()), 3)} Ω",
+        remedy="" if ok else f"check plug, lead and switch of electrode {worst}",
+        subject=RING,
+    )
+
+
+def _worst(fit: RingFit, ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> CheckResult:
+    drive, measure = np.unravel_index(int(np.argmax(np.abs(fit.residual))), fit.residual.shape)
+    residual, limit = float(fit.residual[drive, measure]), allowed.reading + allowed.tolerance
+    ok, unit = abs(residual) <= limit, str(ring.frames.unit)
+    words = pair_words(pattern, (int(drive), int(measure)))
+    mean, expected = float(fit.mean[drive, measure]), float(fit.expected[drive, measure])
+    said = f"{words}: {_number(mean)} {unit} where {_number(expected)} {unit} is expected"
+    return CheckResult(
+        "worst reading",
+        _judged(ok),
+        value=100 * residual,
+        unit="%",
+        allowed=_within(100 * limit, "%"),
+        said=f"{said}; gain, offset and leads are taken out",
+        remedy="" if ok else _cause(fit, ring, pattern, limit),
+        subject=RING,
+    )
+
+
+def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float) -> str:
+    """What explains readings that are off: two electrodes exchanged, or one pair that nothing driven across fits."""
+    swapped = exchanged(ring, pattern, within=limit)
+    if swapped is not None:
+        first, second = swapped
+        return f"electrodes {first} and {second} are exchanged: all readings fit then; put their leads right"
+    # Half of what is driven across a bad resistor is off by far more than what is driven elsewhere.
+    off = np.abs(np.median(fit.residual, axis=1))
+    worst = int(np.argmax(off))
+    if off[worst] > max(limit, _STANDS_OUT * float(np.median(off))):
+        source, sink = pattern.drive[worst]
+        return f"what is driven across electrodes {source} and {sink} is off: check the resistor between them"
+    return "check the resistors and the wiring of these electrodes"
+
+
+def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> CheckResult:
+    usable = pattern.usable() & fit.used
+    which = usable if usable.any() else fit.used
+    relative = np.where(which, fit.relative(fit.noise), 0.0)
+    rms = float(np.sqrt(np.mean(relative[which] ** 2)))
+    drive, measure = np.unravel_index(int(np.argmax(relative)), relative.shape)
+    ok = rms <= allowed.noise
+    noisiest = f"{pair_words(pattern, (int(drive), int(measure)))} with {1e6 * relative[drive, measure]:.3g} ppm"
+    return CheckResult(
+        "noise of a reading",
+        _judged(ok),
+        value=1e6 * rms,
+        unit="ppm",
+        allowed=f"at most {1e6 * allowed.noise:.4g} ppm",
+        said=f"rms over {int(which.sum())} readings; the noisiest is {noisiest}",
+        remedy="" if ok else _less_noise(rms, allowed),
+        subject=RING,
+    )
+
+
+def _less_noise(rms: float, allowed: ReferenceRing) -> str:
+    """What to do about noise: also small readings make it large, where it is the same in volts whatever is read."""
+    enough_ohm = float(f"{1.05 * float(np.mean(allowed.resistance_ohm)) * rms / allowed.noise:.1e}")
+    return (
+        "look for loose plugs and mains hum; average longer; in the larger readings of a ring of"
+        f" {enough_ohm:g} Ω and more the same noise would be allowed"
+    )
+
+
+def _number(value: float, digits: int = 4) -> str:
+    return f"{value:.{digits}g}".replace("-", "−")
+
+
+def _within(limit: float, unit: str) -> str:
+    return f"−{limit:.4g} to {limit:.4g} {unit}"

@@ -1,0 +1,161 @@
+"""Whether a run's relaxations agree: the whole image's with the blobs', and the sheet's with its material's strip."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.analysis.run.force import RunForce, run_force
+from cbsr_qa.analysis.run.force_kernels import frames_of
+from cbsr_qa.calibration.fits import (
+    MeasuredRelaxation,
+    RelaxationAgreement,
+    compare_relaxations,
+    fit_common_relaxation,
+    not_compared,
+    relaxation_start,
+)
+from cbsr_qa.calibration.strip import KernelCurve
+from cbsr_qa.domain.results import LoadObservation, RelaxationKernel, RelaxationObservation, RunObservation
+from cbsr_qa.domain.sensor import StripRelaxation
+
+#: Fewest points of a trace that are fitted.
+_FEWEST: Final = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DirectedAgreement:
+    """Two relaxations of one direction.
+
+    Parameters
+    ----------
+    loading : after presses; else after releases.
+    first, second : what was compared, in words.
+    loads : how many the second was taken from.
+    found : what they are to each other.
+    """
+
+    loading: bool
+    first: str
+    second: str
+    loads: int
+    found: RelaxationAgreement
+
+    @property
+    def direction(self) -> str:
+        """``"loading"`` or ``"unloading"``."""
+        return "loading" if self.loading else "unloading"
+
+
+@lru_cache(maxsize=2)
+def image_against_blobs(run: RunObservation) -> tuple[DirectedAgreement, ...]:
+    """Compare the mean of the whole image with the blobs, over all loads that show both.
+
+    Returns
+    -------
+    Loading and unloading, as far as there are such loads. The last two answers are kept: metric and report ask.
+    """
+    found = []
+    for loading in (True, False):
+        loads = [load for load in run.loads if all(_of(load, signal, loading) for signal in ("conductance", "image"))]
+        if loads:
+            blobs, image = (_measured(loads, signal, loading) for signal in ("conductance", "image"))
+            agreement = compare_relaxations(blobs, image, tolerance=run.settings.settling_tolerance)
+            found.append(DirectedAgreement(loading, "blobs", "whole image", len(loads), agreement))
+    return tuple(found)
+
+
+@lru_cache(maxsize=2)
+def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
+    """Compare how strongly the sheet's loads show over time with how a strip of its material relaxed.
+
+    The sheet's are the kernels of a unit step that all loads of its calibration share: strength at the place of the
+    head, by the force model. The strip's are those its material file carries; after releases, as they show on a sheet
+    whose holds were as long as these.
+
+    Returns
+    -------
+    Loading and unloading; with the reason where they cannot be compared.
+    """
+    strip = run.record.material.strip_relaxation
+    if strip is None:
+        why = f"material {run.record.material.name} carries no relaxation of a strip; characterise one of its batch"
+        return tuple(_without(loading, why) for loading in (True, False))
+    force = run_force(run)
+    if force.learned is None:
+        return tuple(_without(loading, f"the sheet has no relaxation: {force.why}") for loading in (True, False))
+    model = force.learned.model
+    return _against(run, force, strip, model.loading, True), _against(run, force, strip, model.unloading, False)
+
+
+def _against(
+    run: RunObservation, force: RunForce, strip: StripRelaxation, kernel: RelaxationKernel | None, loading: bool
+) -> DirectedAgreement:
+    window = _window_s(run, force.used, loading)
+    if kernel is None or window is None:
+        return _without(loading, "the loads of the sheet do not tell how it relaxes: held too short, or too weak")
+    expected = _expected(strip, loading, _hold_s(force.used))
+    if expected is None:
+        return _without(loading, "the material file carries no relaxation of a strip in this direction")
+    found = compare_relaxations(
+        expected, KernelCurve.of_sheet(kernel, *window), tolerance=run.settings.settling_tolerance
+    )
+    return DirectedAgreement(loading, "strip", "sheet", kernel.loads, found)
+
+
+def _expected(strip: StripRelaxation, loading: bool, hold_s: float) -> KernelCurve | None:
+    """What the sheet should show; after releases that takes both of the strip's kernels."""
+    if strip.loading is None:
+        return None
+    if loading:
+        return KernelCurve.of_press(strip.loading)
+    return None if strip.unloading is None else KernelCurve.of_release(strip.loading, strip.unloading, hold_s)
+
+
+def _hold_s(loads: Sequence[LoadObservation]) -> float:
+    return float(np.median([load.record.release_start_s - load.record.hold_start_s for load in loads]))
+
+
+def _window_s(run: RunObservation, loads: Sequence[LoadObservation], loading: bool) -> tuple[float, float] | None:
+    """First and last time of the frames of holds, or rests, from the end of their ramp; None without any."""
+    ends = []
+    for load in loads:
+        record = load.record
+        start_s, end_s = (
+            (record.hold_start_s, record.release_start_s) if loading else (record.unloaded_s, record.rest_end_s)
+        )
+        frames = frames_of(run, load, start_s, end_s)
+        if frames is not None and len(frames) >= _FEWEST:
+            ends.append((float(frames.time_s[0]) - start_s, float(frames.time_s[-1]) - start_s))
+    if not ends:
+        return None
+    first_s, last_s = np.median(ends, axis=0).tolist()
+    return first_s, last_s
+
+
+def _without(loading: bool, why: str) -> DirectedAgreement:
+    return DirectedAgreement(loading, "strip", "sheet", 0, not_compared(why))
+
+
+def _measured(loads: Sequence[LoadObservation], signal: str, loading: bool) -> MeasuredRelaxation:
+    seen = [found for load in loads if (found := _of(load, signal, loading))]
+    starts = [0 if loading else relaxation_start(one.trace.values) for one in seen]
+    traces = [(one.trace.time_s[at:], one.trace.values[at:]) for one, at in zip(seen, starts, strict=True)]
+    window_s = max(float(time_s[-1]) for time_s, _ in traces)
+    change = None if loading else float(np.mean([_end(load, signal) for load in loads]))
+    start_s = min(float(time_s[0]) for time_s, _ in traces)
+    return MeasuredRelaxation(fit_common_relaxation(traces), window_s, change, start_s)
+
+
+def _of(load: LoadObservation, signal: str, loading: bool) -> RelaxationObservation | None:
+    """The relaxation of a signal, None where it is too short."""
+    found = (seen for seen in load.relaxations if seen.signal == signal and seen.loading is loading)
+    return next((seen for seen in found if len(seen.trace.values) >= _FEWEST), None)
+
+
+def _end(load: LoadObservation, signal: str) -> float:
+    """Level at the end of the hold."""
+    held = next((seen for seen in load.relaxations if seen.signal == signal and seen.loading), None)
+    return 0.0 if held is None or not len(held.trace.values) else float(np.median(held.trace.values[-4:]))

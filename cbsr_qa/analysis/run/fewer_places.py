@@ -1,0 +1,188 @@
+"""What a run's map of the response would have been with fewer loads, as far as the run itself can say.
+
+The map is learned again from some of the places, spread as evenly as they can be, and held against what was seen at
+the places that were left out. It says nothing of what lies between places that nobody pressed; the map's own stated
+error does.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run.force import RunForce
+from cbsr_qa.analysis.run.force_quality import calibrated_radius_mm, map_quality, places_mm
+from cbsr_qa.calibration.sheet import FEWEST, ResponseMap, learn_response, sheet_places
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import LoadObservation, RunObservation
+
+Array = NDArray[np.float64]
+Chosen = NDArray[np.bool_]
+
+#: Shares of the places that are tried.
+_SHARES: Final = (0.35, 0.5, 0.7)
+#: Ways to choose them, each from another first place: with few places it matters which.
+_WAYS: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class MapCost:
+    """A map from some loads.
+
+    Parameters
+    ----------
+    places, loads : it was learned from.
+    station_s : their share of what their phases took, travel, finding the surface and rests included.
+    stated : relative standard error of the map within the calibrated area, root mean square.
+    seen : relative error at the places that were left out, root mean square, without what the noise of their own
+        loads makes of it; None where none was left out.
+    expected : what the map states there; None likewise.
+    """
+
+    places: int
+    loads: int
+    station_s: float
+    stated: float
+    seen: float | None = None
+    expected: float | None = None
+
+
+def map_costs(run: RunObservation, found: RunForce) -> tuple[MapCost, ...]:
+    """Return maps of fewer and fewer places, and of one load a place, the whole run's last.
+
+    Parameters
+    ----------
+    found : the force of the run; nothing comes of one that was not learned.
+
+    Returns
+    -------
+    In order of places; empty where there are too few places to leave some out.
+    """
+    if found.learned is None:
+        return ()
+    loads = _Loads(run, found)
+    counts = sorted({round(share * loads.count) for share in _SHARES})
+    costs = [loads.of_places(count) for count in counts if FEWEST < count < loads.count]
+    if not costs:
+        return ()
+    once = loads.first_of_each()
+    return (*costs, *([loads.cost(once)] if not once.all() else []), loads.whole())
+
+
+def farthest_first(places_mm: Array, count: int, *, first: int | None = None) -> list[int]:
+    """Choose places one by one, each the farthest from those before it.
+
+    Parameters
+    ----------
+    places_mm : (n, 2).
+    first : number of the one to begin with; by default that nearest to the centre.
+
+    Raises
+    ------
+    NumericsError
+        If there are fewer places than asked for.
+    """
+    if count > len(places_mm):
+        raise NumericsError(f"{count} places cannot be chosen from {len(places_mm)}")
+    chosen = [int(np.hypot(*places_mm.T).argmin()) if first is None else first]
+    while len(chosen) < count:
+        apart = np.hypot(*(places_mm[:, None] - places_mm[chosen]).transpose(2, 0, 1)).min(axis=1)
+        chosen.append(int(apart.argmax()))
+    return chosen
+
+
+class _Loads:
+    """Loads that a run's map was learned from."""
+
+    def __init__(self, run: RunObservation, found: RunForce) -> None:
+        learned = found.learned
+        assert learned is not None
+        told = np.isfinite(learned.ratio)
+        used = [load for load, yes in zip(found.used, told, strict=True) if yes]
+        self._places = found.seat.places_mm(places_mm(used))
+        self._log = np.log(learned.ratio[told]) + _by_the_line(run, found, used)
+        self._variance = (learned.ratio_stderr[told] / learned.ratio[told]) ** 2
+        self._scatter = learned.model.scatter
+        self._seconds = np.array(list(_seconds(run, used)))
+        self._radius_mm = run.record.sensor_type.radius_mm
+        radius_mm = calibrated_radius_mm(found)
+        area = sheet_places(learned.model, stride=2)
+        self._area = area[np.hypot(*area.T) <= max(radius_mm, float(np.hypot(*area.T).min()))]
+        self._stated = map_quality(learned, radius_mm).rms_error
+        self._at, self._which = np.unique(self._places, axis=0, return_inverse=True)
+        self._which = self._which.ravel()
+
+    @property
+    def count(self) -> int:
+        """Places."""
+        return len(self._at)
+
+    def first_of_each(self) -> Chosen:
+        """The first load at each place."""
+        first: Chosen = np.zeros(len(self._which), dtype=np.bool_)
+        first[np.unique(self._which, return_index=True)[1]] = True
+        return first
+
+    def cost(self, chosen: Chosen) -> MapCost:
+        """What some loads say of the sheet."""
+        _, variance = self._learned(chosen).predict(self._area)
+        count = len(np.unique(self._which[chosen]))
+        return MapCost(count, int(chosen.sum()), float(self._seconds[chosen].sum()), _rms(variance))
+
+    def whole(self) -> MapCost:
+        """What all of them say, as the calibration states it."""
+        return MapCost(self.count, len(self._which), float(self._seconds.sum()), self._stated)
+
+    def of_places(self, count: int) -> MapCost:
+        """What all loads at some of the places say, of the sheet and of the places left out: mean of several ways."""
+        ways = np.unique(np.linspace(0, self.count - 1, _WAYS).astype(np.intp)).tolist()
+        kept = [np.isin(np.arange(self.count), farthest_first(self._at, count, first=way)) for way in ways]
+        costs = [self.cost(places[self._which]) for places in kept]
+        squares = np.array([self._left_out(places) for places in kept]).mean(axis=0)
+        return MapCost(
+            count,
+            round(float(np.mean([cost.loads for cost in costs]))),
+            float(np.mean([cost.station_s for cost in costs])),
+            _rms(np.array([cost.stated**2 for cost in costs])),
+            float(np.sqrt(max(squares[0], 0.0))),
+            float(np.sqrt(squares[1])),
+        )
+
+    def _left_out(self, kept: Chosen) -> tuple[float, float]:
+        """Mean square of the error at the other places, without noise, and of what is stated there."""
+        mean, variance = self._learned(kept[self._which]).predict(self._at[~kept])
+        weight = 1 / (self._variance + self._scatter**2)
+        total = np.bincount(self._which, weight)
+        seen = np.bincount(self._which, weight * self._log) / total
+        error = (mean - seen[~kept]) ** 2 - 1 / total[~kept]
+        return float(error.mean()), float(variance.mean())
+
+    def _learned(self, chosen: Chosen) -> ResponseMap:
+        return learn_response(
+            self._places[chosen], self._log[chosen], self._variance[chosen], radius_mm=self._radius_mm
+        )
+
+
+def _by_the_line(run: RunObservation, found: RunForce, used: list[LoadObservation]) -> Array:
+    """What the sensor's own line says of each load, over the material's: ln, to be taken from what was seen."""
+    assert found.learned is not None
+    stress = np.array([load.force_N or 0.0 for load in used]) * 1e3 / run.record.indenter.area_mm2
+    given, own = run.record.material.against_stress, found.learned.line
+    nominal = given.slope.value * stress + given.intercept.value
+    ratio: Array = np.log(nominal / (own.slope.value * stress + own.intercept.value))
+    return ratio
+
+
+def _seconds(run: RunObservation, used: list[LoadObservation]) -> Iterator[float]:
+    """Share of each load in the time of its phase [s]: surfaces may be found before the first press."""
+    share = {
+        phase.name: (phase.ended_s - phase.started_s) / len(phase.loads) for phase in run.record.phases if phase.loads
+    }
+    for load in used:
+        yield share[load.phase]
+
+
+def _rms(squares: Array) -> float:
+    return float(np.sqrt(squares.mean()))

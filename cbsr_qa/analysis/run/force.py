@@ -1,0 +1,335 @@
+"""The force model of a run's sensor, and what it says of loads it was not learned from."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run.estimates import model_scale, reading_variance
+from cbsr_qa.analysis.run.force_kernels import StrengthTraces, compensated, force_kernels, key_of
+from cbsr_qa.analysis.run.loads import load_window
+from cbsr_qa.calibration.fits import TimedValues
+from cbsr_qa.calibration.force import (
+    CalibrationLoads,
+    LearnedForce,
+    TemplateBank,
+    learn_force,
+    template_bank,
+    unlearned_model,
+)
+from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, map_tables, scattered
+from cbsr_qa.calibration.sheet import AS_PLACED, Seat, seat_of
+from cbsr_qa.domain import CbsrError, NumericsError
+from cbsr_qa.domain.results import ForceModel, LoadObservation, RunObservation
+from cbsr_qa.eit.estimate import load_model, merged_readings
+
+Array = NDArray[np.float64]
+
+#: What is said of loads held beside others.
+_TOGETHER: Final = "several loads were held at once"
+
+
+#: How a load came to be tested.
+HELD_OUT: Final = "held out"
+TRIAL_LEFT_OUT: Final = "trial left out"
+#: Standard errors within which a load bears a force model out.
+_BORNE_OUT: Final = 3.0
+
+
+@dataclass(frozen=True, slots=True)
+class ForceTest:
+    """One load's force as estimated by a model that has not seen it, beside what the load cell read.
+
+    Parameters
+    ----------
+    load : of the run; of a hold that was predicted with the force of that time.
+    how : ``"held out"`` (a phase that does not calibrate) or ``"trial left out"``.
+    measured_N : by the load cell, predicted as the hold was.
+    known_N, known_stderr_N : with the place of the head given.
+    found_N, found_stderr_N : with the place estimated; None where no load was detected.
+    place_error_mm : of that place; None where there is none.
+    global_N : with the place given and one response for the whole sheet, the paper's way.
+    """
+
+    load: LoadObservation
+    how: str
+    measured_N: float
+    known_N: float
+    known_stderr_N: float
+    found_N: float | None
+    found_stderr_N: float | None
+    place_error_mm: float | None
+    global_N: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunForce:
+    """What a run's loads say about force.
+
+    Parameters
+    ----------
+    learned : None where nothing could be learned; ``why`` then says why.
+    used : loads it was learned from, in order of ``learned.refused``; of a hold that was predicted with the force of
+        the time it was predicted to.
+    tests : of loads that were not used: held out, or of a trial that was left out at places of the other trials.
+    seat : how the sheet lies; places of the map, and of all loads, are on the sheet.
+    """
+
+    learned: LearnedForce | None
+    used: tuple[LoadObservation, ...]
+    tests: tuple[ForceTest, ...]
+    why: str = ""
+    seat: Seat = AS_PLACED
+
+    def confirmed(self) -> tuple[LoadObservation, ...]:
+        """Held-out loads whose force came out within three standard errors, the place known."""
+        held_out = [test for test in self.tests if test.how == HELD_OUT]
+        return tuple(t.load for t in held_out if abs(t.known_N - t.measured_N) <= _BORNE_OUT * t.known_stderr_N)
+
+
+@lru_cache(maxsize=2)
+def run_force(run: RunObservation) -> RunForce:
+    """Learn the force model from the phases that calibrate, and test it on all other loads.
+
+    Loads of phases that do not calibrate are held out. Where places were pressed in several trials, each trial is
+    besides left out in turn, and its loads at places of the others are tested. The last two answers are kept, since
+    metrics, report and calibration all ask.
+
+    Returns
+    -------
+    RunForce, without a model and with the reason where there is none.
+    """
+    try:
+        return _RunForce(run).result()
+    except CbsrError as error:
+        return RunForce(None, (), (), error.reason)
+
+
+def learned_from(run: RunObservation) -> RunForce:
+    """Learn the force model from all loads of phases that calibrate, and test nothing.
+
+    Raises
+    ------
+    CbsrError
+        If nothing can be learned; the reason is in it.
+    """
+    loads = _loads_of(run)
+    calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
+    used = tuple(load for load, yes in zip(loads.loads, calibrating, strict=True) if yes)
+    learned = loads.learn(calibrating)
+    steady_s = learned.model.steady_s if loads.at_s is None else loads.at_s
+    learned = replace(learned, model=replace(learned.model, steady_s=steady_s))
+    return RunForce(learned, used, (), seat=loads.seat)
+
+
+def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, ...]:
+    """Test a model, learned elsewhere, on every load of a run whose holds are looked at as they are.
+
+    Raises
+    ------
+    CbsrError
+        If the run has no load with a force, or its noise cannot be told.
+    """
+    loads = _RunForce(replace(run, settings=replace(run.settings, transients="averaged")))
+    return tuple(loads.tests(learned, np.ones(len(loads.loads), dtype=np.bool_), HELD_OUT))
+
+
+def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[TimedValues]:
+    """Strengths under holds at the places of loads: times from the start of each [s], without what earlier ones left.
+
+    Raises
+    ------
+    CbsrError
+        If the run has no load with a force, or its noise cannot be told.
+    """
+    strengths = _loads_of(run).strengths()
+    return [strengths.change(load) for load in loads]
+
+
+@lru_cache(maxsize=1)
+def _loads_of(run: RunObservation) -> "_RunForce":
+    """One run's loads, kept for whoever asks next."""
+    return _RunForce(run)
+
+
+class _RunForce:
+    """One run's loads with all they are compared with."""
+
+    def __init__(self, run: RunObservation) -> None:
+        sensor_type = run.record.sensor_type
+        model = load_model(sensor_type)
+        scale = model_scale(model, run.reference, run.usable)
+        readings = merged_readings(
+            sensor_type.pattern, run.usable, reading_variance(run.unloaded, run.usable) / scale**2
+        )
+        self.run = run
+        self.head = run.record.indenter
+        self.line = run.record.material.against_stress
+        self.merging = readings.merging / scale
+        self.bank: TemplateBank = template_bank(model, readings, self.head)
+        pressed = [load for load in run.loads if load.force_N is not None and load.together == 1]
+        self.loads = tuple(pressed)
+        self.data, self.seat = self._seated(self._data())
+        self.at_s: float | None = None
+        self.predicted = np.zeros(len(pressed), dtype=np.bool_)
+        if run.settings.transients == "predicted":
+            self._compensate()
+
+    def _compensate(self) -> None:
+        """Bring short holds to where the longest ones end; their loads have the force of that time."""
+        done = compensated(self.run, self.loads, self.data, self.strengths())
+        self.data, self.at_s, self.predicted = done.data, done.at_s, done.predicted
+        self.loads = tuple(
+            replace(load, force_N=float(force), force_stderr_N=float(stderr)) if predicted else load
+            for load, force, stderr, predicted in zip(
+                self.loads, self.data.force_N, self.data.force_stderr_N, self.predicted, strict=True
+            )
+        )
+
+    def _data(self) -> CalibrationLoads:
+        if not self.loads:
+            raise NumericsError(f"no load was pressed alone with its force recorded ({_TOGETHER}, or no load cell)")
+        record, settings = self.run.record, self.run.settings
+        windows = [load_window(record.phase(one.phase), one.record, settings) for one in self.loads]
+        steady = [self._rows(window.steady.voltages) for window in windows]
+        before = [self._rows(window.before.voltages) for window in windows]
+        nothing = np.zeros(self.merging.shape[0])
+        return CalibrationLoads(
+            place_mm=np.array([(one.record.load.x_mm, one.record.load.y_mm) for one in self.loads]),
+            rows=np.array([rows.mean(axis=0) for rows in steady]),
+            frames=np.array([len(rows) for rows in steady]),
+            before=np.array([rows.mean(axis=0) if len(rows) else nothing for rows in before]),
+            frames_before=np.array([len(rows) for rows in before]),
+            force_N=np.array([one.force_N for one in self.loads], dtype=np.float64),
+            force_stderr_N=np.array([one.force_stderr_N or 0.0 for one in self.loads]),
+        )
+
+    def strengths(self) -> StrengthTraces:
+        """Strengths over time, of every load at its place on the sheet."""
+        places = dict(zip(map(key_of, self.loads), self.data.place_mm, strict=True))
+        return StrengthTraces(
+            self.run, places, self.merging, TemplateFilter(unlearned_model(self.bank, self.merging))
+        )
+
+    def _seated(self, data: CalibrationLoads) -> tuple[CalibrationLoads, Seat]:
+        """Loads where they are on the sheet: a sheet that lies beside its place must not cost its sensor anything."""
+        rows, noise = data.changed()
+        seat = seat_of(data.place_mm, TemplateFilter(unlearned_model(self.bank, self.merging)).search(rows), noise)
+        return replace(data, place_mm=seat.places_mm(data.place_mm)), seat
+
+    def _rows(self, voltages: Array) -> Array:
+        rows: Array = (voltages - self.run.reference)[:, self.run.usable] @ self.merging.T
+        return rows
+
+    def result(self) -> RunForce:
+        """Learn and test."""
+        calibrating = np.array([load.phase in self.run.settings.calibrate_phases for load in self.loads])
+        learned = self.timed(self.learn(calibrating), calibrating)
+        tests = self.tests(learned, ~calibrating, HELD_OUT)
+        trials = np.array([load.record.load.trial for load in self.loads])
+        for trial in sorted(set(trials[calibrating].tolist())):
+            left_out = calibrating & (trials == trial)
+            others = calibrating & ~left_out
+            again = left_out & self._pressed_in(others)
+            if again.any():
+                tests += self.tests(self.learn(others), again, TRIAL_LEFT_OUT)
+        used = tuple(load for load, yes in zip(self.loads, calibrating, strict=True) if yes)
+        return RunForce(learned, used, tuple(tests), seat=self.seat)
+
+    def timed(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
+        """Add when the loads were looked at, and how they get there and fade."""
+        loads = [load for load, yes in zip(self.loads, which, strict=True) if yes]
+        model, settings = learned.model, self.run.settings
+        held = [
+            float(load_window(self.run.record.phase(load.phase), load.record, settings).steady.time_s.mean())
+            - load.record.hold_start_s
+            for load in loads
+        ]
+        loading, unloading = force_kernels(
+            self.run, loads, self.data.place_mm[which], self.merging, TemplateFilter(model)
+        )
+        steady_s = float(np.mean(held)) if self.at_s is None else self.at_s
+        timed = replace(model, steady_s=steady_s, loading=loading, unloading=unloading)
+        return replace(learned, model=timed)
+
+    def learn(self, which: NDArray[np.bool_]) -> LearnedForce:
+        """Learn from some loads."""
+        learned = learn_force(
+            self.bank,
+            self.merging,
+            self.data.select(which),
+            self.line,
+            self.head,
+            radius_mm=self.run.record.sensor_type.radius_mm,
+        )
+        return replace(learned, predicted=tuple(self.predicted[which].tolist()))
+
+    def _pressed_in(self, others: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Whether each load's place was pressed by others: elsewhere it is not the repetition that is tested."""
+        places = {tuple(place) for place in self.data.place_mm[others].tolist()}
+        return np.array([tuple(place) in places for place in self.data.place_mm.tolist()], dtype=np.bool_)
+
+    def tests(self, learned: LearnedForce, which: NDArray[np.bool_], how: str) -> list[ForceTest]:
+        """Test a model on some loads; those where the head does not fit the map are left out."""
+        if not which.any():
+            return []
+        loads = [load for load, yes in zip(self.loads, which, strict=True) if yes]
+        data = self.data.select(which)
+        filter_ = TemplateFilter(learned.model)
+        inverse = ForceInverse(learned.model, learned.line, self.head.area_mm2, map_tables(learned.model))
+        everywhere = _global(learned)
+        flat = ForceInverse(everywhere, learned.line, self.head.area_mm2, map_tables(everywhere))
+        rows, noise = data.changed()
+        left = filter_.at(data.before, data.place_mm).strength
+        given = _noisy(filter_.at(rows, data.place_mm), noise, left * learned.model.residue_stderr)
+        found = _noisy(filter_.search(rows), noise, left * learned.model.residue_stderr)
+        found = scattered(found, filter_.size_slope(found.place_mm), learned.model.place_scatter_mm)
+        known, known_stderr = inverse.force(given)
+        one, _ = flat.force(given)
+        seen, seen_stderr = inverse.force(found)
+        detected = np.sqrt(found.gain / noise) >= learned.model.threshold
+        apart = np.hypot(*(found.place_mm - data.place_mm).T)
+        return [
+            ForceTest(
+                load=loads[k],
+                how=how,
+                measured_N=float(data.force_N[k]),
+                known_N=float(known[k]),
+                known_stderr_N=float(np.hypot(known_stderr[k], data.force_stderr_N[k])),
+                found_N=float(seen[k]) if detected[k] and np.isfinite(seen[k]) else None,
+                found_stderr_N=float(seen_stderr[k]) if detected[k] and np.isfinite(seen[k]) else None,
+                place_error_mm=float(apart[k]) if detected[k] else None,
+                global_N=float(one[k]),
+            )
+            for k in range(len(loads))
+            if np.isfinite(known[k])
+        ]
+
+
+def _noisy(matches: Matches, noise: Array, residue: Array) -> Matches:
+    """Matches of rows whose noise is not one, with what earlier loads may have left in the strength."""
+    covariance = matches.covariance * noise[:, None, None]
+    covariance[:, 0, 0] += residue**2
+    return replace(matches, covariance=covariance)
+
+
+def _global(learned: LearnedForce) -> ForceModel:
+    """The model with one response for the whole sheet: the mean of the loads' (the paper's ρ̄₀)."""
+    ratio, error = learned.ratio, learned.ratio_stderr
+    used = np.isfinite(ratio)
+    mean = float(np.mean(ratio[used]))
+    spread = float(np.std(ratio[used]) / mean)
+    count = len(learned.model.log_response)
+    return replace(
+        learned.model,
+        log_response=np.full(count, np.log(mean)),
+        log_response_stderr=np.full(count, max(spread, float(np.mean(error[used])))),
+    )
+
+
+def known_errors(tests: Sequence[ForceTest]) -> Array:
+    """Errors with the place known (n,) [N]."""
+    return np.array([test.known_N - test.measured_N for test in tests])

@@ -1,0 +1,318 @@
+"""How the strength of a sensor's loads rises under a hold and fades after a release: kernels for its runtime.
+
+Transient compensation of a calibration: short holds brought to where the run's longest ones end.
+
+The longest holds of a run say how its loads relax (conductance by the strength at their place, stress by the load
+cell); with that as prior, the others are predicted to the time at which those were looked at.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run.loads import load_window
+from cbsr_qa.calibration.fits import TimedValues, learn_kernel, predict_steady, relaxation_start
+from cbsr_qa.calibration.force import RESIDUE_SHARE, CalibrationLoads
+from cbsr_qa.calibration.runtime import Matches, TemplateFilter
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.readings import FrameBlock
+from cbsr_qa.domain.results import LoadObservation, RelaxationKernel, RunObservation
+
+Array = NDArray[np.float64]
+#: Phase of a load and its number there.
+LoadKey = tuple[str, int]
+
+#: Loads that stand out less say little about a shape and cost as much time.
+_LEAST_DETECTABILITY: Final = 15.0
+_MOST: Final = 60
+#: What earlier loads left at a place fades to its share at the steady frames with this time constant: of the order of
+#: the material's own (chosen by us).
+_FADING_S: Final = 25.0
+
+
+def force_kernels(
+    run: RunObservation, loads: Sequence[LoadObservation], places_mm: Array, merging: Array, filter_: TemplateFilter
+) -> tuple[RelaxationKernel | None, RelaxationKernel | None]:
+    """Learn the kernels of loading and unloading from the strength at the places of loads.
+
+    Parameters
+    ----------
+    places_mm : (n, 2) of the loads, on the sheet.
+    merging : from changes of used readings to rows.
+
+    Returns
+    -------
+    Both; None where there is none (short holds, weak loads, no relaxation that can be told from drift).
+    """
+    traces = StrengthTraces(run, dict(zip(map(key_of, loads), places_mm, strict=True)), merging, filter_)
+    clear = sorted(loads, key=traces.detectability, reverse=True)[:_MOST]
+    clear = [load for load in clear if traces.detectability(load) >= _LEAST_DETECTABILITY]
+    if not clear:
+        return None, None
+    return traces.loading(clear), traces.unloading(clear)
+
+
+def frames_of(run: RunObservation, load: LoadObservation, from_s: float, to_s: float) -> FrameBlock | None:
+    """Frames of a load's phase between two times."""
+    frames = run.record.phase(load.phase).frames
+    return None if frames is None else frames.between(from_s, to_s)
+
+
+def key_of(load: LoadObservation) -> LoadKey:
+    """What a load is known by in its run."""
+    return load.phase, load.record.index
+
+
+class StrengthTraces:
+    """Strengths over time at the places of loads."""
+
+    def __init__(
+        self, run: RunObservation, places_mm: Mapping[LoadKey, Array], merging: Array, filter_: TemplateFilter
+    ) -> None:
+        self._run, self._places_mm, self._merging, self._filter = run, places_mm, merging, filter_
+        self._known: dict[LoadKey, float] = {}
+
+    def detectability(self, load: LoadObservation) -> float:
+        """Of the end of the hold, in the noise of one frame."""
+        key = key_of(load)
+        if key not in self._known:
+            _, strength, noise = self.held(load)
+            self._known[key] = abs(float(strength[-4:].mean())) / noise if len(strength) else 0.0
+        return self._known[key]
+
+    def loading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
+        """The kernel of presses."""
+        traces, ramps, noises = [], [], []
+        for load in loads:
+            traces.append(self.change(load))
+            ramps.append(ramp_s(load))
+            noises.append(self.held(load)[2])
+        return _usable(traces, ramps, noises, None, 0.0)
+
+    def change(self, load: LoadObservation) -> TimedValues:
+        """Times from the start of the hold [s], and strengths under it without what earlier loads left."""
+        time_s, strength, _ = self.held(load)
+        return time_s, strength - self.left(load) * self.fading(time_s)
+
+    def unloading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
+        """The kernel of releases."""
+        traces, ramps, noises, released = [], [], [], []
+        for load in loads:
+            record = load.record
+            _, held, _ = self.held(load)
+            time_s, strength, noise = self._trace(load, record.unloaded_s, record.rest_end_s)
+            if len(time_s) < 6:
+                continue
+            traces.append((time_s, strength))
+            ramps.append(ramp_s(load))
+            noises.append(noise)
+            released.append(float(held[-4:].mean()))
+        if not traces:
+            return None
+        sign = np.sign(np.mean(released))
+        starts = [float(times[relaxation_start(sign * values)]) for times, values in traces]
+        return _usable(traces, ramps, noises, released, float(np.median(starts)))
+
+    def _trace(self, load: LoadObservation, from_s: float, to_s: float) -> tuple[Array, Array, float]:
+        frames = frames_of(self._run, load, from_s, to_s)
+        if frames is None or not len(frames):
+            return np.zeros(0), np.zeros(0), 1.0
+        matches = self._strengths(load, frames)
+        return frames.time_s - from_s, matches.strength, float(np.sqrt(matches.covariance[0, 0, 0]))
+
+    def held(self, load: LoadObservation) -> tuple[Array, Array, float]:
+        """Times from the start of the hold [s], strengths under it, and the noise of one of them."""
+        return self._trace(load, load.record.hold_start_s, load.record.release_start_s)
+
+    @staticmethod
+    def fading(time_s: Array) -> Array:
+        """Share of what earlier loads left that is still there so long after the press."""
+        share: Array = RESIDUE_SHARE + (1 - RESIDUE_SHARE) * np.exp(-time_s / _FADING_S)
+        return share
+
+    def left(self, load: LoadObservation) -> float:
+        """Strength at the place just before the press."""
+        before = load_window(self._run.record.phase(load.phase), load.record, self._run.settings).before
+        return float(self._strengths(load, before).strength.mean()) if len(before) else 0.0
+
+    def _strengths(self, load: LoadObservation, frames: FrameBlock) -> Matches:
+        return self._filter.at(self._rows(frames), self._places_mm[key_of(load)])
+
+    def _rows(self, frames: FrameBlock) -> Array:
+        rows: Array = (frames.voltages - self._run.reference)[:, self._run.usable] @ self._merging.T
+        return rows
+
+
+def ramp_s(load: LoadObservation) -> float:
+    """How long the head moved in the sheet: as long down as up."""
+    return max(load.record.unloaded_s - load.record.release_start_s, 0.0)
+
+
+def _usable(
+    traces: Sequence[tuple[Array, Array]],
+    ramps: Sequence[float],
+    noises: Sequence[float],
+    released: Sequence[float] | None,
+    start_s: float,
+) -> RelaxationKernel | None:
+    try:
+        kernel = learn_kernel(traces, ramp_s=ramps, noise=noises, released=released, start_s=start_s)
+    except NumericsError:
+        return None
+    return None if kernel.why else kernel
+
+
+#: Loads held for this share of the longest hold are looked at as they are.
+LONG: Final = 0.9
+#: Most that a prediction may raise or lower readings. After a second of hold a third of a change is there; more is
+#: noise over noise, of loads that say nothing.
+LARGEST_FACTOR: Final = 5.0
+#: Force samples are averaged over this before a kernel is learned from them: relaxations take seconds.
+_BIN_S: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compensated:
+    """Loads of which short holds were predicted.
+
+    Parameters
+    ----------
+    data : with predicted rows and forces.
+    at_s : time after the press they are of [s]; None where nothing was predicted.
+    predicted : (n,) whether each load was.
+    """
+
+    data: CalibrationLoads
+    at_s: float | None
+    predicted: NDArray[np.bool_]
+
+
+def compensated(
+    run: RunObservation, loads: Sequence[LoadObservation], data: CalibrationLoads, traces: StrengthTraces
+) -> Compensated:
+    """Bring loads that were held for a shorter time to where the longest holds were looked at.
+
+    Parameters
+    ----------
+    loads : of ``data``, in its order.
+    traces : strengths of those loads over time.
+
+    Returns
+    -------
+    Compensated, with the loads as they were where all were held alike.
+
+    Raises
+    ------
+    NumericsError
+        If the longest holds do not say how conductance or stress relaxes.
+    """
+    held_s = np.array([load.record.release_start_s - load.record.hold_start_s for load in loads])
+    long = held_s >= LONG * held_s.max()
+    if long.all():
+        return Compensated(data, None, ~long)
+    steady_s = [_steady_s(run, load) for load, yes in zip(loads, long, strict=True) if yes]
+    at_s = float(np.mean(steady_s))
+    references = [load for load, yes in zip(loads, long, strict=True) if yes]
+    strength = _usable_transients("conductance", traces.loading(references), len(references))
+    forces = [_force_trace(run, load) for load in loads]
+    stress = _usable_transients(
+        "stress", _stress_kernel(references, [f for f, y in zip(forces, long, strict=True) if y]), None
+    )
+    rows, frames = data.rows.copy(), data.frames.astype(np.float64)
+    force, stderr = data.force_N.copy(), data.force_stderr_N.copy()
+    for k in np.flatnonzero(~long).tolist():
+        rows[k], frames[k] = _predicted_rows(loads[k], data, k, traces, strength, at_s)
+        force[k], stderr[k] = _predicted_force(loads[k], forces[k], stress, at_s)
+    done = replace(data, rows=rows, frames=frames, force_N=force, force_stderr_N=stderr)
+    return Compensated(done, at_s, ~long)
+
+
+def _usable_transients(what: str, kernel: RelaxationKernel | None, loads: int | None) -> RelaxationKernel:
+    if kernel is None or kernel.why:
+        of = "the longest holds" if loads is None else f"the {loads} longest holds"
+        why = f": {kernel.why}" if kernel is not None else ""
+        raise NumericsError(
+            f"{of} do not say how the {what} relaxes{why}: no hold can be predicted from its first part",
+            remedy='hold some loads for 1.5 settling times, or set transients = "averaged" in the recipe',
+        )
+    return kernel
+
+
+def _steady_s(run: RunObservation, load: LoadObservation) -> float:
+    window = load_window(run.record.phase(load.phase), load.record, run.settings)
+    return float(window.steady.time_s.mean()) - load.record.hold_start_s
+
+
+def _predicted_rows(
+    load: LoadObservation,
+    data: CalibrationLoads,
+    k: int,
+    traces: StrengthTraces,
+    kernel: RelaxationKernel,
+    at_s: float,
+) -> tuple[Array, float]:
+    """Steady rows scaled by what is still to come, and as many frames as would be as sure of their strength."""
+    time_s, strength, noise = traces.held(load)
+    if not len(time_s):
+        raise NumericsError(f"load {load.record.load.label} of phase {load.phase!r} was held without taking a frame")
+    left, fading = traces.left(load), traces.fading(time_s)
+    seen = predict_steady(time_s, strength - left * fading, noise, kernel, ramp_s=ramp_s(load), at_s=at_s)
+    # The rows are the mean of the last frames of the hold, of which the same was left.
+    last = slice(-int(data.frames[k]), None)
+    fade = float(fading[last].mean())
+    window = float(strength[last].mean()) - left * fade
+    factor = _within(float(seen.values[0]), window)
+    rows: Array = factor * (data.rows[k] - fade * data.before[k]) + RESIDUE_SHARE * data.before[k]
+    return rows, float((noise / seen.stderr[0]) ** 2)
+
+
+def _within(predicted: float, seen: float) -> float:
+    """What readings are scaled by: no load rises or falls by more than noise can make it seem to."""
+    return float(np.clip(predicted / seen, 1 / LARGEST_FACTOR, LARGEST_FACTOR)) if seen else 1.0
+
+
+def _force_trace(run: RunObservation, load: LoadObservation) -> tuple[Array, Array, float]:
+    """Force under a hold: times from its start [s], means over a second, and their noise."""
+    samples = run.record.phase(load.phase).channel("force")
+    none = np.zeros(0)
+    if samples is None:
+        return none, none, 0.0
+    taken = samples.between(load.record.hold_start_s, load.record.release_start_s)
+    time_s = taken.time_s - load.record.hold_start_s
+    if len(time_s) < 2:
+        return none, none, 0.0
+    number = (time_s / _BIN_S).astype(np.intp)
+    count = np.bincount(number)
+    full = count > 0
+    times = np.bincount(number, time_s)[full] / count[full]
+    values = np.bincount(number, taken.values)[full] / count[full]
+    # Of neighbouring samples, which the relaxation hardly changes.
+    noise = float(np.std(np.diff(taken.values))) / np.sqrt(2 * float(np.median(count[full])))
+    return times, values, max(noise, 1e-9 * float(np.abs(values).max()))
+
+
+def _stress_kernel(
+    loads: Sequence[LoadObservation], forces: Sequence[tuple[Array, Array, float]]
+) -> RelaxationKernel | None:
+    told = [k for k, (times, _, _) in enumerate(forces) if len(times)]
+    if not told:
+        return None
+    return learn_kernel(
+        [forces[k][:2] for k in told],
+        ramp_s=[ramp_s(loads[k]) for k in told],
+        frame_s=_BIN_S,
+        noise=[forces[k][2] for k in told],
+    )
+
+
+def _predicted_force(
+    load: LoadObservation, trace: tuple[Array, Array, float], kernel: RelaxationKernel, at_s: float
+) -> tuple[float, float]:
+    times, values, noise = trace
+    if not len(times):
+        raise NumericsError(f"no force was recorded under load {load.record.load.label} of phase {load.phase!r}")
+    seen = predict_steady(times, values, noise, kernel, ramp_s=ramp_s(load), frame_s=_BIN_S, at_s=at_s)
+    return float(seen.values[0]), float(seen.stderr[0])

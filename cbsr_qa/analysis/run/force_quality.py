@@ -1,0 +1,278 @@
+"""How good the force of a run's sensor is: errors of loads it was not learned from, its map, what it can detect."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run.force import HELD_OUT, ForceTest, RunForce
+from cbsr_qa.analysis.run.loads import load_window
+from cbsr_qa.calibration.fits import TimedValues, fit_common_relaxation
+from cbsr_qa.calibration.force import LearnedForce
+from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, interpolated, map_tables
+from cbsr_qa.calibration.sheet import Estimate, sheet_gauge_factor, sheet_places, steady_share
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.results import LoadObservation, RunObservation
+from cbsr_qa.domain.run import Indenter
+
+Array = NDArray[np.float64]
+
+#: Fewest errors a standard deviation is taken of.
+FEWEST: Final = 2
+#: With fewer loads the share inside an interval tells an honest one from one that is too narrow by half only by luck:
+#: its own standard deviation is 9 % then.
+FEWEST_COVERED: Final = 30
+#: Share of the correction to the steady state that the common fit does not know it errs by: residues of earlier loads
+#: bend the slow exponential. Root mean square over 12 simulated sensors whose residue is 3 % and decays in 300 s.
+_OF_RESIDUES: Final = 0.12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceErrors:
+    """Errors of the loads of one test, one way.
+
+    Parameters
+    ----------
+    tests : those with an estimate; ``missed`` more have none.
+    error_N, stderr_N : (n,) estimated minus measured, and what was stated of it, the load cell's error included.
+    """
+
+    tests: tuple[ForceTest, ...]
+    missed: int
+    error_N: Array
+    stderr_N: Array
+
+    def deviation(self) -> Estimate:
+        """Return the standard deviation [N] and its own standard error.
+
+        The standard error is that of a sample with this kurtosis, at least a normal one's: heavy loads err more than
+        light ones.
+
+        Raises
+        ------
+        NumericsError
+            If there are fewer than two loads.
+        """
+        count = self._enough()
+        left = self.error_N - self.error_N.mean()
+        second = float((left**2).mean())
+        if second == 0:
+            return Estimate(0.0, None, count - 1)
+        kurtosis = max(float((left**4).mean()) / second**2, 3.0)
+        value = float(np.sqrt(second * count / (count - 1)))
+        return Estimate(
+            value, value * float(np.sqrt((kurtosis - (count - 3) / (count - 1)) / (4 * count))), count - 1
+        )
+
+    def bias(self) -> Estimate:
+        """Return the mean error [N] and its standard error.
+
+        Raises
+        ------
+        NumericsError
+            If there are fewer than two loads.
+        """
+        count = self._enough()
+        spread = float(self.error_N.std(ddof=1))
+        return Estimate(float(self.error_N.mean()), spread / count**0.5 or None, count - 1)
+
+    def inside(self, reach: float) -> int:
+        """Return how many loads err by no more than so many of their stated standard errors."""
+        return int((np.abs(self.error_N) <= reach * self.stderr_N).sum())
+
+    def coverage(self, reach: float, nominal: float) -> Estimate:
+        """Return the share of loads within so many stated standard errors; ± what chance gives a nominal share.
+
+        Raises
+        ------
+        NumericsError
+            If there are too few loads to say.
+        """
+        count = len(self.error_N)
+        if count < FEWEST_COVERED:
+            raise NumericsError(f"{self.inside(reach)} of {count} loads; a share needs at least {FEWEST_COVERED}")
+        return Estimate(self.inside(reach) / count, float(np.sqrt(nominal * (1 - nominal) / count)), count)
+
+    def _enough(self) -> int:
+        count = len(self.error_N)
+        if count < FEWEST:
+            raise NumericsError(
+                f"{count or 'no'} {'load' if count == 1 else 'loads'} with an estimate: two are needed"
+            )
+        return count
+
+
+def tests_of(run: RunObservation, found: RunForce, how: str) -> tuple[ForceTest, ...]:
+    """Return the tests of one kind.
+
+    Of held-out loads those of phases that press all over the sheet, where a run has any: presses at one place again
+    and again (noise figure, relaxation) are a sample of that place, not of the sheet.
+    """
+    tests = tuple(test for test in found.tests if test.how == how)
+    spread = {phase.name for phase in run.record.phases if phase.role in (Role.GRID, Role.RANDOM)}
+    sample = tuple(test for test in tests if test.load.phase in spread)
+    return sample if sample and how == HELD_OUT else tests
+
+
+def errors_of(tests: Sequence[ForceTest], *, known: bool) -> ForceErrors:
+    """Return the errors with the place given, or estimated."""
+    told = tuple(test for test in tests if known or test.found_N is not None)
+    estimate = np.array([test.known_N if known else test.found_N or 0.0 for test in told])
+    stated = np.array([_stated_N(test, known=known) for test in told])
+    measured = np.array([test.measured_N for test in told])
+    return ForceErrors(told, len(tests) - len(told), estimate - measured, stated)
+
+
+def global_errors(tests: Sequence[ForceTest]) -> ForceErrors:
+    """Return the errors with the place given and one response for the whole sheet; it states no error."""
+    error = np.array([test.global_N - test.measured_N for test in tests])
+    return ForceErrors(tuple(tests), 0, error, np.full(len(tests), np.inf))
+
+
+def calibrated_radius_mm(found: RunForce) -> float:
+    """Return how far from the centre the farthest load lies that the map was learned from [mm]."""
+    assert found.learned is not None
+    places = places_mm([load for load, why in zip(found.used, found.learned.refused, strict=True) if not why])
+    return float(np.hypot(*places.T).max())
+
+
+def places_mm(loads: Sequence[LoadObservation]) -> Array:
+    """Return where loads were pressed, (n, 2)."""
+    return np.array([(load.record.load.x_mm, load.record.load.y_mm) for load in loads]).reshape(-1, 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MapQuality:
+    """The map at the places of the calibrated area.
+
+    Parameters
+    ----------
+    places_mm, response, stderr : (n, 2), (n,) S and (n,) its relative standard error.
+    spread : standard deviation of the sheet's response over its mean: the map's, and what it may have missed.
+    rms_error : root mean square of ``stderr``.
+    least_sure_mm : where ``stderr`` is largest.
+    """
+
+    places_mm: Array
+    response: Array
+    stderr: Array
+    spread: float
+    rms_error: float
+    least_sure_mm: tuple[float, float]
+
+
+def map_quality(learned: LearnedForce, radius_mm: float) -> MapQuality:
+    """Look at the map within a radius; at the place nearest to the centre where no other is."""
+    places = sheet_places(learned.model, stride=1)
+    away = np.hypot(*places.T)
+    places = places[away <= max(radius_mm, float(away.min())) + 1e-9]
+    values = interpolated(learned.model, learned.model.log_response, places)
+    stderr = interpolated(learned.model, learned.model.log_response_stderr, places)
+    response = np.exp(values)
+    mapped = float(response.std() / response.mean())
+    x_mm, y_mm = places[int(stderr.argmax())]
+    rms = float(np.sqrt((stderr**2).mean()))
+    return MapQuality(places, response, stderr, float(np.hypot(mapped, rms)), rms, (float(x_mm), float(y_mm)))
+
+
+@dataclass(frozen=True, slots=True)
+class Detectable:
+    """Least force that counts as a load in one frame, where, and the error of that force [N]."""
+
+    force_N: float
+    stderr_N: float
+    place_mm: tuple[float, float]
+
+
+def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -> tuple[Detectable, ...]:
+    """Return what the threshold of detection is worth at places (n, 2): there half of all loads are found.
+
+    Raises
+    ------
+    NumericsError
+        If the line says that no load at all would be seen as one.
+    """
+    model = learned.model
+    template = TemplateFilter(model).template(places_mm)
+    sign = np.sign(learned.line.slope.value)
+    strength = sign * model.threshold / np.linalg.norm(template, axis=1)
+    nothing = np.zeros(len(places_mm))
+    matches = Matches(places_mm, strength, np.zeros((len(places_mm), 3, 3)), nothing, nothing)
+    force, stderr = ForceInverse(model, learned.line, head.area_mm2, map_tables(model)).force(matches)
+    if not (np.isfinite(force).all() and (force > 0).all()):
+        raise NumericsError("the intercept of the line alone counts as a load: no least force follows")
+    at = (tuple(map(float, place)) for place in places_mm)
+    return tuple(Detectable(float(f), float(e), (p[0], p[1])) for f, e, p in zip(force, stderr, at, strict=True))
+
+
+def gauge_factor(
+    run: RunObservation, found: RunForce, *, traces: Sequence[TimedValues] | None = None
+) -> tuple[Estimate, Estimate]:
+    """Return the gauge factor of the sheet, and where holds end over what was seen of them.
+
+    Parameters
+    ----------
+    traces : of holds, which say how the conductance nears its steady state; by default those of the run's blobs.
+
+    Raises
+    ------
+    CbsrError
+        If strains, loads or relaxations do not say; the reason is in it.
+    """
+    learned = found.learned
+    assert learned is not None
+    told = [k for k, load in enumerate(found.used) if np.isfinite(learned.ratio[k]) and load.record.load.strain > 0]
+    loads = [found.used[k] for k in told]
+    if not loads:
+        raise NumericsError("no load of the calibration has a nominal strain")
+    line = run.record.material.against_stress
+    stress = np.array([load.stress_kPa or 0.0 for load in loads])
+    contrast = learned.ratio[told] * (line.slope.value * stress + line.intercept.value)
+    seen = sheet_gauge_factor(
+        places_mm(loads),
+        contrast,
+        (learned.ratio_stderr[told] / learned.ratio[told]) ** 2,
+        np.array([load.record.load.strain for load in loads]),
+        run.record.material.against_strain,
+        radius_mm=run.record.sensor_type.radius_mm,
+        sheet_mm=sheet_places(learned.model),
+    )
+    if traces is None:
+        traces = _blob_traces(run)
+    share = _steady_share(run, loads, traces, learned.model.steady_s)
+    value = seen.value * share.value
+    relative = float(np.hypot((seen.stderr or 0.0) / seen.value, (share.stderr or 0.0) / share.value))
+    return Estimate(value, abs(value) * relative, seen.degrees), share
+
+
+def _blob_traces(run: RunObservation) -> list[TimedValues]:
+    return [
+        (seen.trace.time_s, seen.trace.values)
+        for load in run.loads
+        for seen in load.relaxations
+        if seen.signal == "conductance" and seen.loading
+    ]
+
+
+def _steady_share(
+    run: RunObservation, loads: Sequence[LoadObservation], traces: Sequence[TimedValues], predicted_s: float
+) -> Estimate:
+    """Of the frames that were averaged, alike for all loads as far as their holds are; or of what was predicted."""
+    times = [
+        load_window(run.record.phase(load.phase), load.record, run.settings).steady.time_s - load.record.hold_start_s
+        for load in loads
+    ]
+    if run.settings.transients == "predicted" and predicted_s > 0:
+        times = [np.array([predicted_s])]
+    fitted = steady_share(fit_common_relaxation(traces), np.concatenate(times))
+    of_residues = _OF_RESIDUES * abs(fitted.value - 1)
+    return Estimate(fitted.value, float(np.hypot(fitted.stderr or 0.0, of_residues)), fitted.degrees)
+
+
+def _stated_N(test: ForceTest, *, known: bool) -> float:
+    if known:
+        return test.known_stderr_N
+    return float(np.hypot(test.found_stderr_N or 0.0, test.load.force_stderr_N or 0.0))

@@ -1,0 +1,185 @@
+"""Percentage masks of one image: the blobs each leaves, and the one that was sensed.
+
+From stored voltages to relative conductance images, against a reference frame.
+
+Which way the conductance goes under load: a property of the material, decided from its loads where not given.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.geometry import Footprint
+from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.readings import FrameBlock
+from cbsr_qa.domain.results import Blob, Image, LinearReconstruction, MaskView, Region
+from cbsr_qa.domain.sensor import Mesh, Response
+from cbsr_qa.eit.imaging import AnyRegion, assign_regions, floored, masked_blobs, masked_contours, nearest_blob
+from cbsr_qa.eit.inverse import changes
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Imager:
+    """A reconstruction with the reference it images against.
+
+    Parameters
+    ----------
+    reconstruction : the prepared matrix.
+    reference : (drives, measures) float64 V, the unloaded frame.
+    scale : sensor against unit model, see :class:`~cbsr_qa.domain.results.LinearReconstruction`.
+    """
+
+    reconstruction: LinearReconstruction
+    reference: NDArray[np.float64]
+    scale: float
+
+    @property
+    def mesh(self) -> Mesh:
+        """Mesh of the images."""
+        return self.reconstruction.problem.mesh
+
+    def images(self, frames: FrameBlock, *, reference: NDArray[np.float64] | None = None) -> NDArray[np.float64]:
+        """Image frames as one matrix product.
+
+        Parameters
+        ----------
+        frames : n frames.
+        reference : (drives, measures) to image against instead of the own one.
+
+        Returns
+        -------
+        (n, elements) float64, relative conductance change.
+        """
+        against = self.reference if reference is None else reference
+        return self.reconstruction.images(changes(frames.voltages, against, self.reconstruction.problem, self.scale))
+
+
+#: A load votes only if its mean change under the head is this many noise floors: the floor is a maximum over
+#: thousands of elements, so a third of it is already clear of the noise of a mean.
+_VOTE = 1 / 3
+
+
+def decide_response(
+    configured: Response, signals: Iterable[float], noise_floor: float
+) -> tuple[Response, str, tuple[str, ...]]:
+    """Decide the sign of the response.
+
+    Parameters
+    ----------
+    configured : of the sensor type.
+    signals : mean relative change under the head, one per load.
+    noise_floor : relative.
+
+    Returns
+    -------
+    INCREASE or DECREASE, how it was decided, and warnings (loads that disagree, or none that says anything).
+    """
+    clear = [signal for signal in signals if abs(signal) > _VOTE * noise_floor]
+    rising = sum(signal > 0 for signal in clear)
+    falling = len(clear) - rising
+    voted = Response.INCREASE if rising >= falling else Response.DECREASE
+    counts = f"{rising} loads raise the conductance, {falling} lower it"
+    if configured is not Response.AUTO:
+        against = f"the sensor type says its response is {configured}, but {counts}"
+        disagree = bool(clear) and voted is not configured
+        return configured, "configured in the sensor type", (against,) if disagree else ()
+    if not clear:
+        return voted, "not decided: no load stands out of the noise", ("no load stands out of the noise",)
+    warnings = (f"the loads disagree about the sign of the response: {counts}",) if rising and falling else ()
+    return voted, f"decided from {len(clear)} loads: {counts}", warnings
+
+
+def mean_under(mesh: Mesh, values: NDArray[np.float64], pressed: Footprint) -> float:
+    """Area-weighted mean of an image over the elements whose centroid lies under a head.
+
+    Parameters
+    ----------
+    values : (e,) float64.
+
+    Returns
+    -------
+    float; 0 where the head covers no element's centroid.
+    """
+    under = pressed.contains(mesh.centroids_mm)
+    area = mesh.areas_mm2 * under
+    return float(values @ area / area.sum()) if under.any() else 0.0
+
+
+#: Values below this are rounding, not signal, whatever the noise floor: without it a noiseless simulation would
+#: find blobs in the last digits.
+RESOLUTION = 1e-9
+
+
+def mask_views(
+    mesh: Mesh,
+    signed: NDArray[np.float64],
+    noise_floor: float,
+    settings: AnalysisSettings,
+    pressed: Footprint,
+    others: Sequence[Footprint] = (),
+) -> tuple[MaskView, ...]:
+    """Apply every percentage mask of the recipe to one response-signed image.
+
+    Parameters
+    ----------
+    signed : (e,) float64, positive where the load shows, noise floor not subtracted.
+    noise_floor : relative.
+    pressed : the load.
+    others : loads that were held at the same time.
+
+    Returns
+    -------
+    One view per mask, in the recipe's order; views without blobs where nothing stands above the floor.
+    """
+    image = _cleared(mesh, signed, noise_floor)
+    blobs = masked_blobs(image, settings.masks)
+    outlined: Sequence[Sequence[Region]] = blobs
+    if settings.outline == "contour":
+        outlined = masked_contours(image, settings.masks)
+    views = []
+    for fraction, found, regions in zip(settings.masks, blobs, outlined, strict=True):
+        region, fate = _sensed(regions, pressed, others)
+        contour = None if isinstance(region, Blob) else region
+        views.append(MaskView(fraction, found, _sensed(found, pressed, others)[0], contour, fate, len(regions)))
+    return tuple(views)
+
+
+def sensed_regions(
+    mesh: Mesh,
+    signed: NDArray[np.float64],
+    noise_floor: float,
+    settings: AnalysisSettings,
+    pressed: Footprint,
+    others: Sequence[Footprint] = (),
+) -> list[Region | None]:
+    """Return :attr:`MaskView.region` of every mask alone, for half the time."""
+    image = _cleared(mesh, signed, noise_floor)
+    found: Sequence[Sequence[Region]] = (
+        masked_contours(image, settings.masks)
+        if settings.outline == "contour"
+        else masked_blobs(image, settings.masks)
+    )
+    return [_sensed(regions, pressed, others)[0] for regions in found]
+
+
+def _sensed(
+    regions: Sequence[AnyRegion], pressed: Footprint, others: Sequence[Footprint]
+) -> tuple[AnyRegion | None, str]:
+    """Return the region of a load, and what became of it: ``"apart"``, ``"merged"`` or ``"missed"``.
+
+    A load alone has the nearest region, however far. Several held at once have those assigned to them, a head's
+    diameter (that of its area) away at most.
+    """
+    if not others:
+        nearest = nearest_blob(regions, *pressed.centre_mm)
+        return nearest, "missed" if nearest is None else "apart"
+    diameter_mm = 2 * float(np.sqrt(pressed.area_mm2 / np.pi))
+    assignment = assign_regions(regions, [pressed, *others], gate_mm=diameter_mm)
+    own = assignment.region_of[0]
+    return None if own is None else regions[own], assignment.fate(0)
+
+
+def _cleared(mesh: Mesh, signed: NDArray[np.float64], noise_floor: float) -> Image:
+    return Image(mesh, floored(signed, max(noise_floor, RESOLUTION)))

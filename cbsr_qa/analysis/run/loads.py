@@ -1,0 +1,209 @@
+"""One press at a time: its steady image, its blobs, its force, its relaxations.
+
+Whether a load cell stood at the end of its range while a load was held.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run.imaging import Imager, mask_views, mean_under
+from cbsr_qa.analysis.run.relaxation import relaxations_of
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.geometry import Footprint
+from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock
+from cbsr_qa.domain.results import Image, LoadObservation, RelaxationObservation
+from cbsr_qa.domain.run import Indenter, LoadRecord, PhaseRecord
+from cbsr_qa.domain.sensor import Response
+
+#: A hold of fewer samples does not say that a cell stands still.
+_FEWEST: Final = 8
+#: Share of a hold's samples that are the highest reading of the phase, to the last digit: noise and relaxation would
+#: lead away from it.
+_SHARE: Final = 0.9
+
+
+def stood_at_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
+    """Say that the cell stood at its highest reading all through a hold; empty where it did not.
+
+    A cell whose readings never differ while nothing presses has no noise (a simulated world without any), and nothing
+    can be told from its standing still.
+    """
+    if samples is None:
+        return ""
+    held = samples.between(record.hold_start_s, record.release_start_s).values
+    if len(held) < _FEWEST:
+        return ""
+    highest = float(samples.values.max())
+    if highest <= 0 or np.mean(held == highest) < _SHARE:
+        return ""
+    rest = samples.between(record.unloaded_s, record.rest_end_s).values
+    if len(rest) < _FEWEST or len(np.unique(rest)) < 2:
+        return ""
+    return f"the load cell stood at {highest:.4g} N, its highest reading, all through the hold: it is saturated"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadWindow:
+    """The frames of one press, apart.
+
+    Parameters
+    ----------
+    before : last frames of the unloaded sheet before the head starts down (may be empty).
+    cycle : every frame from the press to the end of the rest.
+    steady : the last frames of the hold, at least one.
+    """
+
+    before: FrameBlock
+    cycle: FrameBlock
+    steady: FrameBlock
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSetting:
+    """What every load of a run is looked at with."""
+
+    imager: Imager
+    settings: AnalysisSettings
+    indenter: Indenter
+    noise_floor: float
+    response: Response
+
+    @property
+    def sign(self) -> int:
+        """Factor that makes a load's change positive."""
+        return -1 if self.response is Response.DECREASE else 1
+
+
+def load_window(phase: PhaseRecord, record: LoadRecord, settings: AnalysisSettings) -> LoadWindow:
+    """Cut the frames of one press out of its phase.
+
+    Raises
+    ------
+    NumericsError
+        If the hold has no frame.
+    """
+    frames = phase.frames
+    hold = None if frames is None else frames.between(record.hold_start_s, record.release_start_s)
+    if frames is None or hold is None or not len(hold):
+        raise NumericsError(f"load {record.load.label} of phase {phase.name!r} was held without taking a frame")
+    before = frames.between(_free_from_s(phase, record), record.press_start_s)
+    return LoadWindow(
+        before.select(slice(max(len(before) - settings.reference_frames, 0), None)),
+        frames.between(record.press_start_s, record.rest_end_s),
+        hold.select(slice(max(len(hold) - settings.steady_frames, 0), None)),
+    )
+
+
+def _free_from_s(phase: PhaseRecord, record: LoadRecord) -> float:
+    """When the press before this one had left the sheet: after a short rest few frames are of an unloaded one."""
+    every = (*phase.loads, *phase.loops)
+    return max(
+        (other.release_end_s for other in every if other.release_end_s <= record.press_start_s),
+        default=phase.started_s,
+    )
+
+
+def mean_change_under_head(setting: LoadSetting, record: LoadRecord, window: LoadWindow) -> float:
+    """Mean relative change under the head in the steady frames, unsigned: what votes on the response."""
+    values = setting.imager.images(window.steady).mean(axis=0)
+    pressed = setting.indenter.at(record.load.x_mm, record.load.y_mm)
+    return mean_under(setting.imager.mesh, values, pressed)
+
+
+def observe_load(
+    setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, window: LoadWindow, *, over_time: bool = True
+) -> LoadObservation:
+    """Work out one press; against the other reference too where earlier loads left more than the noise floor.
+
+    Parameters
+    ----------
+    over_time : whether its relaxations are fitted too.
+    """
+    imager = setting.imager
+    before = imager.images(window.before).mean(axis=0) if len(window.before) else np.zeros(len(imager.mesh.elements))
+    residue = float(np.abs(before).max())
+    absolute = imager.images(window.steady).mean(axis=0)
+    values = {"run": absolute, "load": absolute - before}
+    chosen = setting.settings.reference
+    other = "load" if chosen == "run" else "run"
+    load = _observe(setting, phase, record, window, values[chosen], residue)
+    if over_time:
+        relaxations = relaxations_of(
+            setting.sign, imager, setting.settings, load, window.cycle, before, phase.channel("force")
+        )
+        load = replace(load, relaxations=relaxations, settled=_settled(load, relaxations, window, setting.settings))
+    if residue <= setting.noise_floor:
+        return load
+    return replace(load, alternate=_observe(setting, phase, record, window, values[other], residue))
+
+
+def _observe(
+    setting: LoadSetting,
+    phase: PhaseRecord,
+    record: LoadRecord,
+    window: LoadWindow,
+    values: NDArray[np.float64],
+    residue: float,
+) -> LoadObservation:
+    no_force = stood_at_limit(phase.channel("force"), record)
+    force, stderr = (None, None) if no_force else _mean_force(phase.channel("force"), window.steady, record)
+    mesh, pressed = setting.imager.mesh, setting.indenter.at(record.load.x_mm, record.load.y_mm)
+    others = held_beside(setting.indenter, phase, record, float(window.steady.time_s[-1]))
+    return LoadObservation(
+        phase=phase.name,
+        record=record,
+        indenter=setting.indenter,
+        image=Image(mesh, values),
+        response=setting.response,
+        noise_floor=setting.noise_floor,
+        masks=mask_views(mesh, setting.sign * values, setting.noise_floor, setting.settings, pressed, others),
+        steady_frames=len(window.steady),
+        settled=None,
+        force_N=force,
+        force_stderr_N=stderr,
+        residue=residue,
+        together=1 + len(others),
+        no_force=no_force,
+    )
+
+
+def held_beside(indenter: Indenter, phase: PhaseRecord, record: LoadRecord, time_s: float) -> list[Footprint]:
+    """Where else the phase held loads at a time."""
+    return [
+        indenter.at(other.load.x_mm, other.load.y_mm)
+        for other in phase.loads
+        if other.index != record.index and other.hold_start_s <= time_s < other.release_start_s
+    ]
+
+
+def _mean_force(
+    samples: SampleBlock | None, steady: FrameBlock, record: LoadRecord
+) -> tuple[float | None, float | None]:
+    """Mean force while the steady frames were taken, with the standard error of that mean."""
+    if samples is None:
+        return None, None
+    half_frame = float(np.median(np.diff(steady.time_s))) / 2 if len(steady) > 1 else 0.0
+    taken = samples.between(float(steady.time_s[0]) - half_frame, record.release_start_s)
+    if not len(taken):
+        return None, None
+    spread = float(np.std(taken.values, ddof=1)) if len(taken) > 1 else 0.0
+    return float(taken.values.mean()), spread / len(taken) ** 0.5
+
+
+def _settled(
+    load: LoadObservation,
+    relaxations: tuple[RelaxationObservation, ...],
+    window: LoadWindow,
+    settings: AnalysisSettings,
+) -> bool | None:
+    """Whether the steady frames lie beyond the stated multiple of the load's own settling time; None if unknown."""
+    for seen in relaxations:
+        if seen.signal == "conductance" and seen.loading and seen.settling.value_s is not None:
+            needed_s = settings.settling_multiple * seen.settling.value_s
+            held_s = float(window.steady.time_s[0]) - load.record.hold_start_s
+            return not seen.settling.censored and held_s >= needed_s
+    return None

@@ -1,0 +1,173 @@
+"""Loops: what the readings and the force did while a press was eased up and down through its strains."""
+
+from collections import defaultdict
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run.loads import stood_at_limit
+from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock
+from cbsr_qa.domain.results import LoopObservation, Trace
+from cbsr_qa.domain.run import HeldStrain, Indenter, LoadRecord, PhaseRecord, RunRecord
+
+Array = NDArray[np.float64]
+
+#: The output at the deepest strain must be this many of its own standard errors from zero.
+_CLEAR: Final = 5.0
+_SILENT: Final = "no load stands out of the noise"
+_FRAMELESS: Final = "no frame was taken before the loop, or while a strain was held"
+#: Huber's constant, 95 % efficient for normal errors, and the median of their absolute values.
+_HUBER, _NORMAL_MEDIAN = 1.345, 0.6745
+_ROUNDS: Final = 8
+
+
+def observe_loops(
+    record: RunRecord, unloaded: FrameBlock, usable: NDArray[np.bool_], settings: AnalysisSettings
+) -> tuple[LoopObservation, ...]:
+    """Work out the loops of a run, by phase and place.
+
+    The output of a frame is the amplitude of its readings, each over its noise, along one pattern: how they answer
+    strain in all loops of the place. The mean of a blob, which single presses are judged by, is twice as noisy.
+
+    Parameters
+    ----------
+    record : of the run, without frames that were lost.
+    unloaded : frames of the rested sheet: how noisy each reading is.
+    usable : (drives, measures) bool, readings to look at.
+    """
+    found = []
+    for phase in record.phases:
+        places: dict[tuple[str, float, float], list[LoadRecord]] = defaultdict(list)
+        for loop in phase.loops:
+            places[(loop.load.label, loop.load.x_mm, loop.load.y_mm)].append(loop)
+        for loops in places.values():
+            found.append(_observe(phase, tuple(loops), unloaded, usable, record.indenter, settings))
+    return tuple(found)
+
+
+def deepest(record: LoadRecord) -> HeldStrain:
+    """Return the deepest strain of a press, with the time it was held."""
+    return max(record.held, key=lambda held: held.strain)
+
+
+def deepest_hold(record: LoadRecord) -> LoadRecord:
+    """Return a loop as if only its deepest strain had been held."""
+    at = deepest(record)
+    load = replace(record.load, strain=at.strain)
+    return replace(record, load=load, hold_start_s=at.start_s, release_start_s=at.end_s, eased=())
+
+
+def _observe(
+    phase: PhaseRecord,
+    loops: tuple[LoadRecord, ...],
+    unloaded: FrameBlock,
+    usable: NDArray[np.bool_],
+    indenter: Indenter,
+    settings: AnalysisSettings,
+) -> LoopObservation:
+    samples = phase.channel("force")
+    no_force = _no_force(samples, loops)
+    stress = None if no_force else _stress(samples, loops, indenter)
+    first_s, last_s = loops[0].press_start_s, loops[-1].rest_end_s
+    if phase.frames is None:
+        return _nothing(phase, loops, stress, no_force, _FRAMELESS)
+    before = _before(phase, phase.frames, first_s, settings.reference_frames)
+    during = phase.frames.between(first_s, last_s)
+    if not len(before) or not all(len(during.between(h.start_s, h.end_s)) for one in loops for h in one.held):
+        return _nothing(phase, loops, stress, no_force, _FRAMELESS)
+    noise = unloaded.voltages[:, usable].std(axis=0, ddof=1)
+    scale = 1 / np.sqrt(noise**2 + np.mean(noise**2)) if noise.any() else np.ones(len(noise))
+    rows = (during.voltages[:, usable] - before.voltages[:, usable].mean(axis=0)) * scale
+    pattern = _pattern(rows, during.time_s, loops)
+    if not pattern.any():
+        return _nothing(phase, loops, stress, no_force, _SILENT)
+    output = _amplitudes(rows, pattern)
+    deep = np.zeros(len(output), dtype=np.bool_)
+    for loop in loops:
+        at = deepest(loop)
+        deep |= (during.time_s >= at.start_s) & (during.time_s < at.end_s)
+    span, spread = float(output[deep].mean()), float(np.linalg.norm(noise * scale * pattern) / (pattern @ pattern))
+    why = "" if span > _CLEAR * spread / np.sqrt(deep.sum()) else _SILENT
+    unit = span if span > 0 else 1.0
+    trace = Trace("output", "1", during.time_s, output / unit)
+    return LoopObservation(phase.name, loops, trace, spread / unit, stress, no_force, why)
+
+
+def _nothing(
+    phase: PhaseRecord, loops: tuple[LoadRecord, ...], stress: Trace | None, no_force: str, why: str
+) -> LoopObservation:
+    empty = Trace("output", "1", np.zeros(0), np.zeros(0))
+    return LoopObservation(phase.name, loops, empty, 0.0, stress, no_force, why)
+
+
+def _no_force(samples: SampleBlock | None, loops: tuple[LoadRecord, ...]) -> str:
+    """Say that the cell stood at its limit while one of the strains was held."""
+    holds = [replace(one, hold_start_s=h.start_s, release_start_s=h.end_s) for one in loops for h in one.held]
+    return next((why for hold in holds if (why := stood_at_limit(samples, hold))), "")
+
+
+def _before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) -> FrameBlock:
+    """Frames before the first press: all since the sheet was called rested, or the last few after other presses."""
+    rested = phase.unloaded_from_s
+    others = [load for load in (*phase.loads, *phase.loops) if load.press_start_s < press_s]
+    if rested is not None and not any(rested <= load.press_start_s for load in others):
+        return frames.between(rested, press_s)
+    frames = frames.between(max((load.release_end_s for load in others), default=phase.started_s), press_s)
+    return frames.select(slice(max(len(frames) - count, 0), None))
+
+
+def _pattern(rows: Array, time_s: Array, loops: tuple[LoadRecord, ...]) -> Array:
+    """How each reading answers strain, (readings,): its slope over the medians of the holds and of the rests' ends.
+
+    A straight drift over time is fitted beside it, and holds that lie far off count for little (Huber): an electrode
+    that drifts, or falls out for a while, is no answer to strain.
+    """
+    windows = [(held.strain, held.start_s, held.end_s) for loop in loops for held in loop.held]
+    windows += [(0.0, (loop.unloaded_s + loop.rest_end_s) / 2, loop.rest_end_s) for loop in loops]
+    medians, strains, times = [], [0.0], [float(time_s[0])]
+    for strain, from_s, to_s in windows:
+        inside = (time_s >= from_s) & (time_s < to_s)
+        if inside.any():
+            medians.append(np.median(rows[inside], axis=0))
+            strains.append(strain)
+            times.append((from_s + to_s) / 2)
+    values = np.vstack([np.zeros(rows.shape[1]), *medians])  # nothing, just before the first press
+    since = (np.array(times) - times[0]) / max(float(np.ptp(times)), 1.0)
+    design = np.column_stack([np.array(strains) / max(strains), since, np.ones_like(since)])
+    weights = np.ones_like(values)
+    for _ in range(_ROUNDS):
+        normal = np.einsum("hi,hr,hj->rij", design, weights, design)
+        drawn = np.einsum("hi,hr,hr->ri", design, weights, values)
+        found = np.linalg.solve(normal + 1e-12 * np.eye(3), drawn[:, :, None])[:, :, 0]
+        weights = _huber(values - design @ found.T, axis=0)
+    slope: Array = found[:, 0]
+    return slope
+
+
+def _amplitudes(rows: Array, pattern: Array) -> Array:
+    """Amplitude (n,) of each row along a pattern, readings that lie far off it counting for little (Huber)."""
+    weights = np.ones_like(rows)
+    for _ in range(_ROUNDS):
+        along = (weights * rows) @ pattern / (weights @ pattern**2)
+        weights = _huber(rows - along[:, None] * pattern, axis=1)
+    return along
+
+
+def _huber(residual: Array, *, axis: int) -> Array:
+    """Weights of residuals by their own median size along an axis: 1 for nearly all of normal ones, less far off."""
+    size = np.median(np.abs(residual), axis=axis, keepdims=True) / _NORMAL_MEDIAN
+    reach = _HUBER * np.maximum(size, np.finfo(np.float64).tiny)
+    weights: Array = np.minimum(1.0, reach / np.maximum(np.abs(residual), np.finfo(np.float64).tiny))
+    return weights
+
+
+def _stress(samples: SampleBlock | None, loops: tuple[LoadRecord, ...], indenter: Indenter) -> Trace | None:
+    if samples is None:
+        return None
+    taken = samples.between(loops[0].press_start_s, loops[-1].rest_end_s)
+    if not len(taken):
+        return None
+    return Trace("stress", "kPa", taken.time_s, taken.values / indenter.area_mm2 * 1e3)

@@ -1,0 +1,153 @@
+"""A stored run to observations: reference, noise floor, response, every press. Pure, given a reconstruction.
+
+Spatial metrics of every frame of a phase, for every mask: how they come and go with the load.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run.imaging import Imager, decide_response, sensed_regions
+from cbsr_qa.analysis.run.loads import LoadSetting, held_beside, load_window, mean_change_under_head, observe_load
+from cbsr_qa.analysis.run.loops import deepest_hold, observe_loops
+from cbsr_qa.analysis.run.reference import (
+    check_weighing,
+    split_unloaded,
+    unloaded_frames,
+    usable_data,
+    weighed_problem,
+)
+from cbsr_qa.domain.geometry import Footprint
+from cbsr_qa.domain.plan import AnalysisSettings, Role
+from cbsr_qa.domain.readings import FrameBlock
+from cbsr_qa.domain.results import ImagingProblem, LoadObservation, MetricTimeline, RunObservation, linear
+from cbsr_qa.domain.run import LoadRecord, PhaseRecord, RunRecord
+from cbsr_qa.domain.sensor import Response
+from cbsr_qa.eit.imaging import noise_floor, spatial_figures
+from cbsr_qa.eit.inverse import scale_doubts, scale_of
+from cbsr_qa.plugin import Reconstruction
+
+
+def metric_timelines(setting: LoadSetting, record: RunRecord) -> tuple[MetricTimeline, ...]:
+    """Metrics over time of the phases that press a grid of places; of the last of several loads held at once."""
+    return tuple(
+        _timeline(setting, phase)
+        for phase in record.phases
+        if phase.role is Role.GRID and phase.frames is not None and phase.loads
+    )
+
+
+def _timeline(setting: LoadSetting, phase: PhaseRecord) -> MetricTimeline:
+    assert phase.frames is not None
+    masks, time_s = setting.settings.masks, phase.frames.time_s
+    metrics = np.full((3, len(masks), len(phase.frames)), np.nan)
+    images = setting.sign * setting.imager.images(phase.frames)
+    for record in phase.loads:
+        held = (time_s >= record.hold_start_s) & (time_s < record.release_start_s)
+        for frame in np.flatnonzero(held):
+            others = held_beside(setting.indenter, phase, record, float(time_s[frame]))
+            metrics[:, :, frame] = _metrics(setting, images[frame], record, others)
+    return MetricTimeline(phase.name, time_s, masks, metrics[0], metrics[1], metrics[2], phase.channel("force"))
+
+
+def _metrics(
+    setting: LoadSetting, signed: NDArray[np.float64], record: LoadRecord, others: list[Footprint]
+) -> NDArray[np.float64]:
+    """Three metrics of every mask, (3, k); NaN where no blob is seen."""
+    chosen, pressed = setting.settings, setting.indenter.at(record.load.x_mm, record.load.y_mm)
+    regions = sensed_regions(setting.imager.mesh, signed, setting.noise_floor, chosen, pressed, others)
+    found = spatial_figures(regions, pressed, clipping=chosen.clipping, perimeter=chosen.perimeter)
+    nothing = (np.nan, np.nan, np.nan)
+    return np.array([nothing if f is None else (f.error_mm, f.overlap_percent, f.deviation_mm2) for f in found]).T
+
+
+def observe_run(
+    record: RunRecord, reconstruction: Reconstruction, settings: AnalysisSettings, *, over_time: bool = True
+) -> RunObservation:
+    """Work out everything about a run that metrics need.
+
+    Parameters
+    ----------
+    record : the run as stored; nothing else is looked at.
+    reconstruction : a plugin's object.
+    settings : of the recipe.
+    over_time : whether relaxations and metrics of every frame are worked out too, which take most of the time and
+        which force, for one, does without. Whether holds had settled is not known then.
+
+    Raises
+    ------
+    NumericsError
+        If the run has no unloaded frames, too few usable readings, or a load without a frame; or if the recipe weighs
+        readings by their noise and it cannot be told.
+    """
+    data = usable_data(record)
+    unloaded = unloaded_frames(data.record)
+    for_noise, for_reference = split_unloaded(unloaded, settings.noise_floor_frames)
+    check_weighing(reconstruction, type(reconstruction).__name__, settings)
+    problem, silent = weighed_problem(data, unloaded, settings)
+    imager = _imager(problem, for_reference, reconstruction)
+    noise_images = imager.images(for_noise)
+    floor = noise_floor(noise_images)
+    phases = data.record.phases
+    cut = [(phase, load, load_window(phase, load, settings)) for phase in phases for load in phase.loads]
+    # Loops say which way the conductance goes only where no ordinary press does.
+    looped = [(phase, deepest_hold(loop)) for phase in phases for loop in phase.loops]
+    voting = cut or [(phase, load, load_window(phase, load, settings)) for phase, load in looped]
+    undecided = LoadSetting(imager, settings, record.indenter, floor, Response.AUTO)
+    signals = [mean_change_under_head(undecided, load, window) for _, load, window in voting]
+    response, how, doubts = decide_response(record.sensor_type.response, signals, floor)
+    setting = replace(undecided, response=response)
+    loads = tuple(observe_load(setting, phase, load, window, over_time=over_time) for phase, load, window in cut)
+    observation = RunObservation(
+        record=record,
+        reconstruction=imager.reconstruction,
+        scale=imager.scale,
+        unloaded=unloaded,
+        reference=imager.reference,
+        noise_floor=floor,
+        noise_images=noise_images,
+        response=response,
+        response_how=how,
+        main_mask=settings.main_mask,
+        loads=loads,
+        usable=data.readings,
+        settings=settings,
+        loops=observe_loops(data.record, unloaded, data.readings, settings),
+        timelines=metric_timelines(setting, data.record) if over_time else (),
+    )
+    remarks = _remarks(observation.tested, settings.settling_multiple if over_time else None)
+    odd = scale_doubts(imager.reference, problem)
+    return replace(observation, warnings=(*data.warnings, *odd, *silent, *doubts, *remarks))
+
+
+def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: Reconstruction) -> Imager:
+    reference = for_reference.voltages.mean(axis=0)
+    return Imager(linear(reconstruction.prepare(problem)), reference, scale_of(reference, problem))
+
+
+def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tuple[str, ...]:
+    """What is to be said of loads; of how settled they are only where a multiple of the settling time is given."""
+    words = []
+    residual = [load for load in loads if load.alternate is not None]
+    if residual:
+        worst = max(residual, key=lambda load: load.residue)
+        words.append(
+            f"before {len(residual)} of {len(loads)} presses the image still showed earlier loads above the noise"
+            f" floor, most before {worst.record.load.label} of {worst.phase}: both references are reported there"
+        )
+    if multiple is None:
+        return tuple(words)
+    early = sum(load.settled is False for load in loads)
+    if early:
+        words.append(
+            f"in {early} of {len(loads)} holds the last frames were taken before {multiple:g} settling times had"
+            " passed: their images are of a sheet still relaxing"
+        )
+    unknown = sum(load.settled is None for load in loads)
+    if unknown:
+        words.append(
+            f"for {unknown} of {len(loads)} holds no settling time is known (no blob, or no fit): whether their last"
+            " frames are settled is not known either"
+        )
+    return tuple(words)

@@ -1,0 +1,269 @@
+"""How much each reading of a run counts in its images.
+
+What every single reading of the rested sheet is worth: its signal-to-noise ratio, and its reciprocity.
+
+The unloaded sheet of a run: its frames, its reference, its usable readings.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, join_frames
+from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.run import PhaseRecord, RunRecord
+from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.eit.inverse import imaging_problem, reading_noise
+from cbsr_qa.plugin import Reconstruction
+
+Array = NDArray[np.float64]
+
+#: Frames below which a scatter about a straight line says nothing.
+FEWEST_FRAMES: Final = 3
+_ROUNDING: Final = 1e-13  # of the largest level: less is no noise
+
+
+def signal_to_noise_dB(frames: FrameBlock) -> Array | None:
+    """Return the signal-to-noise ratio of every reading [dB], (drives, measures).
+
+    A reading's ratio is its mean's size over its rms deviation from a straight line in time, so that drift counts
+    once, as drift.
+
+    Returns
+    -------
+    +∞ where a reading never left its line, −∞ where one is noise about zero alone; None with fewer than three frames.
+    """
+    if len(frames) < FEWEST_FRAMES:
+        return None
+    level = np.abs(frames.voltages.mean(axis=0))
+    noise = np.sqrt((_off_the_line(frames) ** 2).sum(axis=0) / (len(frames) - 2))
+    silent = noise <= _ROUNDING * level.max(initial=0.0)
+    ratio = level / np.where(silent, 1.0, noise)
+    loud = ratio > 0
+    decibel = np.where(loud, 20 * np.log10(np.where(loud, ratio, 1.0)), -np.inf)
+    return np.where(silent, np.inf, decibel)
+
+
+def reciprocity_errors(
+    frame: Array, pattern: DrivePattern, usable: NDArray[np.bool_]
+) -> tuple[NDArray[np.int64], Array]:
+    """Return what exchanging drive and measure pair changes, for every pair of readings that should be the same.
+
+    Parameters
+    ----------
+    frame : (drives, measures) float64.
+    usable : (drives, measures); pairs with a reading that is not usable are left out.
+
+    Returns
+    -------
+    pairs : (k, 2) int64, readings by their place in C order.
+    errors : (k,) float64, |V_ij ∓ V_ji| over the rms of all these readings; empty where there is none, or all are 0.
+    """
+    pairs, sign = pattern.reciprocal_pairs()
+    both = usable.ravel()[pairs].all(axis=1)
+    first, second = frame.ravel()[pairs[both]].T
+    level = float(np.sqrt(np.mean(np.concatenate([first, second]) ** 2))) if both.any() else 0.0
+    if level == 0:
+        return np.empty((0, 2), dtype=np.int64), np.empty(0)
+    errors: Array = np.abs(first - sign[both] * second) / level
+    return pairs[both], errors
+
+
+def largest_by_reading(pairs: NDArray[np.int64], errors: Array, shape: tuple[int, int]) -> Array:
+    """Return the largest error of the pairs each reading belongs to, (drives, measures); −1 where it is in none."""
+    largest = np.full(shape[0] * shape[1], -1.0)
+    # Column by column: numpy's ufunc.at reads beyond operands that it has to broadcast.
+    for reading in pairs.T:
+        np.maximum.at(largest, reading, errors)
+    return largest.reshape(shape)
+
+
+def _off_the_line(frames: FrameBlock) -> Array:
+    """Deviation of every reading from its straight line in time, (n, drives, measures)."""
+    readings = frames.voltages.reshape(len(frames), -1)
+    q, _ = np.linalg.qr(np.column_stack([np.ones(len(frames)), frames.time_s - frames.time_s.mean()]))
+    centred = readings - readings.mean(axis=0)
+    left: Array = (centred - q @ (q.T @ centred)).reshape(frames.voltages.shape)
+    return left
+
+
+#: A frame with more than this share of its imaged readings flagged is lost as a whole.
+_LOST_SHARE = 0.25
+#: Channels are left out until at most this share of the frames is still touched by a flag.
+_TOUCHED_SHARE = 0.01
+_UNUSABLE = ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING
+
+
+def unloaded_frames(record: RunRecord) -> FrameBlock:
+    """Frames of the rested sheet: from the run's first ``MarkUnloaded`` to the press that follows.
+
+    Raises
+    ------
+    NumericsError
+        If the run has none.
+    """
+    for phase in record.phases:
+        frames = _unloaded_of(phase)
+        if frames is not None and len(frames):
+            return frames
+    raise NumericsError(
+        f"run {record.identity.run} has no frames of the unloaded sheet",
+        remedy="begin the recipe with a sequence that rests and takes unloaded frames, such as noise-figure",
+    )
+
+
+def split_unloaded(frames: FrameBlock, noise_floor_frames: int) -> tuple[FrameBlock, FrameBlock]:
+    """Split unloaded frames into those of the noise floor (the first ones, as in the paper) and the reference.
+
+    Raises
+    ------
+    NumericsError
+        If no frame would be left for the reference.
+    """
+    if len(frames) <= noise_floor_frames:
+        raise NumericsError(
+            f"{len(frames)} unloaded frames are too few: {noise_floor_frames} set the noise floor and at least one"
+            " more is the reference",
+            remedy="take more unloaded frames, or lower analysis.noise_floor_frames in the recipe",
+        )
+    return frames.select(slice(0, noise_floor_frames)), frames.select(slice(noise_floor_frames, None))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsableData:
+    """What of a run can be imaged.
+
+    Parameters
+    ----------
+    record : the run without the frames that were lost.
+    readings : (drives, measures) bool, fit for imaging in every frame that is left.
+    warnings : a sentence for every kind of reading or frame left out beyond the pattern's own.
+    """
+
+    record: RunRecord
+    readings: NDArray[np.bool_]
+    warnings: tuple[str, ...]
+
+
+def usable_data(record: RunRecord) -> UsableData:
+    """Leave out readings that cannot be imaged, or the few frames in which they could not.
+
+    A frame most of which is flagged is lost: one bad frame must not cost a run, nor its readings in all others. Of
+    what is flagged then, channels go first, the worst before others, until at most 1 % of the frames are still
+    touched; those frames go. So a channel that saturates throughout a press is left out, and a watchdog dump in
+    one frame costs that frame. A reading that never changes while others do is stuck; where nothing changes at all
+    (a noiseless simulated sheet nobody presses) no reading is.
+    """
+    frames = join_frames([phase.frames for phase in record.phases if phase.frames is not None])
+    pattern = record.sensor_type.pattern.usable()
+    flagged = ((frames.flags & _UNUSABLE) != 0) & pattern
+    lost = flagged.sum(axis=(1, 2)) > _LOST_SHARE * pattern.sum()
+    left_out = _flagged_channels(flagged[~lost])
+    lost |= (flagged & ~left_out).any(axis=(1, 2))
+    kept = frames.voltages[~lost]
+    constant = np.ptp(kept, axis=0) == 0 if len(kept) else np.zeros_like(pattern)
+    stuck = constant & pattern & ~left_out if not constant[pattern].all() else np.zeros_like(pattern)
+    words = [
+        f"{int(channels.sum())} readings are left out of every image because they are {why}:"
+        f" {named_readings(channels)}"
+        for channels, why in ((left_out, "saturated or missing in many frames"), (stuck, "stuck at one value"))
+        if channels.any()
+    ]
+    if lost.any():
+        words.append(f"{int(lost.sum())} of {len(frames)} frames are left out: readings in them are missing")
+    return UsableData(_without(record, frames.time_s[lost]), pattern & ~left_out & ~stuck, tuple(words))
+
+
+def _flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Choose channels to leave out, (drives, measures) bool, so that few of the frames (n, …) stay touched."""
+    left_out = np.zeros(flagged.shape[1:], dtype=np.bool_)
+    allowed = max(1.0, _TOUCHED_SHARE * len(flagged))
+    while (flagged & ~left_out).any(axis=(1, 2)).sum() > allowed:
+        counts = np.where(left_out, 0, flagged.sum(axis=0))
+        left_out |= counts == counts.max()
+    return left_out
+
+
+def _without(record: RunRecord, lost_s: NDArray[np.float64]) -> RunRecord:
+    if not len(lost_s):
+        return record
+    phases = tuple(
+        phase
+        if phase.frames is None
+        else replace(phase, frames=phase.frames.select(~np.isin(phase.frames.time_s, lost_s)))
+        for phase in record.phases
+    )
+    return replace(record, phases=phases)
+
+
+def _unloaded_of(phase: PhaseRecord) -> FrameBlock | None:
+    if phase.frames is None or phase.unloaded_from_s is None:
+        return None
+    every = (*phase.loads, *phase.loops)
+    presses = [load.press_start_s for load in every if load.press_start_s >= phase.unloaded_from_s]
+    return phase.frames.between(phase.unloaded_from_s, min(presses, default=phase.ended_s))
+
+
+def named_readings(readings: NDArray[np.bool_], most: int = 6) -> str:
+    """Name the first few of some readings, (drives, measures) bool."""
+    pairs = [f"drive {drive} measure {measure}" for drive, measure in np.argwhere(readings)[:most]]
+    more = int(readings.sum()) - len(pairs)
+    return ", ".join(pairs) + (f" and {more} more" if more else "")
+
+
+def check_weighing(reconstruction: Reconstruction, method: str, settings: AnalysisSettings) -> None:
+    """Make sure that a method weighs readings by their noise where the recipe asks for it.
+
+    Parameters
+    ----------
+    method : its name, for the message.
+
+    Raises
+    ------
+    NumericsError
+        If it says that it does not.
+    """
+    if settings.noise_weighting == "measured" and not getattr(reconstruction, "weighs_noise", True):
+        raise NumericsError(
+            f'analysis.noise_weighting is "measured", but reconstruction {method!r} lets all readings count alike',
+            remedy='take another method, or set analysis.noise_weighting = "equal" in the recipe',
+        )
+
+
+def weighed_problem(
+    data: UsableData, unloaded: FrameBlock, settings: AnalysisSettings
+) -> tuple[ImagingProblem, tuple[str, ...]]:
+    """Linearise a run's sheet with the noise of its readings.
+
+    Parameters
+    ----------
+    unloaded : frames of the rested sheet before the first press.
+    settings : say whether readings are weighed by their noise in those, or alike.
+
+    Returns
+    -------
+    The problem, and a warning where the noise of some readings is not known.
+
+    Raises
+    ------
+    NumericsError
+        If the readings' noise cannot be told from those frames (:func:`reading_noise`), or too few are usable.
+    """
+    sensor_type, used = data.record.sensor_type, data.readings
+    if settings.noise_weighting == "equal":
+        return imaging_problem(sensor_type, used=used), ()
+    noise = reading_noise(unloaded.voltages[:, used], unloaded.time_s)
+    problem = imaging_problem(sensor_type, used=used, noise_variance=noise.variance)
+    if not noise.silent.any():
+        return problem, ()
+    silent = np.zeros_like(used)
+    silent[used] = noise.silent
+    words = (
+        f"{int(silent.sum())} readings are the same in all {len(unloaded)} unloaded frames, so that nobody knows"
+        f" their noise; they are weighed like a common one: {named_readings(silent)}"
+    )
+    return problem, (words,)

@@ -1,0 +1,120 @@
+"""How the area of a masked region answers to the area of what presses: what an overlap near 100 % is worth."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.geometry import RoundFootprint, overlap_mm2
+from cbsr_qa.domain.results import Image, ImagingProblem, PreparedReconstruction, RunObservation
+from cbsr_qa.eit.imaging import contour_regions, nearest_blob
+
+Array = NDArray[np.float64]
+
+#: Slopes below this are called flat: a target of twice the area leaves a region less than 19 % larger.
+FLAT: Final = 0.25
+#: Diameters of the targets, of the head's: 8, 13 and 20 mm for the 13 mm head.
+RELATIVE_DIAMETERS: Final = (8 / 13, 1.0, 20 / 13)
+_OUT: Final = 0.6  # of the radius: 30 mm on the 100 mm disc, where the paper's outer locations are
+_CONTRAST: Final = 0.05
+_HIGHEST_MASK: Final = 0.99  # a contour at the maximum itself encloses nothing
+
+
+@dataclass(frozen=True, slots=True)
+class SizeResponse:
+    """Areas of regions against areas of round targets at one place.
+
+    Parameters
+    ----------
+    place : in words.
+    diameters_mm : of the targets, rising.
+    areas_mm2 : of the region each one leaves; None where there is none.
+    """
+
+    place: str
+    diameters_mm: tuple[float, ...]
+    areas_mm2: tuple[float | None, ...]
+
+    @property
+    def slope(self) -> float | None:
+        """Slope of the region's log area over the target's: 1 in proportion, 0 where sizes make no difference.
+
+        None where fewer than two targets left a region.
+        """
+        seen = [(d, a) for d, a in zip(self.diameters_mm, self.areas_mm2, strict=True) if a is not None]
+        if len(seen) < 2:
+            return None
+        diameters, areas = np.array(seen).T
+        return float(np.polyfit(2 * np.log(diameters), np.log(areas), 1)[0])
+
+    @property
+    def flat(self) -> bool:
+        """Whether the region says nothing about the size of what presses."""
+        return self.slope is None or self.slope < FLAT
+
+
+def size_response(
+    prepared: PreparedReconstruction,
+    *,
+    head_diameter_mm: float,
+    mask: float = 0.85,
+    relative_diameters: Sequence[float] = RELATIVE_DIAMETERS,
+) -> tuple[SizeResponse, ...]:
+    """Press targets of several sizes at the centre and 0.6 radii out, without noise, and measure the regions.
+
+    The readings are those of the linearised model, so that the figure is the method's and the problem's own.
+
+    Parameters
+    ----------
+    head_diameter_mm : of the indenter; targets have ``relative_diameters`` of it.
+    mask : fraction of the image's maximum, below 1; regions are bounded by its contour.
+
+    Returns
+    -------
+    One for each place on which the largest target lies as a whole.
+
+    Raises
+    ------
+    NumericsError
+        If a diameter is not positive, there are fewer than two, or the largest fits the sheet nowhere.
+    """
+    diameters = tuple(sorted(head_diameter_mm * relative for relative in relative_diameters))
+    if len(diameters) < 2 or not diameters[0] > 0:
+        raise NumericsError(f"a size response needs two or more positive diameters, not {relative_diameters}")
+    problem = prepared.problem
+    centre, out_mm = problem.sensor_type.outline.centre_mm, _OUT * problem.sensor_type.radius_mm
+    places = (("centre", centre), (f"{out_mm:.3g} mm out", (centre[0] + out_mm, centre[1])))
+    found = tuple(
+        SizeResponse(words, diameters, tuple(_area(prepared, place, diameter, mask) for diameter in diameters))
+        for words, place in places
+        if _on_sheet(problem, place, diameters[-1])
+    )
+    if not found:
+        raise NumericsError(
+            f"a target of {diameters[-1]:.3g} mm fits neither the centre of the sheet nor 0.6 radii out"
+        )
+    return found
+
+
+def size_response_of(run: RunObservation) -> tuple[SizeResponse, ...]:
+    """Size response of a run's reconstruction at its main mask; NumericsError where no target fits the sheet."""
+    mask = min(run.main_mask, _HIGHEST_MASK)
+    return size_response(run.reconstruction, head_diameter_mm=run.record.indenter.diameter_mm, mask=mask)
+
+
+def _area(
+    prepared: PreparedReconstruction, place: tuple[float, float], diameter_mm: float, mask: float
+) -> float | None:
+    problem = prepared.problem
+    share = overlap_mm2(RoundFootprint(*place, diameter_mm / 2), problem.mesh.corners_mm) / problem.mesh.areas_mm2
+    image = prepared.images((problem.jacobian @ (_CONTRAST * share))[None])[0]
+    region = nearest_blob(contour_regions(Image(problem.mesh, image), mask), *place)
+    return None if region is None else region.area_mm2
+
+
+def _on_sheet(problem: ImagingProblem, place: tuple[float, float], diameter_mm: float) -> bool:
+    target = RoundFootprint(*place, diameter_mm / 2)
+    return float(overlap_mm2(target, problem.mesh.corners_mm).sum()) > 0.99 * target.area_mm2

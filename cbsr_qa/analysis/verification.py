@@ -1,0 +1,216 @@
+"""A fielded sensor against its stored calibration: some short loads tell whether it still says the truth."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run import load_window
+from cbsr_qa.calibration.fits import predict_steady
+from cbsr_qa.calibration.runtime import Calibration, Matches
+from cbsr_qa.calibration.sheet import AS_PLACED, Seat, seat_of
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.readings import SampleBlock
+from cbsr_qa.domain.results import FitStatus, LoadObservation, LoadRelaxation, RelaxationFit, RunObservation
+
+Array = NDArray[np.float64]
+
+#: Force samples before this are of a head that still comes to rest [s].
+_SETTLED_S: Final = 1.0
+_NO_RELAXATION: Final = (FitStatus.REJECTED, FitStatus.DRIFTING)
+
+
+@dataclass(frozen=True, slots=True)
+class RecheckedLoad:
+    """One load as the calibration reads it, beside the load cell.
+
+    Parameters
+    ----------
+    load : of the run.
+    measured_N : by the load cell, carried on to the hold of the calibration.
+    estimated_N, stderr_N : by the calibration, from the hold as far as it went.
+    """
+
+    load: LoadObservation
+    measured_N: float
+    estimated_N: float
+    stderr_N: float
+
+
+@dataclass(frozen=True, slots=True)
+class Recheck:
+    """What became of a sensor since it was calibrated.
+
+    Parameters
+    ----------
+    loads : single loads.
+    sensitivity, sensitivity_stderr : estimated over measured force, of all loads together; 1 where nothing changed.
+    reference_change : of the unloaded readings since the calibration, root mean square over that of the readings.
+    noise_ratio : noise of a reading over that of the calibration.
+    """
+
+    loads: tuple[RecheckedLoad, ...]
+    sensitivity: float
+    sensitivity_stderr: float
+    reference_change: float
+    noise_ratio: float
+
+
+def recheck(run: RunObservation, calibration: Calibration) -> Recheck:
+    """Hold a run's loads against a calibration of the same sensor.
+
+    A sheet that lies otherwise than it should is read where it lies. The run's own unloaded frames are the
+    reference: what the unloaded sheet has drifted by since is reported and does not reach the forces. Holds may be
+    far shorter than the calibration's: where they would have come to is predicted by the sensor's own relaxation, of
+    the readings as of the force.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration is another sensor's or of another geometry, a reading it needs is gone, or no load of the
+        run was pressed alone, with its force, where the calibration reaches.
+    """
+    _check(run, calibration)
+    reader = _Reader(run, calibration)
+    loads = tuple(found for load in run.loads if (found := reader.load(load)) is not None)
+    if not loads:
+        raise CalibrationError(
+            "no load of the run was pressed alone, with its force recorded, where the calibration reaches"
+        )
+    sensitivity, stderr = _sensitivity(loads)
+    return Recheck(loads, sensitivity, stderr, reader.reference_change(), reader.noise_ratio())
+
+
+def _check(run: RunObservation, calibration: Calibration) -> None:
+    issued, serial = calibration.issued, run.record.identity.sensor.serial
+    if issued.sensor.serial != serial:
+        raise CalibrationError(f"the calibration is of sensor {issued.sensor.serial}, the run of {serial}")
+    if issued.reference.shape != run.reference.shape:
+        raise CalibrationError(
+            f"the calibration is of frames of {issued.reference.shape}, the run of {run.reference.shape}"
+        )
+    gone = issued.reconstruction.problem.used & ~run.usable
+    if gone.any():
+        raise CalibrationError(
+            f"{int(gone.sum())} readings that the calibration needs cannot be used any more",
+            remedy="see the report's contacts: mend the electrode, or calibrate the sensor again",
+        )
+
+
+class _Reader:
+    """Reads the loads of a run with a calibration."""
+
+    def __init__(self, run: RunObservation, calibration: Calibration) -> None:
+        self._run, self._calibration = run, calibration
+        self._used = calibration.issued.reconstruction.problem.used
+        current_A = run.unloaded.current_A
+        self._per_A = calibration.issued.current_A / current_A if current_A else 1.0
+        self.seat = self._seat()
+
+    def _seat(self) -> Seat:
+        """How the sheet lies this time."""
+        rows, noise, places = [], [], []
+        for load in self._run.loads:
+            phase = self._run.record.phase(load.phase)
+            if phase.frames is None or load.together > 1:
+                continue
+            late = load_window(phase, load.record, self._run.settings).steady
+            rows.append(self._rows(late.voltages).mean(axis=0))
+            noise.append(1 / len(late))
+            places.append((load.record.load.x_mm, load.record.load.y_mm))
+        if not rows:
+            return AS_PLACED
+        return seat_of(np.array(places), self._calibration.filter.search(np.array(rows)), np.array(noise))
+
+    def reference_change(self) -> float:
+        """Of the unloaded readings, relative."""
+        before = self._calibration.issued.reference[self._used]
+        now = self._run.reference[self._used] * self._per_A
+        return float(np.linalg.norm(now - before) / np.linalg.norm(before))
+
+    def noise_ratio(self) -> float:
+        """Of the unloaded frames, about a straight line in time; rows are of unit noise in the calibration."""
+        rows, time_s = self._rows(self._run.unloaded.voltages), self._run.unloaded.time_s
+        line = np.column_stack([np.ones(len(time_s)), time_s - time_s.mean()])
+        q, _ = np.linalg.qr(line)
+        left = rows - q @ (q.T @ rows)
+        return float(np.sqrt((left**2).sum() / ((len(rows) - 2) * rows.shape[1]))) if len(rows) > 2 else 1.0
+
+    def load(self, load: LoadObservation) -> RecheckedLoad | None:
+        """One load; None where it was not alone, has no force, or is out of reach."""
+        record, model = load.record, self._calibration.model
+        phase = self._run.record.phase(load.phase)
+        cell = phase.channel("force")
+        place = self.seat.places_mm(np.array([[record.load.x_mm, record.load.y_mm]]))[0]
+        if load.together > 1 or cell is None or load.force_N is None or phase.frames is None:
+            return None
+        held = phase.frames.between(record.hold_start_s, record.release_start_s)
+        before = load_window(phase, record, self._run.settings).before
+        matches = self._calibration.filter.at(self._rows(held.voltages), place)
+        if not np.isfinite(matches.strength).all():
+            return None
+        left = self._calibration.filter.at(self._rows(before.voltages), place).strength
+        base = model.residue_share * float(left.mean()) if len(left) else 0.0
+        strength, stderr = self._held(held.time_s - record.hold_start_s, matches, base, load)
+        match = Matches(place[None], np.array([strength]), np.zeros((1, 3, 3)), np.zeros(1), np.zeros(1))
+        match.covariance[0, 0, 0] = stderr**2 + (model.residue_stderr * base / model.residue_share) ** 2
+        estimated, error = self._calibration.inverse.force(match)
+        if not np.isfinite(estimated[0]):
+            return None
+        measured = self._relaxed_N(cell.between(record.hold_start_s + _SETTLED_S, record.release_start_s), load)
+        return RecheckedLoad(load, measured, float(estimated[0]), float(error[0]))
+
+    def _rows(self, voltages: Array) -> Array:
+        rows: Array = (
+            (voltages - self._run.reference)[:, self._used] @ self._calibration.model.merging.T * self._per_A
+        )
+        return rows
+
+    def _held(self, held_s: Array, matches: Matches, base: float, load: LoadObservation) -> tuple[float, float]:
+        """Strength at the hold of the calibration and its standard error."""
+        model, noise = self._calibration.model, np.sqrt(matches.covariance[:, 0, 0])
+        if model.loading is None:
+            late = held_s > held_s[-1] - (held_s[-1] - held_s[0]) / 4
+            return float(matches.strength[late].mean()) - base, float(noise[0] / np.sqrt(late.sum()))
+        ramp_s = max(load.record.unloaded_s - load.record.release_start_s, 0.0)
+        found = predict_steady(
+            held_s, matches.strength - base, noise, model.loading, ramp_s=ramp_s, at_s=model.steady_s
+        )
+        return float(found.values[0]), float(found.stderr[0])
+
+    def _relaxed_N(self, samples: SampleBlock, load: LoadObservation) -> float:
+        """Force at the hold of the calibration, by how stress relaxed in it."""
+        held_s = samples.time_s - load.record.hold_start_s
+        shapes = [one.fit for one in self._calibration.issued.relaxations if _of_stress(one)]
+        if not shapes or not len(samples):
+            return float(load.force_N or 0.0)
+        steady_s = self._calibration.model.steady_s
+        ratios = [_level(fit, np.array([steady_s]))[0] / _level(fit, held_s) for fit in shapes]
+        return float(np.mean(samples.values * np.median(ratios, axis=0)))
+
+
+def _of_stress(relaxation: LoadRelaxation) -> bool:
+    fit = relaxation.fit
+    return (
+        relaxation.signal == "stress" and relaxation.loading and fit.status not in _NO_RELAXATION and fit.offset > 0
+    )
+
+
+def _level(fit: RelaxationFit, time_s: Array) -> Array:
+    found = np.full(len(time_s), fit.offset)
+    for amplitude, tau_s in zip(fit.amplitudes, fit.time_constants_s, strict=True):
+        found += amplitude * np.exp(-time_s / tau_s)
+    return found
+
+
+def _sensitivity(loads: tuple[RecheckedLoad, ...]) -> tuple[float, float]:
+    """Slope through zero of estimated against measured force; not surer than the loads agree."""
+    measured = np.array([one.measured_N for one in loads])
+    estimated = np.array([one.estimated_N for one in loads])
+    weight = 1 / np.array([one.stderr_N for one in loads]) ** 2
+    information = float(weight @ measured**2)
+    slope = float(weight @ (measured * estimated)) / information
+    spare = len(loads) - 1
+    misfit = float(weight @ (estimated - slope * measured) ** 2) / spare if spare else 1.0
+    return slope, float(np.sqrt(max(misfit, 1.0) / information))

@@ -1,0 +1,5 @@
+"""Recorded data through the same analysis as a run."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

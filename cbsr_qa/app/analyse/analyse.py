@@ -1,0 +1,308 @@
+"""Recorded data through the same analysis and to the same report as a run.
+
+Whether one recording can be the reference of another.
+"""
+
+import hashlib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording import DEFAULT_RECONSTRUCTION, AnalysisChoices, analyse_recording, guarded, recognised
+from cbsr_qa.app.analyse.document import recording_document, result_document, unread_document
+from cbsr_qa.app.run import report_sections
+from cbsr_qa.config import DocumentKind, echo, load_sensor_type, reports_folder, shipped_names
+from cbsr_qa.domain import CbsrError, ConfigError, NumericsError, RecordingError, RowProblem
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.readings import ReadingFlag, ReadOptions, Recording, RecordingResult, ScanKind
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.plugin import Kind, Plugins, Reconstruction, RecordingFormat, discover, made
+from cbsr_qa.report import render_recording, report_name, write_report
+
+#: Ratio of the readings' sizes. Rods in a tank change it by 8 %, a sheet measured again differs by 16 %.
+_MOST_SCALE: Final = 1.5
+#: Correlation of the frames. Two rods in a tank leave 0.98; a chest against a tank, by one instrument, has 0.85.
+_LEAST_ALIKE: Final = 0.9
+#: Difference of the offsets of counts, in sizes of the readings.
+_MOST_OFFSET: Final = 0.5
+#: The same drive current, as far as it is stated.
+_SAME_CURRENT: Final = 0.1
+
+Array = NDArray[np.float64]
+_REMEDY: Final = "name a recording of the same domain, empty, by the same instrument with the same settings"
+
+
+def with_reference(recording: Recording, empty: Recording) -> Recording:
+    """Return a recording with another one's frames as its reference.
+
+    Parameters
+    ----------
+    recording, empty : each as its own format read it.
+
+    Raises
+    ------
+    RecordingError
+        If the two are not of one instrument and scale: then every reading would have "changed".
+    """
+    name = f"{empty.path.name}:{empty.dataset}" if empty.dataset else empty.path.name
+    why = _difference(recording, empty)
+    if why:
+        raise RecordingError(f"{name} cannot be the reference of {recording.path.name}: {why}", remedy=_REMEDY)
+    noted = tuple(RowProblem(p.line, f"reference {name}: {p.what}", False) for p in empty.problems)
+    return replace(
+        recording,
+        reference=empty.frames,
+        problems=(*recording.problems, *noted),
+        notes=(*recording.notes, f"changes are against {'the mean of ' if len(empty.frames) > 1 else ''}{name}"),
+        simulated=(*recording.simulated, *(f"in the reference {name}: {what}" for what in empty.simulated)),
+    )
+
+
+def _difference(recording: Recording, empty: Recording) -> str:
+    """Say what tells two recordings apart; empty if they can be compared."""
+    own, other = recording.frames, empty.frames
+    if other.voltages.shape[1:] != own.voltages.shape[1:] or empty.scan is not recording.scan:
+        return f"its frames are {_shape(empty)}, not {_shape(recording)}"
+    if other.unit is not own.unit:
+        return f"its readings are in {other.unit.value}, not in {own.unit.value}"
+    if empty.magnitudes_only is not recording.magnitudes_only:
+        held = {True: "absolute values", False: "values with their sign"}
+        return f"it holds {held[empty.magnitudes_only]}, not {held[recording.magnitudes_only]}"
+    return _stated_difference(recording, empty) or _scale_difference(recording, empty)
+
+
+def _stated_difference(recording: Recording, empty: Recording) -> str:
+    """Compare what both files state; what one of them leaves open does not count."""
+    current_A, other_A = recording.frames.current_A, empty.frames.current_A
+    if recording.layout and empty.layout and empty.layout != recording.layout:
+        return "its electrodes are numbered or placed in another way"
+    if recording.sensor_type and empty.sensor_type and empty.sensor_type != recording.sensor_type:
+        return f"it is of sensor type {empty.sensor_type}, not {recording.sensor_type}"
+    if current_A and other_A and abs(other_A / current_A - 1) > _SAME_CURRENT:
+        return f"its drive current is {other_A:.3g} A, not {current_A:.3g} A"
+    return ""
+
+
+def _shape(recording: Recording) -> str:
+    drives, measures = recording.frames.voltages.shape[1:]
+    return "one row of driven pairs" if recording.scan is ScanKind.DRIVEN_PAIRS else f"{drives} × {measures} readings"
+
+
+def _scale_difference(recording: Recording, empty: Recording) -> str:
+    """Compare level, size and pattern of the typical frames, over readings both hold."""
+    missing = ReadingFlag.MISSING.value
+    held = ((recording.frames.flags & missing) == 0).any(axis=0) & ((empty.frames.flags & missing) == 0).any(axis=0)
+    own, other = (np.median(each.frames.voltages, axis=0)[held] for each in (recording, empty))
+    if own.size == 0:
+        return "they have no reading in common"
+    offset, other_offset = (
+        (0.0, 0.0) if recording.magnitudes_only else (float(np.median(own)), float(np.median(other)))
+    )
+    size, other_size = _size(own - offset), _size(other - other_offset)
+    if size == 0.0:
+        return ""  # an unconnected recording is refused for that
+    if other_size == 0.0:
+        return f"all its readings are {other[0]:.4g} {empty.frames.unit.value}: nothing was connected"
+    if not 1 / _MOST_SCALE <= other_size / size <= _MOST_SCALE:
+        return f"its readings are {other_size / size:.3g} times as large"
+    if abs(other_offset - offset) > _MOST_OFFSET * max(size, other_size):
+        unit = recording.frames.unit.value
+        return f"its readings lie about {other_offset:.4g} {unit}, not {offset:.4g} {unit}"
+    alike = float((own - offset) @ (other - other_offset)) / (size * other_size * own.size)
+    return "" if alike >= _LEAST_ALIKE else f"its readings have another pattern (correlation {alike:.2f})"
+
+
+def _size(readings: Array) -> float:
+    return float(np.sqrt(np.mean(readings**2)))
+
+
+#: Told of each step, in words.
+Tell = Callable[[str], None]
+
+
+@dataclass(frozen=True, slots=True)
+class AnalyseRequest:
+    """What to analyse, and how.
+
+    Parameters
+    ----------
+    format : name of a recording plugin; None to let the plugins recognise the file.
+    sensor_type : file or shipped name; None for what the recording states, else the nominal disc.
+    dataset : one of several data sets in a file.
+    reference : a file, and a data set in it, that holds the unloaded domain; it is recognised by itself.
+    correct_memory : None to decide by the estimate.
+    report : whether to write one.
+    reconstruction : plugin that images the events; None for the usual one.
+    options : of it.
+    """
+
+    format: str | None = None
+    sensor_type: str | None = None
+    dataset: str | None = None
+    reference: tuple[Path, str | None] | None = None
+    correct_memory: bool | None = None
+    report: bool = True
+    reconstruction: str | None = None
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def chosen(self) -> PluginChoice:
+        """What images the events."""
+        name = DEFAULT_RECONSTRUCTION if self.reconstruction is None else self.reconstruction
+        return PluginChoice(name, self.options)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Analysed:
+    """What came of one file.
+
+    Parameters
+    ----------
+    path : the file.
+    result : None where it was refused before it could be analysed.
+    refused : why, where it was refused.
+    report : file; None where none was written.
+    document : for ``--json``.
+    """
+
+    path: Path
+    result: RecordingResult | None
+    refused: CbsrError | None
+    report: Path | None
+    document: dict[str, Any]
+    warnings: tuple[str, ...] = ()
+
+    @property
+    def exit_code(self) -> int:
+        """0 analysed, whether or not anything was found; 2 refused."""
+        return 0 if self.refused is None else self.refused.exit_code
+
+
+def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda said: None) -> Analysed:
+    """Analyse one file. A refusal is a result, not an exception; nothing is written then."""
+    plugins = discover()
+    recording: Recording | None = None
+    datasets: tuple[str, ...] = ()
+    name: str | None = None
+    try:
+        reconstruction = _reconstruction(request, plugins)
+        tell(f"reading {path.name}")
+        format_, name = recognised(path, request.format, plugins)
+        datasets = guarded(path, name, lambda: format_.datasets(path))
+        recording = _read(path, format_, name, ReadOptions(request.dataset, request.reference))
+        if request.reference is not None:
+            recording = with_reference(recording, _empty(*request.reference, path, format_, name, plugins))
+        tell(f"analysing {len(recording.frames)} frames")
+        return _analysed(path, recording, reconstruction, request, plugins, datasets, tell)
+    except CbsrError as error:
+        if recording is not None:
+            read = recording_document(recording, None)
+        else:
+            read = unread_document(name, error.problems if isinstance(error, RecordingError) else ())
+        return Analysed(path, None, error, None, _refused(path, read, datasets, error))
+
+
+def _refused(path: Path, read: dict[str, Any], datasets: tuple[str, ...], error: CbsrError) -> dict[str, Any]:
+    """Say why, beside what is known; what a reader of many documents looks for is there, and empty."""
+    document: dict[str, Any] = {"file": str(path), "recording": read, "channels": {}, "events": [], "warnings": []}
+    if datasets:
+        document["datasets"] = list(datasets)
+    document["refused"] = {"reason": error.reason, "remedy": error.remedy}
+    return document
+
+
+def _reconstruction(request: AnalyseRequest, plugins: Plugins) -> Reconstruction:
+    """Make the reconstruction before anything is read: what is wrong with it is wrong for every file."""
+    where = "--option" if request.options else "--reconstruction"
+    try:
+        reconstruction: Reconstruction = made(plugins, Kind.RECONSTRUCTION, request.chosen, where)
+    except NumericsError as error:
+        raise ConfigError(f"{where}: {request.chosen.name}: {error.reason}", remedy=error.remedy) from error
+    return reconstruction
+
+
+def _read(path: Path, format_: RecordingFormat, name: str, options: ReadOptions) -> Recording:
+    return guarded(path, name, lambda: format_.read(path, options))
+
+
+def _empty(
+    other: Path, dataset: str | None, path: Path, format_: RecordingFormat, name: str, plugins: Plugins
+) -> Recording:
+    """Read the reference by its own format; its problems are its own, not the file's."""
+    if other != path:
+        format_, name = recognised(other, None, plugins)
+    try:
+        return _read(other, format_, name, ReadOptions(dataset))
+    except RecordingError as error:
+        raise RecordingError(f"the reference cannot be used: {error.reason}", remedy=error.remedy) from error
+
+
+def _analysed(
+    path: Path,
+    recording: Recording,
+    reconstruction: Reconstruction,
+    request: AnalyseRequest,
+    plugins: Plugins,
+    datasets: tuple[str, ...],
+    tell: Tell,
+) -> Analysed:
+    sensor_type, unknown = _sensor_type(recording, request)
+    choices = AnalysisChoices(request.correct_memory, sensor_type, request.chosen)
+    result = analyse_recording(recording, reconstruction, choices, tell=tell)
+    document: dict[str, Any] = {"file": str(path), **result_document(result)}
+    if datasets:
+        document["datasets"] = list(datasets)
+    if result.channels.not_connected:
+        error = RecordingError(
+            f"{path.name} holds no signal: all {len(recording.frames)} frames read"
+            f" {recording.frames.voltages.flat[0]:g} {recording.frames.unit.value} everywhere, nothing is connected",
+            remedy="connect the sensor and record again",
+        )
+        document["refused"] = {"reason": error.reason, "remedy": error.remedy}
+        return Analysed(path, result, error, None, document)
+    report, missing = _report(path, result, request, plugins)
+    document["report"] = None if report is None else str(report)
+    warnings = (*result.warnings, *unknown, *missing)
+    document["warnings"] = list(warnings)
+    return Analysed(path, result, None, report, document, warnings)
+
+
+def _sensor_type(recording: Recording, request: AnalyseRequest) -> tuple[SensorType | None, list[str]]:
+    if request.sensor_type is not None:
+        return load_sensor_type(request.sensor_type).value, []
+    if recording.sensor_type is None:
+        return None, []
+    # A name, never a path: a file of unknown origin opens no other.
+    if recording.sensor_type in shipped_names(DocumentKind.SENSOR_TYPE):
+        return load_sensor_type(recording.sensor_type).value, []
+    said = f"the recording states sensor type {echo(recording.sensor_type)}, which is not a shipped one"
+    return None, [f"{said}; it is imaged on a nominal disc; give the file of the sensor type with --sensor-type"]
+
+
+def _report(
+    path: Path, result: RecordingResult, request: AnalyseRequest, plugins: Plugins
+) -> tuple[Path | None, list[str]]:
+    if not request.report:
+        return None, []
+    sections, missing = report_sections((), plugins)
+    file = reports_folder() / report_name(path.stem, result.recording.dataset, _told_apart(path, request))
+    write_report(file, render_recording(result, sections, warnings=missing))
+    return file, missing
+
+
+def _told_apart(path: Path, request: AnalyseRequest) -> str:
+    """Eight digits of the content and of what was asked: no other file's or analysis's report is overwritten."""
+    sha = hashlib.sha256()
+    for each in (path, *(() if request.reference is None else request.reference[:1])):
+        with each.open("rb") as file:
+            sha.update(hashlib.file_digest(file, "sha256").digest())
+    dataset = None if request.reference is None else request.reference[1]
+    asked: tuple[object, ...] = (request.format, request.sensor_type, dataset, request.correct_memory)
+    if request.reconstruction is not None or request.options:
+        asked = (*asked, request.chosen.name, sorted(request.options.items()))
+    sha.update(repr(asked).encode())
+    return sha.hexdigest()[:8]

@@ -1,0 +1,297 @@
+"""A sensor's calibration applied to recordings: a row of force for every frame.
+
+Frames of a recording as the volts a calibration is of, or why they are not.
+"""
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.recording import read_recording_file
+from cbsr_qa.calibration.file import read_contained
+from cbsr_qa.calibration.runtime import Calibration, Flag, Forces
+from cbsr_qa.config import validate_serial
+from cbsr_qa.domain import CalibrationError, CbsrError, RecordingError, RefusedError
+from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
+from cbsr_qa.plugin import discover
+from cbsr_qa.system import csv_text, written_whole
+
+Array = NDArray[np.float64]
+
+#: Readings of the same sheet, unloaded, differ from the calibration's by this share of their size at most once they
+#: are scaled: more than a sensor drifts by, and far less than another order of electrodes makes. Chosen by us.
+_MOST_APART: Final = 0.2
+_BAD: Final = int(ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING)
+_REFERENCE: Final = (
+    "give --reference N if its first N frames are of the unloaded sheet: they are then scaled to the calibration's"
+    " own unloaded frame"
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedFrames:
+    """Frames that a calibration can be applied to.
+
+    Parameters
+    ----------
+    voltages : (n, drives, measures) [V] at the calibration's current; NaN where a reading was flagged.
+    remarks : what was done to them, in words.
+    """
+
+    voltages: Array
+    remarks: tuple[str, ...]
+
+
+def recorded_frames(calibration: Calibration, recording: Recording, reference: int | None) -> RecordedFrames:
+    """Bring the frames of a recording to the calibration's scale.
+
+    Parameters
+    ----------
+    reference : how many of the first frames are of the unloaded sheet; their mean takes the place of the
+        calibration's reference, scaled to it by least squares. None where changes are against the calibration's own.
+
+    Raises
+    ------
+    RecordingError
+        If the recording is of another sensor type, scan, geometry, unit or scale, or its first frames are not those
+        of this sensor.
+    """
+    _check(calibration, recording)
+    frames = recording.frames
+    voltages = np.where((frames.flags & _BAD) != 0, np.nan, frames.voltages)
+    if reference is not None:
+        return _against_own(calibration, recording, voltages, reference)
+    if frames.unit is not VoltageUnit.VOLT:
+        raise RecordingError(
+            f"{recording.path.name} holds readings in {frames.unit.value} without their scale; the calibration of"
+            f" sensor {calibration.issued.sensor.serial} is in volts",
+            remedy=_REFERENCE,
+        )
+    ratio, remarks = _current_ratio(calibration, recording, frames)
+    return RecordedFrames(voltages * ratio, remarks)
+
+
+def _check(calibration: Calibration, recording: Recording) -> None:
+    issued, name = calibration.issued, recording.path.name
+    if recording.sensor_type not in (None, issued.sensor_type.name):
+        raise RecordingError(
+            f"{name} is of sensor type {recording.sensor_type}, the calibration is of a {issued.sensor_type.name}",
+            remedy="apply the calibration that was issued for this sensor",
+        )
+    if recording.scan is not ScanKind.FULL or recording.magnitudes_only:
+        held = "absolute values" if recording.magnitudes_only else "driven pairs alone"
+        raise RecordingError(f"{name} holds {held}; a force needs every reading with its sign")
+    found, wanted = recording.frames.voltages.shape[1:], issued.reference.shape
+    if found != wanted:
+        raise RecordingError(
+            f"{name} holds frames of {found[0]} × {found[1]} readings, the calibration is for"
+            f" {wanted[0]} × {wanted[1]}"
+        )
+    if not len(recording.frames):
+        raise RecordingError(f"{name} holds no frame")
+
+
+def _current_ratio(
+    calibration: Calibration, recording: Recording, frames: FrameBlock
+) -> tuple[float, tuple[str, ...]]:
+    current_A, own_A = frames.current_A, calibration.issued.current_A
+    if current_A is None:
+        raise RecordingError(
+            f"{recording.path.name} does not say its drive current, which scales every reading", remedy=_REFERENCE
+        )
+    if not current_A > 0:
+        raise RecordingError(f"{recording.path.name} states a drive current of {current_A:g} A")
+    if np.isclose(current_A, own_A, rtol=1e-9):
+        return 1.0, ()
+    said = f"readings at {1e3 * current_A:.4g} mA were scaled to the calibration's {1e3 * own_A:.4g} mA"
+    return own_A / current_A, (said,)
+
+
+def _against_own(calibration: Calibration, recording: Recording, voltages: Array, count: int) -> RecordedFrames:
+    name, frames = recording.path.name, len(voltages)
+    if not 1 <= count <= frames:
+        raise RecordingError(f"--reference {count} of {name}, which holds {frames} frames; 1 to {frames} are allowed")
+    used = calibration.issued.reconstruction.problem.used
+    own, reference = voltages[:count].mean(axis=0), calibration.issued.reference
+    seen, known = own[used], reference[used]
+    if not np.isfinite(seen).all():
+        raise RecordingError(f"a used reading of the first {count} frames of {name} is missing or saturated")
+    power = float(seen @ seen)
+    ratio = float(seen @ known) / power if power > 0 else 0.0
+    apart = float(np.linalg.norm(ratio * seen - known) / np.linalg.norm(known))
+    if not (ratio > 0 and apart <= _MOST_APART):
+        raise RecordingError(
+            f"the first {count} frames of {name} are not those of sensor {calibration.issued.sensor.serial} unloaded:"
+            f" scaled as well as can be they differ from its reference by {apart:.0%}; {_MOST_APART:.0%} is allowed",
+            remedy="check the sensor, the order of its electrodes, and that nothing pressed",
+        )
+    unit = recording.frames.unit.value
+    said = (
+        f"changes are against the first {count} frames, of which 1 {unit} is {ratio:.6g} V of the calibration;"
+        f" unloaded they differ from its reference by {apart:.2%}, and their own noise (1/{count} of a frame's"
+        " variance) is not in the standard errors"
+    )
+    return RecordedFrames((voltages - own) * ratio + reference, (said,))
+
+
+#: Told of each step, in words.
+Tell = Callable[[str], None]
+
+#: Frames that are worked on between two messages.
+_AT_ONCE: Final = 5000
+_SAID: Final = {
+    Flag.NOT_DETECTED: "no load detected",
+    Flag.OUTSIDE: "outside what was calibrated",
+    Flag.BELOW_RANGE: "below the calibrated forces",
+    Flag.ABOVE_RANGE: "above the calibrated forces",
+    Flag.WRONG_SIGN: "changes the other way than under a load",
+    Flag.MORE_THAN_ONE: "not that of one such head",
+    Flag.UNREADABLE: "a reading is missing or saturated",
+    Flag.OTHER_SENSOR: "not a frame of this sensor",
+    Flag.OTHER_HEAD: "a head of another size than was calibrated",
+}
+COLUMNS: Final = (
+    "time_s",
+    "force_N",
+    "stderr_N",
+    "x_mm",
+    "y_mm",
+    "place_stderr_mm",
+    "detectability",
+    "flags",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ApplyRequest:
+    """How a calibration is applied.
+
+    Parameters
+    ----------
+    place_mm : where the head presses; None to find it in every frame.
+    format, dataset : of the recordings, as for ``analyse``.
+    reference : how many of the first frames are of the unloaded sheet; None to count changes against the
+        calibration's own reference.
+    serial : of the sensor the recordings were taken of; None where nobody says. No format carries it.
+    """
+
+    place_mm: tuple[float, float] | None = None
+    format: str | None = None
+    dataset: str | None = None
+    reference: int | None = None
+    serial: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Applied:
+    """What came of one recording; ``forces`` and ``time_s`` are None where it was refused, and ``refused`` why."""
+
+    path: Path
+    time_s: np.ndarray[Any, np.dtype[np.float64]] | None
+    forces: Forces | None
+    remarks: tuple[str, ...]
+    refused: CbsrError | None = None
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Yield one row a frame by :data:`COLUMNS`; what is no number is None."""
+        if self.forces is None or self.time_s is None:
+            return
+        f = self.forces
+        columns = (self.time_s, f.force_N, f.stderr_N, *f.place_mm.T, f.place_stderr_mm, f.detectability)
+        for *numbers, flags in zip(*columns, f.flags.tolist(), strict=True):
+            told = [float(number) if np.isfinite(number) else None for number in numbers]
+            yield dict(zip(COLUMNS, (*told, flag_words(flags)), strict=True))
+
+
+def apply_calibration(
+    calibration: Path, recordings: list[Path], request: ApplyRequest, *, tell: Tell = lambda said: None
+) -> tuple[Applied, ...]:
+    """Turn the frames of recordings into force. A recording that is refused is a result, not an exception.
+
+    Raises
+    ------
+    CalibrationError
+        If the calibration cannot be used, or is of another sensor than the recordings are said to be.
+    ConfigError
+        If that serial number is none.
+    """
+    sensor, plugins = Calibration(read_contained(calibration)), discover()
+    remarks = _serial_remarks(sensor.issued.sensor.serial, request.serial)
+    found = []
+    for path in recordings:
+        try:
+            tell(f"reading {path.name}")
+            recording = read_recording_file(path, plugins, format_=request.format, dataset=request.dataset)
+            one = _applied(sensor, path, recording, request, tell)
+            found.append(replace(one, remarks=(*one.remarks, *remarks)))
+        except CbsrError as error:
+            found.append(Applied(path, None, None, (), error))
+    return tuple(found)
+
+
+def _serial_remarks(own: str, said: str | None) -> tuple[str, ...]:
+    """Say that nobody knows whether a recording is of the calibration's sensor, unless it was said to be."""
+    if said is None:
+        why = "recordings state no serial number; --serial is held against it"
+        return (f"not checked: that it is of sensor {own}, as the calibration is ({why})",)
+    if validate_serial(said) != own:
+        raise CalibrationError(
+            f"the calibration is of sensor {own}, the recordings are said to be of {said}",
+            remedy="apply the calibration that was issued for this sensor",
+        )
+    return ()
+
+
+def _applied(sensor: Calibration, path: Path, recording: Recording, request: ApplyRequest, tell: Tell) -> Applied:
+    frames = recorded_frames(sensor, recording, request.reference)
+    count, parts = len(frames.voltages), []
+    for first in range(0, count, _AT_ONCE):
+        tell(f"{path.name}: frames {first + 1} to {min(first + _AT_ONCE, count)} of {count}")
+        parts.append(sensor.force(frames.voltages[first : first + _AT_ONCE], place_mm=request.place_mm))
+    names = ("force_N", "stderr_N", "place_mm", "place_stderr_mm", "detectability", "flags")
+    forces = Forces(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+    return Applied(path, recording.frames.time_s, forces, frames.remarks)
+
+
+def flag_words(flags: int) -> str:
+    """Say what is to be said of a frame; empty where nothing is."""
+    return "; ".join(words for flag, words in _SAID.items() if flags & flag)
+
+
+def as_csv(applied: tuple[Applied, ...]) -> str:
+    """Return all rows as one CSV table; a column names the recording."""
+    rows = ((one.path.name, *row.values()) for one in applied for row in one.rows())
+    return csv_text([("recording", *COLUMNS), *rows])
+
+
+def applied_document(calibration: Path, applied: tuple[Applied, ...]) -> dict[str, Any]:
+    """Return everything as one JSON document."""
+    return {"calibration": str(calibration), "recordings": [_document(one) for one in applied]}
+
+
+def _document(one: Applied) -> dict[str, Any]:
+    if one.refused is not None:
+        return {"file": str(one.path), "frames": [], "remarks": [], **one.refused.document()}
+    return {"file": str(one.path), "remarks": list(one.remarks), "frames": list(one.rows())}
+
+
+def write_table(path: Path, table: str) -> None:
+    """Write a table.
+
+    Raises
+    ------
+    RefusedError
+        If the file exists already, or its folder cannot be written to.
+    """
+    try:
+        if os.path.lexists(path):
+            raise RefusedError(f"{path} exists already", remedy="name another file, or remove it first")
+        with written_whole(path) as file:
+            file.write(table.encode())
+    except OSError as error:
+        raise RefusedError(f"{path} cannot be written: {error.strerror or error}") from error

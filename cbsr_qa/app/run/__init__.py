@@ -1,0 +1,5 @@
+"""Testing one sensor: run, resume, outputs, report rendered again."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,84 @@
+"""A stored verdict decided again from its stored measurements: one that does not follow is refused."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+from importlib.metadata import version
+from typing import Final
+
+from cbsr_qa.analysis import judge
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, Verdict, decide
+from cbsr_qa.domain.run import RunRecord
+from cbsr_qa.store.results import StoredAnalysis
+
+_REMEDY: Final = "restore the database from a copy; nothing is shown of a verdict that does not follow"
+
+
+def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Limit]) -> None:
+    """Decide an analysis again.
+
+    Limits are compared with those of the configuration where the run is chained, and the reason in words where this
+    version of the program wrote it: an earlier version may have read a configuration, or put a reason, otherwise.
+
+    Raises
+    ------
+    StoreError
+        If a stored limit, an outcome or the verdict does not follow; it names the measurement.
+    """
+    said, found = stored.verdict, stored.measurements
+    if record.end is not EndReason.FINISHED or not found:
+        if said.outcome not in (Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
+            why = "holds no measurement" if record.end is EndReason.FINISHED else f"was {record.end}"
+            raise _refused(stored, f"the verdict states {said.outcome}; the run {why}")
+        return
+    _check_measurements(stored, limits if record.chain.links else None)
+    now = decide(found)
+    same_words = dict(stored.software).get("cbsr-qa") == version("cbsr-qa")
+    if now.outcome is not said.outcome or (same_words and now.reason != said.reason):
+        raise _refused(stored, f"the verdict states {_verdict(said)}; its measurements say {_verdict(now)}")
+
+
+def _check_measurements(stored: StoredAnalysis, limits: Iterable[Limit] | None) -> None:
+    """Judge measurements again, by the limits of the configuration or, where that is None, by their own."""
+    own = tuple(replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in stored.measurements)
+    if limits is not None:
+        again = judge(own, [replace(limit, version="") for limit in limits])
+    else:
+        again = tuple(
+            one if m.limit is None else one.judged(m.limit) for one, m in zip(own, stored.measurements, strict=True)
+        )
+    for number, (was, now) in enumerate(zip(stored.measurements, again, strict=False)):
+        if (was.limit, was.outcome) != (now.limit, now.outcome):
+            raise _refused(stored, f"measurement {number} ({_named(was)}) {_difference(was, now)}")
+    if len(again) > len(stored.measurements):
+        missing = again[len(stored.measurements)]
+        raise _refused(stored, f"no measurement is stored for the configuration's limit of {_named(missing)}")
+
+
+def _named(measurement: Measurement) -> str:
+    phase = f", phase {measurement.phase}" if measurement.phase else ""
+    return f"{measurement.label}{phase}"
+
+
+def _difference(was: Measurement, now: Measurement) -> str:
+    if was.limit != now.limit:
+        return f"states the limit {_bounds(was.limit)}; its configuration says {_bounds(now.limit)}"
+    value = "no value" if was.value is None else f"value {was.value:g} {was.unit}"
+    return f"states {was.outcome}; its {value} and limit {_bounds(was.limit)} say {now.outcome}"
+
+
+def _bounds(limit: Limit | None) -> str:
+    if limit is None:
+        return "none"
+    low = [f"at least {limit.lower:g}"] if limit.lower is not None else []
+    high = [f"at most {limit.upper:g}"] if limit.upper is not None else []
+    guard = [f"marginal within {limit.marginal:g}"] if limit.marginal else []
+    return f"{' and '.join([*low, *high, *guard])} {limit.unit}"
+
+
+def _verdict(verdict: Verdict) -> str:
+    return f"{verdict.outcome} ({verdict.reason})"
+
+
+def _refused(stored: StoredAnalysis, what: str) -> StoreError:
+    return StoreError(f"run {stored.run}: analysis {stored.analysis}: {what}", remedy=_REMEDY)

@@ -1,0 +1,122 @@
+"""The material file that a characterisation issues."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from cbsr_qa.config import material_text, materials_folder
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import Characterisation, Outcome, RunResult
+from cbsr_qa.domain.sensor import Material, Parameter
+from cbsr_qa.report import report_name, write_report
+
+_LONGEST_NAME: Final = 64  # of a material
+
+
+def why_no_material(result: RunResult) -> str:
+    """Say why a run issues no material file; empty where it does."""
+    found = result.characterisation
+    if found is None:
+        return "nothing was characterised"
+    if found.refused:
+        return found.refused[0]
+    if result.verdict.outcome not in (Outcome.PASS, Outcome.MARGINAL):
+        return f"the run did not pass: {result.verdict.reason}"
+    return ""
+
+
+def material_path(result: RunResult) -> Path:
+    """Where the material file of a run lies: under its batch, or its serial number where it has none."""
+    identity = result.record.identity
+    name = report_name(identity.sensor.batch or identity.sensor.serial, identity.run)
+    return materials_folder() / Path(name).with_suffix(".toml")
+
+
+def write_material(result: RunResult) -> Path:
+    """Write the material file of a run whole or not at all.
+
+    Raises
+    ------
+    RefusedError
+        If the folder cannot be written to.
+    """
+    path = material_path(result)
+    write_report(path, material_text(material_of(result), _comments(result)))
+    return path
+
+
+def material_of(result: RunResult) -> Material:
+    """Put together what was characterised.
+
+    The lines against stress and strain are those *under the head*: what any sheet of the material answers with, and
+    what simulations and calibrations of sensors need. Noise is the instruments' and the sheet's, not the material's:
+    it is taken over from the material the run was configured with.
+
+    Raises
+    ------
+    NumericsError
+        If the characterisation was refused.
+    """
+    found, identity = result.characterisation, result.record.identity
+    if found is None or found.refused:
+        raise NumericsError(f"run {identity.run} characterised no material: {why_no_material(result)}")
+    strain, stress = found.local_against_strain.line, found.local_against_stress.line
+    kernels = found.loading, found.unloading, found.stress
+    assert strain is not None
+    assert stress is not None
+    assert found.modulus_kPa is not None
+    loading, unloading, relaxation = (kernel for kernel in kernels if kernel is not None)
+    noise = result.record.material.relative_noise
+    carried = f"taken over from {result.record.material.name}, a strip of two pins does not tell it; {noise.source}"
+    return Material(
+        name=(identity.sensor.batch or identity.sensor.serial)[:_LONGEST_NAME],
+        interelectrode_resistance_ohm=_resistance(found),
+        modulus_kPa=found.modulus_kPa,
+        against_stress=stress,
+        against_strain=strain,
+        stress_relaxation=relaxation,
+        loading_relaxation=loading,
+        unloading_relaxation=unloading,
+        relative_noise=Parameter(noise.value, noise.stderr, carried[:1000]),
+        strip_relaxation=found.relaxation,
+    )
+
+
+def _resistance(found: Characterisation) -> Parameter:
+    resistance, squares = found.strip.resistance_ohm, found.strip.squares
+    said = (
+        f"{resistance.source}; between the strip's two pins, {squares:.4g} squares of"
+        f" {resistance.value / squares:.5g} ohm: neighbours on another sensor type have another"
+    )
+    return replace(resistance, source=said)
+
+
+def _range(found: Characterisation) -> str:
+    """Say for what strains and stresses the lines hold."""
+    kept = [level for level in found.levels if not level.why]
+    least = max(min(level.strain for level in kept), found.lowest_strain or 0.0)
+    highest = max(kept, key=lambda level: level.strain)
+    stress = "" if highest.stress_kPa is None else f", up to {highest.stress_kPa:.3g} kPa"
+    return f"Characterised from {100 * least:g} to {100 * highest.strain:g} % strain{stress}."
+
+
+def _comments(result: RunResult) -> list[str]:
+    """What a reader of the file must know."""
+    found, identity = result.characterisation, result.record.identity
+    assert found is not None
+    lines = [
+        f"Characterised in run {identity.run} at station {identity.station}, {identity.started_at.date()}: strip"
+        f" {identity.sensor.serial}, batch {identity.sensor.batch or 'not stated'}.",
+        "against_strain and against_stress are local: relative conductance changes under the head, by the forward",
+        f"model of the strip with contacts of {found.settings.contact_length_mm:g} ±"
+        f" {found.settings.contact_length_stderr_mm:g} mm (assumed: two pins do not tell them).",
+    ]
+    if found.against_strain.line is not None:
+        slope = found.against_strain.line.slope
+        lines.append(
+            f"Between the pins, as the paper has it, the gauge factor is {slope.value:.4g} ± {slope.stderr or 0:.2g}."
+        )
+    lines.append(f"{_range(found)} Standard errors are statistical, with that of the contacts.")
+    lines += [f"Simulated: {what}." for what in identity.simulated]
+    lines += [f"Reduced: {' '.join(what.split())}." for what in found.reduced]
+    return lines

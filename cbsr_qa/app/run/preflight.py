@@ -1,0 +1,164 @@
+"""What can be known to be wrong before anything moves: a typo must not cost an hour of the station."""
+
+from collections.abc import Iterable, Mapping
+from datetime import date
+from difflib import get_close_matches
+from typing import Final
+
+from cbsr_qa.analysis import MEASURES
+from cbsr_qa.analysis.run import check_weighing
+from cbsr_qa.domain import CbsrError, ConfigError, RefusedError
+from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press, Recipe, Role, Station
+from cbsr_qa.domain.results import Limit, linear
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.eit.forward import check_strip
+from cbsr_qa.eit.inverse import FEWEST_FRAMES, imaging_problem
+from cbsr_qa.plugin import Kind, Plugins, contained, made
+from cbsr_qa.station import Plan
+
+_WEIGHING: Final = 'analysis.noise_weighting = "measured" needs'
+_EQUAL: Final = 'set analysis.noise_weighting = "equal"'
+_LESS: Final = "lower analysis.noise_floor_frames"
+
+
+def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> None:
+    """Make sure that everything the analysis will need is there, takes its options, and can image the sensor.
+
+    Raises
+    ------
+    PluginError, ConfigError, NumericsError
+        Naming the recipe, what is wrong in it, and what is allowed.
+    """
+    try:
+        for name in recipe.sections:
+            plugins.factory(Kind.SECTION, name)
+        if recipe.characterisation is not None:
+            check_strip(sensor_type)
+            _check_named(recipe.limits, MEASURES)
+            return
+        reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+        check_weighing(reconstruction, recipe.reconstruction.name, recipe.analysis)
+        metrics = [made(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics]
+        _check_limits(recipe.limits, metrics)
+        problem = imaging_problem(sensor_type)
+        with contained(f"reconstruction {recipe.reconstruction.name!r}"):
+            linear(reconstruction.prepare(problem))
+    except CbsrError as error:
+        raise type(error)(f"recipe {recipe.name!r}: {error.reason}", remedy=error.remedy) from error
+
+
+def check_unloaded(plan: Plan, recipe: Recipe) -> None:
+    """Make sure that the plan takes enough unloaded frames for noise floor, reference and noise weighting.
+
+    Raises
+    ------
+    ConfigError
+        If the first phase that marks the sheet as unloaded asks for fewer.
+    """
+    split = recipe.analysis.noise_floor_frames + 1
+    weighed = FEWEST_FRAMES if recipe.analysis.noise_weighting == "measured" else 0
+    needed = max(split, weighed)
+    for phase in plan.phases:
+        taken = _unloaded_frames(phase.steps(plan.context))
+        if taken is None:
+            continue
+        if taken < needed:
+            raise ConfigError(
+                f"recipe {recipe.name!r}: phase {phase.name!r} takes {taken} unloaded frames, but"
+                f" {'analysis.noise_floor_frames and the reference need' if taken < split else _WEIGHING} {needed}",
+                remedy=f"take more unloaded frames in that phase, or {_LESS if taken < split else _EQUAL}",
+            )
+        return
+
+
+def check_cycles(plan: Plan, recipe: Recipe) -> None:
+    """Make sure that a recipe for a strip presses cycles, all in one place.
+
+    Raises
+    ------
+    ConfigError
+        If no phase is there for that, or such phases press at several places.
+    """
+    if recipe.characterisation is None:
+        return
+    meant = [phase for phase in plan.phases if getattr(phase.sequence, "role", None) is Role.CHARACTERISATION]
+    steps = [step for phase in meant for step in phase.steps(plan.context)]
+    places = {(step.load.x_mm, step.load.y_mm) for step in steps if isinstance(step, Press)}
+    if len(places) != 1:
+        found = f"press cycles at {len(places)} places" if places else "no phase of press cycles"
+        raise ConfigError(
+            f"recipe {recipe.name!r} has [characterisation] and {found}; a strip is pressed at one place",
+            remedy='give it one phase with sequence = "characterisation"',
+        )
+
+
+def refuse_overdue(station: Station, today: date) -> None:
+    """Hold the calibration dates of a station file against its policy, before anything is opened or moved.
+
+    Raises
+    ------
+    RefusedError
+        If an instrument is past its date and the station refuses to run then; names every such role and date.
+    """
+    if station.overdue != "refuse":
+        return
+    late = [one for one in station.instruments if past_due(one.calibration_due, today)]
+    if late:
+        named = ", ".join(f"{one.role} ({one.driver}) was due on {one.calibration_due}" for one in late)
+        raise RefusedError(
+            f'station {station.name!r} has overdue = "refuse", and the calibration of {named}',
+            remedy="have it calibrated and give the new calibration_due in the station file",
+        )
+
+
+def past_due(calibration_due: str | None, today: date) -> bool:
+    """Whether an instrument is past its calibration date; the day itself is not."""
+    return calibration_due is not None and date.fromisoformat(calibration_due) < today
+
+
+def overdue(instruments: Iterable[InstrumentIdentity], today: date) -> tuple[str, ...]:
+    """Say which instruments are past their calibration date."""
+    return tuple(
+        f"the calibration of {one.role} ({one.model}) was due on {one.calibration_due}"
+        for one in instruments
+        if past_due(one.calibration_due, today)
+    )
+
+
+def _check_limits(limits: Iterable[Limit], metrics: Iterable[object]) -> None:
+    declared = [getattr(metric, "measures", None) for metric in metrics]
+    if any(units is None for units in declared):
+        return  # a metric that does not say what it measures may measure anything
+    _check_named(limits, {name: unit for units in declared if units for name, unit in units.items()})
+
+
+def _check_named(limits: Iterable[Limit], measured: Mapping[str, str]) -> None:
+    for limit in limits:
+        if limit.measurement not in measured:
+            near = get_close_matches(limit.measurement, measured, n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise ConfigError(
+                f"no metric of this recipe measures {limit.measurement!r}, which a limit names",
+                remedy=f"{hint}measured: {', '.join(sorted(measured))}",
+            )
+        if limit.unit != measured[limit.measurement]:
+            raise ConfigError(
+                f"the limit of {limit.measurement} is in {limit.unit!r}; it is measured in"
+                f" {measured[limit.measurement]!r}",
+                remedy="give the limit in the measurement's unit",
+            )
+
+
+def _unloaded_frames(steps: Iterable[object]) -> int | None:
+    """Count frames between the first mark and the first press behind it; None where nothing is marked."""
+    taken: int | None = None
+    for step in steps:
+        match step:
+            case MarkUnloaded():
+                taken = taken or 0
+            case AcquireFrames(count=count) if taken is not None:
+                taken += count
+            case Press() if taken is not None:
+                return taken
+    return taken

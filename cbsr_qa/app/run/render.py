@@ -1,0 +1,229 @@
+"""Reports rendered again from the store."""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from cbsr_qa.analysis import characterise_run, conclude
+from cbsr_qa.analysis.run import observe_run
+from cbsr_qa.app.run.decided_again import check_decided
+from cbsr_qa.app.run.material_output import material_path, why_no_material, write_material
+from cbsr_qa.app.run.outputs import calibration_path, report_sections
+from cbsr_qa.calibration.file import write_calibration
+from cbsr_qa.calibration.force import prepared_force
+from cbsr_qa.config import database_url, reports_folder, restore
+from cbsr_qa.domain import CalibrationError, NumericsError, StoreError
+from cbsr_qa.domain.plan import Recipe
+from cbsr_qa.domain.results import (
+    Calibration,
+    Characterisation,
+    EndReason,
+    Limit,
+    Measurement,
+    RunObservation,
+    RunResult,
+)
+from cbsr_qa.domain.run import ChainState, RunRecord, VerdictOverride
+from cbsr_qa.plugin import Kind, Plugins, discover, made
+from cbsr_qa.report import render_run, report_name, write_report
+from cbsr_qa.store import Repository, open_store
+from cbsr_qa.store.results import StoredAnalysis
+from cbsr_qa.studies.charts import charts_after
+from cbsr_qa.system import Stages
+
+
+@dataclass(frozen=True, slots=True)
+class Rendered:
+    """What was rendered, where it is, and what its page warns of."""
+
+    run: str
+    serial: str
+    outcome: str
+    reason: str
+    report: Path
+    chain: ChainState
+    overrides: tuple[VerdictOverride, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+#: Makes the result of a run, and the names of the sections its recipe asks for, from what is stored.
+Rebuild = Callable[[str], tuple[RunResult, tuple[str, ...]]]
+
+
+def render_stored(run_or_serial: str, *, database: str | None = None, folder: Path | None = None) -> Rendered:
+    """Render the report of a stored run again, and write its calibration file if that is gone.
+
+    Parameters
+    ----------
+    run_or_serial : a run, or a serial number for its latest run.
+    database : URL or path; None for ``CBSR_QA_DATABASE`` or the default.
+    folder : where to write; None for the reports folder in ``var/``.
+
+    Raises
+    ------
+    StoreError
+        If there is no such database, run or sensor, or the run is not what was stored.
+    RefusedError
+        If the folder cannot be written to; nothing was written then.
+    """
+    plugins = discover()
+    with open_store(database_url(database), create=False) as store:
+        run = store.resolve(run_or_serial)
+        result, names = rebuilt(run, store, plugins)
+    _calibration_again(result)
+    _material_again(result)
+    return render_again(run, lambda _: (result, names), plugins, folder or reports_folder())
+
+
+def _calibration_again(result: RunResult) -> None:
+    """Write the calibration file of a run where it is not there: it is an export of what is stored."""
+    path = calibration_path(result.record.identity)
+    if result.calibration is not None and not path.exists():
+        write_calibration(path, result.calibration)
+
+
+def _material_again(result: RunResult) -> None:
+    """Write the material file of a characterisation where it is not there."""
+    if not why_no_material(result) and not material_path(result).exists():
+        write_material(result)
+
+
+def render_again(run: str, rebuild: Rebuild, plugins: Plugins, folder: Path) -> Rendered:
+    """Render one run's report to ``<serial>-<run>.html``, the name the run itself gave it.
+
+    Raises
+    ------
+    RefusedError
+        If the folder cannot be written to; nothing was written then.
+    """
+    result, names = rebuild(run)
+    identity = result.record.identity
+    sections, missing = report_sections(names, plugins)
+    path = folder / report_name(identity.sensor.serial, identity.run)
+    write_report(path, render_run(result, sections, warnings=missing))
+    verdict = result.verdict
+    return Rendered(
+        identity.run,
+        identity.sensor.serial,
+        str(verdict.outcome),
+        verdict.reason,
+        path,
+        result.record.chain,
+        result.overrides,
+        tuple(dict.fromkeys((*result.warnings, *missing))),
+    )
+
+
+def rebuilt(run: str, store: Repository, plugins: Plugins) -> tuple[RunResult, tuple[str, ...]]:
+    """Put a run's result together again.
+
+    Measurements, verdict and calibration are those that were stored with the latest analysis; a verdict that does
+    not follow from the stored measurements and limits is refused. Images, which are not stored, are worked out from
+    the stored frames with the stored configuration. A run that was never analysed (cut off before it) is analysed
+    here, and nothing of that is stored.
+
+    Returns
+    -------
+    The result, and the sections its recipe names.
+    """
+    record, recipe = store.load_run(run), restore(store.configuration(run)).recipe
+    stored = next(iter(store.analyses(run)), None)
+    check = store.latest_station_check(record.identity.station, record.identity.started_at)
+    history = store.change_history(record)
+    earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
+    if stored is None:
+        now = _analysed_now(record, recipe, plugins)
+        return replace(now, station_check=check, history=history, sensor_history=earlier), recipe.sections
+    check_decided(record, stored, recipe.limits)
+    observation, why = _observed(record, recipe, plugins)
+    characterisation, why = _characterised(record, recipe) if recipe.characterisation else (None, why)
+    calibration, unseen = _calibration(store, stored, observation)
+    result = RunResult(
+        record=record,
+        observation=observation,
+        measurements=with_versions(stored.measurements, recipe.limits),
+        verdict=stored.verdict,
+        calibration=calibration,
+        calibration_why=unseen or stored.calibration_why,
+        compute_s=stored.compute_s,
+        warnings=tuple(dict.fromkeys((*_warnings(stored, why), *record.chain.warnings, *earlier.changed))),
+        limits_version=recipe.limits_version,
+        characterisation=characterisation,
+        station_check=check,
+        station_charts=charts_after(store, record.identity, until=stored.analysis),
+        history=history,
+        overrides=store.overrides(run),
+        sensor_history=earlier,
+    )
+    return result, recipe.sections
+
+
+def _observed(record: RunRecord, recipe: Recipe, plugins: Plugins) -> tuple[RunObservation | None, str]:
+    if record.end is not EndReason.FINISHED or recipe.characterisation is not None:
+        return None, ""
+    if all(phase.frames is None for phase in record.phases):
+        return None, "the run holds no frames, so that there are no images"
+    reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+    try:
+        return observe_run(record, reconstruction, recipe.analysis), ""
+    except NumericsError as error:
+        return None, f"the frames cannot be imaged: {error.reason}"
+
+
+def _characterised(record: RunRecord, recipe: Recipe) -> tuple[Characterisation | None, str]:
+    """What the stored cycles of a strip come to; its measurements are those that were stored."""
+    if record.end is not EndReason.FINISHED or recipe.characterisation is None:
+        return None, ""
+    try:
+        return characterise_run(record, recipe.characterisation), ""
+    except NumericsError as error:
+        return None, f"the material cannot be characterised: {error.reason}"
+
+
+def _calibration(
+    store: Repository, stored: StoredAnalysis, observation: RunObservation | None
+) -> tuple[Calibration | None, str]:
+    """Load the calibration an analysis issued, or say why it cannot be shown: its matrix is not stored as rows."""
+    if stored.calibration is None:
+        return None, ""
+    store.check_calibration(stored.calibration)  # also where it cannot be shown
+    if observation is None:
+        return None, f"{stored.calibration} was issued, but cannot be shown without images"
+    try:
+        prepared = observation.reconstruction.in_single_precision()  # as it was issued
+        return store.load_calibration(stored.calibration, prepared, prepared_force), ""
+    except (StoreError, CalibrationError) as error:
+        return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"
+
+
+def _analysed_now(record: RunRecord, recipe: Recipe, plugins: Plugins) -> RunResult:
+    stages = Stages()
+    found = conclude(record, recipe, plugins, stages)
+    return RunResult(
+        record=record,
+        observation=found.observation,
+        measurements=found.measurements,
+        verdict=found.verdict,
+        calibration=None,
+        calibration_why="this run was never concluded at the station",
+        limits_version=recipe.limits_version,
+        characterisation=found.characterisation,
+        warnings=(
+            *found.warnings,
+            *record.chain.warnings,
+            "this run was analysed for this report alone; no analysis of it is stored",
+        ),
+    )
+
+
+def with_versions(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple[Measurement, ...]:
+    """Give the limits of stored measurements their version back, which is stored with the recipe alone."""
+    versions = {replace(limit, version=""): limit.version for limit in limits}
+    return tuple(
+        m if m.limit is None else replace(m, limit=replace(m.limit, version=versions.get(m.limit, "")))
+        for m in measurements
+    )
+
+
+def _warnings(stored: StoredAnalysis, why: str) -> tuple[str, ...]:
+    return (*stored.warnings, why) if why and why not in stored.warnings else stored.warnings

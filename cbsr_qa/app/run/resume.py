@@ -1,0 +1,166 @@
+"""Go on with a run that was interrupted, from nothing but what is stored of it."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Final
+
+from cbsr_qa.app.run.outputs import RunOutcome, report_command
+from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, concluded
+from cbsr_qa.config import (
+    Configuration,
+    calibrations_folder,
+    database_url,
+    reports_folder,
+    restore,
+    validate_operator,
+    writable_folder,
+)
+from cbsr_qa.domain import CbsrError, StoreError
+from cbsr_qa.domain.plan import Press
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity
+from cbsr_qa.plugin import Plugins, discover, software_versions
+from cbsr_qa.station import describe, plan_of, schedule
+from cbsr_qa.store import Repository, database_exists, open_store, parsed_url, shown
+from cbsr_qa.system import RealClock, Stages
+
+_ELSEWHERE: Final = "a run that was begun with another database is resumed with the same --database"
+
+
+def resume_run(
+    run: str,
+    *,
+    database: str | None = None,
+    operator: str = "",
+    tell: Callable[[str], None] = lambda stage: None,
+    ask: Ask | None = None,
+) -> RunOutcome:
+    """Go on with a run at its next unfinished load, after homing and finding surfaces again.
+
+    Station, recipe, sensor type, material and seed are those it was begun with. A run whose last step was carried
+    out and that was cut off while its result was worked out is concluded, and nothing moves.
+
+    Parameters
+    ----------
+    operator : who resumes it.
+    tell, ask : as of :func:`cbsr_qa.app.run.run_sensor`.
+
+    Raises
+    ------
+    RefusedError
+        Before anything moves: there is no such run, it is not what was stored, it is finished, another process
+        writes it, it is signed with a key that is not set, its configuration does not pass today's checks, or one of
+        its plugins is missing.
+    InstrumentError
+        If an instrument does not answer.
+    """
+    validate_operator(operator)
+    url = database_url(database)
+    if not database_exists(url):
+        raise StoreError(f"{shown(parsed_url(url))} does not exist or is empty", remedy=_ELSEWHERE)
+    with open_store(url, create=False) as store:
+        on_real_clock = restore(_configuration(store, run)).station.clock == "real"
+    for folder in (reports_folder(), calibrations_folder()):
+        writable_folder(folder)
+    with open_store(url, create=False, durable=on_real_clock) as store, store.writing_alone(run, operator):
+        return _resumed(store, run, operator, Stages(tell), ask)
+
+
+def _configuration(store: Repository, run: str) -> str:
+    """Return what a run was configured with; StoreError where it is not there, or not what was stored."""
+    try:
+        return store.configuration(run)
+    except StoreError as error:
+        raise StoreError(
+            f"{error.reason} ({store.shown})",
+            remedy=error.remedy or f"cbsr-qa db status lists the runs that can be resumed; {_ELSEWHERE}",
+        ) from error
+
+
+def _resumed(store: Repository, run: str, operator: str, stages: Stages, ask: Ask | None) -> RunOutcome:
+    plugins = discover()
+    store.check_resumable(run)
+    configuration = restore(store.configuration(run))
+    stored, now = store.identity(run), RealClock().wall()
+    identity = replace(stored, operator=operator, software=software_versions(plugins), started_at=now)
+    changed = changed_software(stored, identity)
+    if store.state_of(run).end is EndReason.FINISHED:
+        _refuse_concluded(store, run)
+        check_recipe_only(configuration, plugins)
+        return concluded(run, store, configuration, plugins, stages, changed)
+    check_configuration(configuration, plugins)
+    done = Done(store.finished_loads(run), store.ended_phases(run), store.goes_on_at_s(run))
+    with Session(configuration, plugins, stages, ask, done) as session:
+        session.walk().refuse()
+        session.warnings += [*changed, *changed_instruments(stored, session.instruments())]
+        return session.run(identity, store)
+
+
+def check_recipe_only(configuration: Configuration, plugins: Plugins) -> None:
+    """Refuse a recipe that cannot be analysed; nothing is going to move, so nothing else is looked at."""
+    from cbsr_qa.app.run.preflight import check_recipe
+
+    check_recipe(configuration.recipe, configuration.sensor_type, plugins)
+
+
+def _refuse_concluded(store: Repository, run: str) -> None:
+    if store.analyses(run):
+        raise StoreError(
+            f"run {run} is finished, and has its result",
+            remedy=f"{report_command(run, store)} writes its report and calibration file again",
+        )
+
+
+def changed_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
+    """Say which versions differ from those a run was begun with."""
+    before, after = dict(stored.software), dict(now.software)
+    differing = [
+        f"{name} {before.get(name, 'not installed')} → {after.get(name, 'not installed')}"
+        for name in dict.fromkeys([*before, *after])
+        if before.get(name) != after.get(name)
+    ]
+    if not differing:
+        return []
+    return [f"the run was begun with other software than it went on with: {', '.join(differing)}"]
+
+
+def changed_instruments(stored: RunIdentity, found: tuple[InstrumentIdentity, ...]) -> list[str]:
+    """Say which instruments are not those a run was begun with."""
+    before = {one.role: one for one in stored.instruments}
+    words = []
+    for one in found:
+        first = before.get(one.role)
+        if first is None or _who(first) != _who(one):
+            was = "none" if first is None else _who(first)
+            words.append(f"{one.role} is another instrument than the run was begun with: {was} → {_who(one)}")
+    return words
+
+
+def _who(one: InstrumentIdentity) -> str:
+    return " ".join(filter(None, [one.model, one.serial, one.firmware]))
+
+
+def next_step(store: Repository, run: str, plugins: Plugins) -> tuple[str, str]:
+    """Return the phase a resumed run would go on in, and what it would do first that was not done, in words.
+
+    Raises
+    ------
+    CbsrError
+        If its configuration or one of its plugins can no longer be used.
+    """
+    plan = plan_of(restore(store.configuration(run)), plugins)
+    ended = store.ended_phases(run)
+    for phase in schedule(plan, store.finished_loads(run), ended):
+        if phase.index in ended:
+            continue
+        presses = [step for step in phase.steps if isinstance(step.step, Press)]
+        return phase.name, describe(presses[0].step) if presses else "the end of the phase"
+    return "", "its end"
+
+
+def known_next(store: Repository, run: str, plugins: Plugins) -> tuple[str, str] | None:
+    """Return the same; None where it cannot be known."""
+    try:
+        return next_step(store, run, plugins)
+    except CbsrError:
+        return None

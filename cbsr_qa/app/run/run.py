@@ -1,0 +1,253 @@
+"""Test one sensor: from files and a serial number to verdict, stored run, report and calibration file."""
+
+import hashlib
+from collections.abc import Callable, Collection
+from contextlib import ExitStack
+from dataclasses import dataclass
+from itertools import count
+from pathlib import Path
+from typing import Any, Self
+
+from cbsr_qa.app.run.outputs import RunOutcome
+from cbsr_qa.app.run.session import Session, check_configuration
+from cbsr_qa.config import (
+    Configuration,
+    calibrations_folder,
+    check_folder,
+    database_url,
+    reports_folder,
+    validate_batch,
+    validate_operator,
+    validate_reason,
+    validate_serial,
+    writable_folder,
+)
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.run import InstrumentIdentity, RunIdentity, SensorHistory
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.plugin import Plugins, discover, software_versions
+from cbsr_qa.station import DryRun, configure, on_stderr
+from cbsr_qa.store import check_usable, database_exists, open_store, parsed_url, sqlite_file
+from cbsr_qa.system import RealClock, Stages
+
+#: Seeds are kept to what every tool that reads a run can hold as an integer.
+_SEED_BITS = 31
+
+
+@dataclass(frozen=True, slots=True)
+class RunRequest:
+    """What a user asks for; see the options of ``cbsr-qa run``."""
+
+    station: str
+    recipe: str
+    serial: str
+    batch: str = ""
+    operator: str = ""
+    sensor_type: str | None = None
+    material: str | None = None
+    seed: int | None = None
+    database: str | None = None
+    why: str = ""
+
+    def checked(self) -> Self:
+        """Return itself if serial, batch, operator and reason may be used; ConfigError otherwise."""
+        validate_serial(self.serial)
+        validate_batch(self.batch)
+        validate_operator(self.operator)
+        validate_reason(self.why)
+        return self
+
+    def configuration(self, seed: int) -> Configuration:
+        """Load and merge the files; ConfigError where one is missing or wrong."""
+        return configure(self.station, self.recipe, sensor_type=self.sensor_type, material=self.material, seed=seed)
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedRun:
+    """What a run would take, whether the station allows it, and the runs of the sensor so far."""
+
+    dry: DryRun
+    history: SensorHistory
+    failed_plugins: tuple[str, ...] = ()
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the run would warn of too: plugins that could not be loaded, changes since the sensor's last run."""
+        return (*self.failed_plugins, *self.history.differences)
+
+    @property
+    def refused(self) -> RefusedError | None:
+        """What the run would be refused with; None where it would begin."""
+        try:
+            self.dry.refuse()
+        except RefusedError as error:
+            return error
+        return None
+
+    @property
+    def exit_code(self) -> int:
+        """2 where the run would be refused, else 0."""
+        return 0 if self.refused is None else self.refused.exit_code
+
+    def lines(self) -> tuple[str, ...]:
+        """Return the summary as lines of text."""
+        told = (f"sensor        {self.history.words}",) if self.history.words else ()
+        return (*self.dry.lines(), *told)
+
+    def document(self) -> dict[str, Any]:
+        """Return the summary as one JSON document."""
+        refused = {"refused": None} if self.refused is None else self.refused.document()
+        history = self.history.document()
+        return {**self.dry.document(), "sensor_history": history, "warnings": list(self.warnings), **refused}
+
+
+def default_seed(serial: str, earlier_runs: int) -> int:
+    """Seed of a run nobody gave one: the same for the same try of the same sensor, another for the next try."""
+    digest = hashlib.sha256(f"{serial}/{earlier_runs}".encode()).digest()
+    return int.from_bytes(digest[:4]) >> (32 - _SEED_BITS)
+
+
+def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
+    """Walk a run without moving or writing anything, by the checks that the run itself would make.
+
+    Parameters
+    ----------
+    attended : whether somebody would be there to answer; nobody is asked.
+
+    Raises
+    ------
+    RefusedError
+        As :func:`run_sensor`; limits of the station that would be broken are listed in the result instead.
+    """
+    plugins = _checked(request.checked())
+    configuration = request.configuration(_seed(request))
+    ask = _nobody_in_a_dry_run if attended else None
+    with Session(configuration, plugins, Stages(), ask) as session:
+        return PlannedRun(session.walk(), _history(request, configuration), tuple(map(str, plugins.failures)))
+
+
+def _nobody_in_a_dry_run(text: str) -> str:
+    raise RefusedError(f"a dry run asks nobody, and was to ask: {text}")
+
+
+def run_sensor(
+    request: RunRequest,
+    *,
+    tell: Callable[[str], None] = lambda stage: None,
+    ask: Callable[[str], str] | None = None,
+    begun: Callable[[str], None] = lambda run: None,
+) -> RunOutcome:
+    """Test one sensor.
+
+    Parameters
+    ----------
+    tell : told what the computer is busy with.
+    ask : shows a text to the operator and returns the answer; None where nobody is there: then a recipe with prompts,
+        and a station with instruments that are worked by hand, are refused.
+    begun : told the run's identifier before anything of it is stored.
+
+    Returns
+    -------
+    What came of it, whatever it was: a run that was aborted or broken is an outcome, stored and reported.
+
+    Raises
+    ------
+    RefusedError
+        Before anything moves and with nothing written: a file, a name, a plugin or a limit is wrong.
+    InstrumentError
+        If an instrument does not answer at the start.
+    """
+    plugins = _checked(request.checked())
+    taken: list[int] = []
+    while True:
+        configuration = request.configuration(_seed(request, taken))
+        with Session(configuration, plugins, Stages(tell), ask, why=request.why) as session:
+            session.walk().refuse()
+            outcome = _stored_run(request, configuration, plugins, session, begun)
+        if outcome is not None:
+            return outcome
+        taken.append(configuration.seed)
+        tell("another run of this sensor has begun meanwhile: opening the bench again with the next seed")
+
+
+def _stored_run(
+    request: RunRequest,
+    configuration: Configuration,
+    plugins: Plugins,
+    session: Session,
+    begun: Callable[[str], None],
+) -> RunOutcome | None:
+    """Run a session that was walked; None, with nothing moved, where another run of the sensor has its seed."""
+    for folder in _folders():
+        writable_folder(folder)
+    # Frames of a virtual clock can be made again after a power cut; those of a bench cannot.
+    durable = configuration.station.clock == "real"
+    with open_store(database_url(request.database), durable=durable, tell=on_stderr) as store, ExitStack() as held:
+        run = store.new_id()
+        identity = _identity(run, request, configuration, session.instruments(), plugins)
+        if request.seed is None:
+            claim = store.seed_claimed(request.serial, configuration.seed, request.operator)
+            if not held.enter_context(claim):
+                return None
+        begun(run)
+        held.enter_context(store.writing_alone(run, request.operator))
+        return session.run(identity, store)
+
+
+def _folders() -> tuple[Path, ...]:
+    return reports_folder(), calibrations_folder()
+
+
+def _checked(request: RunRequest) -> Plugins:
+    """Refuse what can be known to be wrong before the bench is opened; what is wrong with the files is said first."""
+    plugins = discover()
+    check_configuration(request.configuration(0), plugins)
+    url = database_url(request.database)
+    file = sqlite_file(parsed_url(url))
+    for folder in (*_folders(), *(() if file is None else (file.parent,))):
+        check_folder(folder)
+    check_usable(url)
+    return plugins
+
+
+def _seed(request: RunRequest, taken: Collection[int] = ()) -> int:
+    """Seed of a run: as given, or that of the sensor's next try that no run has, without making a database."""
+    if request.seed is not None:
+        return request.seed
+    url = database_url(request.database)
+    stored: tuple[int | None, ...] = ()
+    if database_exists(url):
+        with open_store(url, create=False) as store:
+            stored = store.seeds_of(request.serial)
+    seeds = (default_seed(request.serial, number) for number in count(len(stored)))
+    return next(seed for seed in seeds if seed not in stored and seed not in taken)
+
+
+def _history(request: RunRequest, configuration: Configuration) -> SensorHistory:
+    sensor = SensorIdentity(request.serial, request.batch, configuration.sensor_type.name)
+    url = database_url(request.database)
+    if not database_exists(url):
+        return SensorHistory(sensor, configuration.recipe.name)
+    with open_store(url, create=False) as store:
+        return store.sensor_history(sensor, configuration.recipe.name)
+
+
+def _identity(
+    run: str,
+    request: RunRequest,
+    configuration: Configuration,
+    instruments: tuple[InstrumentIdentity, ...],
+    plugins: Plugins,
+) -> RunIdentity:
+    return RunIdentity(
+        run=run,
+        sensor=SensorIdentity(request.serial, request.batch, configuration.sensor_type.name),
+        station=configuration.station.name,
+        recipe=configuration.recipe.name,
+        operator=request.operator,
+        started_at=RealClock().wall(),
+        configuration_digest=configuration.digest,
+        software=software_versions(plugins),
+        instruments=instruments,
+        simulated=tuple(f"{one.role}: {one.model}" for one in instruments if one.simulated),
+    )

@@ -1,0 +1,329 @@
+"""One session of a run, new or resumed: the bench open, the plan driven, what was stored concluded.
+
+What must not be cut off half-way is stopped by every signal as by the keyboard.
+"""
+
+import signal
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
+from dataclasses import dataclass
+from types import FrameType, TracebackType
+from typing import Self
+
+from cbsr_qa.analysis import calibrated, conclude
+from cbsr_qa.app.changes import unexplained
+from cbsr_qa.app.run.outputs import RunOutcome, report_command, resume_command, write_outputs
+from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded, overdue, refuse_overdue
+from cbsr_qa.config import Configuration
+from cbsr_qa.domain import AbortedError, BrokenRunError, StoreError, UnconcludedError
+from cbsr_qa.domain.results import EndReason, RunResult
+from cbsr_qa.domain.run import (
+    InstrumentIdentity,
+    PhaseFinished,
+    PhaseStarted,
+    RunEnded,
+    RunEvent,
+    RunIdentity,
+    RunStarted,
+)
+from cbsr_qa.plugin import Plugins, left_running
+from cbsr_qa.station import (
+    Asking,
+    DryRun,
+    LoadKey,
+    RunProgress,
+    check_samplers,
+    dry_run,
+    execute,
+    on_stderr,
+    open_station,
+    plan_of,
+    station_clock,
+)
+from cbsr_qa.store import Repository
+from cbsr_qa.studies.charts import charts_after
+from cbsr_qa.system import RealClock, Stages
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """Let the first signal (from the keyboard, termination, hang-up) end what is inside, which then cleans up.
+
+    Further signals are ignored until it has: impatience must not leave a current on.
+
+    Raises
+    ------
+    AbortedError
+        Once what is inside has cleaned up, where a signal or the keyboard stopped it.
+    """
+    heard: list[str] = []
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        if not heard:
+            heard.append(signal.Signals(number).name)
+            raise KeyboardInterrupt
+
+    here = threading.current_thread() is threading.main_thread()
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if here and hasattr(signal, name)]
+    numbers = [getattr(signal, name) for name in names]
+    # One that was inherited as ignored stays so: whoever started the program wanted that.
+    before = {n: signal.signal(n, stop) for n in numbers if signal.getsignal(n) not in (signal.SIG_IGN, None)}
+    try:
+        yield
+    except KeyboardInterrupt as error:
+        raise AbortedError(f"signal {heard[0]}" if heard else "the keyboard") from error
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+Ask = Callable[[str], str]
+
+
+@dataclass(frozen=True, slots=True)
+class Done:
+    """What earlier sessions of a run have done; by default nothing.
+
+    Parameters
+    ----------
+    loads : (phase, index) of presses that were held to their end.
+    phases : that ended.
+    until_s : when on the run's time line this session begins [s].
+    """
+
+    loads: frozenset[LoadKey] = frozenset()
+    phases: frozenset[int] = frozenset()
+    until_s: float = 0.0
+
+
+def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
+    """Refuse what would be refused after hours otherwise: overdue instruments, metrics, limits, missing plugins.
+
+    Raises
+    ------
+    RefusedError
+        Saying what is wrong.
+    """
+    refuse_overdue(configuration.station, RealClock().wall().date())
+    check_recipe(configuration.recipe, configuration.sensor_type, plugins)
+    planned = plan_of(configuration, plugins)
+    check_unloaded(planned, configuration.recipe)
+    check_cycles(planned, configuration.recipe)
+
+
+class Session:
+    """A bench that is open, and what is to be done on it.
+
+    Parameters
+    ----------
+    configuration : checked, see :func:`check_configuration`.
+    ask : shows a text to the operator and returns the answer; None where nobody is there.
+    done : by earlier sessions of the same run.
+    why : why its files are not those of the runs before it, in the operator's words.
+
+    Raises
+    ------
+    InstrumentError, ConfigError
+        If an instrument does not answer, or is not what the station file says.
+    """
+
+    def __init__(
+        self,
+        configuration: Configuration,
+        plugins: Plugins,
+        stages: Stages,
+        ask: Ask | None,
+        done: Done | None = None,
+        why: str = "",
+    ) -> None:
+        self._configuration = configuration
+        self._plugins = plugins
+        self._stages = stages
+        self._asks = ask
+        self._why = why
+        self._done = done or Done()
+        self._progress: RunProgress | None = None
+        self.warnings: list[str] = []
+        self._plan = plan_of(configuration, plugins)
+        self._clock = station_clock(configuration)
+        self._ask = None if ask is None else Asking(self._asked)
+        self._bench = open_station(
+            configuration, plugins, self._clock, resumed_at_s=self._done.until_s, ask=self._ask
+        )
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._bench.close()
+
+    def walk(self) -> DryRun:
+        """Count what is left to do, and what the station would not allow."""
+        check_samplers(self._plan, self._bench.samplers)
+        return dry_run(
+            self._plan,
+            self._bench.frame_source.frame_period_s,
+            done=self._done.loads,
+            ended=self._done.phases,
+            answered=self._ask is not None,
+        )
+
+    def instruments(self) -> tuple[InstrumentIdentity, ...]:
+        """Ask every instrument who it is."""
+        return self._bench.identities()
+
+    def run(self, identity: RunIdentity, store: Repository) -> RunOutcome:
+        """Drive the bench, then work out from the store what it came to.
+
+        Raises
+        ------
+        BrokenRunError
+            If the run, or what it came to, could not be stored or read back: what was stored of it stays.
+        """
+        self.warnings += filter(None, [store.from_the_future()])
+        self.warnings += overdue(identity.instruments, RealClock().wall().date())
+        with self._stages.stage("running the station"):
+            ended = self._drive(identity, store)
+        _refuse_unstored(identity.run, ended, store)
+        return concluded(identity.run, store, self._configuration, self._plugins, self._stages, self.warnings)
+
+    def _asked(self, text: str) -> str:
+        """Ask the operator; what shows progress on the terminal makes room meanwhile."""
+        assert self._asks is not None
+        with nullcontext() if self._progress is None else self._progress.paused():
+            return self._asks(text)
+
+    def _drive(self, identity: RunIdentity, store: Repository) -> RunEnded:
+        configuration = self._configuration
+        journal = store.journal(
+            configuration=configuration.canonical,
+            sensor_type=configuration.sensor_type,
+            material=configuration.material,
+            indenter=configuration.station.indenter,
+            tell=on_stderr,
+            why=self._why,
+        )
+        with RunProgress(len(self._plan.phases), self._clock) as progress:
+            self._progress = progress
+            return execute(
+                self._plan,
+                identity,
+                self._bench,
+                self._clock,
+                [journal, progress, self._hooks(identity)],
+                done=self._done.loads,
+                ended=self._done.phases,
+                ask=self._ask,
+                warn=self.warnings.append,
+            )
+
+    def _hooks(self, identity: RunIdentity) -> Callable[[RunEvent], None]:
+        """Tell plugins what happens; one that fails becomes a warning of the run."""
+        tell, warn = self._plugins.tell, self.warnings.append
+        names: dict[int, str] = {}
+
+        def plugin_hooks(event: RunEvent) -> None:
+            match event:
+                case RunStarted():
+                    tell("cbsr_run_started", warn, may_abort=True, identity=identity)
+                case PhaseStarted():
+                    names[event.index] = event.name
+                case PhaseFinished():
+                    tell("cbsr_phase_finished", warn, may_abort=True, identity=identity, phase=names[event.index])
+
+        return plugin_hooks
+
+
+def _refuse_unstored(run: str, ended: RunEnded, store: Repository) -> None:
+    """Raise where a run ended and its end could not be stored: nothing is concluded from half a run."""
+    if ended.end is EndReason.FINISHED:
+        return
+    try:
+        stored = store.state_of(run).end
+    except StoreError:
+        stored = EndReason.RUNNING
+    if stored is EndReason.RUNNING:
+        raise BrokenRunError(
+            run,
+            ended.detail,
+            remedy=f"mend that; what was stored stays, and this goes on: {resume_command(run, store)}",
+        )
+
+
+def concluded(
+    run: str,
+    store: Repository,
+    configuration: Configuration,
+    plugins: Plugins,
+    stages: Stages,
+    warnings: Sequence[str],
+) -> RunOutcome:
+    """Work out from the store what a run came to, and write its report and calibration file.
+
+    Raises
+    ------
+    BrokenRunError
+        If that could not be stored or read back (a full disk): what was stored of the run stays.
+    UnconcludedError
+        If somebody stopped it (Ctrl-C, termination, hang-up).
+    """
+    try:
+        with stoppable():
+            return _concluded(run, store, configuration, plugins, stages, warnings)
+    except AbortedError as error:
+        again = report_command(run, store) if store.analyses(run) else resume_command(run, store)
+        raise UnconcludedError(run, again, error.by) from error
+    except StoreError as error:
+        remedy = "; where the database then holds the run, this goes on: ".join(
+            filter(None, [error.remedy, resume_command(run, store)])
+        )
+        raise BrokenRunError(run, error.reason, remedy=remedy) from error
+
+
+def _concluded(
+    run: str,
+    store: Repository,
+    configuration: Configuration,
+    plugins: Plugins,
+    stages: Stages,
+    warnings: Sequence[str],
+) -> RunOutcome:
+    with stages.stage("reading the run back"):
+        record = store.whole_run(run)
+    recipe, history, threads = configuration.recipe, store.change_history(record), threading.enumerate()
+    earlier = store.sensor_history(record.identity.sensor, record.identity.recipe, run)
+    conclusion = conclude(record, recipe, plugins, stages)
+    issued_at = RealClock().wall().isoformat()
+    charts = charts_after(store, record.identity, conclusion.measurements)
+    calibration, why = calibrated(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
+    result = RunResult(
+        record=record,
+        observation=conclusion.observation,
+        measurements=conclusion.measurements,
+        verdict=conclusion.verdict,
+        calibration=calibration,
+        calibration_why=why,
+        compute_s=stages.table(),
+        warnings=(
+            *conclusion.warnings,
+            *warnings,
+            *map(str, plugins.failures),
+            *left_running(threads),
+            *(charts.warnings() if charts else ()),
+            *unexplained(history.of(run)),
+            *record.chain.warnings,
+            *earlier.warnings,
+        ),
+        limits_version=recipe.limits_version,
+        characterisation=conclusion.characterisation,
+        station_check=store.latest_station_check(record.identity.station, record.identity.started_at),
+        station_charts=charts,
+        history=history,
+        sensor_history=earlier,
+    )
+    store.save_result(result)
+    resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)
+    return write_outputs(result, recipe, plugins, stages, configuration.seed, resume=resume)

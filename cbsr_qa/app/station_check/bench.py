@@ -1,0 +1,338 @@
+"""A station's instruments looked at one by one, and a ring of resistors measured with all of them; nothing moves."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from datetime import date
+from typing import Any, Final
+
+import numpy as np
+
+from cbsr_qa.analysis import RING, check_ring
+from cbsr_qa.app.run import past_due
+from cbsr_qa.config import Configuration
+from cbsr_qa.domain import AbortedError, CbsrError, InstrumentError, RefusedError
+from cbsr_qa.domain.plan import InstrumentSpec, ReferenceRing, Station
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity, RingReadings
+from cbsr_qa.eit.forward import FEWEST_RESISTORS
+from cbsr_qa.plugin import Instrument, Linked, Plugins, Sampler, SelfTesting
+from cbsr_qa.report import number, unit_shown
+from cbsr_qa.station import (
+    FORCE_APPLICATOR,
+    FORCE_CHANNEL,
+    FRAME_SOURCE,
+    Action,
+    Bench,
+    Mounted,
+    check_clock,
+    identity_of,
+    opener,
+    stop_all,
+)
+from cbsr_qa.system import Clock
+
+#: Told a text, says whether the operator did what it asks for; None where nobody is there.
+Confirm = Callable[[str], bool] | None
+
+#: Subject of lines about all instruments together.
+_WHOLE: Final = "whole bench"
+_NO_RING: Final = "give --ring-ohm, or [reference_ring] in the station file"
+
+
+@dataclass(slots=True)
+class BenchFindings:
+    """What came of it.
+
+    Parameters
+    ----------
+    lines : of the check, in order.
+    instruments : those that answered.
+    ring : its frames; None where none were taken.
+    refused : why instruments could not even be tried.
+    """
+
+    lines: list[CheckResult] = field(default_factory=list)
+    instruments: list[InstrumentIdentity] = field(default_factory=list)
+    ring: RingReadings | None = None
+    refused: list[RefusedError] = field(default_factory=list)
+
+
+def look_at_bench(
+    configuration: Configuration,
+    plugins: Plugins,
+    clock: Clock,
+    *,
+    today: date,
+    ring: ReferenceRing | None,
+    confirm: Confirm,
+    ask: Callable[[str], str] | None = None,
+    tell: Callable[[str], None] = lambda words: None,
+) -> BenchFindings:
+    """Open every instrument, ask each for identity and self-test, sample what samples, measure the ring, close all.
+
+    Whatever happens the bench is made safe and nothing is left open. An instrument that does not answer is a line.
+
+    Parameters
+    ----------
+    ring : to measure; None where none is to be.
+    confirm : asked for before the ring is measured, on a real bench.
+    ask : of instruments that are worked by hand; None where nobody is there.
+    tell : told what is being done.
+
+    Raises
+    ------
+    ConfigError
+        If the ring does not fit the sensor type, or what the station emulates cannot be started.
+    """
+    resistances = _resistances(configuration, ring)
+    seen = with_ring(configuration, resistances) if resistances and simulates_frames(configuration.station) else None
+    look = _Look(seen or configuration, clock, tell)
+    opened, after = opener(look.configuration, plugins, clock, ask=ask)
+    try:
+        for spec in look.configuration.station.instruments:
+            look.open(spec, opened, today)
+        connected = seen is not None or (bool(resistances) and look.has_ring(resistances, confirm))
+        look.put_together(after)
+        look.sample()
+        look.measure_ring(ring, resistances, connected)
+    finally:
+        look.close(after)
+    return look.found
+
+
+def simulates_frames(station: Station) -> bool:
+    """Whether the frames of a station are of a simulated world, in which a ring can be put in the sheet's place."""
+    sources = [one for one in station.instruments if FRAME_SOURCE in one.provides]
+    return station.emulated_scene is not None or any("scene" in one.options for one in sources)
+
+
+def with_ring(configuration: Configuration, resistances_ohm: tuple[float, ...]) -> Configuration:
+    """Connect a ring in place of the sheet in every world the station simulates."""
+    station = configuration.station
+
+    def changed(spec: InstrumentSpec) -> InstrumentSpec:
+        if FRAME_SOURCE not in spec.provides or "scene" not in spec.options:
+            return spec
+        return replace(spec, options={**spec.options, "scene": _ringed(spec.options["scene"], resistances_ohm)})
+
+    emulated = station.emulated_scene
+    if isinstance(emulated, Mapping):
+        emulated = _ringed(emulated, resistances_ohm)
+    instruments = tuple(changed(spec) for spec in station.instruments)
+    return replace(configuration, station=replace(station, instruments=instruments, emulated_scene=emulated))
+
+
+def _ringed(scene: Mapping[str, Any], resistances_ohm: tuple[float, ...]) -> dict[str, Any]:
+    return {**scene, "scene": {**scene["scene"], "reference_ring_ohm": list(resistances_ohm)}}
+
+
+def _resistances(configuration: Configuration, ring: ReferenceRing | None) -> tuple[float, ...]:
+    electrodes = configuration.sensor_type.electrodes.count
+    return () if ring is None or electrodes < FEWEST_RESISTORS else ring.resistances_ohm(electrodes)
+
+
+class _Look:
+    """One look at a bench: what is open, and what was found so far."""
+
+    def __init__(self, configuration: Configuration, clock: Clock, tell: Callable[[str], None]) -> None:
+        self.configuration = configuration
+        self.found = BenchFindings()
+        self._clock = clock
+        self._tell = tell
+        self._mounted: list[Mounted] = []
+        self._missing = 0
+        self._bench: Bench | None = None
+
+    def open(self, spec: InstrumentSpec, opened: Callable[[InstrumentSpec], Instrument], today: date) -> None:
+        """Open one instrument and ask it who it is and how it is."""
+        self._tell(f"asking {spec.role}")
+        try:
+            one = Mounted(spec, opened(spec))
+        except Exception as error:  # noqa: BLE001 - a stranger's driver may raise anything; it is one line
+            if isinstance(error, RefusedError):
+                self.found.refused.append(error)
+            self._add(_failed(spec.role, "identity", error))
+            self._missing += 1
+        else:
+            self._mounted.append(one)
+            if not isinstance(one.instrument, Linked):
+                self._ask(one)
+        due = _due(spec, self.configuration.station, today)
+        if due is not None:
+            self._add(due)
+
+    def _ask(self, one: Mounted, *, emulated: bool = False) -> None:
+        """Ask an instrument who it is, and to test itself; ``emulated`` as of :func:`identity_of`."""
+        role = one.spec.role
+        try:
+            said = identity_of(one, emulated=emulated)
+        except Exception as error:  # noqa: BLE001 - as above
+            self._add(_failed(role, "identity", error))
+            self._missing += 1
+            return
+        self.found.instruments.append(said)
+        self._add(CheckResult("identity", CheckOutcome.OK, said=_who(said), subject=role))
+        self._self_test(one)
+
+    def _self_test(self, one: Mounted) -> None:
+        if not isinstance(one.instrument, SelfTesting):
+            why = f"driver {one.spec.driver} has none"
+            self._add(CheckResult("self-test", CheckOutcome.NOT_DONE, said=why, subject=one.spec.role))
+            return
+        try:
+            for line in one.instrument.self_test():
+                self._add(replace(line, subject=one.spec.role))
+        except Exception as error:  # noqa: BLE001 - as above
+            self._add(_failed(one.spec.role, "self-test", error))
+
+    def has_ring(self, resistances_ohm: tuple[float, ...], confirm: Confirm) -> bool:
+        """Ask for the ring, before instruments that look at their contacts are put together."""
+        return not self._missing and confirm is not None and confirm(_connect_words(resistances_ohm))
+
+    def put_together(self, after: tuple[Action, ...]) -> None:
+        """Make a bench of the instruments, if all of them are there, and ask those that needed the others for it."""
+        linked = [one for one in self._mounted if isinstance(one.instrument, Linked)]
+        if self._missing:
+            for one in linked:
+                why, role = "it works through others, of which one is missing", one.spec.role
+                self._add(CheckResult("identity", CheckOutcome.NOT_DONE, said=why, subject=role))
+            return
+        try:
+            bench = Bench(self._mounted, after=after)
+            emulates = any(one.spec.emulated for one in self._mounted)
+            for one in linked:
+                self._ask(one, emulated=emulates and "address" not in one.spec.options)
+            if not self._missing:
+                check_clock(self.configuration, self.found.instruments)
+                self._bench = bench
+        except Exception as error:  # noqa: BLE001 - as above: linking calls drivers
+            self._add(_failed(error.role if isinstance(error, InstrumentError) else _WHOLE, "together", error))
+
+    def sample(self) -> None:
+        """Wait as long as data may be old, and see that every channel has samples."""
+        if self._bench is None:
+            return
+        stale_s, begun_s = self.configuration.station.safety.stale_s, self._clock.now()
+        self._clock.sleep(stale_s)
+        for one in self._mounted:
+            if isinstance(one.instrument, Sampler):
+                try:
+                    self._add(_sampled(one.spec, one.instrument, begun_s, stale_s))
+                except Exception as error:  # noqa: BLE001 - as above
+                    self._add(_failed(one.spec.role, f"samples of {one.instrument.channel}", error))
+
+    def measure_ring(self, ring: ReferenceRing | None, resistances_ohm: tuple[float, ...], connected: bool) -> None:
+        """Take frames of the ring and judge them; a line says why, where none are taken."""
+        sensor_type = self.configuration.sensor_type
+        if ring is None:
+            return self._add(_no_ring("no ring was asked for", _NO_RING))
+        if not resistances_ohm:
+            why = f"{sensor_type.name} has {sensor_type.electrodes.count} electrodes, between which there is no ring"
+            return self._add(_no_ring(why, "set the station up for a sensor type with more"))
+        if self._bench is None:
+            return self._add(_no_ring("the instruments do not work together", "see above"))
+        if not connected:
+            why = "nobody said that the ring is connected"
+            return self._add(_no_ring(why, "run it from a terminal, or with --ring-connected once it is"))
+        self._tell("measuring the reference ring")
+        try:
+            frames = self._bench.frame_source.acquire(ring.frames)
+        except Exception as error:  # noqa: BLE001 - as above
+            return self._add(_failed(RING, "readings", error))
+        self.found.ring = RingReadings(frames, resistances_ohm)
+        self.found.lines += check_ring(self.found.ring, sensor_type.pattern, ring)
+        return None
+
+    def close(self, after: tuple[Action, ...]) -> None:
+        """Make everything safe and close it; who did not is a line."""
+        if self._bench is not None:
+            unsafe, unclosed = self._bench.safe_state(), self._bench.close()
+        else:
+            unsafe = stop_all([(one.name, one.instrument.safe_state) for one in self._mounted])
+            unclosed = stop_all([*((one.name, one.instrument.close) for one in self._mounted), *after])
+        for name, who in (("safe state", unsafe), ("closing", unclosed)):
+            for words in who:
+                remedy = "switch the source off and lift the head by hand, then look at this instrument"
+                self._add(CheckResult(name, CheckOutcome.FAILED, said=words, remedy=remedy, subject=_WHOLE))
+        if self._mounted and not unsafe:
+            said = "source off, head up: every instrument says so"
+            self._add(CheckResult("safe state", CheckOutcome.OK, said=said, subject=_WHOLE))
+
+    def _add(self, line: CheckResult) -> None:
+        self.found.lines.append(line)
+
+
+def _failed(subject: str, name: str, error: Exception) -> CheckResult:
+    """Line of something that went wrong; an operator who stops the check while being asked is none."""
+    if isinstance(error, AbortedError):
+        raise error
+    if isinstance(error, CbsrError):
+        return CheckResult(name, CheckOutcome.FAILED, said=error.reason, remedy=error.remedy, subject=subject)
+    said = f"{type(error).__name__}: {error}"
+    return CheckResult(
+        name, CheckOutcome.FAILED, said=said, remedy="report it to the driver's author", subject=subject
+    )
+
+
+def _no_ring(why: str, remedy: str) -> CheckResult:
+    return CheckResult("readings", CheckOutcome.NOT_DONE, said=why, remedy=remedy, subject=RING)
+
+
+def _who(said: InstrumentIdentity) -> str:
+    parts = [said.model, f"serial {said.serial}" if said.serial else "", f"firmware {said.firmware}"]
+    known = [part for part in parts[: 3 if said.firmware else 2] if part]
+    return ", ".join([*known, *(f"{what} {value}".strip() for what, value in said.notes), *_simulated(said)])
+
+
+def _simulated(said: InstrumentIdentity) -> list[str]:
+    return ["simulated"] if said.simulated else []
+
+
+def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | None:
+    """Line about a calibration date; None where the station file states none."""
+    if spec.calibration_due is None:
+        return None
+    days = (date.fromisoformat(spec.calibration_due) - today).days
+    late = past_due(spec.calibration_due, today)
+    outcome = CheckOutcome.OK
+    if late:
+        outcome = CheckOutcome.FAILED if station.overdue == "refuse" else CheckOutcome.WARNING
+    policy = "runs are refused" if outcome is CheckOutcome.FAILED else "runs carry a warning"
+    return CheckResult(
+        "calibration due",
+        outcome,
+        value=float(days),
+        unit="d",
+        allowed="0 or more days left",
+        said=f"due on {spec.calibration_due}" + (f"; {policy}" if late else ""),
+        remedy="have it calibrated and give the new calibration_due in the station file" if late else "",
+        subject=spec.role,
+    )
+
+
+def _sampled(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale_s: float) -> CheckResult:
+    block, name = sampler.samples_since(begun_s), f"samples of {sampler.channel}"
+    if not len(block) and FORCE_APPLICATOR in spec.provides and sampler.channel != FORCE_CHANNEL:
+        why = "it says where the head is while that moves, and nothing moved"
+        return CheckResult(name, CheckOutcome.NOT_DONE, said=why, subject=spec.role)
+    finite = bool(len(block)) and bool(np.isfinite(block.values).all())
+    said = f"no sample in {stale_s:g} s"
+    if len(block):
+        mean, deviation = float(block.values.mean()), float(block.values.std())
+        shown = unit_shown(block.unit)
+        said = f"mean {number(mean)} {shown}, standard deviation {number(deviation, 2)} {shown}"
+    return CheckResult(
+        name,
+        CheckOutcome.OK if finite else CheckOutcome.FAILED,
+        value=len(block) / stale_s,
+        unit="1/s",
+        allowed=f"at least one in {stale_s:g} s",
+        said=said if finite or not len(block) else "a sample is not a finite number",
+        remedy="" if finite else "check its cable and supply",
+        subject=spec.role,
+    )
+
+
+def _connect_words(resistances_ohm: tuple[float, ...]) -> str:
+    alike = len(set(resistances_ohm)) == 1
+    of = f"{resistances_ohm[0]:g} Ω each" if alike else f"{min(resistances_ohm):g} to {max(resistances_ohm):g} Ω"
+    return f"Connect the reference ring ({len(resistances_ohm)} resistors, {of}) in place of the sensor"

@@ -1,0 +1,343 @@
+"""Check a station: its instruments, a reference ring, a golden sensor. What came of it is stored with the runs.
+
+What a check of a station came to, for whoever asked for it.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from cbsr_qa.app.run import RunRequest, run_sensor, stoppable
+from cbsr_qa.app.station_check.bench import BenchFindings, Confirm, look_at_bench, simulates_frames
+from cbsr_qa.app.station_check.golden_history import compare_golden, golden_history
+from cbsr_qa.app.station_check.page import station_page
+from cbsr_qa.config import (
+    Configuration,
+    calibrations_folder,
+    database_url,
+    reports_folder,
+    validate_operator,
+    validate_serial,
+    writable_folder,
+)
+from cbsr_qa.domain import CbsrError, RefusedError
+from cbsr_qa.domain.plan import ReferenceRing
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings, StationCheck
+from cbsr_qa.plugin import discover, software_versions
+from cbsr_qa.report import report_name, write_report
+from cbsr_qa.station import configure, on_stderr, station_clock
+from cbsr_qa.store import Repository, open_store
+from cbsr_qa.system import RealClock
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedStation:
+    """What came of a check: stored, and written as a page.
+
+    Parameters
+    ----------
+    page : None where it could not be written; ``page_why`` then says why.
+    answered : whether any instrument answered.
+    """
+
+    check: StationCheck
+    page: Path | None
+    page_why: str
+    answered: bool
+
+    @property
+    def exit_code(self) -> int:
+        """0 all well or warnings only, 1 something failed, 3 no instrument answered."""
+        if not self.answered:
+            return 3
+        return 1 if self.check.outcome is CheckOutcome.FAILED else 0
+
+    def document(self) -> dict[str, Any]:
+        """Return the check as one JSON document."""
+        check = self.check
+        return {
+            "check": check.check,
+            "station": check.station,
+            "operator": check.operator,
+            "checked_at": check.checked_at.isoformat(),
+            "outcome": str(check.outcome),
+            "results": [result_row(line) for line in check.results],
+            "instruments": [
+                {
+                    "role": one.role,
+                    "driver": one.driver,
+                    "model": one.model,
+                    "serial": one.serial,
+                    "firmware": one.firmware,
+                    "simulated": one.simulated,
+                    "calibration_due": one.calibration_due,
+                    "notes": dict(one.notes),
+                }
+                for one in check.instruments
+            ],
+            "golden_run": check.golden_run,
+            "configuration_digest": check.configuration_digest,
+            "page": None if self.page is None else str(self.page),
+            "page_why": self.page_why,
+        }
+
+
+def result_row(line: CheckResult) -> dict[str, Any]:
+    """Return a line of a check as a JSON object; what it does not have is null or empty."""
+    return {
+        "subject": line.subject,
+        "name": line.name,
+        "outcome": str(line.outcome),
+        "value": line.value,
+        "unit": line.unit,
+        "allowed": line.allowed,
+        "said": line.said,
+        "remedy": line.remedy,
+    }
+
+
+#: Shipped recipe of a golden sensor's run.
+GOLDEN_RECIPE: Final = "golden-check"
+#: Limits of a ring that only the command line knows: those of an empty [reference_ring] table.
+_RING_LIMITS: Final[Mapping[str, float]] = {
+    "tolerance": 1e-3,
+    "gain": 1e-2,
+    "reading": 1e-2,
+    "noise": 1e-3,
+    "offset_V": 1e-3,
+    "lead_ohm": 100.0,
+}
+_RING_FRAMES: Final = 16
+#: A resistor that a station file would take.
+_OHM: Final = (1e-3, 1e9)
+
+#: Lines without which nothing is pressed.
+_NEEDED: Final = ("identity", "together", "safe state", "closing")
+
+
+@dataclass(frozen=True, slots=True)
+class CheckRequest:
+    """What a user asks for; see the options of ``cbsr-qa station check``.
+
+    Parameters
+    ----------
+    golden : serial number of a golden sensor; None for no such run.
+    ring_ohm : of every resistor of the ring; None for what the station file says.
+    ring : whether a ring is measured at all, where one is known.
+    ring_connected : the ring is in place already, and nobody is asked.
+    """
+
+    station: str
+    golden: str | None = None
+    operator: str = ""
+    ring_ohm: float | None = None
+    ring: bool = True
+    ring_connected: bool = False
+    sensor_type: str | None = None
+    material: str | None = None
+    seed: int = 0
+    database: str | None = None
+
+
+def check_station(
+    request: CheckRequest,
+    *,
+    ask: Callable[[str], str] | None = None,
+    tell: Callable[[str], None] = lambda stage: None,
+) -> CheckedStation:
+    """Check a station, store what came of it, and write its page.
+
+    Parameters
+    ----------
+    ask : shows a text to the operator and returns the answer; None where nobody is there: what has to be connected
+        first is then not measured, and instruments that are worked by hand do not answer.
+    tell : told what is being done.
+
+    Returns
+    -------
+    What was found, whatever it is: an instrument that does not answer is a line of the check.
+
+    Raises
+    ------
+    RefusedError
+        Before anything is opened: a file, a name or an option is wrong, or the database cannot be used. Also where
+        not a single instrument could be tried, because its driver or its options are wrong.
+    AbortedError
+        If a signal stopped it; the bench is safe then, and nothing is stored.
+    """
+    plugins, configuration = discover(), _configuration(request)
+    ring = _ring(request, configuration.station.reference_ring)
+    simulated = simulates_frames(configuration.station)
+    _refuse_both(request, ring, simulated)
+    for folder in (reports_folder(), calibrations_folder()):
+        writable_folder(folder)
+    confirm: Confirm = None if ask is None else lambda words: _confirmed(ask, words)
+    # An operator is asked once for one thing, whoever wants to know.
+    placed: Confirm = None if simulated or confirm is None else cache(confirm)
+    with open_store(database_url(request.database), tell=on_stderr) as store:
+        if placed is not None and request.golden is not None and ring is None:
+            # Contacts are looked at while the instruments are put together: something must be connected by then.
+            placed(_place_words(request.golden))
+        with stoppable():
+            found = look_at_bench(
+                configuration,
+                plugins,
+                station_clock(configuration),
+                today=RealClock().wall().date(),
+                ring=ring,
+                confirm=(lambda words: True) if request.ring_connected else confirm,
+                ask=ask,
+                tell=tell,
+            )
+        _refuse_untried(found, configuration)
+        run = None
+        if request.golden is not None and _may_press(request.golden, found, placed):
+            run = _golden(request, request.golden, found, store, ask, tell)
+        check = _check(store.new_id(), request, configuration, software_versions(plugins), found, run)
+        store.save_station_check(check, found.ring)
+    page, why = _written(check, found.ring, configuration, ring)
+    return CheckedStation(check, page, why, bool(found.instruments))
+
+
+def _refuse_both(request: CheckRequest, ring: ReferenceRing | None, simulated: bool) -> None:
+    if request.golden and ring is not None and request.ring_connected and not simulated:
+        raise RefusedError(
+            "the reference ring and a golden sensor cannot both be connected",
+            remedy="leave out --ring-connected and be asked for each, or check the golden sensor with --no-ring",
+        )
+
+
+def _check(
+    name: str,
+    request: CheckRequest,
+    configuration: Configuration,
+    software: tuple[tuple[str, str], ...],
+    found: BenchFindings,
+    golden_run: str | None,
+) -> StationCheck:
+    return StationCheck(
+        check=name,
+        station=configuration.station.name,
+        operator=request.operator,
+        checked_at=RealClock().wall(),
+        sensor_type=configuration.sensor_type.name,
+        configuration_digest=configuration.digest,
+        software=software,
+        instruments=tuple(found.instruments),
+        results=tuple(found.lines),
+        golden_run=golden_run,
+    )
+
+
+def _configuration(request: CheckRequest) -> Configuration:
+    validate_operator(request.operator)
+    if request.golden is not None:
+        validate_serial(request.golden)
+    return configure(
+        request.station,
+        GOLDEN_RECIPE,
+        sensor_type=request.sensor_type,
+        material=request.material,
+        seed=request.seed,
+    )
+
+
+def _ring(request: CheckRequest, stated: ReferenceRing | None) -> ReferenceRing | None:
+    """The ring to measure: the station file's, with the resistance of the command line where it gives one."""
+    ohm = request.ring_ohm
+    if not request.ring:
+        if ohm is not None:
+            raise RefusedError("--ring-ohm is given beside --no-ring", remedy="leave one of them out")
+        return None
+    if ohm is None:
+        return stated
+    if not _OHM[0] <= ohm <= _OHM[1]:
+        raise RefusedError(f"--ring-ohm is {ohm:g}", remedy=f"a resistor has {_OHM[0]:g} to {_OHM[1]:g} ohm")
+    if stated is not None:
+        return replace(stated, resistance_ohm=(ohm,))
+    return ReferenceRing((ohm,), frames=_RING_FRAMES, **_RING_LIMITS)
+
+
+def _confirmed(ask: Callable[[str], str], words: str) -> bool:
+    """Ask the operator to connect something; only an empty answer means that it was done."""
+    return not ask(f"{words}. Press Enter when it is done, or type s to skip it.").strip()
+
+
+def _refuse_untried(found: BenchFindings, configuration: Configuration) -> None:
+    """Raise what is wrong with the station file where not a single instrument could be tried."""
+    if not found.instruments and len(found.refused) == len(configuration.station.instruments):
+        raise found.refused[0]
+
+
+def _subject(serial: str) -> str:
+    return f"golden sensor {serial}"
+
+
+def _place_words(serial: str) -> str:
+    return f"Put golden sensor {serial} on the station"
+
+
+def _may_press(serial: str, found: BenchFindings, confirm: Confirm) -> bool:
+    """Whether the golden sensor may be run; a line says why not."""
+    why = ""
+    if any(one.outcome is CheckOutcome.FAILED and one.name in _NEEDED for one in found.lines):
+        why = "the bench is not whole"
+    elif confirm is not None and not confirm(_place_words(serial)):
+        why = "the operator did not put it on the station"
+    if why:
+        found.lines.append(CheckResult("run", CheckOutcome.NOT_DONE, said=why, subject=_subject(serial)))
+    return not why
+
+
+def _golden(
+    request: CheckRequest,
+    serial: str,
+    found: BenchFindings,
+    store: Repository,
+    ask: Callable[[str], str] | None,
+    tell: Callable[[str], None],
+) -> str | None:
+    """Run the golden sensor and add a line for each of its figures; returns the run, None where none was begun."""
+    subject = _subject(serial)
+
+    def line(outcome: CheckOutcome, said: str, remedy: str = "") -> None:
+        found.lines.append(CheckResult("run", outcome, said=said, remedy=remedy, subject=subject))
+
+    wanted = RunRequest(
+        station=request.station,
+        recipe=GOLDEN_RECIPE,
+        serial=serial,
+        operator=request.operator,
+        sensor_type=request.sensor_type,
+        material=request.material,
+        database=request.database,
+    )
+    try:
+        outcome = run_sensor(wanted, tell=tell, ask=ask)
+    except CbsrError as error:
+        line(CheckOutcome.FAILED, error.reason, error.remedy)
+        return None
+    record = outcome.result.record
+    if record.end is not EndReason.FINISHED:
+        line(CheckOutcome.FAILED, f"run {outcome.run} was {record.end}: {record.end_detail}", "measure it again")
+        return outcome.run
+    line(CheckOutcome.OK, f"run {outcome.run}, {record.station_s / 60:.1f} min of station time")
+    history = golden_history(store, outcome.run)
+    station = record.identity.station
+    found.lines += compare_golden(outcome.result.measurements, history, station=station, subject=subject)
+    return outcome.run
+
+
+def _written(
+    check: StationCheck, readings: RingReadings | None, configuration: Configuration, ring: ReferenceRing | None
+) -> tuple[Path | None, str]:
+    """Write the page; a check that is stored is none the worse for a page that cannot be written."""
+    path = reports_folder() / report_name("station", check.station, check.check)
+    try:
+        write_report(path, station_page(check, readings, configuration.sensor_type.pattern, ring))
+    except CbsrError as error:
+        return None, error.reason
+    return path, ""

@@ -1,0 +1,224 @@
+"""A golden sensor's run held against its earlier runs, at this station and at others."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from math import floor, log10
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain.results import Bound, EndReason, Measurement
+from cbsr_qa.domain.run import CheckOutcome, CheckResult
+from cbsr_qa.report import fixed, number, unit_shown, with_uncertainty
+from cbsr_qa.stats import FEWEST_VALUES, Prediction, predicted
+from cbsr_qa.store import Repository
+from cbsr_qa.studies.limits import measuring_digest
+
+#: What is compared: measurement, and qualifier where it has one. A figure of several places is its mean over them.
+FIGURES: Final = (
+    ("force", ""),
+    ("amplitude_response", ""),
+    ("centre_of_mass_error", ""),
+    ("area_overlap", ""),
+    ("interelectrode_resistance", ""),
+    ("contact_resistance_ratio", ""),
+    ("channel_snr", "median"),
+    ("conductance_noise", ""),
+    ("noise_floor", ""),
+    ("reciprocity_error", ""),
+    ("drift", ""),
+)
+#: With what confidence a station that has not changed is outside in no figure at all: beyond it fails, or warns.
+FAILS_BEYOND: Final = 0.99
+WARNS_BEYOND: Final = 0.95
+_MOST_DECIMALS: Final = 9
+
+_CHANGED: Final = (
+    "measure it again; if it stays so, a second golden sensor tells if the station or this sensor changed"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """One figure of one run.
+
+    Parameters
+    ----------
+    value : mean over the places.
+    places : how many there were.
+    unit : of the value.
+    """
+
+    value: float
+    places: int
+    unit: str
+
+
+@dataclass(frozen=True, slots=True)
+class GoldenRun:
+    """An earlier run of the sensor: where it was made, and its figures by name."""
+
+    run: str
+    station: str
+    figures: Mapping[str, Figure]
+
+
+@dataclass(frozen=True, slots=True)
+class GoldenHistory:
+    """Earlier runs of a golden sensor, oldest first, and how many others were left out."""
+
+    runs: tuple[GoldenRun, ...]
+    unlike: int
+
+
+def golden_history(store: Repository, run: str) -> GoldenHistory:
+    """Return the earlier runs of a run's sensor that were finished with the same recipe, sensor type and head.
+
+    Parameters
+    ----------
+    run : the golden sensor's new run; what began after it is left out.
+
+    Raises
+    ------
+    StoreError
+        If it is not stored.
+    """
+    identity, digest = store.identity(run), measuring_digest(store.configuration(run))
+    found, unlike = [], 0
+    for other in reversed(store.find_runs(identity.sensor.serial)):
+        if other.recipe != identity.recipe or other.end is not EndReason.FINISHED or other.run >= run:
+            continue
+        analyses = store.analyses(other.run)
+        if not analyses or measuring_digest(store.configuration(other.run)) != digest:
+            unlike += 1
+            continue
+        found.append(GoldenRun(other.run, other.station, figures_of(analyses[0].measurements)))
+    return GoldenHistory(tuple(found), unlike)
+
+
+def figures_of(measurements: Sequence[Measurement]) -> dict[str, Figure]:
+    """Return the figures of a run that can be compared; what was not measured, or only bounded, is not there."""
+    found = {}
+    for name, qualifier in FIGURES:
+        of = [m for m in measurements if (m.name, m.qualifier) == (name, qualifier)]
+        values = [m.value for m in of if m.value is not None and m.bound is Bound.EXACT]
+        if values and len(values) == len(of):
+            found[name] = Figure(float(np.mean(values)), len(values), of[0].unit)
+    return found
+
+
+def compare_golden(
+    measurements: Sequence[Measurement], history: GoldenHistory, *, station: str, subject: str
+) -> tuple[CheckResult, ...]:
+    """Hold a golden run's figures against its history: one line a figure, and one that says what it rests on.
+
+    Each figure is held against the earlier runs at this station and, apart, against those at all others together.
+    The intervals are those of one further run (Student's t), widened so that of all comparisons together none is
+    outside with the stated confidence (Bonferroni). With fewer than three earlier runs there is no verdict.
+
+    Parameters
+    ----------
+    measurements : of the new run.
+    station : where it was made.
+    subject : of the lines.
+    """
+    new = figures_of(measurements)
+    here = [run for run in history.runs if run.station == station]
+    elsewhere = [run for run in history.runs if run.station != station]
+    groups = [("here", here), (_stations(elsewhere), elsewhere)]
+    compared = {
+        (name, where): values
+        for name, figure in new.items()
+        for where, runs in groups
+        if len(values := _values(name, figure, runs)) >= FEWEST_VALUES
+    }
+    lines = [_rests_on(here, elsewhere, history.unlike, subject)]
+    for name, _ in FIGURES:
+        if name not in new:
+            lines.append(_lacking(name, [run for run in history.runs if name in run.figures], subject))
+            continue
+        own = {where: compared[name, where] for where, _ in groups if (name, where) in compared}
+        lines.append(_line(name, new[name], own, len(compared), subject))
+    return tuple(lines)
+
+
+def _lacking(name: str, had: Sequence[GoldenRun], subject: str) -> CheckResult:
+    """Line of a figure that could not be measured: a failure where earlier runs had it."""
+    said, lost = "it could not be measured in this run", len(had) >= FEWEST_VALUES
+    return CheckResult(
+        _shown(name),
+        CheckOutcome.FAILED if lost else CheckOutcome.NOT_DONE,
+        said=f"{said}; {_runs(len(had))} had it" if lost else said,
+        remedy="the report of this run says why" if lost else "",
+        subject=subject,
+    )
+
+
+def _values(name: str, figure: Figure, runs: Sequence[GoldenRun]) -> list[float]:
+    """Values of a figure in earlier runs, of as many places and in the same unit."""
+    of = [run.figures[name] for run in runs if name in run.figures]
+    return [other.value for other in of if (other.places, other.unit) == (figure.places, figure.unit)]
+
+
+def _rests_on(here: Sequence[GoldenRun], elsewhere: Sequence[GoldenRun], unlike: int, subject: str) -> CheckResult:
+    enough = max(len(here), len(elsewhere)) >= FEWEST_VALUES
+    said = f"{_runs(len(here))} at this station, {len(elsewhere)} at others"
+    said += f" ({_stations(elsewhere)})" if elsewhere else ""
+    said += f"; {_runs(unlike)} with another recipe, sensor type or head left out" if unlike else ""
+    return CheckResult(
+        "history",
+        CheckOutcome.OK if enough else CheckOutcome.NOT_DONE,
+        value=float(len(here) + len(elsewhere)),
+        unit="1",
+        said=said,
+        remedy="" if enough else f"no verdict on its figures before {FEWEST_VALUES} earlier runs; this one counts",
+        subject=subject,
+    )
+
+
+def _line(
+    name: str, figure: Figure, compared: Mapping[str, list[float]], comparisons: int, subject: str
+) -> CheckResult:
+    value, shown = figure.value, _shown(name)
+    if not compared:
+        why = f"fewer than {FEWEST_VALUES} earlier runs to hold it against"
+        return CheckResult(shown, CheckOutcome.NOT_DONE, value=value, unit=figure.unit, said=why, subject=subject)
+    outcomes, said, allowed = [CheckOutcome.OK], [], []
+    for where, values in compared.items():
+        fails = predicted(values, confidence=1 - (1 - FAILS_BEYOND) / comparisons)
+        warns = predicted(values, confidence=1 - (1 - WARNS_BEYOND) / comparisons)
+        outside = CheckOutcome.FAILED if not fails.holds(value) else CheckOutcome.WARNING
+        outcomes += [] if warns.holds(value) else [outside]
+        said.append(f"{where} {with_uncertainty(fails.mean, fails.deviation)} in {_runs(fails.count)}")
+        reach = f"{_like(fails.low, fails)} to {_like(fails.high, fails)} {unit_shown(figure.unit)}".rstrip()
+        allowed.append(f"{reach} ({where})")
+    outcome = CheckOutcome.FAILED if CheckOutcome.FAILED in outcomes else outcomes[-1]
+    return CheckResult(
+        shown,
+        outcome,
+        value=value,
+        unit=figure.unit,
+        allowed="; ".join(allowed),
+        said="; ".join(said),
+        remedy="" if outcome is CheckOutcome.OK else _CHANGED,
+        subject=subject,
+    )
+
+
+def _like(value: float, prediction: Prediction) -> str:
+    """Write a bound with the digits that the spread of the values makes worth while."""
+    decimals = 1 - floor(log10(prediction.deviation)) if prediction.deviation > 0 else _MOST_DECIMALS
+    few = abs(prediction.mean) >= 0.01 and 0 <= decimals <= _MOST_DECIMALS
+    return fixed(value, decimals) if few else number(value)
+
+
+def _stations(runs: Sequence[GoldenRun]) -> str:
+    return ", ".join(sorted({run.station for run in runs})) or "elsewhere"
+
+
+def _runs(count: int) -> str:
+    return f"{count} earlier run{'' if count == 1 else 's'}"
+
+
+def _shown(name: str) -> str:
+    return name.replace("_", " ").replace("snr", "SNR")

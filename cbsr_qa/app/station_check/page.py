@@ -1,0 +1,111 @@
+"""The page of ``cbsr-qa station check``: how a station stands, line by line, and the ring against its closed form."""
+
+from collections.abc import Sequence
+from typing import Final
+
+from cbsr_qa.analysis import RING, fit_ring
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.plan import ReferenceRing
+from cbsr_qa.domain.results import Block, Paragraph, Section
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings, StationCheck
+from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.report import Banner, Page, counted, lines_table, quantity, remedies, render_sections, text_table
+from cbsr_qa.report.draw import ring_figure
+
+_RING_WORDS: Final = (
+    "A ring of resistors between neighbouring electrodes stands in place of the sensor. What every pair must read of "
+    "it follows from Kirchhoff's laws alone: between two electrodes lie two arcs in parallel. All readings together "
+    "are fitted by a gain, an offset and a resistance of each lead; what is left of a reading is its own error."
+)
+_GOLDEN_WORDS: Final = (
+    "A golden sensor is one that is kept for this and known well. Its figures are held against its earlier runs, "
+    "those at this station and those at others apart. An interval is where one further run lies; all of them "
+    "together hold with 99 % while nothing has changed. A figure outside fails; one outside those of 95 % warns."
+)
+
+
+def station_page(
+    check: StationCheck, ring: RingReadings | None, pattern: DrivePattern, allowed: ReferenceRing | None
+) -> str:
+    """Return the page of a check as one HTML document.
+
+    Parameters
+    ----------
+    ring, allowed : its frames and the limits they were held against; None where none were taken.
+    """
+    return render_sections(_head(check), _sections(check, ring, pattern, allowed))
+
+
+def _head(check: StationCheck) -> Page:
+    failed = check.lines(CheckOutcome.FAILED)
+    if failed:
+        reason = "; ".join(f"{line.subject}: {line.name}" for line in failed)
+        banner = Banner("fail", "✗", "FAILED", reason)
+    elif check.outcome is CheckOutcome.WARNING:
+        banner = Banner("marginal", "≈", "OK, with warnings", counted(check))
+    else:
+        banner = Banner("pass", "✓", "OK", f"{len(check.lines(CheckOutcome.OK))} lines are well")
+    facts = (
+        ("Station", check.station),
+        ("Checked", check.checked_at.strftime("%Y-%m-%d %H:%M %Z").strip()),
+        ("Operator", check.operator or "not stated"),
+        ("Set up for", check.sensor_type),
+        ("Check", check.check),
+        ("Golden run", check.golden_run or "none"),
+        ("Configuration digest", check.configuration_digest),
+    )
+    simulated = tuple(f"{one.role}: {one.model}" for one in check.instruments if one.simulated)
+    return Page("Station check", check.station, banner, facts, simulated, ())
+
+
+def _sections(
+    check: StationCheck, ring: RingReadings | None, pattern: DrivePattern, allowed: ReferenceRing | None
+) -> list[Section]:
+    of_ring = [line for line in check.results if line.subject == RING]
+    of_golden = [line for line in check.results if line.subject.startswith("golden")]
+    rest = [line for line in check.results if line not in of_ring and line not in of_golden]
+    todo = remedies(check.results)
+    sections = [Section("What to do", todo)] if todo else []
+    sections.append(Section("Instruments", (lines_table("What was asked of each instrument.", rest),)))
+    if of_ring:
+        sections.append(Section("Reference ring", _ring_blocks(of_ring, ring, pattern, allowed)))
+    if of_golden:
+        caption = "The golden sensor's figures against its history."
+        sections.append(Section("Golden sensor", (Paragraph(_GOLDEN_WORDS), lines_table(caption, of_golden))))
+    sections.append(Section("Software", (text_table("Versions.", ("Distribution", "Version"), check.software),)))
+    return sections
+
+
+def _ring_blocks(
+    lines: Sequence[CheckResult], ring: RingReadings | None, pattern: DrivePattern, allowed: ReferenceRing | None
+) -> tuple[Block, ...]:
+    blocks: list[Block] = [Paragraph(_RING_WORDS)]
+    if ring is not None and allowed is not None:
+        current = ring.frames.current_A
+        at = "an unknown current" if current is None else quantity(current, "A")
+        low, high = min(ring.resistances_ohm), max(ring.resistances_ohm)
+        ohm = quantity(low, "ohm") if low == high else f"{quantity(low, 'ohm')} to {quantity(high, 'ohm')}"
+        blocks.append(
+            Paragraph(f"{len(ring.resistances_ohm)} resistors of {ohm}, {len(ring.frames)} frames at {at}.")
+        )
+        blocks += _figure(ring, pattern, allowed)
+    return (*blocks, lines_table("What the ring says of the station.", lines))
+
+
+def _figure(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> list[Block]:
+    try:
+        fit = fit_ring(ring, pattern)
+    except NumericsError:
+        return []  # its line says why
+    limit = allowed.reading + allowed.tolerance
+    return [
+        ring_figure(
+            fit.expected,
+            fit.mean,
+            fit.residual,
+            driven=~pattern.usable(),
+            used=fit.used,
+            allowed=limit,
+            unit=str(ring.frames.unit),
+        )
+    ]

@@ -1,0 +1,14 @@
+from .decoding import decode as decode
+from .digests import stamped as stamped
+from .encoding import encode as encode
+from .firmware import firmware_document as firmware_document, lost_by as lost_by, thinned as thinned
+from .force import as_filed as as_filed
+from .hdf5 import (
+    BLOCK_BEGINS as BLOCK_BEGINS,
+    read_calibration as read_calibration,
+    read_contained as read_contained,
+    verify_calibration as verify_calibration,
+    write_calibration as write_calibration,
+)
+from .hdf5_content import attribute as attribute, attribute_names as attribute_names, members as members
+from .json import json_document as json_document, read_json_calibration as read_json_calibration

@@ -1,0 +1,245 @@
+"""The regularisation parameter among the entries of a calibration file.
+
+Files of before say only value and reason. The name is then the one their method gives it, and nobody says the
+criterion. A choice that says no more than that is written as it was then, so that what was issued before keeps its
+digests.
+
+A calibration as named, typed values with units: what its file holds, whatever the file's format.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import ParameterChoice
+
+#: What a value may be: float64, float32, int64 or bool arrays of any shape, one text, or a list of texts.
+Value = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.int64] | NDArray[np.bool_] | str | tuple[str, ...]
+
+#: Units of values that have none.
+PURE: Final = "1"
+TEXT: Final = "text"
+INDEX: Final = "index"
+FLAG: Final = "flag"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Entry:
+    """One value with its unit."""
+
+    units: str
+    value: Value
+
+
+class Writing:
+    """Collects entries under their paths. Negative zero becomes zero: not every database tells them apart."""
+
+    def __init__(self) -> None:
+        self.entries: dict[str, Entry] = {}
+
+    def number(self, path: str, value: float | None, units: str = PURE) -> None:
+        """Keep a number; None is kept as NaN, which no number in a calibration ever is."""
+        self.entries[path] = Entry(units, np.asarray(np.nan if value is None else value + 0.0, dtype=np.float64))
+
+    def numbers(self, path: str, values: Sequence[float | None] | NDArray[np.float64], units: str = PURE) -> None:
+        """Keep numbers; None in a sequence is kept as NaN."""
+        if not isinstance(values, np.ndarray):
+            values = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+        self.entries[path] = Entry(units, np.ascontiguousarray(values, dtype=np.float64) + 0.0)
+
+    def singles(self, path: str, values: NDArray[np.float64], units: str = PURE) -> None:
+        """Keep numbers in single precision."""
+        self.entries[path] = Entry(units, (np.ascontiguousarray(values) + 0.0).astype(np.float32))
+
+    def shortest(self, path: str, values: NDArray[np.float64], units: str = PURE) -> None:
+        """Keep numbers in single precision where each of them is one, else as they are: nothing is lost."""
+        if np.array_equal(values.astype(np.float32).astype(np.float64), values):
+            self.singles(path, values, units)
+        else:
+            self.numbers(path, values, units)
+
+    def optional(self, path: str, values: Sequence[float] | NDArray[np.float64] | None, units: str = PURE) -> None:
+        """Keep numbers that may be absent: an empty array then."""
+        self.numbers(path, () if values is None else values, units)
+
+    def integers(self, path: str, values: NDArray[np.int64] | Sequence[int] | int, units: str = INDEX) -> None:
+        """Keep indices or counts."""
+        self.entries[path] = Entry(units, np.ascontiguousarray(values, dtype=np.int64).reshape(np.shape(values)))
+
+    def flags(self, path: str, values: NDArray[np.bool_] | Sequence[bool] | bool) -> None:
+        """Keep yes and no."""
+        self.entries[path] = Entry(FLAG, np.asarray(values, dtype=np.bool_))
+
+    def text(self, path: str, value: str) -> None:
+        """Keep a text."""
+        self.entries[path] = Entry(TEXT, value)
+
+    def texts(self, path: str, values: Sequence[str]) -> None:
+        """Keep a list of texts."""
+        self.entries[path] = Entry(TEXT, tuple(values))
+
+
+class Reading:
+    """Hands entries out again, typed.
+
+    Every method raises CalibrationError, naming the path, where it is missing or holds something else.
+    """
+
+    def __init__(self, entries: Mapping[str, Entry]) -> None:
+        self._entries = entries
+
+    def has(self, path: str) -> bool:
+        """Whether there is an entry: not every kind of sensor has every one."""
+        return path in self._entries
+
+    def number(self, path: str) -> float:
+        """Return a number; it is finite."""
+        value = float(self._array(path, np.float64, ()))
+        if not np.isfinite(value):
+            raise CalibrationError(f"{path} is {value:g}; a finite number is expected")
+        return value
+
+    def maybe(self, path: str) -> float | None:
+        """Return a number, or None where there is none."""
+        value = float(self._array(path, np.float64, ()))
+        return None if np.isnan(value) else self.number(path)
+
+    def numbers(self, path: str) -> NDArray[np.float64]:
+        """Return an array of numbers; none is infinite."""
+        array: NDArray[np.float64] = self._array(path, np.float64)
+        if np.isinf(array).any():
+            raise CalibrationError(f"{path} holds a number that is infinite; finite ones are expected")
+        return array
+
+    def singles(self, path: str) -> NDArray[np.float64]:
+        """Return an array of numbers that are kept in single precision."""
+        return self._array(path, np.float32).astype(np.float64)
+
+    def either(self, path: str) -> NDArray[np.float64]:
+        """Return an array of finite numbers that are kept in single or in double precision."""
+        value = self._value(path)
+        single = isinstance(value, np.ndarray) and value.dtype == np.float32
+        values = self.singles(path) if single else self.numbers(path)
+        if not np.isfinite(values).all():
+            raise CalibrationError(f"{path} holds what is not a finite number")
+        return values
+
+    def maybes(self, path: str) -> list[float | None]:
+        """Return a list of numbers with None where there is none."""
+        return [None if np.isnan(value) else float(value) for value in self.numbers(path)]
+
+    def optional(self, path: str) -> NDArray[np.float64] | None:
+        """Return an array of numbers, or None where it is empty."""
+        values = self.numbers(path)
+        return values if values.size else None
+
+    def pair(self, path: str) -> tuple[float, float] | None:
+        """Return (lowest, highest), or None where it is empty."""
+        values = self.optional(path)
+        if values is None:
+            return None
+        if values.shape != (2,):
+            raise CalibrationError(f"{path} holds {values.shape} numbers instead of two")
+        if not np.isfinite(values).all():
+            raise CalibrationError(f"{path} is {values[0]:g} to {values[1]:g}; finite numbers are expected")
+        return float(values[0]), float(values[1])
+
+    def integers(self, path: str) -> NDArray[np.int64]:
+        """Return indices or counts."""
+        array: NDArray[np.int64] = self._array(path, np.int64)
+        return array
+
+    def integer(self, path: str) -> int:
+        """Return one count."""
+        return int(self._array(path, np.int64, ()))
+
+    def flags(self, path: str) -> NDArray[np.bool_]:
+        """Return an array of yes and no."""
+        array: NDArray[np.bool_] = self._array(path, np.bool_)
+        return array
+
+    def flag(self, path: str) -> bool:
+        """Return yes or no."""
+        return bool(self._array(path, np.bool_, ()))
+
+    def text(self, path: str) -> str:
+        """Return a text."""
+        value = self._value(path)
+        if not isinstance(value, str):
+            raise CalibrationError(f"{path} is not a text")
+        return value
+
+    def texts(self, path: str) -> tuple[str, ...]:
+        """Return a list of texts."""
+        value = self._value(path)
+        if not isinstance(value, tuple):
+            raise CalibrationError(f"{path} is not a list of texts")
+        return value
+
+    def groups(self, path: str) -> tuple[str, ...]:
+        """Return the names of the groups directly inside one, sorted."""
+        inside = (name.removeprefix(f"{path}/") for name in self._entries if name.startswith(f"{path}/"))
+        return tuple(sorted({name.split("/")[0] for name in inside if "/" in name}))
+
+    def units(self, path: str) -> str:
+        """Return the units of an entry."""
+        self._value(path)
+        return self._entries[path].units
+
+    def _value(self, path: str) -> Value:
+        if path not in self._entries:
+            raise CalibrationError(f"{path} is missing")
+        return self._entries[path].value
+
+    def _array(self, path: str, kind: type[np.generic], shape: tuple[int, ...] | None = None) -> NDArray[Any]:
+        value = self._value(path)
+        if not isinstance(value, np.ndarray) or value.dtype != kind:
+            raise CalibrationError(f"{path} does not hold {kind.__name__} numbers")
+        if shape is not None and value.shape != shape:
+            raise CalibrationError(f"{path} has the shape {value.shape} instead of {shape}")
+        if shape is None and not value.ndim:
+            raise CalibrationError(f"{path} is one number where several are expected")
+        return value
+
+
+_AT: Final = "reconstruction/regularisation"
+_NAME: Final = f"{_AT}_name"
+_CRITERION: Final = f"{_AT}_criterion"
+
+#: What methods call their parameter where a file does not; every other one has a λ.
+_CALLED: Final = {
+    "truncated-svd": "components kept",
+    "linear-back-projection": "no parameter",
+    "pyeit-jac": "pyEIT's lamb",
+    "pyeit-greit": "pyEIT's lamb",
+}
+
+
+def write_choice(out: Writing, method: str, choice: ParameterChoice) -> None:
+    """Keep a method's choice."""
+    out.number(_AT, choice.value)
+    out.text(f"{_AT}_how", choice.how)
+    out.number("reconstruction/noise_figure", choice.noise_figure)
+    if choice.criterion or choice.name != _implied(method):
+        out.text(_NAME, choice.name)
+        out.text(_CRITERION, choice.criterion)
+
+
+def read_choice(read: Reading, method: str) -> ParameterChoice:
+    """Return a method's choice; CalibrationError where an entry is missing or of another type."""
+    named = read.has(_NAME) or read.has(_CRITERION)
+    return ParameterChoice(
+        read.number(_AT),
+        read.text(f"{_AT}_how"),
+        read.number("reconstruction/noise_figure"),
+        read.text(_NAME) if named else _implied(method),
+        criterion=read.text(_CRITERION) if named else "",
+    )
+
+
+def _implied(method: str) -> str:
+    return _CALLED.get(method, "λ")

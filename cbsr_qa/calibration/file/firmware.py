@@ -1,0 +1,201 @@
+"""What a microcontroller needs of a calibration: small JSON, plain numbers, and what is lost by being small.
+
+Values keep the paths they have in the calibration file. Templates are on a coarser lattice and in 16 bits; merging is
+a row and a weight for every reading, since every reading belongs to one row. Left out are images, relaxations, and
+how templates grow with the head: the firmware is for the head that calibrated.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.file.content import Entry
+from cbsr_qa.calibration.file.encoding import encode
+from cbsr_qa.calibration.file.json import dataset
+from cbsr_qa.calibration.runtime import Flag, ForceInverse, Matches, TemplateFilter, map_tables
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import NUMBERS, Calibration, ForceModel, Lattice
+
+Array = NDArray[np.float64]
+
+FORMAT: Final = "cbsr-qa calibration for firmware"
+VERSION: Final = 1
+FORMULA: Final = "docs/reference/calibration-file.md#force-step-by-step"
+#: Steps of a template's values: 16 bits, signed.
+_STEPS: Final = 32767
+#: Largest error of a force anywhere that the choice of the lattice may add.
+_WORST: Final = 0.02
+_STRIDES: Final = (6, 5, 4, 3, 2)
+_KEPT: Final = (
+    "identity/",
+    "sensor_type/name",
+    "sensor_type/radius",
+    "sensor_type/thickness",
+    "sensor_type/electrodes/",
+    "sensor_type/pattern/",
+    "indenter/",
+    "reference/voltages",
+    "reference/current",
+    "reconstruction/used",
+    "quasi_static/against_stress/",
+    "validity/",
+    "force/",
+)
+_LEFT_OUT: Final = ("force/merging", "force/templates", "force/size_slope", "force/loading/", "force/unloading/")
+
+
+@dataclass(frozen=True, slots=True)
+class Loss:
+    """Relative errors of forces by the coarser lattice, at places of the fine one within the calibrated radius.
+
+    Parameters
+    ----------
+    places : how many were tried; ``lost`` of them have no coarse nodes about them.
+    rms, worst : over the others, the place known.
+    """
+
+    places: int
+    lost: int
+    rms: float
+    worst: float
+
+
+def firmware_document(calibration: Calibration, *, stride: int | None = None) -> dict[str, Any]:
+    """Return what firmware needs, as one JSON document.
+
+    Parameters
+    ----------
+    stride : nodes of the calibration's lattice to one of the firmware's; by default the largest that reaches every
+        calibrated place and adds at most 2 % to a force there.
+
+    Raises
+    ------
+    CalibrationError
+        If it holds no force model, its merging is not one row a reading, or the stride leaves no place.
+    """
+    if calibration.force is None:
+        why = calibration.no_force or "it was issued before calibrations had any"
+        raise CalibrationError(f"calibration {calibration.calibration} holds no force model: {why}")
+    if (np.count_nonzero(calibration.force.merging, axis=0) != 1).any():
+        raise CalibrationError("its merging gives a reading to several rows, which firmware does not expect")
+    chosen, thin, loss = _chosen(calibration, stride)
+    held = encode(replace(calibration, force=thin))
+    kept = {path: held[path] for path in sorted(held) if path.startswith(_KEPT) and not path.startswith(_LEFT_OUT)}
+    row = np.abs(thin.merging).argmax(axis=0)
+    kept["force/merging_row"] = Entry("index", row.astype(np.int64))
+    kept["force/merging_weight"] = Entry("1/V", thin.merging[row, np.arange(len(row))])
+    everything = {path: dataset(entry, spelt_out=2**31) for path, entry in sorted(kept.items())}
+    everything["force/templates"] = _in_steps(thin.templates)
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "calibration": calibration.calibration,
+        "digest": calibration.digest,
+        "formula": FORMULA,
+        "flags": {flag.name: flag.value for flag in Flag},
+        "lattice_stride": chosen,
+        "loss": {
+            "places": loss.places,
+            "places_lost": loss.lost,
+            "relative_force_error_rms": loss.rms,
+            "relative_force_error_worst": loss.worst,
+        },
+        "datasets": everything,
+    }
+
+
+def thinned(model: ForceModel, stride: int) -> ForceModel:
+    """Return a model on every ``stride``-th node about the lattice's middle, its templates in 16 bits."""
+    lattice = model.lattice
+    first = [(count // 2) % stride for count in (lattice.columns, lattice.rows)]
+    part = model.node[first[1] :: stride, first[0] :: stride]
+    kept = part[part >= 0]
+    steps = np.round(model.templates[kept] * _STEPS) / _STEPS
+    return ForceModel(
+        lattice=Lattice(
+            lattice.x_mm + first[0] * lattice.spacing_mm,
+            lattice.y_mm + first[1] * lattice.spacing_mm,
+            stride * lattice.spacing_mm,
+            part.shape[1],
+            part.shape[0],
+        ),
+        node=np.where(part >= 0, np.cumsum(part >= 0).reshape(part.shape) - 1, -1),
+        merging=model.merging,
+        templates=steps,
+        **{
+            name: getattr(model, name)[kept]
+            for name in ("log_size", "size_slope", "slopes", "fits", "log_response", "log_response_stderr")
+        },
+        stress_kPa=model.stress_kPa,
+        **{name: getattr(model, name) for name in NUMBERS},
+    )
+
+
+def lost_by(calibration: Calibration, thin: ForceModel) -> Loss:
+    """Say what a coarser model of a calibration loses."""
+    model = calibration.force
+    if model is None:
+        raise CalibrationError("it holds no force model")
+    fine = TemplateFilter(model)
+    places = _calibrated_places(calibration, model, fine)
+    line, area_mm2 = calibration.against_stress, calibration.indenter.area_mm2
+    middle_kPa = max(sum(model.stress_kPa) / 2, 1.0)
+    contrast = line.slope.value * middle_kPa + line.intercept.value
+    rows = fine.template(places) * (2 * contrast / (2 + contrast))
+
+    def force(of: ForceModel, matches: Matches) -> Array:
+        return ForceInverse(of, line, area_mm2, map_tables(of)).force(matches)[0]
+
+    true, found = force(model, fine.at(rows, places)), force(thin, TemplateFilter(thin).at(rows, places))
+    there = np.isfinite(found)
+    error = found[there] / true[there] - 1
+    lost = int(np.count_nonzero(~there))
+    if not there.any():
+        return Loss(len(places), lost, 1.0, 1.0)
+    return Loss(len(places), lost, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
+
+
+def _chosen(calibration: Calibration, stride: int | None) -> tuple[int, ForceModel, Loss]:
+    model = calibration.force
+    if model is None:
+        raise CalibrationError("it holds no force model")
+    for each in _STRIDES if stride is None else (stride,):
+        if each < 1 or min(model.lattice.columns, model.lattice.rows) // each < 4:
+            most = min(model.node.shape) // 4
+            raise CalibrationError(f"a stride of {each} leaves no lattice; 1 to {most} are allowed")
+        thin = thinned(model, each)
+        if not (thin.node >= 0).any():
+            continue
+        loss = lost_by(calibration, thin)
+        if stride is not None or (loss.lost == 0 and loss.worst <= _WORST):
+            return each, thin, loss
+    if stride is not None:
+        raise CalibrationError(f"a stride of {stride} leaves no place on the sheet")
+    thin = thinned(model, 1)
+    return 1, thin, lost_by(calibration, thin)
+
+
+def _calibrated_places(calibration: Calibration, model: ForceModel, fine: TemplateFilter) -> Array:
+    everywhere = model.lattice.places_mm()
+    node = model.node.ravel()
+    fits = np.where(node >= 0, model.fits[node], False)
+    near = np.hypot(*everywhere.T) <= calibration.validity.radius_mm
+    # Between nodes, where interpolation is at its worst.
+    places = everywhere[fits & near] + model.lattice.spacing_mm / 2
+    reached = places[np.isfinite(fine.template(places)).all(axis=1)]
+    if not len(reached):
+        raise CalibrationError("no calibrated place lies on its lattice")
+    return np.asarray(reached, dtype=np.float64)
+
+
+def _in_steps(templates: Array) -> dict[str, Any]:
+    steps = np.round(templates * _STEPS).astype(np.int64)
+    return {
+        "units": "1",
+        "kind": "i2",
+        "shape": list(steps.shape),
+        "scale": 1 / _STEPS,
+        "values": steps.ravel().tolist(),
+    }

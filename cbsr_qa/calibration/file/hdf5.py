@@ -1,0 +1,309 @@
+"""The calibration file: HDF5, readable from MATLAB, LabVIEW, C and Python, and never executing anything.
+
+Every value is a dataset with an attribute ``units``. Texts are UTF-8 strings, yes and no are one byte (0 or 1),
+a number that does not exist is NaN, an index that does not exist is −1, an optional array that does not exist is
+empty. Attributes of the root say ``format``, ``schema_version`` and ``digest``, which is of the content, not of the
+file's bytes (see :mod:`cbsr_qa.calibration.file`): writing the content again with another HDF5 library keeps it. The
+512 bytes before the HDF5 file (its user block, which every HDF5 library skips) hold a digest of all bytes after them.
+Schema version 1 had no group ``force``, version 2 matrix and Jacobian in double precision; what holds no more is
+still written so. Large arrays are compressed (gzip with byte shuffle, which every HDF5 library reads).
+
+The Jacobian is kept beside the matrix: it is the physical prior for places and reading sets no load has calibrated,
+and without it a file could not be prepared for a sensor that lost a channel.
+"""
+
+import hashlib
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.file.content import Entry
+from cbsr_qa.calibration.file.decoding import decode
+from cbsr_qa.calibration.file.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest, schema_version
+from cbsr_qa.calibration.file.encoding import encode
+from cbsr_qa.calibration.file.hdf5_content import attribute, members, texts
+from cbsr_qa.domain import CalibrationError, RefusedError
+from cbsr_qa.domain.results import Calibration, VerifiedFile
+from cbsr_qa.system import read_untrusted, written_whole
+
+#: More than any calibration file has.
+_LARGEST_BYTES: Final = 2**28
+_DIGEST: Final = re.compile("[0-9a-f]{64}")
+#: Arrays from this size on are compressed; below it a chunk costs more than it saves.
+_COMPRESSED_BYTES: Final = 2**13
+#: How far gzip looks back for bytes it has seen.
+_LOOKS_BACK: Final = 2**15
+
+#: Of the block before the HDF5 file: the smallest that HDF5 skips.
+_BLOCK_BYTES: Final = 512
+BLOCK_BEGINS: Final = b"cbsr-qa calibration file: HDF5 after these 512 bytes\n"
+_SIGNATURE: Final = b"\x89HDF\r\n\x1a\n"
+_NOT_WHOLE: Final = "not a whole HDF5 file (truncated, damaged or something else)"
+_COPY_AGAIN: Final = "copy it again from where it was issued"
+
+
+def write_calibration(path: Path, calibration: Calibration) -> str:
+    """Write a calibration file; either the whole file appears under its name or nothing does.
+
+    Returns
+    -------
+    The digest.
+
+    Raises
+    ------
+    CalibrationError
+        If the folder cannot be written, the calibration contradicts itself, or it is not what was issued: it has a
+        ``record_digest`` that its content does not have.
+    """
+    entries = _as_issued(calibration)
+    try:
+        digest = content_digest(entries)
+        image = _in_memory(entries, digest)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with written_whole(path) as file:
+            file.write(_block(image) + image)
+    except OSError as error:
+        raise CalibrationError(
+            f"the calibration file {path} cannot be written: {error.strerror or error}",
+            remedy="give a folder that exists and may be written, with room for some megabytes",
+        ) from error
+    except ValueError as error:
+        raise CalibrationError(f"the calibration holds a text that cannot be written: {error}") from error
+    return digest
+
+
+def _in_memory(entries: Mapping[str, Entry], digest: str) -> bytes:
+    """Return the file's bytes: HDF5 itself is kept off the disk, since a full one makes it crash the program."""
+    with h5py.File("calibration.h5", "w", driver="core", backing_store=False, userblock_size=_BLOCK_BYTES) as file:
+        _write(file, entries, digest)
+        file.flush()
+        return bytes(file.id.get_file_image())
+
+
+def read_calibration(path: Path) -> Calibration:
+    """Read a calibration file whose digest and schema are sound.
+
+    Raises
+    ------
+    CalibrationError
+        If it is not there, truncated, edited since it was issued, of a later version, or not a calibration.
+    """
+    with _naming(path):
+        entries, digest, _ = _read(path)
+        return replace(decode(entries), digest=digest, record_digest=record_digest(entries))
+
+
+def read_contained(path: Path) -> Calibration:
+    """Read a calibration file of unknown origin in a child process (see :mod:`cbsr_qa.system.untrusted`).
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`read_calibration`, and where reading crashes, hangs or takes too much memory.
+    """
+    return read_untrusted(path, lambda: read_calibration(path), refusal=CalibrationError)
+
+
+def verify_calibration(path: Path) -> VerifiedFile:
+    """Check digest and schema of a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`read_calibration`.
+    """
+    with _naming(path):
+        entries, digest, checked = _read(path)
+        decode(entries)
+        return VerifiedFile(path, schema_version(entries), digest, record_digest(entries), len(entries), checked)
+
+
+def _as_issued(calibration: Calibration) -> Mapping[str, Entry]:
+    entries = encode(calibration)
+    if calibration.record_digest and record_digest(entries) != calibration.record_digest:
+        raise CalibrationError(
+            f"calibration {calibration.calibration} of sensor {calibration.sensor.serial} is not what was issued:"
+            " its content was changed since",
+            remedy="issue a new one; a sensor's values are changed by calibrating it again",
+        )
+    return entries
+
+
+def _write(file: h5py.File, entries: Mapping[str, Entry], digest: str) -> None:
+    file.attrs["format"] = FORMAT
+    file.attrs["schema_version"] = np.int64(schema_version(entries))
+    file.attrs["digest"] = digest
+    for path, entry in entries.items():
+        if isinstance(entry.value, np.ndarray):
+            data = entry.value.astype(np.uint8) if entry.value.dtype == np.bool_ else entry.value
+            dataset = file.create_dataset(path, data=data, **_packing(path, data))
+        else:
+            texts = entry.value if isinstance(entry.value, str) else np.array(entry.value, dtype=object)
+            dataset = file.create_dataset(path, data=texts, dtype=h5py.string_dtype())
+        dataset.attrs["units"] = entry.units
+
+
+def _packing(path: str, data: NDArray[Any]) -> dict[str, Any]:
+    """How an array is compressed."""
+    if data.nbytes < _COMPRESSED_BYTES:
+        return {}
+    packing: dict[str, Any] = {"compression": "gzip", "shuffle": True}
+    if path == "reconstruction/jacobian":
+        # A reading and its reciprocal have the same row, which is found again if the chunk holds some columns of all.
+        columns = min(max(_LOOKS_BACK // data.shape[0], 1), data.shape[1])
+        packing["chunks"] = (data.shape[0], columns)
+    return packing
+
+
+def _read(path: Path) -> tuple[dict[str, Entry], str, bool]:
+    """Return what a file holds, its digest, and whether its bytes were held against a digest of theirs."""
+    data = file_bytes(path)
+    checked = _check_bytes(data)
+    try:
+        with h5py.File(h5py.h5f.open_file_image(data), "r") as file:
+            version = _version(file)
+            held = members(file, len(data))
+            entries = {path: _entry(path, item) for path, item in held if isinstance(item, h5py.Dataset)}
+            stated = _stated(file)
+    except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
+        raise CalibrationError(f"{_NOT_WHOLE}: {error}", remedy=_COPY_AGAIN) from error
+    digest = content_digest(entries, version)
+    if digest != stated:
+        raise CalibrationError(
+            f"the content was changed after it was issued: its SHA-256 is {digest},"
+            f" the file states {stated or 'no SHA-256'}",
+            remedy="use the file as it was issued; a sensor's values are changed by calibrating it again",
+        )
+    if version != schema_version(entries):
+        raise CalibrationError(
+            f"written to schema version {version}, but what it holds is that of version {schema_version(entries)}"
+        )
+    return entries, digest, checked
+
+
+def _block(image: bytes) -> bytes:
+    """Return what stands before the HDF5 file: a digest of its bytes, which HDF5 skips as a user block."""
+    stated = f"SHA-256 of what follows them: {hashlib.sha256(image).hexdigest()}\n"
+    return (BLOCK_BEGINS + stated.encode()).ljust(_BLOCK_BYTES, b"\0")
+
+
+def _check_bytes(data: bytes) -> bool:
+    """Hold the bytes of a file against the digest before them; False where it has none, as files once had.
+
+    Before HDF5 sees any of them: one changed byte can crash its library.
+    """
+    if data.startswith(_SIGNATURE):
+        return False
+    if data[:64].lstrip().startswith(b"{"):
+        raise CalibrationError(
+            "JSON, not HDF5, which is what this command takes",
+            remedy="`cbsr-qa calibration export X.json --output X.h5` makes HDF5 of it",
+        )
+    if not data.startswith(BLOCK_BEGINS):
+        raise CalibrationError(_NOT_WHOLE, remedy=_COPY_AGAIN)
+    if data[:_BLOCK_BYTES] != _block(data[_BLOCK_BYTES:]):
+        raise CalibrationError(
+            "truncated, damaged, or changed after it was issued: the SHA-256 of its bytes is not the one it states",
+            remedy=_COPY_AGAIN,
+        )
+    return True
+
+
+def file_bytes(path: Path) -> bytes:
+    """Return all bytes of a calibration file.
+
+    Raises
+    ------
+    CalibrationError
+        If it is not there, no file, cannot be read, or too large for a calibration.
+    """
+    check_is_file(path)
+    try:
+        with path.open("rb") as file:
+            data = file.read(_LARGEST_BYTES + 1)
+    except OSError as error:
+        raise CalibrationError(f"cannot be read: {error.strerror or error}") from error
+    if len(data) > _LARGEST_BYTES:
+        raise CalibrationError(f"larger than {_LARGEST_BYTES >> 20} MiB: too large for a calibration")
+    return data
+
+
+def printable(text: str) -> str:
+    """Return a text without control characters: names in a file may be anything, and a terminal obeys them."""
+    return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
+
+
+def check_is_file(path: Path) -> None:
+    """Make sure that there is a file to read.
+
+    Raises
+    ------
+    CalibrationError
+        If there is none, or something else: a folder, a device.
+    """
+    try:
+        there, usual = path.exists(), path.is_file()
+    except OSError as error:
+        raise CalibrationError(f"cannot be read: {error.strerror or error}") from error
+    if not there:
+        raise CalibrationError("there is no such file")
+    if not usual:
+        raise CalibrationError("a folder or a device, not a file")
+
+
+def _stated(file: h5py.File) -> str:
+    """Return the digest a file states; empty where it states what is none, and might be anything."""
+    stated = attribute(file, "digest")
+    return stated if isinstance(stated, str) and _DIGEST.fullmatch(stated) else ""
+
+
+def _version(file: h5py.File) -> int:
+    stated = attribute(file, "format")
+    if not (isinstance(stated, str) and stated == FORMAT):
+        raise CalibrationError("an HDF5 file, but not a calibration", remedy="give a file that `cbsr-qa run` issued")
+    version = attribute(file, "schema_version")
+    if not isinstance(version, np.integer):
+        raise CalibrationError("the schema version is missing or no whole number")
+    if version > SCHEMA_VERSION:
+        raise CalibrationError(
+            f"written to schema version {version}; this program knows versions up to {SCHEMA_VERSION}",
+            remedy="update cbsr-qa",
+        )
+    if version < 1:
+        raise CalibrationError(f"schema version {version} never existed")
+    return int(version)
+
+
+def _entry(path: str, dataset: h5py.Dataset) -> Entry:
+    units = attribute(dataset, "units")
+    if not isinstance(units, str):
+        raise CalibrationError(f"{path} states no units")
+    if h5py.check_string_dtype(dataset.dtype) is not None:
+        return Entry(units, texts(path, dataset))
+    values = np.asarray(dataset[()])
+    if values.dtype == np.float64:
+        return Entry(units, values.astype(np.float64))
+    if values.dtype == np.float32:
+        return Entry(units, values.astype(np.float32))
+    if values.dtype == np.int64:
+        return Entry(units, values.astype(np.int64))
+    if values.dtype == np.uint8 and values.max(initial=0) <= 1:
+        return Entry(units, values.astype(np.bool_))
+    raise CalibrationError(f"{path} is of the type {dataset.dtype}, or holds a value, that no calibration has")
+
+
+@contextmanager
+def _naming(path: Path) -> Iterator[None]:
+    """Put the file's name before whatever is said about it."""
+    try:
+        yield
+    except RefusedError as error:
+        reason = printable(error.reason)
+        raise CalibrationError(f"calibration file {path}: {reason}", remedy=error.remedy) from error

@@ -1,0 +1,147 @@
+"""What an HDF5 file holds, looked at before any of it is read: the same rules for calibrations and recordings.
+
+A few bytes of a file can claim anything: links to other files, raw data in /etc, terabytes of fill values, chunks of
+gigabytes, a million texts that are all the same megabyte. Nothing this program writes has any of that.
+"""
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import h5py
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.system import largest_content
+
+#: More than any file of ours has.
+_MOST_NAMES: Final = 10_000
+_DEEPEST: Final = 5
+_MOST_ATTRIBUTES: Final = 100
+_LARGEST_ATTRIBUTE: Final = 2**16
+_MOST_TEXTS: Final = 100_000
+#: Characters of all texts of one dataset.
+_MOST_CHARACTERS: Final = 2**24
+#: gzip, byte shuffle and checksum; HDF5 would load a library for any other filter.
+_FILTERS: Final = frozenset({1, 2, 3})
+
+
+def members(file: h5py.File, size_bytes: int) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
+    """Walk through the groups and datasets of a file; each has been checked when it comes, and none was read.
+
+    Parameters
+    ----------
+    size_bytes : of the file; all datasets together may be so much larger as honest data pack.
+
+    Yields
+    ------
+    Paths without leading ``/``, in the order HDF5 lists them, and what is there.
+
+    Raises
+    ------
+    RefusedError
+        If the file has links, data outside of itself, too many names, or datasets that are too large or of a type
+        that is neither number nor text.
+    """
+    yield from _Walk(largest_content(size_bytes)).within(file, "")
+
+
+class _Walk:
+    """What a file may still claim."""
+
+    def __init__(self, left: int) -> None:
+        self._left = self._all = left
+        self._names = 0
+
+    def within(self, group: h5py.Group, prefix: str) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
+        for name in group:
+            path = f"{prefix}{name}"
+            self._names += 1
+            if self._names > _MOST_NAMES:
+                raise RefusedError(f"more than {_MOST_NAMES} names up to {path}: no file of ours has as many")
+            if not path.isprintable():
+                raise RefusedError(f"{path!r} is a name that no file of ours has")
+            # Links could lead out of the file, or around in circles.
+            if not isinstance(group.get(name, getlink=True), h5py.HardLink) or path.count("/") >= _DEEPEST:
+                raise RefusedError(f"{path} is a link, not content")
+            item = group[name]
+            if isinstance(item, h5py.Group):
+                yield path, item
+                yield from self.within(item, f"{path}/")
+            else:
+                self._check(path, item)
+                yield path, item
+
+    def _check(self, path: str, dataset: Any) -> None:
+        if not isinstance(dataset, h5py.Dataset) or dataset.external or dataset.is_virtual:
+            raise RefusedError(f"{path} does not hold its own data")
+        text = h5py.check_string_dtype(dataset.dtype) is not None
+        if text and (dataset.ndim > 1 or (dataset.size or 0) > _MOST_TEXTS):
+            raise RefusedError(f"{path} holds texts of the shape {dataset.shape}; a list of them is expected")
+        held = _unpacked_bytes(dataset)
+        if dataset.size is None or held > self._left:
+            raise RefusedError(
+                f"{path} of the shape {dataset.shape} is empty or too large: all datasets of a file of this size"
+                f" may hold {self._all / 2**20:.0f} MiB together"
+            )
+        self._left -= held
+        if not text and dataset.dtype.kind not in "iufcb":
+            raise RefusedError(f"{path} is of the type {dataset.dtype}, which is neither number nor text")
+        packing = dataset.id.get_create_plist()
+        if any(packing.get_filter(k)[0] not in _FILTERS for k in range(packing.get_nfilters())):
+            raise RefusedError(f"{path} is packed otherwise than with gzip")
+
+
+def _unpacked_bytes(dataset: h5py.Dataset) -> int:
+    """Bytes of all values, or of one chunk where that is larger; whatever their type, numbers become float64."""
+    count = 1
+    for length in dataset.chunks or (0,):
+        count *= int(length)
+    return max(int(dataset.size or 0), count) * max(int(dataset.dtype.itemsize), 8)
+
+
+def attribute(item: h5py.Group | h5py.Dataset, name: str) -> Any:
+    """Return an attribute that is one number or a text of UTF-8; None where there is none, or something else."""
+    if name not in item.attrs:
+        return None
+    about = item.attrs.get_id(name)
+    text = h5py.check_string_dtype(about.dtype) is not None
+    if about.shape != () or about.dtype.itemsize > _LARGEST_ATTRIBUTE or not (text or about.dtype.kind in "iufb"):
+        return None
+    value = item.attrs[name]
+    if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
+        return None  # bytes that are no UTF-8
+    return value
+
+
+def attribute_names(item: h5py.Group | h5py.Dataset) -> list[str]:
+    """Return the names of all attributes, sorted.
+
+    Raises
+    ------
+    RefusedError
+        If there are more than any file of ours has.
+    """
+    if len(item.attrs) > _MOST_ATTRIBUTES:
+        raise RefusedError(f"{item.name} has {len(item.attrs)} attributes; at most {_MOST_ATTRIBUTES} are expected")
+    return sorted(item.attrs)
+
+
+def texts(path: str, dataset: h5py.Dataset) -> str | tuple[str, ...]:
+    """Read one text, or a list of them, one by one: a thousand entries may all point to the same megabyte.
+
+    Raises
+    ------
+    RefusedError
+        If they have more characters than any file of ours.
+    """
+    held = dataset.asstr()
+    if not dataset.ndim:
+        return str(held[()])
+    found: list[str] = []
+    left = _MOST_CHARACTERS
+    for k in range(dataset.size):
+        text = str(held[k])
+        left -= len(text)
+        if left < 0:
+            raise RefusedError(f"{path} holds more than {_MOST_CHARACTERS} characters: no file of ours has as many")
+        found.append(text)
+    return tuple(found)

@@ -1,0 +1,162 @@
+"""A calibration as JSON and back, without loss: for whoever has no HDF5.
+
+One object with ``format``, ``schema_version``, ``digest`` and ``datasets``: by the path a value has in the HDF5 file
+its ``units``, ``kind`` (``f8``, ``f4``, ``i8``, ``u1`` or ``text``), ``shape`` and ``values``, flat in C order, or,
+of large arrays, ``base64`` of the little-endian bytes. A number that does not exist is null. The digest is that of
+the HDF5 file: the content is the same.
+"""
+
+import base64
+import binascii
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.file.content import Entry, Value
+from cbsr_qa.calibration.file.decoding import decode
+from cbsr_qa.calibration.file.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest, schema_version
+from cbsr_qa.calibration.file.encoding import encode
+from cbsr_qa.calibration.file.hdf5 import file_bytes, printable
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import Calibration
+
+#: Arrays of more values are written as bytes.
+_SPELT_OUT: Final = 256
+#: Lists, objects and what is in them; each takes some hundred bytes of memory when it is parsed.
+_MOST_VALUES: Final = 4_000_000
+_KINDS: Final[Mapping[str, Any]] = {"f8": np.float64, "f4": np.float32, "i8": np.int64, "u1": np.bool_}
+
+
+def json_document(calibration: Calibration) -> dict[str, Any]:
+    """Return everything a calibration holds, as one JSON document.
+
+    Raises
+    ------
+    CalibrationError
+        If it contradicts itself.
+    """
+    entries = encode(calibration)
+    return {
+        "format": FORMAT,
+        "schema_version": schema_version(entries),
+        "digest": content_digest(entries),
+        "datasets": {path: dataset(entries[path]) for path in sorted(entries)},
+    }
+
+
+def dataset(entry: Entry, *, spelt_out: int = _SPELT_OUT) -> dict[str, Any]:
+    """Return one entry; arrays of more than ``spelt_out`` values as bytes."""
+    if isinstance(entry.value, str):
+        return {"units": entry.units, "kind": "text", "shape": [], "values": [entry.value]}
+    if isinstance(entry.value, tuple):
+        return {"units": entry.units, "kind": "text", "shape": [len(entry.value)], "values": list(entry.value)}
+    kind, values = _kind(entry.value), entry.value
+    told = {"units": entry.units, "kind": kind, "shape": list(values.shape)}
+    if values.size > spelt_out or np.isinf(values).any():  # JSON has no word for infinity
+        return {**told, "base64": base64.b64encode(_bytes(values, kind)).decode()}
+    return {**told, "values": [_number(value) for value in values.ravel().tolist()]}
+
+
+def read_json_calibration(path: Path) -> Calibration:
+    """Read a calibration from JSON whose digest and schema are sound.
+
+    Raises
+    ------
+    CalibrationError
+        If it is not there, no calibration in JSON, edited since it was written, or of a later version.
+    """
+    try:
+        entries, digest = _read(path)
+        return replace(decode(entries), digest=digest, record_digest=record_digest(entries))
+    except CalibrationError as error:
+        raise CalibrationError(f"calibration {path}: {printable(error.reason)}", remedy=error.remedy) from error
+
+
+def _read(path: Path) -> tuple[dict[str, Entry], str]:
+    document = _document(path)
+    if document.get("format") != FORMAT or not isinstance(document.get("datasets"), dict):
+        raise CalibrationError(
+            "JSON, but not a whole calibration",
+            remedy="give what `cbsr-qa calibration export` wrote, without --firmware",
+        )
+    version = document.get("schema_version")
+    if not isinstance(version, int) or not 1 <= version <= SCHEMA_VERSION:
+        raise CalibrationError(
+            f"written to schema version {version!r}; this program knows versions up to {SCHEMA_VERSION}",
+            remedy="update cbsr-qa",
+        )
+    entries = {name: _entry(name, told) for name, told in document["datasets"].items()}
+    digest = content_digest(entries, version)
+    if digest != document.get("digest") or version != schema_version(entries):
+        raise CalibrationError(
+            f"the content was changed after it was written: its SHA-256 is {digest}",
+            remedy="use the file as it was written; a sensor's values are changed by calibrating it again",
+        )
+    return entries, digest
+
+
+def _document(path: Path) -> dict[str, Any]:
+    data = file_bytes(path)
+    if sum(map(data.count, (b",", b"[", b"{"))) > _MOST_VALUES:
+        raise CalibrationError(f"JSON of more than {_MOST_VALUES} values: too many for a calibration")
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError) as error:
+        raise CalibrationError(f"not JSON: {error}", remedy="copy it again from where it was written") from error
+    return document if isinstance(document, dict) else {}
+
+
+def _entry(path: str, told: object) -> Entry:
+    try:
+        if not isinstance(told, dict):
+            raise CalibrationError(f"{path} is no dataset")
+        units, kind, shape = told["units"], told["kind"], tuple(told["shape"])
+        if not (isinstance(units, str) and all(type(n) is int and n >= 0 for n in shape)):
+            raise CalibrationError(f"{path} states no units or no shape")
+        f"{path}{units}".encode()  # JSON can spell halves of characters, which are none
+        return Entry(units, _texts(told, shape) if kind == "text" else _array(told, _KINDS[kind], kind, shape))
+    except (KeyError, TypeError, ValueError, OverflowError, binascii.Error) as error:
+        raise CalibrationError(f"{path} is not a dataset of a calibration: {error}") from error
+
+
+def _texts(told: dict[str, Any], shape: tuple[int, ...]) -> Value:
+    texts = told["values"]
+    if not all(isinstance(text, str) for text in texts) or shape not in ((), (len(texts),)):
+        raise ValueError("a text is expected")
+    "".join(texts).encode()
+    if not shape:
+        (text,) = texts
+        return str(text)
+    return tuple(texts)
+
+
+def _array(told: dict[str, Any], kind: Any, name: str, shape: tuple[int, ...]) -> NDArray[Any]:
+    if "base64" in told:
+        held = np.frombuffer(base64.b64decode(told["base64"], validate=True), dtype=f"<{name}")
+    else:
+        numbers = [np.nan if value is None else value for value in told["values"]]
+        held = np.array(numbers, dtype=np.int64 if name in ("i8", "u1") else np.float64)
+        if name in ("i8", "u1") and any(type(value) is not int for value in numbers):
+            raise ValueError("whole numbers are expected")
+    if name == "u1" and held.max(initial=0) > 1:
+        raise ValueError("0 or 1 is expected")
+    return held.astype(kind).reshape(shape)
+
+
+def _kind(values: NDArray[Any]) -> str:
+    return "u1" if values.dtype == np.bool_ else str(values.dtype.str[1:])
+
+
+def _bytes(values: NDArray[Any], kind: str) -> bytes:
+    return values.astype(f"<{kind}" if kind != "u1" else "u1").tobytes()
+
+
+def _number(value: float | int | bool) -> float | int | None:
+    if isinstance(value, bool):
+        return int(value)
+    return None if isinstance(value, float) and np.isnan(value) else value

@@ -1,0 +1,257 @@
+"""Whether two relaxations of one material are equivalent: 1D and 2D, blob and whole image."""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import norm
+
+from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, common_settling_time
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import FitStatus
+
+Array = NDArray[np.float64]
+
+#: What is still no difference: of the shape, as a share of the change, and of the settling time, as a share.
+SHAPE_MARGIN: Final = 0.1
+TIME_MARGIN: Final = 0.2
+#: Chance of calling two relaxations equivalent that are a margin apart.
+LEVEL: Final = 0.05
+#: Times at which shapes are compared.
+_TIMES: Final = 121
+_CURVES: Final = (FitStatus.ONE, FitStatus.TWO, FitStatus.FLAT)
+
+
+class Agreement(StrEnum):
+    """What two relaxations are to each other."""
+
+    EQUIVALENT = "equivalent"  #: any difference beyond the margin is ruled out
+    DIFFERENT = "different"  #: a difference within the margin is ruled out
+    UNDECIDED = "undecided"  #: the data rule out neither
+
+
+class ComparableRelaxation(Protocol):
+    """What is compared: a curve relative to its change, with its error, over the time it is known for."""
+
+    @property
+    def start_s(self) -> float:
+        """Where it begins: before, shapes are not compared and nothing counts as settled."""
+
+    @property
+    def window_s(self) -> float:
+        """Until when it is known."""
+
+    @property
+    def why_not(self) -> str:
+        """Why it cannot be compared; empty where it can."""
+
+    def relative(self, time_s: Array) -> tuple[Array, Array]:
+        """Return the curve over the steady (or released) change, and its variance, (n,) each."""
+
+    def settled(self, tolerance: float) -> tuple[float, float] | None:
+        """Return the settling time and its standard error [s]; None where there is no plain number."""
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredRelaxation:
+    """A relaxation to compare.
+
+    Parameters
+    ----------
+    common : fit of one trace or of several together.
+    window_s : how long the traces were observed.
+    loaded_change : mean change under load of unloadings; None for loadings.
+    start_s : where the traces begin: before, shapes are not compared and nothing counts as settled.
+    """
+
+    common: CommonRelaxation
+    window_s: float
+    loaded_change: float | None = None
+    start_s: float = 0.0
+
+    @property
+    def scale(self) -> float:
+        """What shapes are relative to: the steady or the released change."""
+        return self.common.fit.offset if self.loaded_change is None else self.loaded_change
+
+    @property
+    def why_not(self) -> str:
+        """Why it cannot be compared; empty where it can."""
+        fit = self.common.fit
+        if fit.status not in _CURVES:
+            return f"has no curve: {fit.why}"
+        return "" if abs(self.scale) > 3 * fit.offset_stderr else "has no change that is clear of zero"
+
+    def relative(self, time_s: Array) -> tuple[Array, Array]:
+        """Return the fitted curve over its scale, and its variance."""
+        common, fit, scale = self.common, self.common.fit, self.scale
+        tau = np.array(fit.time_constants_s).reshape(1, -1)
+        amplitudes = np.array(fit.amplitudes)
+        each = np.exp(-time_s[:, None] / tau)
+        moving = each @ amplitudes
+        curve = (fit.offset + moving) / scale
+        if not len(amplitudes):
+            variance = 0.0 if self.loaded_change is None else (fit.offset_stderr / scale) ** 2
+            return curve, np.full(len(time_s), variance)
+        by_offset = -moving / scale if self.loaded_change is None else np.ones_like(moving)
+        gradient = np.column_stack([by_offset, each, each * amplitudes * time_s[:, None] / tau]) / scale
+        return curve, np.einsum("ti,ij,tj->t", gradient, common.covariance, gradient)
+
+    def settled(self, tolerance: float) -> tuple[float, float] | None:
+        """Return the settling time of the mean trace and its standard error [s]; None without a plain number."""
+        found, stderr = common_settling_time(
+            self.common, window_s=self.window_s, tolerance=tolerance, loaded_change=self.loaded_change
+        )
+        return (found.value_s, stderr) if found.value_s and not found.censored and stderr else None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparedCurves:
+    """Two relaxations over their common window, relative to their change, with standard errors.
+
+    Parameters
+    ----------
+    time_s : (n,) from the end of the ramp.
+    first, first_stderr, second, second_stderr : (n,).
+    """
+
+    time_s: Array
+    first: Array
+    first_stderr: Array
+    second: Array
+    second_stderr: Array
+
+    @property
+    def difference(self) -> Array:
+        """Second less first."""
+        difference: Array = self.second - self.first
+        return difference
+
+    @property
+    def stderr(self) -> Array:
+        """Standard error of the difference; the two count as independent."""
+        stderr: Array = np.hypot(self.first_stderr, self.second_stderr)
+        return stderr
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelaxationAgreement:
+    """How far the second relaxation is from the first.
+
+    Parameters
+    ----------
+    shape : whether the curves, relative to the steady (or released) change, are equivalent.
+    shape_difference, shape_stderr, at_s : second less first where that is furthest from zero over its reach.
+    shape_reach : no time of the window has a larger difference, at the level asked for.
+    time : whether the settling times are.
+    time_ratio, time_ratio_stderr : second over first; None where one has no plain number.
+    time_reach : no larger ratio, either way, at the level asked for; None where one has no plain number.
+    curves : what was compared; None where nothing was.
+    why : in words, where there is no comparison.
+    """
+
+    shape: Agreement
+    shape_difference: float | None
+    shape_stderr: float | None
+    at_s: float | None
+    shape_reach: float | None
+    time: Agreement
+    time_ratio: float | None
+    time_ratio_stderr: float | None
+    time_reach: float | None = None
+    curves: ComparedCurves | None = None
+    why: str = ""
+
+
+def not_compared(why: str) -> RelaxationAgreement:
+    """Return what there is to say where there is nothing to compare."""
+    undecided = Agreement.UNDECIDED
+    return RelaxationAgreement(undecided, None, None, None, None, undecided, None, None, why=why)
+
+
+def compare_relaxations(
+    first: ComparableRelaxation,
+    second: ComparableRelaxation,
+    *,
+    shape_margin: float = SHAPE_MARGIN,
+    time_margin: float = TIME_MARGIN,
+    level: float = LEVEL,
+    tolerance: float = 0.15,
+) -> RelaxationAgreement:
+    """Test two relaxations for equivalence: not "no significant difference", which noise gives as well.
+
+    Two one-sided tests (Schuirmann 1987): equivalent at ``level`` if the interval of level 1 − 2 ``level`` lies
+    within the margin. Shapes must do so at each time of the common window (intersection–union, Berger & Hsu 1996: no
+    correction is needed). They differ if somewhere the interval of level 1 − ``level``, corrected for the number of
+    times (Bonferroni), lies beyond the margin. Everything else is undecided.
+
+    The two count as independent. Traces of the same frames share noise, which then cancels in part: the stated errors
+    are too large for them, and equivalence is claimed too rarely, not too often.
+
+    Parameters
+    ----------
+    shape_margin : largest difference of no consequence, as a share of the steady (or released) change.
+    time_margin : largest of settling times, as a share: ratios from 1/(1 + margin) to 1 + margin.
+    level : chance of calling two relaxations equivalent that are a margin apart.
+    tolerance : of the settling time.
+
+    Raises
+    ------
+    NumericsError
+        If a margin or the level makes no sense.
+    """
+    if not (shape_margin > 0 and time_margin > 0 and 0 < level < 0.5):
+        raise NumericsError(f"margins of {shape_margin:g} and {time_margin:g} at a level of {level:g} decide nothing")
+    for which, measured in (("first", first), ("second", second)):
+        if measured.why_not:
+            return not_compared(f"the {which} relaxation {measured.why_not}")
+    start_s, end_s = max(first.start_s, second.start_s), min(first.window_s, second.window_s)
+    if not start_s < end_s:
+        return not_compared(f"no time in common: one begins at {start_s:.3g} s, one ends at {end_s:.3g} s")
+    curves = _curves(first, second, np.linspace(start_s, end_s, _TIMES))
+    difference, stderr = curves.difference, curves.stderr
+    reach = np.abs(difference) + norm.ppf(1 - level) * stderr
+    surely = np.abs(difference) - norm.ppf(1 - level / 2 / _TIMES) * stderr
+    worst = int(np.argmax(reach))
+    ratio, ratio_stderr, ratio_reach, time = _times(first, second, time_margin, level, tolerance)
+    return RelaxationAgreement(
+        _decided(bool(reach[worst] <= shape_margin), bool(surely.max() > shape_margin)),
+        float(difference[worst]),
+        float(stderr[worst]),
+        float(curves.time_s[worst]),
+        float(reach[worst]),
+        time,
+        ratio,
+        ratio_stderr,
+        ratio_reach,
+        curves,
+    )
+
+
+def _curves(first: ComparableRelaxation, second: ComparableRelaxation, time_s: Array) -> ComparedCurves:
+    (one, variance), (other, more) = first.relative(time_s), second.relative(time_s)
+    return ComparedCurves(time_s, one, np.sqrt(variance), other, np.sqrt(more))
+
+
+def _times(
+    first: ComparableRelaxation, second: ComparableRelaxation, margin: float, level: float, tolerance: float
+) -> tuple[float | None, float | None, float | None, Agreement]:
+    """Ratio of the settling times, its standard error, the largest that is left open, and what follows."""
+    one, other = first.settled(tolerance), second.settled(tolerance)
+    if one is None or other is None:
+        return None, None, None, Agreement.UNDECIDED
+    (one_s, one_stderr), (other_s, other_stderr) = one, other
+    log_ratio = float(np.log(other_s / one_s))
+    log_stderr = float(np.hypot(one_stderr / one_s, other_stderr / other_s))
+    limit = float(np.log1p(margin))
+    reach = abs(log_ratio) + float(norm.ppf(1 - level)) * log_stderr
+    agreement = _decided(reach <= limit, abs(log_ratio) - float(norm.ppf(1 - level / 2)) * log_stderr > limit)
+    return other_s / one_s, other_s / one_s * log_stderr, float(np.exp(min(reach, 50.0))), agreement
+
+
+def _decided(within: bool, beyond: bool) -> Agreement:
+    if within:
+        return Agreement.EQUIVALENT
+    return Agreement.DIFFERENT if beyond else Agreement.UNDECIDED

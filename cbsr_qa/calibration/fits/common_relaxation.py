@@ -1,0 +1,214 @@
+"""One relaxation for all loads of a run: they press one material, so the traces share its time constants."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.fits.joint import JointExponentials, TimedValues, fit_joint
+from cbsr_qa.calibration.fits.relaxation import checked_trace
+from cbsr_qa.calibration.fits.separable import chance_of_gain
+from cbsr_qa.calibration.fits.settling import settling_time
+from cbsr_qa.domain.results import FitStatus, RelaxationFit, SettlingTime
+
+__all__ = ["CommonRelaxation", "TimedValues", "common_settling_time", "fit_common_relaxation"]
+
+#: Fewest points of a trace that tells anything about a shape.
+_FEWEST: Final = 5
+#: An exponential is kept only if chance would do as well less often than this.
+_SIGNIFICANCE: Final = 0.01
+#: Two time constants closer than this ratio are one.
+_SEPARATION: Final = 2.0
+#: The slowest time constant is determined if its logarithm's standard error is below this.
+_LOG_ERROR: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommonRelaxation:
+    """What the traces of one signal and direction have in common.
+
+    Parameters
+    ----------
+    fit : of the mean trace; time constants and shares of the amplitudes are those of every trace.
+    offsets, scales : (traces,) of each: Gᵢ(t) = offsetᵢ + scaleᵢ (share₁ e^(−t/τ₁) + share₂ e^(−t/τ₂)); empty where
+        no curve was kept.
+    shares : (k,), adding to 1.
+    covariance : (1 + 2 k, 1 + 2 k) of the mean trace's offset, amplitudes and log τ.
+    traces : how many were used.
+    """
+
+    fit: RelaxationFit
+    offsets: NDArray[np.float64]
+    scales: NDArray[np.float64]
+    shares: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    traces: int
+
+
+def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
+    """Fit Gᵢ(t) = cᵢ + sᵢ g(t) to all traces at once, g = w e^(−t/τ₁) + (1 − w) e^(−t/τ₂) the same for all.
+
+    One trace of two settling times does not carry a second exponential, and one exponential then settles too early
+    (24 s for 29 s in simulation). Linear viscoelasticity of one material says more: load and place change the size
+    of a relaxation, not its shape. τ₁, τ₂ and w are searched by variable projection; cᵢ and sᵢ follow, so that weak
+    loads count for as little as they carry and none has to be thrown away for a low R².
+
+    The second exponential is kept if an F test corrected for the residuals' autocorrelation finds it significant at
+    1 %, the time constants differ by a factor of 2, and the slow one is determined (standard error of log τ₂ below
+    0.5, not at a bound). The fast one need not be determined: that there is one is, and settling hinges on the slow
+    one. Otherwise one exponential is kept, with the reason in ``fit.why``. The paper fits each load by itself.
+
+    Parameters
+    ----------
+    traces : (times (n,) [s] strictly rising, values (n,)) of each load, any unit, times from the end of the ramp;
+        those of fewer than 5 points are left out.
+
+    Returns
+    -------
+    CommonRelaxation, whose ``fit.status`` is TWO, ONE, FLAT (no relaxation that chance would not show), DRIFTING
+    (slower than the traces are long) or REJECTED (no trace, or no time constant is determined).
+
+    Raises
+    ------
+    NumericsError
+        If a trace's shapes differ, a number is not finite, time stamps repeat or step back, it begins later than a
+        hundred times its length, or its values are beyond 1e±140.
+    """
+    used = [checked_trace(*trace) for trace in traces if len(trace[0]) >= _FEWEST]
+    if not used:
+        return _without_curve(FitStatus.REJECTED, used, f"no trace of at least {_FEWEST} points")
+    level = np.concatenate([values - values.mean() for _, values in used])
+    rounding = 8 * float(np.finfo(np.float64).eps) * max(float(np.abs(values).max()) for _, values in used)
+    if np.abs(level).max() <= rounding:
+        return _without_curve(FitStatus.FLAT, used, "no relaxation: the traces are constant")
+    bounds_s = _bounds_s(used)
+    one = _one(used, bounds_s)
+    small = float(one.residual @ one.residual) > 0.5 * float(level @ level)
+    if small and chance_of_gain(level, one.residual, _parameters(used, 1), len(used) + 1) > _SIGNIFICANCE:
+        return _without_curve(FitStatus.FLAT, used, "no relaxation stands out of the noise")
+    two = _two(used, bounds_s, float(np.log(one.time_constants_s[0])))
+    why = _why_not_two(one, two, bounds_s, _parameters(used, 3), rounding)
+    return _kept(one if why else two, used, bounds_s, why)
+
+
+def common_settling_time(
+    common: CommonRelaxation,
+    *,
+    window_s: float,
+    tolerance: float = 0.15,
+    band: str = "steady",
+    loaded_change: float | None = None,
+    start_s: float = 0.0,
+) -> tuple[SettlingTime, float | None]:
+    """Return the settling time of the mean trace and its standard error [s], None where it has no plain number.
+
+    Parameters
+    ----------
+    window_s : of the longest trace.
+    tolerance, band, start_s : as in :func:`~cbsr_qa.calibration.fits.settling_time`.
+    loaded_change : mean over the traces, where they are unloadings.
+    """
+    settled = partial(
+        settling_time,
+        window_s=window_s,
+        tolerance=tolerance,
+        band=band,
+        loaded_change=loaded_change,
+        start_s=start_s,
+    )
+    found = settled(common.fit)
+    if found.value_s is None or found.censored or not len(common.shares):
+        return found, None
+    gradient = np.array([_slope(common, index, settled) for index in range(len(common.covariance))])
+    return found, float(np.sqrt(max(gradient @ common.covariance @ gradient, 0.0)))
+
+
+def _slope(common: CommonRelaxation, index: int, settled: "partial[SettlingTime]") -> float:
+    """Central difference of the settling time over a tenth of a parameter's standard error to each side."""
+    step = 0.1 * float(np.sqrt(common.covariance[index, index]))
+    if step == 0:
+        return 0.0
+    late, early = (settled(_moved(common.fit, index, sign * step)).value_s for sign in (1, -1))
+    return 0.0 if late is None or early is None else (late - early) / (2 * step)
+
+
+def _moved(fit: RelaxationFit, index: int, step: float) -> RelaxationFit:
+    count = len(fit.amplitudes)
+    if index == 0:
+        return replace(fit, offset=fit.offset + step)
+    if index <= count:
+        moved = [a + step * (k == index - 1) for k, a in enumerate(fit.amplitudes)]
+        return replace(fit, amplitudes=tuple(moved))
+    taus = [tau * float(np.exp(step * (k == index - 1 - count))) for k, tau in enumerate(fit.time_constants_s)]
+    return replace(fit, time_constants_s=tuple(taus))
+
+
+def _bounds_s(traces: Sequence[TimedValues]) -> tuple[float, float]:
+    lowest = min(float(np.median(np.diff(time_s))) for time_s, _ in traces) / 2
+    return lowest, 10 * max(float(time_s[-1] - time_s[0]) for time_s, _ in traces)
+
+
+def _parameters(traces: Sequence[TimedValues], shape: int) -> int:
+    return 2 * len(traces) + shape
+
+
+def _one(traces: Sequence[TimedValues], bounds_s: tuple[float, float]) -> JointExponentials:
+    lowest, highest = np.log(bounds_s)
+    return fit_joint(traces, [[place] for place in np.linspace(lowest, highest, 6)[1:-1]], bounds_s)
+
+
+def _two(traces: Sequence[TimedValues], bounds_s: tuple[float, float], middle: float) -> JointExponentials:
+    """Start around the one time constant that explains most: it lies between the two."""
+    apart = ((5.0, 1.4), (3.0, 2.0), (1.5, 8.0))
+    starts = [[middle - np.log(down), middle + np.log(up), 0.4] for down, up in apart]
+    return fit_joint(traces, starts, bounds_s)
+
+
+def _why_not_two(
+    one: JointExponentials, two: JointExponentials, bounds_s: tuple[float, float], parameters: int, rounding: float
+) -> str:
+    """Why the second exponential cannot be kept; empty if it can."""
+    first, second = two.time_constants_s
+    chance = chance_of_gain(one.residual, two.residual, parameters, 2)
+    checks = (
+        (np.abs(one.residual).max() <= rounding, "one exponential explains the traces to rounding"),
+        (chance > _SIGNIFICANCE, f"a second exponential explains no more than chance would (p = {chance:.2g})"),
+        (second < _SEPARATION * first, f"time constants {first:.3g} s and {second:.3g} s cannot be told apart"),
+        (second > 0.99 * bounds_s[1], f"a second time constant would lie at its bound of {bounds_s[1]:.3g} s"),
+        (bool(two.log_stderr[1] > _LOG_ERROR), "the data do not determine a second time constant"),
+    )
+    return next((why for failed, why in checks if failed), "")
+
+
+def _kept(
+    found: JointExponentials, traces: Sequence[TimedValues], bounds_s: tuple[float, float], why: str
+) -> CommonRelaxation:
+    slowest, error = float(found.time_constants_s[-1]), float(found.log_stderr[-1])
+    if slowest > 0.99 * bounds_s[1] or (error > _LOG_ERROR and slowest > bounds_s[1] / 10):
+        return _without_curve(FitStatus.DRIFTING, traces, "still drifting: slower than the traces are long")
+    if error > _LOG_ERROR:
+        return _without_curve(FitStatus.REJECTED, traces, "the data do not determine a time constant")
+    every = np.concatenate([values - values.mean() for _, values in traces])
+    fit = RelaxationFit(
+        status=FitStatus.TWO if len(found.shares) == 2 else FitStatus.ONE,
+        offset=float(found.offsets.mean()),
+        amplitudes=tuple(found.amplitudes.tolist()),
+        time_constants_s=tuple(found.time_constants_s.tolist()),
+        offset_stderr=float(np.sqrt(found.mean_covariance[0, 0])),
+        time_constant_stderr_s=tuple((found.time_constants_s * found.log_stderr).tolist()),
+        r_squared=1 - float(found.residual @ found.residual) / float(every @ every),
+        why=why,
+    )
+    return CommonRelaxation(fit, found.offsets, found.scales, found.shares, found.mean_covariance, traces=len(traces))
+
+
+def _without_curve(status: FitStatus, traces: Sequence[TimedValues], why: str) -> CommonRelaxation:
+    ends = np.array([np.median(values[-max(len(values) // 4, 1) :]) for _, values in traces])
+    offset = float(ends.mean()) if len(ends) else 0.0
+    stderr = float(ends.std(ddof=1) / np.sqrt(len(ends))) if len(ends) > 1 else 0.0
+    empty = np.zeros(0)
+    fit = RelaxationFit(status, offset, (), (), stderr, (), 0.0, why)
+    return CommonRelaxation(fit, empty, empty, empty, np.zeros((0, 0)), traces=len(traces))

@@ -1,0 +1,198 @@
+"""Creep under a hold, what is left after the rest, and what preconditioning still changes."""
+
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterable, Sequence
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.calibration.sheet import Estimate, ratio_of_sums
+from cbsr_qa.domain import NumericsError, finite_numbers
+from cbsr_qa.domain.results import LoadObservation, Trace
+
+#: From when on a hold's creep is counted [s]: the ramp's own transients, and two frames of 2.5 s, are over.
+FROM_S: Final = 5.0
+
+SIGNAL: Final = "conductance"
+STRESS: Final = "stress"
+
+
+def trace_of(load: LoadObservation, signal: str, *, loading: bool) -> Trace | None:
+    """Trace of a load's signal after the press or after the release; None where there is none, or no sample in it."""
+    found = (r.trace for r in load.relaxations if r.signal == signal and r.loading == loading)
+    trace = next(found, None)
+    return None if trace is None or not len(trace.values) else trace
+
+
+def end_level(trace: Trace, frames: int) -> float:
+    """Mean of the last samples of a trace, at most this many. NumericsError if one is not finite."""
+    return float(finite_numbers(trace.values[-frames:], f"last values of the {trace.name}").mean())
+
+
+def level_at(trace: Trace, time_s: float) -> float | None:
+    """Value at a time, linear between samples; None outside the trace. NumericsError if a value is not finite."""
+    if not trace.time_s[0] <= time_s <= trace.time_s[-1]:
+        return None
+    return float(np.interp(time_s, trace.time_s, finite_numbers(trace.values, f"values of the {trace.name}")))
+
+
+def held_alike(
+    loads: Iterable[LoadObservation], duration_s: Callable[[LoadObservation], float]
+) -> tuple[tuple[LoadObservation, ...], float]:
+    """Loads whose hold (or rest) lasted as long as most, to a second, and that time [s]; the longer of two equals.
+
+    Raises
+    ------
+    NumericsError
+        If there are none.
+    """
+    members = tuple(loads)
+    counts = Counter(round(duration_s(load)) for load in members)
+    if not counts:
+        raise NumericsError("no location was pressed at a nominal strain by itself")
+    commonest = max(counts, key=lambda length: (counts[length], length))
+    return tuple(load for load in members if round(duration_s(load)) == commonest), float(commonest)
+
+
+def creep(loads: Sequence[LoadObservation], signal: str, *, from_s: float, frames: int) -> Estimate:
+    """Change of a signal from a stated time after the ramp to the end of the hold, over its value there.
+
+    Parameters
+    ----------
+    signal : of the loads' relaxations.
+    frames : the end is the mean of this many conductance frames, and of the stress over the same time.
+
+    Returns
+    -------
+    Σ (G(end) − G(from)) / Σ G(end) over the loads, as a fraction.
+
+    Raises
+    ------
+    NumericsError
+        If no load has such a trace over that time.
+    """
+    found = [_creep(load, signal, from_s, frames) for load in loads]
+    pairs = [pair for pair in found if pair is not None]
+    if not pairs:
+        raise NumericsError(_no_trace(signal, from_s))
+    return ratio_of_sums(*zip(*pairs, strict=True))
+
+
+def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float, frames: int) -> Estimate:
+    """Creep of the conductance with that of the stress taken out.
+
+    A head that stands still lets the stress relax, so that input and output change together. The input's own change
+    is taken out at the sensitivity of the end, S = G(end)/σ(end): Σ [G(end) − G(from) − S (σ(end) − σ(from))] / Σ
+    G(end), to first order what a constant stress would show.
+
+    Raises
+    ------
+    NumericsError
+        If no load has both traces over that time.
+    """
+    pairs = []
+    for load in loads:
+        signal, stress = (_creep(load, name, from_s, frames) for name in (SIGNAL, STRESS))
+        if signal is None or stress is None or not stress[1] > 0:
+            continue
+        pairs.append((signal[0] - signal[1] * stress[0] / stress[1], signal[1]))
+    if not pairs:
+        missing = SIGNAL if not any(_creep(load, SIGNAL, from_s, frames) for load in loads) else STRESS
+        raise NumericsError(_no_trace(missing, from_s))
+    return ratio_of_sums(*zip(*pairs, strict=True))
+
+
+def zero_return(loads: Sequence[LoadObservation], *, frames: int) -> Estimate:
+    """What is left of the conductance change at the end of the rest, over the change under load.
+
+    Both are counted from the frames before the press, and are means of the last frames: after the rest as ISO 376's
+    zero error, but of each press by itself and summed up.
+
+    Returns
+    -------
+    Σ G(end of the rest) / Σ G(end of the hold), as a fraction; negative where the sheet comes back beyond zero.
+
+    Raises
+    ------
+    NumericsError
+        If no load has both traces.
+    """
+    pairs = []
+    for load in loads:
+        held, rested = (trace_of(load, SIGNAL, loading=loading) for loading in (True, False))
+        if held is not None and rested is not None:
+            pairs.append((end_level(rested, frames), end_level(held, frames)))
+    if not pairs:
+        raise NumericsError("no load has frames of both its hold and its rest in which anything was sensed")
+    return ratio_of_sums(*zip(*pairs, strict=True))
+
+
+def last_cycles(loads: Iterable[LoadObservation], *, frames: int) -> dict[str, tuple[float, float]]:
+    """Conductance change at the end of the last cycle but one, and of the last, by location.
+
+    Parameters
+    ----------
+    loads : of phases that precondition; trials are cycles.
+
+    Returns
+    -------
+    Locations at which both were sensed, in the order of their first press.
+    """
+    return _last_two(loads, lambda load: _held_level(load, frames))
+
+
+def last_stresses(loads: Iterable[LoadObservation]) -> dict[str, tuple[float, float]]:
+    """The same of the stress under the head [kPa]."""
+    return _last_two(loads, lambda load: load.stress_kPa)
+
+
+def change_between(levels: Iterable[tuple[float, float]]) -> Estimate:
+    """Change from one level to the other over the other, summed up over locations, as a fraction.
+
+    Raises
+    ------
+    NumericsError
+        If there is no location.
+    """
+    pairs = [(after - before, after) for before, after in levels]
+    if not pairs:
+        raise NumericsError("at no location were the last two cycles both sensed")
+    return ratio_of_sums(*zip(*pairs, strict=True))
+
+
+def _creep(load: LoadObservation, signal: str, from_s: float, frames: int) -> tuple[float, float] | None:
+    """Change of a signal from a time to the end of the hold, and its level there; None without a trace over it."""
+    trace, framed = (trace_of(load, name, loading=True) for name in (signal, SIGNAL))
+    if trace is None or (signal == STRESS and load.force_N is None):  # a cell at its limit records, and knows nothing
+        return None
+    early = level_at(trace, from_s)
+    last_from_s = trace.time_s[-frames:][0] if framed is None else framed.time_s[-frames:][0]
+    if early is None or not last_from_s > from_s:
+        return None
+    end = float(trace.values[trace.time_s >= last_from_s].mean())
+    return end - early, end
+
+
+def _no_trace(signal: str, from_s: float) -> str:
+    what = "no force is known under a hold" if signal == STRESS else "nothing was sensed under a hold"
+    return f"{what} that begins before {from_s:g} s and lasts clearly longer"
+
+
+def _held_level(load: LoadObservation, frames: int) -> float | None:
+    trace = trace_of(load, SIGNAL, loading=True)
+    return None if trace is None else end_level(trace, frames)
+
+
+def _last_two(
+    loads: Iterable[LoadObservation], level: Callable[[LoadObservation], float | None]
+) -> dict[str, tuple[float, float]]:
+    places: dict[str, list[LoadObservation]] = defaultdict(list)
+    for load in loads:
+        places[load.record.load.label].append(load)
+    found = {}
+    for place, cycles in places.items():
+        ordered = sorted(cycles, key=lambda load: load.record.load.trial)
+        levels = [level(load) for load in ordered[-2:]]
+        if len(levels) == 2 and levels[0] is not None and levels[1] is not None:
+            found[place] = (levels[0], levels[1])
+    return found

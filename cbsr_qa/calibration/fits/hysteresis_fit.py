@@ -1,0 +1,202 @@
+"""Hysteresis of the output against stress, from strains reached from below and from above.
+
+ISA-37.1: the largest difference in output, at any value of the measurand within its range, when that value is
+approached first with increasing and then with decreasing measurand; within one calibration cycle, in percent of
+full-scale output. Here the measurand is the stress under the head, the calibration cycle a loop up and down through
+some strains, and the full-scale output that at its deepest strain.
+
+A sheet that relaxes lags behind on the way up and on the way down: read after any finite hold, the branches differ
+without hysteresis. So what has not relaxed is fitted and taken out of output and stress alike (Boltzmann
+superposition, :mod:`~cbsr_qa.calibration.fits.superposition`): each strain has a level and amplitudes of its own, its
+direction the time constants. What the fit leaves unknown is in the stated error.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.fits.superposition import Levels, levels_read, relaxed_levels
+from cbsr_qa.calibration.sheet import Estimate
+from cbsr_qa.domain import NumericsError, finite_numbers
+from cbsr_qa.domain.results import LoopObservation
+from cbsr_qa.domain.run import LoadRecord
+
+Array = NDArray[np.float64]
+
+#: Holds of a loop are equally long within this share: frames are whole.
+_ALIKE: Final = 0.15
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopCurve:
+    """What a place answered on the way up and on the way down, mean over its cycles.
+
+    Parameters
+    ----------
+    location, x_mm, y_mm : of the place.
+    cycles, hold_s : how many loops, and how long each strain was held.
+    peak : index of the deepest strain; up to it the strain rises, after it it falls.
+    strain, stress_kPa, output : (n,) float64 in the order they were held; the output in shares of that at the peak.
+    difference, stderr : (n − 1 − peak,) of the falling strains: output less that of the way up at the same stress,
+        and one standard error.
+    """
+
+    location: str
+    x_mm: float
+    y_mm: float
+    cycles: int
+    hold_s: float
+    peak: int
+    strain: Array
+    stress_kPa: Array
+    output: Array
+    difference: Array
+    stderr: Array
+
+
+@dataclass(frozen=True, slots=True)
+class Hysteresis:
+    """The greatest difference between the branches.
+
+    Parameters
+    ----------
+    estimate : its size in shares of the span, with the error of the difference there.
+    strain : at which it was found, on the way down.
+    higher : whether the output is higher on the way down than on the way up there.
+    """
+
+    estimate: Estimate
+    strain: float
+    higher: bool
+
+
+def loop_curve(loop: LoopObservation, *, relaxed: bool, last_s: float) -> LoopCurve:
+    """Work out one place's branches.
+
+    The output of the way up at a stress of the way down lies on the straight line between its neighbours, the
+    unloaded sheet included: levels of one strain have nearly one stress, so little is interpolated. The error is the
+    larger of what noise and fit make of it and of what the cycles' scatter says.
+
+    Parameters
+    ----------
+    relaxed : without what had not relaxed; else as read at the end of each hold.
+    last_s : for the latter, how much of the end is averaged.
+
+    Raises
+    ------
+    NumericsError
+        If nothing was sensed, no force was recorded, the press did not go up and then down through strains held
+        equally long, or relaxation cannot be taken out.
+    """
+    strain, peak, hold_s = _cycle(loop)
+    assert loop.stress is not None
+    records = loop.records
+    if relaxed:
+        output = relaxed_levels(records, loop.output, rests=True)
+        stress = relaxed_levels(records, loop.stress, rests=False)
+    else:
+        output = levels_read(records, loop.output, last_s, loop.noise)
+        stress = levels_read(records, loop.stress, last_s)
+    each = _differences(output.values, stress.values, peak)
+    of_errors = _propagated(output, stress, peak, each.mean(axis=0))
+    count = len(records)
+    of_cycles = each.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.zeros_like(of_errors)
+    place = records[0].load
+    span = float(output.values[:, peak].mean())
+    return LoopCurve(
+        place.label,
+        place.x_mm,
+        place.y_mm,
+        count,
+        hold_s,
+        peak,
+        strain,
+        stress.values.mean(axis=0),
+        output.values.mean(axis=0) / span,
+        each.mean(axis=0),
+        np.maximum(of_errors, of_cycles),
+    )
+
+
+def hysteresis(curves: Sequence[LoopCurve]) -> Hysteresis:
+    """Return the greatest difference of the mean over places that were pressed to the same strains.
+
+    Places count alike, each in shares of its own span. Where nothing but noise differs, the greatest of several
+    differences is above zero by about its error: its size is no evidence by itself.
+
+    Raises
+    ------
+    NumericsError
+        If there is no place, they were pressed to different strains, or a number is not finite.
+    """
+    if not curves:
+        raise NumericsError("no place was pressed to strains from below and from above")
+    first = curves[0]
+    if any(len(c.strain) != len(first.strain) or not np.allclose(c.strain, first.strain) for c in curves):
+        raise NumericsError("the loops of different places go through different strains")
+    differences = finite_numbers([curve.difference for curve in curves], "differences between the branches")
+    errors = finite_numbers([curve.stderr for curve in curves], "errors of the differences")
+    difference, stderr = differences.mean(axis=0), np.sqrt((errors**2).sum(axis=0)) / len(curves)
+    widest = int(np.argmax(np.abs(difference)))
+    found = Estimate(float(abs(difference[widest])), float(stderr[widest]), 0)
+    return Hysteresis(found, float(first.strain[first.peak + 1 + widest]), bool(difference[widest] > 0))
+
+
+def _cycle(loop: LoopObservation) -> tuple[Array, int, float]:
+    """Strains of one cycle, the index of the deepest, and how long each was held [s]."""
+    if loop.why:
+        raise NumericsError(f"nothing can be told from the loops: {loop.why}")
+    if loop.stress is None:
+        raise NumericsError(f"no stress to compare outputs at: {loop.no_force or 'no force was recorded'}")
+    cycles = [_strains(record) for record in loop.records]
+    strain = cycles[0]
+    if any(len(other) != len(strain) or not np.allclose(other, strain) for other in cycles):
+        raise NumericsError("the loops of one place go through different strains")
+    peak = int(np.argmax(strain))
+    if not (
+        0 < peak < len(strain) - 1 and (np.diff(strain[: peak + 1]) > 0).all() and (np.diff(strain[peak:]) < 0).all()
+    ):
+        raise NumericsError(
+            "the press did not go up through some strains and then down through some",
+            remedy='press with sequence = "hysteresis-loop"',
+        )
+    held_s = np.array([held.end_s - held.start_s for record in loop.records for held in record.held])
+    if np.ptp(held_s) > _ALIKE * held_s.max():
+        raise NumericsError(
+            f"strains were held for {held_s.min():.3g} to {held_s.max():.3g} s: creep is not alike on both ways",
+            remedy="hold every strain equally long",
+        )
+    return strain, peak, float(np.median(held_s))
+
+
+def _strains(record: LoadRecord) -> Array:
+    return np.array([held.strain for held in record.held])
+
+
+def _differences(output: Array, stress: Array, peak: int) -> Array:
+    """Falling less rising output at the falling stress, (loops, falling strains), in shares of the mean span."""
+    span = float(output[:, peak].mean())
+    if not abs(span) > 0:
+        raise NumericsError("the output at the deepest strain is zero: there is nothing to be a share of")
+    found = []
+    for values, at in zip(output, stress, strict=True):
+        rising = np.concatenate([[0.0], at[: peak + 1]])
+        if not (np.diff(rising) > 0).all():
+            raise NumericsError("the stress does not rise with the strain on the way up")
+        there = np.interp(at[peak + 1 :], rising, np.concatenate([[0.0], values[: peak + 1]]))
+        found.append((values[peak + 1 :] - there) / span)
+    return np.array(found)
+
+
+def _propagated(output: Levels, stress: Levels, peak: int, plain: Array) -> Array:
+    """Standard error of the mean difference (falling strains,) from every cause, one after the other."""
+    moved = [
+        *(_differences(output.values + error, stress.values, peak) for error in output.errors),
+        *(_differences(output.values, stress.values + error, peak) for error in stress.errors),
+    ]
+    square = np.sum([(each.mean(axis=0) - plain) ** 2 for each in moved], axis=0)
+    stderr: Array = np.sqrt(square)
+    return stderr

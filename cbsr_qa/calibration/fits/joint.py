@@ -1,0 +1,188 @@
+"""Variable projection over many traces that share one shape: only that shape is searched for."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from cbsr_qa.calibration.fits.separable import polished
+
+#: (times (n,), values (n,)) of one trace.
+TimedValues = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointExponentials:
+    """A least-squares fit of cᵢ + sᵢ g(t) to traces i, g a sum of one or two decaying exponentials with g(0) = 1.
+
+    Parameters
+    ----------
+    time_constants_s : (k,) rising [s].
+    shares : (k,) of each exponential in g; they add to 1.
+    offsets, scales : (traces,) cᵢ and sᵢ, in the unit of the values.
+    residual : (all points,) values − fit.
+    mean_covariance : (1 + 2 k, 1 + 2 k) of the mean trace's offset, its amplitudes, and log τ.
+    """
+
+    time_constants_s: NDArray[np.float64]
+    shares: NDArray[np.float64]
+    offsets: NDArray[np.float64]
+    scales: NDArray[np.float64]
+    residual: NDArray[np.float64]
+    mean_covariance: NDArray[np.float64]
+
+    @property
+    def amplitudes(self) -> NDArray[np.float64]:
+        """Amplitudes of the mean trace at t = 0, (k,)."""
+        amplitudes: NDArray[np.float64] = self.shares * self.scales.mean()
+        return amplitudes
+
+    @property
+    def log_stderr(self) -> NDArray[np.float64]:
+        """Standard errors of log τ, (k,)."""
+        errors: NDArray[np.float64] = np.sqrt(np.diag(self.mean_covariance))[1 + len(self.shares) :]
+        return errors
+
+
+def fit_joint(
+    traces: Sequence[TimedValues], starts: Sequence[Sequence[float]], bounds_s: tuple[float, float]
+) -> JointExponentials:
+    """Fit from several starts and keep the best.
+
+    Parameters
+    ----------
+    traces : at least one, each with more than two points.
+    starts : log τ of one exponential, or (log τ₁, log τ₂, share of the first) of two.
+    bounds_s : lowest and highest time constant.
+    """
+    problem = _Joint(traces)
+    lowest, highest = np.log(bounds_s)
+    lower, upper = ([lowest], [highest]) if len(starts[0]) == 1 else ([lowest] * 2 + [-2.0], [highest] * 2 + [3.0])
+    found = [
+        least_squares(problem.residual, np.clip(start, lower, upper), jac=problem.jacobian, bounds=(lower, upper))
+        for start in starts
+    ]
+    best = np.asarray(min(found, key=lambda one: float(one.cost)).x, dtype=np.float64)
+    return problem.assembled(polished(problem.residual, problem.jacobian, best, (np.array(lower), np.array(upper))))
+
+
+class _Joint:
+    """Residual and Jacobian over the shape's parameters; scale and offset of every trace follow from them.
+
+    Golub & Pereyra 1973 with Kaufman's Jacobian, trace by trace: the design is block diagonal.
+    """
+
+    def __init__(self, traces: Sequence[TimedValues]) -> None:
+        # All points in one row: a run has dozens of short traces, and one by one the time would go into calls.
+        self._time_s = np.concatenate([time_s for time_s, _ in traces])
+        self._counts = np.array([len(values) for _, values in traces])
+        self._first = np.cumsum(self._counts) - self._counts
+        self._means = np.array([values.mean() for _, values in traces])
+        self._centred = np.concatenate([values - values.mean() for _, values in traces])
+        self._size = float(np.sqrt(self._centred @ self._centred)) or 1.0
+
+    def residual(self, shape: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Residuals of all points over the size of all traces."""
+        basis, scales = self._projected(shape)
+        left: NDArray[np.float64] = (self._centred - self._spread(scales) * basis) / self._size
+        return left
+
+    def jacobian(self, shape: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Derivatives of the residuals, (all points, parameters)."""
+        basis, scales = self._projected(shape)
+        slope = self._spread(scales)[:, None] * self._less_means(_slopes(self._time_s, shape))
+        along = self._sums(basis[:, None] * slope) / self._squares(basis)[:, None]
+        kaufman: NDArray[np.float64] = (basis[:, None] * self._spread(along) - slope) / self._size
+        return kaufman
+
+    def assembled(self, shape: NDArray[np.float64]) -> JointExponentials:
+        """Put the result together, time constants rising."""
+        if len(shape) == 3 and shape[0] > shape[1]:
+            shape = np.array([shape[1], shape[0], 1 - shape[2]])
+        _, scales = self._projected(shape)
+        levels = self._sums(_shape(self._time_s, shape)) / self._counts
+        residual = self.residual(shape) * self._size
+        spare = max(len(residual) - 2 * len(scales) - len(shape), 1)
+        variance = float(residual @ residual) / spare
+        shares = np.array([1.0]) if len(shape) == 1 else np.array([shape[2], 1 - shape[2]])
+        return JointExponentials(
+            np.exp(shape[: len(shares)]),
+            shares,
+            self._means - scales * levels,
+            scales,
+            residual,
+            variance * self._covariance(shape, scales),
+        )
+
+    def _projected(self, shape: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Centred basis of all points, and scale of every trace."""
+        basis = self._less_means(_shape(self._time_s, shape))
+        return basis, self._sums(basis * self._centred) / self._squares(basis)
+
+    def _sums(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Sums over every trace, (traces, ...)."""
+        sums: NDArray[np.float64] = np.add.reduceat(points, self._first)
+        return sums
+
+    def _squares(self, basis: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.maximum(self._sums(basis**2), np.finfo(np.float64).tiny)
+
+    def _spread(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        """What every trace has, for every point of it."""
+        return np.repeat(values, self._counts, axis=0)
+
+    def _less_means(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
+        counts = self._counts.reshape(-1, *[1] * (points.ndim - 1))
+        left: NDArray[np.float64] = points - self._spread(self._sums(points) / counts)
+        return left
+
+    def _covariance(self, shape: NDArray[np.float64], scales: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Per unit variance of the noise, of the mean trace's offset, amplitudes and log τ."""
+        count = len(scales)
+        # Not through the normal equations: they would take shapes that are nearly alike for known.
+        root = np.asarray(np.linalg.pinv(self.jacobian(shape) * self._size), dtype=np.float64)
+        of_shape: NDArray[np.float64] = root @ root.T
+        given, turn = np.zeros((2, 2)), np.zeros((2, len(shape)))
+        for time_s, scale in zip(np.split(self._time_s, self._first[1:]), scales, strict=True):
+            inverse = np.linalg.pinv(np.column_stack([np.ones_like(time_s), _shape(time_s, shape)]))
+            given += inverse @ inverse.T / count**2
+            turn -= inverse @ (scale * _slopes(time_s, shape)) / count
+        linear = np.vstack([np.column_stack([np.eye(2), turn]), np.eye(len(shape) + 2)[2:]])
+        back = _to_amplitudes(shape, float(scales.mean())) @ linear
+        covariance: NDArray[np.float64] = back @ _block(given, of_shape) @ back.T
+        return covariance
+
+
+def _shape(time_s: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float64]:
+    curve: NDArray[np.float64] = np.exp(-time_s / np.exp(shape[0]))
+    if len(shape) == 3:
+        curve = shape[2] * curve + (1 - shape[2]) * np.exp(-time_s / np.exp(shape[1]))
+    return curve
+
+
+def _slopes(time_s: NDArray[np.float64], shape: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Derivatives of the shape with respect to log τ and, of two exponentials, the share of the first."""
+    tau = np.exp(shape[:2]) if len(shape) == 3 else np.exp(shape)
+    each = np.exp(-time_s[:, None] / tau)
+    slopes: NDArray[np.float64] = each * time_s[:, None] / tau
+    if len(shape) == 3:
+        slopes = np.column_stack([slopes * [shape[2], 1 - shape[2]], each[:, 0] - each[:, 1]])
+    return slopes
+
+
+def _to_amplitudes(shape: NDArray[np.float64], scale: float) -> NDArray[np.float64]:
+    """From (offset, scale, log τ…[, share]) to (offset, amplitudes…, log τ…)."""
+    if len(shape) == 1:
+        return np.eye(3)
+    share = float(shape[2])
+    rows = [[1, 0, 0, 0, 0], [0, share, 0, 0, scale], [0, 1 - share, 0, 0, -scale], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0]]
+    return np.array(rows, dtype=np.float64)
+
+
+def _block(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    size = len(first) + len(second)
+    whole = np.zeros((size, size))
+    whole[: len(first), : len(first)], whole[len(first) :, len(first) :] = first, second
+    return whole

@@ -1,0 +1,154 @@
+"""Relative conductance change against stress or strain (paper Eqs 1 and 2)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError, finite_numbers
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic
+
+#: Levels whose places differ by less than this share of their size are one place.
+_COLLINEAR: Final = 1e-9
+#: Numbers larger than this, or smaller than one over it, cannot be squared and divided by each other.
+_LARGEST: Final = 1e70
+#: Error of changes that are all zero, which nobody stated: small, with a square that is a number.
+_NO_ERROR: Final = 1e-120
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class QuasiStaticFit:
+    """Δρ/ρ₀ = slope · x + intercept, with what it was fitted from.
+
+    Parameters
+    ----------
+    slope, intercept : α and β.
+    covariance : (2, 2) float64 of (slope, intercept).
+    levels : strains that were fitted, rising.
+    excluded : strains that were left out because their deviation exceeds their mean change.
+    chi_squared, degrees : of the weighted residuals; degrees are levels − 2.
+    """
+
+    slope: float
+    intercept: float
+    covariance: NDArray[np.float64]
+    levels: tuple[float, ...]
+    excluded: tuple[float, ...]
+    chi_squared: float
+    degrees: int
+
+    def as_parameters(self, source: str) -> QuasiStatic:
+        """Return the fit with its standard errors and where it comes from."""
+        slope_error, intercept_error = np.sqrt(np.diag(self.covariance))
+        left_out = ", ".join(f"{100 * strain:g} %" for strain in self.excluded)
+        said = f"{source}; left out: {left_out}" if left_out else source
+        return QuasiStatic(
+            Parameter(self.slope, float(slope_error), said),
+            Parameter(self.intercept, float(intercept_error), said),
+            float(self.covariance[0, 1]),
+        )
+
+
+def fit_quasi_static(
+    strain: Sequence[float], x: Sequence[float], change: Sequence[float], stderr: Sequence[float] | None = None
+) -> QuasiStaticFit:
+    """Fit a line through the mean change of each strain by weighted least squares.
+
+    A strain's weight is one over the squared standard error of its mean: from the scatter of its loads, not below
+    their stated errors; a strain with a single load and no stated error takes the pooled scatter. Strains whose
+    deviation exceeds their mean change are left out and named (the paper left out 5 % for 9 wt%). Where the line
+    misses the means by more than their errors allow, the covariance is widened by χ² per degree (Birge).
+
+    Parameters
+    ----------
+    strain : (n,) nominal strain of each load; loads with equal strain form a level.
+    x : (n,) stress [kPa] or strain of each load.
+    change : (n,) relative conductance change at steady state.
+    stderr : (n,) standard errors of the changes; None where not known.
+
+    Raises
+    ------
+    NumericsError
+        If the lengths differ, a number is not finite, x or changes are beyond 1e±70, fewer than two levels are left,
+        or their x coincide: slope and intercept cannot then be told apart.
+    """
+    level, place, value = _checked(strain, x, change)
+    given = np.zeros(len(value)) if stderr is None else finite_numbers(stderr, "standard errors")
+    strains = np.unique(level)
+    means = np.array([value[level == s].mean() for s in strains])
+    errors, deviations = _errors(level, value, given, strains)
+    kept = deviations <= np.abs(means)
+    if kept.sum() < 2:
+        raise NumericsError(
+            f"{int(kept.sum())} of {len(strains)} strains can be fitted; slope and intercept need two",
+            remedy="press at two strains or more, each clear of its own scatter",
+        )
+    places = np.array([place[level == s].mean() for s in strains])[kept]
+    if np.ptp(places) <= _COLLINEAR * np.abs(places).max():
+        raise NumericsError(
+            f"all loads lie at x = {places[0]:g}: slope and intercept cannot be told apart",
+            remedy="press at clearly different strains",
+        )
+    solution, covariance, chi_squared = _weighted_line(places, means[kept], errors[kept])
+    degrees = int(kept.sum()) - 2
+    return QuasiStaticFit(
+        float(solution[0]),
+        float(solution[1]),
+        covariance * max(1.0, chi_squared / degrees if degrees else 1.0),
+        tuple(strains[kept].tolist()),
+        tuple(strains[~kept].tolist()),
+        chi_squared,
+        degrees,
+    )
+
+
+def _checked(
+    strain: Sequence[float], x: Sequence[float], change: Sequence[float]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    level, place, value = (np.asarray(part, dtype=np.float64) for part in (strain, x, change))
+    if not len(level) == len(place) == len(value):
+        raise NumericsError(f"{len(level)} strains, {len(place)} places and {len(value)} changes do not fit together")
+    if not all(np.isfinite(part).all() for part in (level, place, value)):
+        raise NumericsError("a quasi-static fit was given a number that is not finite")
+    for name, part in (("x", place), ("change", value)):
+        size = float(np.abs(part).max(initial=0.0))
+        if size and not 1 / _LARGEST <= size <= _LARGEST:
+            raise NumericsError(
+                f"a quasi-static fit was given {name} of {size:.3g}: squares of such numbers are none",
+                remedy="state it in another unit",
+            )
+    return np.round(level, 9), place, value
+
+
+def _errors(
+    level: NDArray[np.float64], value: NDArray[np.float64], given: NDArray[np.float64], strains: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Standard error of each level's mean, and each level's deviation (0 where it has one load)."""
+    counts = np.array([(level == s).sum() for s in strains])
+    deviations = np.array(
+        [value[level == s].std(ddof=1) if n > 1 else 0.0 for s, n in zip(strains, counts, strict=True)]
+    )
+    spare = int((counts - 1).sum())
+    pooled = float(np.sqrt(((counts - 1) * deviations**2).sum() / spare)) if spare else 0.0
+    scatter = np.where(counts > 1, deviations, pooled)
+    stated = np.array([np.sqrt((given[level == s] ** 2).mean()) for s in strains])
+    errors = np.maximum(scatter, stated) / np.sqrt(counts)
+    # Without any scatter all levels weigh the same; rounding is the error that is left.
+    least = 1e-12 * float(max(np.abs(value).max(initial=0.0), stated.max(initial=0.0))) or _NO_ERROR
+    return np.maximum(errors, least), deviations
+
+
+def _weighted_line(
+    x: NDArray[np.float64], y: NDArray[np.float64], error: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Slope and intercept, their covariance and χ², by QR of the weighted design centred at its mean."""
+    weight = 1 / error
+    middle = float(np.average(x, weights=weight**2))
+    q, r = np.linalg.qr(np.column_stack([x - middle, np.ones_like(x)]) * weight[:, None])
+    centred = np.linalg.solve(r, q.T @ (y * weight))
+    back = np.array([[1.0, 0.0], [-middle, 1.0]])
+    inverse = back @ np.linalg.inv(r)
+    residual = (y - centred[0] * (x - middle) - centred[1]) * weight
+    return back @ centred, inverse @ inverse.T, float(residual @ residual)

@@ -1,0 +1,321 @@
+"""A sensor's relaxation kernel, learned from the loads of a calibration run.
+
+Weights and time constants that relaxations share, and how the weights scatter between loads (empirical Bayes).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, TimedValues, fit_common_relaxation
+from cbsr_qa.calibration.fits.relaxation import checked_trace, exponentials
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import FitStatus, RelaxationKernel
+
+Array = NDArray[np.float64]
+
+#: Relative scatters tried; every one up to 1 is as likely before anything was seen.
+_SCATTERS: Final = np.linspace(0.0, 1.0, 61) ** 2
+#: Residual degrees of freedom from which on a load's own noise is used, not that of all loads.
+_OWN_NOISE: Final = 8
+#: No value is taken to be better than this share of its load: the covariances stay invertible.
+_LEAST_NOISE: Final = 1e-6
+#: Times the exponentials are expanded about new time constants.
+_ROUNDS: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KernelTrace:
+    """A load to learn from.
+
+    Parameters
+    ----------
+    time_s, values : (n,).
+    ramp_s : of the ramp before.
+    released : D of an unloading; None for a loading.
+    """
+
+    time_s: Array
+    values: Array
+    ramp_s: float
+    released: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SharedKernel:
+    """Posterior of w and log τ, and the scatter of w relative to w.
+
+    Parameters
+    ----------
+    weights, time_constants_s : (k,).
+    covariance : (2 k, 2 k).
+    relative_scatter : between loads.
+    freedom : degrees of freedom of its square.
+    """
+
+    weights: Array
+    time_constants_s: Array
+    covariance: Array
+    relative_scatter: float
+    freedom: float
+
+
+def shared_kernel(
+    traces: Sequence[KernelTrace],
+    weights: Array,
+    time_constants_s: Array,
+    prior_stderr: Array,
+    *,
+    frame_s: float,
+    noise: Sequence[float] | None = None,
+) -> SharedKernel:
+    """Estimate the mean kernel of all loads and how much each load's weights differ from it.
+
+    Load i is Aᵢ (1 + Σ wᵢ e^(−t/τ)) or Rᵢ + Dᵢ Σ wᵢ e^(−t/τ), with wᵢ ~ N(w, s² w²) independently. Aᵢ or Rᵢ are
+    integrated out under a flat prior; w and log τ are found by Gauss–Newton at every s of a grid, and their
+    restricted likelihood says how likely that s is. The loads' sizes are plugged into the scatter's covariance.
+
+    Parameters
+    ----------
+    weights, time_constants_s : (k,) to begin with.
+    prior_stderr : (2 k,) of the weak normal prior of (w, log τ) about them; 0 keeps one fixed.
+    noise : standard deviation of a value of each load; None to take it from the residuals.
+    """
+    mean = start = np.concatenate([weights, np.log(time_constants_s)])
+    free = prior_stderr > 0
+    precision = 1 / prior_stderr[free] ** 2
+    for _ in range(_ROUNDS):
+        reduced = _Reduced(traces, mean, frame_s, noise)
+        steps, inverse, likely = reduced.searched(free, precision, (start - mean)[free])
+        mean = mean.copy()
+        mean[free] += likely @ steps
+    around = steps - likely @ steps
+    covariance = np.zeros((len(mean), len(mean)))
+    covariance[np.ix_(free, free)] = np.einsum("g,gij->ij", likely, inverse) + (likely[:, None] * around).T @ around
+    scatter, freedom = _as_variance(likely)
+    half = len(weights)
+    return SharedKernel(mean[:half], np.exp(mean[half:]), covariance, scatter, freedom)
+
+
+class _Reduced:
+    """Every load in the few dimensions in which kernels near the present one differ.
+
+    Parameters
+    ----------
+    mean : (2 k,) w and log τ to expand about.
+    """
+
+    def __init__(
+        self, traces: Sequence[KernelTrace], mean: Array, frame_s: float, noise: Sequence[float] | None
+    ) -> None:
+        half = len(mean) // 2
+        self.weights = mean[:half]
+        loads = [_projected(trace, self.weights, np.exp(mean[half:]), frame_s) for trace in traces]
+        self.data, self.level, self.parts, self.slopes, self.size = (
+            np.array(one) for one in zip(*(load[:5] for load in loads), strict=True)
+        )
+        squares, spare = (np.array(one, dtype=np.float64) for one in zip(*(load[5:] for load in loads), strict=True))
+        pooled = squares.sum() / max(float(spare.sum()), 1.0)
+        own = np.where(spare >= _OWN_NOISE, squares / np.maximum(spare, 1), pooled)
+        given = own if noise is None else np.asarray(noise, dtype=np.float64) ** 2
+        least = (_LEAST_NOISE * self.size) ** 2 + np.finfo(np.float64).tiny
+        self.variance = np.maximum(given, least)
+
+    def searched(self, free: NDArray[np.bool_], precision: Array, back: Array) -> tuple[Array, Array, Array]:
+        """Steps (g, f), covariances (g, f, f) and likelihoods (g,) at each relative scatter of the grid.
+
+        ``back`` leads from the present mean to the prior's.
+        """
+        slopes = self.slopes[:, :, free] * self.size[:, None, None]
+        spread = self.parts * (self.size[:, None] * self.weights)[:, None, :]
+        outer = spread @ spread.transpose(0, 2, 1)
+        identity = np.eye(self.data.shape[1]) * self.variance[:, None, None]
+        covariance = identity + _SCATTERS[:, None, None, None] ** 2 * outer
+        inverse = np.linalg.inv(covariance)
+        level = np.einsum("gnij,nj->gni", inverse, self.level)
+        weight = np.einsum("gni,ni->gn", level, self.level)
+        across = inverse - level[..., :, None] * level[..., None, :] / weight[..., None, None]
+        seen = np.einsum("gnij,nj->gni", across, self.data)
+        information = np.einsum("nia,gnij,njb->gab", slopes, across, slopes, optimize=True) + np.diag(precision)
+        pull = np.einsum("nia,gni->ga", slopes, seen) + precision * back
+        posterior = np.linalg.inv(information)
+        steps = np.einsum("gab,gb->ga", posterior, pull)
+        explained = np.einsum("ga,ga->g", pull, steps)
+        left = np.einsum("gni,ni->g", seen, self.data) - explained
+        volume = np.linalg.slogdet(covariance)[1].sum(axis=1) + np.log(weight).sum(axis=1)
+        log_likelihood = -0.5 * (left + volume + np.linalg.slogdet(information)[1])
+        likely = np.exp(log_likelihood - log_likelihood.max()) * np.gradient(_SCATTERS)
+        return steps, posterior, likely / likely.sum()
+
+
+def _projected(
+    trace: KernelTrace, weights: Array, time_constants_s: Array, frame_s: float
+) -> tuple[Array, Array, Array, Array, float, float, int]:
+    """Coordinates of values, level, exponentials and slopes; the size; what is left, and how many to spare."""
+    parts, by_log = exponentials(trace.time_s, time_constants_s, ramp_s=trace.ramp_s, frame_s=frame_s)
+    relaxing = parts @ weights
+    level = np.ones_like(relaxing) if trace.released is not None else 1 + relaxing
+    columns = np.column_stack([level, parts, weights * by_log])
+    basis = np.linalg.svd(columns, full_matrices=False)[0]
+    data = basis.T @ trace.values
+    left = trace.values - basis @ data
+    size = float(trace.values @ level / (level @ level)) if trace.released is None else trace.released
+    if trace.released is not None:
+        data = data - basis.T @ (trace.released * relaxing)
+    coordinates = basis.T @ columns
+    half = len(weights)
+    spare = max(len(trace.values) - columns.shape[1], 0)
+    parts, slopes = coordinates[:, 1 : 1 + half], coordinates[:, 1:]
+    return data, coordinates[:, 0], parts, slopes, size, float(left @ left), spare
+
+
+def _as_variance(likely: Array) -> tuple[float, float]:
+    """The scaled inverse χ² with the mean and variance of s²: its scale's root and degrees of freedom."""
+    square = _SCATTERS**2
+    mean = float(likely @ square)
+    spread = max(float(likely @ (square - mean) ** 2), 1e-9 * mean**2)
+    freedom = 4 + 2 * mean**2 / spread
+    return float(np.sqrt(mean * (freedom - 2) / freedom)), freedom
+
+
+_FEWEST: Final = 6
+#: Standard deviations of the weak priors: of a weight, a logarithm of a time constant, and the weight of an
+#: exponential that the traces do not show but may hide.
+_WEIGHT, _LOG_TIME, _HIDDEN = 1.0, 1.0, 0.3
+#: Share of their root mean square that the mean of all sizes must be of to stand for them.
+_ONE_SIGN: Final = 0.1
+#: How far a hidden exponential lies from the one that is seen.
+_APART: Final = 5.0
+
+
+def learn_kernel(
+    traces: Sequence[TimedValues],
+    *,
+    ramp_s: float | Sequence[float] = 0.0,
+    frame_s: float = 0.0,
+    released: Sequence[float] | None = None,
+    start_s: float = 0.0,
+    noise: Sequence[float] | None = None,
+) -> RelaxationKernel:
+    """Learn from the loads of a calibration run how the sensor relaxes, and how alike its loads do.
+
+    Time constants begin at those of :func:`~cbsr_qa.calibration.fits.fit_common_relaxation`; weights, time
+    constants and the scatter of the weights between loads then follow from the restricted likelihood of all loads
+    (empirical Bayes). The scatter is relative and one for all weights; before anything is seen, every scatter from 0
+    to 1 is as likely. One load says nothing about it, and predictions from its kernel are as uncertain as that.
+
+    An exponential that chance may have made is not claimed, but may be there: beside a single one, or none, further
+    ones are carried with a weight near zero and the uncertainty that the traces leave them.
+
+    Parameters
+    ----------
+    traces : (times (n,) [s] from the end of the ramp, values (n,)) of each load; those of fewer than 6 values are
+        left out. Any unit: weights are relative.
+    ramp_s : how long the head moved before; the kernel is that of a step.
+    frame_s : length over which a value averages; 0 for one that is of its time.
+    released : the change that each release took away, for unloadings; None for loadings.
+    start_s : values before are left out (an unloading spike, see
+        :func:`~cbsr_qa.calibration.fits.relaxation_start`).
+    noise : standard deviation of a value, for each load; None to take it from what the kernel leaves.
+
+    Returns
+    -------
+    RelaxationKernel; with ``why``, and of no use, where the traces drift or show no time constant.
+
+    Raises
+    ------
+    NumericsError
+        If numbers of loads differ, a number is not finite, or time stamps repeat or step back.
+    """
+    loads, unit = _scaled(_loads(traces, ramp_s, released, start_s))
+    told = [index for index, load in enumerate(loads) if len(load.time_s) >= _FEWEST]
+    used = [loads[index] for index in told]
+    common = fit_common_relaxation([(load.time_s, load.values) for load in used])
+    why = common.fit.why if common.fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING) else ""
+    if not why and not _stands_out(used, common):
+        why = "no load stands out of its noise"
+    if why:
+        return _no_kernel(released is None, len(used), start_s, why)
+    weights, time_constants_s, prior = _beginning(used, common, frame_s)
+    own = None if noise is None else [noise[index] * unit for index in told]
+    found = shared_kernel(used, weights, time_constants_s, prior, frame_s=frame_s, noise=own)
+    return RelaxationKernel(
+        loading=released is None,
+        weights=found.weights,
+        time_constants_s=found.time_constants_s,
+        covariance=found.covariance,
+        scatter=found.relative_scatter * np.abs(found.weights),
+        scatter_freedom=found.freedom,
+        loads=len(used),
+        start_s=start_s,
+    )
+
+
+def _loads(
+    traces: Sequence[TimedValues], ramp_s: float | Sequence[float], released: Sequence[float] | None, start_s: float
+) -> list[KernelTrace]:
+    ramps = [float(ramp_s)] * len(traces) if isinstance(ramp_s, int | float) else list(ramp_s)
+    changes: list[float | None] = [None] * len(traces) if released is None else list(released)
+    if len(ramps) != len(traces) or len(changes) != len(traces):
+        raise NumericsError(f"{len(traces)} traces with {len(ramps)} ramps and {len(changes)} released changes")
+    loads = []
+    for (time_s, values), ramp, change in zip(traces, ramps, changes, strict=True):
+        if not (np.isfinite(ramp) and ramp >= 0 and (change is None or np.isfinite(change))):
+            raise NumericsError(f"a ramp of {ramp} s, or a released change of {change}, is no finite number")
+        times, taken = checked_trace(time_s, values)
+        counts = times >= start_s
+        loads.append(KernelTrace(times[counts], taken[counts], ramp, change))
+    return loads
+
+
+def _scaled(loads: list[KernelTrace]) -> tuple[list[KernelTrace], float]:
+    """Loads in a unit in which the largest is about one, and that unit: a power of two, so that nothing rounds.
+
+    Weights are relative, and covariances of large numbers would not fit into doubles.
+    """
+    largest = max((float(np.abs(load.values).max(initial=0.0)) for load in loads), default=0.0)
+    unit = float(np.ldexp(1.0, -int(np.frexp(largest)[1])))
+    scaled = [
+        replace(load, values=load.values * unit, released=None if load.released is None else load.released * unit)
+        for load in loads
+    ]
+    return scaled, unit
+
+
+def _stands_out(loads: Sequence[KernelTrace], common: CommonRelaxation) -> bool:
+    """Whether what relaxations are relative to is clear of zero."""
+    if loads[0].released is not None:
+        return any(load.released for load in loads)
+    return abs(common.fit.offset) > 5 * common.fit.offset_stderr
+
+
+def _beginning(loads: Sequence[KernelTrace], common: CommonRelaxation, frame_s: float) -> tuple[Array, Array, Array]:
+    """Weights, time constants and the standard deviations of their weak priors."""
+    window_s = max(float(load.time_s[-1]) for load in loads)
+    seen = np.array(common.fit.time_constants_s)
+    sizes = np.array([common.fit.offset if load.released is None else load.released for load in loads])
+    amplitudes = np.array(common.fit.amplitudes)
+    if abs(sizes.mean()) > _ONE_SIGN * np.sqrt((sizes**2).mean()):
+        relative = amplitudes / sizes.mean()
+    else:  # releases of both signs, whose mean says nothing
+        relative = common.shares * float(common.scales @ sizes / (sizes @ sizes)) if len(seen) else amplitudes
+    ramp_s = float(np.mean([load.ramp_s for load in loads]))
+    weights = np.zeros(len(seen))
+    if len(seen):
+        start, _ = exponentials(np.zeros(1), seen, ramp_s=ramp_s, frame_s=frame_s)
+        weights = relative / start[0]
+    if len(seen) == 2:
+        return weights, seen, np.array([_WEIGHT, _WEIGHT, _LOG_TIME, _LOG_TIME])
+    if len(seen) == 1:
+        both = np.array([seen[0] / _APART, seen[0]])
+        return np.array([0.0, weights[0]]), both, np.array([_HIDDEN, _WEIGHT, 0.0, _LOG_TIME])
+    both = window_s / np.array([3 * _APART, 3.0])
+    return np.zeros(2), both, np.array([_HIDDEN, _HIDDEN, 0.0, 0.0])
+
+
+def _no_kernel(loading: bool, loads: int, start_s: float, why: str) -> RelaxationKernel:
+    none = np.zeros(0)
+    return RelaxationKernel(loading, none, none, np.zeros((0, 0)), none, 1.0, loads, start_s, why)

@@ -1,0 +1,210 @@
+"""Settling times of fitted relaxations, and their means where some are only known to be longer than the window.
+
+Where the relaxation after a release begins: behind the conductance's spike.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from cbsr_qa.domain import NumericsError, finite_numbers
+from cbsr_qa.domain.results import FitStatus, RelaxationFit, SettlingTime
+
+_BANDS: Final = ("steady", "step")
+
+
+def settling_time(
+    fit: RelaxationFit,
+    *,
+    window_s: float,
+    tolerance: float = 0.15,
+    band: str = "steady",
+    baseline: float = 0.0,
+    loaded_change: float | None = None,
+    start_s: float = 0.0,
+) -> SettlingTime:
+    """Return the last time at which the fitted curve leaves the band about its steady level a₀.
+
+    Parameters
+    ----------
+    fit : t = 0 is the end of the ramp.
+    window_s : how long the trace was observed from t = 0 [s].
+    tolerance : half width of the band as a fraction (the paper's 15 %).
+    band : ``"steady"``: of the steady change from before the load, the paper's reading; ``"step"``: of G(0) − a₀.
+    baseline : level before the load, in the trace's unit; 0 where the trace is a change already.
+    loaded_change : the steady change under load. Given for an unloading: that ends near zero change, where a band
+        relative to its own end would vanish, so the band is taken of this. The fitted curve must then also have
+        come back into the band about ``baseline`` by the window's end: a short trace of a slow return looks like
+        one that ends elsewhere.
+    start_s : where the fit begins (behind an unloading spike): the trace counts as unsettled before.
+
+    Returns
+    -------
+    SettlingTime: 0 where the trace is inside the band from t = 0 (or ``start_s``) on; the window's length and
+    ``censored`` where it is not inside at the window's end, or still drifting; no value where the fit was rejected
+    or there is no band.
+
+    Raises
+    ------
+    NumericsError
+        If window or tolerance is not positive, or the band is unknown.
+    """
+    _check(window_s, tolerance, band)
+    if fit.status is FitStatus.REJECTED:
+        return SettlingTime(None, False, 0.0, f"the relaxation fit was rejected: {fit.why}")
+    steady = fit.offset - baseline if loaded_change is None else loaded_change
+    half_width = tolerance * abs(_deviation(fit, start_s) if band == "step" else steady)
+    late = _why_late(
+        fit, half_width, window_s, None if loaded_change is None else (baseline, loaded_change, tolerance)
+    )
+    if late:
+        return SettlingTime(window_s, True, half_width, late)
+    if fit.status is FitStatus.FLAT:
+        return SettlingTime(start_s, False, half_width, "inside the band from the start")
+    if half_width == 0:
+        return SettlingTime(None, False, 0.0, "there is no steady change that a band could be a share of")
+    last = _last_outside(fit, half_width, start_s, window_s)
+    return SettlingTime(last, False, half_width, "" if last > start_s else "inside the band from the start")
+
+
+def restricted_mean(times_s: Sequence[float], censored: Sequence[bool]) -> tuple[float, float]:
+    """Mean and standard deviation of times of which some are only known to be longer (Kaplan & Meier 1958).
+
+    The survival curve is integrated up to the longest time observed, so with censored times the mean is a lower
+    bound: each counts as at least its window, and neither as settled nor as missing.
+
+    Parameters
+    ----------
+    times_s : settling times, or the windows' lengths where censored; at least one.
+    censored : which are.
+
+    Returns
+    -------
+    (mean, deviation) [s]; without censoring exactly the sample mean and the population standard deviation.
+
+    Raises
+    ------
+    NumericsError
+        If there is no time, one is negative or not finite, or the lengths differ.
+    """
+    if len(times_s) == 0 or len(times_s) != len(censored) or min(times_s) < 0:
+        raise NumericsError(f"{len(times_s)} settling times with {len(censored)} marks have no mean")
+    time = finite_numbers(times_s, "settling times")
+    settled = ~np.asarray(censored, dtype=np.bool_)
+    edges = np.unique(time)
+    share, alive = np.empty(len(edges)), 1.0
+    for index, edge in enumerate(edges):
+        share[index] = alive * float(((time == edge) & settled).sum()) / int((time >= edge).sum())
+        alive -= share[index]
+    share[-1] += alive  # what outlives the longest time counts as that
+    # About the shortest and then about the mean: a small spread of long times keeps its digits.
+    after = edges - edges[0]
+    mean = float(share @ after)
+    return float(edges[0]) + mean, float(np.sqrt(share @ (after - mean) ** 2))
+
+
+def _check(window_s: float, tolerance: float, band: str) -> None:
+    if not window_s > 0 or not tolerance > 0:
+        raise NumericsError(f"a window of {window_s} s and a tolerance of {tolerance} must be positive")
+    if band not in _BANDS:
+        raise NumericsError(f"settling band {band!r} is unknown", remedy=f"use {' or '.join(map(repr, _BANDS))}")
+
+
+def _why_late(
+    fit: RelaxationFit, half_width: float, window_s: float, unloading: tuple[float, float, float] | None
+) -> str:
+    """Why a trace has not settled by its window's end; empty if it has.
+
+    ``unloading`` is the level before the load, the change under it, and the tolerance.
+    """
+    if fit.status is FitStatus.DRIFTING:
+        return fit.why
+    late = f"not settled within {window_s:.4g} s"
+    if unloading is not None:
+        baseline, change, tolerance = unloading
+        left = abs(fit.offset + _deviation(fit, window_s) - baseline)
+        if left > tolerance * abs(change) > 0:
+            return f"{late}: {left / abs(change):.0%} of the change under load is left"
+    return late if abs(_deviation(fit, window_s)) > half_width > 0 else ""
+
+
+def _deviation(fit: RelaxationFit, time_s: float) -> float:
+    return float(sum(a * np.exp(-time_s / tau) for a, tau in zip(fit.amplitudes, fit.time_constants_s, strict=True)))
+
+
+def _last_outside(fit: RelaxationFit, half_width: float, start_s: float, end_s: float) -> float:
+    """Last time in [start, end] outside the band, start if there is none; the end is known to be inside.
+
+    Between its zero and its extremum (it has at most one of each) the deviation's size is monotone, so that the
+    search goes backwards over monotone pieces and each root is bracketed.
+    """
+
+    def excess(time_s: float) -> float:
+        return abs(_deviation(fit, time_s)) - half_width
+
+    inside = end_s
+    for edge in [*sorted((t for t in _turning_points(fit) if start_s < t < end_s), reverse=True), start_s]:
+        if excess(edge) > 0:
+            return float(brentq(excess, edge, inside, xtol=1e-12, rtol=1e-12))
+        inside = edge
+    return start_s
+
+
+def _turning_points(fit: RelaxationFit) -> list[float]:
+    """Times where the deviation is zero or extreme."""
+    if len(fit.amplitudes) < 2 or fit.amplitudes[0] * fit.amplitudes[1] >= 0:
+        return []
+    (fast, slow), (first, second) = fit.amplitudes, fit.time_constants_s
+    if first == second:
+        return []  # one exponential after all
+    # The difference of the time constants, not that of the rates: it is exact where they are nearly alike.
+    per_rate = first * second / (second - first)
+    return [float(np.log(-fast / slow) * per_rate), float(np.log(-fast * second / (slow * first)) * per_rate)]
+
+
+#: A deviation counts if it is this many noise standard deviations, or this share of the largest, from the end level.
+_CLEAR: Final = 4.0
+_SHARE: Final = 0.05
+
+
+def relaxation_start(values: NDArray[np.float64]) -> int:
+    """Return the index of the first sample behind the unloading spike's rising edge and peak.
+
+    On unloading the conductance first spikes the other way, then relaxes to its end level. The spike's peak is the
+    largest deviation from the end level (median of the last quarter) in the first half of the trace, after the
+    last time the trace passed through that level; the peak itself is left out, as in the paper (3.1.2). A trace
+    that is largest at its first sample has no spike and starts at 0.
+
+    Parameters
+    ----------
+    values : (n,) float64, from the end of the release on.
+
+    Returns
+    -------
+    int in [0, n).
+
+    Raises
+    ------
+    NumericsError
+        If a value is not finite.
+    """
+    values = finite_numbers(values, "values behind a release")
+    count = len(values)
+    if count < 4:
+        return 0
+    away = values - np.median(values[-(count // 4) :])
+    early = away[: (count + 1) // 2]
+    # Differences of neighbours see the noise and hardly the relaxation; their median is not moved by the spike.
+    noise = 1.4826 * float(np.median(np.abs(np.diff(away[count // 2 :])))) / np.sqrt(2)
+    clear = np.abs(early) > max(_CLEAR * noise, _SHARE * float(np.abs(early).max()))
+    if not clear.any():
+        return 0
+    signs = np.where(clear, np.sign(early), 0)
+    last = signs[np.flatnonzero(clear)[-1]]
+    opposite = np.flatnonzero(signs == -last)
+    begin = int(opposite[-1]) + 1 if opposite.size else 0
+    peak = begin + int(np.argmax(np.abs(early[begin:])))
+    return 0 if peak == 0 else peak + 1

@@ -1,0 +1,264 @@
+"""Transient compensation: where a hold or a release ends, from its first part and the sensor's own relaxations."""
+
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import t as student
+
+from cbsr_qa.calibration.fits.relaxation import seen_share
+from cbsr_qa.calibration.fits.relaxation_kernel import learn_kernel
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import RelaxationKernel, SteadyPrediction
+
+__all__ = ["HoldsSoFar", "event_rate_per_min", "interval", "learn_kernel", "predict_steady"]
+
+Array = NDArray[np.float64]
+
+#: Times the scatter's share of the covariance is worked out again with the predicted size.
+_ROUNDS: Final = 3
+#: Time constants after which nothing is left.
+_OVER: Final = 700.0
+
+
+def predict_steady(
+    time_s: Array,
+    values: Array,
+    noise: float | Array,
+    kernel: RelaxationKernel,
+    *,
+    ramp_s: float | Array = 0.0,
+    frame_s: float = 0.0,
+    released: float | Array | None = None,
+    released_stderr: float | Array = 0.0,
+    at_s: float = np.inf,
+) -> SteadyPrediction:
+    """Predict where holds or releases end from whatever part of them was seen.
+
+    Bayesian linear regression of the steady change A and its weights A w, with the kernel as prior of the weights and
+    none of A; the kernel's own uncertainty enters to first order. Of a release it is what is left, R, that has no
+    prior. Where everything has settled it is the mean weighted by the noise.
+
+    Parameters
+    ----------
+    time_s : (n,) or (m, n) from the end of the ramp [s]; frames before ``kernel.start_s`` do not count.
+    values : (n,) or (m, n) of m traces.
+    noise : standard deviation of a value; broadcast against ``values``.
+    ramp_s, frame_s : as in :func:`learn_kernel`; ``ramp_s`` may be (m,).
+    released, released_stderr : D and its standard error, for a kernel of unloadings; may be (m,).
+    at_s : predict the change at this time after the ramp's end instead, e.g. when a rest is over.
+
+    Returns
+    -------
+    SteadyPrediction of m traces.
+
+    Raises
+    ------
+    NumericsError
+        If there is no kernel or no frame, a number is not finite, the noise is not positive, or ``released`` is
+        missing or not for this kernel.
+    """
+    values = np.atleast_2d(np.asarray(values, dtype=np.float64))
+    time_s = np.broadcast_to(np.asarray(time_s, dtype=np.float64), values.shape)
+    noise = np.broadcast_to(np.asarray(noise, dtype=np.float64), values.shape)
+    seen = HoldsSoFar(kernel, len(values), ramp_s=ramp_s, frame_s=frame_s)
+    for frame in range(values.shape[1]):
+        seen.add(time_s[:, frame], values[:, frame], noise[:, frame])
+    return seen.predict(released=released, released_stderr=released_stderr, at_s=at_s)
+
+
+def interval(prediction: SteadyPrediction, level: float) -> tuple[Array, Array]:
+    """Return the lower and upper ends (m,) of the central intervals of a level such as 0.95."""
+    if not 0 < level < 1:
+        raise NumericsError(f"an interval of level {level} is none", remedy="levels lie between 0 and 1")
+    reach = student.ppf((1 + level) / 2, np.minimum(prediction.freedom, 1e9)) * prediction.stderr
+    return prediction.values - reach, prediction.values + reach
+
+
+def event_rate_per_min(
+    loading_s: float, unloading_s: float, *, held: float = 1.5, rested: float = 1.5, ramp_s: float = 0.0
+) -> float:
+    """Return how many presses a minute can be told apart and measured.
+
+    Parameters
+    ----------
+    loading_s, unloading_s : settling times.
+    held, rested : how much of them is waited for; 1.5 each without transient compensation (paper 4.3.2), less with.
+    ramp_s : of one press, and of one release.
+
+    Raises
+    ------
+    NumericsError
+        If a time is negative or not finite, or nothing takes any time.
+    """
+    parts = (loading_s, unloading_s, held, rested, ramp_s)
+    period_s = held * loading_s + rested * unloading_s + 2 * ramp_s
+    if not (all(np.isfinite(part) and part >= 0 for part in parts) and period_s > 0):
+        raise NumericsError(f"no rate of events follows from {', '.join(f'{part:g}' for part in parts)}")
+    return 60 / period_s
+
+
+class HoldsSoFar:
+    """What was seen of m holds (or releases), frame by frame: each costs the same, and none is kept.
+
+    Parameters
+    ----------
+    kernel, ramp_s, frame_s : as in :func:`predict_steady`.
+    count : m.
+
+    Raises
+    ------
+    NumericsError
+        If there is no kernel.
+    """
+
+    def __init__(
+        self, kernel: RelaxationKernel, count: int = 1, *, ramp_s: float | Array = 0.0, frame_s: float = 0.0
+    ) -> None:
+        if kernel.why:
+            raise NumericsError(
+                f"no steady state can be predicted: {kernel.why}", remedy="calibrate with longer holds, or wait"
+            )
+        self._kernel = kernel
+        ramps = np.broadcast_to(np.asarray(ramp_s, dtype=np.float64), (count,))
+        self._share, self._slope = seen_share(kernel.time_constants_s, ramp_s=ramps, frame_s=frame_s)
+        self._root = _root(kernel)
+        # What all rows and values say, as the triangle of their QR: sums of squares would keep half of the digits.
+        self._triangle = np.zeros((count, 3 + self._root.shape[1], 3 + self._root.shape[1]))
+        self._frames = np.zeros(count, dtype=np.int64)
+
+    def add(self, time_s: float | Array, values: float | Array, noise: float | Array) -> Self:
+        """Take in one frame of each hold: times [s], values and their standard deviations, (m,) or alike for all.
+
+        Raises
+        ------
+        NumericsError
+            If a number is not finite or the noise is not positive.
+        """
+        shape = self._frames.shape
+        time, value, stderr = (
+            np.broadcast_to(np.asarray(one, dtype=np.float64), shape) for one in (time_s, values, noise)
+        )
+        if not (np.isfinite(time).all() and np.isfinite(value).all() and np.isfinite(stderr).all()):
+            raise NumericsError("a frame holds a time, a value or a noise that is not a finite number")
+        if not (stderr > 0).all():
+            raise NumericsError(
+                "the noise of a frame is not positive", remedy="give the standard deviation of a value"
+            )
+        counts = time >= self._kernel.start_s
+        row = np.column_stack([self._rows(np.where(counts, time, 0.0)), value]) / stderr[:, None] * counts[:, None]
+        self._triangle = _triangle(np.concatenate([self._triangle, row[:, None]], axis=1))
+        self._frames += counts
+        return self
+
+    def predict(
+        self,
+        *,
+        released: float | Array | None = None,
+        released_stderr: float | Array = 0.0,
+        at_s: float = np.inf,
+    ) -> SteadyPrediction:
+        """Predict where the holds end from what was seen so far; arguments and errors of :func:`predict_steady`."""
+        if not (self._frames > 0).all():
+            raise NumericsError("no frame was seen of a hold", remedy="predict after its first frame")
+        if self._kernel.loading != (released is None):
+            raise NumericsError(
+                f"a kernel of {'loadings' if self._kernel.loading else 'unloadings'} was given"
+                f" {'no' if released is None else 'a'} released change"
+            )
+        if not at_s >= 0:
+            raise NumericsError(f"there is no change at {at_s} s", remedy="it is at least 0 after the ramp's end")
+        if released is None:
+            return self._of_holds(at_s)
+        shape = self._frames.shape
+        change, stderr = (
+            np.broadcast_to(np.asarray(one, dtype=np.float64), shape) for one in (released, released_stderr)
+        )
+        if not (np.isfinite(change).all() and np.isfinite(stderr).all()):
+            raise NumericsError("a released change or its standard error is not a finite number")
+        unknown = self._unknown(0.0, change, stderr)
+        return self._predicted(unknown, change, self._rows(np.full(shape, at_s)))
+
+    def _of_holds(self, at_s: float) -> SteadyPrediction:
+        """The prior of A w scales with A, so that A is predicted a few times over."""
+        none = np.zeros(self._frames.shape)
+        level = self._triangle[:, :, 0] + self._triangle[:, :, 1]
+        size = (level * self._triangle[:, :, -1]).sum(axis=1) / (level**2).sum(axis=1)
+        for _ in range(_ROUNDS):
+            unknown = self._unknown(1.0, size, none)
+            size = self._regressed(unknown, none)[1][:, 0]
+        return self._predicted(unknown, none, self._rows(np.full(none.shape, at_s)))
+
+    def _rows(self, time_s: Array) -> Array:
+        """(m, 2 + 3 k): one, the kernel's transient, and what unit normals of its uncertainty add to it."""
+        if not len(self._kernel.weights):
+            return np.concatenate([np.ones((len(time_s), 1)), np.zeros((len(time_s), 1))], axis=1)
+        late = np.minimum(time_s[:, None] / self._kernel.time_constants_s, _OVER)
+        parts = np.where(late < _OVER, np.exp(-late) * self._share, 0.0)
+        weighted = parts * self._kernel.weights
+        slopes = np.concatenate([parts, weighted * (late - self._slope)], axis=1)
+        level = np.ones((len(time_s), 1))
+        return np.concatenate([level, weighted.sum(axis=1, keepdims=True), slopes @ self._root], axis=1)
+
+    def _unknown(self, transient: float, size: Array, stderr: Array) -> Array:
+        """What each unknown adds to the coefficients of the rows, (m, 2 + 3 k, unknowns).
+
+        First the level, which has no prior and brings so much of the transient with it; then unit normals: of the
+        kernel's mean, of its scatter, and of the transient's size as far as it is uncertain.
+
+        Parameters
+        ----------
+        size, stderr : of the transient.
+        """
+        count = self._root.shape[1]
+        unknown = np.zeros((len(size), 2 + count, 2 + count))
+        unknown[:, 0, 0], unknown[:, 1, 0] = 1.0, transient
+        every = np.arange(count)
+        unknown[:, 2 + every, 1 + every] = size[:, None]
+        unknown[:, 1, -1] = stderr
+        return unknown
+
+    def _regressed(self, unknown: Array, known: Array) -> tuple[Array, Array, Array]:
+        """Root L (m, u, u) of the unknowns' covariance L Lᵀ, their values (m, u), and χ² (m,) with their prior's."""
+        rows = self._triangle[:, :, :-1] @ unknown
+        left = self._triangle[:, :, -1] - known[:, None] * self._triangle[:, :, 1]
+        prior = np.broadcast_to(
+            np.eye(unknown.shape[2] + 1)[1:-1], (len(rows), unknown.shape[2] - 1, rows.shape[2] + 1)
+        )
+        every = np.concatenate([np.concatenate([rows, left[:, :, None]], axis=2), prior], axis=1)
+        triangle = _triangle(every)
+        root = np.asarray(np.linalg.inv(triangle[:, :-1, :-1]), dtype=np.float64)
+        return root, (root @ triangle[:, :-1, -1:])[:, :, 0], triangle[:, -1, -1] ** 2
+
+    def _predicted(self, unknown: Array, known: Array, wanted: Array) -> SteadyPrediction:
+        """Predict the rows that are wanted, with so much of the transient known."""
+        root, found, left = self._regressed(unknown, known)
+        along = (wanted[:, None, :] @ unknown)[:, 0]
+        parts = (along[:, None, :] @ root)[:, 0]
+        errors = (root @ parts[:, :, None])[:, :, 0]
+        variance = np.maximum((parts**2).sum(axis=1), np.finfo(np.float64).tiny)
+        # The error is −errors · (unit normals) + noise; a mean over so many loads is as uncertain as their scatter.
+        scatter = slice(1 + 2 * len(self._kernel.weights), -1)
+        of_scatter = (errors[:, scatter] ** 2).sum(axis=1) * (1 + 1 / self._kernel.loads)
+        share = np.clip(of_scatter / variance, 1e-6, 1.0)
+        spare = self._frames - 1
+        return SteadyPrediction(
+            (along * found).sum(axis=1) + known * wanted[:, 1],
+            np.sqrt(variance),
+            self._kernel.scatter_freedom / share**2,
+            np.where(spare > 0, left / np.maximum(spare, 1), 0.0),
+            spare,
+        )
+
+
+def _triangle(rows: Array) -> Array:
+    """Triangular factors (m, u, u) of rows (m, n, u): they say all that the rows say to least squares."""
+    return np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+
+
+def _root(kernel: RelaxationKernel) -> Array:
+    """A factor L (2 k, 3 k) of a new load's covariance L Lᵀ; its last k columns are the scatter's."""
+    values, vectors = np.linalg.eigh(kernel.covariance)
+    between = np.vstack([np.diag(kernel.scatter), np.zeros((len(kernel.weights),) * 2)])
+    root: Array = np.concatenate([vectors * np.sqrt(np.maximum(values, 0.0)), between], axis=1)
+    return root

@@ -1,0 +1,329 @@
+"""Responses to one step each, taken apart: what earlier presses left still fades while a later one is held.
+
+A press cycle is over before the material has relaxed: sixty seconds after a release of the shipped material 6 % of
+the change are left, and fade through the next hold. Fitted as it is, that hold settles too early and too low. Linear
+viscoelasticity (Boltzmann superposition) says what to take away: the exponentials that were fitted to earlier steps,
+continued. Each step's fit depends on those before it, so that fits and what is carried over are found in turn.
+
+Levels of a quantity at every strain of a loop: as they were read, and without what had not relaxed yet.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.fits.common_relaxation import CommonRelaxation, TimedValues, fit_common_relaxation
+from cbsr_qa.calibration.fits.creep_fit import FROM_S
+from cbsr_qa.calibration.fits.settling import relaxation_start
+from cbsr_qa.domain import NumericsError, finite_numbers
+from cbsr_qa.domain.results import FitStatus, Trace
+from cbsr_qa.domain.run import LoadRecord
+
+Array = NDArray[np.float64]
+
+_PASSES: Final = 4
+_CONVERGED: Final = 3e-3  # relative change of time constants; a third of their standard error at best
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepTrace:
+    """What was read after one step.
+
+    Parameters
+    ----------
+    start_s : end of the ramp, on the run's clock.
+    loading : whether the head pressed harder.
+    time_s, values : (n,) float64, from the end of the ramp.
+    skipped : first samples that count for nothing (an unloading spike).
+    """
+
+    start_s: float
+    loading: bool
+    time_s: Array
+    values: Array
+    skipped: int = 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeparatedSteps:
+    """Steps, each without what earlier ones left.
+
+    Parameters
+    ----------
+    traces : (time_s, values) of each as given, without what was carried over and without skipped samples.
+    levels, level_stderr : (n,) where each is going: its level after all has relaxed.
+    amplitudes : of each, one for each time constant of its direction, at the end of its ramp.
+    common : the relaxation of each direction (True: loading) that is there.
+    """
+
+    traces: tuple[TimedValues, ...]
+    levels: Array
+    level_stderr: Array
+    amplitudes: tuple[Array, ...]
+    common: dict[bool, CommonRelaxation]
+
+
+def separate_steps(steps: Sequence[StepTrace]) -> SeparatedSteps:
+    """Fit every step with its own level and amplitudes, and with the time constants all steps of its direction share.
+
+    Parameters
+    ----------
+    steps : in the order of their times; together they cover what happened.
+
+    Returns
+    -------
+    SeparatedSteps. Where a direction carries no exponential a step's level is the mean of its last quarter.
+
+    Raises
+    ------
+    NumericsError
+        As of :func:`~cbsr_qa.calibration.fits.fit_common_relaxation`.
+    """
+    traces: tuple[TimedValues, ...] = tuple((s.time_s[s.skipped :], s.values[s.skipped :]) for s in steps)
+    common = _fitted(steps, traces)
+    for _ in range(_PASSES):
+        traces = _without_carried(steps, constants_of(common))
+        found = _fitted(steps, traces)
+        settled = _alike(common, found)
+        common = found
+        if settled:
+            break
+    return separated_with(steps, common, constants_of(common))
+
+
+def separated_with(
+    steps: Sequence[StepTrace], common: dict[bool, CommonRelaxation], constants_s: dict[bool, Array]
+) -> SeparatedSteps:
+    """Separate steps with given time constants of each direction: what an error of theirs does to the levels."""
+    traces = _without_carried(steps, constants_s)
+    fits = [fit_step(trace, constants_s[step.loading]) for step, trace in zip(steps, traces, strict=True)]
+    return SeparatedSteps(
+        traces,
+        np.array([coefficients[0] for coefficients, _ in fits]),
+        np.array([stderr for _, stderr in fits]),
+        tuple(coefficients[1:] for coefficients, _ in fits),
+        common,
+    )
+
+
+def shifted_constants(common: dict[bool, CommonRelaxation]) -> list[dict[bool, Array]]:
+    """Time constants moved by one standard error along each of their independent directions.
+
+    Returns
+    -------
+    One set for each time constant there is. Sums of squares over them propagate the constants' covariance.
+    """
+    plain = constants_of(common)
+    moved = []
+    for loading, one in common.items():
+        count = len(plain[loading])
+        block = one.covariance[1 + count :, 1 + count :]
+        size, direction = np.linalg.eigh(block) if count else (np.zeros(0), np.zeros((0, 0)))
+        for k in range(count):
+            shift = np.sqrt(max(float(size[k]), 0.0)) * direction[:, k]
+            moved.append({**plain, loading: plain[loading] * np.exp(np.clip(shift, -0.5, 0.5))})
+    return moved
+
+
+def constants_of(common: dict[bool, CommonRelaxation]) -> dict[bool, Array]:
+    """Time constants of each direction, none where it is not there [s]."""
+    nothing: dict[bool, Array] = {True: np.zeros(0), False: np.zeros(0)}
+    return nothing | {loading: np.array(one.fit.time_constants_s) for loading, one in common.items()}
+
+
+def _fitted(steps: Sequence[StepTrace], traces: Sequence[TimedValues]) -> dict[bool, CommonRelaxation]:
+    by_direction = {
+        loading: [trace for step, trace in zip(steps, traces, strict=True) if step.loading is loading]
+        for loading in (True, False)
+    }
+    return {loading: fit_common_relaxation(members) for loading, members in by_direction.items() if members}
+
+
+def _without_carried(steps: Sequence[StepTrace], constants_s: dict[bool, Array]) -> tuple[TimedValues, ...]:
+    """Walk through the steps in time, fit each, and carry what it leaves to the next ones."""
+    every_s = np.concatenate([constants_s[True], constants_s[False]])
+    carried = np.zeros(len(every_s))
+    before_s = steps[0].start_s if steps else 0.0
+    traces: list[TimedValues] = []
+    for step in steps:
+        carried = carried * np.exp(-(step.start_s - before_s) / every_s)
+        before_s = step.start_s
+        time_s = step.time_s[step.skipped :]
+        values = step.values[step.skipped :] - np.exp(-time_s[:, None] / every_s) @ carried
+        traces.append((time_s, values))
+        own = constants_s[step.loading]
+        place = slice(0, len(own)) if step.loading else slice(len(every_s) - len(own), None)
+        carried[place] += fit_step((time_s, values), own)[0][1:]
+    return tuple(traces)
+
+
+def fit_step(trace: TimedValues, constants_s: Array) -> tuple[Array, float]:
+    """Level and amplitudes (1 + k,) of one trace with known time constants (k,), and the level's standard error.
+
+    Without a time constant, or with too few points, the level is the mean of the trace's last quarter.
+
+    Raises
+    ------
+    NumericsError
+        If a time or value is not finite.
+    """
+    time_s, values = (finite_numbers(part, "times or values of a step") for part in trace)
+    if not len(constants_s) or len(values) < len(constants_s) + 2:
+        last = values[-max(len(values) // 4, 1) :]
+        spread = float(last.std(ddof=1)) if len(last) > 1 else 0.0
+        level = float(last.mean()) if len(last) else 0.0
+        return np.concatenate([[level], np.zeros(len(constants_s))]), spread / max(len(last), 1) ** 0.5
+    design = np.column_stack([np.ones_like(time_s), np.exp(-time_s[:, None] / constants_s)])
+    inverse = np.linalg.pinv(design)
+    coefficients = inverse @ values
+    residual = values - design @ coefficients
+    variance = float(residual @ residual) / (len(values) - design.shape[1])
+    return coefficients, float(np.sqrt(variance * (inverse[0] @ inverse[0])))
+
+
+def _alike(before: dict[bool, CommonRelaxation], after: dict[bool, CommonRelaxation]) -> bool:
+    one, other = constants_of(before), constants_of(after)
+    return all(
+        len(one[way]) == len(other[way]) and np.allclose(one[way], other[way], rtol=_CONVERGED)
+        for way in (True, False)
+    )
+
+
+#: Fewest values of a hold that a level, an amplitude and a scatter can be told from.
+_FEWEST: Final = 6
+#: A hold of more values than this is averaged into so many: load cells sample fast.
+_MOST: Final = 60
+#: Time constant that is taken where none stands out of the noise, as a share of the hold: what it hides decays
+#: neither at once nor beyond the hold, and its amplitude stays free.
+_UNSEEN: Final = 1 / 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Levels:
+    """A quantity at every strain of some loops.
+
+    Parameters
+    ----------
+    values : (loops, strains) float64, in the quantity's unit.
+    errors : (causes, loops, strains), what one standard error of each independent cause does to them.
+    """
+
+    values: Array
+    errors: Array
+
+
+def levels_read(loops: Sequence[LoadRecord], trace: Trace, last_s: float, noise: float | None = None) -> Levels:
+    """Mean of the last seconds of every hold.
+
+    Parameters
+    ----------
+    last_s : how long before the end of a hold is averaged.
+    noise : standard deviation of a value; None to take it from the values averaged.
+
+    Raises
+    ------
+    NumericsError
+        If there is no value in the end of a hold, or a value is not finite.
+    """
+    _check_finite(trace)
+    values, errors = [], []
+    for loop in loops:
+        for held in loop.held:
+            last = trace.values[(trace.time_s >= held.end_s - last_s) & (trace.time_s < held.end_s)]
+            if not len(last):
+                raise NumericsError(f"nothing was read in the last {last_s:.3g} s of a hold")
+            spread = (float(last.std(ddof=1)) if len(last) > 1 else 0.0) if noise is None else noise
+            values.append(float(last.mean()))
+            errors.append(spread / len(last) ** 0.5)
+    return Levels(np.reshape(values, (len(loops), -1)), _apart(np.reshape(errors, (len(loops), -1))))
+
+
+def _check_finite(trace: Trace) -> None:
+    finite_numbers(trace.time_s, f"times of the {trace.name}")
+    finite_numbers(trace.values, f"values of the {trace.name}")
+
+
+def relaxed_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -> Levels:
+    """Where every hold of some loops is going, whatever earlier steps of them still leave.
+
+    Frames of the first :data:`~cbsr_qa.calibration.fits.FROM_S` after a step do not count: a fast exponential that the
+    noise hides would bend the slow one. Where no time constant stands out of the noise that of the other direction is
+    taken, or a third of the hold.
+
+    Parameters
+    ----------
+    loops : in time order, pressed one after the other at one place.
+    trace : on the run's clock.
+    rests : whether the trace goes on after the release (a stress does not: the head has left).
+
+    Raises
+    ------
+    NumericsError
+        If holds are too short to tell, the quantity drifts more slowly than they are long, or a value is not finite.
+    """
+    _check_finite(trace)
+    steps = list(_steps(loops, trace, rests))
+    shortest = min(len(step.time_s) - step.skipped for step in steps)
+    if shortest < _FEWEST:
+        raise NumericsError(
+            f"a strain was held for {shortest} values beyond its first {FROM_S:g} s: too few to tell creep from",
+            remedy="hold each strain longer; 60 s and more",
+        )
+    separated = separate_steps(steps)
+    for loading, common in separated.common.items():
+        if common.fit.status is FitStatus.DRIFTING:
+            way = "up" if loading else "down"
+            raise NumericsError(
+                f"creep cannot be told from hysteresis: on the way {way} the {trace.name} is {common.fit.why}",
+                remedy="hold each strain longer",
+            )
+    held_s = float(np.median([step.time_s[-1] for step in steps]))
+    known = constants_of(separated.common)
+    unseen = np.array([_UNSEEN * held_s])
+    constants = {way: next((c for c in (known[way], known[not way]) if len(c)), unseen) for way in (True, False)}
+    plain = separated_with(steps, separated.common, constants)
+    moved = [
+        separated_with(steps, separated.common, {way: one[way] if len(known[way]) else constants[way] for way in one})
+        for one in shifted_constants(separated.common)
+    ]
+    width = len(loops[0].held)
+    own = _shaped(plain.level_stderr, len(loops), width)
+    shifts = [_shaped(one.levels - plain.levels, len(loops), width)[None] for one in moved]
+    return Levels(_shaped(plain.levels, len(loops), width), np.concatenate([_apart(own), *shifts]))
+
+
+def _steps(loops: Sequence[LoadRecord], trace: Trace, rests: bool) -> Iterator[StepTrace]:
+    for loop in loops:
+        before = 0.0
+        for held in loop.held:
+            yield _step(trace, held.start_s, held.end_s, loading=held.strain > before)
+            before = held.strain
+        if rests:
+            step = _step(trace, loop.unloaded_s, loop.rest_end_s, loading=False)
+            start = max(step.skipped, relaxation_start(step.values))
+            if len(step.time_s) - start >= _FEWEST:
+                yield StepTrace(step.start_s, False, step.time_s, step.values, start)
+
+
+def _step(trace: Trace, start_s: float, end_s: float, *, loading: bool) -> StepTrace:
+    inside = (trace.time_s >= start_s) & (trace.time_s < end_s)
+    time_s, values = trace.time_s[inside] - start_s, trace.values[inside]
+    if len(time_s) > _MOST:
+        parts = np.array_split(np.arange(len(time_s)), _MOST)
+        time_s, values = (np.array([one[part].mean() for part in parts]) for one in (time_s, values))
+    return StepTrace(start_s, loading, time_s, values, int((time_s < FROM_S).sum()))
+
+
+def _shaped(levels: Array, loops: int, width: int) -> Array:
+    """Levels of the strains, (loops, width); those of rests are left out."""
+    shaped: Array = levels.reshape(loops, -1)[:, :width]
+    return shaped
+
+
+def _apart(stderr: Array) -> Array:
+    """Standard errors (loops, strains) as causes of their own, each of one level alone."""
+    causes: Array = np.diag(stderr.ravel()).reshape(stderr.size, *stderr.shape)
+    return causes

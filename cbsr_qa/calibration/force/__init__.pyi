@@ -1,0 +1,21 @@
+from .learning import (
+    RESIDUE_SHARE as RESIDUE_SHARE,
+    CalibrationLoads as CalibrationLoads,
+    LearnedForce as LearnedForce,
+    learn_force as learn_force,
+    unlearned_model as unlearned_model,
+)
+from .prepared import prepared_again as prepared_again, prepared_force as prepared_force
+from .templates import (
+    CONTRAST as CONTRAST,
+    TemplateBank as TemplateBank,
+    template_bank as template_bank,
+    templates_at as templates_at,
+)
+from .validity import (
+    force_reductions as force_reductions,
+    prediction_words as prediction_words,
+    reading_reductions as reading_reductions,
+    tried_beyond as tried_beyond,
+    unmeasured as unmeasured,
+)

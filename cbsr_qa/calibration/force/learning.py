@@ -1,0 +1,338 @@
+"""The force model of one sensor, learned from its own loads."""
+
+from dataclasses import dataclass
+from math import log, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.force.templates import TemplateBank
+from cbsr_qa.calibration.runtime import TemplateFilter
+from cbsr_qa.calibration.sheet import LARGEST_ERROR, ResponseMap, learn_response
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import ForceModel
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic
+
+Array = NDArray[np.float64]
+
+#: Share of what was there before a press that is still there at its steady frames, and how unsure that is. Material
+#: relaxations are all but over by then and slow residues all but unchanged: chosen by us, between the two.
+RESIDUE_SHARE: Final = 0.3
+RESIDUE_STDERR: Final = 0.15
+#: The predicted change must be this many of its own standard errors from zero, and the seen one as many of its own.
+_CLEAR: Final = 3.0
+#: An intercept nobody measured is fitted where stresses differ by this factor; it is not known better than this
+#: before any load was seen.
+_SPREAD: Final = 2.0
+_UNKNOWN_INTERCEPT: Final = 0.02
+#: Chance of taking noise for a load, a frame.
+_FALSE_ALARMS: Final = 1e-4
+#: Median of a mean of two squared normals.
+_MEDIAN: Final = 0.693
+#: A frame is another than one head's if a second one explains this many times more of it than of calibrating loads at
+#: most; templates of a sheet that answers unevenly leave a few parts in 10 000.
+_MISFIT_ROOM: Final = 2.0
+_LEAST_MISFIT: Final = 5e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationLoads:
+    """Loads at known places.
+
+    Parameters
+    ----------
+    place_mm : (n, 2).
+    rows : (n, r) mean steady rows of unit noise, against the rested sheet.
+    frames : (n,) how many frames that is a mean of, or is as sure as.
+    before : (n, r) mean rows just before the press; zero where there were none.
+    frames_before : (n,) how many frames; 0 where there were none.
+    force_N, force_stderr_N : (n,).
+    """
+
+    place_mm: Array
+    rows: Array
+    frames: NDArray[np.int64] | Array
+    before: Array
+    frames_before: NDArray[np.int64]
+    force_N: Array
+    force_stderr_N: Array
+
+    def select(self, which: NDArray[np.bool_]) -> "CalibrationLoads":
+        """Some of them."""
+        return CalibrationLoads(
+            self.place_mm[which],
+            self.rows[which],
+            self.frames[which],
+            self.before[which],
+            self.frames_before[which],
+            self.force_N[which],
+            self.force_stderr_N[which],
+        )
+
+    def changed(self) -> tuple[Array, Array]:
+        """Rows (n, r) without what earlier loads left, and their noise variance (n,)."""
+        there = self.frames_before > 0
+        share = np.where(there, RESIDUE_SHARE, 0.0)
+        noise = 1 / self.frames + share**2 / np.maximum(self.frames_before, 1)
+        return self.rows - share[:, None] * self.before, noise
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LearnedForce:
+    """A force model and what it was learned from.
+
+    Parameters
+    ----------
+    model : of the sensor.
+    line : α_σ and β_σ; their covariance is that of the intercept, turned about the calibrated stresses.
+    response : the map, for any place.
+    refused : (n,) why a load was left out; empty where it was used.
+    ratio, ratio_stderr : (n,) seen over predicted change, relative to the nominal response; NaN where left out.
+    fitted_intercept : whether the loads said something about the intercept.
+    predicted : (n,) whether readings and force of a load were predicted from a hold shorter than the run's longest.
+    """
+
+    model: ForceModel
+    line: QuasiStatic
+    response: ResponseMap
+    refused: tuple[str, ...]
+    ratio: Array
+    ratio_stderr: Array
+    fitted_intercept: bool
+    predicted: tuple[bool, ...] = ()
+
+
+def learn_force(
+    bank: TemplateBank,
+    merging: Array,
+    loads: CalibrationLoads,
+    line: QuasiStatic,
+    head: Indenter,
+    *,
+    radius_mm: float,
+) -> LearnedForce:
+    """Learn a sensor's force model from loads at known places.
+
+    Parameters
+    ----------
+    bank : templates of the head.
+    merging : (r, m) [1/V] from changes of used readings to rows.
+    loads : of the calibration.
+    line : α_σ and β_σ of the material, or of this sensor; what is not their own becomes part of the map.
+    head : that pressed.
+    radius_mm : of the sheet.
+
+    Raises
+    ------
+    CalibrationError
+        If fewer than three loads say something; the message gives the reasons of the others.
+    """
+    filter_ = TemplateFilter(unlearned_model(bank, merging))
+    stress = loads.force_N / head.area_mm2 * 1e3
+    seen = _seen(filter_, loads)
+    predicted = line.slope.value * stress + line.intercept.value
+    error = _relative_error(seen, loads, line, stress, predicted)
+    refused = _refusals(seen, predicted, line, stress, error)
+    used = np.array([not why for why in refused])
+    if int(used.sum()) < 3:
+        reasons = "; ".join(dict.fromkeys(why for why in refused if why)) or "there are no others"
+        raise CalibrationError(
+            f"{int(used.sum())} of {len(used)} loads say how strongly the sheet answers; 3 are needed: {reasons}"
+        )
+    ratio = np.full(len(used), np.nan)
+    ratio[used] = seen.contrast[used] / predicted[used]
+    bend, prior, middle = _bend(line, stress[used], predicted[used])
+    response = learn_response(
+        loads.place_mm[used],
+        np.log(ratio[used]),
+        error[used] ** 2,
+        radius_mm=radius_mm,
+        bend=bend,
+        bend_stderr=prior,
+    )
+    mean, variance = response.predict(bank.places_mm)
+    fitted = _line(line, response.bend if bend is not None else (0.0, prior**2), middle, told=bend is not None)
+    model = unlearned_model(
+        bank,
+        merging,
+        log_response=mean,
+        log_response_stderr=np.sqrt(variance),
+        scatter=response.scatter,
+        stress_kPa=(float(stress[used].min()), float(stress[used].max())),
+        misfit=_MISFIT_ROOM * max(_second_share(filter_, loads, used), _LEAST_MISFIT),
+        place_scatter_mm=_place_scatter_mm(filter_, loads, used),
+        residue_strength=_residue_strength(filter_, loads, used),
+    )
+    return LearnedForce(
+        model, fitted, response, refused, ratio, np.where(used, error * ratio, np.nan), bend is not None
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """What the readings say of loads: contrast κ and its standard error, detectability."""
+
+    contrast: Array
+    stderr: Array
+    detectability: Array
+
+
+def _seen(filter_: TemplateFilter, loads: CalibrationLoads) -> _Seen:
+    rows, noise = loads.changed()
+    matches = filter_.at(rows, loads.place_mm)
+    strength = matches.strength
+    left = filter_.at(loads.before, loads.place_mm).strength
+    variance = matches.covariance[:, 0, 0] * noise + (RESIDUE_STDERR * left) ** 2
+    return _Seen(
+        2 * strength / (2 - strength),
+        4 / (2 - strength) ** 2 * np.sqrt(variance),
+        np.sqrt(matches.gain / noise),
+    )
+
+
+def _second_share(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:
+    """Largest share of a single load's signal, as energy, that a second head explains, beyond noise."""
+    rows, noise = loads.changed()
+    found = filter_.search(rows[used])
+    second, _ = filter_.beside(rows[used], found.place_mm, found.strength)
+    # Noise at the best of all places is below the threshold but for one frame in thousands.
+    extra = np.maximum(second - noise[used] * filter_.threshold**2, 0.0)
+    return float((extra / found.gain).max())
+
+
+def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:
+    """How far loads are found from where they were pressed, beyond noise; a load out of all reach does not count."""
+    rows, noise = loads.changed()
+    found = filter_.search(rows[used])
+    error = ((found.place_mm - loads.place_mm[used]) ** 2).mean(axis=1)
+    expected = found.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise[used]
+    return float(np.sqrt(max(float(np.median(error - expected)) / _MEDIAN, 0.0)))
+
+
+def _residue_strength(filter_: TemplateFilter, loads: CalibrationLoads, used: NDArray[np.bool_]) -> float:
+    """Strength at the places of loads just before them, root mean square, without what noise makes of it."""
+    there = used & (loads.frames_before > 0)
+    if not there.any():
+        return 0.0
+    left = filter_.at(loads.before[there], loads.place_mm[there])
+    squared = left.strength**2 - left.covariance[:, 0, 0] / loads.frames_before[there]
+    return float(np.sqrt(max(float(squared.mean()), 0.0)))
+
+
+def _relative_error(
+    seen: _Seen, loads: CalibrationLoads, line: QuasiStatic, stress: Array, predicted: Array
+) -> Array:
+    """Relative standard error (n,) of seen over predicted change, by the readings and the load cell."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        of_force = line.slope.value * stress / predicted * loads.force_stderr_N / loads.force_N
+        error: Array = np.hypot(seen.stderr / seen.contrast, of_force)
+    return np.where(np.isfinite(error), error, np.inf)
+
+
+def _refusals(seen: _Seen, predicted: Array, line: QuasiStatic, stress: Array, error: Array) -> tuple[str, ...]:
+    variance = ((line.slope.stderr or 0.0) * stress) ** 2 + (line.intercept.stderr or 0.0) ** 2
+    variance += 2 * stress * (line.covariance or 0.0)
+    unclear = np.abs(predicted) < _CLEAR * np.sqrt(np.maximum(variance, 0.0))
+    found = []
+    for number in range(len(predicted)):
+        if not np.isfinite(seen.contrast[number]):
+            found.append("the place is outside what can be calibrated")
+        elif not stress[number] > 0:
+            found.append("no force was measured")
+        elif predicted[number] == 0 or unclear[number]:
+            found.append(f"α σ + β = {predicted[number]:.3g} at {stress[number]:.3g} kPa is not clear of zero")
+        elif seen.detectability[number] < _CLEAR:
+            found.append("the load does not stand out of the noise of the readings")
+        elif seen.contrast[number] * predicted[number] < 0:
+            found.append("the place changed the other way than the response of the material")
+        elif error[number] > LARGEST_ERROR:
+            found.append(f"its amplitude is known to {error[number]:.0%} only")
+        else:
+            found.append("")
+    return tuple(found)
+
+
+def _bend(line: QuasiStatic, stress: Array, predicted: Array) -> tuple[Array | None, float, float]:
+    """Column of an unknown error of the intercept, its standard deviation beforehand, and the change it turns about.
+
+    Where all loads press alike the intercept cannot be told from the map: what is assumed of it stays, with the
+    standard error it was stated with, if any.
+    """
+    middle = float(np.exp(np.log(np.abs(predicted)).mean()) * np.sign(predicted[0]))
+    if stress.max() < _SPREAD * stress.min():
+        return None, line.intercept.stderr or 0.0, middle
+    column: Array = 1 / predicted - 1 / middle
+    return column, line.intercept.stderr or _UNKNOWN_INTERCEPT, middle
+
+
+def _line(line: QuasiStatic, bend: tuple[float, float], middle: float, *, told: bool) -> QuasiStatic:
+    """The line with another intercept, turned about the change in the middle, which the map keeps.
+
+    Parameters
+    ----------
+    bend : change of the intercept and its variance.
+    told : whether that is what the loads said.
+    """
+    change, variance = bend
+    alpha, beta = line.slope.value, line.intercept.value
+    by_slope, by_intercept = -alpha / middle, 1 - beta / middle
+    how = "fitted to this sensor's loads" if told else "assumed: all loads of the calibration press alike"
+    return QuasiStatic(
+        slope=Parameter(alpha + by_slope * change, abs(by_slope) * sqrt(variance), line.slope.source),
+        intercept=Parameter(beta + by_intercept * change, abs(by_intercept) * sqrt(variance), how),
+        covariance=by_slope * by_intercept * variance,
+    )
+
+
+def unlearned_model(
+    bank: TemplateBank,
+    merging: Array,
+    *,
+    log_response: Array | None = None,
+    log_response_stderr: Array | None = None,
+    scatter: float = 0.0,
+    stress_kPa: tuple[float, float] = (0.0, 0.0),
+    misfit: float = _LEAST_MISFIT,
+    place_scatter_mm: float = 0.0,
+    residue_strength: float = 0.0,
+) -> ForceModel:
+    """Return a force model of an even sheet, or with what was learned; parameters as of ``ForceModel``."""
+    nothing = np.zeros(len(bank.templates))
+    return ForceModel(
+        lattice=bank.lattice,
+        node=bank.node,
+        merging=merging,
+        templates=bank.templates,
+        log_size=bank.log_size,
+        size_slope=bank.size_slope,
+        slopes=bank.slopes,
+        fits=bank.fits,
+        log_response=nothing if log_response is None else log_response,
+        log_response_stderr=nothing if log_response_stderr is None else log_response_stderr,
+        scatter=scatter,
+        stress_kPa=stress_kPa,
+        threshold=_threshold(bank),
+        misfit=misfit,
+        residue_share=RESIDUE_SHARE,
+        residue_stderr=RESIDUE_STDERR,
+        place_scatter_mm=place_scatter_mm,
+        residue_strength=residue_strength,
+    )
+
+
+def _threshold(bank: TemplateBank) -> float:
+    """Detectability that noise reaches at the best of all places in one of 10 000 frames.
+
+    The expected number of places where a smooth Gaussian field of unit variance over an area A exceeds ±u is
+    2 A √|Λ| (2π)^(−3/2) u e^(−u²/2), Λ the products of its slopes (Adler 1981, 6.9): that many by chance, and
+    a few along the edge.
+    """
+    xx, xy, yy = bank.slopes[bank.fits][:, 2:].T
+    turns = float(np.sqrt(np.maximum(xx * yy - xy**2, 0.0)).sum()) * bank.lattice.spacing_mm**2
+    level = sqrt(2 * log(1 / _FALSE_ALARMS))
+    for _ in range(20):
+        expected = 2 * turns * (2 * np.pi) ** -1.5 * level
+        level = sqrt(2 * log(max(expected, 1.0) / _FALSE_ALARMS))
+    return level

@@ -1,0 +1,126 @@
+"""Frames as maps of stress: the image made even by the sensor's own response, in kilopascal (paper section 2.4)."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+
+from cbsr_qa.calibration.runtime import Calibration, volts
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import ForceModel
+from cbsr_qa.domain.sensor import Mesh
+
+Array = NDArray[np.float64]
+
+#: Nodes of the map between those where the image's gain is worked out: 5 mm on the 100 mm disc.
+_STRIDE = 4
+#: Least gain over the usual one.
+_FAINTEST = 0.2
+
+
+class PressureMap:
+    """Stress by element of the image.
+
+    σ = (Δρ/ρ̄₀ − β_σ)/α_σ in every element (paper Eq 1), with ρ̄₀ by place: c g S, with S the map of the response, g
+    what the image shows under the calibrated head there per contrast, by the forward model, and c, near one, the mean
+    over the calibrated locations of their ρ̄₀ over g S. The paper has one ρ̄₀ for the whole sheet, whose images are
+    twice as strong at 30 mm as in the centre. What an image blurs stays blurred: a head's force is not the integral
+    of this map but that of :meth:`Calibration.force`.
+
+    Parameters
+    ----------
+    calibration : of the sensor.
+
+    Raises
+    ------
+    CalibrationError
+        If no location of the calibration has a ρ̄₀.
+    """
+
+    def __init__(self, calibration: Calibration) -> None:
+        issued = calibration.issued
+        places = [(p.x_mm, p.y_mm, p.value) for p in issued.baseline if p.value is not None]
+        if not places:
+            raise CalibrationError(
+                f"no location of calibration {issued.calibration} says what an image makes of a load",
+                remedy="calibrate again; the report says why no location has a baseline conductance",
+            )
+        self._calibration = calibration
+        self._used = issued.reconstruction.problem.used
+        self.mesh: Mesh = issued.reconstruction.problem.mesh
+        at = np.array(places)
+        homogeneous = _Homogeneous(calibration)
+        scale = float(np.mean(at[:, 2] / homogeneous(at[:, :2])))
+        self.baseline_conductance: Array = scale * homogeneous(self.mesh.centroids_mm)
+        self._line = issued.against_stress
+
+    def stress_kPa(self, frames: ArrayLike, *, current_A: float | None = None) -> Array:
+        """Stress (n, elements) in each frame (n, drives, measures) [V]; NaN in frames that cannot be used.
+
+        A frame counts as it does in :meth:`Calibration.force`, which also raises what is raised here.
+        """
+        _, bad = self._calibration.rows(frames, current_A=current_A)
+        issued = self._calibration.issued
+        factor = 1.0 if current_A is None else issued.current_A / current_A
+        readings = volts(frames).reshape(-1, *issued.reference.shape)[:, self._used]
+        changes = np.where(bad[:, None] != 0, 0.0, readings * factor - issued.reference[self._used])
+        images = changes @ issued.reconstruction.matrix.T / issued.scale
+        sign = -1.0 if issued.response == "decrease" else 1.0
+        found = self._stress(sign * images)
+        found[bad != 0] = np.nan
+        return found
+
+    @property
+    def floor_kPa(self) -> Array:
+        """Stress (elements,) that the noise floor of the images would be taken for."""
+        return np.abs(self._stress(np.full(len(self.baseline_conductance), self._calibration.issued.noise_floor)))
+
+    def _stress(self, change: Array) -> Array:
+        slope, intercept = self._line.slope.value, self._line.intercept.value
+        # A response that makes pressed places conduct less has a negative line; images are signed to be positive.
+        sign = np.sign(slope)
+        found: Array = (change / self.baseline_conductance - sign * intercept) / (sign * slope)
+        return found
+
+
+class _Homogeneous:
+    """What an image shows under a head of nominal contrast, by place: gain of the image times the map."""
+
+    def __init__(self, calibration: Calibration) -> None:
+        model = calibration.model
+        every = model.lattice.places_mm()[model.node.ravel() >= 0]
+        fitting = np.flatnonzero(model.fits & _every(_STRIDE, model))
+        if np.linalg.matrix_rank(every[fitting] - every[fitting].mean(axis=0)) < 2:  # a coarse lattice: take it all
+            fitting = np.flatnonzero(model.fits)
+        places = every[fitting]
+        values = _gains(calibration, fitting, places) * np.exp(model.log_response[fitting])
+        self._between = LinearNDInterpolator(places, values)
+        self._nearest = NearestNDInterpolator(places, values)
+
+    def __call__(self, places_mm: Array) -> Array:
+        """At places (n, 2); beyond where a head fits, that of the nearest place where one does."""
+        found: Array = self._between(places_mm)
+        return np.where(np.isfinite(found), found, self._nearest(places_mm))
+
+
+def _gains(calibration: Calibration, nodes: NDArray[np.int64], places_mm: Array) -> Array:
+    """Mean image (n,) under the head per contrast, of the templates of nodes (n,) at places (n, 2)."""
+    issued, model = calibration.issued, calibration.model
+    rows = model.templates[nodes] * np.exp(model.log_size[nodes])[:, None]
+    # Reciprocal readings were merged into one row: the shortest changes that give the rows are those of the model.
+    changes = rows @ np.linalg.pinv(model.merging).T / issued.scale
+    mesh = issued.reconstruction.problem.mesh
+    images = changes @ issued.reconstruction.matrix.T
+    gains = np.empty(len(nodes))
+    for number, (x_mm, y_mm) in enumerate(places_mm.tolist()):
+        under = issued.indenter.at(x_mm, y_mm).contains(mesh.centroids_mm) * mesh.areas_mm2
+        gains[number] = float(images[number] @ under / under.sum()) if under.any() else np.nan
+    typical = float(np.nanmedian(gains))
+    # An image that shows next to nothing under a head cannot be made even there.
+    return np.where(gains > _FAINTEST * typical, gains, _FAINTEST * typical)
+
+
+def _every(stride: int, model: ForceModel) -> NDArray[np.bool_]:
+    """Which nodes (nodes,) are of a coarser lattice."""
+    rows, columns = np.nonzero(model.node >= 0)
+    found: NDArray[np.bool_] = (rows % stride == 0) & (columns % stride == 0)
+    return found

@@ -1,0 +1,158 @@
+"""What one head does to the readings at every place it can press: the bank a frame is compared with."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import Lattice
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.eit.estimate import MergedReadings
+from cbsr_qa.eit.loads import LoadReadings, RoundLoadModel, RoundLoads
+
+Array = NDArray[np.float64]
+
+#: Contrast the templates are taken at: readings per strength differ by less than 0.3 % up to 0.3 within 36 mm of the
+#: centre of the 100 mm disc, and by 1.4 % at 40 mm.
+CONTRAST: Final = 0.1
+#: Between places of the lattice, of the sheet's radius: 1.25 mm on the 100 mm disc.
+SPACING: Final = 0.025
+#: Nodes nearer than this to an edge or an electrode [of the sheet's radius] have no field that could be interpolated.
+LEAST_CLEARANCE: Final = 0.03
+#: A disc so much smaller than what is clear can be expanded about its centre; larger heads are reached from there.
+_CLEAR_OF: Final = 0.92
+_AT_ONCE: Final = 128
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TemplateBank:
+    """Rows of unit noise per strength 2κ/(2 + κ), by place.
+
+    Parameters
+    ----------
+    lattice, node : places, and the row of each; −1 where there is none.
+    places_mm : (n, 2) of the rows.
+    templates, log_size, size_slope, slopes, fits : as in :class:`~cbsr_qa.domain.results.ForceModel`.
+    """
+
+    lattice: Lattice
+    node: NDArray[np.int64]
+    places_mm: Array
+    templates: Array
+    log_size: Array
+    size_slope: Array
+    slopes: Array
+    fits: NDArray[np.bool_]
+
+
+def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indenter) -> TemplateBank:
+    """Work out the readings of a head at every place of a lattice over the sheet.
+
+    Where a head is too near to an edge or an electrode to be expanded about its centre, the field of the largest disc
+    that can be is carried on linearly in the squared radius: those nodes are there to interpolate from.
+
+    Parameters
+    ----------
+    readings : how readings become rows.
+    head : of any outline; one that is not round counts as the disc of its area and second moment.
+
+    Raises
+    ------
+    CalibrationError
+        If the head fits nowhere on the sheet.
+    """
+    lattice = _lattice(model)
+    everywhere = lattice.places_mm()
+    clear_mm = model.surroundings.clearance_mm(everywhere)
+    inside = clear_mm >= LEAST_CLEARANCE * model.surroundings.radius_mm
+    if not (clear_mm >= head.radius_mm).any():
+        raise CalibrationError(f"a head of {head.words()} fits nowhere on the sheet: no force can be calibrated")
+    node = np.where(inside, np.cumsum(inside) - 1, -1).reshape(lattice.rows, lattice.columns)
+    places = everywhere[inside]
+    fields = _joined(_templates(readings, part) for part in _everywhere(model, head))
+    fits = clear_mm[inside] >= head.radius_mm
+    return TemplateBank(
+        lattice,
+        node.astype(np.int64),
+        places,
+        fields.templates,
+        fields.log_size,
+        fields.size_slope,
+        fields.slopes,
+        fits,
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Templates:
+    """Fields of a head at n places; parameters as of :class:`TemplateBank`."""
+
+    templates: Array
+    log_size: Array
+    size_slope: Array
+    slopes: Array
+
+
+def templates_at(model: RoundLoadModel, readings: MergedReadings, places_mm: Array, head: Indenter) -> Templates:
+    """Fields of a head at any places (n, 2) on the sheet."""
+    return _joined(_templates(readings, part) for part in _pressed(model, places_mm, head))
+
+
+def _joined(parts: Iterable[tuple[Array, Array, Array, Array]]) -> Templates:
+    return Templates(*(np.concatenate(values) for values in zip(*parts, strict=True)))
+
+
+@lru_cache(maxsize=1)
+def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
+    """The readings of a head at all places of the lattice.
+
+    A run asks for them twice, as it was measured and as it is stored: they depend on no measurement. About 50 MB.
+    """
+    everywhere = _lattice(model).places_mm()
+    inside = model.surroundings.clearance_mm(everywhere) >= LEAST_CLEARANCE * model.surroundings.radius_mm
+    return tuple(_pressed(model, everywhere[inside], head))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pressed:
+    """Readings of a head at some places, and how much larger its squared radius is than what could be expanded."""
+
+    readings: LoadReadings
+    beyond_mm2: Array
+    square_mm2: float
+
+
+def _pressed(model: RoundLoadModel, places_mm: Array, head: Indenter) -> "Iterator[_Pressed]":
+    square, strength = head.squared_radius_mm2, CONTRAST / (2 + CONTRAST) * head.area_mm2 / np.pi
+    for first in range(0, len(places_mm), _AT_ONCE):
+        places = places_mm[first : first + _AT_ONCE]
+        reached = np.minimum(square, (_CLEAR_OF * model.surroundings.clearance_mm(places)) ** 2)
+        loads = RoundLoads(places, np.full(len(places), strength), reached)
+        yield _Pressed(model.readings(loads), square - reached, square)
+
+
+def _lattice(model: RoundLoadModel) -> Lattice:
+    spacing = SPACING * model.surroundings.radius_mm
+    low_x, high_x, low_y, high_y = model.surroundings.extent_mm
+    # About the middle, so that a symmetric sheet has a symmetric lattice.
+    half = [ceil((high - low) / 2 / spacing) for low, high in ((low_x, high_x), (low_y, high_y))]
+    x, y = (low_x + high_x) / 2, (low_y + high_y) / 2
+    return Lattice(x - half[0] * spacing, y - half[1] * spacing, spacing, 2 * half[0] + 1, 2 * half[1] + 1)
+
+
+def _templates(readings: MergedReadings, found: _Pressed) -> tuple[Array, Array, Array, Array]:
+    per = 2 * CONTRAST / (2 + CONTRAST)
+    by_x, by_y, _, by_square = (readings.of_model(found.readings.slope[:, k]) / per for k in range(4))
+    rows = readings.of_model(found.readings.change) / per + by_square * found.beyond_mm2[:, None]
+    size = np.linalg.norm(rows, axis=1)
+    rows, by_x, by_y, by_square = (values / size[:, None] for values in (rows, by_x, by_y, by_square))
+    along = [(rows * by).sum(axis=1) for by in (by_x, by_y)]
+    turn_x, turn_y = (by - rows * part[:, None] for by, part in zip((by_x, by_y), along, strict=True))
+    pairs = ((turn_x, turn_x), (turn_x, turn_y), (turn_y, turn_y))
+    slopes = np.column_stack([*along, *((one * other).sum(axis=1) for one, other in pairs)])
+    return rows, np.log(size), by_square * found.square_mm2, slopes

@@ -1,0 +1,131 @@
+"""Why a force model may be used in less than the range a recipe intended, in words."""
+
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.force.learning import LearnedForce
+from cbsr_qa.domain.results import LoadObservation
+from cbsr_qa.domain.sensor import DrivePattern
+
+#: Places fewer than these leave most of the map to its mean. Chosen by us.
+_FEW_PLACES: Final = 6
+#: Loads that are named one by one; of more the first are, and the rest are counted.
+_NAMED: Final = 6
+
+
+def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) -> Iterator[str]:
+    """Yield what the loads of a model could not say.
+
+    Parameters
+    ----------
+    loads : those that were offered, in the order of ``learned.refused``.
+    """
+    refused: dict[str, list[LoadObservation]] = {}
+    used = []
+    for load, why in zip(loads, learned.refused, strict=True):
+        if why:
+            refused.setdefault(why, []).append(load)
+        else:
+            used.append(load)
+    for why, members in refused.items():
+        yield f"no force was learned from {_names(members)}: {why}"
+    if words := prediction_words(learned):
+        yield words
+    places = {(load.record.load.x_mm, load.record.load.y_mm) for load in used}
+    if len(places) < _FEW_PLACES:
+        yield (
+            f"force was learned at {len(places)} places only: elsewhere the sheet is taken to answer as they do"
+            " in the mean"
+        )
+    strains = {round(load.record.load.strain, 6) for load in used}
+    one = f"all loads were pressed at one strain ({100 * strains.pop():g} %)" if len(strains) == 1 else ""
+    if not learned.fitted_intercept:
+        lowest, highest = learned.model.stress_kPa
+        alike = f"all loads pressed alike ({lowest:.3g} to {highest:.3g} kPa)"
+        yield f"{one or alike}: the intercept of the response cannot be told from the map and is assumed"
+    elif one:
+        yield one
+
+
+def prediction_words(learned: LearnedForce) -> str:
+    """Return how many loads of a model were predicted from short holds, and to when; empty where none was."""
+    count = sum(learned.predicted)
+    if not count:
+        return ""
+    return (
+        f"{count} of {len(learned.predicted)} loads were held for a shorter time than the run's longest: their"
+        f" readings and forces were predicted to {learned.model.steady_s:.0f} s after the press"
+    )
+
+
+def tried_beyond(used: Sequence[LoadObservation], confirmed: Sequence[LoadObservation]) -> Iterator[str]:
+    """Yield where the range is one of loads that force was tried on and not learned from.
+
+    Parameters
+    ----------
+    used, confirmed : loads it was learned from, and loads that bore it out.
+    """
+    forces, tried = ([load.force_N for load in loads if load.force_N is not None] for loads in (used, confirmed))
+    if forces and tried and (min(tried) < min(forces) or max(tried) > max(forces)):
+        yield (
+            f"force was learned from {min(forces):.3g} to {max(forces):.3g} N; beyond, {len(tried)} loads from"
+            f" {min(tried):.3g} to {max(tried):.3g} N bore it out within three standard errors"
+        )
+    radii, reached = (
+        [float(np.hypot(load.record.load.x_mm, load.record.load.y_mm)) for load in loads]
+        for loads in (used, confirmed)
+    )
+    if radii and reached and max(reached) > max(radii):
+        yield (
+            f"force was learned up to {max(radii):.3g} mm from the centre;"
+            f" loads up to {max(reached):.3g} mm bore it out"
+        )
+
+
+def unmeasured(loads: Sequence[LoadObservation]) -> Iterator[str]:
+    """Yield why loads have no force although a load cell recorded one, each reason once."""
+    silent: dict[str, list[LoadObservation]] = {}
+    for load in loads:
+        if load.no_force:
+            silent.setdefault(load.no_force, []).append(load)
+    for why, members in silent.items():
+        yield f"no force was measured of {_names(members)}: {why}"
+
+
+def reading_reductions(pattern: DrivePattern, usable: NDArray[np.bool_]) -> Iterator[str]:
+    """Yield what readings of a sensor could not be used, and electrodes of which none could."""
+    wanted = pattern.usable()
+    missing = int((wanted & ~usable).sum())
+    if not missing:
+        return
+    yield f"{missing} readings were not imaged: saturated, constant or not connected"
+    drive, measure = np.array(pattern.drive), np.array(pattern.measure)
+    dead = [
+        electrode
+        for electrode in range(pattern.electrode_count)
+        if _all_lost(wanted, usable, (drive == electrode).any(axis=1), (measure == electrode).any(axis=1))
+    ]
+    if dead:
+        which = f"electrode {dead[0]} is" if len(dead) == 1 else f"electrodes {', '.join(map(str, dead))} are"
+        yield f"{which} dead: not one of its readings could be used, and forces beside it are less certain"
+
+
+def _all_lost(
+    wanted: NDArray[np.bool_], usable: NDArray[np.bool_], drives: NDArray[np.bool_], measures: NDArray[np.bool_]
+) -> bool:
+    touching = wanted & (drives[:, None] | measures[None, :])
+    return bool(touching.any() and not (touching & usable).any())
+
+
+def _names(loads: Sequence[LoadObservation]) -> str:
+    named = [_name(load) for load in loads[:_NAMED]]
+    more = f" and {len(loads) - _NAMED} more" if len(loads) > _NAMED else ""
+    return ", ".join(named) + more
+
+
+def _name(load: LoadObservation) -> str:
+    place = load.record.load
+    return f"{place.label} at ({place.x_mm:g}, {place.y_mm:g}) mm, trial {place.trial}"

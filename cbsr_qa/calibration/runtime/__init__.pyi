@@ -1,0 +1,15 @@
+from .force import (
+    Flag as Flag,
+    ForceInverse as ForceInverse,
+    Forces as Forces,
+    least_force_N as least_force_N,
+    map_tables as map_tables,
+)
+from .runtime import Calibration as Calibration, volts as volts
+from .template_matching import (
+    Matches as Matches,
+    TemplateFilter as TemplateFilter,
+    interpolated as interpolated,
+    scattered as scattered,
+)
+from .tracking import ForceStream as ForceStream

@@ -1,0 +1,200 @@
+"""From the strength of a head to newtons, with the error of the result. Numpy alone.
+
+κ = 2a/(2 − a) is the relative change of conductance under the head, a its strength; with S the response of the place,
+σ = (κ/S − β_σ)/α_σ and F = σ A (paper Eqs 1 and 7, solved for the force of a known head). The variance is that of
+four independent causes: noise of the readings (with the place's, where the place was estimated), the map, what single
+loads scatter by, and the line.
+"""
+
+from dataclasses import dataclass
+from enum import IntFlag
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.runtime.template_matching import Matches, interpolated
+from cbsr_qa.domain.results import ForceModel, Validity
+from cbsr_qa.domain.sensor import QuasiStatic
+
+Array = NDArray[np.float64]
+
+#: Largest strength that is taken as it is: of a head under which the sheet conducts 200 times as well.
+_STRONGEST = 1.98
+
+
+class Flag(IntFlag):
+    """What is to be said of one frame's force; 0 is nothing."""
+
+    NOT_DETECTED = 1  #: no load stands out of the noise; the force is 0 where the place was not given
+    OUTSIDE = 2  #: the place lies outside what was calibrated
+    BELOW_RANGE = 4  #: the force is below the lightest load that was calibrated
+    ABOVE_RANGE = 8  #: the force is above the heaviest load that was calibrated
+    WRONG_SIGN = 16  #: the place changes the other way than under a load (an unloading spike, or a residue)
+    MORE_THAN_ONE = 32  #: the frame is not that of one head of the given size
+    UNREADABLE = 64  #: a used reading is not a finite number; there is no force
+    OTHER_SENSOR = 128  #: the readings as a whole are not those of the calibrated sensor; there is no force
+    OTHER_HEAD = (
+        256  #: the head is so much larger or smaller than the calibrated one that its field is off by over 3 %
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Forces:
+    """One load's force in each of n frames.
+
+    Parameters
+    ----------
+    force_N, stderr_N : (n,) estimate and its standard error; NaN in frames flagged UNREADABLE or OTHER_SENSOR. Of a
+        frame flagged MORE_THAN_ONE the error holds the sum of its heads.
+        Where a place was searched and no load detected, 0 and the least force that shows wherever the sheet was
+        calibrated.
+    place_mm, place_stderr_mm : (n, 2) where, and (n,) how sure, root mean square over two axes; 0 where it was given.
+        NaN where it was to be found in a frame flagged UNREADABLE or OTHER_SENSOR.
+    detectability : (n,) d′, the load's signal over the noise of the readings.
+    flags : (n,) int64 of :class:`Flag`.
+    """
+
+    force_N: Array
+    stderr_N: Array
+    place_mm: Array
+    place_stderr_mm: Array
+    detectability: Array
+    flags: NDArray[np.int64]
+
+    def interval_N(self, coverage: float = 0.95) -> tuple[Array, Array]:
+        """Lowest and highest force (n,) of a central interval, normal about the estimate.
+
+        Raises
+        ------
+        ValueError
+            If the coverage is not between 0 and 1.
+        """
+        from scipy.special import ndtri
+
+        if not 0 < coverage < 1:
+            raise ValueError(f"a coverage of {coverage} is not between 0 and 1")
+        half = float(ndtri((1 + coverage) / 2)) * self.stderr_N
+        return self.force_N - half, self.force_N + half
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeveralForces:
+    """All heads in one frame.
+
+    Parameters
+    ----------
+    loads : of k heads, the clearest first; heads that cannot be told apart are one entry, flagged MORE_THAN_ONE, with
+        the sum of their forces and its error at their middle.
+    total_N, total_stderr_N : sum of all forces; 0 and the least force that shows where no head was found, NaN in
+        frames that cannot be used.
+    flags : of the frame: NOT_DETECTED, UNREADABLE or OTHER_SENSOR without any head, MORE_THAN_ONE where heads were
+        not told apart or there are more of them than were looked for; else none.
+    """
+
+    loads: Forces
+    total_N: float
+    total_stderr_N: float
+    flags: Flag
+
+
+class Newtons(NamedTuple):
+    """Forces (n,) [N] and what their errors are made of.
+
+    Parameters
+    ----------
+    slope : (n, 3) with strength, x and y.
+    variance : (n,) what map, scatter and line add.
+    """
+
+    force: Array
+    slope: Array
+    variance: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceInverse:
+    """The inverse of one sensor and head.
+
+    Parameters
+    ----------
+    model : of the sensor.
+    line : α_σ [1/kPa] and β_σ with their covariance, that of the line through the calibrated stresses: errors the map
+        shares are in the map.
+    area_mm2 : of the head.
+    tables : (nodes, 4) of the map, see :func:`map_tables`.
+    """
+
+    model: ForceModel
+    line: QuasiStatic
+    area_mm2: float
+    tables: Array
+
+    def force(self, matches: Matches) -> tuple[Array, Array]:
+        """Force and standard error (n,) [N]; NaN where the place has no map."""
+        newtons = self.newtons(matches)
+        slope = newtons.slope[:, None]
+        by_readings = (slope @ matches.covariance @ slope.transpose(0, 2, 1))[:, 0, 0]
+        return newtons.force, np.sqrt(np.maximum(by_readings, 0.0) + newtons.variance)
+
+    def newtons(self, matches: Matches) -> Newtons:
+        """Forces (n,), and what their errors are made of.
+
+        A strength of 2 or more no contrast has: what is nearly that counts as so much, a force far above any range.
+        """
+        model, strength = self.model, np.minimum(matches.strength, _STRONGEST)
+        mapped = interpolated(model, self.tables, matches.place_mm)
+        log_response, stderr, slope = mapped[:, 0], mapped[:, 1], mapped[:, 2:]
+        response = np.exp(-log_response)
+        relative = 2 * strength / (2 - strength) * response
+        alpha, beta = self.line.slope.value, self.line.intercept.value
+        stress = (relative - beta) / alpha
+        towards = np.empty((len(strength), 3))
+        towards[:, 0] = 4 / (2 - strength) ** 2 * response
+        towards[:, 1:] = -relative[:, None] * slope
+        by_map = relative**2 * (stderr**2 + model.scatter**2)
+        scale = self.area_mm2 / 1e3
+        per = scale / alpha
+        return Newtons(stress * scale, towards * per, (by_map + self._of_line(stress)) * per**2)
+
+    def _of_line(self, stress: Array) -> Array:
+        slope, intercept = self.line.slope.stderr or 0.0, self.line.intercept.stderr or 0.0
+        variance = (slope * stress) ** 2 + intercept**2 + 2 * stress * (self.line.covariance or 0.0)
+        return np.maximum(variance, 0.0)
+
+
+def least_force_N(inverse: ForceInverse, size: Array, places_mm: Array) -> Array:
+    """Force (n,) whose change of one frame just counts as a load, by size (n,) of a change per strength at places."""
+    strength = np.sign(inverse.line.slope.value) * inverse.model.threshold / size
+    nothing = np.zeros(len(size))
+    force, _ = inverse.force(Matches(places_mm, strength, np.zeros((len(size), 3, 3)), nothing, nothing))
+    return np.maximum(force, 0.0)
+
+
+def map_tables(model: ForceModel) -> Array:
+    """Map (nodes, 4): ln S, its standard error, and its gradient along x and y [1/mm].
+
+    The gradient is that of differences between neighbours; 0 where there are none.
+    """
+    node, values = model.node, model.log_response
+    padded = np.pad(node, 1, constant_values=-1)
+    row, column = np.nonzero(node >= 0)
+    here = padded[row + 1, column + 1]
+    found = np.zeros((len(values), 2))
+    for axis, (down, across) in enumerate(((0, 1), (1, 0))):
+        ahead, behind = padded[row + 1 + down, column + 1 + across], padded[row + 1 - down, column + 1 - across]
+        both = (ahead >= 0) & (behind >= 0)
+        difference = values[ahead] - values[behind]
+        found[here, axis] = np.where(both, difference / (2 * model.lattice.spacing_mm), 0.0)
+    return np.column_stack([values, model.log_response_stderr, found])
+
+
+def range_flags(force_N: Array, stderr_N: Array, place_mm: Array, validity: Validity) -> NDArray[np.int64]:
+    """Flags (n,) of forces and places outside what was calibrated; a force counts as outside by a standard error."""
+    distance = np.hypot(place_mm[:, 0], place_mm[:, 1])
+    flags: NDArray[np.int64] = ~(distance <= validity.radius_mm) * int(Flag.OUTSIDE)
+    if validity.force_N is not None:
+        lowest, highest = validity.force_N
+        flags |= (force_N + stderr_N < lowest) * int(Flag.BELOW_RANGE)
+        flags |= (force_N - stderr_N > highest) * int(Flag.ABOVE_RANGE)
+    return flags

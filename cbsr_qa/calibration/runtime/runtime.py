@@ -1,0 +1,354 @@
+"""A sensor's calibration in use: frames in, newtons out. Needs numpy, scipy and h5py, and nothing of a station."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cbsr_qa.calibration.file import read_calibration
+from cbsr_qa.calibration.runtime.force import (
+    Flag,
+    ForceInverse,
+    Forces,
+    SeveralForces,
+    least_force_N,
+    map_tables,
+    range_flags,
+)
+from cbsr_qa.calibration.runtime.heads import LARGEST, SizeError, forces_together, nothing_together
+from cbsr_qa.calibration.runtime.multi_load import HeadCounter, Heads
+from cbsr_qa.calibration.runtime.template_matching import Matches, TemplateFilter, scattered
+from cbsr_qa.domain import CalibrationError, real_numbers
+from cbsr_qa.domain.results import ForceModel, calibration as record
+from cbsr_qa.domain.run import Indenter
+
+Array = NDArray[np.float64]
+
+#: A frame whose readings, as a whole, are further than this from the reference's (relative) is another sensor's.
+_FOREIGN: Final = 0.5
+#: Detectability from which a load at a given place counts as one.
+_CLEAR: Final = 3.0
+#: Standard deviations of χ² that noise may leave besides a template.
+_ROOM: Final = 4.0
+#: Least share of a load's signal, as energy, that no head explains at all and that makes a frame another thing.
+_UNLIKE: Final = 0.04
+#: A second head weaker than this share of the first is what an earlier load left: material relaxations are down to
+#: some 6 % a minute after a release.
+_LEFT_BEHIND: Final = 0.06
+#: Frames are looked at for several heads where a second one explains this share of what would count as one.
+_SUSPICIOUS: Final = 0.4
+#: Two heads cannot be nearer to each other, of their diameter: they are soft, and estimates of places err.
+_NEAREST: Final = 0.8
+#: Heads whose templates are kept at hand.
+_HEADS: Final = 8
+
+
+class Calibration:
+    """One sensor's calibration, ready to be applied.
+
+    Parameters
+    ----------
+    issued : what was issued; with a force model.
+
+    Raises
+    ------
+    CalibrationError
+        If it has no force model: it was issued before there were any, or no load of its run gave one.
+    """
+
+    def __init__(self, issued: record.Calibration) -> None:
+        if issued.force is None:
+            why = issued.no_force or "it was issued before calibrations had any"
+            raise CalibrationError(
+                f"calibration {issued.calibration} of sensor {issued.sensor.serial} holds no force model: {why}",
+                remedy="calibrate the sensor again: run a recipe whose calibration phases press three places or more",
+            )
+        self.issued = issued
+        self.model: ForceModel = issued.force
+        self._used = issued.reconstruction.problem.used
+        self._reference: Array = issued.reference[self._used]
+        self._merging: Array = np.ascontiguousarray(self.model.merging.T)
+        self._size_error = SizeError(self.model, issued.indenter.radius_mm)
+        self._filters: dict[float, TemplateFilter] = {}
+        self.filter: TemplateFilter = self._filter(issued.indenter)
+        tables = map_tables(self.model)
+        self.inverse = ForceInverse(self.model, issued.against_stress, issued.indenter.area_mm2, tables)
+        self.sign = float(np.sign(issued.against_stress.slope.value))
+        self.least_force_N = self._least_force_N()
+
+    @classmethod
+    def load(cls, path: str | Path) -> Self:
+        """Read a calibration file.
+
+        Raises
+        ------
+        CalibrationError
+            If it is not there, truncated, edited since it was issued, of a later version, not a calibration, or
+            without a force model.
+        """
+        return cls(read_calibration(Path(path)))
+
+    def force(
+        self,
+        frames: ArrayLike,
+        *,
+        place_mm: ArrayLike | None = None,
+        indenter: Indenter | None = None,
+        current_A: float | None = None,
+    ) -> Forces:
+        """Force of one head in each frame.
+
+        Parameters
+        ----------
+        frames : (n, drives, measures) or (drives, measures) [V], in the order of the sensor type's pattern. Each
+            is looked at by itself: a sheet that is still settling, or remembers earlier loads, shows what it shows.
+            A masked reading counts as one that is not a number.
+        place_mm : (2,) or (n, 2) where the head presses, from the sheet's centre; by default it is found.
+        indenter : another head than the one that calibrated.
+        current_A : drive current of the frames, where it is not the calibration's.
+
+        Returns
+        -------
+        Forces of n frames; n is 1 for a single frame.
+
+        Raises
+        ------
+        CalibrationError
+            If the frames are not of this sensor's shape, the places are not theirs, or the current is not positive.
+        NumericsError
+            If frames or places are not real numbers (complex, text).
+        """
+        rows, bad = self.rows(frames, current_A=current_A)
+        head = self.issued.indenter if indenter is None else indenter
+        if place_mm is None:
+            finder = self._filter(head)
+            matches = finder.search(rows)
+        else:
+            finder = self._filter(head)
+            matches = finder.at(rows, self._places(place_mm, len(rows)))
+        others = self._others(rows, matches, finder)
+        if place_mm is None:
+            matches = scattered(matches, finder.size_slope(matches.place_mm), self.model.place_scatter_mm)
+        return self._forces(self._of_area(matches, head), bad, others, head, searched=place_mm is None)
+
+    def forces(
+        self,
+        frames: ArrayLike,
+        *,
+        at_most: int = 3,
+        indenter: Indenter | None = None,
+        current_A: float | None = None,
+    ) -> tuple[SeveralForces, ...]:
+        """Forces of all heads in each frame, fitted together (:mod:`cbsr_qa.calibration.runtime.multi_load`).
+
+        Tens of milliseconds for a frame of several heads, a few for one where something is left to look into.
+
+        Parameters
+        ----------
+        frames, indenter, current_A : as of :meth:`force`; all heads are alike.
+        at_most : heads that are looked for.
+
+        Returns
+        -------
+        One for each frame.
+
+        Raises
+        ------
+        CalibrationError, NumericsError
+            As of :meth:`force`; and where ``at_most`` is not 1 or more.
+        """
+        if not (isinstance(at_most, int) and at_most >= 1):
+            raise CalibrationError(f"{at_most} heads cannot be looked for", remedy="look for at least 1")
+        rows, bad = self.rows(frames, current_A=current_A)
+        head = self.issued.indenter if indenter is None else indenter
+        finder = self._filter(head)
+        matches = finder.search(rows)
+        least = self.model.threshold**2
+        several = finder.beside(rows, matches.place_mm, matches.strength)[0] >= _SUSPICIOUS * least
+        counter = HeadCounter(
+            finder, threshold=self.model.threshold, misfit=self.model.misfit, diameter_mm=head.diameter_mm
+        )
+        found = []
+        for frame, flag in enumerate(bad.tolist()):
+            if flag:
+                found.append(nothing_together(np.nan, np.nan, Flag(flag)))
+            elif matches.gain[frame] < least and not several[frame]:
+                found.append(nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED))
+            else:
+                most = at_most if several[frame] else 1
+                heads, further = counter.heads(rows[frame], matches.place_mm[frame], most)
+                found.append(self._together(heads, further if several[frame] else 0.0, finder, head))
+        return tuple(found)
+
+    def _together(
+        self, heads: Heads | None, unexplained: float, finder: TemplateFilter, head: Indenter
+    ) -> SeveralForces:
+        if heads is None:
+            return nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED)
+        error = self._size_error(self._size(head), heads.place_mm)
+        heads = heads.scattered(finder.size_slope(heads.place_mm), self.model.place_scatter_mm).unsure(error)
+        return forces_together(
+            heads.times(self.issued.indenter.area_mm2 / head.area_mm2),
+            unexplained,
+            self._inverse(head),
+            self.issued.validity,
+            nearest_mm=_NEAREST * head.diameter_mm,
+            sign=self.sign,
+            other_head=error > LARGEST,
+        )
+
+    def rows(self, frames: ArrayLike, *, current_A: float | None = None) -> tuple[Array, NDArray[np.int64]]:
+        """Changes of frames as rows (n, r) of unit noise, and flags (n,) of frames that cannot be used.
+
+        Rows of such frames are zero. Parameters and errors as of :meth:`force`.
+        """
+        voltages = volts(frames)
+        shape = self.issued.reference.shape
+        if voltages.shape[-2:] != shape or voltages.ndim not in (2, 3):
+            raise CalibrationError(
+                f"frames of shape {voltages.shape} are not of sensor {self.issued.sensor.serial}",
+                remedy=f"its frames are (drives, measures) = {shape}, one or many",
+            )
+        readings = voltages.reshape(-1, *shape)[:, self._used]
+        if current_A is not None:
+            if not (isinstance(current_A, int | float | np.number) and np.isfinite(current_A) and current_A > 0):
+                raise CalibrationError(f"a drive current of {current_A} A is not a positive number")
+            readings = readings * (self.issued.current_A / current_A)
+        return self._rows(readings)
+
+    def _rows(self, readings: Array) -> tuple[Array, NDArray[np.int64]]:
+        changes = readings - self._reference
+        flags = np.zeros(len(changes), dtype=np.int64)
+        squares = np.einsum("nm,nm->n", changes, changes)
+        whole = np.isfinite(squares)
+        flags[~whole] |= Flag.UNREADABLE
+        foreign = whole & (squares > _FOREIGN**2 * float(self._reference @ self._reference))
+        flags[foreign] |= Flag.OTHER_SENSOR
+        if flags.any():
+            changes[flags != 0] = 0
+        rows: Array = changes @ self._merging
+        return rows, flags
+
+    def _filter(self, head: Indenter) -> TemplateFilter:
+        size = self._size(head)
+        if size not in self._filters:
+            while len(self._filters) >= _HEADS:
+                self._filters.pop(next(reversed(self._filters)))
+            self._filters[size] = TemplateFilter(self.model, size=size)
+        return self._filters[size]
+
+    def _inverse(self, head: Indenter) -> ForceInverse:
+        return replace(self.inverse, area_mm2=head.area_mm2)
+
+    def _size(self, head: Indenter) -> float:
+        return head.squared_radius_mm2 / self.issued.indenter.squared_radius_mm2
+
+    def _of_area(self, matches: Matches, head: Indenter) -> Matches:
+        """Strength of another head: templates are per strength of the calibrated head's area."""
+        factor = self.issued.indenter.area_mm2 / head.area_mm2
+        if factor == 1:
+            return matches
+        scale = np.array([factor, 1, 1])
+        return Matches(
+            matches.place_mm,
+            matches.strength * factor,
+            matches.covariance * scale[:, None] * scale,
+            matches.gain,
+            matches.energy,
+        )
+
+    def _places(self, place_mm: ArrayLike, count: int) -> Array:
+        places = real_numbers(place_mm, "places")
+        if places.shape not in ((2,), (count, 2)) or not np.isfinite(places).all():
+            raise CalibrationError(
+                f"places of shape {places.shape} do not fit {count} frames, or are not finite",
+                remedy="give (x, y) in mm from the sheet's centre, once or for every frame",
+            )
+        return places
+
+    def _others(self, rows: Array, matches: Matches, finder: TemplateFilter) -> Array:
+        """Strength (n,) of what presses beside the found head, over its own; 0 where that head is all there is.
+
+        Another head explains more than noise and a lone head leave; it is looked for only where more than that on
+        average is left.
+        """
+        others = np.zeros(len(rows))
+        left, gain = matches.energy - matches.gain, matches.gain
+        freedom = self.model.templates.shape[1]
+        looked = np.flatnonzero((left > freedom + self.model.misfit * gain) & (gain >= self.model.threshold**2))
+        if len(looked):
+            place, strength, gain_there = matches.place_mm[looked], matches.strength[looked], gain[looked]
+            further, there = finder.beside(rows[looked], place, strength)
+            ratio = np.abs(there) / np.maximum(np.abs(strength), np.finfo(np.float64).tiny)
+            clear = further >= self.model.threshold**2 + self.model.misfit * gain_there
+            others[looked] = np.where(clear & (ratio > _LEFT_BEHIND), ratio, 0.0)
+        # What no template explains beyond noise, over what the first does.
+        unlike = left - freedom - _ROOM * np.sqrt(2 * freedom) > max(self.model.misfit, _UNLIKE) * gain
+        share = np.sqrt(np.maximum(left - freedom, 0.0) / np.maximum(gain, 1.0))
+        return np.where(unlike, np.maximum(others, share), others)
+
+    def _forces(
+        self,
+        matches: Matches,
+        bad: NDArray[np.int64],
+        others: Array,
+        head: Indenter,
+        *,
+        searched: bool,
+    ) -> Forces:
+        error = self._size_error(self._size(head), matches.place_mm)
+        matches.covariance[:, 0, 0] += (error * matches.strength) ** 2
+        force, stderr = self._inverse(head).force(matches)
+        detectability = np.sqrt(matches.gain)
+        usable = bad == 0
+        flags = np.where(usable, self._flags(matches, detectability, searched=searched), bad)
+        silent = (flags & int(Flag.NOT_DETECTED)) != 0
+        if searched:
+            # Nobody knows where a load would be that does not show: it may be where the sheet shows least.
+            force[silent], stderr[silent] = 0.0, self.least_force_N
+        loaded = ~silent & usable
+        several = loaded & (others > 0)
+        stderr = np.where(several, np.hypot(stderr, np.abs(force) * others), stderr)
+        flags |= several * int(Flag.MORE_THAN_ONE)
+        flags |= loaded * range_flags(force, stderr, matches.place_mm, self.issued.validity)
+        flags |= (loaded & (error > LARGEST)) * int(Flag.OTHER_HEAD)
+        force[~usable] = np.nan
+        stderr[~usable] = np.nan
+        place = (matches.covariance[:, 1, 1] + matches.covariance[:, 2, 2]) / 2
+        place_stderr = np.sqrt(np.where(place >= 0, place, np.nan))
+        where = matches.place_mm
+        if searched:  # a frame that cannot be used was searched in vain
+            where[~usable] = np.nan
+            place_stderr[~usable] = np.nan
+        return Forces(force, stderr, where, place_stderr, detectability, flags)
+
+    def _least_force_N(self) -> float:
+        """Least force that one frame shows wherever the sheet was calibrated."""
+        model = self.model
+        places = model.lattice.places_mm()[model.node.ravel() >= 0]
+        near = model.fits & (np.hypot(*places.T) <= self.issued.validity.radius_mm)
+        where = near if near.any() else model.fits
+        return float(np.nanmax(least_force_N(self.inverse, np.exp(model.log_size[where]), places[where])))
+
+    def _flags(self, matches: Matches, detectability: Array, *, searched: bool) -> NDArray[np.int64]:
+        level = self.model.threshold if searched else _CLEAR
+        there = detectability >= level
+        flags: NDArray[np.int64] = (detectability < level) * int(Flag.NOT_DETECTED)
+        flags |= np.isnan(detectability) * int(Flag.OUTSIDE)  # no head can be there
+        flags |= (there & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
+        return flags
+
+
+def volts(frames: ArrayLike) -> Array:
+    """Return frames as float64 with NaN for what is masked.
+
+    Raises
+    ------
+    NumericsError
+        If they are not real numbers: a cast would drop imaginary parts, read text, and lay masked values bare.
+    """
+    if isinstance(frames, np.ma.MaskedArray):
+        frames = np.ma.filled(frames.astype(np.result_type(frames.dtype, np.float64)), np.nan)
+    return real_numbers(frames, "frames")

@@ -1,0 +1,344 @@
+"""Frames against the bank of templates: how strong a head presses at a place, where it presses, how sure that is.
+
+Numpy alone, for whoever builds the sensor into a robot. Between the nodes of the lattice everything is interpolated
+by cubic convolution (Keys 1981). With t(p) the template of place p and y a frame's rows of unit noise, b = t·y and
+g = t·t, the strength at a known place is a = b/g with variance 1/g; the most likely place is where b²/g is largest,
+found on the lattice and from there by Fisher scoring.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.runtime.convolution import stencils, surfaces_at, values_at, weights_at
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import ForceModel
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
+
+_STEPS: Final = 4  # of Fisher scoring: the last is below 0.01 mm
+_FURTHEST: Final = 0.25  # cells that scoring may leave its cell by
+_NOTHING: Final = 1e-30  # least squared score: a frame without any change has no place
+_MOVES: Final = 4  # to a neighbouring cell
+_STRIDE: Final = 2  # nodes between those that are searched
+_AT_ONCE: Final = 512  # frames compared with the bank together: what is held stays in the processor's cache
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Matches:
+    """One head in each of n frames.
+
+    Parameters
+    ----------
+    place_mm : (n, 2); NaN where there is no node about it.
+    strength : (n,) a = 2κ/(2 + κ).
+    covariance : (n, 3, 3) of (strength, x, y); zero for the place where it was given.
+    gain : (n,) b²/g, by which the head lowers the squared residuals.
+    energy : (n,) y·y.
+    """
+
+    place_mm: Array
+    strength: Array
+    covariance: Array
+    gain: Array
+    energy: Array
+
+
+class TemplateFilter:
+    """Compares frames with the templates of a force model.
+
+    Parameters
+    ----------
+    model : of the sensor.
+    size : q, the head's squared radius over that of the calibrated one.
+
+    Attributes
+    ----------
+    threshold : detectability that counts as a load.
+    bank, searched_mm : (r, k) templates of unit length at the places (k, 2) that are searched.
+
+    Raises
+    ------
+    CalibrationError
+        If no place has the neighbours that a search needs.
+    """
+
+    def __init__(self, model: ForceModel, *, size: float = 1.0) -> None:
+        self.lattice = model.lattice
+        self.threshold = model.threshold
+        grown = model.templates + (size - 1) * model.size_slope
+        length = np.linalg.norm(grown, axis=1)
+        self.templates: Array = np.ascontiguousarray(grown / length[:, None])
+        self._tables = np.column_stack([model.log_size + np.log(length), model.slopes])
+        self._stencil = stencils(model.node)
+        self._whole: Mask = np.logical_and.reduce(self._stencil >= 0, axis=1)
+        self._node_of = model.node.ravel()
+        self._coarse = np.flatnonzero(_pressable(model.node, model.fits) & _every(_STRIDE, model.node))
+        if not len(self._coarse):
+            raise CalibrationError(
+                "there is no place on the lattice that a head could be searched from",
+                remedy="press with a smaller head, or a larger sheet",
+            )
+        self.bank: Array = np.ascontiguousarray(self.templates[self._node_of[self._coarse]].T)
+        self.searched_mm: Array = model.lattice.places_mm()[self._coarse]
+        number = np.full(model.node.size, -1)
+        number[self._coarse] = np.arange(len(self._coarse))
+        steps = np.array([-1, 1, -model.lattice.columns, model.lattice.columns])
+        self._next = number[self._coarse[:, None] + _STRIDE * steps]  # before and after, along x and along y
+
+    def at(self, rows: Array, place_mm: Array) -> Matches:
+        """Strength of a head at given places: (n, r) rows, places (2,) or (n, 2)."""
+        given = np.asarray(place_mm, dtype=np.float64)
+        places = np.broadcast_to(given, (len(rows), 2))
+        template = self.template(given[None] if given.ndim == 1 else given)
+        number = rows @ template[0] if given.ndim == 1 else (rows * template).sum(axis=1)
+        gram = np.broadcast_to((template**2).sum(axis=1), len(rows))
+        covariance = np.zeros((len(rows), 3, 3))
+        covariance[:, 0, 0] = 1 / gram
+        energy = np.einsum("nr,nr->n", rows, rows)
+        return Matches(places.copy(), number / gram, covariance, number**2 / gram, energy)
+
+    def template(self, places_mm: Array) -> Array:
+        """Changes per strength (n, r) at places (n, 2); NaN where there is no node about a place."""
+        nodes, offset = self._cells(places_mm)
+        value = weights_at(offset)[:, :, 0]
+        weights = (value[:, 1, :, None] * value[:, 0, None, :]).reshape(len(nodes), 16)
+        found: Array = np.einsum("nk,nkr->nr", weights, self.templates[nodes])
+        found *= np.exp(np.einsum("nk,nk->n", weights, self._tables[nodes, 0]))[:, None]
+        found[(nodes < 0).any(axis=1)] = np.nan
+        return found
+
+    def template_and_slopes(self, places_mm: Array) -> Array:
+        """Changes per strength at places (n, 2) and their slopes along x and y [1/mm]: (n, 3, r).
+
+        NaN where there is no node about a place.
+        """
+        nodes, offset = self._cells(places_mm)
+        ((value_x, slope_x), (value_y, slope_y)) = weights_at(offset).transpose(1, 2, 0, 3)
+        h = self.lattice.spacing_mm
+        pairs = ((value_y, value_x), (value_y, slope_x / h), (slope_y / h, value_x))
+        weights = np.stack(
+            [(down[:, :, None] * across[:, None, :]).reshape(-1, 16) for down, across in pairs], axis=1
+        )
+        found: Array = weights @ self.templates[nodes]
+        size = (weights @ self._tables[nodes, 0][:, :, None])[:, :, 0]
+        found[:, 1:] += found[:, :1] * size[:, 1:, None]
+        found *= np.exp(size[:, 0])[:, None, None]
+        found[(nodes < 0).any(axis=1)] = np.nan
+        return found
+
+    def size_slope(self, places_mm: Array) -> Array:
+        """Slope (n, 2) of the logarithm of a change's size at places (n, 2) [1/mm]; 0 where there is no node."""
+        nodes, offset = self._cells(places_mm)
+        slope = values_at(self._tables[nodes], offset)[:, 1:3]
+        slope[np.logical_or.reduce(nodes < 0, axis=1)] = 0.0
+        return slope
+
+    def search(self, rows: Array) -> Matches:
+        """Find one head in each of n frames (n, r)."""
+        parts = [self._search(rows[first : first + _AT_ONCE]) for first in range(0, len(rows), _AT_ONCE)]
+        if not parts:
+            return Matches(np.zeros((0, 2)), np.zeros(0), np.zeros((0, 3, 3)), np.zeros(0), np.zeros(0))
+        return Matches(
+            *(
+                np.concatenate([getattr(part, name) for part in parts])
+                for name in ("place_mm", "strength", "covariance", "gain", "energy")
+            )
+        )
+
+    def beside(self, rows: Array, place_mm: Array, strength: Array) -> tuple[Array, Array]:
+        """What one head more would explain of what a head in each frame leaves, on the places that are searched.
+
+        Returns
+        -------
+        Gain (n,) as of :class:`Matches`, and strength (n,).
+        """
+        gain, found = np.zeros(len(rows)), np.zeros(len(rows))
+        for first in range(0, len(rows), _AT_ONCE):
+            part = slice(first, first + _AT_ONCE)
+            there = np.nan_to_num(self.template(place_mm[part]))
+            score = (rows[part] - strength[part, None] * there) @ self.bank
+            best = np.abs(score).argmax(axis=1)
+            peak = score[np.arange(len(best)), best]
+            gain[part] = peak**2
+            found[part] = peak * np.exp(-self._tables[self._node_of[self._coarse[best]], 0])
+        return gain, found
+
+    def _search(self, rows: Array) -> Matches:
+        cell, offset = self._cell_of_best(rows @ self.bank)
+        offset, there = self._scored(self._about(cell, rows), offset)
+        for _ in range(_MOVES):
+            moved, aim = self._neighbours(cell, offset)
+            if not moved.any():
+                break
+            cell[moved] = aim[moved]
+            offset[moved], there[moved] = self._scored(
+                self._about(cell[moved], rows[moved]), np.full((int(moved.sum()), 2), 0.5)
+            )
+        strength, covariance, gain = self._result(there)
+        j, i = np.divmod(cell, self.lattice.columns)
+        h = self.lattice.spacing_mm
+        place = np.empty((len(cell), 2))
+        place[:, 0] = self.lattice.x_mm + h * (i + offset[:, 0])
+        place[:, 1] = self.lattice.y_mm + h * (j + offset[:, 1])
+        return Matches(place, strength, covariance, gain, np.einsum("nr,nr->n", rows, rows))
+
+    def _about(self, cell: Indices, rows: Array) -> Array:
+        """Tables (n, 16, 7) about cells: scores of the frames, and the columns of ``_tables``."""
+        nodes = self._stencil[cell]
+        about = np.empty((*nodes.shape, 7))
+        about[:, :, :1] = self.templates[nodes] @ rows[:, :, None]
+        about[:, :, 1:] = self._tables[nodes]
+        return about
+
+    def _neighbours(self, cell: Indices, offset: Array) -> tuple[Mask, Indices]:
+        """Which frames want to leave their cell for a neighbour that can be interpolated in, and for which."""
+        step: Indices = (offset >= 1 + _FURTHEST).astype(np.int64) - (offset <= -_FURTHEST)
+        aim = cell + step[:, 0] + self.lattice.columns * step[:, 1]
+        there: Mask = step.any(axis=1) & self._whole[aim]
+        return there, aim
+
+    def _cell_of_best(self, score: Array) -> tuple[Indices, Array]:
+        """Lower left corner of the cell each head is in, and where in it, by parabolas through neighbours."""
+        score = np.abs(score)
+        frames, best = np.arange(len(score)), score.argmax(axis=1)
+        place, beside = self._coarse[best], self._next[best]
+        around = np.where(beside >= 0, score[frames[:, None], beside], -np.inf)
+        low, high, peak = around[:, ::2], around[:, 1::2], score[frames, best][:, None]
+        both = np.isfinite(low + high)
+        bend = np.where(both, 2 * peak - low - high, 1.0)
+        part = np.where(both, (high - low) / np.maximum(2 * bend, _NOTHING), 0.0)
+        shift = _STRIDE * np.minimum(np.maximum(part, -0.5), 0.5)
+        down = np.floor(shift).astype(np.int64)
+        cell = place + down[:, 0] + self.lattice.columns * down[:, 1]
+        whole = self._whole[cell]
+        return np.where(whole, cell, place), np.where(whole[:, None], shift - down, 0.0)
+
+    def _scored(self, about: Array, offset: Array) -> tuple[Array, Array]:
+        """Offset (n, 2) from the cell's corner, in cells, where the score is largest, by Fisher scoring.
+
+        A step that lowers the score is taken again, a quarter as long: beside a pin templates turn too unevenly for
+        full steps.
+
+        Parameters
+        ----------
+        about : (n, 16, 7) of :meth:`_about`.
+
+        Returns
+        -------
+        The offset, and what is there (n, 4, 7): values, and slopes per cell, of score and tables.
+        """
+        at, squared = surfaces_at(about, offset), self.lattice.spacing_mm**2
+        damping = np.ones(len(about))
+        for _ in range(_STEPS):
+            aim = offset + _scoring_step(at, damping / squared)
+            aim = np.minimum(np.maximum(aim, -_FURTHEST), 1 + _FURTHEST)
+            there = surfaces_at(about, aim)
+            better = np.abs(there[:, 0, 0]) > np.abs(at[:, 0, 0])
+            if better.all():
+                offset, at, damping = aim, there, np.ones(len(about))
+                continue
+            offset, at = np.where(better[:, None], aim, offset), np.where(better[:, None, None], there, at)
+            damping = np.where(better, 1.0, damping / 4)
+        return offset, at
+
+    def _result(self, there: Array) -> tuple[Array, Array, Array]:
+        score, log_size, *_, xx, xy, yy = there[:, 0].T
+        strength, along = score / np.exp(log_size), there[:, 0, 2:4]
+        squared = np.maximum(score**2, _NOTHING)
+        place = np.empty((len(there), 2, 2))
+        place[:, 0, 0], place[:, 1, 1] = yy, xx
+        place[:, 0, 1] = place[:, 1, 0] = -xy
+        place /= ((xx * yy - xy**2) * squared)[:, None, None]
+        shared = -(place @ along[:, :, None])[:, :, 0]  # of ln strength with the place
+        covariance = np.empty((len(there), 3, 3))
+        covariance[:, 0, 0] = strength**2 * (1 / squared - (shared * along).sum(axis=1))
+        covariance[:, 0, 1:] = covariance[:, 1:, 0] = strength[:, None] * shared
+        covariance[:, 1:, 1:] = place
+        return strength, covariance, score**2
+
+    def _cells(self, places_mm: Array) -> tuple[Indices, Array]:
+        """Nodes (n, 16) about places, and the places' offsets from the cells' corners, in cells."""
+        h = self.lattice.spacing_mm
+        at = (places_mm - np.array([self.lattice.x_mm, self.lattice.y_mm])) / h
+        last = np.array([self.lattice.columns - 2, self.lattice.rows - 2])
+        inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # a place that is no number is not
+        at = np.where(inside[:, None], at, 0.0)
+        cell = np.minimum(at.astype(np.int64), last)
+        nodes = self._stencil[cell[:, 1] * self.lattice.columns + cell[:, 0]].copy()
+        nodes[np.logical_not(inside)] = -1
+        return nodes, at - cell
+
+
+def _scoring_step(at: Array, damping: Array) -> Array:
+    """Step (n, 2) of Fisher scoring in cells, half of one at most, from what is there (n, 4, 7).
+
+    Parameters
+    ----------
+    damping : (n,) over the square of a cell [1/mm²].
+    """
+    score, by_x, by_y = at[:, 0, 0], at[:, 1, 0], at[:, 2, 0]
+    xx, xy, yy = at[:, 0, 4:].T
+    steepness = score * (xx * yy - xy * xy)
+    scale = np.divide(damping, steepness, out=np.zeros(len(at)), where=steepness != 0)
+    step = np.empty((len(at), 2))
+    step[:, 0] = (yy * by_x - xy * by_y) * scale
+    step[:, 1] = (xx * by_y - xy * by_x) * scale
+    return np.minimum(np.maximum(step, -0.5), 0.5)
+
+
+def scattered(matches: Matches, size_slope: Array, scatter_mm: float) -> Matches:
+    """Matches of found places that are off by more than noise makes them, and their strengths with them.
+
+    Parameters
+    ----------
+    size_slope : (n, 2) at the places (:meth:`TemplateFilter.size_slope`): a head found where changes are larger is
+        taken for as much weaker.
+    scatter_mm : standard deviation along an axis.
+    """
+    towards = np.empty((len(size_slope), 3, 2))
+    towards[:, 0], towards[:, 1:] = -matches.strength[:, None] * size_slope, _ONES
+    covariance = matches.covariance + scatter_mm**2 * (towards @ towards.transpose(0, 2, 1))
+    return replace(matches, covariance=covariance)
+
+
+def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
+    """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN where a node is missing."""
+    lattice = model.lattice
+    last = np.array([lattice.columns - 2, lattice.rows - 2])
+    at = (places_mm - np.array([lattice.x_mm, lattice.y_mm])) / lattice.spacing_mm
+    inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # a place that is no number is not
+    at = np.where(inside[:, None], at, 0.0)
+    cell = np.minimum(at.astype(np.int64), last)
+    part = np.stack([1 - (at - cell), at - cell], axis=2)
+    weights = (part[:, 1, :, None] * part[:, 0, None, :]).reshape(len(at), 1, 4)
+    node = model.node[cell[:, 1, None] + _DOWN, cell[:, 0, None] + _ACROSS]
+    missing = ~inside | np.logical_or.reduce((node < 0) & (weights[:, 0] != 0), axis=1)
+    found: Array = (weights @ values.reshape(len(values), -1)[node])[:, 0]
+    found[missing] = np.nan
+    shaped: Array = found.reshape(len(at), *values.shape[1:])
+    return shaped
+
+
+_ONES: Final = np.eye(2)
+#: Corners of a cell.
+_DOWN: Final = np.array([0, 0, 1, 1])
+_ACROSS: Final = np.array([0, 1, 0, 1])
+
+
+def _every(stride: int, node: Indices) -> Mask:
+    """Which places (rows · columns,) are of a coarser lattice about the same middle."""
+    rows, columns = (np.asarray(np.abs(np.arange(count) - count // 2) % stride == 0) for count in node.shape)
+    chosen: Mask = np.logical_and.outer(rows, columns).ravel()
+    return chosen
+
+
+def _pressable(node: Indices, fits: Mask) -> Mask:
+    """Which places (rows · columns,) a head fits on, with neighbours to interpolate from."""
+    fitting = np.where(node >= 0, fits[node], False)
+    pressable: Mask = (stencils(node) >= 0).all(axis=1) & fitting.ravel()
+    return pressable

@@ -1,0 +1,311 @@
+"""One load of a stream: its place, its strength so far, and what is expected of it.
+
+Where a hold ends that nobody said when and how fast it began: averaged over what both may have been.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.fits import HoldsSoFar
+from cbsr_qa.domain.results import ForceModel, RelaxationKernel
+
+Array = NDArray[np.float64]
+
+#: How long a press may take, from a tap to a slow indenter [s], and when it may have ended about where it is taken to
+#: [frames], each with what is thought of it beforehand.
+_RAMPS_S: Final = np.array([0.3, 1.2, 3.0])
+_OF_RAMPS: Final = np.array([0.25, 0.5, 0.25])
+_ENDS: Final = np.array([-0.5, -0.25, 0.0, 0.25])
+_OF_ENDS: Final = np.array([0.1, 0.2, 0.5, 0.2])
+#: Half a frame over the fastest time constant that is still averaged.
+_LONGEST: Final = 20.0
+
+
+class UnsureHold:
+    """One hold as frames show it, with the ramp before it unseen.
+
+    Each pair of a ramp's length and end makes a regression of its own
+    (:class:`~cbsr_qa.calibration.fits.HoldsSoFar`); they are averaged with how well they explain the frames.
+
+    Parameters
+    ----------
+    kernel : of loadings, without a reason against it.
+    frame_s : what a frame takes.
+    """
+
+    def __init__(self, kernel: RelaxationKernel, frame_s: float) -> None:
+        ramps, ends = (grid.ravel() for grid in np.meshgrid(_RAMPS_S, _ENDS * frame_s))
+        self._prior: Array = np.log(np.outer(_OF_ENDS, _OF_RAMPS).ravel())
+        self._late_s = ends
+        self.frames = 0
+        fastest_s = float(kernel.time_constants_s[0]) if len(kernel.time_constants_s) else np.inf
+        seen_s = min(frame_s, 2 * _LONGEST * fastest_s)
+        self._holds = HoldsSoFar(kernel, len(ramps), ramp_s=ramps, frame_s=seen_s)
+
+    def add(self, held_s: float, value: float, noise: float) -> None:
+        """Take in a frame: time since the ramp is taken to have ended, strength and its standard deviation."""
+        self.frames += 1
+        self._holds.add(np.maximum(held_s - self._late_s, 0.0), value, noise)
+
+    def predict(self, at_s: float) -> tuple[float, float]:
+        """Strength at a time after the ramp's end, and its standard error."""
+        each = self._holds.predict(at_s=at_s)
+        log_weight = self._prior - each.misfit * each.spare / 2
+        weight = np.exp(log_weight - log_weight.max())
+        weight /= weight.sum()
+        value = float(weight @ each.values)
+        variance = float(weight @ (each.stderr**2 + (each.values - value) ** 2))
+        return value, float(np.sqrt(variance))
+
+
+#: Frames that tell what a new load's place showed before it.
+KEPT: Final = 8
+#: A load is released where its strength falls by this share of its largest, and by so many standard errors.
+_DROP: Final = 0.2
+_CLEAR: Final = 5.0
+#: A first frame that shows less than this share of what follows from the second was taken while the head still moved.
+_PARTIAL: Final = 0.75
+#: A load changed while it pressed where its strength is so many standard errors, and this share, off its hold's; and
+#: changes again where it moves by so much since.
+_OFF: Final = 5.0
+_OFF_SHARE: Final = 0.05
+#: Nor is that looked at before this share of the slowest time constant, while place and trajectory are still learned,
+#: nor believed of one frame.
+_EARLY: Final = 0.5
+_BELIEVED: Final = 2
+_MOVED: Final = 0.1
+#: So many last frames together are held against what those before them promise: steps that creep in are seen so.
+_LAST: Final = 8
+_OFF_TOGETHER: Final = 4.0
+_SHARE_TOGETHER: Final = 0.025
+#: A load was not released, only lightened, where this share more of it is left than of released ones.
+_STAYS: Final = 0.2
+#: How sure the strength of what fades is, from frame to frame.
+_FADING_ERROR: Final = 0.1
+_FADING_NOISE: Final = 0.1  # of a frame's own
+#: Share of a released change that may stay for minutes: an order of magnitude (paper 4.2), so that it is looked for.
+_RESIDUE: Final = 0.02
+#: Where no kernel is known: how long a load takes, and what its strength may still change by.
+_PATIENCE_S: Final = 60.0
+_UNKNOWN_CHANGE: Final = 0.3
+#: Frames that no place is learned from any more: it stays what it is.
+_PLACED: Final = 40
+
+
+class Track:
+    """One load.
+
+    Parameters
+    ----------
+    number, place_mm, template : which, where, and its change per strength there.
+    since_s : when it appeared.
+    base : strength its place showed before.
+    sign : of the response.
+    """
+
+    def __init__(
+        self, number: int, place_mm: Array, template: Array, since_s: float, base: float, sign: float
+    ) -> None:
+        self.number = number
+        self.place_mm = np.array(place_mm)
+        self.template = template
+        self.since_s = since_s
+        self.base = base
+        self.sign = sign
+        self.state = "loading"
+        self.strength = 0.0
+        self.noise = 1.0
+        self.expected = 0.0
+        self.precision = 0.0
+        self.unseen = 0
+        self.base_now = base
+        self._information = np.zeros((2, 2))
+        self._weighed = np.zeros(2)
+        self._frames = 0
+        self._largest = 0.0
+        self._released = 0.0
+        self._first: tuple[float, float, float] | None = None
+        self._hold: UnsureHold | None = None
+        self._promise: UnsureHold | None = None  # of all but the last frames
+        self._last: list[tuple[float, float, float]] = []
+        self._changed: tuple[float, float] | None = None
+        self._now_s = self._pressed_s = since_s
+        self._off = 0
+
+    @property
+    def pressing(self) -> bool:
+        """Whether a head is there."""
+        return self.state in ("loading", "steady")
+
+    @property
+    def place_covariance(self) -> Array:
+        """Of the place by noise, (2, 2) [mm²]."""
+        if self._frames == 0:
+            return np.zeros((2, 2))
+        return np.asarray(np.linalg.inv(self._information), dtype=np.float64)
+
+    @property
+    def fresh(self) -> bool:
+        """Whether it presses and only its first frame was seen, perhaps of a head that still moved."""
+        return self.pressing and self._frames <= 1 and self._first is not None
+
+    def move(self, place_mm: Array, template: Array, base: float) -> None:
+        """Take it for a load at another place; what was found of its place so far is forgotten."""
+        self.place_mm, self.template = np.array(place_mm), template
+        self.base = self.base_now = base
+        self._information, self._weighed, self._frames = np.zeros((2, 2)), np.zeros(2), 0
+
+    def distance_mm(self, place_mm: Array) -> float:
+        """How far a place is."""
+        return float(np.hypot(*(self.place_mm - place_mm)))
+
+    def add_place(self, place_mm: Array, covariance: Array) -> None:
+        """Take in another estimate of the place."""
+        if self._frames >= _PLACED or not np.isfinite(covariance).all():
+            return
+        if covariance[0, 0] <= 0 or np.linalg.det(covariance) <= 0:  # noise on a ridge between places: tells nothing
+            return
+        information = np.linalg.inv(covariance)
+        self._information = self._information + information
+        self._weighed = self._weighed + information @ place_mm
+        self._frames += 1
+        self.place_mm = np.asarray(np.linalg.solve(self._information, self._weighed), dtype=np.float64)
+
+    def advance(self, time_s: float, frame_s: float, since_last_s: float, model: ForceModel) -> None:
+        """Take in the strength that was found in a frame, which took a time and came some time after the last."""
+        if self.pressing:
+            self._press(time_s, frame_s, model)
+        if not self.pressing:
+            self._fade(time_s, since_last_s, model)
+
+    def steady(self, model: ForceModel) -> tuple[float, float]:
+        """Strength the load will have after the calibrated hold, and its variance."""
+        own = self.strength - self.base_now
+        alone = 1 / float(np.linalg.norm(self.template))
+        base = (model.residue_stderr * model.residue_strength) ** 2 + (model.residue_share * alone) ** 2 / KEPT
+        if self._changed is not None:
+            change = _UNKNOWN_CHANGE * own * float(np.exp(-(self._now_s - self._changed[0]) / _patience_s(model)))
+            return own, self.noise**2 + change**2 + base
+        if self._hold is None or model.loading is None:
+            change = 0.0 if self.state == "steady" else _UNKNOWN_CHANGE * own
+            return own, self.noise**2 + change**2 + base
+        value, stderr = self._hold.predict(model.steady_s)
+        return value, stderr**2 + base
+
+    def _press(self, time_s: float, frame_s: float, model: ForceModel) -> None:
+        towards = self.sign * self.strength
+        if self._largest - towards > max(_DROP * self._largest, _CLEAR * self.noise):
+            self._release(time_s - frame_s / 2)
+            return
+        self._largest = max(self._largest, towards)
+        share = model.residue_share
+        self.base_now = self.base * (share + (1 - share) * float(np.exp(-(time_s - self.since_s) / 25.0)))
+        self._now_s = time_s
+        self._notice_change(time_s, model)
+        if self._changed is None and not self._off:
+            self._learn(time_s, frame_s, model)
+        from_s = self.since_s if self._changed is None else self._changed[0]
+        self.state = "steady" if time_s - from_s >= (model.steady_s or _PATIENCE_S) else "loading"
+
+    def _notice_change(self, time_s: float, model: ForceModel) -> None:
+        """Notice that the load itself changed: of what comes then its hold says nothing, only what is seen."""
+        own = self.strength - self.base_now
+        if self._changed is not None:
+            if abs(own - self._changed[1]) > max(_MOVED * abs(own), _OFF * self.noise):
+                self._changed = (time_s, own)
+        elif self._hold is not None and model.loading is not None:
+            held_s = max(time_s - self.since_s, 0.0)
+            expected, stderr = self._hold.predict(held_s)
+            off = abs(own - expected) > max(_OFF * float(np.hypot(stderr, self.noise)), _OFF_SHARE * abs(own))
+            off |= self._off_together()
+            self._off = self._off + 1 if off and held_s > _EARLY * _patience_s(model) else 0
+            if self._off >= _BELIEVED:
+                self._changed = (time_s, own)
+
+    def _off_together(self) -> bool:
+        """Whether the last frames together are off what those before them promise."""
+        if self._promise is None or self._promise.frames < _LAST // 2:
+            return False
+        held_s, own, noise = np.array(self._last).T
+        expected, stderr = self._promise.predict(float(held_s.mean()))
+        error = float(np.hypot(stderr, np.sqrt((noise**2).sum()) / len(noise)))
+        off = abs(float(own.mean()) - expected)
+        return off > max(_OFF_TOGETHER * error, _SHARE_TOGETHER * abs(float(own.mean())))
+
+    def _learn(self, time_s: float, frame_s: float, model: ForceModel) -> None:
+        """Add a frame to the hold; the first waits for the second, which tells whether the head was still moving."""
+        if model.loading is None:
+            return
+        own = self.strength - self.base_now
+        if self._hold is None and self._first is None:
+            self._first = (time_s, own, self.noise)
+            self._hold = UnsureHold(model.loading, frame_s)
+            self._add(*self._first)
+            return
+        if self._first is not None:
+            first, self._first = self._first, None
+            expected = _kernel(model.loading, first[0] - self.since_s) / _kernel(model.loading, time_s - self.since_s)
+            self._hold, self._promise = UnsureHold(model.loading, frame_s), UnsureHold(model.loading, frame_s)
+            self._last.clear()
+            if self.sign * first[1] < _PARTIAL * expected * self.sign * own:
+                self.since_s = max(first[0] + frame_s / 2, self.since_s)
+            else:
+                self._add(*first)
+        self._add(time_s, own, self.noise)
+
+    def _add(self, time_s: float, own: float, noise: float) -> None:
+        assert self._hold is not None
+        held_s = max(time_s - self.since_s, 0.0)
+        self._hold.add(held_s, own, noise)
+        self._last.append((held_s, own, noise))
+        if len(self._last) > _LAST and self._promise is not None:
+            self._promise.add(*self._last.pop(0))
+
+    def _release(self, time_s: float) -> None:
+        self._pressed_s = self.since_s
+        self.state, self.since_s = "unloading", time_s
+        self._released = self.sign * self._largest
+        self._hold = self._promise = self._first = None
+
+    def _lightened(self, time_s: float) -> None:
+        """Take back a release: some of the load still presses."""
+        self.state, self.since_s, self._now_s = "loading", self._pressed_s, time_s
+        self._changed = (time_s, self.strength - self.base_now)
+        self._largest = self.sign * self.strength
+        self.expected = self.precision = 0.0
+        self.unseen = 0
+
+    def _fade(self, time_s: float, since_last_s: float, model: ForceModel) -> None:
+        rate = 1.0
+        if model.unloading is not None:
+            held_s = time_s - self.since_s
+            rate = self._left(model.unloading, held_s + since_last_s) / self._left(model.unloading, held_s)
+            stays = self._left(model.unloading, held_s) + _STAYS
+            if self.sign * self.strength > max(stays * self._released, _CLEAR * self.noise) and held_s > 0:
+                self._lightened(time_s)
+                return
+        self.expected = self.strength * float(np.clip(rate, 0.0, 1.0))
+        alone = 1 / float(np.linalg.norm(self.template))
+        self.precision = 1 / (_FADING_ERROR * abs(self.strength) + _FADING_NOISE * alone) ** 2
+        fresh = time_s - self.since_s < (
+            3 * float(model.unloading.time_constants_s[-1]) if model.unloading else _PATIENCE_S
+        )
+        self.state = "unloading" if fresh else "residue"
+        self.unseen = 0 if abs(self.strength) > alone else self.unseen + 1
+
+    def _left(self, kernel: RelaxationKernel, time_s: float) -> float:
+        """Share of a released change that is left after a time."""
+        return _RESIDUE + float(np.sum(np.abs(kernel.weights) * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
+
+
+def _patience_s(model: ForceModel) -> float:
+    """How long a change of load is waited for."""
+    return float(model.loading.time_constants_s[-1]) if model.loading and len(model.loading.weights) else _PATIENCE_S
+
+
+def _kernel(kernel: RelaxationKernel, time_s: float) -> float:
+    """K(t), not below a twentieth: a strength over it stays a strength."""
+    value = 1 + float(np.sum(kernel.weights * np.exp(-max(time_s, 0.0) / kernel.time_constants_s)))
+    return max(value, 0.05)

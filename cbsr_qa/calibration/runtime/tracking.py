@@ -1,0 +1,259 @@
+"""Loads followed over a stream of frames: who presses where, how hard, since when, and what was left behind.
+
+Every frame is explained by all tracks at once (least squares on their templates); what that leaves is searched for
+another load. A track that drops is being unloaded; what stays of it fades and is taken out of the frame until it is
+gone, so that it is neither taken for a load nor added to one. The strength that a load will have after the hold it
+was calibrated with is predicted from the first frames by the sensor's own relaxation
+(:mod:`cbsr_qa.calibration.fits.steady_state`).
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from cbsr_qa.calibration.runtime.force import Flag, range_flags
+from cbsr_qa.calibration.runtime.runtime import Calibration
+from cbsr_qa.calibration.runtime.template_matching import Matches, scattered
+from cbsr_qa.calibration.runtime.track import KEPT, Track
+from cbsr_qa.domain import CalibrationError
+
+Array = NDArray[np.float64]
+
+#: Frames in a row without a sign of a residue after which it is forgotten.
+_FORGOTTEN: Final = 4
+#: Least share of what the tracks explain, as energy, that is another load: frames of heads that move, and residues
+#: that no track stands for, leave more than the steady loads a calibration is learned from.
+_LEAST_SHARE: Final = 0.04
+
+
+class LoadState(StrEnum):
+    """What a tracked load is doing."""
+
+    LOADING = "loading"  #: pressed, and still settling: its force is a prediction
+    STEADY = "steady"  #: pressed for as long as the calibration's loads
+    UNLOADING = "unloading"  #: released, and fading
+    RESIDUE = "residue"  #: released so long ago that the material has settled; what is left fades slowly
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackedLoad:
+    """One load at one moment.
+
+    Parameters
+    ----------
+    number : of the load since the stream began, from 1.
+    state : what it is doing.
+    since_s : when it was pressed; when it was released, once it was.
+    place_mm, place_stderr_mm : where, and how sure, root mean square over two axes.
+    force_N, stderr_N : of a load that presses: what it will be after the calibrated hold. 0 ± 0 once released.
+    left_N : of a released load: the force its residue would be taken for; else 0. NaN, flagged OUTSIDE, at a place
+        where no head can be.
+    flags : as :class:`~cbsr_qa.calibration.runtime.Flag`.
+    """
+
+    number: int
+    state: LoadState
+    since_s: float
+    place_mm: tuple[float, float]
+    place_stderr_mm: float
+    force_N: float
+    stderr_N: float
+    left_N: float
+    flags: Flag
+
+
+class ForceStream:
+    """Follows the loads on one sensor.
+
+    Parameters
+    ----------
+    calibration : of the sensor.
+    most : loads and residues followed at once.
+
+    Raises
+    ------
+    CalibrationError
+        If ``most`` is not at least 1.
+    """
+
+    def __init__(self, calibration: Calibration, *, most: int = 12) -> None:
+        if not (isinstance(most, int) and most >= 1):
+            raise CalibrationError(f"a stream cannot follow {most} loads", remedy="follow at least 1")
+        self._calibration = calibration
+        self._filter = calibration.filter
+        self._model = calibration.model
+        self._most = most
+        self._tracks: list[Track] = []
+        self._count = 0
+        self._time_s = -np.inf
+        self._frame_s = self._since_last_s = 0.0
+        self._last: list[Array] = []
+
+    def update(self, time_s: float, frame: ArrayLike) -> tuple[TrackedLoad, ...]:
+        """Take in the next frame.
+
+        Parameters
+        ----------
+        time_s : of its middle, on any clock that goes forward.
+        frame : (drives, measures) [V].
+
+        Returns
+        -------
+        All loads and residues, in order of their appearance. Those of the frame before, flagged, where this one
+        cannot be read or is another sensor's.
+
+        Raises
+        ------
+        CalibrationError
+            If the frame is not of this sensor's shape, its time is no finite number, or not later than the last.
+        """
+        if not (isinstance(time_s, int | float | np.integer | np.floating) and np.isfinite(time_s)):
+            raise CalibrationError(f"a frame of {time_s!r} s: its time must be a finite number of seconds")
+        if not time_s > self._time_s:
+            raise CalibrationError(f"a frame of {time_s} s follows one of {self._time_s} s: time must go forward")
+        rows, bad = self._calibration.rows(frame)
+        if len(rows) != 1:
+            raise CalibrationError(f"{len(rows)} frames were given at once; a stream takes one after the other")
+        if np.isfinite(self._time_s):
+            # A station pauses between loads: a frame takes no longer than the closest two were apart.
+            self._since_last_s = time_s - self._time_s
+            self._frame_s = min(self._frame_s or np.inf, self._since_last_s)
+        self._time_s = time_s
+        if bad[0]:
+            return tuple(self._told(track, Flag(int(bad[0]))) for track in self._tracks)
+        self._follow(rows[0])
+        return tuple(self._told(track, Flag(0)) for track in self._tracks)
+
+    def _follow(self, rows: Array) -> None:
+        left = self._place_anew(self._explain(rows), rows)
+        while len(self._tracks) < self._most and self._begin(left):
+            left = self._explain(rows)
+        self._place(rows)
+        for track in self._tracks:
+            track.advance(self._time_s, self._frame_s, self._since_last_s, self._model)
+        self._tracks = [track for track in self._tracks if track.unseen < _FORGOTTEN]
+        self._last = [*self._last[-(KEPT - 1) :], self._residual(rows)]
+
+    def _explain(self, rows: Array) -> Array:
+        """Strengths of all tracks by least squares, with what is expected of released ones; returns what is left."""
+        if not self._tracks:
+            return rows
+        bank = np.array([track.template for track in self._tracks])
+        expected = np.array([track.expected for track in self._tracks])
+        precision = np.array([track.precision for track in self._tracks])
+        information = bank @ bank.T + np.diag(precision)
+        covariance = np.linalg.inv(information)
+        strength = covariance @ (bank @ rows + precision * expected)
+        for track, value, variance in zip(self._tracks, strength, np.diag(covariance), strict=True):
+            track.strength, track.noise = float(value), float(np.sqrt(variance))
+        return self._residual(rows)
+
+    def _residual(self, rows: Array) -> Array:
+        left = rows.copy()
+        for track in self._tracks:
+            left -= track.strength * track.template
+        return left
+
+    def _place_anew(self, left: Array, rows: Array) -> Array:
+        """Take a load to where it is now, if its first frame, of a moving head, had it elsewhere; what is left then.
+
+        Else what the wrong place leaves unexplained would be a second load. It is taken there only if no second load
+        is left, so that two heads that press one after the other stay two.
+        """
+        if not self._another(self._filter.search(left[None])):
+            return left
+        for track in self._tracks:
+            if not track.fresh:
+                continue
+            place, template, strength = track.place_mm, track.template, track.strength
+            match = self._filter.search((left + strength * template)[None])
+            moved = self._filter.template(match.place_mm)[0]
+            if np.isfinite(moved).all():
+                track.move(match.place_mm[0], moved, self._base(moved))
+                rest = self._explain(rows)
+                if not self._another(self._filter.search(rest[None])):
+                    return rest
+                track.move(place, template, self._base(template))
+                self._explain(rows)
+        return left
+
+    def _another(self, match: Matches) -> bool:
+        """Whether what the tracks leave of a frame is more than noise, and more than a template may leave."""
+        gain = float(match.gain[0])
+        explained = sum(track.strength**2 * float(track.template @ track.template) for track in self._tracks)
+        share = max(self._model.misfit, _LEAST_SHARE)
+        return gain >= self._model.threshold**2 and gain >= share * explained
+
+    def _base(self, template: Array) -> float:
+        """Strength that a place showed in the last frames."""
+        if not self._last:
+            return 0.0
+        return float(np.mean([template @ last for last in self._last], axis=0) / (template @ template))
+
+    def _begin(self, left: Array) -> bool:
+        """Begin a track where what is left shows another load; says whether it did."""
+        match, sign = self._filter.search(left[None]), self._calibration.sign
+        if not self._another(match):
+            return False
+        if float(match.strength[0]) * sign < 0:
+            return False
+        pressing = [track for track in self._tracks if track.pressing]
+        near = min((track.distance_mm(match.place_mm[0]) for track in pressing), default=np.inf)
+        if near < self._calibration.issued.indenter.radius_mm:
+            return False
+        template = self._filter.template(match.place_mm)[0]
+        if not np.isfinite(template).all():
+            return False
+        self._count += 1
+        since_s = self._time_s - self._frame_s / 2
+        self._tracks.append(Track(self._count, match.place_mm[0], template, since_s, self._base(template), sign))
+        return True
+
+    def _place(self, rows: Array) -> None:
+        """Place every pressing track again, with all others taken out of the frame."""
+        for track in self._tracks:
+            if not track.pressing:
+                continue
+            alone = self._residual(rows) + track.strength * track.template - track.base_now * track.template
+            match = self._filter.search(alone[None])
+            if track.distance_mm(match.place_mm[0]) < self._calibration.issued.indenter.diameter_mm:
+                track.add_place(match.place_mm[0], match.covariance[0, 1:, 1:])
+                template = self._filter.template(track.place_mm[None])[0]
+                if np.isfinite(template).all():
+                    track.template = template
+
+    def _told(self, track: Track, bad: Flag) -> TrackedLoad:
+        pressing = track.pressing
+        value, variance = track.steady(self._model) if pressing else (track.strength, track.noise**2)
+        match = self._match(track, value, variance)
+        force, stderr = self._calibration.inverse.force(match)
+        flags = bad
+        if not np.isfinite(force[0]):
+            flags |= Flag.OUTSIDE
+        if pressing:
+            flags |= Flag(int(range_flags(force, stderr, match.place_mm, self._calibration.issued.validity)[0]))
+        return TrackedLoad(
+            number=track.number,
+            state=LoadState(track.state),
+            since_s=track.since_s,
+            place_mm=(float(track.place_mm[0]), float(track.place_mm[1])),
+            place_stderr_mm=float(np.sqrt(np.trace(match.covariance[0, 1:, 1:]) / 2)),
+            force_N=float(force[0]) if pressing else 0.0,
+            stderr_N=float(stderr[0]) if pressing else 0.0,
+            left_N=0.0 if pressing else float(force[0]),
+            flags=flags,
+        )
+
+    def _match(self, track: Track, value: float, variance: float) -> Matches:
+        """The track's strength and place; a template taken beside the place is as much too strong or too weak."""
+        slope = self._filter.size_slope(track.place_mm[None])
+        shared = -value * track.place_covariance @ slope[0]
+        covariance = np.empty((1, 3, 3))
+        covariance[0, 0, 0] = variance - value * float(shared @ slope[0])
+        covariance[0, 0, 1:] = covariance[0, 1:, 0] = shared
+        covariance[0, 1:, 1:] = track.place_covariance
+        match = Matches(track.place_mm[None], np.array([value]), covariance, np.zeros(1), np.zeros(1))
+        return scattered(match, slope, self._model.place_scatter_mm)

@@ -1,0 +1,161 @@
+"""Apparent baseline conductance ρ̄₀ per location, and why a load may say nothing about it (paper Eq 7)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.results import BaselineConductance, Blob, LoadObservation
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
+
+#: The predicted relative change must be this many of its own standard errors from zero.
+_CLEAR: Final = 3.0
+#: What is said of a value by whether its load was settled; None where no settling time is known.
+_REMARKS: Final = {
+    True: "",
+    False: "taken before 1.5 settling times",
+    None: "taken at the end of the hold: no settling time is known",
+}
+
+
+@dataclass(frozen=True, slots=True)
+class LoadBaseline:
+    """What one load says about ρ₀.
+
+    Parameters
+    ----------
+    value, stderr : relative image units; None where it says nothing, ``why`` then says why.
+    """
+
+    value: float | None
+    stderr: float | None
+    why: str = ""
+
+
+def sensed_change(values: NDArray[np.float64], blob: Blob, response: Response) -> NDArray[np.float64]:
+    """Mean response-signed change over a blob's elements, area-weighted, noise floor *not* subtracted.
+
+    Parameters
+    ----------
+    values : (…, e) float64, one or many un-subtracted images on the blob's mesh.
+
+    Returns
+    -------
+    (…) float64, relative.
+    """
+    areas = blob.image.mesh.areas_mm2[blob.elements]
+    mean: NDArray[np.float64] = np.asarray(_sign(response) * (values[..., blob.elements] @ areas) / areas.sum())
+    return mean
+
+
+def load_baseline(
+    load: LoadObservation, against_stress: QuasiStatic, noise_images: NDArray[np.float64], main_mask: float
+) -> LoadBaseline:
+    """ρ₀ = Δρ / (α_σ σ + β_σ) of one load.
+
+    Δρ is the mean over the sensed blob of the steady image. Its standard error is the scatter of the same mean over
+    the noise images, with that of the force; the errors of α and β are common to all loads and are not in it.
+
+    Parameters
+    ----------
+    against_stress : α_σ [1/kPa] and β_σ.
+    noise_images : (k, e) unloaded images.
+    main_mask : fraction of the mask whose blob is the sensed region.
+
+    Returns
+    -------
+    LoadBaseline, without value where nothing was sensed, no force was recorded, the predicted relative change is not
+    clear of zero (|α σ + β| under 3 of its own standard errors) or has the other sign than the response that was
+    decided, or the sensed change has.
+    """
+    view = load.mask(main_mask)
+    if view is None or view.sensed is None:
+        return LoadBaseline(None, None, "no blob was sensed")
+    stress_kPa = load.stress_kPa
+    if stress_kPa is None:
+        return LoadBaseline(None, None, load.no_force or "no force was recorded")
+    predicted, why_not = _signed_prediction(against_stress, stress_kPa, load.response)
+    if why_not:
+        return LoadBaseline(None, None, why_not)
+    change = float(sensed_change(load.image.values, view.sensed, load.response))
+    if change <= 0:
+        return LoadBaseline(None, None, f"the sensed change {change:.3g} has not the sign of the response")
+    value = change / predicted
+    noise = sensed_change(noise_images, view.sensed, load.response)
+    of_change = float(np.sqrt(np.mean(noise**2) / max(load.steady_frames, 1))) / change
+    of_stress = _stress_error(load, against_stress.slope, predicted)
+    return LoadBaseline(value, value * float(np.hypot(of_change, of_stress)), _REMARKS[load.settled])
+
+
+def predicted_change(against_stress: QuasiStatic, stress_kPa: float) -> tuple[float, float]:
+    """Relative change α_σ σ + β_σ and its standard error; an error nobody stated counts as none."""
+    slope, intercept = against_stress.slope, against_stress.intercept
+    predicted = slope.value * stress_kPa + intercept.value
+    variance = ((slope.stderr or 0.0) * stress_kPa) ** 2 + (intercept.stderr or 0.0) ** 2
+    variance += 2 * stress_kPa * (against_stress.covariance or 0.0)
+    return predicted, float(np.sqrt(max(variance, 0.0)))
+
+
+def location_baseline(location: str, x_mm: float, y_mm: float, loads: Sequence[LoadBaseline]) -> BaselineConductance:
+    """Mean over the loads of one location.
+
+    The standard error is that of the scatter between the loads, not below what the loads' own errors allow. Loads
+    that say nothing are left out; why is in ``why``.
+    """
+    said = [(load.value, load.stderr) for load in loads if load.value is not None and load.stderr is not None]
+    remarks = "; ".join(dict.fromkeys(load.why for load in loads if load.why))
+    if not said:
+        return BaselineConductance(location, x_mm, y_mm, None, None, 0, remarks or "no load was pressed here")
+    values, errors = np.array(said).T
+    own = float(np.sqrt((errors**2).sum())) / len(values)
+    scatter = float(values.std(ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else 0.0
+    return BaselineConductance(
+        location, x_mm, y_mm, float(values.mean()), max(own, float(scatter)), len(values), remarks
+    )
+
+
+def baseline_conductance(
+    loads: Sequence[LoadObservation],
+    against_stress: QuasiStatic,
+    noise_images: NDArray[np.float64],
+    main_mask: float,
+) -> tuple[BaselineConductance, ...]:
+    """ρ̄₀ of every location of some loads, in the order of their first press.
+
+    Loads are of one location if label and place agree.
+    """
+    places: dict[tuple[str, float, float], list[LoadBaseline]] = {}
+    for load in loads:
+        place = load.record.load
+        found = load_baseline(load, against_stress, noise_images, main_mask)
+        places.setdefault((place.label, place.x_mm, place.y_mm), []).append(found)
+    return tuple(location_baseline(*place, found) for place, found in places.items())
+
+
+def _signed_prediction(against_stress: QuasiStatic, stress_kPa: float, response: Response) -> tuple[float, str]:
+    """Predicted change in the direction of the response, and why it cannot be used; empty where it can."""
+    predicted, error = predicted_change(against_stress, stress_kPa)
+    said = f"α σ + β = {predicted:.3g} ± {error:.2g} at {stress_kPa:.3g} kPa"
+    if predicted == 0 or abs(predicted) < _CLEAR * error:
+        return 0.0, f"{said} is not clear of zero"
+    signed = _sign(response) * predicted
+    if signed < 0:
+        expected, decided = ("less", "more") if predicted < 0 else ("more", "less")
+        return (
+            0.0,
+            f"{said} makes pressed places conduct {expected}; the response of this run is that they do {decided}",
+        )
+    return signed, ""
+
+
+def _sign(response: Response) -> float:
+    return -1.0 if response is Response.DECREASE else 1.0
+
+
+def _stress_error(load: LoadObservation, slope: Parameter, predicted: float) -> float:
+    """Relative error of the predicted change that the force's error makes."""
+    if load.force_stderr_N is None:
+        return 0.0
+    return abs(slope.value) * load.force_stderr_N / load.indenter.area_mm2 * 1e3 / predicted

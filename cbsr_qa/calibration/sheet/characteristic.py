@@ -1,0 +1,268 @@
+"""The characteristic of each location: sensed change against stress, strain by strain.
+
+The gauge factor of a sheet from presses all over it: contrast under the head against strain.
+"""
+
+from collections import defaultdict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.fits import CommonRelaxation
+from cbsr_qa.calibration.sheet.baseline import sensed_change
+from cbsr_qa.calibration.sheet.data_sheet import Estimate, pooled_deviation
+from cbsr_qa.calibration.sheet.response_map import average_response, learn_response
+from cbsr_qa.domain import CalibrationError, NumericsError
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.results import LoadObservation, RunObservation
+from cbsr_qa.domain.sensor import QuasiStatic
+
+Array = NDArray[np.float64]
+
+#: Strains must differ by this factor for an intercept to be told from the map, which is not known better than this
+#: before any load was seen.
+_SPREAD: Final = 2.0
+_UNKNOWN_INTERCEPT: Final = 0.02
+
+
+def sheet_gauge_factor(
+    places_mm: Array,
+    contrast: Array,
+    relative_variance: Array,
+    strain: Array,
+    line: QuasiStatic,
+    *,
+    radius_mm: float,
+    sheet_mm: Array,
+) -> Estimate:
+    """Estimate the mean over a sheet of the local gauge factor, α_ε times the relative response of each place.
+
+    κ = S (α_ε ε + β_ε) (paper Eqs 1 and 7, against strain): ln S is learned as in
+    :func:`~cbsr_qa.calibration.sheet.learn_response`, where strains differ together with an error of β_ε.
+
+    Parameters
+    ----------
+    places_mm, contrast, relative_variance, strain : (n, 2), (n,), (n,), (n,) of loads whose contrast has the sign of
+        α_ε.
+    line : nominal α_ε and β_ε; only β_ε stays an assumption, and only where all strains are alike.
+    radius_mm : of the sheet.
+    sheet_mm : (m, 2) places to average over, see :func:`~cbsr_qa.calibration.sheet.sheet_places`.
+
+    Raises
+    ------
+    CalibrationError
+        If there are fewer than 3 loads, or the line predicts no change, or one of the other sign, for one of them.
+    """
+    predicted = line.slope.value * strain + line.intercept.value
+    if not ((predicted * contrast) > 0).all():
+        raise CalibrationError(
+            f"the line {line.slope.value:.3g} ε {line.intercept.value:+.3g} predicts no change of the sign seen"
+            f" at {int((predicted * contrast <= 0).sum())} of {len(strain)} loads: they say nothing about a response",
+            remedy="press harder, where α ε + β is clear of zero",
+        )
+    middle = float(np.exp(np.log(np.abs(predicted)).mean()) * np.sign(predicted[0])) if len(predicted) else 1.0
+    apart = len(strain) > 0 and strain.max() >= _SPREAD * strain.min()
+    response = learn_response(
+        places_mm,
+        np.log(contrast / predicted),
+        relative_variance,
+        radius_mm=radius_mm,
+        bend=1 / predicted - 1 / middle if apart else None,
+        bend_stderr=line.intercept.stderr or _UNKNOWN_INTERCEPT,
+    )
+    change, variance = response.bend
+    slope = line.slope.value * (1 - change / middle)
+    log_mean, log_variance = average_response(response, sheet_mm)
+    pointwise, _ = response.predict(sheet_mm)
+    shape = float(np.exp(pointwise - log_mean).mean())  # a mean of responses, not of their logarithms
+    value = slope * float(np.exp(log_mean)) * shape
+    turned = line.slope.value / middle / slope
+    return Estimate(value, abs(value) * float(np.sqrt(log_variance + turned**2 * variance)), len(strain) - 1)
+
+
+def steady_share(common: CommonRelaxation, time_s: Array) -> Estimate:
+    """Where a hold ends over what is seen of it at some times after its ramp, by the relaxation all loads share.
+
+    Parameters
+    ----------
+    time_s : (n,) of the frames that were averaged.
+
+    Raises
+    ------
+    NumericsError
+        If the traces carry no relaxation that ends, or it ends where it began.
+    """
+    fit = common.fit
+    if not len(common.shares):
+        raise NumericsError(f"it is not known where holds end: {fit.why}", remedy="hold longer")
+    count = len(fit.amplitudes)
+    start = np.concatenate([[fit.offset], fit.amplitudes, np.log(fit.time_constants_s)])
+
+    def share(values: Array) -> float:
+        decays = np.exp(-np.asarray(time_s)[:, None] / np.exp(values[1 + count :]))
+        return float(values[0] / (values[0] + (decays @ values[1 : 1 + count]).mean()))
+
+    value = share(start)
+    if not np.isfinite(value) or value <= 0:
+        raise NumericsError("it is not known where holds end: the change they end at is about zero")
+    steps = 0.01 * np.sqrt(np.diag(common.covariance))
+    gradient = np.array(
+        [
+            0.0 if step == 0 else (share(start + step * unit) - share(start - step * unit)) / (2 * step)
+            for step, unit in zip(steps, np.eye(len(start)), strict=True)
+        ]
+    )
+    return Estimate(value, float(np.sqrt(max(gradient @ common.covariance @ gradient, 0.0))), common.traces)
+
+
+#: Phases whose loads a data sheet is taken from: nominal places and strains, held alike.
+_ROLES: Final = frozenset({Role.GRID, Role.NOISE})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Characteristic:
+    """What a location answered at each strain, averaged over its trials.
+
+    Parameters
+    ----------
+    location, x_mm, y_mm : of the loads; ``"mean"`` and the sheet's centre for a mean over locations.
+    strain : (n,) float64 fractions, rising.
+    stress_kPa : (n,) float64 mean relaxed stress under the head; None where no force was recorded.
+    change : (n,) float64 mean sensed change, relative, positive.
+    loads : (n,) whole numbers, how many presses each mean is of.
+    """
+
+    location: str
+    x_mm: float
+    y_mm: float
+    strain: NDArray[np.float64]
+    stress_kPa: NDArray[np.float64] | None
+    change: NDArray[np.float64]
+    loads: NDArray[np.int64]
+
+    @property
+    def span(self) -> float:
+        """Output at the highest strain; the lower range value is the unloaded sheet, zero by its reference."""
+        return float(self.change[-1])
+
+
+def data_sheet_loads(run: RunObservation) -> tuple[LoadObservation, ...]:
+    """Loads a data sheet is taken from: single ones of the phases that press nominal places and strains."""
+    phases = {phase.name for phase in run.record.phases if phase.role in _ROLES}
+    return tuple(load for load in run.loads if load.phase in phases and load.together == 1)
+
+
+def why_no_force(loads: Iterable[LoadObservation]) -> str:
+    """Say why none of some loads has a force."""
+    return next((load.no_force for load in loads if load.no_force), "no force was recorded")
+
+
+def load_change(load: LoadObservation, main_mask: float) -> float | None:
+    """Sensed change of a load's steady image: Δρ of Eq 7, un-subtracted, positive; None where nothing was sensed."""
+    view = load.mask(main_mask)
+    if view is None or view.sensed is None:
+        return None
+    return float(sensed_change(load.image.values, view.sensed, load.response))
+
+
+def characteristics(loads: Iterable[LoadObservation], main_mask: float) -> tuple[Characteristic, ...]:
+    """Average the loads of each location strain by strain, in the order of their first press.
+
+    Loads in which nothing was sensed are left out, and where any load has a force also those that have none (a load
+    cell at its limit): without any there are no stresses.
+    """
+    loads = tuple(loads)
+    loads = tuple(load for load in loads if load.stress_kPa is not None) or loads
+    places: dict[tuple[str, float, float], list[tuple[LoadObservation, float]]] = defaultdict(list)
+    for load in loads:
+        change, wanted = load_change(load, main_mask), load.record.load
+        if change is not None:
+            places[(wanted.label, wanted.x_mm, wanted.y_mm)].append((load, change))
+    return tuple(_characteristic(place, members) for place, members in places.items())
+
+
+def mean_characteristic(curves: Sequence[Characteristic]) -> Characteristic:
+    """Average over the locations that were pressed at as many strains as any, at the same ones.
+
+    Each location's change counts in shares of its own span, so that the mean's span is 1: one and the same change
+    is imaged stronger where the electrodes see better.
+
+    Raises
+    ------
+    NumericsError
+        If there is no such location with a positive span.
+    """
+    fullest = max((curve.strain for curve in curves), key=len, default=np.empty(0))
+    alike = [c for c in curves if len(c.strain) == len(fullest) and np.allclose(c.strain, fullest) and c.span > 0]
+    if not alike:
+        raise NumericsError("nothing was sensed at any location")
+    stresses = [c.stress_kPa for c in alike if c.stress_kPa is not None]
+    return Characteristic(
+        "mean",
+        0.0,
+        0.0,
+        fullest,
+        np.mean(stresses, axis=0) if len(stresses) == len(alike) else None,
+        np.mean([c.change / c.span for c in alike], axis=0),
+        np.sum([c.loads for c in alike], axis=0),
+    )
+
+
+def repeated_changes(loads: Sequence[LoadObservation], main_mask: float) -> dict[float, list[list[float]]]:
+    """Sensed changes of places that were pressed again, by strain: the cells repeatability is taken within.
+
+    A cell is a phase, place and strain. Its values are shares of the place's own span, its mean change at the highest
+    strain of all these loads; places that were not pressed at that strain are left out, and so are single presses.
+    """
+    highest = max((round(load.record.load.strain, 9) for load in loads), default=0.0)
+    spans: dict[tuple[float, float], list[float]] = defaultdict(list)
+    cells: dict[float, dict[tuple[str, float, float], list[float]]] = defaultdict(lambda: defaultdict(list))
+    for load in loads:
+        change, wanted = load_change(load, main_mask), load.record.load
+        if change is None:
+            continue
+        cells[round(wanted.strain, 9)][(load.phase, wanted.x_mm, wanted.y_mm)].append(change)
+        if round(wanted.strain, 9) == highest:
+            spans[(wanted.x_mm, wanted.y_mm)].append(change)
+    mean = {place: float(np.mean(changes)) for place, changes in spans.items() if np.mean(changes) > 0}
+    found = {
+        strain: [
+            [value / mean[place] for value in values]
+            for (_, *where), values in by_place.items()
+            if (place := (where[0], where[1])) in mean and len(values) > 1
+        ]
+        for strain, by_place in sorted(cells.items())
+    }
+    return {strain: values for strain, values in found.items() if values}
+
+
+def repeatability(loads: Sequence[LoadObservation], main_mask: float) -> Estimate:
+    """Pooled deviation of the sensed change within phase, place and strain, in shares of the place's span.
+
+    Raises
+    ------
+    NumericsError
+        If nothing was pressed twice at the same place and strain.
+    """
+    by_strain = repeated_changes(loads, main_mask)
+    return pooled_deviation([cell for cells in by_strain.values() for cell in cells])
+
+
+def _characteristic(
+    place: tuple[str, float, float], members: Sequence[tuple[LoadObservation, float]]
+) -> Characteristic:
+    strain = np.array([round(load.record.load.strain, 9) for load, _ in members])
+    change = np.array([value for _, value in members])
+    levels, which, counts = np.unique(strain, return_inverse=True, return_counts=True)
+    stresses = [load.stress_kPa for load, _ in members]
+    known = [stress for stress in stresses if stress is not None]
+    return Characteristic(
+        *place,
+        levels,
+        np.bincount(which, known) / counts if len(known) == len(stresses) else None,
+        np.bincount(which, change) / counts,
+        counts.astype(np.int64),
+    )

@@ -1,0 +1,345 @@
+"""How strongly each place of a sheet answers: loads at some places, a Gaussian process in between.
+
+The logarithm of the response is taken for a Gaussian process over the sheet with an unknown mean. How far it reaches,
+how much it varies and what single loads scatter by are not chosen: all of a grid of them are weighed by how well they
+explain the loads (Rasmussen & Williams 2006, 5.2 and 2.7), so that few loads give wide intervals instead of
+confident ones. Where data end the map goes back to the mean response, which, since responses are counted against the
+field of the head itself, is the forward model's own sensitivity.
+
+What a learned map says of the sheet as a whole: its mean response, with the error of that mean.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
+
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import ForceModel
+
+Array = NDArray[np.float64]
+
+#: Lengths over which the response may stay alike, over the sheet's radius.
+_LENGTHS: Final = np.array([0.16, 0.22, 0.3, 0.4, 0.54, 0.72, 1.0, 1.4])
+#: Relative deviations of the response over the sheet.
+_DEVIATIONS: Final = np.array([0.01, 0.02, 0.035, 0.06, 0.1, 0.15, 0.22, 0.32, 0.45])
+#: Relative scatter of single loads beyond their noise.
+_SCATTERS: Final = np.array([0.0, 0.005, 0.01, 0.02, 0.04])
+#: Scale of the prior of the scatter (exponential), and of the deviation (half Cauchy): what presses repeat to, and
+#: what moulded sheets vary by. Chosen by us.
+_USUAL_SCATTER: Final = 0.02
+_USUAL_DEVIATION: Final = 0.2
+#: Members that weigh less than this are dropped. Many do after few loads: at 1e-4 those dropped made stated errors
+#: 4 % too small with ten loads.
+_NEGLIGIBLE: Final = 1e-5
+#: Loads whose amplitude is known worse than this say nothing about a logarithm.
+LARGEST_ERROR: Final = 0.3
+#: Keeps the covariance of loads at one place, without noise, invertible.
+_ROUNDING: Final = 1e-12
+#: Fewest loads a map can be learned from: with fewer not even the mean has an honest error.
+FEWEST: Final = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Data:
+    """Loads at p places, put together where they were pressed at one: exactly, the process being the same there.
+
+    Parameters
+    ----------
+    root_weight : (p,) square root of the loads' summed weights 1/variance.
+    scaled : (p, k + 1) weighted means of the mean's k columns and of the values, times ``root_weight``.
+    within : (k + 1, k + 1) products of what is left of them beside those means, weighted.
+    log_variance : sum over the loads.
+    known : (k, k) what is known of the mean's coefficients beforehand.
+    """
+
+    root_weight: Array
+    scaled: Array
+    within: Array
+    log_variance: float
+    known: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Member:
+    """The process with one choice of its hyperparameters.
+
+    Parameters
+    ----------
+    smooth : whether its covariance is Gaussian; else Matérn 5/2.
+    root_weight : (p,) as in the data.
+    root : (p, p) Cholesky factor of one plus the process's covariance times the weights.
+    data, drift : (p,), (p, k) data and columns of the mean, weighted and solved with ``root``.
+    mean, mean_root : (k,) coefficients of the mean and the Cholesky factor (k, k) of their precision.
+    """
+
+    smooth: bool
+    length_mm: float
+    deviation: float
+    scatter: float
+    root_weight: Array
+    root: Array
+    data: Array
+    drift: Array
+    mean: Array
+    mean_root: Array
+
+    def seen(self, kernel: Array) -> Array:
+        """Covariances of the data's places with others (p, m), weighted and solved with ``root``."""
+        solved: Array = solve_triangular(self.root, self.root_weight[:, None] * kernel, lower=True)
+        return solved
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Family:
+    """Processes of one kind and length: d deviations by s scatters of them.
+
+    Parameters
+    ----------
+    scatter, root_weight : (s,), (s, p) as in the members.
+    root, solved, mean, mean_root : (d, s, ...) of the members, ``solved`` being ``drift`` and ``data`` side by side.
+    score : (d, s) logarithms of the members' weights: marginal likelihood times prior.
+    """
+
+    smooth: bool
+    length_mm: float
+    scatter: Array
+    root_weight: Array
+    root: Array
+    solved: Array
+    mean: Array
+    mean_root: Array
+    score: Array
+
+    def member(self, d: int, s: int) -> _Member:
+        """One of them."""
+        solved = self.solved[d, s]
+        chosen = (self.smooth, self.length_mm, float(_DEVIATIONS[d]), float(self.scatter[s]), self.root_weight[s])
+        return _Member(*chosen, self.root[d, s], solved[:, -1], solved[:, :-1], self.mean[d, s], self.mean_root[d, s])
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseMap:
+    """A learned map.
+
+    Parameters
+    ----------
+    places_mm : (p, 2) of the loads, each once.
+    members, weights : the processes and how well they explain the loads, adding to one.
+    """
+
+    places_mm: Array
+    members: tuple[_Member, ...]
+    weights: Array
+
+    def predict(self, places_mm: Array) -> tuple[Array, Array]:
+        """Mean and variance (n,) of the logarithm of the response at places (n, 2), scatter of loads left out."""
+        means, variances = [], []
+        kinds = {(member.smooth, member.length_mm) for member in self.members}
+        kernels = {kind: _covariance(self.places_mm, places_mm, kind[1], kind[0]) for kind in kinds}
+        for member in self.members:
+            seen = member.seen(member.deviation**2 * kernels[member.smooth, member.length_mm])
+            columns = np.zeros((member.drift.shape[1], len(places_mm)))
+            columns[0] = 1
+            left = columns - member.drift.T @ seen
+            means.append(columns.T @ member.mean + seen.T @ (member.data - member.drift @ member.mean))
+            spread = solve_triangular(member.mean_root, left, lower=True)
+            variances.append(member.deviation**2 - (seen**2).sum(axis=0) + (spread**2).sum(axis=0))
+        mean: Array = self.weights @ np.array(means)
+        variance: Array = self.weights @ (np.array(variances) + (np.array(means) - mean) ** 2)
+        return mean, np.maximum(variance, 0.0)
+
+    @cached_property
+    def scatter(self) -> float:
+        """Relative scatter of single loads, root mean square over the members."""
+        return float(np.sqrt(self.weights @ np.array([member.scatter**2 for member in self.members])))
+
+    @cached_property
+    def bend(self) -> tuple[float, float]:
+        """Coefficient of the second column of the mean and its variance; zeros where there is none."""
+        if self.members[0].drift.shape[1] < 2:
+            return 0.0, 0.0
+        values = np.array([member.mean[1] for member in self.members])
+        own = np.array([_variances(member)[1] for member in self.members])
+        mean = float(self.weights @ values)
+        return mean, float(self.weights @ (own + (values - mean) ** 2))
+
+
+def learn_response(
+    places_mm: Array,
+    log_response: Array,
+    variance: Array,
+    *,
+    radius_mm: float,
+    bend: Array | None = None,
+    bend_stderr: float = 1.0,
+) -> ResponseMap:
+    """Learn the map from single loads.
+
+    Parameters
+    ----------
+    places_mm : (n, 2).
+    log_response : (n,) logarithm of what was seen over what the quasi-static line predicts.
+    variance : (n,) of it, by the readings' and the force's noise.
+    radius_mm : of the sheet, the unit of the lengths that are tried.
+    bend : (n,) a column of which an unknown multiple is in the logarithm, what a wrong intercept of the line does;
+        None where there is none.
+    bend_stderr : standard deviation of that multiple before any load was seen.
+
+    Raises
+    ------
+    CalibrationError
+        If there are fewer than 3 loads, or one has a place, response or variance that is no number.
+    """
+    if len(log_response) < FEWEST:
+        raise CalibrationError(
+            f"{len(log_response)} loads say how strongly the sheet answers; at least {FEWEST} are needed for a map",
+            remedy="press more places, or press harder: loads must stand out of the noise",
+        )
+    if not (np.isfinite(places_mm).all() and np.isfinite(log_response).all() and (variance >= 0).all()):
+        raise CalibrationError(
+            "a load's place, response or variance is no number: it says nothing of a map",
+            remedy="leave the load out, or press it again",
+        )
+    columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])
+    known = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
+    places, which = _places(places_mm)
+    told = np.column_stack([columns, log_response])
+    data = {
+        float(scatter): _together(which, told, variance + scatter**2 + _ROUNDING, np.diag(known))
+        for scatter in _SCATTERS
+    }
+    families = [
+        _family(data, _covariance(places, places, length_mm, smooth), smooth, length_mm)
+        for smooth, length_mm in _kinds(radius_mm)
+    ]
+    score = np.array([family.score for family in families])
+    weights = np.exp(score - score.max())
+    kept = weights > _NEGLIGIBLE * weights.sum()
+    members = tuple(families[family].member(*which) for family, *which in np.argwhere(kept).tolist())
+    return ResponseMap(places, members, weights[kept] / weights[kept].sum())
+
+
+def _kinds(radius_mm: float) -> list[tuple[bool, float]]:
+    """Whether smooth, and the length [mm]."""
+    return [(smooth, float(length * radius_mm)) for smooth in (True, False) for length in _LENGTHS]
+
+
+def _places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Places (p, 2), each once in the order of the loads, and which of them each load pressed (n,)."""
+    _, first, which = np.unique(places_mm, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    return places_mm[first[order]], rank[which.ravel()]
+
+
+def _together(which: NDArray[np.intp], told: Array, variance: Array, known: Array) -> _Data:
+    """Put loads of one place together: a weighted mean each, and what is left about it, centred before it is squared.
+
+    A process seen several times at a place is one seen once there with the summed weight, but for the scatter of the
+    loads about their mean: with it likelihoods and predictions are those of all loads, at the cost of the places.
+    """
+    weight = 1 / variance
+    total = np.bincount(which, weight)
+    means = np.column_stack([np.bincount(which, weight * column) / total for column in told.T])
+    left = (told - means[which]) * np.sqrt(weight)[:, None]
+    root_weight = np.sqrt(total)
+    return _Data(root_weight, means * root_weight[:, None], left.T @ left, float(np.log(variance).sum()), known)
+
+
+def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: float) -> _Family:
+    """Processes of correlations (p, p), the mean integrated out.
+
+    They are worked out together: matrices are as small as places are few, and one by one nine tenths of the time went
+    into calls.
+    """
+    scatter = np.array(list(data))
+    root_weight = np.array([one.root_weight for one in data.values()])
+    weighted = root_weight[:, :, None] * alike * root_weight[:, None, :]
+    scaled = np.array([one.scaled for one in data.values()])
+    # No eigenvalue below one: places that all but coincide, and loads without noise, do no harm.
+    root, solved = _solved(np.eye(len(alike)) + _DEVIATIONS[:, None, None, None] ** 2 * weighted, scaled)
+    products = np.swapaxes(solved, -1, -2) @ solved + np.array([one.within for one in data.values()])
+    known = next(iter(data.values())).known
+    mean_root = np.linalg.cholesky(products[..., :-1, :-1] + known)
+    pull = np.linalg.solve(mean_root, products[..., :-1, -1:])
+    mean = np.linalg.solve(np.swapaxes(mean_root, -1, -2), pull)[..., 0]
+    misfit = products[..., -1, -1] - (pull**2).sum(axis=(-1, -2))
+    determinants = np.array([one.log_variance for one in data.values()]) / 2 + _log_root(root) + _log_root(mean_root)
+    # The grid is even in the logarithm of the deviation: its density there has the deviation as a factor.
+    prior = np.log(_DEVIATIONS) - np.log1p((_DEVIATIONS / _USUAL_DEVIATION) ** 2)
+    score = -misfit / 2 - determinants + prior[:, None] - scatter / _USUAL_SCATTER
+    return _Family(smooth, length_mm, scatter, root_weight, root, solved, mean, mean_root, score)
+
+
+def _solved(matrices: Array, right: Array) -> tuple[Array, Array]:
+    """Cholesky factors L of (..., p, p) matrices of no eigenvalue below one, and L⁻¹ B for B (..., p, k).
+
+    One factorisation of them with Bᵀ as further rows gives both: its further rows are (L⁻¹ B)ᵀ, whatever stands on
+    the diagonal there, if it is more than the squares of B.
+    """
+    p, k = right.shape[-2:]
+    whole = np.zeros((*matrices.shape[:-2], p + k, p + k))
+    whole[..., :p, :p] = matrices
+    whole[..., p:, :p] = np.swapaxes(right, -1, -2)
+    below = np.arange(p, p + k)
+    whole[..., below, below] = 1 + 2 * (right**2).sum(axis=(-1, -2))[..., None]
+    root = np.linalg.cholesky(whole)  # reads the lower half only
+    return root[..., :p, :p], np.swapaxes(root[..., p:, :p], -1, -2)
+
+
+def _log_root(roots: Array) -> Array:
+    """Logarithms of determinants of triangular matrices (..., n, n)."""
+    found: Array = np.log(np.diagonal(roots, axis1=-2, axis2=-1)).sum(axis=-1)
+    return found
+
+
+def _variances(member: _Member) -> Array:
+    inverse = solve_triangular(member.mean_root, np.eye(len(member.mean_root)), lower=True)
+    variances: Array = (inverse**2).sum(axis=0)
+    return variances
+
+
+def _covariance(one_mm: Array, other_mm: Array, length_mm: float, smooth: bool) -> Array:
+    apart = np.sqrt(((one_mm[:, None] - other_mm[None]) ** 2).sum(axis=2)) / length_mm
+    if smooth:
+        gaussian: Array = np.exp(-(apart**2) / 2)
+        return gaussian
+    far = np.sqrt(5) * apart
+    matern: Array = (1 + far + far**2 / 3) * np.exp(-far)
+    return matern
+
+
+def average_response(response: ResponseMap, places_mm: Array) -> tuple[float, float]:
+    """Mean over places (n, 2) of the logarithm of the response, and its variance.
+
+    The variance is that of a mean of correlated values, exact for each process of the mixture, with what the
+    processes differ by added (law of total variance). Pointwise errors would say nothing of it: where data end they
+    are alike and of one sign.
+    """
+    means, variances = [], []
+    for member in response.members:
+        between = _covariance(response.places_mm, places_mm, member.length_mm, member.smooth)
+        among = _covariance(places_mm, places_mm, member.length_mm, member.smooth)
+        seen = member.seen(member.deviation**2 * between.mean(axis=1, keepdims=True))[:, 0]
+        columns = np.zeros(member.drift.shape[1])
+        columns[0] = 1
+        spread = solve_triangular(member.mean_root, columns - member.drift.T @ seen, lower=True)
+        means.append(float(columns @ member.mean + seen @ (member.data - member.drift @ member.mean)))
+        variances.append(member.deviation**2 * float(among.mean()) - float(seen @ seen) + float(spread @ spread))
+    mean = float(response.weights @ np.array(means))
+    variance = float(response.weights @ (np.array(variances) + (np.array(means) - mean) ** 2))
+    return mean, max(variance, 0.0)
+
+
+def sheet_places(model: ForceModel, *, stride: int = 4) -> Array:
+    """Every ``stride``-th place (n, 2) of the lattice, along both axes, where the head is clear of edge and pins."""
+    kept = np.full(model.node.shape, -1)
+    kept[::stride, ::stride] = model.node[::stride, ::stride]
+    there = kept.ravel() >= 0
+    there[there] = model.fits[kept.ravel()[there]]
+    return model.lattice.places_mm()[there]

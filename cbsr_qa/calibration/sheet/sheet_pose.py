@@ -1,0 +1,112 @@
+"""How a sheet lies on the station: loads are placed on the sheet before anything is learned of it."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.runtime import Matches
+
+Array = NDArray[np.float64]
+
+#: A place known worse than this says little about where the sheet lies [mm].
+_SURE_MM: Final = 1.5
+#: Fewest places a seat is told from, and standard errors by which it must differ from none.
+_FEWEST: Final = 3
+_CLEAR: Final = 4.0
+#: A seat that moves no place by more than this is left alone [mm].
+_SMALLEST_MM: Final = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class Seat:
+    """Rigid motion from where the station presses to where on the sheet that is: q = b + R(θ) p.
+
+    Parameters
+    ----------
+    shift_mm : b.
+    rotation_deg : θ, counterclockwise.
+    shift_stderr_mm, rotation_stderr_deg : standard errors, of each component of the shift alike.
+    moved : whether it differs clearly from none; places are left where they are otherwise.
+    """
+
+    shift_mm: tuple[float, float] = (0.0, 0.0)
+    rotation_deg: float = 0.0
+    shift_stderr_mm: float = 0.0
+    rotation_stderr_deg: float = 0.0
+    moved: bool = False
+
+    def places_mm(self, nominal_mm: Array) -> Array:
+        """Places (n, 2) on the sheet of places on the station."""
+        if not self.moved:
+            return nominal_mm
+        angle = np.radians(self.rotation_deg)
+        x, y = nominal_mm.T
+        cos, sin = np.cos(angle), np.sin(angle)
+        # Number by number, unlike a product of matrices: places that are equal stay so to the last bit.
+        found: Array = np.column_stack([cos * x - sin * y, sin * x + cos * y]) + np.array(self.shift_mm)
+        return found
+
+
+#: A sheet that lies where it should.
+AS_PLACED: Final = Seat()
+
+
+def seat_of(nominal_mm: Array, found: Matches, noise: Array) -> Seat:
+    """Tell how a sheet lies from where its loads are found.
+
+    Rigid least squares, weighted by what noise does to each place; a scale is not looked for, since an uneven sheet
+    is seen scaled and none is made so.
+
+    Parameters
+    ----------
+    nominal_mm : (n, 2) where the station pressed.
+    found : of the same loads.
+    noise : (n,) variance of their rows.
+
+    Returns
+    -------
+    Seat, which moves nothing where fewer than 3 different places are known to 1.5 mm, or it does not differ from none
+    by 4 standard errors of its own, taken from how well the places agree.
+    """
+    variance = found.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise
+    sure = np.isfinite(found.place_mm).all(axis=1) & (variance > 0) & (variance < _SURE_MM**2)
+    if len(np.unique(nominal_mm[sure], axis=0)) < _FEWEST:
+        return AS_PLACED
+    # Beside noise, an uneven sheet moves every place a little: no load outweighs all others.
+    weight = 1 / (variance[sure] + float(np.median(variance[sure])))
+    p, q = (places[sure] @ np.array([1, 1j]) for places in (nominal_mm, found.place_mm))
+    weight = _without_strays(p, q, weight)
+    return _fitted(p, q, weight)
+
+
+def _without_strays(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> Array:
+    """Weights without loads that are found somewhere else altogether."""
+    apart = np.abs((q - p) - np.median((q - p).real) - 1j * np.median((q - p).imag))
+    return np.where(apart <= max(5 * float(np.median(apart)), 3.0), weight, 0.0)
+
+
+def _fitted(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> Seat:
+    total = float(weight.sum())
+    middle, seen = complex(weight @ p) / total, complex(weight @ q) / total
+    size = float(weight @ np.abs(p - middle) ** 2)
+    if not size > 0:
+        return AS_PLACED
+    turn = complex(weight @ ((p - middle).conj() * (q - seen)))
+    angle = float(np.angle(turn))
+    shift = seen - np.exp(1j * angle) * middle
+    left = np.abs(q - shift - np.exp(1j * angle) * p) ** 2
+    count = int((weight > 0).sum())
+    variance = float(weight @ left) / (2 * count - 3)  # of one coordinate, of weight one
+    of_angle = float(np.sqrt(variance / size))
+    of_shift = float(np.sqrt(variance * (1 / total + abs(middle) ** 2 / size)))
+    clear = abs(shift) > _CLEAR * of_shift or abs(angle) > _CLEAR * of_angle
+    furthest = float(np.abs(shift + (np.exp(1j * angle) - 1) * p).max())
+    return Seat(
+        (shift.real, shift.imag),
+        float(np.degrees(angle)),
+        of_shift,
+        float(np.degrees(of_angle)),
+        clear and furthest > _SMALLEST_MM,
+    )

@@ -1,0 +1,344 @@
+"""From press cycles on a strip to its material's parameters (paper 2.2; science, sections 7 and 8)."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.fits import (
+    CommonRelaxation,
+    SeparatedSteps,
+    StepTrace,
+    constants_of,
+    fit_common_relaxation,
+    fit_step,
+    relaxation_start,
+    separated_with,
+    shifted_constants,
+)
+from cbsr_qa.calibration.strip.lines import (
+    decided_response,
+    fit_line,
+    fit_modulus,
+    lowest_clear_strain,
+    strain_levels,
+    why_reduced,
+    why_refused,
+)
+from cbsr_qa.calibration.strip.relaxation import DirectedTrace, settlings, strip_relaxation, unit_kernel
+from cbsr_qa.calibration.strip.slow_residue import SlowResidue, changes_of, separate_with_residue, without_residue
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import (
+    Characterisation,
+    CharacterisationSettings,
+    CycleChange,
+    CycleReadings,
+    FittedLine,
+    StrainLevel,
+    StrainSettling,
+    StripFacts,
+)
+from cbsr_qa.domain.sensor import Parameter, Relaxation, Response, StripRelaxation
+from cbsr_qa.eit.forward import StripModel
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Specimen:
+    """What was pressed.
+
+    Parameters
+    ----------
+    strip : model with the contacts that are assumed.
+    other_contacts : the same with contacts one standard error higher.
+    resistance_ohm : between the pins, rested.
+    relative_noise : rms of one reading over their mean, rested.
+    declared : response by the sensor type.
+    source : of everything that follows, e.g. the run.
+    """
+
+    strip: StripModel
+    other_contacts: StripModel
+    resistance_ohm: Parameter
+    relative_noise: float
+    declared: Response
+    source: str
+
+
+def characterise(
+    readings: Sequence[CycleReadings],
+    specimen: Specimen,
+    settings: CharacterisationSettings,
+    *,
+    notes: Sequence[str] = (),
+    unread: Sequence[str] = (),
+) -> Characterisation:
+    """Characterise a material.
+
+    Changes between the pins are turned into changes under the head first, with the forward model of the strip: only
+    these add up over presses. The steady change of a cycle is the level its hold is going to less the level the rest
+    before was going to, both without what earlier presses left (:mod:`cbsr_qa.calibration.fits`); the paper
+    takes the readings at the end. Changes between the pins are those under the head, turned back.
+
+    Parameters
+    ----------
+    readings : in the order of their times, the first one pressed on a rested strip.
+    notes : what else is known against the readings, for ``reduced``.
+    unread : cycles that are not among them, by name and with the reason.
+
+    Returns
+    -------
+    Characterisation, whose ``refused`` says why it cannot stand for the material.
+
+    Raises
+    ------
+    NumericsError
+        If there is no cycle, or changes are more than the strip under the head can make.
+    """
+    if not readings:
+        raise NumericsError(
+            "no press cycle can be used", remedy="press the strip at several strains and read it throughout"
+        )
+    work = _Work(list(readings), specimen, settings)
+    levels = strain_levels(work.cycles)
+    response, disagreement = decided_response(levels, specimen.declared)
+    lines = work.lines(levels)
+    modulus, offset, why_no_modulus = fit_modulus(work.cycles, specimen.source)
+    loading, unloading, stress = work.kernels()
+    kept = [level.strain for level in levels if not level.why]
+    lowest = lowest_clear_strain(lines["local_against_strain"].line, kept)
+    found = Characterisation(
+        settings=settings,
+        strip=work.facts(),
+        cycles=work.cycles,
+        levels=levels,
+        response=response,
+        **lines,
+        end_of_hold=work.end_of_hold(levels),
+        modulus_kPa=modulus,
+        strain_offset=offset,
+        settlings=work.settlings(),
+        loading=loading,
+        unloading=unloading,
+        stress=stress,
+        relaxation=work.relaxation(),
+        lowest_strain=lowest,
+        residue=_as_parameters(work.residue, specimen.source),
+        unread=tuple(unread),
+        refused=(),
+        reduced=(),
+    )
+    return replace(
+        found,
+        refused=why_refused(found, disagreement, why_no_modulus),
+        reduced=(*notes, *unread, *why_reduced(found, work.why_no_stress)),
+    )
+
+
+class _Work:
+    """One characterisation under way."""
+
+    def __init__(self, readings: list[CycleReadings], specimen: Specimen, settings: CharacterisationSettings) -> None:
+        self._readings = readings
+        self._specimen = specimen
+        self._settings = settings
+        self._steps = [step for one in readings for step in _steps(one, specimen.strip)]
+        self._separated, self.residue = separate_with_residue(self._steps)
+        self._stress_common, self._stress = self._stressed()
+
+    @cached_property
+    def cycles(self) -> tuple[CycleChange, ...]:
+        """Steady changes of every cycle."""
+        local, apparent = self._changes(self._separated)
+        errors = np.hypot(self._separated.level_stderr[0::2], self._before(self._separated.level_stderr))
+        end_s = self._settings.end_s
+        return tuple(
+            CycleChange(
+                load=one.load,
+                strain=one.strain,
+                cycle=one.cycle,
+                apparent=float(apparent[k]),
+                apparent_stderr=float(errors[k]) * self._specimen.strip.share,
+                local=float(local[k]),
+                local_stderr=float(errors[k]),
+                from_before=(1 + _end(one.held_s, one.held, end_s)) / (1 + float(one.before.mean())) - 1,
+                from_rested=_end(one.held_s, one.held, end_s),
+                stress_kPa=self._stress[k][0],
+                stress_stderr_kPa=self._stress[k][1],
+            )
+            for k, one in enumerate(self._readings)
+        )
+
+    @property
+    def why_no_stress(self) -> tuple[str, ...]:
+        """Why cycles have no stress, each reason once."""
+        return tuple(dict.fromkeys(one.stress_why for one in self._readings if one.stress_why))
+
+    def lines(self, levels: Sequence[StrainLevel]) -> dict[str, FittedLine]:
+        """All four lines, through the cycles of strains that are not left out."""
+        used = self._used(levels)
+        cycles = [self.cycles[k] for k in used]
+        plain = self._changes(self._separated)
+        moved = {name: [self._changes(one) for one in sets] for name, sets in self._moved().items()}
+        lines = {}
+        for name, values, error in (
+            ("local", 0, [c.local_stderr for c in cycles]),
+            ("apparent", 1, [c.apparent_stderr for c in cycles]),
+        ):
+            shifted = {of: [_taken(one[values], used) for one in sets] for of, sets in moved.items()}
+            if name == "local":
+                shifted["contacts of the pins"] = [_taken(self._changes(self._separated, other=True)[0], used)]
+            for against in ("strain", "stress"):
+                key = f"local_against_{against}" if name == "local" else f"against_{against}"
+                place = _strain if against == "strain" else _stress
+                source = self._specimen.source
+                lines[key] = fit_line(cycles, _taken(plain[values], used), error, place, shifted, source)
+        return lines
+
+    def end_of_hold(self, levels: Sequence[StrainLevel]) -> tuple[FittedLine, FittedLine]:
+        """Lines of the changes as they were read, from before the press and from the rested strip."""
+        cycles = [self.cycles[k] for k in self._used(levels)]
+        source = self._specimen.source
+        changes = ([c.from_before for c in cycles], [c.from_rested for c in cycles])
+        before, rested = (fit_line(cycles, one, [0.0] * len(one), _strain, {}, source) for one in changes)
+        return before, rested
+
+    def settlings(self) -> tuple[StrainSettling, ...]:
+        """Settling of every signal and direction, by strain."""
+        return (
+            *settlings("conductance", True, self._directed(True), self._settings),
+            *settlings("conductance", False, self._directed(False), self._settings),
+            *settlings("stress", True, self._directed_stress(), self._settings),
+        )
+
+    def kernels(self) -> tuple[Relaxation | None, Relaxation | None, Relaxation | None]:
+        """Kernels of loading, unloading and stress."""
+        source = self._specimen.source
+        common = self._separated.common
+        return (
+            unit_kernel(common.get(True), self._directed(True), source),
+            unit_kernel(common.get(False), self._directed(False), source),
+            unit_kernel(self._stress_common, self._directed_stress(), source),
+        )
+
+    def relaxation(self) -> StripRelaxation | None:
+        """Kernels of loading and unloading with their errors, as a sheet's are learned."""
+        return strip_relaxation(self._directed(True), self._directed(False), self._specimen.source)
+
+    def facts(self) -> StripFacts:
+        """The strip."""
+        one, strip = self._specimen, self._specimen.strip
+        share = strip.contact_squares / strip.squares
+        return StripFacts(one.resistance_ohm, one.relative_noise, strip.squares, share, strip.share)
+
+    def _used(self, levels: Sequence[StrainLevel]) -> list[int]:
+        kept = {level.strain for level in levels if not level.why}
+        return [k for k, cycle in enumerate(self.cycles) if cycle.strain in kept]
+
+    def _before(self, of_steps: Array) -> Array:
+        """What belongs to the rest before each press; nothing before the first."""
+        before: Array = np.concatenate([[0.0], of_steps[1::2]])[: len(self._readings)]
+        return before
+
+    def _changes(self, separated: SeparatedSteps, *, other: bool = False) -> tuple[Array, Array]:
+        """Steady changes under the head and between the pins; as they were with other contacts, where asked for."""
+        strip, levels = self._specimen.strip, separated.levels[0::2]
+        before = self._before(separated.levels)
+        after_pins, before_pins = strip.apparent(levels), strip.apparent(before)
+        if other:
+            levels, before = (self._specimen.other_contacts.local(one) for one in (after_pins, before_pins))
+        return levels - before, _relative(after_pins, before_pins)
+
+    def _moved(self) -> dict[str, list[SeparatedSteps]]:
+        """The steps separated with what else time constants and residue may be."""
+        common, local = self._separated.common, changes_of(self._separated, self._steps)
+        steps = without_residue(self._steps, local, self.residue)
+        moved = {"time constants": [separated_with(steps, common, one) for one in shifted_constants(common)]}
+        if self.residue is not None:
+            fading = [without_residue(self._steps, local, one) for one in self.residue.moved()]
+            moved["slow residue"] = [separated_with(one, common, constants_of(common)) for one in fading]
+        return moved
+
+    def _directed(self, loading: bool) -> list[DirectedTrace]:
+        """Steps of one direction from the level before their press."""
+        before = self._before(self._separated.levels)
+        changes = changes_of(self._separated, self._steps)
+        traces = []
+        for k, one in enumerate(self._readings):
+            step = 2 * k + (not loading)
+            time_s, values = self._separated.traces[step]
+            ramp_s = one.press_ramp_s if loading else one.release_ramp_s
+            size = float(changes[k]) if loading else -float(changes[k])
+            amplitudes = self._separated.amplitudes[step]
+            traces.append(DirectedTrace(one.strain, (time_s, values - before[k]), size, amplitudes, ramp_s))
+        return [one for one in traces if len(one.trace[0])]
+
+    def _stressed(self) -> tuple[CommonRelaxation | None, list[tuple[float | None, float | None]]]:
+        """The common relaxation of stress, and every cycle's steady stress; no head feels what is not pressed."""
+        traces = [(one.stress_s, one.stress_kPa) for one in self._readings if len(one.stress_s)]
+        if not traces:
+            return None, [(None, None)] * len(self._readings)
+        common = fit_common_relaxation(traces)
+        constants_s = np.array(common.fit.time_constants_s)
+        fits = [fit_step((one.stress_s, one.stress_kPa), constants_s) for one in self._readings]
+        found: list[tuple[float | None, float | None]] = [
+            (float(level[0]), stderr) if len(one.stress_s) else (None, None)
+            for one, (level, stderr) in zip(self._readings, fits, strict=True)
+        ]
+        return common, found
+
+    def _directed_stress(self) -> list[DirectedTrace]:
+        if self._stress_common is None:
+            return []
+        constants_s = np.array(self._stress_common.fit.time_constants_s)
+        traces = []
+        for one, (level, _) in zip(self._readings, self._stress, strict=True):
+            if level is not None:
+                amplitudes = fit_step((one.stress_s, one.stress_kPa), constants_s)[0][1:]
+                trace = (one.stress_s, one.stress_kPa)
+                traces.append(DirectedTrace(one.strain, trace, level, amplitudes, one.press_ramp_s))
+        return traces
+
+
+def _steps(one: CycleReadings, strip: StripModel) -> tuple[StepTrace, StepTrace]:
+    rested = strip.local(one.rested)
+    return (
+        StepTrace(one.hold_start_s, True, one.held_s, strip.local(one.held)),
+        StepTrace(one.rest_start_s, False, one.rested_s, rested, relaxation_start(rested)),
+    )
+
+
+def _taken(values: Array, used: Sequence[int]) -> list[float]:
+    return [float(values[k]) for k in used]
+
+
+def _strain(cycle: CycleChange) -> float | None:
+    return cycle.strain
+
+
+def _stress(cycle: CycleChange) -> float | None:
+    return cycle.stress_kPa
+
+
+def _end(time_s: Array, values: Array, end_s: float) -> float:
+    """Mean of what was read last."""
+    return float(values[time_s > time_s[-1] - end_s].mean())
+
+
+def _relative(after: Array, before: Array) -> Array:
+    """Change of a conductance that is given by its changes from the rested one."""
+    change: Array = (after - before) / (1 + before)
+    return change
+
+
+def _as_parameters(residue: SlowResidue | None, source: str) -> tuple[Parameter, Parameter] | None:
+    if residue is None:
+        return None
+    share, log_decay = np.sqrt(np.diag(residue.covariance))
+    return (
+        Parameter(residue.share, float(share), source),
+        Parameter(residue.decay_s, float(residue.decay_s * log_decay), source),
+    )

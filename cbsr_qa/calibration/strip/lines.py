@@ -1,0 +1,231 @@
+"""Why a characterisation cannot stand for its material, or stands for less of it.
+
+Lines through the steady changes of press cycles, with every part of their uncertainty (paper Eqs 1 and 2).
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from statistics import fmean, stdev
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.fits import QuasiStaticFit, fit_quasi_static
+from cbsr_qa.calibration.sheet import predicted_change
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import Characterisation, CycleChange, FittedLine, StrainLevel
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Response
+
+Array = NDArray[np.float64]
+
+#: A change is clear of zero from this many of its standard errors on.
+CLEAR: Final = 3.0
+
+#: What a line is drawn against: takes a cycle, returns its place; None leaves the cycle out.
+Place = Callable[[CycleChange], float | None]
+#: Changes of the same cycles if what is not known were one standard error elsewhere, by what it is.
+Moved = Mapping[str, Sequence[Sequence[float]]]
+
+
+def strain_levels(cycles: Sequence[CycleChange]) -> tuple[StrainLevel, ...]:
+    """Put cycles of equal strain together, and say which strains no line may be drawn through.
+
+    A strain whose deviation over the cycles exceeds its mean change is left out (paper 3.1.1: 5 % of 9 wt%), and one
+    of whose cycles some change clearly the other way.
+    """
+    strains = sorted({cycle.strain for cycle in cycles})
+    return tuple(_level(strain, [cycle for cycle in cycles if cycle.strain == strain]) for strain in strains)
+
+
+def _level(strain: float, members: Sequence[CycleChange]) -> StrainLevel:
+    apparent, local = [c.apparent for c in members], [c.local for c in members]
+    stress = [c.stress_kPa for c in members if c.stress_kPa is not None]
+    level = StrainLevel(
+        strain,
+        len(members),
+        fmean(apparent),
+        stdev(apparent) if len(apparent) > 1 else 0.0,
+        fmean(local),
+        stdev(local) if len(local) > 1 else 0.0,
+        fmean(stress) if stress else None,
+    )
+    return replace(level, why=_why_left_out(level, members))
+
+
+def _why_left_out(level: StrainLevel, members: Sequence[CycleChange]) -> str:
+    at = f"{100 * level.strain:g} % strain"
+    if level.deviation > abs(level.mean):
+        return (
+            f"{at}: the deviation over {level.cycles} cycles, {level.deviation:.2g}, exceeds the mean change of"
+            f" {level.mean:.2g}"
+        )
+    against = [c for c in members if c.apparent * level.mean < 0 and abs(c.apparent) > CLEAR * c.apparent_stderr]
+    if against:
+        return (
+            f"{at}: {len(against)} of {level.cycles} cycles change the other way (cycle {against[0].cycle + 1} by"
+            f" {against[0].apparent:+.2g}, the mean is {level.mean:+.2g})"
+        )
+    return ""
+
+
+def decided_response(levels: Sequence[StrainLevel], declared: Response) -> tuple[Response, str]:
+    """Tell what a load does to the material.
+
+    Parameters
+    ----------
+    declared : by the sensor type; AUTO where the cycles decide.
+
+    Returns
+    -------
+    The response (AUTO where it cannot be told) and why not; empty where it can.
+    """
+    kept = [level for level in levels if not level.why]
+    if not kept:
+        return Response.AUTO, "no strain changes the conductance clearly"
+    rising = [level for level in kept if level.mean > 0]
+    falling = [level for level in kept if level.mean <= 0]
+    if rising and falling:
+        first, other = rising[0], falling[0]
+        return Response.AUTO, (
+            f"strains disagree in sign: {100 * first.strain:g} % changes the conductance by {first.mean:+.2g},"
+            f" {100 * other.strain:g} % by {other.mean:+.2g}"
+        )
+    found = Response.INCREASE if rising else Response.DECREASE
+    if declared not in (Response.AUTO, found):
+        return found, f"the cycles say {found}, the sensor type says {declared}"
+    return found, ""
+
+
+def fit_line(
+    cycles: Sequence[CycleChange],
+    changes: Sequence[float],
+    errors: Sequence[float],
+    place: Place,
+    moved: Moved,
+    source: str,
+) -> FittedLine:
+    """Fit a line through the mean change of each strain, and add what is not in the cycles' scatter.
+
+    Parameters
+    ----------
+    cycles : those of strains that are not left out.
+    changes, errors : of each.
+    place : what the line is against.
+    moved : see :data:`Moved`; each set moves the line, and its squares are added to the covariance.
+    source : of the parameters.
+    """
+    used = [k for k, cycle in enumerate(cycles) if place(cycle) is not None]
+    strains = [cycles[k].strain for k in used]
+    at = [float(place(cycles[k]) or 0.0) for k in used]
+
+    def fit(values: Sequence[float]) -> QuasiStaticFit:
+        return fit_quasi_static(strains, at, [values[k] for k in used], [errors[k] for k in used])
+
+    try:
+        found = fit(changes)
+        shifts = {name: [_shift(found, fit(values)) for values in sets] for name, sets in moved.items()}
+    except NumericsError as error:
+        return FittedLine(None, why=f"{error.reason}; {error.remedy}".removesuffix("; "))
+    covariance = found.covariance + sum((np.outer(d, d) for sets in shifts.values() for d in sets), np.zeros((2, 2)))
+    parts = [("scatter of the cycles", float(np.sqrt(found.covariance[0, 0])))]
+    parts += [(name, float(np.sqrt(sum(d[0] ** 2 for d in sets)))) for name, sets in shifts.items() if sets]
+    return FittedLine(_as_line(found, covariance, source), tuple(parts))
+
+
+def _shift(found: QuasiStaticFit, other: QuasiStaticFit) -> Array:
+    return np.array([other.slope - found.slope, other.intercept - found.intercept])
+
+
+def _as_line(found: QuasiStaticFit, covariance: Array, source: str) -> QuasiStatic:
+    return replace(found, covariance=covariance).as_parameters(source)
+
+
+def lowest_clear_strain(line: QuasiStatic | None, strains: Sequence[float]) -> float | None:
+    """Least of some strains at which α ε + β is three of its standard errors from zero; None where none is."""
+    if line is None:
+        return None
+    clear = [strain for strain in sorted(strains) if _is_clear(line, strain)]
+    return clear[0] if clear else None
+
+
+def _is_clear(line: QuasiStatic, strain: float) -> bool:
+    predicted, error = predicted_change(line, strain)
+    return abs(predicted) >= CLEAR * error and predicted != 0
+
+
+def fit_modulus(cycles: Sequence[CycleChange], source: str) -> tuple[Parameter | None, Parameter | None, str]:
+    """Fit the steady stress against the nominal strain.
+
+    Returns
+    -------
+    The slope E [kPa]; the strain at which the line crosses zero, by which the surface was missed; and why there is
+    neither.
+    """
+    pressed = [(c.strain, c.stress_kPa, c.stress_stderr_kPa or 0.0) for c in cycles if c.stress_kPa is not None]
+    try:
+        strain, stress, error = zip(*pressed, strict=True) if pressed else ((), (), ())
+        fit = fit_quasi_static(strain, strain, stress, error)
+    except NumericsError as refused:
+        return None, None, refused.reason
+    if fit.slope <= CLEAR * float(np.sqrt(fit.covariance[0, 0])):
+        return None, None, f"the stress does not rise clearly with the strain (slope {fit.slope:.3g} kPa)"
+    crossing = -fit.intercept / fit.slope
+    gradient = np.array([-crossing, -1.0]) / fit.slope
+    modulus = Parameter(fit.slope, float(np.sqrt(fit.covariance[0, 0])), source)
+    return modulus, Parameter(crossing, float(np.sqrt(gradient @ fit.covariance @ gradient)), source), ""
+
+
+#: Data are taken at this many settling times or later (science, section 8).
+_MULTIPLE: Final = 1.5
+#: More of a release than this that outlasts its rest is no residue: the rests are too short to tell.
+_MOST_RESIDUE: Final = 0.1
+
+
+def why_refused(found: Characterisation, disagreement: str, why_no_modulus: str) -> tuple[str, ...]:
+    """Every reason why this cannot stand for the material."""
+    said = [disagreement] if disagreement else []
+    for name, line in (("strain", found.local_against_strain), ("stress", found.local_against_stress)):
+        if line.line is None:
+            said.append(f"no line against {name}: {line.why}")
+    if found.local_against_strain.line is not None and found.lowest_strain is None:
+        said.append("α ε + β is not clear of zero at any strain")
+    if found.modulus_kPa is None:
+        said.append(f"no modulus: {why_no_modulus}")
+    for name, kernel in (("loading", found.loading), ("unloading", found.unloading), ("stress", found.stress)):
+        if kernel is None:
+            why = next((s.fit.why for s in found.settlings if s.strain is None and name in s.words), "not recorded")
+            said.append(f"no relaxation of {name}: {why}")
+    if found.residue is not None and found.residue[0].value > _MOST_RESIDUE:
+        said.append(
+            f"{100 * found.residue[0].value:.2g} % of every release outlasts its rest: holds and rests are too short"
+            " for steady levels"
+        )
+    return tuple(dict.fromkeys(said))
+
+
+def why_reduced(found: Characterisation, why_no_stress: Sequence[str]) -> tuple[str, ...]:
+    """Everything that was left out, or narrows the range of use."""
+    said = [f"left out: {level.why}" for level in found.levels if level.why]
+    said += why_no_stress
+    said += _short(found)
+    kept = [level.strain for level in found.levels if not level.why]
+    if found.lowest_strain is not None and found.lowest_strain > min(kept):
+        said.append(
+            f"α ε + β is clear of zero from {100 * found.lowest_strain:g} % strain on: below, it says nothing"
+        )
+    return tuple(said)
+
+
+def _short(found: Characterisation) -> Iterator[str]:
+    """Holds and rests that end before levels are settled: these are then extrapolated by the fits."""
+    for one in found.settlings:
+        if one.strain is not None or one.settling.value_s is None or not len(one.time_s):
+            continue
+        window_s, needed_s = float(one.time_s[-1]), _MULTIPLE * one.settling.value_s
+        if needed_s > window_s or one.settling.censored:
+            least = "at least " if one.settling.censored else ""
+            yield (
+                f"{'holds' if one.loading else 'rests'} of {window_s:.3g} s are shorter than {_MULTIPLE:g} settling"
+                f" times of {one.signal} ({least}{one.settling.value_s:.3g} s): steady levels are extrapolated"
+            )

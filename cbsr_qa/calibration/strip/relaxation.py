@@ -1,0 +1,304 @@
+"""How a strip relaxes, with its errors, and what a sheet of its material should then show (1D against 2D).
+
+Relaxation of press cycles: settling by strain and direction, and the kernels of a unit step (paper 2.2.2).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from cbsr_qa.calibration.fits import (
+    CommonRelaxation,
+    TimedValues,
+    common_settling_time,
+    fit_common_relaxation,
+    learn_kernel,
+)
+from cbsr_qa.domain import finite_numbers
+from cbsr_qa.domain.results import CharacterisationSettings, FitStatus, RelaxationKernel, StrainSettling
+from cbsr_qa.domain.sensor import MeasuredKernel, Relaxation, StripRelaxation
+
+Array = NDArray[np.float64]
+
+#: Readings that begin later than this many time constants do not tell what an exponential began with.
+_LATE: Final = 1.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DirectedTrace:
+    """What one step did, for settling times and kernels.
+
+    Parameters
+    ----------
+    strain : of the cycle.
+    trace : times from the end of the ramp, and values from the level before the press.
+    step : steady change the step makes: of the press, or minus that for its release; for stress the steady value.
+    amplitudes : (k,) of the exponentials of its direction.
+    ramp_s : how long the step took.
+    """
+
+    strain: float
+    trace: TimedValues
+    step: float
+    amplitudes: Array
+    ramp_s: float
+
+
+def settlings(
+    signal: str, loading: bool, traces: Sequence[DirectedTrace], settings: CharacterisationSettings
+) -> tuple[StrainSettling, ...]:
+    """Settle the cycles of each strain by one fit, then those of all strains."""
+    if not traces:
+        return ()
+    strains: list[float | None] = [*sorted({one.strain for one in traces}), None]
+    groups = [(strain, [one for one in traces if strain in (None, one.strain)]) for strain in strains]
+    return tuple(_settling(signal, loading, strain, members, settings) for strain, members in groups)
+
+
+def _settling(
+    signal: str,
+    loading: bool,
+    strain: float | None,
+    members: Sequence[DirectedTrace],
+    settings: CharacterisationSettings,
+) -> StrainSettling:
+    traces = [one.trace for one in members]
+    fitted = fit_common_relaxation(traces)
+    settling, stderr_s = common_settling_time(
+        fitted,
+        window_s=max(_window_s(time_s) for time_s, _ in traces),
+        tolerance=settings.settling_tolerance,
+        band=settings.settling_band,
+        loaded_change=None if loading else -float(np.mean([one.step for one in members])),
+        start_s=0.0 if loading else min(float(time_s[0]) for time_s, _ in traces if len(time_s)),
+    )
+    time_s, values = mean_trace(traces)
+    return StrainSettling(
+        signal, loading, strain, fitted.fit, settling, stderr_s, time_s, values, fitted.traces or len(traces)
+    )
+
+
+def mean_trace(traces: Sequence[TimedValues]) -> TimedValues:
+    """Mean of traces that were sampled alike, as far as the shortest reaches. NumericsError if one is not finite."""
+    shortest = min((len(values) for _, values in traces), default=0)
+    times = np.array([time_s[-shortest:] for time_s, _ in traces]) if shortest else np.zeros((1, 0))
+    values = np.array([one[-shortest:] for _, one in traces]) if shortest else np.zeros((1, 0))
+    return times.mean(axis=0), finite_numbers(values, "values of traces").mean(axis=0)
+
+
+def unit_kernel(common: CommonRelaxation | None, traces: Sequence[DirectedTrace], source: str) -> Relaxation | None:
+    """Kernel of a unit step, from what was read after ramps.
+
+    A ramp of length T answered by 1 + Σ w e^(−t/τ) leaves w (τ/T)(1 − e^(−T/τ)) e^(−t/τ) after its end: amplitudes
+    are divided by that, and by the step, over all cycles by least squares. A single exponential is written as two,
+    the first of no weight.
+
+    Returns
+    -------
+    None where no relaxation can be told.
+    """
+    if common is None or common.fit.status not in (FitStatus.TWO, FitStatus.ONE, FitStatus.FLAT):
+        return None
+    constants_s = common.fit.time_constants_s
+    if not constants_s:
+        return Relaxation((0.0, 0.0), (1.0, 10.0), f"{source}; no relaxation stands out of the noise")
+    errors = " and ".join(f"{stderr:.2g} s" for stderr in common.fit.time_constant_stderr_s)
+    source += f"; standard errors of the time constants {errors}"
+    weights = [_weight(traces, k, tau) for k, tau in enumerate(constants_s)]
+    late_s = float(np.median([one.trace[0][0] for one in traces]))
+    if len(weights) == 2 and late_s > _LATE * constants_s[0]:
+        source += f"; a faster part, over before the first reading at {late_s:.2g} s, is left out"
+        weights[0] = 0.0
+    if len(weights) == 1:
+        said = f"{source}; one exponential, the first has no weight"
+        return Relaxation((0.0, weights[0]), (constants_s[0] / 10, constants_s[0]), said)
+    return Relaxation((weights[0], weights[1]), (constants_s[0], constants_s[1]), source)
+
+
+def _weight(traces: Sequence[DirectedTrace], k: int, tau_s: float) -> float:
+    expected = np.array([one.step * _ramped(one.ramp_s / tau_s) for one in traces])
+    found = np.array([one.amplitudes[k] for one in traces])
+    return float(expected @ found / max(float(expected @ expected), 1e-300))
+
+
+def _ramped(length: float) -> float:
+    return float(-np.expm1(-length) / length) if length > 0 else 1.0
+
+
+def _window_s(time_s: Array) -> float:
+    """Length of the observed window: half a sample beyond the last one's middle."""
+    if len(time_s) < 2:
+        return float(time_s.max(initial=1.0))
+    return float(time_s[-1] + np.median(np.diff(time_s)) / 2)
+
+
+#: Steps at which a settling time is looked for.
+_STEPS: Final = 2000
+#: Share of a standard error for differences.
+_SMALL: Final = 0.1
+
+
+def strip_relaxation(
+    loading: Sequence[DirectedTrace], unloading: Sequence[DirectedTrace], source: str
+) -> StripRelaxation | None:
+    """Learn the kernels of a unit step from press cycles, as those of a sheet are learned from its loads.
+
+    One estimator for both (:func:`~cbsr_qa.calibration.fits.learn_kernel`), so that what is compared later
+    differs by the material and not by the method. An exponential that the cycles do not show but may hide is carried
+    with its uncertainty.
+
+    Parameters
+    ----------
+    loading, unloading : of every cycle, without what earlier presses left.
+    source : e.g. the run.
+
+    Returns
+    -------
+    StripRelaxation; None where neither direction has a relaxation that can be told.
+
+    Raises
+    ------
+    NumericsError
+        As :func:`~cbsr_qa.calibration.fits.learn_kernel`.
+    """
+    kernels = _kernel(loading, True), _kernel(unloading, False)
+    if not any(kernels):
+        return None
+    strains = [one.strain for one in loading or unloading]
+    return StripRelaxation(*kernels, len(loading or unloading), min(strains), max(strains), source)
+
+
+def _kernel(traces: Sequence[DirectedTrace], loading: bool) -> MeasuredKernel | None:
+    if not traces:
+        return None
+    start_s = 0.0 if loading else float(np.median([one.trace[0][0] for one in traces]))
+    found = learn_kernel(
+        [one.trace for one in traces],
+        ramp_s=[one.ramp_s for one in traces],
+        released=None if loading else [-one.step for one in traces],
+        start_s=start_s,
+    )
+    if found.why:
+        return None
+    return MeasuredKernel(
+        weights=tuple(found.weights.tolist()),
+        time_constants_s=tuple(found.time_constants_s.tolist()),
+        covariance=tuple(tuple(row) for row in found.covariance.tolist()),
+        start_s=max(start_s, float(np.median([one.trace[0][0] for one in traces]))),
+        window_s=max(float(one.trace[0][-1]) for one in traces),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KernelCurve:
+    """c + Σ wᵢ e^(−t/τᵢ) with its error: one that :mod:`~cbsr_qa.calibration.fits.agreement` compares.
+
+    Parameters
+    ----------
+    weights, time_constants_s : (k,), relative to the steady (or the released) change.
+    covariance : (2 k, 2 k) of (w, log τ).
+    start_s, window_s : over which time it is known.
+    level : c, what it goes to: 1 after a press, 0 after a release.
+    """
+
+    weights: Array
+    time_constants_s: Array
+    covariance: Array
+    start_s: float
+    window_s: float
+    level: float = 0.0
+
+    @classmethod
+    def of_sheet(cls, kernel: RelaxationKernel, start_s: float, window_s: float) -> Self:
+        """Return the kernel that a sheet's loads share."""
+        start_s = max(kernel.start_s, start_s)
+        level = float(kernel.loading)
+        return cls(kernel.weights, kernel.time_constants_s, kernel.covariance, start_s, window_s, level)
+
+    @classmethod
+    def of_press(cls, strip: MeasuredKernel) -> Self:
+        """Return what a sheet should show after a press."""
+        weights, time_constants_s = np.array(strip.weights), np.array(strip.time_constants_s)
+        return cls(weights, time_constants_s, np.array(strip.covariance), strip.start_s, strip.window_s, 1.0)
+
+    @classmethod
+    def of_release(cls, loading: MeasuredKernel, unloading: MeasuredKernel, hold_s: float) -> Self:
+        """Return what a sheet should show after a hold of some length, over the change at the end of the hold.
+
+        A strip's weights are relative to its steady change, which no hold quite reaches, and its creep goes on after
+        the release (Boltzmann superposition): with w, τ of the press and T the hold, the change at its end is
+        N = 1 + Σ w e^(−T/τ) and what fades is (Σ w′ e^(−t/τ′) + Σ w e^(−(T + t)/τ)) / N.
+        """
+        count, more = len(unloading.weights), len(loading.weights)
+        size = 2 * (count + more)
+        values = np.concatenate(
+            [
+                unloading.weights,
+                np.log(unloading.time_constants_s),
+                loading.weights,
+                np.log(loading.time_constants_s),
+            ]
+        )
+        covariance = np.zeros((size, size))
+        covariance[: 2 * count, : 2 * count] = unloading.covariance
+        covariance[2 * count :, 2 * count :] = loading.covariance
+
+        def released(of: Array) -> Array:
+            own, log_own, held, log_held = np.split(of, [count, 2 * count, 2 * count + more])
+            left = held * np.exp(-hold_s / np.exp(log_held))
+            return np.concatenate([own / (1 + left.sum()), left / (1 + left.sum()), log_own, log_held])
+
+        found, jacobian = released(values), _jacobian(released, values, np.sqrt(np.diag(covariance)))
+        return cls(
+            found[: count + more],
+            np.exp(found[count + more :]),
+            jacobian @ covariance @ jacobian.T,
+            unloading.start_s,
+            unloading.window_s,
+        )
+
+    @property
+    def why_not(self) -> str:
+        """Nothing stands against a kernel."""
+        return ""
+
+    def relative(self, time_s: Array) -> tuple[Array, Array]:
+        """Return the curve and its variance, (n,) each."""
+        each = np.exp(-time_s[:, None] / self.time_constants_s)
+        gradient = np.column_stack([each, each * self.weights * time_s[:, None] / self.time_constants_s])
+        variance: Array = np.einsum("ti,ij,tj->t", gradient, self.covariance, gradient)
+        return self.level + each @ self.weights, np.maximum(variance, 0.0)
+
+    def settled(self, tolerance: float) -> tuple[float, float] | None:
+        """Return the last time outside ± ``tolerance`` of the change, and its standard error [s].
+
+        None where that is not between the start and the window's end.
+        """
+        time_s = np.linspace(self.start_s, self.window_s, _STEPS)
+        outside = np.flatnonzero(np.abs(self._at(time_s)) > tolerance)
+        if not len(outside) or outside[-1] == _STEPS - 1:
+            return None
+        sign = np.sign(self._at(time_s[outside[-1] : outside[-1] + 1])[0])
+        found = float(
+            brentq(lambda at: sign * self._at(np.array([at]))[0] - tolerance, *time_s[outside[-1] : outside[-1] + 2])
+        )
+        slope = float((np.exp(-found / self.time_constants_s) * self.weights / self.time_constants_s).sum())
+        stderr = float(np.sqrt(self.relative(np.array([found]))[1][0]))
+        return (found, stderr / abs(slope)) if slope and stderr else None
+
+    def _at(self, time_s: Array) -> Array:
+        values: Array = np.exp(-time_s[:, None] / self.time_constants_s) @ self.weights
+        return values
+
+
+def _jacobian(function: Callable[[Array], Array], at: Array, stderr: Array) -> Array:
+    """Derivatives by central differences over a small share of each standard error; one of none does not matter."""
+    steps = np.where(stderr > 0, _SMALL * stderr, _SMALL * _SMALL)
+    columns = [
+        (function(at + step) - function(at - step)) / (2 * step[index]) for index, step in enumerate(np.diag(steps))
+    ]
+    return np.column_stack(columns)

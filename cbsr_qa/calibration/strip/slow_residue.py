@@ -1,0 +1,143 @@
+"""What a release leaves behind for longer than the material relaxes, told from the levels of the rests."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import minimize_scalar
+from scipy.stats import f as fisher
+
+from cbsr_qa.calibration.fits import SeparatedSteps, StepTrace, constants_of, separate_steps, separated_with
+
+Array = NDArray[np.float64]
+
+_SIGNIFICANCE: Final = 0.01
+_CLEAR: Final = 3.0
+_FEWEST: Final = 6  # rests; fewer tell nothing about how slowly something fades
+_ROUNDS: Final = 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SlowResidue:
+    """A share of every released change stays, and fades with one time constant.
+
+    Parameters
+    ----------
+    share, decay_s : of the release, and τ.
+    covariance : (2, 2) of (share, log τ).
+    """
+
+    share: float
+    decay_s: float
+    covariance: NDArray[np.float64]
+
+    def moved(self) -> list["SlowResidue"]:
+        """Return it moved by one standard error along each of its independent directions."""
+        size, direction = np.linalg.eigh(self.covariance)
+        shifts = np.sqrt(np.maximum(size, 0)) * direction
+        return [
+            replace(self, share=self.share + float(d), decay_s=self.decay_s * float(np.exp(np.clip(log, -1, 1))))
+            for d, log in shifts.T
+        ]
+
+
+def changes_of(separated: SeparatedSteps, steps: Sequence[StepTrace]) -> Array:
+    """Steady change of each press: from the level the rest before it was going to, to that of its hold.
+
+    Parameters
+    ----------
+    steps : presses and releases by turns, beginning with a press from zero.
+
+    Returns
+    -------
+    (presses,) float64.
+    """
+    before = np.concatenate([[0.0], separated.levels[1::2]])[: len(steps[0::2])]
+    changes: Array = separated.levels[0::2] - before
+    return changes
+
+
+def without_residue(steps: Sequence[StepTrace], changes: Array, residue: SlowResidue | None) -> list[StepTrace]:
+    """Take a residue of known changes away from all steps."""
+    if residue is None:
+        return list(steps)
+    left = _left(steps, changes, residue.decay_s)
+    return [replace(step, values=step.values - residue.share * one) for step, one in zip(steps, left, strict=True)]
+
+
+def separate_with_residue(steps: Sequence[StepTrace]) -> tuple[SeparatedSteps, SlowResidue | None]:
+    """Separate steps, and take away a residue that outlasts them where there is one.
+
+    What stays of earlier releases fades through a hold, whose level then lies lower than the rest before it says:
+    with 2 % that fade in ten minutes, steady changes of ten cycles come out 1.4 % low. It shows in the levels of the
+    rests, which rise from cycle to cycle. It is kept if an F test finds it significant at 1 % and its share is three
+    standard errors from zero.
+
+    Parameters
+    ----------
+    steps : presses and releases by turns, beginning with a press.
+    """
+    separated = as_read = separate_steps(steps)
+    found: SlowResidue | None = None
+    for _ in range(_ROUNDS):
+        changes = changes_of(separated, steps)
+        found = _residue(steps, as_read, changes)
+        if found is None:
+            return separate_steps(steps), None
+        separated = separate_steps(without_residue(steps, changes, found))
+        as_read = separated_with(steps, separated.common, constants_of(separated.common))
+    return separated, found
+
+
+def _residue(steps: Sequence[StepTrace], separated: SeparatedSteps, changes: Array) -> SlowResidue | None:
+    levels, errors = separated.levels[1::2], separated.level_stderr[1::2]
+    if len(levels) < _FEWEST or not (errors > 0).all() or not changes.any():
+        return None
+    target = levels / errors
+
+    def model(log_s: float) -> Array:
+        left = _left(steps, changes, float(np.exp(log_s)))
+        units = [replace(step, values=one) for step, one in zip(steps, left, strict=True)]
+        return separated_with(units, separated.common, constants_of(separated.common)).levels[1::2] / errors
+
+    def lost(log_s: float) -> float:
+        one = model(log_s)
+        return float(target @ target - (one @ target) ** 2 / max(float(one @ one), 1e-300))
+
+    slowest_s = max((max(c, default=0.0) for c in constants_of(separated.common).values()), default=0.0)
+    length_s = steps[-1].start_s - steps[0].start_s
+    lowest, highest = np.log(max(3 * slowest_s, 60.0)), np.log(10 * max(length_s, 60.0))
+    if lowest >= highest:
+        return None
+    grid = np.linspace(lowest, highest, 13)
+    middle = int(np.argmin([lost(float(log_s)) for log_s in grid]))
+    ends = (float(grid[max(middle - 1, 0)]), float(grid[min(middle + 1, len(grid) - 1)]))
+    log_s = float(minimize_scalar(lost, bounds=ends, method="bounded").x)
+    return _kept(log_s, model, target, lost(log_s))
+
+
+def _kept(log_s: float, model: Callable[[float], Array], target: Array, rest: float) -> SlowResidue | None:
+    one = model(log_s)
+    share = float(one @ target) / float(one @ one)
+    slope = share * (model(log_s + 0.05) - model(log_s - 0.05)) / 0.1
+    spare = len(target) - 2
+    gain = (float(target @ target) - rest) / 2 / (rest / spare)
+    jacobian = np.column_stack([one, slope])
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(rest / spare, 1.0)
+    clear = share > _CLEAR * float(np.sqrt(covariance[0, 0])) and fisher.sf(gain, 2, spare) <= _SIGNIFICANCE
+    return SlowResidue(share, float(np.exp(log_s)), np.asarray(covariance, dtype=np.float64)) if clear else None
+
+
+def _left(steps: Sequence[StepTrace], changes: Array, decay_s: float) -> list[Array]:
+    """What unit shares of all earlier releases have left at the samples of each step."""
+    carried, before_s = 0.0, steps[0].start_s if steps else 0.0
+    left = []
+    for number, step in enumerate(steps):
+        carried *= float(np.exp(-(step.start_s - before_s) / decay_s))
+        before_s = step.start_s
+        if not step.loading:
+            carried += float(changes[number // 2])
+        left.append(carried * np.exp(-step.time_s / decay_s))
+    return left

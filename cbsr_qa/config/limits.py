@@ -1,0 +1,195 @@
+"""Files of limits that a recipe refers to are taken in by content, so that a stored run needs no file.
+
+Limits in recipes and in files of their own, and the version they carry.
+"""
+
+import hashlib
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from cbsr_qa.config.documents import Document, DocumentKind, open_document
+from cbsr_qa.config.tables import FileModel, Problem, Table, Word, refusal, validated
+from cbsr_qa.config.text import line_of
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.results import Limit, LimitsVersion
+
+VersionName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+Words = Annotated[str, Field(max_length=1000)]
+Percent = Annotated[float, Field(gt=0, lt=100)]
+Digest = Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")]
+
+
+class LimitTable(Table):
+    """``[[limits]]``: inclusive bounds of one measurement in its own unit, with an optional guard band inside."""
+
+    measurement: Word
+    unit: Annotated[str, Field(min_length=1, max_length=16)]
+    lower: float | None = None
+    upper: float | None = None
+    marginal: Annotated[float, Field(ge=0)] = 0.0
+    phase: str = ""
+    qualifier: str = ""
+    version: VersionName | None = None
+
+    @property
+    def judges(self) -> tuple[str, str, str]:
+        """What it is a limit of."""
+        return self.measurement, self.phase, self.qualifier
+
+    def problems(self, index: int, phases: Sequence[str] | None) -> Iterator[Problem]:
+        """Yield what does not fit together within the table; the phases of a recipe are None where none is known."""
+        where = ("limits", index)
+        if self.lower is None and self.upper is None:
+            yield Problem(where, f"({self.measurement}) has neither lower nor upper; give one of them")
+        if self.lower is not None and self.upper is not None and self.lower > self.upper:
+            yield Problem((*where, "lower"), f"is {self.lower:g}, above upper = {self.upper:g}")
+        if self.phase and phases is not None and self.phase not in phases:
+            yield Problem((*where, "phase"), f"is {self.phase!r}; allowed: {', '.join(phases)}")
+
+    def bounds_size_of(self, overlap: "LimitTable", phase: str) -> bool:
+        """Whether this limit bounds, from both sides, the size of the blob whose overlap another limit judges.
+
+        A lower bound of nothing or less bounds no size.
+        """
+        fits = self.phase in ("", phase) and self.qualifier == overlap.qualifier
+        return self.measurement == "area_ratio" and fits and (self.lower or 0.0) > 0 and self.upper is not None
+
+    def to_domain(self) -> Limit:
+        """Return the limit."""
+        return Limit(
+            self.measurement,
+            self.unit,
+            self.lower,
+            self.upper,
+            self.marginal,
+            self.phase,
+            self.qualifier,
+            self.version or "",
+        )
+
+
+class LimitsVersionTable(Table):
+    """``[limits_version]``: what the limits with this ``version`` are. Written by ``cbsr-qa limits propose``."""
+
+    version: VersionName
+    date: Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$")]
+    lot: Words = ""
+    serials: list[str] = Field(default_factory=list)
+    coverage_percent: Percent | None = None
+    confidence_percent: Percent | None = None
+    rule: Words = ""
+    data_sha256: Digest = ""
+    limits_sha256: Digest = ""
+
+    def to_domain(self) -> LimitsVersion:
+        """Return the version; a seal that does not fit was refused before."""
+        return LimitsVersion(
+            self.version,
+            self.date,
+            self.lot,
+            self.coverage_percent,
+            self.confidence_percent,
+            self.rule,
+            self.data_sha256,
+            bool(self.limits_sha256),
+        )
+
+
+class LimitsFile(FileModel[None]):
+    """A file of limits that recipes take in by ``limits_from``."""
+
+    limits_version: LimitsVersionTable
+    limits: Annotated[list[LimitTable], Field(min_length=1)]
+
+    def problems(self) -> Iterator[Problem]:
+        """Every limit must be of the file's version, and what the version says it is."""
+        for index, limit in enumerate(self.limits):
+            yield from limit.problems(index, None)
+            if limit.version is None:
+                yield Problem(("limits", index), f"({limit.measurement}) has no version; give the file's own")
+        yield from version_problems(self.limits_version, self.limits)
+
+    def to_domain(self) -> None:
+        """Return nothing: a recipe takes in what the file says and makes limits of it."""
+
+
+def version_problems(header: LimitsVersionTable | None, limits: Sequence[LimitTable]) -> Iterator[Problem]:
+    """Yield what does not fit between limits and the version they say they are of."""
+    for index, limit in enumerate(limits):
+        if limit.version is not None and (header is None or limit.version != header.version):
+            found = f"limits_version.version is {header.version!r}" if header else "there is no [limits_version]"
+            yield Problem(("limits", index, "version"), f"is {limit.version!r}, but {found}")
+    if header is None or not header.limits_sha256:
+        return
+    members = [limit for limit in limits if limit.version == header.version]
+    if limits_digest([limit.model_dump() for limit in members]) != header.limits_sha256:
+        yield Problem(
+            ("limits_version", "limits_sha256"),
+            f"is not that of the {len(members)} limits of version {header.version!r}: they were changed, added or"
+            " left out after they were proposed; propose them again, or give yours a version name of their own"
+            " and remove limits_sha256",
+        )
+
+
+def limits_digest(limits: Sequence[dict[str, Any]]) -> str:
+    """Return the SHA-256 of limits as canonical JSON, in whatever order they stand."""
+    rows = sorted(json.dumps(_whole(limit), sort_keys=True, ensure_ascii=False) for limit in limits)
+    return hashlib.sha256("\n".join(rows).encode()).hexdigest()
+
+
+def _whole(limit: dict[str, Any]) -> dict[str, Any]:
+    """Return a limit with every key and its default, so that leaving a default out changes nothing."""
+    return LimitTable.model_validate(limit).model_dump()
+
+
+def with_limits(document: Document) -> Document:
+    """Put the limits and the version of ``recipe.limits_from``, looked for next to the recipe, behind its own limits.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or is not sound, or if the recipe limits the same measurement itself.
+    """
+    recipe = document.data.get("recipe")
+    name = recipe.get("limits_from") if isinstance(recipe, Mapping) else None
+    if not isinstance(name, str):
+        return document
+    assert isinstance(recipe, Mapping)
+    try:
+        taken = open_document(DocumentKind.LIMITS, name, near=document.folder)
+        validated(LimitsFile, taken)
+    except ConfigError as error:
+        line = line_of(document.text, ("recipe", "limits_from"))
+        where = f"line {line}: " if line else ""
+        raise ConfigError(
+            f"{document.label}: {where}recipe.limits_from: {error.reason}", remedy=error.remedy
+        ) from error
+    own = document.data.get("limits", [])
+    problems = list(_problems(document, taken, own)) if isinstance(own, list) else []
+    if problems:
+        raise refusal(document, problems)
+    limits = [*own, *taken.data["limits"]] if isinstance(own, list) else own
+    rest = {key: value for key, value in recipe.items() if key != "limits_from"}
+    version = taken.data["limits_version"]
+    return replace(document, data={**document.data, "recipe": rest, "limits_version": version, "limits": limits})
+
+
+def _problems(document: Document, taken: Document, own: list[object]) -> list[Problem]:
+    """List what both files state."""
+    found = []
+    if "limits_version" in document.data:
+        found.append(Problem(("limits_version",), f"is stated here and in {taken.label}; remove this one"))
+    theirs = {_judges(limit) for limit in taken.data["limits"]}
+    for index, limit in enumerate(own):
+        if isinstance(limit, Mapping) and _judges(limit) in theirs:
+            what = f"({limit.get('measurement')}) is limited in {taken.label} too; remove one of them"
+            found.append(Problem(("limits", index), what))
+    return found
+
+
+def _judges(limit: Mapping[str, object]) -> tuple[object, object, object]:
+    return limit.get("measurement"), limit.get("phase", ""), limit.get("qualifier", "")

@@ -1,0 +1,146 @@
+"""The whole configuration of a run as one document: what is stored with it, digested, and restored on resume."""
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from datetime import date, datetime, time
+from typing import Any
+
+from cbsr_qa.config.loader import Loaded, load_material, load_recipe, load_scene, load_sensor_type, load_station
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.plan import Recipe, Scene, Station
+from cbsr_qa.domain.sensor import Material, SensorType
+
+#: Version of the document's layout.
+LAYOUT = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Configuration:
+    """Everything a run is configured with.
+
+    Parameters
+    ----------
+    station, recipe, sensor_type, material : checked and in domain terms.
+    seed : of the run.
+    canonical : all files' content as canonical JSON (keys sorted, no blanks); paths of files are not in it,
+        so the same content gives the same digest wherever it lies.
+    """
+
+    station: Station
+    recipe: Recipe
+    sensor_type: SensorType
+    material: Material
+    seed: int
+    canonical: str
+
+    @property
+    def digest(self) -> str:
+        """SHA-256 of the canonical JSON, hexadecimal."""
+        return hashlib.sha256(self.canonical.encode()).hexdigest()
+
+
+def merge(
+    station: Loaded[Station],
+    recipe: Loaded[Recipe],
+    sensor_type: Loaded[SensorType],
+    material: Loaded[Material],
+    *,
+    seed: int,
+) -> Configuration:
+    """Put the files of a run together; scenes its instruments refer to are taken in by content.
+
+    Raises
+    ------
+    ConfigError
+        If a scene an instrument refers to is missing or wrong.
+    """
+    scenes = {
+        instrument.role: load_scene(name, near=station.folder)
+        for instrument in station.value.instruments
+        if (name := instrument.options.get("scene")) is not None
+    }
+    emulated = station.value.emulated_scene
+    world = None if emulated is None else load_scene(emulated, near=station.folder)
+    content = {
+        "layout": LAYOUT,
+        "seed": seed,
+        "station": station.document.data,
+        "recipe": recipe.document.data,
+        "sensor_type": sensor_type.document.data,
+        "material": material.document.data,
+        "scenes": {role: scene.document.data for role, scene in scenes.items()},
+        **({} if world is None else {"emulated_scene": world.document.data}),
+    }
+    return Configuration(
+        _with_scenes(station.value, scenes, world),
+        recipe.value,
+        sensor_type.value,
+        material.value,
+        seed,
+        canonical_json(content),
+    )
+
+
+def restore(canonical: str) -> Configuration:
+    """Return the configuration a run was stored with, checked again by today's rules.
+
+    Raises
+    ------
+    ConfigError
+        If it is of a layout this version does not know, or no longer passes the checks.
+    """
+    content = json.loads(canonical)
+    if not isinstance(content, Mapping) or content.get("layout") != LAYOUT:
+        raise ConfigError(
+            "the stored configuration is of a layout this version does not know",
+            remedy="resume the run with the version that began it",
+        )
+    missing = [
+        key for key in ("station", "recipe", "sensor_type", "material", "scenes", "seed") if key not in content
+    ]
+    if missing:
+        raise ConfigError(
+            f"the stored configuration has no {missing[0]!r}", remedy="resume the run with the version that began it"
+        )
+    station = load_station(content["station"])
+    scenes = {role: load_scene(data) for role, data in content["scenes"].items()}
+    world = load_scene(content["emulated_scene"]) if "emulated_scene" in content else None
+    return Configuration(
+        _with_scenes(station.value, scenes, world),
+        load_recipe(content["recipe"]).value,
+        load_sensor_type(content["sensor_type"]).value,
+        load_material(content["material"]).value,
+        int(content["seed"]),
+        canonical,
+    )
+
+
+def canonical_json(content: Any) -> str:
+    """Write JSON in one way only: keys sorted, no blanks, dates in ISO form, UTF-8.
+
+    Raises
+    ------
+    ValueError
+        If a number is not finite.
+    """
+    return json.dumps(
+        content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False, default=_plain
+    )
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, date | datetime | time):
+        return value.isoformat()
+    raise TypeError(f"a configuration holds no {type(value).__name__}")
+
+
+def _with_scenes(station: Station, scenes: Mapping[str, Loaded[Scene]], world: Loaded[Scene] | None) -> Station:
+    """Hand drivers the content of their scene, so that a stored run needs none of the files it began with."""
+    instruments = tuple(
+        replace(i, options={**i.options, "scene": scenes[i.role].document.data}) if i.role in scenes else i
+        for i in station.instruments
+    )
+    emulated = station.emulated_scene if world is None else world.document.data
+    return replace(station, instruments=instruments, emulated_scene=emulated)

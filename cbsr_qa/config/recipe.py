@@ -1,0 +1,250 @@
+"""Recipe files: which sequences, how their frames become numbers, and the limits that judge them."""
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from cbsr_qa.config.limits import LimitsVersionTable, LimitTable, version_problems
+from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table
+from cbsr_qa.domain.plan import NO_RECONSTRUCTION, AnalysisSettings, PhaseSpec, PluginChoice, Recipe
+from cbsr_qa.domain.results import CharacterisationSettings, OverlapBand
+
+Name = Annotated[str, Field(min_length=1, max_length=64)]
+Percent = Annotated[float, Field(gt=0, le=100)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class RecipeTable(Table):
+    """``[recipe]``. ``calibrate_phases`` are the phases whose loads the calibration is taken from.
+
+    ``limits_from`` is replaced by what that file says before the recipe is checked.
+    """
+
+    name: Name
+    calibrate_phases: list[Name]
+    limits_from: Name | None = None
+
+
+class PhaseTable(OpenTable):
+    """``[[phases]]``: a name, the sequence plugin, and that plugin's options beside them."""
+
+    name: Name
+    sequence: Name
+
+
+class ReconstructionTable(OpenTable):
+    """``[reconstruction]``: the plugin's name, and its options beside it."""
+
+    method: Name
+
+
+class BandTable(Table):
+    """``[[analysis.overlap_bands]]``: [lower, upper) of the area overlap."""
+
+    name: Name
+    lower_percent: Annotated[float, Field(ge=0, le=100)]
+    upper_percent: Annotated[float, Field(gt=0, le=100)]
+
+
+def _paper_bands() -> list[BandTable]:
+    return [
+        BandTable(name="likely poor", lower_percent=0, upper_percent=50),
+        BandTable(name="ok", lower_percent=50, upper_percent=70),
+        BandTable(name="good", lower_percent=70, upper_percent=100),
+    ]
+
+
+class AnalysisTable(Table):
+    """``[analysis]``: every choice the paper leaves open. Defaults are documented in the configuration reference."""
+
+    masks_percent: Annotated[list[Percent], Field(min_length=1)] = Field(
+        default_factory=lambda: [25.0, 50.0, 75.0, 85.0]
+    )
+    main_mask_percent: Percent = 85.0
+    noise_floor_frames: Count = 8
+    reference: Literal["run", "load"] = "run"
+    reference_frames: Count = 4
+    steady_frames: Count = 4
+    settling_multiple: Annotated[float, Field(ge=1)] = 1.5
+    settling_tolerance_percent: Annotated[float, Field(gt=0, lt=100)] = 15.0
+    settling_band: Literal["steady", "step"] = "steady"
+    r_squared_gate: Annotated[float, Field(ge=0, lt=1)] = 0.85
+    overlap_bands: Annotated[list[BandTable], Field(min_length=1)] = Field(default_factory=_paper_bands)
+    size_ratio: Annotated[list[Annotated[float, Field(gt=0)]], Field(min_length=2, max_length=2)] = Field(
+        default_factory=lambda: [1 / 3, 3.0]
+    )
+    clipping: Literal["exact", "centroid"] = "exact"
+    perimeter: Literal["length", "nodes"] = "length"
+    outline: Literal["contour", "elements"] = "contour"
+    noise_weighting: Literal["equal", "measured"] = "equal"
+    transients: Literal["averaged", "predicted"] = "averaged"
+
+    def problems(self) -> Iterator[Problem]:
+        """Yield what does not fit together within the table."""
+        if self.main_mask_percent not in self.masks_percent:
+            yield Problem(
+                ("analysis", "main_mask_percent"),
+                f"is {self.main_mask_percent:g}; allowed: one of masks_percent {self.masks_percent}",
+            )
+        if len(set(self.masks_percent)) < len(self.masks_percent):
+            yield Problem(("analysis", "masks_percent"), f"is {self.masks_percent}; a mask is named twice")
+        if self.size_ratio[0] >= self.size_ratio[1]:
+            yield Problem(("analysis", "size_ratio"), f"is {self.size_ratio}; the first must be below the second")
+        yield from self._band_problems()
+        yield from self._outline_problems()
+
+    def _outline_problems(self) -> Iterator[Problem]:
+        """A contour has neither elements nor nodes to count, and none lies at the maximum itself."""
+        if self.outline == "elements":
+            return
+        remedy = 'set outline = "elements", as the paper has it'
+        for key, value, counted in (("clipping", self.clipping, "centroid"), ("perimeter", self.perimeter, "nodes")):
+            if value == counted:
+                yield Problem(("analysis", key), f"is {counted!r}, which counts in whole elements: {remedy}")
+        if 100.0 in self.masks_percent:
+            yield Problem(("analysis", "masks_percent"), f"hold 100 %, where no contour encloses anything: {remedy}")
+
+    def _band_problems(self) -> Iterator[Problem]:
+        reached = 0.0
+        for index, band in enumerate(self.overlap_bands):
+            if band.lower_percent != reached or band.upper_percent <= band.lower_percent:
+                yield Problem(
+                    ("analysis", "overlap_bands", index),
+                    f"covers {band.lower_percent:g} to {band.upper_percent:g} %; it must rise from {reached:g} %",
+                )
+            reached = band.upper_percent
+        if reached != 100:
+            yield Problem(("analysis", "overlap_bands"), f"end at {reached:g} %; they must reach 100 %")
+
+    def to_domain(self) -> AnalysisSettings:
+        """Percent become fractions, except the bands of the overlap, which is a percentage itself."""
+        return AnalysisSettings(
+            masks=tuple(p / 100 for p in self.masks_percent),
+            main_mask=self.main_mask_percent / 100,
+            noise_floor_frames=self.noise_floor_frames,
+            reference=self.reference,
+            reference_frames=self.reference_frames,
+            steady_frames=self.steady_frames,
+            settling_multiple=self.settling_multiple,
+            settling_tolerance=self.settling_tolerance_percent / 100,
+            settling_band=self.settling_band,
+            r_squared_gate=self.r_squared_gate,
+            overlap_bands=tuple(OverlapBand(b.name, b.lower_percent, b.upper_percent) for b in self.overlap_bands),
+            size_ratio=(self.size_ratio[0], self.size_ratio[1]),
+            clipping=self.clipping,
+            perimeter=self.perimeter,
+            outline=self.outline,
+            noise_weighting=self.noise_weighting,
+            transients=self.transients,
+        )
+
+
+class CharacterisationTable(Table):
+    """``[characterisation]``: press cycles on a strip become a material's parameters, and nothing is imaged."""
+
+    contact_length_mm: Annotated[float, Field(gt=0)] = 0.2
+    contact_length_stderr_mm: Annotated[float, Field(gt=0)] = 0.1
+    settling_tolerance_percent: Annotated[float, Field(gt=0, lt=100)] = 15.0
+    settling_band: Literal["steady", "step"] = "steady"
+    end_s: Annotated[float, Field(gt=0)] = 10.0
+
+    def to_domain(self) -> CharacterisationSettings:
+        """Percent become fractions."""
+        return CharacterisationSettings(
+            contact_length_mm=self.contact_length_mm,
+            contact_length_stderr_mm=self.contact_length_stderr_mm,
+            settling_tolerance=self.settling_tolerance_percent / 100,
+            settling_band=self.settling_band,
+            end_s=self.end_s,
+        )
+
+
+class ReportTable(Table):
+    """``[report]``: sections in order; none named means every installed one."""
+
+    sections: list[Name] = Field(default_factory=list)
+
+
+class RecipeFile(FileModel[Recipe]):
+    """A recipe file."""
+
+    recipe: RecipeTable
+    phases: Annotated[list[PhaseTable], Field(min_length=1)]
+    reconstruction: ReconstructionTable | None = None
+    characterisation: CharacterisationTable | None = None
+    analysis: AnalysisTable = Field(default_factory=AnalysisTable)
+    metrics: dict[Name, dict[str, Any]] = Field(default_factory=dict)
+    limits_version: LimitsVersionTable | None = None
+    limits: list[LimitTable] = Field(default_factory=list)
+    report: ReportTable = Field(default_factory=ReportTable)
+
+    def problems(self) -> Iterator[Problem]:
+        """Names that are used must be there, and only once."""
+        names = [phase.name for phase in self.phases]
+        seen: Counter[str] = Counter()
+        for index, name in enumerate(names):
+            seen[name] += 1
+            if seen[name] == 2:
+                yield Problem(("phases", index, "name"), f"is {name!r}, which another phase already has")
+        for name in self.recipe.calibrate_phases:
+            if name not in names:
+                what = f"names {name!r}; allowed: {', '.join(names)}"
+                yield Problem(("recipe", "calibrate_phases"), what)
+        yield from self._way_problems()
+        yield from self.analysis.problems()
+        for index, limit in enumerate(self.limits):
+            yield from limit.problems(index, names)
+        yield from version_problems(self.limits_version, self.limits)
+        yield from self._size_problems(names)
+
+    def _way_problems(self) -> Iterator[Problem]:
+        """A recipe images sensors, or characterises a material on a strip."""
+        if self.characterisation is None:
+            if self.reconstruction is None:
+                what = "is missing; only a recipe with [characterisation] images nothing"
+                yield Problem(("reconstruction",), what)
+            return
+        for name in ("reconstruction", "analysis", "metrics"):
+            if name in self.model_fields_set:
+                yield Problem((name,), "does not apply where [characterisation] is given: nothing is imaged")
+        if self.recipe.calibrate_phases:
+            what = "does not apply where [characterisation] is given: a strip gets no calibration; give []"
+            yield Problem(("recipe", "calibrate_phases"), what)
+
+    def _size_problems(self, phases: list[str]) -> Iterator[Problem]:
+        """A blob over the whole sheet and one speck both overlap by half: size must be limited with the overlap."""
+        for index, limit in enumerate(self.limits):
+            if limit.measurement != "area_overlap":
+                continue
+            for phase in [limit.phase] if limit.phase else phases:
+                if any(other.bounds_size_of(limit, phase) for other in self.limits):
+                    continue
+                yield Problem(
+                    ("limits", index),
+                    f"(area_overlap) judges phase {phase!r}, where no limit bounds area_ratio from both sides: a blob"
+                    " over the whole sheet, or one speck, overlaps by about 51 % and could pass; limit area_ratio"
+                    " there too (1/3 to 3 is usual), or remove this limit",
+                )
+
+    def to_domain(self) -> Recipe:
+        """Return the recipe."""
+        return Recipe(
+            name=self.recipe.name,
+            phases=tuple(PhaseSpec(p.name, p.sequence, p.options) for p in self.phases),
+            reconstruction=self._reconstruction(),
+            # Tables have no order in TOML: sorted, so that a restored recipe is the one that was read.
+            metrics=tuple(PluginChoice(name, options) for name, options in sorted(self.metrics.items())),
+            analysis=replace(self.analysis.to_domain(), calibrate_phases=tuple(self.recipe.calibrate_phases)),
+            limits=tuple(limit.to_domain() for limit in self.limits),
+            calibrate_phases=tuple(self.recipe.calibrate_phases),
+            sections=tuple(self.report.sections),
+            limits_version=None if self.limits_version is None else self.limits_version.to_domain(),
+            characterisation=None if self.characterisation is None else self.characterisation.to_domain(),
+        )
+
+    def _reconstruction(self) -> PluginChoice:
+        table = self.reconstruction
+        return NO_RECONSTRUCTION if table is None else PluginChoice(table.method, table.options)

@@ -1,0 +1,324 @@
+"""Sensor type files: geometry, electrodes and pattern of a family of sensors.
+
+Tables of sensor type files.
+"""
+
+import math
+from collections.abc import Iterator, Mapping
+from functools import cached_property
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, PlainValidator
+
+from cbsr_qa.config.tables import FileModel, Problem, Table
+from cbsr_qa.domain import CbsrError, RefusedError
+from cbsr_qa.domain.geometry import Disc, Polygon, SheetOutline, polygon_problems, rounding_problems
+from cbsr_qa.domain.sensor import (
+    LEAST_ROOM,
+    DrivePattern,
+    ElectrodeKind,
+    ElectrodeLayout,
+    Electrodes,
+    Mesh,
+    Pairs,
+    PlacedElectrodes,
+    Response,
+    SensorType,
+    imaging_problems,
+    is_rule,
+    mesh_of_arrays,
+    named_pairs,
+    pair_problems,
+    placement_problems,
+    widest_ring_mm,
+    width_problem,
+)
+from cbsr_qa.eit.mesh import mesh_sensor
+
+Positive = Annotated[float, Field(gt=0)]
+Name = Annotated[str, Field(min_length=1, max_length=64)]
+#: Smallest and largest radius of a sheet, and farthest place [mm]: beyond, meshes fail by rounding.
+SMALLEST_MM: Final = 1e-3
+LARGEST_MM: Final = 1e6
+Radius = Annotated[float, Field(ge=SMALLEST_MM, le=LARGEST_MM)]
+Coordinate = Annotated[float, Field(ge=-LARGEST_MM, le=LARGEST_MM)]
+Point = Annotated[list[Coordinate], Field(min_length=2, max_length=2)]
+
+
+def _mesh(value: object) -> Mesh:
+    """The content of a mesh file, which the loader puts in place of its name."""
+    if not isinstance(value, Mapping):
+        raise ValueError("it must be the name of a mesh file")
+    try:
+        return mesh_of_arrays(value)
+    except CbsrError as error:
+        raise ValueError(error.reason) from error
+
+
+class SensorTypeTable(Table):
+    """``[sensor_type]``: a disc by its radius, any other sheet by its corners, or by a mesh with electrodes."""
+
+    name: Name
+    radius_mm: Radius | None = None
+    outline_mm: Annotated[list[Point], Field(max_length=500)] | None = None
+    corner_radius_mm: Annotated[float, Field(ge=0)] = 0.0
+    mesh: Annotated[Any, PlainValidator(_mesh)] = None
+    thickness_mm: Positive
+    response: Literal["increase", "decrease", "auto"] = "auto"
+
+
+class ElectrodesTable(Table):
+    """``[electrodes]``: a ring or a list of places; pins have a diameter, arcs a length along the edge."""
+
+    kind: Literal["pin", "arc"]
+    count: Annotated[int, Field(ge=3, le=256)] | None = None
+    ring_radius_mm: Positive | None = None
+    diameter_mm: Positive | None = None
+    length_mm: Positive | None = None
+    first_angle_deg: Annotated[float, Field(ge=-360, le=360)] = 0.0
+    direction: Literal["counterclockwise", "clockwise"] = "counterclockwise"
+    positions_mm: Annotated[list[Point], Field(min_length=2, max_length=256)] | None = None
+
+    @property
+    def width_key(self) -> str:
+        """The key that gives the electrodes' size."""
+        return "diameter_mm" if self.kind == "pin" else "length_mm"
+
+    @property
+    def width_mm(self) -> float | None:
+        """A pin's diameter or an arc's length."""
+        return self.diameter_mm if self.kind == "pin" else self.length_mm
+
+    @property
+    def number(self) -> int | None:
+        """How many electrodes there are; None where the file does not say."""
+        return self.count if self.positions_mm is None else len(self.positions_mm)
+
+
+def _rule_or_pairs(value: object) -> object:
+    if isinstance(value, str):
+        if not is_rule(value):
+            raise ValueError("allowed: 'adjacent', 'opposite', 'skip-1', 'skip-2' and so on, or pairs [[0, 1], …]")
+    elif not isinstance(value, list) or not all(_is_pair(pair) for pair in value):
+        raise ValueError("it must be the name of a rule or an array of pairs of electrodes, [[0, 1], …]")
+    return value
+
+
+def _is_pair(pair: object) -> bool:
+    return isinstance(pair, list) and len(pair) == 2 and all(type(electrode) is int for electrode in pair)
+
+
+RuleOrPairs = Annotated[str | list[list[int]], PlainValidator(_rule_or_pairs)]
+
+
+class PatternTable(Table):
+    """``[pattern]``: each the name of a rule, or the pairs themselves."""
+
+    drive: RuleOrPairs = "adjacent"
+    measure: RuleOrPairs = "adjacent"
+
+    def pairs(self, kind: str, electrode_count: int) -> Pairs:
+        """Drive or measure pairs; RefusedError where the rule does not suit the electrodes."""
+        given: str | list[list[int]] = getattr(self, kind)
+        if isinstance(given, str):
+            return named_pairs(given, electrode_count)
+        return tuple((first, second) for first, second in given)
+
+
+_OUTLINE = ("sensor_type", "outline_mm")
+_POSITIONS = ("electrodes", "positions_mm")
+#: What places a ring; a list of positions needs none of it.
+_RING_KEYS = ("count", "ring_radius_mm", "first_angle_deg", "direction")
+#: What describes an outline; a mesh has one of its own.
+_OUTLINE_KEYS = ("radius_mm", "outline_mm", "corner_radius_mm")
+
+
+class SensorTypeFile(FileModel[SensorType]):
+    """A sensor type file."""
+
+    sensor_type: SensorTypeTable
+    electrodes: ElectrodesTable | None = None
+    pattern: PatternTable = Field(default_factory=PatternTable)
+
+    def problems(self) -> Iterator[Problem]:
+        """The outline is one, electrodes fit it and do not touch, and the pattern is of these electrodes."""
+        if self.sensor_type.mesh is not None:
+            yield from self._mesh_problems()
+        else:
+            yield from self._outline_problems()
+            if self.electrodes is None:
+                yield Problem(("electrodes",), "is missing; only a mesh brings its own electrodes")
+            else:
+                yield from self._key_problems(self.electrodes)
+                yield from self._width_problems(self.electrodes)
+                yield from self._ring_problems(self.electrodes)
+            yield from self._placement_problems()
+        yield from self._pattern_problems()
+
+    def _mesh_problems(self) -> Iterator[Problem]:
+        for key in _OUTLINE_KEYS:
+            if key in self.sensor_type.model_fields_set:
+                yield Problem(("sensor_type", key), "does not apply where mesh is given")
+        if self.electrodes is not None:
+            yield Problem(("electrodes",), "does not apply where mesh is given: the mesh carries them")
+        if self._count is None:
+            yield Problem(("sensor_type", "mesh"), "carries fewer than 3 electrodes")
+
+    def _outline_problems(self) -> Iterator[Problem]:
+        sheet = self.sensor_type
+        if sheet.outline_mm is None:
+            if sheet.radius_mm is None:
+                yield Problem(("sensor_type", "radius_mm"), "is missing; a sheet that is no disc needs outline_mm")
+            if sheet.corner_radius_mm:
+                yield Problem(("sensor_type", "corner_radius_mm"), "does not apply to a disc")
+            return
+        if sheet.radius_mm is not None:
+            yield Problem(("sensor_type", "radius_mm"), "does not apply where outline_mm is given")
+        wrong = list(polygon_problems(sheet.outline_mm))
+        for corner, what in wrong:
+            yield Problem(_OUTLINE if corner is None else (*_OUTLINE, corner), what)
+        for what in () if wrong else rounding_problems(sheet.outline_mm, sheet.corner_radius_mm):
+            yield Problem(("sensor_type", "corner_radius_mm"), what)
+        if self._outline is not None and self._outline.radius_mm < SMALLEST_MM:
+            what = (
+                f"has the area of a disc of {self._outline.radius_mm:g} mm; a sheet has at least {SMALLEST_MM:g} mm"
+            )
+            yield Problem(_OUTLINE, what)
+
+    def _key_problems(self, electrodes: ElectrodesTable) -> Iterator[Problem]:
+        if electrodes.positions_mm is not None:
+            for key in _RING_KEYS:
+                if key in electrodes.model_fields_set:
+                    yield Problem(("electrodes", key), "does not apply where positions_mm is given")
+            return
+        for key in ("count", "ring_radius_mm"):
+            if getattr(electrodes, key) is None:
+                yield Problem(("electrodes", key), "is missing; without a ring positions_mm is needed")
+
+    def _width_problems(self, electrodes: ElectrodesTable) -> Iterator[Problem]:
+        key = electrodes.width_key
+        other = "length_mm" if key == "diameter_mm" else "diameter_mm"
+        if getattr(electrodes, other) is not None:
+            yield Problem(("electrodes", other), f"does not apply where kind is {electrodes.kind!r}; use {key}")
+        if electrodes.width_mm is None:
+            yield Problem(("electrodes", key), f"is missing; it is needed where kind is {electrodes.kind!r}")
+            return
+        if electrodes.positions_mm is not None or electrodes.count is None or electrodes.ring_radius_mm is None:
+            return
+        spacing_mm = 2 * math.pi * electrodes.ring_radius_mm / electrodes.count
+        if electrodes.width_mm >= spacing_mm:
+            what = f"is {electrodes.width_mm:g}; it must be below the electrodes' spacing of {spacing_mm:.3g} mm"
+            yield Problem(("electrodes", key), what)
+
+    def _ring_problems(self, electrodes: ElectrodesTable) -> Iterator[Problem]:
+        """Rings on discs: inside the sheet (pins) or on its edge (arcs)."""
+        radius_mm, ring_mm = self.sensor_type.radius_mm, electrodes.ring_radius_mm
+        if ring_mm is None or radius_mm is None:
+            return
+        width_mm = electrodes.width_mm or 0.0
+        highest = widest_ring_mm(width_mm, radius_mm)
+        if electrodes.kind == "pin" and ring_mm > highest:
+            what = (
+                f"is {ring_mm:g}; pins must lie inside the sheet, {LEAST_ROOM:.0%} of their diameter from its edge:"
+                f" at most {highest:g} mm here"
+            )
+            yield Problem(("electrodes", "ring_radius_mm"), what)
+        if electrodes.kind == "arc" and not math.isclose(ring_mm, radius_mm, rel_tol=1e-9):
+            what = f"is {ring_mm:g}; arcs lie on the sheet's edge: it must be {radius_mm:g}"
+            yield Problem(("electrodes", "ring_radius_mm"), what)
+
+    def _placement_problems(self) -> Iterator[Problem]:
+        outline, layout = self._outline, self._layout
+        if outline is None or layout is None:
+            return  # what is wrong with them has been said
+        assert self.electrodes is not None
+        narrow = width_problem(layout, outline.radius_mm)
+        if narrow is not None:
+            yield Problem(("electrodes", self.electrodes.width_key), narrow)
+            return
+        placed = isinstance(layout, PlacedElectrodes)
+        for number, what in placement_problems(layout, outline):
+            if placed:
+                yield Problem(_POSITIONS if number is None else (*_POSITIONS, number), f"(electrode {number}) {what}")
+            else:
+                which = "" if number is None else f"does not fit: electrode {number} "
+                yield Problem(("electrodes", "ring_radius_mm"), f"{which}{what}")
+
+    def _pattern_problems(self) -> Iterator[Problem]:
+        count = self._count
+        if count is None:
+            return
+        found = [Problem(path, what) for path, what in self._pair_problems(count)]
+        yield from found
+        if not found and count > 2:  # two pins make a strip: nobody images it
+            pattern = DrivePattern(count, self.pattern.pairs("drive", count), self.pattern.pairs("measure", count))
+            for what in imaging_problems(pattern):
+                yield Problem(("pattern",), what)
+
+    def _pair_problems(self, count: int) -> Iterator[tuple[tuple[str | int, ...], str]]:
+        for kind in ("drive", "measure"):
+            given: str | list[list[int]] = getattr(self.pattern, kind)
+            if isinstance(given, str):
+                try:
+                    named_pairs(given, count)
+                except RefusedError as error:
+                    yield ("pattern", kind), f"is {given!r}; {error.reason}: {error.remedy}"
+                continue
+            for index, what in pair_problems(given, count):
+                yield ("pattern", kind) if index is None else ("pattern", kind, index), what
+
+    @cached_property
+    def _outline(self) -> SheetOutline | None:
+        sheet = self.sensor_type
+        if sheet.outline_mm is None:
+            return None if sheet.radius_mm is None else Disc(sheet.radius_mm)
+        try:
+            return Polygon(tuple((x, y) for x, y in sheet.outline_mm), sheet.corner_radius_mm)
+        except RefusedError:
+            return None
+
+    @property
+    def _count(self) -> int | None:
+        """How many electrodes there are; None where the file does not say, or a mesh has too few."""
+        if self.sensor_type.mesh is not None:
+            carried = len(self.sensor_type.mesh.electrode_edges)
+            return carried if carried >= 3 else None
+        return None if self.electrodes is None else self.electrodes.number
+
+    @cached_property
+    def _layout(self) -> Electrodes | None:
+        electrodes = self.electrodes
+        if electrodes is None:
+            return None
+        kind, width_mm = ElectrodeKind(electrodes.kind), electrodes.width_mm
+        if width_mm is None:
+            return None
+        if electrodes.positions_mm is not None:
+            return PlacedElectrodes(kind, tuple((x, y) for x, y in electrodes.positions_mm), width_mm)
+        if electrodes.count is None or electrodes.ring_radius_mm is None:
+            return None
+        try:
+            return ElectrodeLayout(
+                count=electrodes.count,
+                kind=kind,
+                ring_radius_mm=electrodes.ring_radius_mm,
+                width_mm=width_mm,
+                first_angle_deg=electrodes.first_angle_deg,
+                counterclockwise=electrodes.direction == "counterclockwise",
+            )
+        except RefusedError:
+            return None
+
+    def to_domain(self) -> SensorType:
+        """Return the sensor type."""
+        sheet, count = self.sensor_type, self._count
+        assert count is not None
+        pattern = DrivePattern(count, *(self.pattern.pairs(kind, count) for kind in ("drive", "measure")))
+        response = Response(sheet.response)
+        if sheet.mesh is not None:
+            return mesh_sensor(sheet.name, sheet.mesh, pattern, thickness_mm=sheet.thickness_mm, response=response)
+        outline, layout = self._outline, self._layout
+        assert outline is not None
+        assert layout is not None
+        polygon = outline if isinstance(outline, Polygon) else None
+        return SensorType(sheet.name, outline.radius_mm, sheet.thickness_mm, layout, pattern, response, polygon)

@@ -1,0 +1,249 @@
+"""Station files: what is on the bench and what the bench may do."""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from datetime import date, datetime
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BeforeValidator, Field
+
+from cbsr_qa.config.documents import reference_path
+from cbsr_qa.config.tables import FileModel, OpenTable, Problem, Table, Word
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion, ReferenceRing, SafetyLimits, Station
+from cbsr_qa.domain.run import Indenter
+
+Positive = Annotated[float, Field(gt=0)]
+Corner = Annotated[list[float], Field(min_length=2, max_length=2)]
+Name = Annotated[str, Field(min_length=1, max_length=64)]
+Resistance = Annotated[float, Field(ge=1e-3, le=1e9)]
+
+#: Roles that every run needs filled.
+NEEDED_ROLES = ("frame_source", "force_applicator")
+#: Option keys of instrument tables that name another configuration file.
+REFERENCES = ("scene", "material", "sensor_type")
+
+
+def _iso_date(value: Any) -> str:
+    """Take a TOML date or the same as text; keep it as text."""
+    if isinstance(value, date) and not isinstance(value, datetime):
+        return value.isoformat()
+    if not isinstance(value, str):
+        raise ValueError("it must be a date like 2027-03-31")
+    try:
+        return date.fromisoformat(value).isoformat()
+    except ValueError:
+        raise ValueError("it must be a date like 2027-03-31") from None
+
+
+class StationTable(Table):
+    """``[station]``."""
+
+    name: Name
+    clock: Literal["virtual", "real"]
+    sensor_type: Name
+    material: Name
+    overdue: Literal["warn", "refuse"] = "warn"
+
+
+class IndenterTable(Table):
+    """``[indenter]``: the flat head, round (13 mm unless it says otherwise) or of any outline."""
+
+    diameter_mm: Positive | None = None
+    outline_mm: Annotated[list[Corner], Field(min_length=3)] | None = None
+
+    def problems(self, table: str = "indenter") -> Iterator[Problem]:
+        """Yield what does not fit together within the table of this name."""
+        if self.outline_mm is None:
+            return
+        if self.diameter_mm is not None:
+            yield Problem((table, "diameter_mm"), "is given beside outline_mm; a head has one or the other")
+        try:
+            self.to_domain()
+        except NumericsError as error:
+            yield Problem((table, "outline_mm"), f"is no outline: {error.reason}. {error.remedy}".strip())
+
+    def to_domain(self) -> Indenter:
+        """Return the head."""
+        if self.outline_mm is None:
+            return Indenter(13.0 if self.diameter_mm is None else self.diameter_mm)
+        return Indenter.with_outline((x, y) for x, y in self.outline_mm)
+
+
+class MotionTable(Table):
+    """``[motion]``. The press speed defaults to the paper's 40 mm/min."""
+
+    press_speed_mm_per_min: Positive = 40.0
+    travel_speed_mm_per_min: Positive
+    hover_mm: Positive
+    homing_s: Positive | None = None
+
+
+class SafetyTable(Table):
+    """``[safety]``: what this station allows, whatever a recipe asks for."""
+
+    force_N: Positive
+    strain_percent: Annotated[float, Field(gt=0, lt=100)]
+    travel_radius_mm: Positive
+    duration_h: Positive
+    stale_s: Positive
+    dwell_s: Positive = 3600.0
+    compliance_percent: Annotated[float, Field(gt=0, le=100)] = 5.0
+    heartbeat_s: Positive = 10.0
+    answer_s: Positive = 120.0
+    temperature_C: Annotated[list[float], Field(min_length=2, max_length=2)] | None = None
+
+    def problems(self) -> Iterator[Problem]:
+        """Yield what does not fit together within the table."""
+        if self.temperature_C is not None and not self.temperature_C[0] < self.temperature_C[1]:
+            yield Problem(("safety", "temperature_C"), "is no range; give the lowest and then the highest")
+
+    def to_domain(self) -> SafetyLimits:
+        """Percent become fractions, hours seconds."""
+        return SafetyLimits(
+            force_N=self.force_N,
+            strain=self.strain_percent / 100,
+            travel_radius_mm=self.travel_radius_mm,
+            duration_s=self.duration_h * 3600,
+            stale_s=self.stale_s,
+            dwell_s=self.dwell_s,
+            compliance=self.compliance_percent / 100,
+            heartbeat_s=self.heartbeat_s,
+            answer_s=self.answer_s,
+            temperature_C=None if self.temperature_C is None else (self.temperature_C[0], self.temperature_C[1]),
+        )
+
+
+class EmulationTable(Table):
+    """``[emulation]``: the one simulated world behind every instrument whose address is "emulated"."""
+
+    scene: Name
+
+
+class ReferenceRingTable(Table):
+    """``[reference_ring]``: resistors in place of a sensor, and what ``cbsr-qa station check`` allows there."""
+
+    resistance_ohm: Resistance | None = None
+    resistances_ohm: Annotated[list[Resistance] | None, Field(min_length=3)] = None
+    tolerance_percent: Annotated[float, Field(ge=0, lt=100)] = 0.1
+    frames: Annotated[int, Field(ge=2, le=1000)] = 16
+    gain_percent: Positive = 1.0
+    reading_percent: Positive = 1.0
+    noise_ppm: Positive = 1000.0
+    offset_mV: Positive = 1.0
+    lead_ohm: Positive = 100.0
+
+    def problems(self) -> Iterator[Problem]:
+        """One resistance for all, or one each."""
+        if (self.resistance_ohm is None) == (self.resistances_ohm is None):
+            what = "needs either resistance_ohm, alike for all resistors, or resistances_ohm, one for each"
+            yield Problem(("reference_ring",), what)
+
+    def to_domain(self) -> ReferenceRing:
+        """Percent and ppm become fractions, millivolts volts."""
+        one = () if self.resistance_ohm is None else (self.resistance_ohm,)
+        return ReferenceRing(
+            resistance_ohm=tuple(self.resistances_ohm or one),
+            tolerance=self.tolerance_percent / 100,
+            frames=self.frames,
+            gain=self.gain_percent / 100,
+            reading=self.reading_percent / 100,
+            noise=self.noise_ppm / 1e6,
+            offset_V=self.offset_mV / 1000,
+            lead_ohm=self.lead_ohm,
+        )
+
+
+class InstrumentTable(OpenTable):
+    """``[instruments.<role>]``: its driver, what it provides, who it must be, and the driver's own options."""
+
+    driver: Name
+    provides: Annotated[list[Word], Field(min_length=1)]
+    model: Name | None = None
+    serial: Name | None = None
+    calibration_due: Annotated[str | None, BeforeValidator(_iso_date)] = None
+
+    def to_domain(self, role: str) -> InstrumentSpec:
+        """Return the instrument of this role."""
+        return InstrumentSpec(
+            role,
+            self.driver,
+            tuple(self.provides),
+            self.options,
+            self.calibration_due,
+            self.model or "",
+            self.serial or "",
+        )
+
+
+class StationFile(FileModel[Station]):
+    """A station file."""
+
+    station: StationTable
+    indenter: IndenterTable
+    motion: MotionTable
+    safety: SafetyTable
+    instruments: Annotated[dict[Word, InstrumentTable], Field(min_length=1)]
+    emulation: EmulationTable | None = None
+    reference_ring: ReferenceRingTable | None = None
+
+    def problems(self) -> Iterator[Problem]:
+        """Every role filled once; the head one thing only; emulated instruments with a world."""
+        yield from self.indenter.problems()
+        yield from self.safety.problems()
+        yield from self._unemulated()
+        if self.reference_ring is not None:
+            yield from self.reference_ring.problems()
+        filled: dict[str, str] = {}
+        for name, table in self.instruments.items():
+            for role in table.provides:
+                if role in filled:
+                    what = f"names {role!r}, which instruments.{filled[role]} already provides"
+                    yield Problem(("instruments", name, "provides"), what)
+                filled.setdefault(role, name)
+        for role in NEEDED_ROLES:
+            if role not in filled:
+                yield Problem(("instruments",), f"has nothing that provides {role!r}; every run needs it")
+
+    def _unemulated(self) -> Iterator[Problem]:
+        emulated = [name for name, table in self.instruments.items() if table.options.get("address") == EMULATED]
+        if self.emulation is None:
+            for name in emulated:
+                what = f"is {EMULATED!r}, but the station has no [emulation] table to say in which scene"
+                yield Problem(("instruments", name, "address"), what)
+        elif not emulated:
+            yield Problem(("emulation",), f"is given, but no instrument has address = {EMULATED!r}")
+
+    def to_domain(self) -> Station:
+        """Speeds become mm/s, percent a fraction, hours seconds."""
+        return Station(
+            name=self.station.name,
+            clock=self.station.clock,
+            sensor_type=self.station.sensor_type,
+            material=self.station.material,
+            indenter=self.indenter.to_domain(),
+            motion=Motion(
+                press_speed_mm_s=self.motion.press_speed_mm_per_min / 60,
+                travel_speed_mm_s=self.motion.travel_speed_mm_per_min / 60,
+                hover_mm=self.motion.hover_mm,
+                homing_s=self.motion.homing_s,
+            ),
+            safety=self.safety.to_domain(),
+            instruments=tuple(
+                table.to_domain(name)
+                for name, table in sorted(self.instruments.items())  # tables have no order in TOML
+            ),
+            emulated_scene=None if self.emulation is None else self.emulation.scene,
+            overdue=self.station.overdue,
+            reference_ring=None if self.reference_ring is None else self.reference_ring.to_domain(),
+        )
+
+
+def resolved_options(instrument: InstrumentSpec, near: Path | None) -> InstrumentSpec:
+    """Turn references to files next to the station file into their full paths, so that a driver can open them."""
+    options = dict(instrument.options)
+    for key in REFERENCES:
+        if isinstance(name := options.get(key), str) and (path := reference_path(name, near)):
+            options[key] = str(path.resolve())
+    return replace(instrument, options=options)

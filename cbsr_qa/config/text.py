@@ -1,0 +1,178 @@
+"""Documents as TOML text: what configuration files are written with.
+
+Repeating what somebody typed without letting it flood or upset a terminal.
+
+On which line of a TOML file a key stands: cheap, for error messages only.
+"""
+
+import json
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from functools import lru_cache
+from typing import Any
+
+
+def echo(text: str, longest: int = 60) -> str:
+    """Return text quoted, control characters escaped, cut after ``longest`` characters with its full length said."""
+    if len(text) <= longest:
+        return repr(text)
+    return f"{text[:longest]!r}… ({len(text)} characters)"
+
+
+def printable(text: str) -> str:
+    """Return text as it is where it can be printed, otherwise quoted and escaped as by :func:`echo`."""
+    return text if text.isprintable() else echo(text, 200)
+
+
+def plainly(number: float) -> str:
+    """Return a number in few digits, unless that would be another number."""
+    short = f"{number:g}"
+    return short if float(short) == number else repr(number)
+
+
+KeyPath = tuple[str | int, ...]
+
+_HEADER = re.compile(r"^\s*(\[\[?)\s*([^\[\]]+?)\s*\]\]?\s*(#.*)?$")
+_KEY = re.compile(r"""^\s*((?:[A-Za-z0-9_.-]|"[^"]*"|'[^']*')+)\s*=""")
+
+
+def line_of(text: str, path: KeyPath) -> int | None:
+    """Find the line of a key, or of the innermost table around it.
+
+    Parameters
+    ----------
+    path : keys and 0-based positions in arrays of tables, as pydantic gives them.
+
+    Returns
+    -------
+    1-based line, or None where not even the outermost table is in the text (or it was written in a form
+    this scan does not follow, such as tables inside inline arrays).
+    """
+    first = _first_lines(text)
+    return next((first[path[:length]] for length in range(len(path), 0, -1) if path[:length] in first), None)
+
+
+@lru_cache(maxsize=1)  # a file with a thousand problems is scanned once
+def _first_lines(text: str) -> dict[KeyPath, int]:
+    """First line of every key, and of every table by what is within it."""
+    first: dict[KeyPath, int] = {}
+    for line, place in _places(text):
+        for length in range(1, len(place) + 1):
+            first.setdefault(place[:length], line)
+    return first
+
+
+def _places(text: str) -> Iterator[tuple[int, KeyPath]]:
+    table: KeyPath = ()
+    counts: dict[KeyPath, int] = {}
+    inside = ""  # the delimiter of a multi-line string that is open
+    # Only line feeds end lines in TOML; texts and comments may hold other separators, such as U+2028.
+    for number, line in enumerate(text.split("\n"), start=1):
+        opened = bool(inside)
+        inside = _open_string(line, inside)
+        if opened:
+            continue
+        if header := _HEADER.match(line):
+            names = _indexed(_split(header[2]), counts)
+            if header[1] == "[[":
+                counts[names] = counts.get(names, -1) + 1
+                names = (*names, counts[names])
+            table = names
+            yield number, table
+        elif key := _KEY.match(line):
+            yield number, (*table, *_split(key[1]))
+
+
+def _indexed(names: KeyPath, counts: dict[KeyPath, int]) -> KeyPath:
+    """Insert the positions of the arrays of tables that a header passes through."""
+    path: KeyPath = ()
+    for name in names[:-1]:
+        path = (*path, name)
+        if path in counts:
+            path = (*path, counts[path])
+    return (*path, names[-1])
+
+
+def _split(dotted: str) -> KeyPath:
+    return tuple(part.strip().strip("\"'") for part in re.findall(r""""[^"]*"|'[^']*'|[^.]+""", dotted))
+
+
+def _open_string(line: str, inside: str) -> str:
+    for delimiter in re.findall(r'"""|\'\'\'', line):
+        if not inside:
+            inside = delimiter
+        elif inside == delimiter:
+            inside = ""
+    return inside
+
+
+def toml_value(value: Any) -> str:
+    """Write a value; tables stand inline.
+
+    Raises
+    ------
+    TypeError
+        If TOML has no such value, as None.
+    """
+    if isinstance(value, float):
+        return float.__repr__(value)  # of numpy's floats too
+    if isinstance(value, Mapping):
+        return "{" + ", ".join(f"{_key(key)} = {toml_value(one)}" for key, one in value.items()) + "}"
+    if isinstance(value, Sequence) and not isinstance(value, str):
+        return "[" + ", ".join(map(toml_value, value)) + "]"
+    if not isinstance(value, str | int):
+        raise TypeError(f"TOML has no value like {value!r}")
+    return _text(value) if isinstance(value, str) else json.dumps(value)
+
+
+def toml_document(document: Mapping[str, Any], comments: Sequence[str] = ()) -> str:
+    """Write a document of tables: plain keys first, then tables, then arrays of tables.
+
+    Parameters
+    ----------
+    comments : lines at the top.
+
+    Returns
+    -------
+    Text that reads back as the same document. Tables within tables of an array stand inline.
+    """
+    lines = [f"# {one_line(comment)}".rstrip() for comment in comments]
+    return "\n".join([*lines, *_table(document, ())]).strip() + "\n"
+
+
+def one_line(text: str) -> str:
+    """Replace what would end a comment."""
+    return "".join(character if character.isprintable() else " " for character in text)
+
+
+def _table(table: Mapping[str, Any], path: tuple[str, ...]) -> Iterator[str]:
+    later = {key: value for key, value in table.items() if _is_table(value) or _is_tables(value)}
+    for key, value in table.items():
+        if key not in later:
+            yield f"{_key(key)} = {toml_value(value)}"
+    for key, value in later.items():
+        name = ".".join(map(_key, (*path, key)))
+        if _is_table(value):
+            yield from ("", f"[{name}]", *_table(value, (*path, key)))
+            continue
+        for one in value:
+            yield from ("", f"[[{name}]]", *(f"{_key(k)} = {toml_value(v)}" for k, v in one.items()))
+
+
+def _is_table(value: Any) -> bool:
+    return isinstance(value, Mapping) and bool(value)
+
+
+def _is_tables(value: Any) -> bool:
+    listed = isinstance(value, Sequence) and not isinstance(value, str)
+    return listed and bool(value) and all(isinstance(one, Mapping) for one in value)
+
+
+def _key(key: str) -> str:
+    bare = key.isascii() and key.replace("-", "").replace("_", "").isalnum()
+    return key if bare else _text(key)
+
+
+def _text(text: str) -> str:
+    """Quote text: as in JSON, but for one control character."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -1,0 +1,27 @@
+from .errors import (
+    LONGEST_PROBLEM as LONGEST_PROBLEM,
+    AbortedError as AbortedError,
+    BrokenRunError as BrokenRunError,
+    CalibrationError as CalibrationError,
+    CbsrError as CbsrError,
+    ConfigError as ConfigError,
+    InstrumentError as InstrumentError,
+    NotReproducedError as NotReproducedError,
+    NumericsError as NumericsError,
+    PluginError as PluginError,
+    RecordingError as RecordingError,
+    RefusedError as RefusedError,
+    RowProblem as RowProblem,
+    SafetyError as SafetyError,
+    StoreError as StoreError,
+    UnconcludedError as UnconcludedError,
+)
+from .numbers import (
+    Array as Array,
+    array_of as array_of,
+    check_encodable as check_encodable,
+    finite_numbers as finite_numbers,
+    of_kind as of_kind,
+    real_numbers as real_numbers,
+    with_type as with_type,
+)

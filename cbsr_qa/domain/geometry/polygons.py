@@ -1,0 +1,323 @@
+"""Exact areas and distances of polygons, concave ones included.
+
+Exact areas of simple figures.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import NumericsError
+
+Points = NDArray[np.float64]
+Values = NDArray[np.float64]
+
+#: Points on (0, 1) at which edges no longer than their distance from a circle's centre are integrated: to 1e-16.
+_GAUSS_NODES, _GAUSS_WEIGHTS = (np.polynomial.legendre.leggauss(14) + np.array([[1.0], [0.0]])) * 0.5
+
+
+def circle_overlap_mm2(corners_mm: Points, centre_mm: tuple[float, float], radius_mm: float) -> NDArray[np.float64]:
+    """Return the area of triangles inside a circle, exactly, arcs included.
+
+    By Green's theorem the area is a sum over the triangle's directed edges: the stretch of an edge inside the
+    circle adds the triangle it spans with the centre, the stretches outside add circular sectors.
+
+    Parameters
+    ----------
+    corners_mm : (e, 3, 2) float64 [mm], each triangle counterclockwise.
+    centre_mm, radius_mm : of the circle.
+
+    Returns
+    -------
+    (e,) float64 [mm²], not below 0.
+
+    Raises
+    ------
+    NumericsError
+        If the radius is not a positive number.
+    """
+    if not 0 < radius_mm < float("inf"):
+        raise NumericsError(f"the radius of a circle is {radius_mm} mm; it must be a positive number")
+    start = corners_mm - np.asarray(centre_mm)
+    area: NDArray[np.float64] = area_under_edges(start, np.roll(start, -1, axis=1), radius_mm).sum(axis=1)
+    # Far triangles cancel to rounding of their distance squared, not to zero.
+    return np.maximum(np.where(_boxes_touch(start, radius_mm), area, 0.0), 0.0)
+
+
+def area_under_edges(start: Points, end: Points, radius: float) -> NDArray[np.float64]:
+    """Signed area between the origin and directed edges inside a circle about the origin, (…, 2) → (…)."""
+    along = end - start
+    length_squared = _dot(along, along)
+    middle = -_dot(start, along) / length_squared
+    # |start × along|² / |along|² is the squared distance of the line; this form keeps its digits near tangency.
+    across = _cross(start, along)
+    half = np.sqrt(np.maximum(radius**2 - across**2 / length_squared, 0.0) / length_squared)
+    first, last = np.clip(middle - half, 0.0, 1.0), np.clip(middle + half, 0.0, 1.0)
+    enters, leaves = start + first[..., None] * along, start + last[..., None] * along
+    # An end inside the circle has no sector; near the centre its direction would be rounding alone.
+    # Along one line, cross products are shares of that of the edge: those of places that lie close would cancel.
+    before = np.where(first > 0, np.arctan2(first * across, _dot(start, enters)), 0.0)
+    after = np.where(last < 1, np.arctan2((1 - last) * across, _dot(leaves, end)), 0.0)
+    area: NDArray[np.float64] = (radius**2 * (before + after) + (last - first) * across) / 2
+    return area
+
+
+def squared_deviation_integral(start: Points, end: Points, radius: float) -> NDArray[np.float64]:
+    """Integral of (‖P‖ − r)² along straight edges, exact to rounding: (k, 2), (k, 2) → (k,).
+
+    With u the coordinate along the edge's line from the foot of the perpendicular and h the line's distance,
+    the integrand is u² + h² + r² − 2 r √(u² + h²), whose primitive is known. Near the circle its terms cancel, so
+    edges shorter than their distance from the origin are summed over Gauss points instead, where (‖P‖² − r²)² over
+    (‖P‖ + r)² has no negative part. Edges must have a length.
+    """
+    along = end - start
+    length = np.sqrt(_dot(along, along))
+    first, last = _dot(start, along) / length, _dot(end, along) / length
+    height = np.abs(_cross(start, along)) / length
+    beside = np.where((first < 0) & (last > 0), 0.0, np.minimum(np.abs(first), np.abs(last)))
+    short = length <= np.hypot(height, beside)
+    integral: NDArray[np.float64] = np.where(
+        short, _deviation_at_points(start, along, length, radius), _deviation_primitive(first, last, height, radius)
+    )
+    return integral
+
+
+def _deviation_at_points(start: Points, along: Points, length: Values, radius: float) -> Values:
+    points = start + _GAUSS_NODES[:, None, None] * along
+    squared = _dot(points, points)
+    apart = (squared - radius**2) / (np.sqrt(squared) + radius)
+    integral: Values = length * (_GAUSS_WEIGHTS @ apart**2)
+    return integral
+
+
+def _deviation_primitive(first: Values, last: Values, height: Values, radius: float) -> Values:
+    def primitive(u: NDArray[np.float64]) -> NDArray[np.float64]:
+        # h² asinh(u/h) vanishes with h; the floor keeps the quotient finite.
+        bent = height**2 * np.arcsinh(u / np.maximum(height, 1e-150))
+        value: NDArray[np.float64] = (
+            u**3 / 3 + (height**2 + radius**2) * u - radius * (u * np.sqrt(u**2 + height**2) + bent)
+        )
+        return value
+
+    integral: Values = np.maximum(primitive(last) - primitive(first), 0.0)
+    return integral
+
+
+def _boxes_touch(start: Points, radius: float) -> NDArray[np.bool_]:
+    near: NDArray[np.bool_] = ((start.min(axis=1) < radius) & (start.max(axis=1) > -radius)).all(axis=1)
+    return near
+
+
+def _dot(a: Points, b: Points) -> NDArray[np.float64]:
+    dot: NDArray[np.float64] = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+    return dot
+
+
+def _cross(a: Points, b: Points) -> NDArray[np.float64]:
+    cross: NDArray[np.float64] = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return cross
+
+
+#: Difference of a stretch's two Simpson's rules, of the polygon's area and of the whole edge's length, that is small.
+_TOLERANCE: Final = 1e-9
+_DEEPEST: Final = 48  # halvings; 2⁻⁴⁸ of an edge is rounding
+_QUARTERS: Final = np.linspace(0.0, 1.0, 5)[:, None, None]
+_COARSE: Final = np.array([1, 0, 4, 0, 1]) / 6  # Simpson's rule of a stretch …
+_FINE: Final = np.array([1, 4, 2, 4, 1]) / 12  # … and of its halves
+
+
+def simple_polygon(corners_mm: Points) -> Points:
+    """Check a polygon and turn it counterclockwise.
+
+    Parameters
+    ----------
+    corners_mm : (q, 2) float64 in order, either way round; the first corner is not repeated.
+
+    Returns
+    -------
+    (q, 2) float64.
+
+    Raises
+    ------
+    NumericsError
+        If there are fewer than three corners, one is not finite or repeats its neighbour, or the outline cuts itself.
+    """
+    corners = np.asarray(corners_mm, dtype=np.float64)
+    if corners.ndim != 2 or corners.shape[1:] != (2,) or len(corners) < 3 or not np.isfinite(corners).all():
+        raise NumericsError(f"an outline of shape {corners.shape} is not at least three finite corners (x, y)")
+    along = np.roll(corners, -1, axis=0) - corners
+    still = np.flatnonzero(~along.any(axis=1))
+    if still.size:
+        raise NumericsError(
+            f"corner {still[0] + 1} of the outline is repeated",
+            remedy="leave it out; an outline closes by itself",
+        )
+    crossed = _first_crossing(corners)
+    if crossed is not None:
+        raise NumericsError(
+            f"sides {crossed[0] + 1} and {crossed[1] + 1} of the outline meet",
+            remedy="give its corners in the order in which one walks around it",
+        )
+    return corners if signed_area(corners) > 0 else corners[::-1].copy()
+
+
+def signed_area(corners: Points) -> float:
+    """Area of a polygon, positive counterclockwise."""
+    around = corners - corners[0]
+    following = np.roll(around, -1, axis=0)
+    return float(_cross_polygons(around, following).sum()) / 2
+
+
+def centroid(corners: Points) -> Points:
+    """Centre of mass of a polygon's area, (2,)."""
+    around = corners - corners[0]
+    following = np.roll(around, -1, axis=0)
+    weight = _cross_polygons(around, following)
+    centre: Points = corners[0] + weight @ (around + following) / (3 * weight.sum())
+    return centre
+
+
+def area_under_edges_in_polygon(start: Points, end: Points, corners: Points) -> Values:
+    """Areas that sum, along a closed counterclockwise outline, to the outline's area inside a polygon: (k,).
+
+    A polygon is the signed sum of the strips between its sides and a line below everything. The strip of an edge
+    meets that of a side in ∫ min(y_edge, y_side) dx over their common x, so neither need be convex or in one piece.
+    Exact; work and memory are k × q.
+
+    Parameters
+    ----------
+    start, end : (k, 2) float64, directed edges.
+    corners : (q, 2) float64, counterclockwise.
+    """
+    if not len(start):
+        return np.zeros(0)
+    floor = min(float(points[:, 1].min()) for points in (start, end, corners))
+    edge_left, edge_right, edge_y, edge_slope, edge_sign = _strips(start, end)
+    side_left, side_right, side_y, side_slope, side_sign = _strips(corners, np.roll(corners, -1, axis=0))
+    left = np.maximum(edge_left[:, None], side_left)
+    width = np.maximum(np.minimum(edge_right[:, None], side_right) - left, 0.0)
+    edge = (edge_y - edge_slope * edge_left)[:, None] + edge_slope[:, None] * left
+    side = (side_y - side_slope * side_left) + side_slope * left
+    above = edge - side
+    above_after = above + (edge_slope[:, None] - side_slope) * width
+    # ∫ min(d, 0) of a linear d is −n²/2(|d₀| + |d₁|) times the width, n what of d₀ and d₁ is negative.
+    negative = np.minimum(above, 0.0) + np.minimum(above_after, 0.0)
+    spread = np.abs(above) + np.abs(above_after)
+    cut = negative**2 / (2 * np.where(spread > 0, spread, 1.0))
+    common = width * (side + side_slope * width / 2 - floor - cut)
+    area: Values = edge_sign * (common @ side_sign)
+    return area
+
+
+def squared_distance_integral(start: Points, end: Points, corners: Points) -> Values:
+    """Integral of the squared distance to a polygon's outline along straight edges: (k, 2), (k, 2) → (k,).
+
+    By Simpson's rule, exact where one side or corner of the polygon stays the nearest. Stretches on which it and its
+    halves differ by more than 1e-9 of the polygon's area, weighed by length, are halved. Sides that cannot be the
+    nearest anywhere on a stretch are dropped as stretches get shorter.
+    """
+    tolerance = _TOLERANCE * abs(signed_area(corners))
+    integral, owner, sides = np.zeros(len(start)), np.arange(len(start)), len(corners)
+    if not len(start):
+        return integral
+    stretch, side = np.repeat(owner, sides), np.tile(np.arange(sides), len(owner))
+    for depth in range(_DEEPEST):
+        length = np.hypot(*(end - start).T)
+        away = _distance_to_sides((start + end)[stretch] / 2, side, corners)
+        nearest = np.minimum.reduceat(away, np.searchsorted(stretch, np.arange(len(owner))))
+        near = away <= (nearest + length)[stretch]
+        stretch, side = stretch[near], side[near]
+        points = start + _QUARTERS * (end - start)
+        away = _distance_to_sides(points[:, stretch], side, corners)
+        squared = np.minimum.reduceat(away, np.searchsorted(stretch, np.arange(len(owner))), axis=1) ** 2
+        fine = _FINE @ squared
+        wrong = np.abs(fine - _COARSE @ squared) > tolerance * 2.0**depth
+        done = ~wrong if depth < _DEEPEST - 1 else np.ones_like(wrong)
+        np.add.at(integral, owner[done], (length * fine)[done])
+        if done.all():
+            break
+        start, end = np.concatenate([start[wrong], points[2, wrong]]), np.concatenate([points[2, wrong], end[wrong]])
+        number, kept = np.cumsum(wrong) - 1, wrong[stretch]
+        stretch = np.concatenate([number[stretch[kept]], number[stretch[kept]] + int(wrong.sum())])
+        owner, side = np.tile(owner[wrong], 2), np.tile(side[kept], 2)
+    return integral
+
+
+def distance_to_outline(points: Points, corners: Points) -> Values:
+    """Distance of points from a polygon's outline, not below 0 inside either: (n, 2) → (n,)."""
+    distance: Values = _distance_to_sides(points[:, None], np.arange(len(corners)), corners).min(axis=1)
+    return distance
+
+
+def _distance_to_sides(points: Points, side: NDArray[np.int64], corners: Points) -> Values:
+    """Distance of points (…, 2) from sides (…,) of a polygon, each from its own."""
+    start = corners[side]
+    along = corners[(side + 1) % len(corners)] - start
+    away = points - start
+    share = np.clip(_dot_polygons(away, along) / _dot_polygons(along, along), 0.0, 1.0)
+    off = away - share[..., None] * along
+    distance: Values = np.sqrt(_dot_polygons(off, off))
+    return distance
+
+
+def inside_polygon(points: Points, corners: Points) -> NDArray[np.bool_]:
+    """Whether points lie inside a polygon: (n, 2) → (n,).
+
+    On the outline it is either, so that polygons side by side share out their points.
+    """
+    return inside_edges(points, corners, np.roll(corners, -1, axis=0))
+
+
+def inside_edges(points: Points, start: Points, end: Points) -> NDArray[np.bool_]:
+    """Whether closed outlines go around points, holes left out, by counting the edges to their right: (n, 2) → (n,).
+
+    Parameters
+    ----------
+    start, end : (k, 2) float64, edges that make up closed outlines, in any order.
+    """
+    x, y = points[:, :1], points[:, 1:]
+    spans = (start[:, 1] > y) != (end[:, 1] > y)
+    rise = end[:, 1] - start[:, 1]
+    at = start[:, 0] + (y - start[:, 1]) / np.where(rise == 0, 1.0, rise) * (end[:, 0] - start[:, 0])
+    inside: NDArray[np.bool_] = (spans & (x < at)).sum(axis=1) % 2 == 1
+    return inside
+
+
+def _strips(start: Points, end: Points) -> tuple[Values, Values, Values, Values, Values]:
+    """Left and right x of edges, y at the left, slope, and −1 where they run to the right: a lower side."""
+    forward = end[:, 0] > start[:, 0]
+    first, last = np.where(forward[:, None], start, end), np.where(forward[:, None], end, start)
+    across, rise = last[:, 0] - first[:, 0], last[:, 1] - first[:, 1]
+    # An upright edge has no strip; its slope may be anything.
+    steep = across <= np.finfo(np.float64).eps * np.abs(rise)
+    slope = np.where(steep, 0.0, rise / np.where(steep, 1.0, across))
+    return first[:, 0], np.where(steep, first[:, 0], last[:, 0]), first[:, 1], slope, np.where(forward, -1.0, 1.0)
+
+
+def _first_crossing(corners: Points) -> tuple[int, int] | None:
+    """First pair of sides that meet elsewhere than in the corner they share; None for a simple polygon."""
+    end = np.roll(corners, -1, axis=0)
+    count = len(corners)
+    one, other = np.triu_indices(count, 1)
+    follows = (other == one + 1) | ((one == 0) & (other == count - 1))
+    a, b, c, d = corners[one], end[one], corners[other], end[other]
+    turns = [np.sign(_cross_polygons(q - p, r - p)) for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
+    crosses = (turns[0] * turns[1] < 0) & (turns[2] * turns[3] < 0)
+    touches = np.zeros_like(crosses)
+    for turn, p, q, r in zip(turns, (a, a, c, c), (b, b, d, d), (c, d, a, b), strict=True):
+        touches |= (turn == 0) & (_dot_polygons(r - p, r - q) <= 0)
+    # Neighbours share one corner; they meet elsewhere only where the second turns back on the first.
+    back = follows & (turns[1] == 0) & (turns[0] == 0) & (_dot_polygons(b - a, d - c) < 0)
+    found = np.flatnonzero((~follows & (crosses | touches)) | back)
+    return (int(one[found[0]]), int(other[found[0]])) if found.size else None
+
+
+def _dot_polygons(a: Points, b: Points) -> Values:
+    dot: Values = a[..., 0] * b[..., 0] + a[..., 1] * b[..., 1]
+    return dot
+
+
+def _cross_polygons(a: Points, b: Points) -> Values:
+    cross: Values = a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
+    return cross

@@ -1,0 +1,281 @@
+"""What is going to happen: the station, the recipe and the scene, as read from their files."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.results import CharacterisationSettings, Limit, LimitsVersion, OverlapBand
+from cbsr_qa.domain.run import Indenter
+
+
+@dataclass(frozen=True, slots=True)
+class PluginChoice:
+    """A plugin by name, with the options its factory is given."""
+
+    name: str
+    options: Mapping[str, Any] = field(default_factory=dict)
+
+
+#: Of recipes that image nothing; no plugin has this name.
+NO_RECONSTRUCTION = PluginChoice("none")
+
+
+#: Address of an instrument that the station itself emulates over a real byte stream.
+EMULATED = "emulated"
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentSpec:
+    """One instrument table of a station file.
+
+    Parameters
+    ----------
+    role : the table's name.
+    driver : name of the instrument plugin.
+    provides : roles it fills for the runner: ``frame_source``, ``force_applicator``, ``source_meter``,
+        ``multiplexer``, or the channel it samples.
+    options : everything else in the table, for the driver.
+    calibration_due : ISO date or None.
+    model, serial : what the instrument must say it is; empty where the table does not say.
+    """
+
+    role: str
+    driver: str
+    provides: tuple[str, ...]
+    options: Mapping[str, Any]
+    calibration_due: str | None
+    model: str = ""
+    serial: str = ""
+
+    @property
+    def emulated(self) -> bool:
+        """Whether its address is the word for an instrument that the station emulates."""
+        return self.options.get("address") == EMULATED
+
+    @property
+    def address(self) -> str:
+        """Where the station file says it is, for messages."""
+        return str(self.options.get("address", "an address of the driver's choice"))
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How the head moves.
+
+    Parameters
+    ----------
+    press_speed_mm_s : 40 mm/min in the paper.
+    travel_speed_mm_s, hover_mm : between places, and how high above the sheet.
+    homing_s : how long the machine takes to find the zero of its axes; None where it goes there at its travel speed.
+    """
+
+    press_speed_mm_s: float
+    travel_speed_mm_s: float
+    hover_mm: float
+    homing_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SafetyLimits:
+    """What the station allows, whatever a recipe asks for.
+
+    Parameters
+    ----------
+    force_N : ceiling of the measured force.
+    strain : highest strain a press may ask for.
+    travel_radius_mm : furthest the head's centre may go from the sheet's centre.
+    duration_s : longest run.
+    stale_s : force data older than this while pressed stop the run.
+    dwell_s : longest time the head may stay down.
+    compliance : share of a frame's readings at the source's compliance or the meter's limit that stops the run.
+    heartbeat_s : instruments that can say they are there are asked at least this often while the runner waits.
+    answer_s : beyond what its work takes, an instrument may be silent for this long before it counts as hanging.
+    temperature_C : lowest and highest; None where it does not matter.
+    """
+
+    force_N: float
+    strain: float
+    travel_radius_mm: float
+    duration_s: float
+    stale_s: float
+    dwell_s: float = 3600.0
+    compliance: float = 0.05
+    heartbeat_s: float = 10.0
+    answer_s: float = 120.0
+    temperature_C: tuple[float, float] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceRing:
+    """A ring of resistors that is connected in place of a sensor, and what a station's readings of it may be.
+
+    Parameters
+    ----------
+    resistance_ohm : of each resistor between neighbouring electrodes, the first between electrodes 0 and 1; a single
+        one where all are alike.
+    tolerance : of a resistor, as a fraction: readings may differ by this much with nothing wrong.
+    frames : how many are taken.
+    gain : largest error of the gain, as a fraction.
+    reading : largest deviation of a reading from the closed form, as a fraction, beside the tolerance.
+    noise : largest rms noise of a reading, as a fraction of it.
+    offset_V : largest common offset of all readings.
+    lead_ohm : largest resistance of a lead, with its switch and contact.
+    """
+
+    resistance_ohm: tuple[float, ...]
+    tolerance: float
+    frames: int
+    gain: float
+    reading: float
+    noise: float
+    offset_V: float
+    lead_ohm: float
+
+    def resistances_ohm(self, electrodes: int) -> tuple[float, ...]:
+        """Return one resistance for each electrode.
+
+        Raises
+        ------
+        ConfigError
+            If there are neither as many as electrodes nor a single one.
+        """
+        count = len(self.resistance_ohm)
+        if count not in (1, electrodes):
+            raise ConfigError(
+                f"[reference_ring] resistances_ohm has {count} values; the sensor type has {electrodes} electrodes",
+                remedy=f"give {electrodes}, one for each pair of neighbours, or a single one for all",
+            )
+        return self.resistance_ohm * (electrodes if count == 1 else 1)
+
+
+@dataclass(frozen=True, slots=True)
+class Station:
+    """A bench with instruments.
+
+    Parameters
+    ----------
+    clock : ``"real"`` or ``"virtual"``; virtual only where every instrument is simulated.
+    sensor_type, material : names of the files used unless the command line says otherwise.
+    emulated_scene : of the world that its emulated instruments share: a name, or a scene file's content; None where
+        it emulates none.
+    overdue : what happens to runs where an instrument is past its calibration date: ``"warn"`` or ``"refuse"``.
+    reference_ring : that ``cbsr-qa station check`` measures; None where the station has none.
+    """
+
+    name: str
+    clock: str
+    sensor_type: str
+    material: str
+    indenter: Indenter
+    motion: Motion
+    safety: SafetyLimits
+    instruments: tuple[InstrumentSpec, ...]
+    emulated_scene: str | Mapping[str, Any] | None = None
+    overdue: str = "warn"
+    reference_ring: ReferenceRing | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseSpec:
+    """One phase of a recipe: a name, the sequence plugin that makes its steps, its options."""
+
+    name: str
+    sequence: str
+    options: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class AnalysisSettings:
+    """How images become numbers; every choice the paper leaves open, named.
+
+    Parameters
+    ----------
+    masks : percentage masks to report, as fractions.
+    main_mask : the one the verdict uses; must be among ``masks``.
+    noise_floor_frames : unloaded frames the floor is taken from (the paper's first eight).
+    reference : ``"run"`` (mean of the rested frames without the noise-floor ones) or ``"load"`` (before each press).
+    reference_frames : frames before each press that ``"load"`` averages.
+    steady_frames : at most this many frames at the end of a hold make the steady image.
+    settling_multiple : a hold is settled from this multiple of the settling time on.
+    settling_tolerance : half width of the settling band.
+    settling_band : ``"steady"`` (of the steady change) or ``"step"`` (of the relaxing part).
+    r_squared_gate : fits below are rejected.
+    overlap_bands : names of the area-overlap scale.
+    size_ratio : lowest and highest A_b/A_FA for which a band counts.
+    clipping : ``"exact"`` or ``"centroid"``.
+    perimeter : ``"length"`` or ``"nodes"``.
+    outline : of a sensed region: ``"contour"`` (inside the elements) or ``"elements"`` (whole ones, the paper's).
+    noise_weighting : ``"equal"`` (all readings count alike) or ``"measured"`` (by their noise when unloaded).
+    calibrate_phases : names of the phases whose loads the calibration is taken from; loads of others test it.
+    transients : of short holds, for the force model: ``"averaged"`` (their last frames count as they are) or
+        ``"predicted"`` (to where the run's longest holds end).
+    """
+
+    masks: tuple[float, ...]
+    main_mask: float
+    noise_floor_frames: int
+    reference: str
+    reference_frames: int
+    steady_frames: int
+    settling_multiple: float
+    settling_tolerance: float
+    settling_band: str
+    r_squared_gate: float
+    overlap_bands: tuple[OverlapBand, ...]
+    size_ratio: tuple[float, float]
+    clipping: str
+    perimeter: str
+    outline: str
+    noise_weighting: str = "equal"
+    calibrate_phases: tuple[str, ...] = ()
+    transients: str = "averaged"
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """What is done to a sensor and how it is judged.
+
+    Parameters
+    ----------
+    sections : report sections in order; empty for every installed one.
+    calibrate_phases : names of the phases whose loads the calibration is taken from.
+    limits_version : of those limits that carry one; None where none does.
+    characterisation : how press cycles on a strip become a material's parameters; None where sensors are imaged.
+        Where it is there, ``reconstruction`` is NO_RECONSTRUCTION and of ``analysis`` nothing is used.
+    """
+
+    name: str
+    phases: tuple[PhaseSpec, ...]
+    reconstruction: PluginChoice
+    metrics: tuple[PluginChoice, ...]
+    analysis: AnalysisSettings
+    limits: tuple[Limit, ...]
+    calibrate_phases: tuple[str, ...]
+    sections: tuple[str, ...] = ()
+    limits_version: LimitsVersion | None = None
+    characterisation: CharacterisationSettings | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """What the simulated world contains.
+
+    Parameters
+    ----------
+    effects : those that are on, in the order they are applied.
+    current_A : drive current.
+    frame_period_s : time of one frame (256 readings).
+    sheet_mesh_size_mm : element size of the forward model far from the electrodes.
+    not_modelled : what this world leaves out, in words.
+    reference_ring_ohm : resistors of a ring that is connected in place of the sheet, the first between electrodes 0
+        and 1; empty where the sheet is.
+    """
+
+    name: str
+    effects: tuple[PluginChoice, ...]
+    current_A: float
+    frame_period_s: float
+    sheet_mesh_size_mm: float
+    not_modelled: tuple[str, ...]
+    reference_ring_ohm: tuple[float, ...] = ()

@@ -1,0 +1,253 @@
+"""What the effects of a scene change in turn: the sheet as it is made, and the world at one moment."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.domain.sensor import Material, SensorType
+
+Array = NDArray[np.float64]
+
+#: A factor by place: (n, 2) [mm] to (n,), above zero.
+SheetField = Callable[[Array], Array]
+
+#: (x, y, depth below the nominal surface) of the head [mm]; hovering is a negative depth.
+HeadPosition = tuple[float, float, float]
+
+#: Contact impedance over sheet resistance z γ₀ [mm]. Chosen by us, since the paper gives no contact impedance: about
+#: a tenth of the inter-electrode resistance then lies in the contacts of 0.65 mm pins.
+CONTACT_LENGTH_MM = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class StrainStep:
+    """A ramp of strain under the head: from ``start_s`` over ``ramp_s`` the strain changes by ``change``."""
+
+    start_s: float
+    ramp_s: float
+    change: float
+
+
+@dataclass(slots=True)
+class SimulatedPress:
+    """One press of the simulated head, growing while it happens.
+
+    Parameters
+    ----------
+    index : counts every press of the run; random numbers of a press are addressed with it.
+    x_mm, y_mm : where.
+    steps : strain ramps so far, in time order.
+    """
+
+    index: int
+    x_mm: float
+    y_mm: float
+    steps: list[StrainStep] = field(default_factory=list)
+
+    @property
+    def end_s(self) -> float:
+        """When its last ramp so far ends."""
+        return self.steps[-1].start_s + self.steps[-1].ramp_s if self.steps else -math.inf
+
+    def strain_at(self, time_s: float) -> float:
+        """Strain under the head at a time."""
+        if not self.steps or time_s <= self.steps[0].start_s:
+            return 0.0
+        if time_s >= self.end_s:  # as most presses of a run are
+            return sum([step.change for step in self.steps])
+        return sum(s.change * min(max((time_s - s.start_s) / s.ramp_s, 0.0), 1.0) for s in self.steps)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneSetting:
+    """What does not change through a scene.
+
+    Parameters
+    ----------
+    sensor_type, material, indenter : what is simulated.
+    seed : of the run; random numbers are addressed with it.
+    current_A : drive current.
+    frame_period_s : time of one frame.
+    began_s : when on the run's time line the station's clock began; above 0 in a resumed session.
+    """
+
+    sensor_type: SensorType
+    material: Material
+    indenter: Indenter
+    seed: int
+    current_A: float
+    frame_period_s: float = 2.5
+    began_s: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class HeadRing:
+    """One of the nested shapes a head's pressure is made of.
+
+    Parameters
+    ----------
+    size : of the head's outline about its centre, 1 for the head itself.
+    weight : relative pressure under it, which adds to that of the other rings.
+    """
+
+    size: float
+    weight: float
+
+
+@dataclass(slots=True, eq=False)
+class SheetDesign:
+    """A sheet before it is made. Effects of the stage ``sheet`` change it, once.
+
+    Parameters
+    ----------
+    sensor_type, indenter : what it is, and the head that presses on it.
+    contact_mm : (electrodes,) contact impedance over the sheet's mean resistance [mm].
+    shift_mm : (electrodes, 2) how far each electrode is from where its sensor type says.
+    conductance, response, thickness : factors by place, each 1 on average; several multiply. Conductance is that of
+        the material: the sheet's is thicker where the sheet is.
+    rings : what the head's pressure is made of; the weights' areas add up to the head's.
+    """
+
+    sensor_type: SensorType
+    indenter: Indenter
+    contact_mm: Array
+    shift_mm: Array
+    conductance: list[SheetField] = field(default_factory=list)
+    response: list[SheetField] = field(default_factory=list)
+    thickness: list[SheetField] = field(default_factory=list)
+    rings: tuple[HeadRing, ...] = (HeadRing(1.0, 1.0),)
+
+    @classmethod
+    def plain(cls, sensor_type: SensorType, indenter: Indenter, contact_length_mm: float = CONTACT_LENGTH_MM) -> Self:
+        """The sheet of a scene without effects: uniform, electrodes in place, contacts alike."""
+        count = sensor_type.electrodes.count
+        return cls(sensor_type, indenter, np.full(count, contact_length_mm), np.zeros((count, 2)))
+
+    def sheet_conductance_at(self, places_mm: Array) -> Array:
+        """Sheet conductance over its mean, at (n, 2) places: (n,)."""
+        return _product([*self.conductance, *self.thickness], places_mm)
+
+    def response_at(self, places_mm: Array) -> Array:
+        """Response over its mean, at (n, 2) places: (n,)."""
+        return _product(self.response, places_mm)
+
+    def thickness_mm_at(self, places_mm: Array) -> Array:
+        """Thickness at (n, 2) places: (n,) [mm]."""
+        return self.sensor_type.thickness_mm * _product(self.thickness, places_mm)
+
+
+def _product(factors: list[SheetField], places_mm: Array) -> Array:
+    total = np.ones(len(places_mm))
+    for factor in factors:
+        total *= factor(places_mm)
+    return total
+
+
+@dataclass(frozen=True, slots=True)
+class Dump:
+    """A board's watchdog dump in the middle of a frame: the board prints its log, and reads on later.
+
+    Parameters
+    ----------
+    frame, row : before which row of which frame.
+    pause_s : how much later the rest of the frame, and all that follow, are read.
+    """
+
+    frame: int
+    row: int
+    pause_s: float
+
+
+@dataclass(slots=True, eq=False)
+class Transcript:
+    """How frames come to be written down. Effects of the stage ``recording`` change it, once, before the first frame.
+
+    Parameters
+    ----------
+    setting : the constants of the scene.
+    time_s : (frames,) middles of the frames, on the station's clock, without pauses.
+    lost : (frames, drives) rows that never arrive.
+    dumps : of the board's watchdog, by frame and row.
+    """
+
+    setting: SceneSetting
+    time_s: Array
+    lost: NDArray[np.bool_]
+    dumps: list[Dump] = field(default_factory=list)
+
+    @classmethod
+    def complete(cls, setting: SceneSetting, time_s: Array) -> Self:
+        """Nothing lost, no dumps."""
+        rows = setting.sensor_type.pattern.shape[0]
+        return cls(setting, time_s, np.zeros((len(time_s), rows), dtype=np.bool_))
+
+    def pauses_s(self) -> Array:
+        """How much later than without dumps each row is read, (frames, drives)."""
+        late = np.zeros(self.lost.size)
+        for dump in self.dumps:
+            late[dump.frame * self.lost.shape[1] + dump.row :] += dump.pause_s
+        return late.reshape(self.lost.shape)
+
+
+@dataclass(slots=True, eq=False)
+class Moment:
+    """One moment of the simulated world. Effects change it in the scene's declared order.
+
+    Parameters
+    ----------
+    setting : the constants of the scene.
+    time_s : on the station's clock.
+    index : of the frame, or of the force sample, 0 for the geometry; random numbers are addressed with it.
+    presses : all so far, also those released whose residue may linger.
+    response : relative conductance change under the head, per press.
+    stress_kPa : under the head, per press.
+    voltages : (drives, measures) [V]; None until the sheet was solved.
+    force_N : what the load cell reads.
+    place_mm : where the head is, from the sheet's centre. In stage ``position`` where it was told to go.
+    depth_mm : how deep below the nominal surface it was told to go; hovering is a negative depth.
+    from_mm, from_depth_mm : where it is before it moves there.
+    surface_mm : how far the sheet's surface there lies below nominal.
+    reading_scale_V : mean magnitude of the used readings of the unloaded sheet [V], for effects that are stated
+        relative to it.
+    reading_offsets_s : (drives, measures) when each reading of a frame is taken, from the frame's time; None where
+        all are taken at once.
+    contact_mm : (electrodes,) contact impedance over the sheet's mean resistance; None away from a frame.
+    impedance_ohm : (electrodes, electrodes) electrode potentials per electrode current; None before it was solved.
+    current_A : (drives, measures) what flows while each reading is taken; None before the source is on.
+    drive_ohm : (drives, measures) resistance that its driven pair shows to the source then; None before the sheet
+        was solved.
+    measure_ohm : (drives, measures) resistance between the electrodes of its measured pair then; None before that.
+    flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.readings.ReadingFlag`; None away from a frame.
+    """
+
+    setting: SceneSetting
+    time_s: float
+    index: int
+    presses: list[SimulatedPress]
+    response: list[float]
+    stress_kPa: list[float]
+    voltages: NDArray[np.float64] | None = None
+    force_N: float = 0.0
+    place_mm: tuple[float, float] = (0.0, 0.0)
+    depth_mm: float = 0.0
+    from_mm: tuple[float, float] = (0.0, 0.0)
+    from_depth_mm: float = 0.0
+    surface_mm: float = 0.0
+    reading_scale_V: float = 0.0
+    reading_offsets_s: Array | None = None
+    contact_mm: Array | None = None
+    impedance_ohm: Array | None = None
+    current_A: Array | None = None
+    drive_ohm: Array | None = None
+    measure_ohm: Array | None = None
+    flags: NDArray[np.uint8] | None = None
+
+    @property
+    def run_s(self) -> float:
+        """When it is on the run's time line: what drifts with the time of a run goes on in a resumed session."""
+        return self.time_s + self.setting.began_s

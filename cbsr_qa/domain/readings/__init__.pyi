@@ -1,0 +1,31 @@
+from .carry_over import (
+    RECIPROCITY_LIMIT as RECIPROCITY_LIMIT,
+    MemoryEstimate as MemoryEstimate,
+    correct_memory as correct_memory,
+    estimate_memory as estimate_memory,
+    offset_of as offset_of,
+    reciprocity_error as reciprocity_error,
+    scan_order as scan_order,
+)
+from .findings import (
+    ChannelReport as ChannelReport,
+    EventImaging as EventImaging,
+    ImagedPlace as ImagedPlace,
+    LoadEvent as LoadEvent,
+    Motion as Motion,
+    NoiseReport as NoiseReport,
+    NoiseStep as NoiseStep,
+    RecordingResult as RecordingResult,
+)
+from .frames import (
+    LARGEST_VALUE as LARGEST_VALUE,
+    FrameBlock as FrameBlock,
+    ReadingFlag as ReadingFlag,
+    ReadOptions as ReadOptions,
+    Recording as Recording,
+    SampleBlock as SampleBlock,
+    ScanKind as ScanKind,
+    VoltageUnit as VoltageUnit,
+    join_frames as join_frames,
+    join_samples as join_samples,
+)

@@ -1,0 +1,126 @@
+"""Reading memory: each reading keeps a share of the one taken just before it.
+
+A multiplexer and a converter that do not settle fully mix a share m of the previous reading into each one,
+s[n] = (1 − m) x[n] + m s[n−1]. A passive sheet is reciprocal (V_ij = V_ji), the memory is not, so m shows in the
+antisymmetric part of the frame: A(s)[n] = m A(s[n−1]) + noise, a regression through the origin.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: An estimate counts only if it is this many of its own standard errors away from zero …
+_SIGNIFICANT = 5.0
+#: … and taking it out makes reciprocity better by at least this share.
+_WORTHWHILE = 0.2
+_LARGEST = 0.5
+#: Above this, more than a quarter of the readings' power is not reciprocal: no passive sheet was measured. A
+#: correction that hardly gets below it has not explained the readings.
+RECIPROCITY_LIMIT = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class MemoryEstimate:
+    """Reading memory of one recording.
+
+    Parameters
+    ----------
+    share, stderr : m, dimensionless.
+    error, error_corrected : reciprocity error before and after taking it out, see :func:`reciprocity_error`.
+    """
+
+    share: float
+    stderr: float
+    error: float
+    error_corrected: float
+
+    @property
+    def worth_correcting(self) -> bool:
+        """Whether the estimate is significant, plausible, and its correction makes reciprocity clearly better."""
+        return _SIGNIFICANT * self.stderr < self.share < _LARGEST and self.error_corrected < (1 - _WORTHWHILE) * min(
+            self.error, RECIPROCITY_LIMIT
+        )
+
+
+def scan_order(block: FrameBlock) -> NDArray[np.int64]:
+    """Order in which a frame was read, (drives·measures,) indices into the flattened frame.
+
+    From the readings' own times where there are any, else row by row (the boards' order).
+    """
+    count = block.voltages[0].size
+    if block.reading_time_s is None:
+        return np.arange(count, dtype=np.int64)
+    own = block.reading_time_s.reshape(len(block), count)
+    return np.argsort(np.median(own - own[:, :1], axis=0), kind="stable").astype(np.int64)
+
+
+def correct_memory(voltages: Array, share: float, order: NDArray[np.int64]) -> Array:
+    """Take the memory out: x[n] = (s[n] − m s[n−1]) / (1 − m) along the scan, frame after frame.
+
+    Parameters
+    ----------
+    voltages : (n, drives, measures). A constant offset passes through unchanged, so it need not be known.
+    order : see :func:`scan_order`. The very first reading has no predecessor and stays.
+    """
+    stream = voltages.reshape(len(voltages), -1)[:, order].ravel()
+    mended = stream.copy()
+    mended[1:] = (stream[1:] - share * stream[:-1]) / (1 - share)
+    out = np.empty((len(voltages), len(order)))
+    out[:, order] = mended.reshape(len(voltages), -1)
+    return out.reshape(voltages.shape)
+
+
+def offset_of(frame: Array, used: Mask, *, counts: bool) -> float:
+    """Offset of a frame: the median of its used readings for counts (far readings are small), else 0."""
+    return float(np.median(frame[used])) if counts else 0.0
+
+
+def reciprocity_error(frame: Array, used: Mask, offset: float) -> float | None:
+    """Rms of V_ij − V_ji over rms of V_ij − offset, over used pairs; None where there is nothing to compare.
+
+    A passive sheet gives 0, uncorrelated noise √2. Raw recordings of a board with memory reach 0.6 to 0.9 without
+    any electrode being loose.
+    """
+    both = used & used.T if used.shape[0] == used.shape[1] else np.zeros_like(used)
+    level = float(np.sqrt(np.mean((frame - offset)[both] ** 2))) if both.any() else 0.0
+    if level == 0.0:
+        return None
+    return float(np.sqrt(np.mean((frame - frame.T)[both] ** 2))) / level
+
+
+def estimate_memory(block: FrameBlock, used: Mask) -> MemoryEstimate | None:
+    """Estimate m from reciprocity on the mean frame.
+
+    Parameters
+    ----------
+    used : (drives, measures) bool, readings that touch no driven electrode.
+
+    Returns
+    -------
+    MemoryEstimate, or None where drives and measures are not the same pairs or the frame says nothing.
+    """
+    both = used & used.T if used.shape[0] == used.shape[1] else np.zeros_like(used)
+    order = scan_order(block)
+    frame = block.voltages.mean(axis=0)
+    previous = np.empty(frame.size)
+    previous[order] = np.roll(frame.ravel()[order], 1)
+    before = previous.reshape(frame.shape)
+    own, last = (frame - frame.T)[both], (before - before.T)[both]
+    power = float(last @ last)
+    offset = offset_of(frame, used, counts=block.unit is VoltageUnit.COUNT)
+    error = reciprocity_error(frame, used, offset)
+    if power == 0.0 or error is None:
+        return None
+    share = float(own @ last) / power
+    # Every pair appears twice with opposite sign, so there are half as many residuals as entries.
+    residual = own - share * last
+    stderr = float(np.sqrt(residual @ residual / max(both.sum() / 2 - 1, 1) / power))
+    corrected = correct_memory(frame[None], share, order)[0] if share < 1 else frame
+    mended = reciprocity_error(corrected, used, offset_of(corrected, used, counts=block.unit is VoltageUnit.COUNT))
+    return MemoryEstimate(share, stderr, error, error if mended is None else mended)

@@ -1,0 +1,227 @@
+"""What was found in a recording nobody annotated: channels, noise, and presses as events."""
+
+from dataclasses import dataclass
+from typing import Final
+
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.domain.readings.frames import Recording
+from cbsr_qa.domain.results import Image, ParameterChoice
+from cbsr_qa.domain.sensor import SensorType
+
+_AT_CENTRE: Final = 0.15  #: r/R within which an object has no direction worth a turn
+_NO_TURN: Final = 0.05
+_WHOLE_TURN: Final = 0.15
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseStep:
+    """The noise or the level of a recording changed at once.
+
+    Parameters
+    ----------
+    time_s : when.
+    what : ``"level"`` or ``"noise"``.
+    before, after : level or rms noise on either side, in the recording's unit.
+    """
+
+    time_s: float
+    what: str
+    before: float
+    after: float
+
+
+@dataclass(frozen=True, slots=True)
+class NoiseReport:
+    """Noise of the quiet part of a recording, estimated robustly.
+
+    Parameters
+    ----------
+    rms : median over channels of the rms noise of one reading, in ``unit``; None where too few frames exist.
+    unit : the recording's, ``"V"`` or ``"count"``.
+    drift_per_min : median over channels of the slope, in ``unit`` per minute; None where time is unknown.
+    steps : changes of level or noise; where there are any, ``rms`` is that of the longest quiet stretch.
+    quiet_s : (start, end) of the stretch the figures are from; None where there is none.
+    frames : how many frames that is.
+    outliers : share of all readings further than six times the noise from their channel's level in that stretch.
+    """
+
+    rms: float | None
+    unit: str
+    drift_per_min: float | None
+    steps: tuple[NoiseStep, ...]
+    quiet_s: tuple[float, float] | None
+    frames: int
+    outliers: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelReport:
+    """What the channels of a recording are worth.
+
+    Parameters
+    ----------
+    saturated, stuck : (drive, measure) index pairs at the converter's end, or that never change (any more).
+    not_connected : whether nothing was connected at all.
+    used : number of readings that were imaged.
+    snr_db : median over used channels of level over noise; None where there is no noise estimate.
+    reciprocity_error : rms |V_ij − V_ji| over rms |V| on used pairs, as recorded; None for one-row scans.
+    reading_memory : share m of the previous reading estimated from reciprocity; None where not estimated.
+    reciprocity_error_corrected : the same after the memory was taken out.
+    memory_corrected : whether the correction was applied before imaging.
+    suspect_electrodes : whose readings changed together and were left out: a contact, not a load.
+    """
+
+    saturated: tuple[tuple[int, int], ...]
+    stuck: tuple[tuple[int, int], ...]
+    not_connected: bool
+    used: int
+    snr_db: float | None
+    reciprocity_error: float | None
+    reading_memory: float | None
+    reciprocity_error_corrected: float | None
+    memory_corrected: bool
+    suspect_electrodes: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class ImagedPlace:
+    """Where, and how strongly, the image of an event shows it.
+
+    Parameters
+    ----------
+    x_over_R, y_over_R : centre of mass of its region, in units of the sheet's radius.
+    electrode : its direction as a fractional 0-based electrode number.
+    largest : relative conductance change of largest size in the region.
+    area_share : of the sheet, where the image is above half of that.
+    """
+
+    x_over_R: float
+    y_over_R: float
+    electrode: float
+    largest: float
+    area_share: float
+
+    @property
+    def r_over_R(self) -> float:
+        """Distance from the centre in units of the radius."""
+        return float((self.x_over_R**2 + self.y_over_R**2) ** 0.5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EventImaging:
+    """How the images of events were made.
+
+    Parameters
+    ----------
+    reconstruction : the plugin, and the options it was given.
+    choice : of its parameter; None where there was no event to image.
+    elements : of an image; None likewise.
+    """
+
+    reconstruction: PluginChoice
+    choice: ParameterChoice | None = None
+    elements: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """How an object moves while it is followed.
+
+    Parameters
+    ----------
+    begins, ends : electrode (direction as a fractional number) and r/R of its first and last place.
+    turns : round the centre, positive towards higher electrode numbers; means nothing for a way through the centre.
+    nearest_r_over_R : how near it comes to the centre.
+    """
+
+    begins: tuple[float, float]
+    ends: tuple[float, float]
+    turns: float
+    nearest_r_over_R: float
+
+    @property
+    def words(self) -> str:
+        """From where to where, and which way round."""
+        (first, first_r), (last, last_r) = self.begins, self.ends
+        places = f"from electrode {first:.1f}, r/R {first_r:.2f} to electrode {last:.1f}, r/R {last_r:.2f}"
+        way = self._way()
+        return f"{places}, {way}" if way else places
+
+    def _way(self) -> str:
+        if self.nearest_r_over_R < _AT_CENTRE:
+            return "through the centre"
+        sense = f"towards {'higher' if self.turns > 0 else 'lower'} electrode numbers"
+        round_ = abs(self.turns)
+        if round_ < _NO_TURN:
+            return ""
+        if abs(round_ - 1) <= _WHOLE_TURN:
+            return f"once round, {sense}"
+        return f"{round_:.1f} times round, {sense}" if round_ > 1 else sense
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadEvent:
+    """One press (or object) found without being told where or when.
+
+    Parameters
+    ----------
+    start_s, peak_s, end_s : on the recording's clock [s]; ``end_s`` is the last frame where it goes on to the end.
+    x_over_R, y_over_R : place in units of the sheet's radius, x towards electrode 0's direction as drawn.
+    electrode : its direction as a fractional 0-based electrode number.
+    sign : +1 where the place conducts more, −1 less.
+    snr : detection statistic over its noise, dimensionless.
+    x_mm, y_mm : only where a sensor type was named.
+    image : of the change it made.
+    force_N : peak force while it lasted; None where not recorded.
+    track : (time_s, x_over_R, y_over_R) per frame of an object that moves; empty for a press.
+    motion : how an object moves; None where it stays, and for a press.
+    fate : beside others held at its peak, whether the image shows it ``"apart"``, ``"merged"`` with one of them, or
+        it was ``"missed"``; empty where it was alone.
+    imaged : where its own image shows it; None where the image shows nothing near its place.
+    """
+
+    start_s: float
+    peak_s: float
+    end_s: float
+    x_over_R: float
+    y_over_R: float
+    electrode: float
+    sign: int
+    snr: float
+    image: Image
+    x_mm: float | None = None
+    y_mm: float | None = None
+    force_N: float | None = None
+    track: tuple[tuple[float, float, float], ...] = ()
+    motion: Motion | None = None
+    fate: str = ""
+    imaged: ImagedPlace | None = None
+
+    @property
+    def r_over_R(self) -> float:
+        """Distance from the centre in units of the radius."""
+        return float((self.x_over_R**2 + self.y_over_R**2) ** 0.5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordingResult:
+    """A recording with everything that was found in it.
+
+    Parameters
+    ----------
+    frame_rate_hz : None for still images.
+    events_why : why there is no event, where there is none ("nothing stands out of the noise", …).
+    sensor_type : what was measured; None where nobody named it.
+    imaging : how the images were made; None where no image can be made of such a recording.
+    """
+
+    recording: Recording
+    frame_rate_hz: float | None
+    channels: ChannelReport
+    noise: NoiseReport
+    events: tuple[LoadEvent, ...]
+    events_why: str
+    warnings: tuple[str, ...] = ()
+    compute_s: tuple[tuple[str, float], ...] = ()
+    sensor_type: SensorType | None = None
+    imaging: EventImaging | None = None

@@ -1,0 +1,261 @@
+"""What the instruments deliver: frames of voltages, and samples of everything else.
+
+A recording somebody else's rig, or ours, wrote to a file.
+"""
+
+from dataclasses import dataclass, field
+from enum import IntFlag, StrEnum
+from pathlib import Path
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import RefusedError, RowProblem
+from cbsr_qa.domain.numbers import check_encodable
+from cbsr_qa.domain.run import LoadRecord
+from cbsr_qa.domain.sensor import Electrodes
+
+#: Largest magnitude of a reading, a sample or a current in its unit. Squares and their sums stay finite; every
+#: converter's counts and every instrument's volts, newtons and amperes are far below it.
+LARGEST_VALUE: Final = 1e15
+#: Smallest drive current that is not zero [A]: readings are divided by it.
+SMALLEST_CURRENT_A: Final = 1e-15
+
+
+class VoltageUnit(StrEnum):
+    """Unit of the readings. Counts stay counts: a scale nobody states is not guessed."""
+
+    VOLT = "V"
+    COUNT = "count"
+
+
+class ReadingFlag(IntFlag):
+    """What is known against a single reading."""
+
+    NONE = 0
+    SATURATED = 1  #: at the end of the converter's range
+    COMPLIANCE = 2  #: the source was at its voltage limit
+    MISSING = 4  #: not recorded; the voltage stored is 0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameBlock:
+    """Consecutive frames in canonical order (row = drive pair, column = measure pair).
+
+    Parameters
+    ----------
+    time_s : (n,) float64, the middle of each frame [s] on the run's or the recording's clock.
+    voltages : (n, drives, measures) float64 in ``unit``.
+    flags : (n, drives, measures) uint8 of :class:`ReadingFlag`.
+    unit : of the voltages.
+    current_A : drive current [A]; None where the recording does not state it.
+    reading_time_s : (n, drives, measures) float64, each reading's own time [s]; None where not recorded.
+
+    Raises
+    ------
+    RefusedError
+        If the shapes disagree, a voltage is not finite (a missing reading is flagged, never NaN), or a voltage or
+        the current is beyond :data:`LARGEST_VALUE`; the first such reading is named.
+    """
+
+    time_s: NDArray[np.float64]
+    voltages: NDArray[np.float64]
+    flags: NDArray[np.uint8]
+    unit: VoltageUnit
+    current_A: float | None
+    reading_time_s: NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        if self.voltages.ndim != 3 or self.voltages.shape[0] != self.time_s.shape[0]:
+            raise RefusedError(
+                f"a block of {self.time_s.shape[0]} times cannot hold voltages of shape {self.voltages.shape}"
+            )
+        if self.flags.shape != self.voltages.shape:
+            raise RefusedError(f"flags of shape {self.flags.shape} do not fit voltages of {self.voltages.shape}")
+        if not np.isfinite(self.voltages).all():
+            raise RefusedError(
+                "a frame holds a voltage that is not a finite number", remedy="flag it as missing instead"
+            )
+        self._check_sizes()
+
+    def _check_sizes(self) -> None:
+        beyond = np.argwhere(np.abs(self.voltages) > LARGEST_VALUE)
+        if len(beyond):
+            frame, drive, measure = beyond[0].tolist()
+            raise RefusedError(
+                f"frame {frame}, drive pair {drive}, measure pair {measure} (all from 0) reads"
+                f" {self.voltages[frame, drive, measure]!s} {self.unit.value}; readings are at most"
+                f" {LARGEST_VALUE:g} {self.unit.value}",
+                remedy="flag it as missing, or record it again",
+            )
+        size_A = abs(self.current_A or 0.0)
+        if size_A and not SMALLEST_CURRENT_A <= size_A <= LARGEST_VALUE:
+            raise RefusedError(
+                f"the drive current is {self.current_A:g} A; allowed: {SMALLEST_CURRENT_A:g} to {LARGEST_VALUE:g} A"
+            )
+
+    def __len__(self) -> int:
+        return int(self.time_s.shape[0])
+
+    def select(self, which: NDArray[np.bool_] | slice) -> Self:
+        """Return the frames chosen by a mask or a slice, as a block of their own."""
+        own = None if self.reading_time_s is None else self.reading_time_s[which]
+        return type(self)(self.time_s[which], self.voltages[which], self.flags[which], self.unit, self.current_A, own)
+
+    def between(self, start_s: float, end_s: float) -> Self:
+        """Return the frames whose time lies in [start_s, end_s)."""
+        return self.select((self.time_s >= start_s) & (self.time_s < end_s))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SampleBlock:
+    """Samples of one channel that is not a frame: force, position, temperature.
+
+    Parameters
+    ----------
+    channel : e.g. ``"force"``; a load cell's compression is positive.
+    unit : e.g. ``"N"``.
+    time_s, values : (n,) float64 on the same clock as the frames.
+
+    Raises
+    ------
+    RefusedError
+        If the shapes disagree, channel or unit cannot be encoded, or a time or value is beyond :data:`LARGEST_VALUE`.
+    """
+
+    channel: str
+    unit: str
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        if self.time_s.shape != self.values.shape or self.time_s.ndim != 1:
+            raise RefusedError(f"channel {self.channel}: {self.time_s.shape} times for {self.values.shape} values")
+        check_encodable(f"channel {self.channel!r}", self.channel, self.unit)
+        for what, unit, column in (("time", "s", self.time_s), ("value", self.unit, self.values)):
+            beyond = np.flatnonzero(np.abs(column) > LARGEST_VALUE)
+            if len(beyond):
+                raise RefusedError(
+                    f"channel {self.channel}: the {what} of sample {beyond[0]} (from 0) is"
+                    f" {column[beyond[0]]!s} {unit}; at most {LARGEST_VALUE:g} {unit} is allowed"
+                )
+
+    def __len__(self) -> int:
+        return int(self.time_s.shape[0])
+
+    def between(self, start_s: float, end_s: float) -> Self:
+        """Return the samples whose time lies in [start_s, end_s)."""
+        which = (self.time_s >= start_s) & (self.time_s < end_s)
+        return type(self)(self.channel, self.unit, self.time_s[which], self.values[which])
+
+
+def join_frames(blocks: list[FrameBlock]) -> FrameBlock:
+    """Put blocks behind each other; they must agree in unit and current.
+
+    Raises
+    ------
+    RefusedError
+        If there are none, or they differ in unit, shape or current.
+    """
+    if not blocks:
+        raise RefusedError("there are no frames to join")
+    if len({(b.unit, b.current_A, b.voltages.shape[1:]) for b in blocks}) > 1:
+        raise RefusedError("blocks of frames differ in unit, drive current or shape")
+    own = [b.reading_time_s for b in blocks if b.reading_time_s is not None]
+    return FrameBlock(
+        np.concatenate([b.time_s for b in blocks]),
+        np.concatenate([b.voltages for b in blocks]),
+        np.concatenate([b.flags for b in blocks]),
+        blocks[0].unit,
+        blocks[0].current_A,
+        np.concatenate(own) if len(own) == len(blocks) else None,
+    )
+
+
+def join_samples(blocks: list[SampleBlock]) -> SampleBlock:
+    """Put sample blocks of one channel behind each other.
+
+    Raises
+    ------
+    RefusedError
+        If there are none, or they differ in channel or unit.
+    """
+    if len({(b.channel, b.unit) for b in blocks}) != 1:
+        raise RefusedError("sample blocks of one channel and one unit are needed to join them")
+    return SampleBlock(
+        blocks[0].channel,
+        blocks[0].unit,
+        np.concatenate([b.time_s for b in blocks]),
+        np.concatenate([b.values for b in blocks]),
+    )
+
+
+class ScanKind(StrEnum):
+    """What one frame of a recording covers."""
+
+    FULL = "full"  #: every drive pair against every measure pair
+    DRIVEN_PAIRS = "driven_pairs"  #: one row: the voltage across each pair while that pair is driven
+
+
+@dataclass(frozen=True, slots=True)
+class Recording:
+    """The content of a recording, before any analysis.
+
+    Parameters
+    ----------
+    path, format, dataset : where it came from; ``dataset`` is empty where a file holds only one.
+    scan : what a frame covers. For ``DRIVEN_PAIRS`` blocks have shape (n, 1, pairs).
+    frames : the complete frames; times count from the first, on the board's clock where there is one.
+    reference : frames of the unloaded domain recorded apart (tank data); None where the recording holds its own.
+    still : True for single or averaged images, whose times say nothing (no frame rate).
+    magnitudes_only : readings are absolute values (the sign of the pattern's geometry is to be put back).
+    samples : force and other channels; empty where none was recorded.
+    loads : presses the recording itself documents (our own exports); empty where nobody said.
+    problems : rows left out or noteworthy, by line.
+    clock : which clock the times are from: ``"board"``, ``"computer"``, ``"station"`` (our own runs),
+        ``"documented"`` (a rate the data's authors state; the file holds no times) or ``"none"``.
+    layout : electrode numbering the format documents, or their places; None where it is unknown.
+    sensor_type : name of the sensor type where the recording states it.
+    notes : facts worth telling a reader, in words.
+    frames_dropped : frames that are in the file but not whole; the ones cut by its beginning and end do not count.
+    simulated : in words, what was simulated; empty where a real rig measured.
+    """
+
+    path: Path
+    format: str
+    dataset: str
+    scan: ScanKind
+    frames: FrameBlock
+    reference: FrameBlock | None
+    still: bool
+    magnitudes_only: bool
+    clock: str
+    samples: tuple[SampleBlock, ...] = ()
+    loads: tuple[LoadRecord, ...] = ()
+    problems: tuple[RowProblem, ...] = ()
+    layout: Electrodes | None = None
+    sensor_type: str | None = None
+    notes: tuple[str, ...] = field(default=())
+    frames_dropped: int = 0
+    simulated: tuple[str, ...] = ()
+
+    @property
+    def rows_rejected(self) -> int:
+        """Number of rows whose numbers were left out."""
+        return sum(problem.rejected for problem in self.problems)
+
+
+@dataclass(frozen=True, slots=True)
+class ReadOptions:
+    """What a user may say about a recording.
+
+    Parameters
+    ----------
+    dataset : one of several data sets in a file; None to take the only one.
+    reference : a file (and data set within it) holding the unloaded domain. The analysis reads it, by that file's
+        own format; a format only leaves out a reference it would find by itself.
+    """
+
+    dataset: str | None = None
+    reference: tuple[Path, str | None] | None = None

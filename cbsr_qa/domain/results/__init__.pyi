@@ -1,0 +1,85 @@
+from .calibration import (
+    NUMBERS as NUMBERS,
+    BaselineConductance as BaselineConductance,
+    Calibration as Calibration,
+    ForceModel as ForceModel,
+    Lattice as Lattice,
+    LoadRelaxation as LoadRelaxation,
+    OverlapBand as OverlapBand,
+    SettlingSummary as SettlingSummary,
+    Validity as Validity,
+    VerifiedFile as VerifiedFile,
+)
+from .characterisation import (
+    Characterisation as Characterisation,
+    CharacterisationSettings as CharacterisationSettings,
+    CycleChange as CycleChange,
+    CycleReadings as CycleReadings,
+    FittedLine as FittedLine,
+    StrainLevel as StrainLevel,
+    StrainSettling as StrainSettling,
+    StripFacts as StripFacts,
+)
+from .fleet import (
+    FleetRun as FleetRun,
+    FleetTable as FleetTable,
+    Kind as Kind,
+    MetricKey as MetricKey,
+    RunFigure as RunFigure,
+    RunLine as RunLine,
+    State as State,
+)
+from .image import (
+    Blob as Blob,
+    Image as Image,
+    ImagingProblem as ImagingProblem,
+    LinearReconstruction as LinearReconstruction,
+    ParameterAnswer as ParameterAnswer,
+    ParameterChoice as ParameterChoice,
+    ParameterCurve as ParameterCurve,
+    PreparedReconstruction as PreparedReconstruction,
+    Region as Region,
+    checked_readings as checked_readings,
+    linear as linear,
+)
+from .measurement import (
+    SEVERITY as SEVERITY,
+    Bound as Bound,
+    EndReason as EndReason,
+    Limit as Limit,
+    LimitsVersion as LimitsVersion,
+    Measurement as Measurement,
+    Outcome as Outcome,
+    Verdict as Verdict,
+    decide as decide,
+    relative_margin as relative_margin,
+    worst as worst,
+)
+from .observation import (
+    Estimated as Estimated,
+    LoadEstimate as LoadEstimate,
+    LoadFinding as LoadFinding,
+    LoadObservation as LoadObservation,
+    LoopObservation as LoopObservation,
+    MaskView as MaskView,
+    MetricTimeline as MetricTimeline,
+    RelaxationObservation as RelaxationObservation,
+    RunObservation as RunObservation,
+    Trace as Trace,
+)
+from .relaxation import (
+    FitStatus as FitStatus,
+    RelaxationFit as RelaxationFit,
+    RelaxationKernel as RelaxationKernel,
+    SettlingTime as SettlingTime,
+    SteadyPrediction as SteadyPrediction,
+)
+from .report import (
+    Block as Block,
+    Cell as Cell,
+    Figure as Figure,
+    Paragraph as Paragraph,
+    RunResult as RunResult,
+    Section as Section,
+    Table as Table,
+)

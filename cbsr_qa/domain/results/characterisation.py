@@ -1,0 +1,233 @@
+"""What press cycles on a strip tell about its material (paper 2.2)."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.results.relaxation import RelaxationFit, SettlingTime
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic, Relaxation, Response, StripRelaxation
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class CharacterisationSettings:
+    """How cycles on a strip become numbers.
+
+    Parameters
+    ----------
+    contact_length_mm, contact_length_stderr_mm : contact impedance of the pins over the sheet resistance, which two
+        pins cannot measure, and its standard error.
+    settling_tolerance, settling_band : as in :class:`~cbsr_qa.domain.plan.AnalysisSettings`.
+    end_s : what counts as the end of a hold or a rest, where levels are taken as they were read [s].
+    """
+
+    contact_length_mm: float = 0.2
+    contact_length_stderr_mm: float = 0.1
+    settling_tolerance: float = 0.15
+    settling_band: str = "steady"
+    end_s: float = 10.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CycleReadings:
+    """One press cycle as it was read.
+
+    Parameters
+    ----------
+    load : index of the press within its phase.
+    strain : nominal, as a fraction.
+    cycle : 0-based among those of its strain.
+    hold_start_s, rest_start_s : ends of the two ramps, on the run's clock.
+    press_ramp_s, release_ramp_s : how long the strain took to rise and to fall; 0 where it is not known.
+    held_s, held : (n,) times from the end of the press and relative conductance changes between the pins.
+    rested_s, rested : the same from the end of the release.
+    before : the last changes before the press, (k,).
+    stress_s, stress_kPa : (m,) times from the end of the press and stress; empty where no force can be used.
+    stress_why : why there is none.
+    """
+
+    load: int
+    strain: float
+    cycle: int
+    hold_start_s: float
+    rest_start_s: float
+    press_ramp_s: float
+    release_ramp_s: float
+    held_s: Array
+    held: Array
+    rested_s: Array
+    rested: Array
+    before: Array
+    stress_s: Array
+    stress_kPa: Array
+    stress_why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class CycleChange:
+    """Relative conductance changes of one cycle.
+
+    Parameters
+    ----------
+    load, strain, cycle : as in :class:`CycleReadings`.
+    apparent, apparent_stderr : steady, between the pins, from the level the rest before was going to.
+    local, local_stderr : the same under the head.
+    from_before, from_rested : between the pins at the end of the hold, from the last readings before the press and
+        from the rested strip.
+    stress_kPa, stress_stderr_kPa : steady; None where no force can be used.
+    """
+
+    load: int
+    strain: float
+    cycle: int
+    apparent: float
+    apparent_stderr: float
+    local: float
+    local_stderr: float
+    from_before: float
+    from_rested: float
+    stress_kPa: float | None
+    stress_stderr_kPa: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class StrainLevel:
+    """The cycles of one strain together.
+
+    Parameters
+    ----------
+    strain : as a fraction.
+    cycles : how many were used.
+    mean, deviation : steady change between the pins, and its standard deviation over the cycles.
+    local_mean, local_deviation : the same under the head.
+    stress_kPa : mean; None without force.
+    why : why the strain is left out of the lines, with the numbers; empty where it is not.
+    """
+
+    strain: float
+    cycles: int
+    mean: float
+    deviation: float
+    local_mean: float
+    local_deviation: float
+    stress_kPa: float | None
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class FittedLine:
+    """Relative conductance change against stress or strain, or why there is none.
+
+    Parameters
+    ----------
+    line : slope and intercept with standard errors and covariance; None where it cannot be fitted.
+    parts : standard errors of the slope by where they come from.
+    why : why there is no line.
+    """
+
+    line: QuasiStatic | None
+    parts: tuple[tuple[str, float], ...] = ()
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StrainSettling:
+    """Relaxation and settling of all cycles of one strain, or of all strains, after one step.
+
+    Parameters
+    ----------
+    signal : ``"conductance"`` (under the head) or ``"stress"``.
+    loading : True after the press, False after the release.
+    strain : None for all strains together.
+    fit : of the mean trace, relative to the level before the press; time constants are common to all cycles.
+    settling, stderr_s : and the standard error where it has a plain number.
+    time_s, values : (n,) the mean trace that is drawn.
+    traces : how many cycles.
+    """
+
+    signal: str
+    loading: bool
+    strain: float | None
+    fit: RelaxationFit
+    settling: SettlingTime
+    stderr_s: float | None
+    time_s: Array
+    values: Array
+    traces: int
+
+    @property
+    def words(self) -> str:
+        """Signal and direction, e.g. ``"conductance, loading"``."""
+        return f"{self.signal}, {'loading' if self.loading else 'unloading'}"
+
+
+@dataclass(frozen=True, slots=True)
+class StripFacts:
+    """The strip itself.
+
+    Parameters
+    ----------
+    resistance_ohm : between the pins, rested.
+    relative_noise : rms of one reading over their mean, rested.
+    squares : resistance between the pins over the sheet resistance, by the forward model.
+    contact_share : of the resistance, what is assumed to lie in the contacts.
+    head_share : of a small change under the head, what shows between the pins.
+    """
+
+    resistance_ohm: Parameter
+    relative_noise: float
+    squares: float
+    contact_share: float
+    head_share: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Characterisation:
+    """What the cycles on a strip came to.
+
+    Parameters
+    ----------
+    settings, strip : what was assumed, and what was characterised.
+    cycles, levels : changes of every cycle that was used, and by strain.
+    response : INCREASE or DECREASE; AUTO where the cycles do not say.
+    against_strain, against_stress : between the pins, as the paper has them (Eqs 1 and 2).
+    local_against_strain, local_against_stress : under the head, corrected for the rest of the strip.
+    end_of_hold : slopes against strain of the changes as they were read at the end of the holds, without what fits
+        add: from before the press, and from the rested strip.
+    modulus_kPa : slope of the steady stress against strain; None where there is none.
+    strain_offset : where that line crosses zero stress: by how much the surface was missed.
+    settlings : by strain and of all strains.
+    loading, unloading, stress : kernels of a unit step; None where none can be told.
+    relaxation : those of conductance by the estimator of sheets, with their errors; None where there is none.
+    lowest_strain : least strain at which the local line is clear of zero; None where it never is.
+    residue : share of a release that outlasts the relaxation, and the time constant it fades with [s]; None where
+        none was found.
+    unread : cycles that could not be used at all, by name.
+    refused : why no material file may be issued; empty where one may.
+    reduced : what was left out, or narrows the range of use.
+    """
+
+    settings: CharacterisationSettings
+    strip: StripFacts
+    cycles: tuple[CycleChange, ...]
+    levels: tuple[StrainLevel, ...]
+    response: Response
+    against_strain: FittedLine
+    against_stress: FittedLine
+    local_against_strain: FittedLine
+    local_against_stress: FittedLine
+    end_of_hold: tuple[FittedLine, FittedLine]
+    modulus_kPa: Parameter | None
+    strain_offset: Parameter | None
+    settlings: tuple[StrainSettling, ...]
+    loading: Relaxation | None
+    unloading: Relaxation | None
+    stress: Relaxation | None
+    relaxation: StripRelaxation | None
+    lowest_strain: float | None
+    residue: tuple[Parameter, Parameter] | None
+    unread: tuple[str, ...]
+    refused: tuple[str, ...]
+    reduced: tuple[str, ...]

@@ -1,0 +1,174 @@
+"""Figures of runs: one number a run and metric, as studies over many runs take them.
+
+Many runs of many sensors as columns: what a comparison of batches, stations or periods is made from.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from datetime import UTC, date, datetime
+from enum import IntFlag
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.results.measurement import Outcome
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class MetricKey:
+    """What tells one metric of a run from another.
+
+    Parameters
+    ----------
+    name, phase, qualifier : as of a :class:`~cbsr_qa.domain.results.Measurement`.
+    location : of the loads the figure is of; empty for all of them together.
+    """
+
+    name: str
+    phase: str = ""
+    qualifier: str = ""
+    location: str = ""
+
+    @property
+    def label(self) -> str:
+        """Name with phase, qualifier and location, as a reader would say it."""
+        detail = ", ".join(part for part in (self.phase, self.qualifier, self.location) if part)
+        return f"{self.name} ({detail})" if detail else self.name
+
+
+@dataclass(frozen=True, slots=True)
+class RunLine:
+    """A run as a point of a study.
+
+    Parameters
+    ----------
+    started_at : by the station's clock, which may have been wrong: the order of runs is that of their names.
+    analysis : the latest one of the run.
+    """
+
+    run: str
+    serial: str
+    station: str
+    recipe: str
+    operator: str
+    started_at: datetime
+    analysis: str
+
+    @property
+    def day(self) -> date:
+        """The day it began on, UTC, by the same clock."""
+        return self.started_at.astimezone(UTC).date()
+
+
+@dataclass(frozen=True, slots=True)
+class RunFigure:
+    """One metric of one run: the mean over its loads.
+
+    Parameters
+    ----------
+    value : None where one of the values is missing, or only a lower bound.
+    places : how many values it is the mean of.
+    missing, bounded : how many of them have no value, and how many are only lower bounds.
+    lower, upper : the limit it was judged by; None where there was none on that side.
+    units : of the run's values where they are several, sorted; there is no value then, and ``unit`` is one of them.
+    """
+
+    run: str
+    key: MetricKey
+    unit: str
+    value: float | None
+    places: int
+    missing: int = 0
+    bounded: int = 0
+    lower: float | None = None
+    upper: float | None = None
+    units: tuple[str, ...] = ()
+
+    @property
+    def why(self) -> str:
+        """Say why there is no value; empty where there is one."""
+        if self.units:
+            return f"its values are in several units within the run, {' and '.join(self.units)}"
+        if self.missing:
+            return f"{self.missing} of {self.places} values could not be measured"
+        return f"{self.bounded} of {self.places} values are only lower bounds" if self.bounded else ""
+
+
+class State(IntFlag):
+    """What is known of one value besides its number."""
+
+    PLAIN = 0
+    LOWER_BOUND = 1  #: the quantity is at least the value
+    FAILED = 2  #: outside its limit
+    UNMEASURED = 4  #: judged by a limit, and could not be measured
+
+
+@dataclass(frozen=True, slots=True)
+class FleetRun:
+    """One run as a comparison sees it.
+
+    Parameters
+    ----------
+    run : its identifier; sorted as text, runs are in the order they were made in, whatever the clock said.
+    made_at : when the identifier was made; None where it does not say.
+    finished : whether it ran to its end.
+    outcome : of its latest analysis; None where it has none.
+    software : (distribution, version) pairs it was analysed with.
+    simulated : in words; empty for a real bench.
+    of_check : whether it is a golden sensor's, made to check its station.
+    """
+
+    run: str
+    serial: str
+    batch: str
+    material: str
+    station: str
+    recipe: str
+    started_at: datetime
+    made_at: datetime | None
+    finished: bool
+    outcome: Outcome | None
+    software: tuple[tuple[str, str], ...]
+    simulated: tuple[str, ...]
+    of_check: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What values of one kind have in common.
+
+    Parameters
+    ----------
+    key : of the metric, without a location: values of all loads are one metric.
+    location : label of the load; empty where it is not about one.
+    lower, upper : of the limit they were held against; None where there was none.
+    """
+
+    key: MetricKey
+    unit: str
+    location: str
+    lower: float | None
+    upper: float | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FleetTable:
+    """Values of runs.
+
+    Parameters
+    ----------
+    runs : (R,) in the order they were made in.
+    kinds : (K,) what there are values of.
+    run, kind : (N,) index of each value's run and kind.
+    value : (N,) in the kind's unit; NaN where there is none, as numpy marks what is missing.
+    state : (N,) of :class:`State`.
+    places_mm : label of a load → where it is pressed.
+    """
+
+    runs: tuple[FleetRun, ...]
+    kinds: tuple[Kind, ...]
+    run: NDArray[np.int32]
+    kind: NDArray[np.int32]
+    value: NDArray[np.float64]
+    state: NDArray[np.uint8]
+    places_mm: Mapping[str, tuple[float, float]] = field(default_factory=dict)

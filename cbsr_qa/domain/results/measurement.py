@@ -1,0 +1,282 @@
+"""Measurements, the limits they are held against, and the verdict that follows.
+
+How things end: outcomes of measurements, verdicts, and end reasons of runs.
+
+Which version of its limits a recipe judges by, and where they come from.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Final, Self
+
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import check_encodable, with_type
+
+
+class Outcome(StrEnum):
+    """Outcome of one limit, or of a whole run."""
+
+    PASS = "pass"
+    MARGINAL = "marginal"  #: within the limit, but inside its guard band
+    FAIL = "fail"
+    NOT_MEASURED = "not measured"  #: the quantity could not be determined; never a pass
+    NOT_JUDGED = "not judged"  #: no limit was set for it
+
+    @property
+    def exit_code(self) -> int:
+        """Exit code of a run with this outcome: 0 passed (also marginally), 1 failed, 3 not measured."""
+        return {Outcome.FAIL: 1, Outcome.NOT_MEASURED: 3}.get(self, 0)
+
+
+#: From worst to best: the overall outcome is the worst one met.
+SEVERITY: tuple[Outcome, ...] = (
+    Outcome.FAIL,
+    Outcome.NOT_MEASURED,
+    Outcome.MARGINAL,
+    Outcome.PASS,
+    Outcome.NOT_JUDGED,
+)
+
+
+def worst(outcomes: Iterable[Outcome]) -> Outcome:
+    """Return the worst of some outcomes; NOT_JUDGED where there are none."""
+    return min(outcomes, key=SEVERITY.index, default=Outcome.NOT_JUDGED)
+
+
+class EndReason(StrEnum):
+    """How a run ended, whatever its outcome."""
+
+    RUNNING = "running"  #: begun and not ended: found again after a power cut, it is incomplete
+    FINISHED = "finished"
+    ABORTED = "aborted"  #: somebody stopped it
+    BROKEN = "broken"  #: an instrument, a safety rule or a plugin stopped it
+
+
+class Bound(StrEnum):
+    """What a value says about the quantity it stands for."""
+
+    EXACT = "exact"
+    LOWER = "lower"  #: the quantity is at least this: a settling time later than the window
+
+
+@dataclass(frozen=True, slots=True)
+class Limit:
+    """Bounds of one measurement, both inclusive; None is no bound on that side.
+
+    Parameters
+    ----------
+    measurement : name of the measurement it judges.
+    unit : must equal the measurement's.
+    lower, upper : bounds.
+    marginal : width of the guard band inside each bound, in the same unit; a value in it passes marginally.
+    phase : judges only measurements of this phase; empty for every phase.
+    qualifier : judges only measurements with exactly this qualifier (empty: only those without one).
+    version : of the limits it belongs to, see :class:`~cbsr_qa.domain.results.LimitsVersion`; may be empty.
+    """
+
+    measurement: str
+    unit: str
+    lower: float | None
+    upper: float | None
+    marginal: float = 0.0
+    phase: str = ""
+    qualifier: str = ""
+    version: str = ""
+
+    def __post_init__(self) -> None:
+        if self.lower is None and self.upper is None:
+            raise RefusedError(f"limit of {self.measurement}: neither lower nor upper is given")
+        if self.lower is not None and self.upper is not None and self.lower > self.upper:
+            raise RefusedError(f"limit of {self.measurement}: lower {self.lower} is above upper {self.upper}")
+
+    def judge(self, value: float | None, bound: Bound = Bound.EXACT) -> Outcome:
+        """Judge a value; a value nobody could determine is NOT_MEASURED.
+
+        A lower bound can fail an upper limit, but never meet it: the quantity itself may lie anywhere above.
+        """
+        if value is None:
+            return Outcome.NOT_MEASURED
+        if bound is Bound.LOWER:
+            return self._judge_lower_bound(value)
+        margin = self.margin(value)
+        if margin < 0:
+            return Outcome.FAIL
+        return Outcome.MARGINAL if margin < self.marginal else Outcome.PASS
+
+    def _judge_lower_bound(self, value: float) -> Outcome:
+        if self.upper is not None:
+            return Outcome.FAIL if value > self.upper else Outcome.NOT_MEASURED
+        assert self.lower is not None
+        if value < self.lower:
+            return Outcome.NOT_MEASURED
+        return Outcome.MARGINAL if value - self.lower < self.marginal else Outcome.PASS
+
+    def margin(self, value: float) -> float:
+        """Distance from the nearer bound, negative outside, in the limit's unit."""
+        above = float("inf") if self.lower is None else value - self.lower
+        below = float("inf") if self.upper is None else self.upper - value
+        return min(above, below)
+
+
+_TEXTS: Final = ("name", "unit", "phase", "location", "qualifier", "how")
+
+
+@dataclass(frozen=True, slots=True)
+class Measurement:
+    """A named number with its unit, or a named refusal.
+
+    Parameters
+    ----------
+    name : e.g. ``"centre_of_mass_error"``.
+    value : None where it could not be determined; ``how`` then says why. Never NaN.
+    unit : ``"1"`` for pure numbers.
+    uncertainty : one standard deviation, same unit; None where none is stated.
+    phase : the phase it was measured in; empty for the whole run.
+    location : label of the load; empty where it is not about one.
+    trial : 0-based; None where it is not about one.
+    qualifier : what else tells it from its siblings, e.g. ``"mask 85 %"``.
+    how : method, or the reason of a refusal with its remedy.
+    bound : whether the value is the quantity or only a lower bound of it.
+    load : index of the load within its phase, as in :class:`~cbsr_qa.domain.run.LoadRecord`; None where it is
+        not about one. With ``phase`` it tells apart loads of one label and trial at several strains.
+    strain : of that load, as a fraction.
+    limit, outcome : set by :meth:`judged`.
+    """
+
+    name: str
+    value: float | None
+    unit: str
+    uncertainty: float | None = None
+    phase: str = ""
+    location: str = ""
+    trial: int | None = None
+    qualifier: str = ""
+    how: str = ""
+    bound: Bound = Bound.EXACT
+    load: int | None = None
+    strain: float | None = None
+    limit: Limit | None = None
+    outcome: Outcome = Outcome.NOT_JUDGED
+
+    def __post_init__(self) -> None:
+        texts = {field: getattr(self, field) for field in _TEXTS}
+        for field, text in texts.items():
+            if not isinstance(text, str):
+                raise self._wrong(field, text, "text")
+        for field, number in (("value", self.value), ("uncertainty", self.uncertainty)):
+            try:
+                finite = number is None or bool(abs(number) < float("inf"))
+            except (TypeError, ValueError):  # a plugin's own type
+                raise self._wrong(field, number, "a number") from None
+            if not finite:
+                raise RefusedError(f"measurement {self.name}: {number} is not a finite number")
+        check_encodable(f"measurement {self.name!r}", *texts.values())
+
+    def _wrong(self, field: str, found: object, allowed: str) -> RefusedError:
+        name = self.name if isinstance(self.name, str) else with_type(self.name)
+        return RefusedError(f"measurement {name}: {field} is {with_type(found)}, not {allowed}")
+
+    def judged(self, limit: Limit) -> Self:
+        """Return this measurement with a limit and its outcome.
+
+        Raises
+        ------
+        RefusedError
+            If the units differ: a limit in mm does not judge a value in µm.
+        """
+        if limit.unit != self.unit:
+            raise RefusedError(
+                f"limit of {self.name} is in {limit.unit}, the measurement in {self.unit}",
+                remedy="give the limit in the measurement's unit",
+            )
+        return replace(self, limit=limit, outcome=limit.judge(self.value, self.bound))
+
+    @property
+    def label(self) -> str:
+        """Name with location, repetition and qualifier, as a reader would say it."""
+        parts = [self.location, f"trial {self.trial + 1}" if self.trial else "", self.qualifier]
+        detail = ", ".join(part for part in parts if part)
+        name = self.name.replace("_", " ").replace("snr", "SNR")
+        return f"{name} ({detail})" if detail else name
+
+
+@dataclass(frozen=True, slots=True)
+class Verdict:
+    """The outcome of a run and the one reason that decided it."""
+
+    outcome: Outcome
+    reason: str
+
+
+def decide(measurements: tuple[Measurement, ...]) -> Verdict:
+    """Decide a finished run from its judged measurements.
+
+    The worst outcome wins; among equals the one furthest beyond its limit, relative to the limit's size.
+    """
+    outcome = worst(m.outcome for m in measurements)
+    judged = [m for m in measurements if m.limit is not None]
+    if not judged:
+        return Verdict(Outcome.NOT_JUDGED, "the recipe sets no limit")
+    deciding = min((m for m in judged if m.outcome is outcome), key=relative_margin)
+    return Verdict(outcome, _reason(deciding, outcome, len(judged)))
+
+
+def relative_margin(measurement: Measurement) -> float:
+    """Distance from the nearer bound over the limit's size: what is closest to failing comes first."""
+    limit = measurement.limit
+    if limit is None or measurement.value is None:
+        return -float("inf")
+    size = max(abs(bound) for bound in (limit.lower, limit.upper) if bound is not None)
+    return limit.margin(measurement.value) / (size or 1.0)
+
+
+def _reason(measurement: Measurement, outcome: Outcome, judged: int) -> str:
+    if measurement.value is None:
+        return f"{measurement.label} could not be measured: {measurement.how}"
+    limit = measurement.limit
+    assert limit is not None
+    bounds = [f"at least {_number(limit.lower)}"] if limit.lower is not None else []
+    bounds += [f"at most {_number(limit.upper)}"] if limit.upper is not None else []
+    least = "at least " if measurement.bound is Bound.LOWER else ""
+    said = f"{measurement.label} is {least}{_number(measurement.value)} {_shown(measurement.unit)}".rstrip()
+    allowed = f"allowed: {' and '.join(bounds)} {_shown(limit.unit)}".rstrip()
+    if outcome is Outcome.PASS:
+        met = "the only limit is met" if judged == 1 else f"all {judged} limits are met; the closest"
+        return f"{met}: {said} ({allowed})"
+    return f"{said} ({allowed})"
+
+
+def _number(value: float) -> str:
+    """Four digits as people write them; powers of ten only where zeros would have to be counted."""
+    return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
+
+
+def _shown(unit: str) -> str:
+    return "" if unit == "1" else unit
+
+
+@dataclass(frozen=True, slots=True)
+class LimitsVersion:
+    """A named version of limits.
+
+    Parameters
+    ----------
+    version : its name; every limit that belongs to it carries it.
+    date : ISO date it was made on.
+    lot : in words, the golden lot it was proposed from; empty for limits that somebody set.
+    coverage_percent, confidence_percent : share of good sensors each limit holds, and how sure that is; None where
+        nobody stated it.
+    rule : in words, how a value is judged against limit and guard band; empty where nobody stated it.
+    data_sha256 : of the measurements of the lot; empty where there is none.
+    sealed : whether the limits were checked to be those that were proposed.
+    """
+
+    version: str
+    date: str
+    lot: str = ""
+    coverage_percent: float | None = None
+    confidence_percent: float | None = None
+    rule: str = ""
+    data_sha256: str = ""
+    sealed: bool = False

@@ -1,0 +1,306 @@
+"""What the analysis has worked out about a load and about a run: the input of every metric plugin.
+
+What the measurements say about one load: where, how large, how strong, and how surely.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.plan import AnalysisSettings, Role
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock
+from cbsr_qa.domain.results.image import Blob, Image, LinearReconstruction, Region
+from cbsr_qa.domain.results.relaxation import RelaxationFit, SettlingTime
+from cbsr_qa.domain.run import Indenter, LoadRecord, RunRecord
+from cbsr_qa.domain.sensor import Response
+
+
+class LoadFinding(StrEnum):
+    """What became of the question where a load is."""
+
+    LOCATED = "located"
+    NOT_DETECTED = "not detected"  #: nothing stands out of the noise of the readings
+    NOT_RESOLVABLE = "not resolvable"  #: there is a load, but too weak to say where
+
+
+@dataclass(frozen=True, slots=True)
+class Estimated:
+    """A number with its uncertainty.
+
+    Parameters
+    ----------
+    value : the estimate.
+    stderr : its standard error.
+    low, high : 68 % interval; not symmetric about the value where the standard error itself depends on it.
+    """
+
+    value: float
+    stderr: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadEstimate:
+    """One round load, estimated from the readings and not from an image.
+
+    Parameters
+    ----------
+    finding : everything but ``detectability`` and the misfit is None unless the load was located.
+    why : of a refusal, and what would help; empty otherwise.
+    detectability : d′, the load's signal over the readings' noise (matched filter).
+    place_mm : (x, y).
+    place_covariance_mm2 : (2, 2); its 68 % region is the ellipse of Mahalanobis distance 1.52.
+    area_contrast_mm2 : area × contrast, counted against the mean of both conductances: π r² · 2 Δγ/(γ + γ_i). It is
+        determined whether the radius is or not; a weak load's equals π r² Δγ/γ.
+    contrast : κ = Δγ/γ; only where the radius was given.
+    radius_mm : None where it was given, or is not determined (``no_radius`` says why).
+    no_radius : why there is no radius; empty where there is one.
+    misfit : sum of squared residuals over their number less that of the unknowns: 1 for a round load on such a sheet.
+    misfit_probability : of a misfit at least as large, were the model right.
+    inflation : by which the covariance was multiplied because the misfit says that the model is wrong; else 1.
+    steps : of the fit.
+    """
+
+    finding: LoadFinding
+    why: str
+    detectability: float
+    place_mm: tuple[float, float] | None
+    place_covariance_mm2: NDArray[np.float64] | None
+    area_contrast_mm2: Estimated | None
+    contrast: Estimated | None
+    radius_mm: Estimated | None
+    no_radius: str
+    misfit: float
+    misfit_probability: float
+    inflation: float
+    steps: int
+
+    @property
+    def place_stderr_mm(self) -> float | None:
+        """Standard error of the place, root mean square over two axes [mm]; None where it was not located."""
+        covariance = self.place_covariance_mm2
+        return None if covariance is None else float(np.sqrt(np.trace(covariance) / 2))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """A quantity against time, e.g. a blob's mean conductance change through a press.
+
+    Parameters
+    ----------
+    name, unit : what and in what.
+    time_s, values : (n,) float64.
+    """
+
+    name: str
+    unit: str
+    time_s: NDArray[np.float64]
+    values: NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelaxationObservation:
+    """A relaxation of one load: which signal, loading or unloading, the trace and its fit.
+
+    Parameters
+    ----------
+    signal : ``"conductance"``, ``"stress"``, ``"image"``.
+    loading : True after the press, False after the release.
+    trace : times from the end of the ramp.
+    """
+
+    signal: str
+    loading: bool
+    trace: Trace
+    fit: RelaxationFit
+    settling: SettlingTime
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MaskView:
+    """One percentage mask applied to the steady image of a load.
+
+    Parameters
+    ----------
+    fraction : p, of the image's maximum.
+    blobs : every blob, heaviest first; empty is "no blob".
+    sensed : the blob nearest to the indenter (where several loads are held at once, the one assigned to this load);
+        None where there is none. Amplitudes are taken over its elements.
+    contour : the same bounded by a contour, where ``settings.outline`` asks for it; None elsewhere.
+    fate : ``"apart"``, ``"merged"`` (its region is another load's too) or ``"missed"``.
+    regions : number of regions there are, of which every load has at most one.
+    """
+
+    fraction: float
+    blobs: tuple[Blob, ...]
+    sensed: Blob | None
+    contour: Region | None = None
+    fate: str = "apart"
+    regions: int = 1
+
+    @property
+    def region(self) -> Region | None:
+        """What place, size and shape are taken from."""
+        return self.sensed if self.contour is None else self.contour
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadObservation:
+    """One press: its steady image, its blobs, its force.
+
+    Parameters
+    ----------
+    phase : name of the phase.
+    record : when and where.
+    indenter : the head.
+    image : steady image, un-subtracted and not response-signed.
+    response : sign that was applied before masking.
+    noise_floor : relative, subtracted for masks only.
+    masks : one view per percentage mask, in the recipe's order.
+    steady_frames : how many frames the steady image averages.
+    settled : whether they lie at or beyond 1.5 × the settling time; None where no settling time is known.
+    together : how many loads were held while the steady frames were taken, this one included.
+    force_N, force_stderr_N : mean over the same window; None where no force was recorded.
+    relaxations : fits of this load's traces.
+    residue : largest absolute value of the image just before the press: what earlier loads left behind, of
+        either sign (an unloading spike goes the other way).
+    alternate : the same load against the other reference (``settings.reference``), given where the residue
+        exceeds the noise floor; None elsewhere.
+    no_force : why there is no force although a load cell recorded one; empty elsewhere.
+    """
+
+    phase: str
+    record: LoadRecord
+    indenter: Indenter
+    image: Image
+    response: Response
+    noise_floor: float
+    masks: tuple[MaskView, ...]
+    steady_frames: int
+    settled: bool | None
+    force_N: float | None
+    force_stderr_N: float | None
+    relaxations: tuple[RelaxationObservation, ...] = ()
+    residue: float = 0.0
+    together: int = 1
+    alternate: Self | None = None
+    no_force: str = ""
+
+    @property
+    def stress_kPa(self) -> float | None:
+        """Mean stress under the head [kPa]; None where no force was recorded."""
+        return None if self.force_N is None else self.force_N / self.indenter.area_mm2 * 1e3
+
+    def mask(self, fraction: float) -> MaskView | None:
+        """Return the view of one percentage mask, or None where the recipe did not ask for it."""
+        return next((view for view in self.masks if abs(view.fraction - fraction) < 1e-9), None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoopObservation:
+    """The loops that were pressed at one place of a phase: strains reached from below and from above.
+
+    Parameters
+    ----------
+    phase : name of the phase.
+    records : of the loops, in time order.
+    output : amplitude of every frame along the pattern that all of them share, 1 at the deepest strain, on the run's
+        clock from the first press to the end of the last rest.
+    noise : standard deviation of the output of a single frame of the unloaded sheet.
+    stress : every force sample over the same time as stress under the head [kPa]; None where no force was recorded.
+    no_force : why there is no stress although a load cell recorded one; empty elsewhere.
+    why : nothing was sensed, for this reason; empty where it was.
+    """
+
+    phase: str
+    records: tuple[LoadRecord, ...]
+    output: Trace
+    noise: float
+    stress: Trace | None
+    no_force: str = ""
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MetricTimeline:
+    """Spatial metrics of every frame of a phase, for each mask (the paper's Figs 10 and E.23).
+
+    Parameters
+    ----------
+    phase : name of the phase.
+    time_s : (n,) float64 on the run's clock.
+    masks : k fractions.
+    error_mm, overlap_percent, deviation_mm2 : (k, n) float64, NaN while nothing is pressed or no blob is seen.
+    force : samples over the same time; None where not recorded.
+    """
+
+    phase: str
+    time_s: NDArray[np.float64]
+    masks: tuple[float, ...]
+    error_mm: NDArray[np.float64]
+    overlap_percent: NDArray[np.float64]
+    deviation_mm2: NDArray[np.float64]
+    force: SampleBlock | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunObservation:
+    """Everything worked out about a run before metrics are taken.
+
+    Parameters
+    ----------
+    record : the run as stored.
+    reconstruction : the matrix used throughout.
+    scale : s of :class:`LinearReconstruction`, V per unit-model V [A·Ω].
+    unloaded : frames of the rested sheet that set reference and noise floor.
+    reference : (drives, measures) float64 V, the reference frame.
+    noise_floor : relative.
+    noise_images : (8, e) images the floor was taken from.
+    response : what was configured or decided, INCREASE or DECREASE.
+    response_how : ``"configured"`` or how it was decided.
+    main_mask : fraction the verdict uses (0.85), as in ``settings``.
+    loads : every held press, in time order; without loops.
+    usable : (drives, measures) bool, readings that were imaged.
+    warnings : in plain words.
+    timelines : metrics of every frame, for the phases that press a grid of places.
+    settings : how images became numbers.
+    loops : presses that were eased to other strains, by place.
+    """
+
+    record: RunRecord
+    reconstruction: LinearReconstruction
+    scale: float
+    unloaded: FrameBlock
+    reference: NDArray[np.float64]
+    noise_floor: float
+    noise_images: NDArray[np.float64]
+    response: Response
+    response_how: str
+    main_mask: float
+    loads: tuple[LoadObservation, ...]
+    usable: NDArray[np.bool_]
+    settings: AnalysisSettings
+    warnings: tuple[str, ...] = ()
+    timelines: tuple[MetricTimeline, ...] = ()
+    loops: tuple[LoopObservation, ...] = ()
+
+    @property
+    def frame_period_s(self) -> float:
+        """Time from one unloaded frame to the next [s]."""
+        return float(np.median(np.diff(self.unloaded.time_s)))
+
+    @property
+    def tested(self) -> tuple[LoadObservation, ...]:
+        """Loads that test the sheet: all but those that only work it in."""
+        worked_in = {phase.name for phase in self.record.phases if phase.role is Role.PRECONDITIONING}
+        return tuple(load for load in self.loads if load.phase not in worked_in)
+
+    @property
+    def weight_ratio(self) -> float:
+        """Largest over smallest weight of a reading, 1 where all count alike."""
+        variance = self.reconstruction.problem.noise_variance
+        return 1.0 if variance is None else float(variance.max() / variance.min())

@@ -1,0 +1,103 @@
+"""Content of a report, before anybody decided how it looks. Text stays text: escaping is the template's job."""
+
+from dataclasses import dataclass, field
+
+from cbsr_qa.domain.results.calibration import Calibration
+from cbsr_qa.domain.results.characterisation import Characterisation
+from cbsr_qa.domain.results.measurement import LimitsVersion, Measurement, Outcome, Verdict
+from cbsr_qa.domain.results.observation import RunObservation
+from cbsr_qa.domain.run import ChangeHistory, RunRecord, SensorHistory, StationCharts, StationCheck, VerdictOverride
+
+
+@dataclass(frozen=True, slots=True)
+class Paragraph:
+    """Plain words; ``tone`` is ``"plain"``, ``"note"`` or ``"warning"``."""
+
+    text: str
+    tone: str = "plain"
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One cell of a table; ``outcome`` colours it."""
+
+    text: str
+    outcome: Outcome | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Columns and rows, with a caption that says what to see.
+
+    Parameters
+    ----------
+    numeric : indices of columns that hold numbers (set to the right).
+    folded : long and rarely read: shown as its caption until it is unfolded, and not printed while it is folded.
+    """
+
+    caption: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[Cell, ...], ...]
+    numeric: tuple[int, ...] = ()
+    folded: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Figure:
+    """An inline SVG with a caption, and the same in words for who cannot see it.
+
+    Parameters
+    ----------
+    svg : the ``<svg>`` element, made by :mod:`cbsr_qa.report` from numbers and escaped text only.
+    """
+
+    caption: str
+    alternative: str
+    svg: str
+
+
+Block = Paragraph | Table | Figure
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """One section of a report."""
+
+    title: str
+    blocks: tuple[Block, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RunResult:
+    """A run with everything that was concluded from it: what a report section is given.
+
+    Parameters
+    ----------
+    record : the run as stored.
+    observation : None where the run ended before anything could be analysed.
+    calibration : None where none was issued; ``calibration_why`` then says why.
+    compute_s : seconds of computing by stage.
+    limits_version : of those limits that carry one.
+    characterisation : of the material, where the recipe is for that; there is no observation then.
+    station_check : the station's latest one when the run began; None where it had never been checked.
+    station_charts : how the station's control charts stood with this run; None where none has a reference.
+    history : changes of the run's files since its sensor type last passed its recipe.
+    overrides : decisions against the verdicts of the run, oldest first; ``verdict`` stays what was found.
+    sensor_history : runs of the sensor that began before this one; None where nobody looked.
+    """
+
+    record: RunRecord
+    observation: RunObservation | None
+    measurements: tuple[Measurement, ...]
+    verdict: Verdict
+    calibration: Calibration | None
+    calibration_why: str
+    compute_s: tuple[tuple[str, float], ...] = ()
+    warnings: tuple[str, ...] = field(default=())
+    limits_version: LimitsVersion | None = None
+    characterisation: Characterisation | None = None
+    station_check: StationCheck | None = None
+    station_charts: StationCharts | None = None
+    history: ChangeHistory = field(default_factory=ChangeHistory)
+    overrides: tuple[VerdictOverride, ...] = ()
+    sensor_history: SensorHistory | None = None

@@ -1,0 +1,5 @@
+"""What happened: runs and their events, loads, changes, station checks."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,341 @@
+"""What was changed by somebody: files of a name that a run used with another content, and verdicts.
+
+Earlier runs of one sensor: how many tries there were, how they ended, and what they state of the sensor.
+"""
+
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+from typing import Any, Final
+
+from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.sensor import SensorIdentity
+
+_ORDINALS: Final = ("first", "second", "third", "fourth", "fifth", "sixth", "seventh", "eighth", "ninth", "tenth")
+#: Tries that are told one by one, the latest ones.
+_TOLD: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class EarlierRun:
+    """One earlier run.
+
+    Parameters
+    ----------
+    outcome, reason : of its latest analysis; None and empty where it has none.
+    overridden : the outcome somebody decided on instead, and who; None where nobody did.
+    of_check : whether it belongs to a check of a station.
+    changed : what is not as it was stored; nothing but name, day and recipe is then known. Empty where nothing is.
+    chained : whether changed rows of it would be noticed.
+    """
+
+    run: str
+    started_at: datetime
+    sensor: SensorIdentity
+    recipe: str
+    end: EndReason
+    outcome: Outcome | None
+    reason: str
+    overridden: tuple[Outcome, str] | None = None
+    of_check: bool = False
+    changed: str = ""
+    chained: bool = True
+
+    @property
+    def day(self) -> str:
+        """Day it began on, UTC."""
+        return f"{self.started_at:%Y-%m-%d}"
+
+    @property
+    def words(self) -> str:
+        """Day and how it ended."""
+        return self._ended if self.chained else f"{self._ended} (no chain)"
+
+    @property
+    def _ended(self) -> str:
+        if self.changed:
+            where = self.changed.removeprefix(f"run {self.run}: ").partition(" was ")[0].partition(" cannot ")[0]
+            return f"{self.day} changed since it was stored (run {self.run}, {where})"
+        if self.end is EndReason.RUNNING:
+            return f"{self.day} cut off or still under way"
+        if self.end is not EndReason.FINISHED:
+            return f"{self.day} {self.end}"
+        if self.outcome is None:
+            return f"{self.day} no result"
+        why = "" if self.outcome is Outcome.PASS else f" ({self.reason.partition(' (allowed')[0]})"
+        decided = "" if self.overridden is None else f", overridden to {self.overridden[0]} by {self.overridden[1]}"
+        return f"{self.day} {self.outcome}{why}{decided}"
+
+
+@dataclass(frozen=True, slots=True)
+class SensorHistory:
+    """Runs of a sensor that began before one run of it, with the results the database holds of them.
+
+    Parameters
+    ----------
+    sensor, recipe : of the run itself.
+    earlier : oldest first.
+    """
+
+    sensor: SensorIdentity
+    recipe: str
+    earlier: tuple[EarlierRun, ...] = ()
+
+    @property
+    def tries(self) -> tuple[EarlierRun, ...]:
+        """Earlier runs of the same recipe, without those that checked a station."""
+        return tuple(one for one in self.earlier if one.recipe == self.recipe and not one.of_check)
+
+    @property
+    def ordinal(self) -> str:
+        """Number of this try, as a word up to the tenth."""
+        number = len(self.tries) + 1
+        if number <= len(_ORDINALS):
+            return _ORDINALS[number - 1]
+        ending = "th" if number % 100 in (11, 12, 13) else {1: "st", 2: "nd", 3: "rd"}.get(number % 10, "th")
+        return f"{number}{ending}"
+
+    @property
+    def words(self) -> str:
+        """Number of this try and what came before; empty where nothing did."""
+        checks = [one for one in self.earlier if one.of_check]
+        others = [one for one in self.earlier if one.recipe != self.recipe and not one.of_check]
+        told = []
+        if self.tries or others:
+            told.append(f"{self.ordinal} try of this recipe")
+        if self.tries:
+            before = len(self.tries) - _TOLD
+            more = f", and {before} before" if before > 0 else ""
+            told.append(f"earlier: {', '.join(one.words for one in self.tries[-_TOLD:])}{more}")
+        if others:
+            told.append(f"{_runs(others)} of other recipes, the latest ({others[-1].recipe}) {others[-1].words}")
+        if checks:
+            told.append(f"{_runs(checks)} in checks of stations, the latest {checks[-1].words}")
+        return "; ".join(told)
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What a run of this sensor is to warn of."""
+        return (*self.differences, *self.changed)
+
+    @property
+    def changed(self) -> tuple[str, ...]:
+        """Say which earlier runs are not what was stored."""
+        return tuple(
+            f"an earlier run was changed since it was stored: {one.changed}" for one in self.earlier if one.changed
+        )
+
+    @property
+    def differences(self) -> tuple[str, ...]:
+        """Say where earlier runs state another batch or type; a batch that was not stated differs from none."""
+        return tuple(
+            f"sensor {self.sensor.serial}: {what} {now!r} now; {', '.join(others)}:"
+            " one is wrong, or two sensors have this serial number"
+            for what, now, stated in (
+                ("batch", self.sensor.batch, [(one.sensor.batch, one) for one in self.earlier]),
+                ("type", self.sensor.sensor_type, [(one.sensor.sensor_type, one) for one in self.earlier]),
+            )
+            if (
+                others := [
+                    f"its run of {one.day} says {before!r}"
+                    for before, one in dict(stated).items()
+                    if now and before and before != now
+                ]
+            )
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the same as a JSON object."""
+        return {"try": len(self.tries) + 1, "earlier_runs": [_row(one) for one in self.earlier]}
+
+
+def _runs(some: Iterable[EarlierRun]) -> str:
+    count = len(list(some))
+    return f"{count} run{'' if count == 1 else 's'}"
+
+
+def _row(one: EarlierRun) -> dict[str, Any]:
+    return {
+        "run": one.run,
+        "started_at": one.started_at.isoformat(),
+        "recipe": one.recipe,
+        "batch": one.sensor.batch,
+        "sensor_type": one.sensor.sensor_type,
+        "end": None if one.changed else str(one.end),
+        "outcome": None if one.outcome is None else str(one.outcome),
+        "reason": one.reason,
+        "overridden_to": None if one.overridden is None else str(one.overridden[0]),
+        "station_check": one.of_check,
+        "changed": one.changed or None,
+        "chained": one.chained,
+    }
+
+
+#: What is stored and said where nobody said why.
+NO_REASON: Final = "no reason given"
+
+#: Fields that tell the tables of a list apart, in the order they are named.
+_NAMED_BY: Final = ("measurement", "name", "phase", "qualifier", "sequence")
+
+
+class FileKind(StrEnum):
+    """Files a run is configured by; the scenes of a station belong to it."""
+
+    RECIPE = "recipe"
+    STATION = "station"
+    SENSOR_TYPE = "sensor type"
+    MATERIAL = "material"
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One key whose value changed.
+
+    Parameters
+    ----------
+    key : as in the file, tables of a list by their names: ``"limits[drift].upper"``.
+    before, after : as JSON; None where the key was not there.
+    """
+
+    key: str
+    before: str | None
+    after: str | None
+
+    @property
+    def words(self) -> str:
+        """The same for people."""
+        if self.before is None:
+            return f"{self.key} = {self.after} added"
+        return (
+            f"{self.key} = {self.before} removed"
+            if self.after is None
+            else f"{self.key} {self.before} → {self.after}"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class ConfigurationChange:
+    """A run used a file of a known name with another content than the latest run before it.
+
+    Parameters
+    ----------
+    run, earlier_run : that used the new content, and the latest one that used the old.
+    old_digest, new_digest : SHA-256 of the contents.
+    differences : key by key, limits first.
+    operator, noted_at : of the run.
+    why : in the operator's words; :data:`NO_REASON` where there were none.
+    """
+
+    run: str
+    kind: FileKind
+    name: str
+    earlier_run: str
+    old_digest: str
+    new_digest: str
+    differences: tuple[Difference, ...]
+    operator: str
+    noted_at: datetime
+    why: str
+
+    def words(self, most: int = 3) -> str:
+        """Say what changed, with so many differences at most."""
+        shown = "; ".join(one.words for one in self.differences[:most])
+        more = len(self.differences) - most
+        return f"{shown}; and {more} more" if more > 0 else shown
+
+
+@dataclass(frozen=True, slots=True)
+class ChangeHistory:
+    """Changes of the files of one run, since its sensor type last passed its recipe.
+
+    Parameters
+    ----------
+    accepted_run : the latest earlier run of the sensor type with the recipe that passed; empty where there is none,
+        and ``changes`` are then all there are.
+    changes : oldest first; those of the run itself among them.
+    """
+
+    accepted_run: str = ""
+    changes: tuple[ConfigurationChange, ...] = ()
+
+    def of(self, run: str) -> tuple[ConfigurationChange, ...]:
+        """Return the changes that one run brought."""
+        return tuple(change for change in self.changes if change.run == run)
+
+
+@dataclass(frozen=True, slots=True)
+class VerdictOverride:
+    """Somebody's decision against a verdict, beside it.
+
+    Parameters
+    ----------
+    analysis, verdict : whose verdict it overrides, and what that was.
+    outcome : passed or failed.
+    operator, why, noted_at : who decided, for what reason, and when.
+    """
+
+    override: str
+    run: str
+    analysis: str
+    verdict: Outcome
+    outcome: Outcome
+    operator: str
+    why: str
+    noted_at: datetime
+
+    @property
+    def words(self) -> str:
+        """The same for people."""
+        return (
+            f"{self.verdict.value} overridden to {self.outcome.value} by {self.operator}"
+            f" on {self.noted_at:%Y-%m-%d %H:%M} UTC: {self.why}"
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the same as a JSON object."""
+        return {
+            "override": self.override,
+            "run": self.run,
+            "analysis": self.analysis,
+            "verdict": str(self.verdict),
+            "outcome": str(self.outcome),
+            "by": self.operator,
+            "at": self.noted_at.isoformat(),
+            "why": self.why,
+        }
+
+
+def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[Difference, ...]:
+    """Compare two contents of a file key by key, limits first, then in the order of the keys.
+
+    Parameters
+    ----------
+    before, after : tables, lists and values as JSON knows them.
+    """
+    old, new = dict(_leaves("", before)), dict(_leaves("", after))
+    changed = [key for key in dict.fromkeys([*old, *new]) if old.get(key) != new.get(key)]
+    changed.sort(key=lambda key: (not key.startswith("limits"), key))
+    return tuple(Difference(key, old.get(key), new.get(key)) for key in changed)
+
+
+def _leaves(at: str, content: Any) -> Iterator[tuple[str, str]]:
+    """Yield (path, JSON) of everything that is neither a table nor a list of tables; empty ones count as such."""
+    if isinstance(content, Mapping) and content:
+        for key, value in content.items():
+            yield from _leaves(f"{at}.{key}" if at else str(key), value)
+    elif isinstance(content, list) and content and all(isinstance(one, Mapping) for one in content):
+        for label, one in zip(_labels(content), content, strict=True):
+            yield from _leaves(f"{at}[{label}]", one)
+    else:
+        yield at, json.dumps(content, ensure_ascii=False, sort_keys=True)
+
+
+def _labels(tables: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Name each table of a list: by what it is of, and by its number where two are of the same."""
+    found: list[str] = []
+    for number, table in enumerate(tables, start=1):
+        named = ", ".join(str(table[key]) for key in _NAMED_BY if table.get(key)) or str(number)
+        found.append(f"{named}, {number}" if named in found else named)
+    return found

@@ -1,0 +1,312 @@
+"""What is known of the chain of digests a stored run is under.
+
+A run as it is stored: who, where, with what, and everything the instruments said.
+
+What happens in a run, as a stream of documents. The journal, the screen and the safety log only subscribe.
+"""
+
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Any, Final
+
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan import Role, Step
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run.loads import Indenter, LoadRecord
+from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
+
+_NONE: Final = (
+    "no chain: from before version 0011 of the database, or the chain was removed; changed rows cannot be told"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ChainState:
+    """State of a run's chain after every link of it was checked; a broken chain is refused instead.
+
+    Parameters
+    ----------
+    links : how many; 0 for a run without a chain, which is unchained.
+    key_id : identifies the key that signed the links, and tells nothing of the key; empty where nothing is signed.
+    verified : whether the signatures were checked; False also where there are none.
+    """
+
+    links: int = 0
+    key_id: str = ""
+    verified: bool = False
+
+    @property
+    def words(self) -> str:
+        """The state in words, for reports and terminals."""
+        if not self.links:
+            return _NONE
+        if not self.key_id:
+            return "chained, not signed"
+        if self.verified:
+            return f"chained and signed (key {self.key_id})"
+        return f"chained; signatures not checked, key {self.key_id} is not set here"
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What the run is to warn of: rows that nothing vouches for."""
+        return () if self.links else (f"rows of this run: {self.words}",)
+
+    def document(self) -> dict[str, Any]:
+        """Return the state as a JSON object."""
+        state = "unchained" if not self.links else "chained"
+        signature = "none" if not self.key_id else "checked" if self.verified else "not checked"
+        return {"state": state, "signature": signature, "key_id": self.key_id or None}
+
+
+@dataclass(frozen=True, slots=True)
+class InstrumentIdentity:
+    """What an instrument says it is.
+
+    Parameters
+    ----------
+    role : in the station file.
+    driver : name of the plugin.
+    model, serial, firmware : as the instrument reports them.
+    simulated : whether no real instrument stands behind it.
+    calibration_due : ISO date; None where the station file states none.
+    notes : what else traces it, as (what, value) in words: its address, a tare, a dead-weight check.
+    """
+
+    role: str
+    driver: str
+    model: str
+    serial: str
+    firmware: str
+    simulated: bool
+    calibration_due: str | None = None
+    notes: tuple[tuple[str, str], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RunIdentity:
+    """Everything that traces a run.
+
+    Parameters
+    ----------
+    run : time-ordered UUID as text.
+    sensor : serial, batch and type.
+    station, recipe, operator : names; the operator may be empty.
+    started_at : wall clock, with time zone.
+    configuration_digest : SHA-256 of the merged configuration.
+    software : distribution name → version, of this package, its plugins and its numerical libraries.
+    instruments : what was on the bench.
+    simulated : in words, what was simulated; empty for a real bench.
+    """
+
+    run: str
+    sensor: SensorIdentity
+    station: str
+    recipe: str
+    operator: str
+    started_at: datetime
+    configuration_digest: str
+    software: tuple[tuple[str, str], ...]
+    instruments: tuple[InstrumentIdentity, ...]
+    simulated: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseRecord:
+    """One sequence of a run, as it happened.
+
+    Parameters
+    ----------
+    index, name, sequence : order, the recipe's name for it, the plugin that made its steps.
+    started_s, ended_s : on the run's clock [s].
+    frames : every frame of the phase; None where it took none.
+    samples : one joined block per channel.
+    loads : the presses held to their end, but for loops: one press is one strain.
+    loops : the presses that were eased to other strains before the release (see ``Ease``), as they were.
+    unloaded_from_s : from when the sheet counted as rested (see ``MarkUnloaded``); None where it never did.
+    role : what the sequence is for, as it says itself (see ``Role``); OTHER where it says nothing.
+    """
+
+    index: int
+    name: str
+    sequence: str
+    started_s: float
+    ended_s: float
+    frames: FrameBlock | None
+    samples: tuple[SampleBlock, ...] = ()
+    loads: tuple[LoadRecord, ...] = ()
+    unloaded_from_s: float | None = None
+    role: Role = Role.OTHER
+    loops: tuple[LoadRecord, ...] = ()
+
+    def channel(self, name: str) -> SampleBlock | None:
+        """Return the samples of a channel, or None where it was not recorded."""
+        return next((block for block in self.samples if block.channel == name), None)
+
+
+@dataclass(frozen=True, slots=True)
+class RunSession:
+    """One go at a run: from where it was begun or resumed to where it ended or was cut off.
+
+    Parameters
+    ----------
+    started_s, ended_s : on the run's time line [s]; no end where it was cut off.
+    end, detail : how it ended; RUNNING where it was cut off.
+    operator, software : who began or resumed it, and with what; empty where nobody noted it.
+    noted_at : when by the wall clock, for people; None where nobody noted it.
+    """
+
+    started_s: float
+    ended_s: float | None
+    end: EndReason
+    detail: str = ""
+    operator: str = ""
+    software: tuple[tuple[str, str], ...] = ()
+    noted_at: datetime | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class RunRecord:
+    """A whole run, the sole input of its analysis.
+
+    Parameters
+    ----------
+    identity, sensor_type, material, indenter : what was tested, how.
+    phases : in the order they were run.
+    end : how it ended.
+    end_detail : by whom it was aborted, or which rule or instrument broke it.
+    station_s : time the sensor occupied the station [s].
+    sessions : in order; one where the run was not interrupted.
+    set_aside : frames that are stored and do not count: a load that was cut off was pressed again.
+    chain : state of the digests it is under, checked when it was loaded.
+    """
+
+    identity: RunIdentity
+    sensor_type: SensorType
+    material: Material
+    indenter: Indenter
+    phases: tuple[PhaseRecord, ...]
+    end: EndReason
+    end_detail: str = ""
+    station_s: float = 0.0
+    spent: tuple[tuple[str, float], ...] = field(default=())  #: station seconds by kind of step
+    sessions: tuple[RunSession, ...] = field(default=())
+    set_aside: int = 0
+    chain: ChainState = field(default_factory=ChainState)
+
+    def phase(self, name: str) -> PhaseRecord:
+        """Return a phase by the recipe's name for it.
+
+        Raises
+        ------
+        RefusedError
+            If the run has no such phase.
+        """
+        for phase in self.phases:
+            if phase.name == name:
+                return phase
+        known = ", ".join(phase.name for phase in self.phases) or "none"
+        raise RefusedError(f"run {self.identity.run} has no phase {name!r}; it has {known}")
+
+
+@dataclass(frozen=True, slots=True)
+class RunStarted:
+    """First document of a run."""
+
+    identity: RunIdentity
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseStarted:
+    """A sequence begins. ``role`` is what it says it is for."""
+
+    index: int
+    name: str
+    sequence: str
+    time_s: float
+    role: Role = Role.OTHER
+
+
+@dataclass(frozen=True, slots=True)
+class StepStarted:
+    """A step begins. ``remaining_s`` is the dry run's estimate of what is left, this step included."""
+
+    phase: int
+    number: int
+    step: Step
+    time_s: float
+    remaining_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class FramesTaken:
+    """Frames arrived; the journal commits them before anybody else sees them."""
+
+    phase: int
+    frames: FrameBlock
+
+
+@dataclass(frozen=True, slots=True)
+class SamplesTaken:
+    """Samples of another channel arrived."""
+
+    phase: int
+    samples: SampleBlock
+
+
+@dataclass(frozen=True, slots=True)
+class Unloaded:
+    """The sheet counts as rested from this time on."""
+
+    phase: int
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class LoadFinished:
+    """A press was held to its end and released, and its rest is over."""
+
+    phase: int
+    record: LoadRecord
+
+
+@dataclass(frozen=True, slots=True)
+class StepRetried:
+    """A step failed in a way that may be tried again."""
+
+    phase: int
+    number: int
+    attempt: int
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class PhaseFinished:
+    """A sequence has run to its end."""
+
+    index: int
+    time_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class RunEnded:
+    """Last document of a run; the bench is in its safe state."""
+
+    end: EndReason
+    detail: str
+    time_s: float
+    spent: tuple[tuple[str, float], ...]
+
+
+RunEvent = (
+    RunStarted
+    | PhaseStarted
+    | StepStarted
+    | FramesTaken
+    | SamplesTaken
+    | Unloaded
+    | LoadFinished
+    | StepRetried
+    | PhaseFinished
+    | RunEnded
+)

@@ -1,0 +1,241 @@
+"""Control charts of a station: what their limits rest on, and which of them signal.
+
+What a check of a station found: one line for everything that was looked at, kept and shown in its reports.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from enum import StrEnum
+
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import of_kind
+from cbsr_qa.domain.readings import FrameBlock
+from cbsr_qa.domain.results import MetricKey
+from cbsr_qa.domain.run.run import InstrumentIdentity
+
+
+class CheckOutcome(StrEnum):
+    """Outcome of one line of a check, or of the whole check."""
+
+    OK = "ok"
+    WARNING = "warning"  #: nothing that forbids a run, but somebody should know
+    FAILED = "failed"
+    NOT_DONE = "not done"  #: nobody asked for it, or it cannot be done at this station; never a pass
+
+
+#: From worst to best: a check is as good as its worst line.
+_SEVERITY = (CheckOutcome.FAILED, CheckOutcome.WARNING, CheckOutcome.OK, CheckOutcome.NOT_DONE)
+
+
+@dataclass(frozen=True, slots=True)
+class CheckResult:
+    """One line of a check.
+
+    Parameters
+    ----------
+    name : what was looked at, e.g. ``"gain error"``.
+    value : a number, where it is one; never NaN.
+    unit : of the value; empty where it has none.
+    allowed : what the value may be, in words; empty where nothing limits it.
+    remedy : what to do about it; empty where it is well.
+    said : the finding in words, where a number does not say it all.
+    subject : whom it is about: a role of the station file, ``"reference ring"``, ``"golden sensor S-7"``.
+    """
+
+    name: str
+    outcome: CheckOutcome
+    value: float | None = None
+    unit: str = ""
+    allowed: str = ""
+    remedy: str = ""
+    said: str = ""
+    subject: str = ""
+
+    def __post_init__(self) -> None:
+        if self.value is not None and not abs(self.value) < float("inf"):
+            raise RefusedError(f"check {self.name}: {self.value} is not a finite number")
+
+
+@dataclass(frozen=True, slots=True)
+class StationCheck:
+    """One check of a station.
+
+    Parameters
+    ----------
+    check : time-ordered UUID as text.
+    station, operator : names; the operator may be empty.
+    checked_at : wall clock, with time zone.
+    sensor_type : the station was set up for.
+    configuration_digest : SHA-256 of the merged configuration it was checked with.
+    software : distribution name → version.
+    instruments : those that answered, as they identified themselves.
+    results : every line, in order.
+    golden_run : of the golden sensor, where one was measured.
+    """
+
+    check: str
+    station: str
+    operator: str
+    checked_at: datetime
+    sensor_type: str
+    configuration_digest: str
+    software: tuple[tuple[str, str], ...]
+    instruments: tuple[InstrumentIdentity, ...]
+    results: tuple[CheckResult, ...]
+    golden_run: str | None = None
+
+    @property
+    def outcome(self) -> CheckOutcome:
+        """The worst of its lines; NOT_DONE where there is none."""
+        return worst_check(self.results)
+
+    def lines(self, outcome: CheckOutcome) -> tuple[CheckResult, ...]:
+        """Return the lines with an outcome."""
+        return tuple(line for line in self.results if line.outcome is outcome)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RingReadings:
+    """Frames of a ring of resistors that was connected in place of a sensor.
+
+    Parameters
+    ----------
+    frames : as they were taken.
+    resistances_ohm : (electrodes,) the first joins electrodes 0 and 1, the last the last one and 0.
+    """
+
+    frames: FrameBlock
+    resistances_ohm: tuple[float, ...]
+
+
+def worst_check(results: Sequence[CheckResult]) -> CheckOutcome:
+    """Return the worst outcome of some lines; NOT_DONE where there is none."""
+    return min((line.outcome for line in results), key=_SEVERITY.index, default=CheckOutcome.NOT_DONE)
+
+
+class ChartKind(StrEnum):
+    """What is charted of a metric's values."""
+
+    INDIVIDUALS = "i-mr"  #: single values and their moving range
+    MEANS = "xbar-r"  #: means and ranges of so many runs after each other
+    EWMA = "ewma"
+    CUSUM = "cusum"
+
+
+@dataclass(frozen=True, slots=True)
+class ChartSettings:
+    """How a chart is made.
+
+    Parameters
+    ----------
+    subgroup : runs a point; 1 but for means and ranges.
+    rules : numbers of Nelson's tests, for individuals and means.
+    weight, width : of EWMA; limits are ``width`` deviations of the average wide.
+    slack, threshold : of CUSUM, in deviations.
+    """
+
+    kind: ChartKind = ChartKind.INDIVIDUALS
+    subgroup: int = 1
+    rules: tuple[int, ...] = (1, 2)
+    weight: float = 0.2
+    width: float = 3.0
+    slack: float = 0.5
+    threshold: float = 5.0
+
+
+@dataclass(frozen=True, slots=True)
+class ChartReference:
+    """What a chart's limits rest on: stored once, and followed by another where it is changed.
+
+    Parameters
+    ----------
+    reference : its name, time-ordered.
+    golden : serial number where only runs of this sensor are charted; empty for production runs.
+    mean, deviation : of single values, in ``unit``.
+    runs, first_run, last_run : the reference period (phase I).
+    operator, made_at, why : who set it, when by the computer's clock, and for what reason.
+    retired : nothing is charted against these limits from here on; all else is what held before.
+    """
+
+    reference: str
+    station: str
+    recipe: str
+    golden: str
+    key: MetricKey
+    unit: str
+    settings: ChartSettings
+    mean: float
+    deviation: float
+    runs: int
+    first_run: str
+    last_run: str
+    operator: str
+    made_at: datetime
+    why: str
+    retired: bool = False
+
+    @property
+    def label(self) -> str:
+        """Metric and chart as a reader would say them, with the golden sensor where it is of one."""
+        of = f" of golden sensor {self.golden}" if self.golden else ""
+        return f"{self.key.label}{of}, chart {self.settings.kind}"
+
+
+@dataclass(frozen=True, slots=True)
+class StandingSignal:
+    """A chart that signals.
+
+    Parameters
+    ----------
+    rules : those that spoke, the earliest first.
+    since_run, since : the run at which it began, and when that began by the station's clock.
+    runs : how many runs there were from then on, that one included.
+    at_least : it may have begun earlier than was looked back.
+    began_run, began : of a cumulative sum the run after the last at which it was zero, about when the change began;
+        empty and None of other charts.
+    """
+
+    reference: ChartReference
+    rules: tuple[str, ...]
+    since_run: str
+    since: datetime
+    runs: int
+    at_least: bool
+    began_run: str = ""
+    began: datetime | None = None
+
+    def words(self) -> str:
+        """Say which chart signals since when, and by which rule."""
+        when = f"{'at least ' if self.at_least else ''}{self.runs} run{'' if self.runs == 1 else 's'}"
+        return (
+            f"{self.reference.label}, signals since run {self.since_run} of {self.since:%Y-%m-%d} ({when}): "
+            f"{'; '.join(self.rules)}{self._began_words()}"
+        )
+
+    def _began_words(self) -> str:
+        if self.began is None:
+            return ""
+        return f"; the change began about run {self.began_run} of {self.began:%Y-%m-%d}, at which the sum left zero"
+
+
+@dataclass(frozen=True, slots=True)
+class StationCharts:
+    """How a station's charts stood when a run ended.
+
+    Parameters
+    ----------
+    charts : how many have a stored reference and were looked at.
+    signals : those that signal; none where the station is in control.
+    notes : what could not be charted, and doubtful clocks, in sentences.
+    """
+
+    station: str
+    charts: int
+    signals: tuple[StandingSignal, ...]
+    notes: tuple[str, ...] = ()
+
+    def warnings(self) -> tuple[str, ...]:
+        """Return one warning a chart that signals."""
+        here = of_kind("station", self.station)
+        return tuple(f"{here} is out of control: {signal.words()}" for signal in self.signals)

@@ -1,0 +1,313 @@
+"""How many of many sparse linear functions are independent.
+
+Which electrode pairs are driven and which are measured, and in what canonical order frames are kept.
+"""
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import is_whole
+
+#: Coefficients by unknown; none is zero.
+Functional = dict[tuple[int, int], int]
+
+#: Of the largest: eigenvalues below count as zero. Coefficients are small whole numbers.
+_ZERO: Final = 1e-10
+
+
+def rank_of(functionals: Sequence[Functional]) -> int:
+    """Return the rank of functionals with few entries each.
+
+    One with an unknown that no other has is independent of them; it is counted and taken away, which may free the
+    next. Little is left of patterns without a system, nothing of ``"adjacent"``; the rest is counted by eigenvalues.
+    """
+    holders: dict[tuple[int, int], set[int]] = defaultdict(set)
+    for row, functional in enumerate(functionals):
+        for unknown in functional:
+            holders[unknown].add(row)
+    left = set(range(len(functionals)))
+    free = [unknown for unknown, rows in holders.items() if len(rows) == 1]
+    while free:
+        rows = holders[free.pop()]
+        if not rows:
+            continue
+        (row,) = rows
+        left.discard(row)
+        for unknown in functionals[row]:
+            holders[unknown].discard(row)
+            if len(holders[unknown]) == 1:
+                free.append(unknown)
+    core = [functionals[row] for row in sorted(left)]
+    return len(functionals) - len(core) + _dense_rank(core)
+
+
+def _dense_rank(functionals: Sequence[Functional]) -> int:
+    if not functionals:
+        return 0
+    unknowns = {unknown: k for k, unknown in enumerate(sorted({u for f in functionals for u in f}))}
+    matrix: NDArray[np.float64] = np.zeros((len(functionals), len(unknowns)))
+    for row, functional in enumerate(functionals):
+        for unknown, coefficient in functional.items():
+            matrix[row, unknowns[unknown]] = coefficient
+    gram = matrix @ matrix.T if len(functionals) <= len(unknowns) else matrix.T @ matrix
+    eigenvalues = np.linalg.eigvalsh(gram)
+    return int((eigenvalues > _ZERO * eigenvalues[-1]).sum())
+
+
+Pair = tuple[int, int]
+Pairs = tuple[Pair, ...]
+
+#: Fewer independent readings than this leave nothing that deserves to be called an image.
+FEWEST_INDEPENDENT: Final = 8
+
+
+@dataclass(frozen=True, slots=True)
+class DrivePattern:
+    """Drive and measure pairs. A frame is stored as (drive, measure), whatever order the rig scanned in.
+
+    A pair may also be there reversed: rigs turn the current round to tell offsets from signal, and each of the two
+    readings has noise of its own. It adds no independent reading.
+
+    Parameters
+    ----------
+    electrode_count : electrodes on the sensor.
+    drive : pairs (source, sink), current flows in at the first.
+    measure : pairs (plus, minus), the reading is U[plus] − U[minus].
+
+    Raises
+    ------
+    RefusedError
+        If there are no pairs, or a pair repeats, joins an electrode with itself, or names an electrode that is not
+        there, or not by a whole number.
+    """
+
+    electrode_count: int
+    drive: Pairs
+    measure: Pairs
+
+    def __post_init__(self) -> None:
+        for kind, pairs in (("drive", self.drive), ("measure", self.measure)):
+            wrong = next(pair_problems(pairs, self.electrode_count), None)
+            if wrong is not None:
+                index, what = wrong
+                where = "" if index is None else f"pair {index + 1} {pairs[index]} of "
+                raise RefusedError(f"{where}the {kind} pattern {what}")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Shape of one frame: (drive pairs, measure pairs)."""
+        return len(self.drive), len(self.measure)
+
+    def drive_currents(self) -> NDArray[np.float64]:
+        """Unit current of each drive pair into each electrode.
+
+        Returns
+        -------
+        (electrodes, drive pairs) float64 of +1, −1 and 0.
+        """
+        return _incidence(self.electrode_count, self.drive)
+
+    def measure_matrix(self) -> NDArray[np.float64]:
+        """Matrix that turns electrode potentials into readings: readings = potentials.T @ this.
+
+        Returns
+        -------
+        (electrodes, measure pairs) float64 of +1, −1 and 0.
+        """
+        return _incidence(self.electrode_count, self.measure)
+
+    def usable(self) -> NDArray[np.bool_]:
+        """Readings that touch no driven electrode: 208 of 256 for adjacent/adjacent on 16.
+
+        Returns
+        -------
+        (drive pairs, measure pairs) bool.
+        """
+        driven, measured = self.drive_currents() != 0, self.measure_matrix() != 0
+        touched = driven.T.astype(np.float64) @ measured.astype(np.float64)
+        usable: NDArray[np.bool_] = touched == 0
+        return usable
+
+    def reading_groups(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Which readings are equal, up to their sign, on every sheet that obeys Ohm's law.
+
+        By reciprocity exchanging the driven and the measured pair changes nothing; reversing one of them changes
+        the sign.
+
+        Returns
+        -------
+        group : (drive pairs, measure pairs) int64, numbered from 0 in the order of their first readings.
+        sign : (drive pairs, measure pairs) float64 of ±1; reading times sign is the same within a group.
+        """
+        numbers: dict[tuple[Pair, Pair], int] = {}
+        keys = [(_key(d, m), _sign(d) * _sign(m)) for d in self.drive for m in self.measure]
+        group = np.array([numbers.setdefault(key, len(numbers)) for key, _ in keys], dtype=np.int64)
+        sign = np.array([sign for _, sign in keys], dtype=np.float64)
+        return group.reshape(self.shape), sign.reshape(self.shape)
+
+    def reciprocal_pairs(self) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+        """Readings that say the same, as pairs: of every group the first, and each of the others.
+
+        Returns
+        -------
+        readings : (k, 2) int64, indices into a frame in C order, rising.
+        sign : (k,) float64 of ±1: first = sign · second on every sheet that obeys Ohm's law.
+        """
+        groups, signs = self.reading_groups()
+        group, sign = groups.ravel(), signs.ravel()
+        _, first = np.unique(group, return_index=True)
+        of_first = first[group]
+        other = np.flatnonzero(of_first != np.arange(group.size))
+        equal: NDArray[np.float64] = sign[of_first[other]] * sign[other]
+        return np.column_stack([of_first[other], other]).astype(np.int64), equal
+
+    def independent_readings(self, used: NDArray[np.bool_] | None = None) -> int:
+        """Count the readings that the others do not determine: 104 of the 208 of adjacent/adjacent on 16.
+
+        A reading is a linear function of the sheet's symmetric transfer impedance; counted is the rank of these.
+        No pattern on n electrodes has more than n(n − 1)/2. Up to 64 electrodes it takes less than a second; pairs
+        that skip electrodes take minutes on twice as many.
+
+        Parameters
+        ----------
+        used : (drive pairs, measure pairs) bool; by default the usable ones.
+        """
+        return rank_of(_functionals(self, self.usable() if used is None else used))
+
+    def too_few_readings(self, used: NDArray[np.bool_]) -> int | None:
+        """Number of independent readings where they are fewer than an image needs; None where there are enough.
+
+        Enough are :data:`FEWEST_INDEPENDENT`. They are not counted beyond, which takes long with many electrodes.
+
+        Parameters
+        ----------
+        used : (drive pairs, measure pairs) bool.
+        """
+        functionals = _functionals(self, used)
+        if rank_of(functionals[: 4 * FEWEST_INDEPENDENT]) >= FEWEST_INDEPENDENT:
+            return None
+        independent = rank_of(functionals)
+        return independent if independent < FEWEST_INDEPENDENT else None
+
+
+def adjacent_pattern(electrode_count: int) -> DrivePattern:
+    """Pair k joins electrodes k and k+1, for driving and for measuring alike (the rig's pattern)."""
+    return DrivePattern(electrode_count, *(2 * [named_pairs("adjacent", electrode_count)]))
+
+
+def named_pairs(name: str, electrode_count: int) -> Pairs:
+    """Pairs by the name of their rule.
+
+    Parameters
+    ----------
+    name : ``"adjacent"``: k and k + 1; ``"skip-n"``: k and k + n + 1, all round; ``"opposite"``: k and
+        k + count/2, each pair once.
+
+    Raises
+    ------
+    RefusedError
+        If there is no such rule, or it does not suit this number of electrodes.
+    """
+    if not is_rule(name):
+        raise RefusedError(
+            f"there is no pattern {name!r}", remedy="there are 'adjacent', 'opposite', 'skip-1', 'skip-2' and so on"
+        )
+    widest = (electrode_count - 1) // 2 - 1
+    if name == "opposite":
+        half = electrode_count // 2
+        if electrode_count % 2:
+            raise RefusedError(
+                f"of {electrode_count} electrodes none are opposite each other", remedy=f"use 'skip-{widest}'"
+            )
+        return tuple((k, k + half) for k in range(half))
+    skipped = 0 if name == "adjacent" else int(name.removeprefix("skip-"))
+    # Half way round is 'opposite'; further round come the same pairs reversed.
+    if skipped > max(widest, 0):
+        raise RefusedError(
+            f"skipping {skipped} reaches half way round {electrode_count} electrodes or further",
+            remedy=f"use 'skip-{widest}' or less" + (", or 'opposite'" if electrode_count % 2 == 0 else ""),
+        )
+    return tuple((k, (k + skipped + 1) % electrode_count) for k in range(electrode_count))
+
+
+def is_rule(name: str) -> bool:
+    """Whether pairs have a rule of this name; it may still not suit a number of electrodes."""
+    return re.fullmatch(r"adjacent|opposite|skip-\d{1,3}", name) is not None
+
+
+def pair_problems(pairs: Sequence[Sequence[int]], electrode_count: int) -> Iterator[tuple[int | None, str]]:
+    """Yield what is wrong with drive or measure pairs: which one (from 0; None for all), and what."""
+    if not len(pairs):
+        yield None, "has no pairs"
+    seen: dict[tuple[int, ...], int] = {}
+    for index, pair in enumerate(pairs):
+        uncounted = [electrode for electrode in pair if not is_whole(electrode)]
+        if uncounted:
+            yield index, f"names electrode {uncounted[0]!r}; electrodes are counted by whole numbers"
+            continue
+        missing = [electrode for electrode in pair if not 0 <= electrode < electrode_count]
+        if len(pair) != 2:
+            yield index, f"has {len(pair)} electrodes instead of two"
+        elif missing:
+            yield index, f"names electrode {missing[0]}; there are 0 to {electrode_count - 1}"
+        elif pair[0] == pair[1]:
+            yield index, f"joins electrode {pair[0]} with itself"
+        first = seen.setdefault(tuple(pair), index)
+        if first != index:
+            yield index, f"repeats pair {first + 1}"
+
+
+def imaging_problems(pattern: DrivePattern) -> Iterator[str]:
+    """Yield why nothing can be imaged with a pattern whose pairs are right by themselves."""
+    named = {electrode for pair in (*pattern.drive, *pattern.measure) for electrode in pair}
+    idle = sorted(set(range(pattern.electrode_count)) - named)
+    if idle:
+        which = ", ".join(map(str, idle[:6])) + (f" and {len(idle) - 6} more" if len(idle) > 6 else "")
+        yield f"never uses electrode{'s' if len(idle) > 1 else ''} {which}; leave out what is not connected"
+    independent = pattern.too_few_readings(pattern.usable())
+    if independent is not None:
+        yield (
+            f"gives {independent} independent readings ({int(pattern.usable().sum())} touch no driven electrode);"
+            f" at least {FEWEST_INDEPENDENT} are needed to image"
+        )
+
+
+def _sign(pair: Pair) -> int:
+    return 1 if pair[0] < pair[1] else -1
+
+
+def _key(drive: Pair, measure: Pair) -> tuple[Pair, Pair]:
+    """Name of what a reading says, whichever pair is driven and whichever way round."""
+    first, second = sorted(((min(drive), max(drive)), (min(measure), max(measure))))
+    return first, second
+
+
+def _functionals(pattern: DrivePattern, used: NDArray[np.bool_]) -> list[Functional]:
+    """What each of some readings says, what says the same once."""
+    kept = {_key(pattern.drive[d], pattern.measure[m]) for d, m in np.argwhere(used)}
+    return [_functional(*key) for key in sorted(kept)]
+
+
+def _functional(first: Pair, second: Pair) -> Functional:
+    """Coefficients of a reading over the entries of the symmetric transfer impedance."""
+    entries: dict[Pair, int] = {}
+    for i, plus in zip(first, (1, -1), strict=True):
+        for j, also in zip(second, (1, -1), strict=True):
+            entry = (min(i, j), max(i, j))
+            entries[entry] = entries.get(entry, 0) + plus * also
+    return entries
+
+
+def _incidence(electrode_count: int, pairs: Pairs) -> NDArray[np.float64]:
+    matrix = np.zeros((electrode_count, len(pairs)))
+    for column, (plus, minus) in enumerate(pairs):
+        matrix[plus, column] += 1
+        matrix[minus, column] -= 1
+    return matrix

@@ -1,0 +1,229 @@
+"""The device under test: its type, its material and its identity."""
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Self
+
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.geometry import Disc, Polygon, SheetOutline
+from cbsr_qa.domain.sensor.electrodes import Electrodes
+from cbsr_qa.domain.sensor.mesh import Mesh, mesh_digest
+from cbsr_qa.domain.sensor.patterns import DrivePattern
+
+
+class Response(StrEnum):
+    """What a load does to the conductance of the place it presses."""
+
+    INCREASE = "increase"
+    DECREASE = "decrease"
+    AUTO = "auto"  #: decided from the calibration loads, and the decision recorded
+
+
+@dataclass(frozen=True, slots=True)
+class GivenMesh:
+    """A mesh that a sensor type comes with; equal where everything in it is.
+
+    Parameters
+    ----------
+    digest : SHA-256 of its content.
+    """
+
+    digest: str
+    mesh: Mesh = field(compare=False, repr=False)
+
+    @classmethod
+    def of(cls, mesh: Mesh) -> Self:
+        """Return a mesh with its digest."""
+        return cls(mesh_digest(mesh), mesh)
+
+
+@dataclass(frozen=True, slots=True)
+class SensorType:
+    """Geometry and electrodes of a family of sensors.
+
+    Parameters
+    ----------
+    name : as in the shipped or the user's file.
+    radius_mm : of the round sheet, or of the disc of equal area: lengths are scaled by it. What asks where the sheet
+        ends asks ``outline``.
+    thickness_mm : of the sheet.
+    electrodes : their layout; they must lie inside the sheet (pins) or on its edge (arcs, strips).
+    pattern : drive and measure pairs of these electrodes.
+    response : sign of the conductance change under load.
+    polygon : the sheet's outline; None where it is a disc.
+    mesh : of the forward model, made elsewhere; None where one is made for the outline.
+
+    Raises
+    ------
+    RefusedError
+        If the pattern is of another number of electrodes, or the radius is not that of the polygon's area.
+    """
+
+    name: str
+    radius_mm: float
+    thickness_mm: float
+    electrodes: Electrodes
+    pattern: DrivePattern
+    response: Response
+    polygon: Polygon | None = None
+    mesh: GivenMesh | None = None
+
+    def __post_init__(self) -> None:
+        if self.pattern.electrode_count != self.electrodes.count:
+            raise RefusedError(
+                f"sensor type {self.name!r} has {self.electrodes.count} electrodes,"
+                f" its pattern {self.pattern.electrode_count}"
+            )
+        if self.mesh is not None and len(self.mesh.mesh.electrode_edges) != self.electrodes.count:
+            raise RefusedError(
+                f"sensor type {self.name!r} has {self.electrodes.count} electrodes,"
+                f" its mesh {len(self.mesh.mesh.electrode_edges)}"
+            )
+        if self.polygon is not None and abs(self.radius_mm / self.polygon.radius_mm - 1) > 1e-9:
+            raise RefusedError(
+                f"sensor type {self.name!r}: radius_mm is {self.radius_mm}; the disc of equal area has"
+                f" {self.polygon.radius_mm}",
+                remedy="use polygon_sensor, which works it out",
+            )
+
+    @property
+    def outline(self) -> SheetOutline:
+        """Where the sheet ends: clearance of places, extent, centre, the edge as a curve."""
+        return Disc(self.radius_mm) if self.polygon is None else self.polygon
+
+
+def polygon_sensor(
+    name: str,
+    polygon: Polygon,
+    thickness_mm: float,
+    electrodes: Electrodes,
+    pattern: DrivePattern,
+    response: Response = Response.AUTO,
+) -> SensorType:
+    """Sensor type with a polygon outline."""
+    return SensorType(name, polygon.radius_mm, thickness_mm, electrodes, pattern, response, polygon)
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """A material parameter and where it comes from.
+
+    Parameters
+    ----------
+    value, stderr : in the unit the material file's key names; ``stderr`` is None where nobody stated one.
+    source : a citation, or "chosen by us" with the reason.
+    """
+
+    value: float
+    stderr: float | None
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class QuasiStatic:
+    """Relative conductance change against stress or strain: Δρ/ρ₀ = slope · x + intercept (paper Eqs 1, 2).
+
+    Parameters
+    ----------
+    slope : α, per kPa for stress and per unit strain for strain.
+    intercept : β, relative.
+    covariance : of slope and intercept, in the product of their units; None where nobody stated one.
+    """
+
+    slope: Parameter
+    intercept: Parameter
+    covariance: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Relaxation:
+    """Two-term relaxation of a unit step, 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂) (paper Eq 3, over its steady state a₀).
+
+    Parameters
+    ----------
+    weights : (w₁, w₂), relative to the steady change; negative weights creep up to it.
+    time_constants_s : (τ₁, τ₂) [s], rising.
+    """
+
+    weights: tuple[float, float]
+    time_constants_s: tuple[float, float]
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class MeasuredKernel:
+    """A relaxation as it was measured, with its errors, relative to the steady (after a release the released) change.
+
+    After a press 1 + Σ wᵢ e^(−t/τᵢ), after a release Σ wᵢ e^(−t/τᵢ): what creeps up has negative weights under load,
+    what fades positive ones after it.
+
+    Parameters
+    ----------
+    weights, time_constants_s : (k,) w and τ [s].
+    covariance : (2 k, 2 k) of (w, log τ).
+    start_s : the first reading came this long after the end of the ramp: before, nothing is known.
+    window_s : the last one.
+    """
+
+    weights: tuple[float, ...]
+    time_constants_s: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    start_s: float
+    window_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class StripRelaxation:
+    """How a strip of the material relaxed in one dimension: what a sheet of it is compared with.
+
+    Parameters
+    ----------
+    loading, unloading : of a unit step; None where none could be told.
+    cycles : that it was learned from.
+    least_strain, largest_strain : of these, as fractions.
+    source : where it comes from.
+    """
+
+    loading: MeasuredKernel | None
+    unloading: MeasuredKernel | None
+    cycles: int
+    least_strain: float
+    largest_strain: float
+    source: str
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """What the sheet is made of.
+
+    Parameters
+    ----------
+    name : e.g. ``"cbsr-8wt"``.
+    interelectrode_resistance_ohm : resistance between neighbouring electrodes.
+    modulus_kPa : relaxed compressive modulus E.
+    against_stress, against_strain : quasi-static fits.
+    stress_relaxation : of stress.
+    loading_relaxation, unloading_relaxation : of conductance, after a press and after a release.
+    relative_noise : rms noise of one reading relative to the mean magnitude of the used readings.
+    strip_relaxation : as measured in one dimension, with its errors; None where it was not.
+    """
+
+    name: str
+    interelectrode_resistance_ohm: Parameter
+    modulus_kPa: Parameter
+    against_stress: QuasiStatic
+    against_strain: QuasiStatic
+    stress_relaxation: Relaxation
+    loading_relaxation: Relaxation
+    unloading_relaxation: Relaxation
+    relative_noise: Parameter
+    strip_relaxation: StripRelaxation | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SensorIdentity:
+    """One physical sensor."""
+
+    serial: str
+    batch: str
+    sensor_type: str

@@ -1,0 +1,1 @@
+"""Electrical impedance tomography of sheets: forward model, loads, reconstruction, estimates, imaging."""

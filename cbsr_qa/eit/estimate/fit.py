@@ -1,0 +1,332 @@
+"""What any unbiased estimate of a round load can reach: the Cramér–Rao bound.
+
+Least-squares fit of one round load to each of many frames at once, by damped Gauss–Newton steps.
+
+Covariance of a weak load's estimate, where the Fisher matrix at the estimate is too good to be true.
+
+At d′ of 10 to 30 a place is known to millimetres, over which the sheet's sensitivity changes: an estimate that
+happens to lie nearer to an electrode than the load has a Fisher matrix that promises too much. Averaging the inverse
+over places one standard error to each side takes most of it out. What is left at second order falls as 1/d′².
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.eit.estimate.readings import MergedReadings
+from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+#: Squared length of the last step in standard errors: a hundredth of one.
+_CLOSE_ENOUGH: Final = 1e-4
+_MOST_STEPS: Final = 30
+_EASIER: Final = 0.1
+_HARDER: Final = 8.0
+_LARGEST_DAMPING: Final = 1e8
+_AT_ONCE: Final = 128  # loads evaluated together: what is held stays in the processor's cache
+_LEAST_CLEARANCE: Final = 0.02  # of the sheet's radius: nearer to an electrode or the edge a load is not followed
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fits:
+    """Fitted loads.
+
+    Parameters
+    ----------
+    parameters : (n, 4) x [mm], y [mm], strength s [mm²], square q [mm²] (:mod:`cbsr_qa.eit.loads.round_load`).
+    covariance : (n, 4, 4) inverse Fisher matrix at the estimate; rows and columns of what was given are zero.
+    misfit : (n,) sum of squared residuals of unit noise.
+    empty_misfit : (n,) the same without a load.
+    steps : (n,) tried.
+    converged : (n,) False where the last step was not small.
+    held : (n,) where the load would have grown into an electrode or over the edge; its square stays at the bound.
+    excess : (n,) by how much the square of those would be larger without the bound, to first order; else 0.
+    """
+
+    parameters: Array
+    covariance: Array
+    misfit: Array
+    empty_misfit: Array
+    steps: NDArray[np.int64]
+    converged: Mask
+    held: Mask
+    excess: Array
+
+
+class LoadFitter:
+    """Fits loads to rows of unit noise.
+
+    Parameters
+    ----------
+    model : of the sheet.
+    readings : how frames become rows.
+    """
+
+    def __init__(self, model: RoundLoadModel, readings: MergedReadings) -> None:
+        self.model = model
+        self.readings = readings
+
+    def rows(self, parameters: Array) -> tuple[Array, Array]:
+        """Rows (n, rows) of loads (n, 4), and their slopes (n, rows, 4)."""
+        change, slope = [], []
+        for first in range(0, len(parameters), _AT_ONCE):
+            part = parameters[first : first + _AT_ONCE]
+            found = self.model.readings(RoundLoads(part[:, :2], part[:, 2], part[:, 3]))
+            change.append(self.readings.of_model(found.change))
+            slope.append(self.readings.of_model(found.slope).swapaxes(1, 2))
+        return np.concatenate(change), np.concatenate(slope)
+
+    def fit(self, data: Array, start: Array, *, square: bool) -> Fits:
+        """Fit.
+
+        Parameters
+        ----------
+        data : (n, rows).
+        start : (n, 4) parameters.
+        square : whether the square is fitted too; else it stays as given.
+        """
+        run = _Run(self, data, start, square)
+        for _ in range(_MOST_STEPS):
+            if not run.active.any():
+                break
+            run.step()
+        return run.result()
+
+    def covariance(self, parameters: Array, *, square: bool) -> Array:
+        """Inverse Fisher matrix (n, 4, 4) at loads (n, 4); zero for the square where it is not fitted."""
+        _, slopes = self.rows(parameters)
+        return _inverted(slopes.swapaxes(1, 2) @ slopes, square=square)
+
+    def bounded(self, parameters: Array, *, square: bool) -> tuple[Array, Mask, Mask]:
+        """Shrink loads whose size is fitted until they touch no electrode and no edge.
+
+        Returns
+        -------
+        (n, 4) parameters; (n,) whose square was cut; (n,) that are on the sheet at all, clear of electrodes, and no
+        stronger than a disc of that clearance can be.
+        """
+        least = _LEAST_CLEARANCE * self.model.surroundings.radius_mm
+        clear = self.model.surroundings.clearance_mm(parameters[:, :2])
+        moved = parameters.copy()
+        if square:
+            bound = np.maximum(clear, least) ** 2
+            moved[:, 3] = np.clip(moved[:, 3], -bound, bound)
+        possible = (clear >= least) & (np.abs(moved[:, 2]) <= np.maximum(clear**2, np.abs(moved[:, 3])))
+        return moved, moved[:, 3] != parameters[:, 3], possible
+
+
+class _Run:
+    """State of one batch."""
+
+    def __init__(self, fitter: LoadFitter, data: Array, start: Array, square: bool) -> None:
+        count = len(data)
+        self.fitter, self.data, self.square = fitter, data, square
+        self.free = np.tile([True, True, True, square], (count, 1))
+        self.at, *_ = fitter.bounded(start, square=square)
+        rows, slopes = fitter.rows(self.at)
+        residual = data - rows
+        self.misfit = (residual**2).sum(axis=1)
+        self.information = slopes.swapaxes(1, 2) @ slopes
+        self.pull = np.einsum("nrp,nr->np", slopes, residual)
+        self.damping = np.full(count, 1e-3)
+        self.active = np.ones(count, dtype=np.bool_)
+        self.converged = np.zeros(count, dtype=np.bool_)
+        self.steps = np.zeros(count, dtype=np.int64)
+
+    def step(self) -> None:
+        """One trial step for every load that still moves."""
+        which = np.flatnonzero(self.active)
+        move, gain = self._moves(which)
+        aim, cut, placed = self.fitter.bounded(self.at[which] + move, square=self.square)
+        newly = cut & self.free[which, 3]
+        self.free[which[cut], 3] = False
+        self.steps[which] += 1
+        done = (gain < _CLOSE_ENOUGH) & ~newly & placed
+        self._finish(which[done], aim[done], gain[done])
+        self._refuse(which[~placed])
+        going = placed & ~done
+        if going.any():
+            self._try(which[going], aim[going])
+
+    def _moves(self, which: NDArray[np.int64]) -> tuple[Array, Array]:
+        """Damped steps (k, 4), and their squared length in standard errors."""
+        normal, pull, scale = self._scaled(which)
+        damped = normal + self.damping[which, None, None] * np.eye(4)
+        move = np.linalg.solve(damped, pull[..., None])[..., 0]
+        return move / scale, (move * pull).sum(axis=1)
+
+    def _scaled(self, which: NDArray[np.int64]) -> tuple[Array, Array, Array]:
+        """Normal equations (k, 4, 4), (k, 4) of parameters scaled (k, 4) to unit diagonal; fixed ones do not move."""
+        free = self.free[which]
+        normal, scale = _normal(self.information[which], free)
+        return normal, np.where(free, self.pull[which] / scale, 0), scale
+
+    def _finish(self, which: NDArray[np.int64], at: Array, gain: Array) -> None:
+        self.at[which] = at
+        self.misfit[which] -= gain
+        self.active[which] = False
+        self.converged[which] = True
+
+    def _try(self, which: NDArray[np.int64], aim: Array) -> None:
+        rows, slopes = self.fitter.rows(aim)
+        residual = self.data[which] - rows
+        misfit = (residual**2).sum(axis=1)
+        better = misfit < self.misfit[which]
+        good = which[better]
+        self.at[good], self.misfit[good] = aim[better], misfit[better]
+        slopes = slopes[better]
+        self.information[good] = slopes.swapaxes(1, 2) @ slopes
+        self.pull[good] = np.einsum("nrp,nr->np", slopes, residual[better])
+        self.damping[good] *= _EASIER
+        self._refuse(which[~better])
+
+    def _refuse(self, which: NDArray[np.int64]) -> None:
+        self.damping[which] *= _HARDER
+        self.active[which[self.damping[which] > _LARGEST_DAMPING]] = False
+
+    def result(self) -> Fits:
+        """What was reached, with covariances of everything that could have been fitted."""
+        held = self.square & ~self.free[:, 3]
+        covariance = _inverted(self.information, square=self.square)
+        excess = np.where(held, (covariance[:, 3] * self.pull).sum(axis=1), 0.0)
+        empty = (self.data**2).sum(axis=1)
+        return Fits(
+            self.at, covariance, self.misfit, empty, self.steps, self.converged, held, np.maximum(excess, 0.0)
+        )
+
+
+def _normal(information: Array, free: Mask) -> tuple[Array, Array]:
+    """Information (n, 4, 4) scaled to unit diagonal, with ones for what is fixed, and the scale (n, 4)."""
+    diagonal = np.diagonal(information, axis1=1, axis2=2)
+    scale = np.sqrt(np.where(free & (diagonal > 0), diagonal, 1))
+    both = free[:, :, None] & free[:, None]
+    return np.where(both, information / (scale[:, :, None] * scale[:, None]), np.eye(4)), scale
+
+
+def _inverted(information: Array, *, square: bool) -> Array:
+    free = np.tile([True, True, True, square], (len(information), 1))
+    normal, scale = _normal(information, free)
+    inverse = np.linalg.pinv(normal, hermitian=True) / (scale[:, :, None] * scale[:, None])
+    covariance: Array = inverse * (free[:, :, None] & free[:, None])
+    return covariance
+
+
+#: d′ above which a place is known so well that the sheet does not change over it.
+SURE: Final = 30.0
+#: Variance of the place beyond the bound, times d′², as simulated at d′ = 10 to 20 (benchmarks/load_estimate.py).
+_BEYOND: Final = 8.0
+
+
+def spread_covariance(fitter: LoadFitter, fits: Fits, detectability: Array, *, square: bool) -> Array:
+    """Average the covariance over the places it allows; that of loads held by an electrode is large enough.
+
+    Parameters
+    ----------
+    fits : of n loads. detectability : (n,) their d′.
+    square : whether the square was fitted.
+
+    Returns
+    -------
+    (n, 4, 4).
+    """
+    covariance = fits.covariance
+    place = covariance[:, :2, :2]
+    size, axes = np.linalg.eigh(place)
+    follow = covariance[:, :, :2] @ np.linalg.inv(place)  # how the other unknowns move with the place
+    total = covariance.copy()
+    for axis in range(2):
+        step = np.sqrt(np.maximum(size[:, axis], 0))[:, None] * axes[:, :, axis]
+        for side in (-1, 1):
+            aim = fits.parameters + side * (follow @ step[..., None])[..., 0]
+            beside, _, placed = fitter.bounded(aim, square=square)
+            beside[~placed] = fits.parameters[~placed]
+            total += fitter.covariance(beside, square=square)
+    mean = np.where(fits.held[:, None, None], covariance, total / 5)
+    beyond = np.sqrt(1 + _BEYOND / detectability**2)[:, None] ** np.array([1, 1, 0, 0])
+    spread: Array = mean * beyond[:, :, None] * beyond[:, None]
+    return spread
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadBound:
+    """Bounds of one load.
+
+    Parameters
+    ----------
+    detectability : d′ = √(sᵀ Σ⁻¹ s) of its signal s in noise Σ.
+    covariance : (4, 4) of x, y [mm], strength and square [mm²]; zero for the square where the radius is known.
+    radius_mm, contrast : of the load.
+    """
+
+    detectability: float
+    covariance: Array
+    radius_mm: float
+    contrast: float
+
+    @property
+    def place_mm(self) -> float:
+        """Of the place, root mean square over two axes [mm]."""
+        return float(np.sqrt((self.covariance[0, 0] + self.covariance[1, 1]) / 2))
+
+    @property
+    def radius_stderr_mm(self) -> float:
+        """Of the radius [mm]; 0 where it is known."""
+        return float(np.sqrt(self.covariance[3, 3]) / (2 * self.radius_mm))
+
+    @property
+    def strength(self) -> float:
+        """Of the strength, and of area × contrast against the mean of both conductances: relative."""
+        return float(np.sqrt(self.covariance[2, 2]) / abs(self._strength))
+
+    @property
+    def plain_area_contrast(self) -> float:
+        """Of area × Δγ/γ, relative."""
+        strength, square = self._strength, self.radius_mm**2
+        mean = strength / square
+        gradient = np.array([0, 0, 1 / strength, -mean / square]) / (1 - mean)
+        return float(np.sqrt(gradient @ self.covariance @ gradient))
+
+    @property
+    def contrast_stderr(self) -> float:
+        """Of the contrast where the radius is known."""
+        mean = self._strength / self.radius_mm**2
+        return float(2 * np.sqrt(self.covariance[2, 2]) / self.radius_mm**2 / (1 - mean) ** 2)
+
+    @property
+    def _strength(self) -> float:
+        return self.radius_mm**2 * self.contrast / (2 + self.contrast)
+
+
+def load_bound(
+    model: RoundLoadModel,
+    readings: MergedReadings,
+    *,
+    x_mm: float,
+    y_mm: float,
+    radius_mm: float,
+    contrast: float,
+    known: bool,
+) -> LoadBound:
+    """Invert the Fisher matrix of a load.
+
+    Raises
+    ------
+    NumericsError
+        If the readings say nothing about one of the unknowns.
+    """
+    load = RoundLoads.of_contrast(np.array([[x_mm, y_mm]]), np.array([radius_mm]), np.array([contrast]))
+    found = model.readings(load)
+    signal, slopes = readings.of_model(found.change)[0], readings.of_model(found.slope)[0]
+    free = slice(0, 3 if known else 4)
+    size = np.linalg.norm(slopes[free], axis=1)
+    if not (size > 0).all():
+        raise NumericsError("the readings do not depend on the load at all")
+    information = (slopes[free] / size[:, None]) @ (slopes[free] / size[:, None]).T
+    covariance = np.zeros((4, 4))
+    covariance[free, free] = np.linalg.inv(information) / np.outer(size, size)
+    return LoadBound(float(np.linalg.norm(signal)), covariance, radius_mm, contrast)

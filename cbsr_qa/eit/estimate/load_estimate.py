@@ -1,0 +1,320 @@
+"""Where a round load is and how strong, with the uncertainty of both: maximum likelihood on the readings.
+
+The image plays no part but for a place to start from: weighted least squares on the readings' changes is unbiased
+and as precise as the Cramér–Rao bound allows, which an image masked at 85 % is not. What the readings do not
+determine is not reported: a load that does not stand out, a place known to no better than a third of the radius, a
+radius whose own standard error is above a third of it. The rules compare standard errors with the *expected* radius,
+not with the radius that was found: a rule on the estimate itself would keep the lucky ones, and what is kept would be
+biased.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from math import ceil, floor, sqrt
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtr, ndtri
+from scipy.stats import chi2
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import Estimated, LoadEstimate, LoadFinding
+from cbsr_qa.eit.estimate.fit import SURE, Fits, LoadFitter, spread_covariance
+from cbsr_qa.eit.estimate.readings import MergedReadings
+from cbsr_qa.eit.loads import RoundLoadModel
+
+Array = NDArray[np.float64]
+
+#: By how much a load must lower the squared residuals to be there at all. Noise alone does it in fewer than 2 of
+#: 10 000 frames (measured with 20 000, anywhere on the sheet, of any size).
+DETECTED_GAIN: Final = 27.0
+#: What does not explain so much of the squares at the best place of the grid explains no 27 beside it.
+_HOPELESS_GAIN: Final = 10.0
+#: d′ from which a place is given. Loads of d′ = 10 are answered in 97 of 100 frames, of d′ = 6 in 3.
+LEAST_DETECTABILITY: Final = 8.0
+#: Largest standard error of place and radius over the expected radius.
+_SHARE: Final = 1 / 3
+#: Standard errors scatter as the strength does: the bound is kept with this much to spare.
+_SPARE: Final = 1.15
+#: A misfit this improbable is taken as the model's fault.
+_IMPROBABLE: Final = 1e-3
+_COVERED: Final = 0.6827  # by one standard deviation to each side
+_SMALL: Final = 0.6  # of the clearance: largest radius of a load the search begins with
+_AT_ONCE: Final = 64
+_GRID: Final = 0.08  # of the sheet's radius, between places the matched filter looks at
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadFits:
+    """Fits of n frames with what follows from them, as arrays.
+
+    Parameters
+    ----------
+    fits : parameters, covariance (inflated where the misfit is the model's fault), misfits.
+    finding : (n,) indices into :class:`~cbsr_qa.domain.results.LoadFinding`'s order.
+    detectability : (n,) d′.
+    place_stderr_mm : (n,) root mean square over two axes.
+    has_radius : (n,) whether the radius is determined.
+    inflation, probability : (n,) of the misfit.
+    """
+
+    fits: Fits
+    finding: NDArray[np.int64]
+    detectability: Array
+    place_stderr_mm: Array
+    has_radius: NDArray[np.bool_]
+    inflation: Array
+    probability: Array
+
+
+class LoadEstimator:
+    """Estimates loads of one sensor.
+
+    Parameters
+    ----------
+    model : readings of the sheet under a round load, at unit sheet conductance.
+    readings : which readings, with their noise.
+    expected_radius_mm : of what presses: the length against which places and radii count as resolved, and the size a
+        fit begins with.
+    known : whether the load has exactly that radius, which then is not estimated.
+    """
+
+    def __init__(
+        self, model: RoundLoadModel, readings: MergedReadings, *, expected_radius_mm: float, known: bool
+    ) -> None:
+        if not 0 < expected_radius_mm < model.surroundings.radius_mm:
+            raise NumericsError(f"a load of radius {expected_radius_mm} mm does not fit on the sheet")
+        self.model = model
+        self.readings = readings
+        self.expected_radius_mm = expected_radius_mm
+        self.known = known
+        self._fitter = LoadFitter(model, readings)
+        self._places, weak = _weak_loads(model, expected_radius_mm)
+        self._patterns, self._size = _filters(readings.of_model(weak))
+
+    def estimate(self, changes: Array, *, start_mm: Array | None = None) -> tuple[LoadEstimate, ...]:
+        """Estimate one load in each frame.
+
+        Parameters
+        ----------
+        changes : (n, m) of the used readings, at unit current and unit sheet conductance [V/A·S].
+        start_mm : (n, 2) places to try first, such as the blobs' centres of mass.
+
+        Raises
+        ------
+        NumericsError
+            If a reading is not finite or their number is wrong.
+        """
+        found = self.fit(changes, start_mm=start_mm)
+        return tuple(self._estimate(found, number) for number in range(len(changes)))
+
+    def fit(self, changes: Array, *, start_mm: Array | None = None) -> LoadFits:
+        """Estimate as :meth:`estimate` does, as arrays."""
+        changes = np.asarray(changes, dtype=np.float64)
+        if changes.ndim != 2 or changes.shape[1] != int(self.readings.used.sum()):
+            raise NumericsError(
+                f"changes of shape {changes.shape} do not fit {int(self.readings.used.sum())} used readings"
+            )
+        if not np.isfinite(changes).all():
+            raise NumericsError("a reading is not a finite number", remedy="leave its channel out of the readings")
+        data = self.readings.of_data(changes)
+        start, gain = self._start(data, start_mm)
+        fits = _unfitted(data, start, gain)
+        hopeful = np.flatnonzero(gain > _HOPELESS_GAIN)
+        if hopeful.size:
+            fitted = self._fitter.fit(data[hopeful], start[hopeful], square=False)
+            fits = _with(fits, hopeful, fitted)
+        if not self.known:
+            fits = self._sized(data, fits)
+        return self._judged(fits)
+
+    def _start(self, data: Array, start_mm: Array | None) -> tuple[Array, Array]:
+        """Begin at the better of the given place and the best of the grid, (n, 4); what that explains, (n,)."""
+        match = data @ self._patterns.T
+        best, every = np.abs(match).argmax(axis=1), np.arange(len(data))
+        found = match[every, best]
+        place, strength = self._places[best], found / self._size[best]
+        if start_mm is not None:
+            given = np.asarray(start_mm, dtype=np.float64)
+            clear = self.model.surroundings.clearance_mm(given) > _GRID * self.model.surroundings.radius_mm / 2
+            given = np.where(clear[:, None], given, place)
+            patterns, size = _filters(
+                self.readings.of_model(_weak_changes(self.model, given, self.expected_radius_mm))
+            )
+            own = (data * patterns).sum(axis=1)
+            better = np.abs(own) > np.abs(found)
+            place = np.where(better[:, None], given, place)
+            strength, found = np.where(better, own / size, strength), np.where(better, own, found)
+        return np.column_stack([place, strength, np.full(len(data), self.expected_radius_mm**2)]), found**2
+
+    def _sized(self, data: Array, fits: Fits) -> Fits:
+        """Fit the size as well, where a load was seen."""
+        seen = np.flatnonzero(fits.empty_misfit - fits.misfit > DETECTED_GAIN)
+        if not seen.size:
+            return fits
+        sized = self._fitter.fit(data[seen], fits.parameters[seen], square=True)
+        return _with(fits, seen, sized)
+
+    def _judged(self, fits: Fits) -> LoadFits:
+        unknowns = 3 if self.known else 4
+        freedom = len(self.readings.weight) - unknowns
+        probability = chi2.sf(fits.misfit, freedom)
+        inflation = np.where(probability < _IMPROBABLE, fits.misfit / freedom, 1.0)
+        gain = (fits.empty_misfit - fits.misfit) / inflation
+        detectability = np.sqrt(np.maximum(gain - unknowns, 0))
+        seen = (gain >= DETECTED_GAIN) & (detectability >= LEAST_DETECTABILITY) & fits.converged
+        covariance = self._covariance(fits, np.flatnonzero(seen), detectability) * inflation[:, None, None]
+        place = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2)
+        located = seen & (place <= _SHARE * _SPARE * self.expected_radius_mm)
+        finding = np.where(gain < DETECTED_GAIN, 1, np.where(located, 0, 2))
+        fits = replace(fits, covariance=covariance)
+        has_radius = located & (self._radius_stderr(fits, located) <= _SHARE * _SPARE * self.expected_radius_mm)
+        return LoadFits(fits, finding, detectability, place, has_radius, inflation, probability)
+
+    def _covariance(self, fits: Fits, seen: NDArray[np.int64], detectability: Array) -> Array:
+        unsure = seen[detectability[seen] < SURE]
+        if not unsure.size:
+            return fits.covariance
+        chosen = Fits(*(getattr(fits, name)[unsure] for name in Fits.__slots__))
+        spread = spread_covariance(self._fitter, chosen, detectability[unsure], square=not self.known)
+        return _replaced(fits.covariance, unsure, spread)
+
+    def _radius_stderr(self, fits: Fits, located: NDArray[np.bool_]) -> Array:
+        """Standard error of the radius if it were the expected one, (n,) [mm]; infinite where none is wanted."""
+        stderr = np.full(len(located), np.inf)
+        which = np.flatnonzero(located)
+        if self.known or not which.size:
+            return stderr
+        usual = fits.parameters[which].copy()
+        usual[:, 3] = self.expected_radius_mm**2
+        usual, *_ = self._fitter.bounded(usual, square=True)
+        variance = self._fitter.covariance(usual, square=True)[:, 3, 3]
+        stderr[which] = np.sqrt(variance) / (2 * self.expected_radius_mm)
+        return stderr
+
+    def _estimate(self, found: LoadFits, number: int) -> LoadEstimate:
+        finding = tuple(LoadFinding)[found.finding[number]]
+        located = finding is LoadFinding.LOCATED
+        fits = found.fits
+        covariance = fits.covariance[number]
+        x_mm, y_mm, strength, square = fits.parameters[number].tolist()
+        errors = np.sqrt(np.diag(covariance)).tolist()
+        freedom = len(self.readings.weight) - (3 if self.known else 4)
+        return LoadEstimate(
+            finding=finding,
+            why="" if located else self._why(finding, found, number),
+            detectability=float(found.detectability[number]),
+            place_mm=(x_mm, y_mm) if located else None,
+            place_covariance_mm2=covariance[:2, :2].copy() if located else None,
+            area_contrast_mm2=area_contrast(strength, errors[2]) if located else None,
+            contrast=contrast_of(strength / square, errors[2] / square) if located and self.known else None,
+            radius_mm=radius_of(square, errors[3], float(fits.excess[number])) if found.has_radius[number] else None,
+            no_radius="" if found.has_radius[number] else self._why_no_radius(located, errors[3]),
+            misfit=float(fits.misfit[number] / freedom),
+            misfit_probability=float(found.probability[number]),
+            inflation=float(found.inflation[number]),
+            steps=int(fits.steps[number]),
+        )
+
+    def _why(self, finding: LoadFinding, found: LoadFits, number: int) -> str:
+        if finding is LoadFinding.NOT_DETECTED:
+            if found.inflation[number] > 1:
+                return "the readings changed by more than their noise, but not as one round load changes them"
+            return "no load stands out of the noise of the readings"
+        seen, place = float(found.detectability[number]), float(found.place_stderr_mm[number])
+        if not found.fits.converged[number]:
+            return "the fit of a round load did not settle: more than one load, or no load at all"
+        allowed = _SHARE * self.expected_radius_mm
+        factor = max(10 / max(seen, 1e-3), place / allowed)
+        return (
+            f"a load is there (d′ {seen:.1f}), but its place is known to no better than {place:.2g} mm;"
+            f" averaging {ceil(factor**2)} times as many frames would resolve it"
+        )
+
+    def _why_no_radius(self, located: bool, square_error: float) -> str:
+        if self.known:
+            return "the radius was given"
+        if not located:
+            return "the load was not located"
+        needed = sqrt(square_error / (2 * _SHARE))
+        return f"at this place and strength a radius is resolved from {needed:.2g} mm up"
+
+
+@lru_cache(maxsize=16)
+def _weak_loads(model: RoundLoadModel, radius_mm: float) -> tuple[Array, Array]:
+    """Places (p, 2) all over the sheet, and what a weak load of unit strength changes there (p, drives, measures)."""
+    step = _GRID * model.surroundings.radius_mm
+    left, right, bottom, top = model.surroundings.extent_mm
+    axes = (
+        np.arange(ceil(low / step), floor(high / step) + 1) * step for low, high in ((left, right), (bottom, top))
+    )
+    places = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    places = places[model.surroundings.clearance_mm(places) > step / 2]
+    return places, _weak_changes(model, places, radius_mm)
+
+
+def _weak_changes(model: RoundLoadModel, places_mm: Array, radius_mm: float) -> Array:
+    """What weak loads of unit strength change, smaller near an electrode: good enough to begin with, and cheap."""
+    clear = np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)
+    radius = np.minimum(radius_mm, _SMALL * clear)
+    changes = np.empty((len(places_mm), *model.pattern.shape))
+    order = np.argsort(-clear, kind="stable")  # places alike in clearance need alike numbers of terms
+    for first in range(0, len(order), _AT_ONCE):
+        part = order[first : first + _AT_ONCE]
+        changes[part] = model.weak(places_mm[part], radius[part])
+    return changes
+
+
+def _filters(rows: Array) -> tuple[Array, Array]:
+    """Rows (p, rows) scaled to unit length, and their lengths (p,)."""
+    size: Array = np.maximum(np.linalg.norm(rows, axis=1), np.finfo(float).tiny)
+    return rows / size[:, None], size
+
+
+def area_contrast(strength_mm2: float, stderr_mm2: float) -> Estimated:
+    """Area × contrast 2π s of a strength s, with contrast counted against the mean of both conductances [mm²]."""
+    value, error = 2 * np.pi * strength_mm2, 2 * np.pi * stderr_mm2
+    return Estimated(value, error, value - error, value + error)
+
+
+def contrast_of(reflection: float, stderr: float) -> Estimated:
+    """Contrast κ = 2μ/(1 − μ) of μ = (γ_i − γ)/(γ_i + γ); an interval that would leave no conductance ends there."""
+    low, value, high = (
+        2 * mu / (1 - mu) for mu in np.clip([reflection - stderr, reflection, reflection + stderr], -1, 0.98)
+    )
+    return Estimated(float(value), float(2 * stderr / (1 - min(reflection, 0.98)) ** 2), float(low), float(high))
+
+
+def radius_of(square_mm2: float, stderr_mm2: float, excess_mm2: float = 0.0) -> Estimated:
+    """Radius Re √(q + iσ) of an estimate q ± σ of its square: never negative, and free of bias to second order.
+
+    Parameters
+    ----------
+    excess_mm2 : by how much the square would be larger, had it not been held where the load touches an electrode. The
+        interval then ends there, and holds 68 % of what a normal distribution has below.
+    """
+    value = sqrt((square_mm2 + sqrt(square_mm2**2 + stderr_mm2**2)) / 2)
+    below, above = square_mm2 - stderr_mm2, square_mm2 + stderr_mm2
+    if excess_mm2 > 0:
+        outside = (1 - _COVERED) * ndtr(-excess_mm2 / stderr_mm2)
+        below, above = square_mm2 + excess_mm2 + stderr_mm2 * float(ndtri(outside)), square_mm2
+    return Estimated(value, stderr_mm2 / (2 * value), sqrt(max(below, 0.0)), max(sqrt(max(above, 0.0)), value))
+
+
+def _unfitted(data: Array, start: Array, gain: Array) -> Fits:
+    """Loads where they begin, not fitted."""
+    empty, count = (data**2).sum(axis=1), len(data)
+    no = np.zeros(count, dtype=np.bool_)
+    covariance, steps = np.zeros((count, 4, 4)), np.zeros(count, dtype=np.int64)
+    return Fits(start, covariance, empty - gain, empty, steps, no, no, np.zeros(count))
+
+
+def _with(fits: Fits, which: NDArray[np.int64], new: Fits) -> Fits:
+    return Fits(*(_replaced(getattr(fits, name), which, getattr(new, name)) for name in Fits.__slots__))
+
+
+def _replaced(values: NDArray, which: NDArray[np.int64], new: NDArray) -> NDArray:  # type: ignore[type-arg]
+    changed = values.copy()
+    changed[which] = new
+    return changed

@@ -1,0 +1,110 @@
+"""Readings ready for a least-squares fit: reciprocal pairs merged, every row of unit noise.
+
+The load model of a sensor type, made once per process.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.geometry import Disc
+from cbsr_qa.domain.sensor import DrivePattern, ElectrodeKind, SensorType
+from cbsr_qa.eit.forward import ForwardModel
+from cbsr_qa.eit.inverse import NOMINAL_CONTACT_MM
+from cbsr_qa.eit.loads import MeshedSheet, PinnedDisc, RoundLoadModel
+from cbsr_qa.eit.mesh import sheet_mesh
+
+_MESH_SIZE: Final = 0.12  # edge length, of the radius: fields are read from the edge, where meshes are finer
+
+
+@lru_cache(maxsize=8)
+def load_model(sensor_type: SensorType) -> RoundLoadModel:
+    """Readings of the even sheet under a round load, at unit sheet conductance.
+
+    A disc with pins has its fields exactly; any other sheet, or one with a mesh of its own, by finite elements.
+    """
+    round_sheet = isinstance(sensor_type.outline, Disc) and sensor_type.mesh is None
+    if round_sheet and sensor_type.electrodes.kind is ElectrodeKind.PIN:
+        sheet = PinnedDisc(sensor_type.radius_mm, sensor_type.electrodes, NOMINAL_CONTACT_MM)
+        return RoundLoadModel(sheet, sensor_type.pattern)
+    mesh = sheet_mesh(sensor_type, size_mm=_MESH_SIZE * sensor_type.radius_mm, order=2)
+    contacts = np.full(sensor_type.electrodes.count, NOMINAL_CONTACT_MM)
+    model = ForwardModel(mesh, sensor_type.pattern, np.ones(len(mesh.elements)), contacts, order=2)
+    return RoundLoadModel(MeshedSheet(model, sensor_type.radius_mm), sensor_type.pattern)
+
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: A load has four unknowns; with hardly more readings nothing could contradict them.
+FEWEST_ROWS = 12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MergedReadings:
+    """Reciprocal readings are one number measured twice: their weighted mean says all they say about the sheet.
+
+    Parameters
+    ----------
+    used : (drives, measures) bool with m True entries, in C order.
+    merging : (rows, m) what turns changes of the used readings into rows of unit noise.
+    drive, measure : (rows,) a reading of each row, for the model.
+    weight : (rows,) by which the model's value of that reading is multiplied.
+    """
+
+    used: NDArray[np.bool_]
+    merging: Array
+    drive: Indices
+    measure: Indices
+    weight: Array
+
+    def of_data(self, changes: Array) -> Array:
+        """Rows (n, rows) of changes (n, m) of the used readings."""
+        rows: Array = changes @ self.merging.T
+        return rows
+
+    def of_model(self, readings: Array) -> Array:
+        """Rows (…, rows) of whole frames (…, drives, measures) of a reciprocal model."""
+        rows: Array = readings[..., self.drive, self.measure] * self.weight
+        return rows
+
+
+def merged_readings(pattern: DrivePattern, used: NDArray[np.bool_], variance: Array) -> MergedReadings:
+    """Merge reciprocal readings.
+
+    Parameters
+    ----------
+    variance : (drives, measures) of the readings' changes; only used ones are looked at. Noise of different readings
+        is taken as independent.
+
+    Raises
+    ------
+    NumericsError
+        If shapes disagree, a variance is not a positive finite number, or too few readings are left.
+    """
+    if used.shape != pattern.shape or variance.shape != pattern.shape:
+        raise NumericsError(
+            f"a mask of {used.shape} and variances of {variance.shape} do not fit frames of {pattern.shape}"
+        )
+    if not (np.isfinite(variance[used]) & (variance[used] > 0)).all():
+        raise NumericsError(
+            "the noise variance of a used reading is not a positive finite number",
+            remedy="leave out stuck readings, or take more unloaded frames",
+        )
+    groups, signs = pattern.reading_groups()
+    _, first, row = np.unique(groups[used], return_index=True, return_inverse=True)
+    if len(first) < FEWEST_ROWS:
+        raise NumericsError(
+            f"only {len(first)} independent readings are left; a load's estimate needs {FEWEST_ROWS}",
+            remedy="mend the channels that were masked",
+        )
+    precision = 1 / variance[used]
+    total, sign = np.bincount(row, precision), signs[used]
+    merging = np.zeros((len(first), len(row)))
+    merging[row, np.arange(len(row))] = sign * sign[first][row] * precision / np.sqrt(total)[row]
+    drive, measure = np.nonzero(used)
+    return MergedReadings(used, merging, drive[first], measure[first], np.sqrt(total))

@@ -1,0 +1,262 @@
+"""Readings of a round tank that is no sheet: electrodes at mid-height of a cylinder, and what small objects change.
+
+In a cylinder of radius 1 and depth H, with electrodes at mid-height, the potential is a sum over modes cos(κz),
+κ = 2πk/H, each of which solves ∇²u = κ²u in the plane: Bessel functions I_m(κρ) cos(mθ) instead of ρᵐ cos(mθ). H → 0
+is the sheet. Far readings fall off faster the deeper the tank is, which is how its depth can be told.
+
+A strip with two pins: how far the reading between them tells what the material under the head does.
+
+The current between the pins passes their contacts, the strip beside the head and the strip under it, all in series.
+Only the last changes under load, so that the reading changes by less than the material does (about a third on the
+shipped strip). How much less follows from the forward model of the strip, and from what is assumed of the contacts.
+"""
+
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+from scipy.special import ive
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.domain.sensor import DrivePattern, SensorType
+from cbsr_qa.eit.forward.coverage import cover
+from cbsr_qa.eit.forward.local import LocalUpdate
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.eit.mesh import sheet_mesh
+
+Array = NDArray[np.float64]
+
+_SIZE: Final = 0.1  # edge length far from the pins, of the strip's radius: changes of readings to 5e-4
+_CHANGES: Final = np.expm1(np.linspace(-np.log(20.0), np.log(20.0), 41))  # of conductance, that are tabulated
+
+
+def check_strip(sensor_type: SensorType) -> None:
+    """Refuse a sensor type that is no strip.
+
+    Raises
+    ------
+    NumericsError
+        Saying what makes one.
+    """
+    pattern = sensor_type.pattern
+    if sensor_type.electrodes.count != 2 or pattern.drive[0] != pattern.measure[0]:
+        raise NumericsError(
+            f"sensor type {sensor_type.name!r} is no strip: a material is characterised between two pins that carry"
+            " the current and are read themselves",
+            remedy="use a sensor type of two electrodes, such as strip-40x20mm",
+        )
+
+
+class StripModel:
+    """The resistance of a strip while the conductance under the head changes.
+
+    Parameters
+    ----------
+    sensor_type : of two electrodes, whose first drive pair is also its first measure pair.
+    indenter : the head, with its axis over the place.
+    contact_length_mm : contact impedance of a pin over the strip's sheet resistance.
+    place_mm : of the head's axis.
+
+    Raises
+    ------
+    NumericsError
+        If the sensor type is no strip, or the head does not touch it.
+    """
+
+    def __init__(
+        self,
+        sensor_type: SensorType,
+        indenter: Indenter,
+        contact_length_mm: float,
+        *,
+        place_mm: tuple[float, float] = (0.0, 0.0),
+    ) -> None:
+        check_strip(sensor_type)
+        pattern = sensor_type.pattern
+        mesh = sheet_mesh(sensor_type, size_mm=_SIZE * sensor_type.radius_mm, order=2)
+        contact = np.full(2, float(contact_length_mm))
+        model = ForwardModel(mesh, pattern, np.ones(len(mesh.elements)), contact, order=2)
+        covered = cover(model.elements, indenter.at(*place_mm))
+        if not covered.elements.size:
+            raise NumericsError(f"the head at ({place_mm[0]:g}, {place_mm[1]:g}) mm does not touch the strip")
+        update = LocalUpdate(model)
+        resistance = [
+            update.voltages(covered.elements, covered.change(model.conductance, float(change)))[0, 0]
+            for change in _CHANGES
+        ]
+        #: how much of the head is on the strip
+        self.pressed_mm2 = float(covered.share @ mesh.areas_mm2[covered.elements])
+        #: resistance between the pins over the sheet resistance, unloaded
+        self.squares = float(model.voltages()[0, 0])
+        #: of ``squares``, what lies in the contacts
+        self.contact_squares = float((model.contact_jacobian()[0, 0] * contact).sum())
+        # In logarithms both ways are nearly straight: a spline through these points is right to 1e-6 of a change.
+        local, apparent = np.log1p(_CHANGES), np.log(self.squares / np.array(resistance))
+        self._apparent, self._local = CubicSpline(local, apparent), CubicSpline(apparent, local)
+        self._range = (float(np.expm1(apparent[0])), float(np.expm1(apparent[-1])))
+
+    @property
+    def share(self) -> float:
+        """Apparent over local change, of small changes: the head's share of the reading."""
+        return float(self._apparent(0.0, 1))
+
+    def apparent(self, local: Array) -> Array:
+        """Relative change of the conductance between the pins, of relative changes under the head."""
+        return np.asarray(np.expm1(self._apparent(np.log1p(local))), dtype=np.float64)
+
+    def local(self, apparent: Array) -> Array:
+        """Relative change of the conductance under the head, of relative changes between the pins.
+
+        Raises
+        ------
+        NumericsError
+            If a change is more than the strip under the head can make.
+        """
+        lowest, highest = self._range
+        if apparent.size and not lowest <= float(apparent.min()) <= float(apparent.max()) <= highest:
+            raise NumericsError(
+                f"the conductance between the pins changes by {apparent.min():.3g} to {apparent.max():.3g} of itself;"
+                f" what lies under the head can change it by {lowest:.3g} to {highest:.3g}",
+                remedy="look for a loose pin: its contact changes, not the material",
+            )
+        return np.asarray(np.expm1(self._local(np.log1p(apparent))), dtype=np.float64)
+
+
+_ORDERS: Final = 160  # of angle: electrodes of a tenth of the radius damp those beyond
+_DAMPED: Final = 30.0  # modes are summed up to κ of this, over an electrode's height
+_UNIFORM: Final = 12  # orders from which Debye's expansion gives I_m to ten digits
+_RADII: Final = 241  # at which the radial functions are tabulated
+
+
+class DeepTank:
+    """A tank of unit radius and unit conductivity.
+
+    Parameters
+    ----------
+    depth : H, in units of the radius.
+    angles_rad : (electrodes,), electrodes at the wall and at mid-height.
+    electrode : width and height of an electrode, in units of the radius.
+    """
+
+    def __init__(self, depth: float, angles_rad: Array, pattern: DrivePattern, *, electrode: float = 0.1) -> None:
+        self._angles, self._pattern = angles_rad, pattern
+        order = np.arange(_ORDERS + 1)
+        # Fourier series of a strip, and of unit current at an angle; order 0 adds a constant.
+        self._weight = np.where(order > 0, np.sinc(order * electrode / (2 * np.pi)) / np.pi, 0.0)
+        count = int(np.ceil(_DAMPED / electrode * depth / (2 * np.pi) / 5)) + 1
+        self._modes = 2 * np.pi * np.arange(count) / depth
+        share = np.sinc(self._modes * electrode / (2 * np.pi))
+        self._share = np.where(self._modes > 0, 2 * share, 1.0) / depth
+        self._seen = share
+
+    def readings(self) -> Array:
+        """Readings per unit current and resistivity, (drives, measures)."""
+        order = np.arange(_ORDERS + 1)
+        radial = np.zeros(_ORDERS + 1)
+        for mode, share, seen in zip(self._modes, self._share, self._seen, strict=True):
+            radial += share * seen * _radial(mode, np.ones(1))[0]
+        apart = self._angles[:, None] - self._angles
+        coefficients = self._weight**2 * np.pi * radial
+        impedance = np.einsum("m,ijm->ij", coefficients, np.cos(order * apart[..., None]))
+        drive, measure = self._pattern.drive_currents(), self._pattern.measure_matrix()
+        readings: Array = drive.T @ impedance @ measure
+        return readings
+
+    def changes(self, places: Array, radius: float, *, conducts: bool) -> Array:
+        """Changes of the readings for balls in the electrodes' plane, as far as it is linear in their volume.
+
+        A ball scatters the gradient at its centre and, with (radius)², the second derivatives there; of higher orders
+        none is counted.
+
+        Parameters
+        ----------
+        places : (p, 2), in units of the radius; inside 0.95.
+        radius : of the balls.
+        conducts : whether they are perfect conductors; else insulators.
+
+        Returns
+        -------
+        (p, drives, measures), per unit of volume.
+        """
+        first, second = self._derivatives(places)
+        drive, measure = self._pattern.drive_currents(), self._pattern.measure_matrix()
+        dipole, quadrupole = (3.0, 5 / 2) if conducts else (-3 / 2, -5 / 3)
+        gradient = np.einsum("pea,ed->pda", first, drive), np.einsum("pea,em->pma", first, measure)
+        bend = np.einsum("pea,ed->pda", second, drive), np.einsum("pea,em->pma", second, measure)
+        change: Array = dipole * np.einsum("pda,pma->pdm", *gradient)
+        change += quadrupole * radius**2 / 5 * np.einsum("pda,pma->pdm", *bend)
+        return -change
+
+    def _derivatives(self, places: Array) -> tuple[Array, Array]:
+        """Gradient (p, electrodes, 2) and second derivatives (p, electrodes, 4) of each electrode's potential.
+
+        The second derivatives are weighted so that their scalar product is that of the whole matrices: along ρ and θ,
+        across (√2 ∂ρθ), and along z, which Laplace's equation gives.
+        """
+        radius = np.maximum(np.hypot(places[:, 0], places[:, 1]), 1e-3)
+        angle = np.arctan2(places[:, 1], places[:, 0])
+        order = np.arange(_ORDERS + 1)
+        value, slope, bend = (self._radials.derivative(k)(radius) if k else self._radials(radius) for k in range(3))
+        cosine, sine = self._around(angle, np.cos), self._around(angle, np.sin)
+
+        def series(coefficients: Array, waves: tuple[Array, Array], turned: bool) -> Array:
+            """Sum over orders at each place and electrode of coefficient × cos or sin of m(φ − θ)."""
+            (at_cos, at_sin), (el_cos, el_sin) = waves, self._at_electrodes
+            if turned:
+                return (coefficients * at_sin) @ el_cos.T - (coefficients * at_cos) @ el_sin.T
+            return (coefficients * at_cos) @ el_cos.T + (coefficients * at_sin) @ el_sin.T
+
+        waves, rho = (cosine, sine), radius[:, None]
+        along, across = series(slope, waves, False), -series(order * value, waves, True) / rho
+        rr = series(bend, waves, False)
+        tt = along / rho - series(order**2 * value, waves, False) / rho**2
+        rt = -series(order * slope, waves, True) / rho - across / rho
+        first, second = np.stack([along, across], axis=2), np.stack([rr, tt, np.sqrt(2) * rt, -rr - tt], axis=2)
+        return first, second
+
+    @staticmethod
+    def _around(angle: Array, wave: np.ufunc) -> Array:
+        waves: Array = wave(angle[:, None] * np.arange(_ORDERS + 1))
+        return waves
+
+    @cached_property
+    def _at_electrodes(self) -> tuple[Array, Array]:
+        return self._around(self._angles, np.cos), self._around(self._angles, np.sin)
+
+    @cached_property
+    def _radials(self) -> CubicSpline:
+        """Radial function of every order in the electrodes' plane, tabulated."""
+        radii = np.linspace(1e-3, 0.97, _RADII)
+        table = np.zeros((_RADII, _ORDERS + 1))
+        for mode, share in zip(self._modes, self._share, strict=True):
+            table += share * _radial(mode, radii)
+        return CubicSpline(radii, self._weight * table)
+
+
+def _radial(mode: float, radii: Array) -> Array:
+    """I_m(κρ) / (κ I_m′(κ)) for all orders, (radii, orders); ρᵐ/m for κ = 0."""
+    order = np.arange(_ORDERS + 1)
+    if mode == 0:
+        radial: Array = radii[:, None] ** order / np.maximum(order, 1)
+        return radial
+    at_wall = _log_bessel(order, np.full(order.shape, mode))
+    next_order = np.exp(_log_bessel(order + 1, np.full(order.shape, mode)) - at_wall)
+    inside = _log_bessel(order, mode * radii[:, None])
+    return np.exp(inside - at_wall) / (order + mode * next_order)
+
+
+def _log_bessel(order: NDArray[np.int64], argument: Array) -> Array:
+    """Logarithm of I_m(x); for larger m, where I_m underflows, by Debye's uniform expansion (DLMF 10.41.3)."""
+    m, x = np.broadcast_arrays(order.astype(np.float64), argument)
+    log = np.empty(m.shape)
+    low = m < _UNIFORM
+    log[low] = np.log(ive(m[low], x[low])) + x[low]
+    m, z = m[~low], x[~low] / m[~low]
+    root = np.sqrt(1 + z**2)
+    p = 1 / root
+    terms = (3 * p - 5 * p**3) / 24 / m + (81 * p**2 - 462 * p**4 + 385 * p**6) / 1152 / m**2
+    log[~low] = m * (root + np.log(z / (1 + root))) - np.log(2 * np.pi * m * root) / 2 + np.log1p(terms)
+    return log

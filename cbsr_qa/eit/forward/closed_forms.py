@@ -1,0 +1,276 @@
+"""A ring of resistors between neighbouring electrodes: what a station should read of it, in closed form.
+
+Exact voltages of a round sheet, homogeneous or with a concentric inclusion: truth for everything that is meshed.
+
+On the edge of such a sheet the current density Σ j_n e^{inθ} makes the potential Σ j_n R g_n/(γ n) e^{inθ} with
+g_n = (1 + μ a²ⁿ)/(1 − μ a²ⁿ), μ = (γ − γ_i)/(γ + γ_i) and a the inclusion's radius over the sheet's (Isaacson 1986).
+Nothing here uses a mesh, so that agreement with :mod:`cbsr_qa.eit.forward.model` is evidence.
+
+Exact voltages of a homogeneous round sheet with round pins through it: truth for meshes with holes.
+
+Boundary integral over the pins' rims with the Neumann function of the disc (method of images), so that the sheet's
+edge needs no unknowns; trapezoidal Nyström points converge exponentially because every rim is a circle (Kress 2014).
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import spherical_jn
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.sensor import DrivePattern, ElectrodeLayout
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class ConcentricSheet:
+    """A round sheet with a round inclusion in its middle.
+
+    Parameters
+    ----------
+    radius_mm : of the sheet.
+    conductance_S : sheet conductance γ outside the inclusion.
+    inclusion_radius_mm : 0 for a homogeneous sheet; below the sheet's.
+    inclusion_conductance_S : γ_i; 0 is a hole.
+    """
+
+    radius_mm: float
+    conductance_S: float
+    inclusion_radius_mm: float = 0.0
+    inclusion_conductance_S: float = 1.0
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.inclusion_radius_mm < self.radius_mm:
+            raise NumericsError(f"an inclusion of {self.inclusion_radius_mm} mm does not fit in {self.radius_mm} mm")
+        if not (self.conductance_S > 0 and self.inclusion_conductance_S >= 0):
+            raise NumericsError("the sheet's conductance must be positive, the inclusion's at least zero")
+
+    def gain(self, order: Array) -> Array:
+        """g_n, by how much the inclusion changes the potential of the n-th harmonic: 1 when homogeneous."""
+        own, other = self.conductance_S, self.inclusion_conductance_S
+        ratio = self.inclusion_radius_mm / self.radius_mm
+        seen = (own - other) / (own + other) * ratio ** (2 * order)
+        gain: Array = (1 + seen) / (1 - seen)
+        return gain
+
+
+def arc_transfer_impedance(
+    sheet: ConcentricSheet,
+    angles_rad: Array,
+    half_width_rad: float,
+    contact_impedance: float,
+    *,
+    modes: int = 16,
+    harmonics: int = 200_000,
+) -> Array:
+    """Complete electrode model with arcs on the edge, by Legendre–Galerkin on the electrodes (Somersalo et al. 1992).
+
+    The current density of an electrode is expanded in Legendre polynomials, whose Fourier coefficients are spherical
+    Bessel functions. ``modes=1`` is the gap model: uniform current density, mean potential.
+
+    Parameters
+    ----------
+    angles_rad : (electrodes,) centres.
+    half_width_rad : half the angle of an arc.
+    contact_impedance : z [Ω·mm].
+    modes : polynomials an electrode; the error falls fast for z ≥ 0.01 R/γ, slowly for z → 0 (edge singularity).
+    harmonics : Fourier terms; what is left out falls with their square.
+
+    Returns
+    -------
+    (electrodes, electrodes) float64 [Ω], U = Z·I with ΣI = ΣU = 0.
+    """
+    count, length = len(angles_rad), 2 * half_width_rad * sheet.radius_mm
+    order = np.arange(1, harmonics + 1, dtype=np.float64)
+    basis = np.stack([spherical_jn(p, order * half_width_rad) for p in range(modes)], axis=1)
+    weight = sheet.gain(order) / (np.pi * sheet.conductance_S * order)
+    lags, which = _lags(angles_rad)
+    table = np.stack([_gram(basis, weight, order, lag) for lag in lags])  # (lags, modes, modes)
+    system = table[which].transpose(0, 2, 1, 3)  # (row electrode, row mode, column electrode, column mode)
+    own = np.arange(count)
+    for p in range(modes):
+        system[own, p, own, p] += contact_impedance / (length * (2 * p + 1))
+    unknowns = count * (modes - 1)
+    higher = system[:, 1:, :, 1:].reshape(unknowns, unknowns)
+    coupling = system[:, 1:, :, 0].reshape(unknowns, count)
+    impedance = system[:, 0, :, 0] - coupling.T @ np.linalg.solve(higher, coupling)
+    return grounded(impedance)
+
+
+def point_transfer_impedance(sheet: ConcentricSheet, angles_rad: Array, *, harmonics: int = 2000) -> Array:
+    """Point electrodes on the edge: the limit of small arcs away from the driven ones.
+
+    Returns
+    -------
+    (electrodes, electrodes) float64 [Ω]. A point's own potential is infinite and set to 0 here, so that only
+    readings that touch no driven electrode mean anything; rows do not sum to zero.
+    """
+    apart = angles_rad[:, None] - angles_rad
+    chord = 2 * np.abs(np.sin(apart / 2))
+    np.fill_diagonal(chord, 1)
+    order = np.arange(1, harmonics + 1, dtype=np.float64)
+    extra = (sheet.gain(order) - 1) / order
+    disturbed = np.cos(apart[..., None] * order) @ extra
+    impedance = (disturbed - np.log(chord)) / (np.pi * sheet.conductance_S)
+    np.fill_diagonal(impedance, 0)
+    return np.asarray(impedance, dtype=np.float64)
+
+
+def grounded(impedance: Array) -> Array:
+    """Project a transfer impedance on ΣI = 0 and ΣU = 0."""
+    projected = impedance - impedance.mean(axis=0)
+    return np.asarray(projected - projected.mean(axis=1, keepdims=True), dtype=np.float64)
+
+
+def _lags(angles_rad: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Different angles between electrodes, and which of them each (row, column) has: equal spacing has few."""
+    apart = np.round((angles_rad[:, None] - angles_rad) % (2 * np.pi), 12) % np.round(2 * np.pi, 12)
+    lags, which = np.unique(apart, return_inverse=True)
+    return lags, which.reshape(apart.shape)
+
+
+def _gram(basis: Array, weight: Array, order: Array, lag: float) -> Array:
+    """Σ_n w_n b_q b_p Re(i^(q−p) e^{in·lag}) over the harmonics, for row mode q and column mode p."""
+    even = (basis * (weight * np.cos(order * lag))[:, None]).T @ basis
+    odd = (basis * (weight * np.sin(order * lag))[:, None]).T @ basis
+    mode = np.arange(basis.shape[1])
+    turn = (mode[:, None] - mode) % 4
+    return np.select([turn == 0, turn == 1, turn == 2], [even, -odd, -even], odd)
+
+
+def pin_transfer_impedance(
+    radius_mm: float, conductance_S: float, layout: ElectrodeLayout, contact_impedance: float, *, points: int = 24
+) -> Array:
+    """Complete electrode model with pins of equal size inside the sheet.
+
+    The potential is a single layer σ on the rims. The current density into the sheet is then
+    j = σ/2 − γ ∂u/∂n, the pin's current ∮σ ds, and u + z j = U on its rim.
+
+    Parameters
+    ----------
+    radius_mm : of the sheet.
+    conductance_S : sheet conductance γ.
+    layout : of pins.
+    contact_impedance : z [Ω·mm].
+    points : on each rim, even; 24 reach rounding while a pin is at least its own diameter from the edge.
+
+    Returns
+    -------
+    (electrodes, electrodes) float64 [Ω], U = Z·I with ΣI = ΣU = 0.
+    """
+    pin, count = layout.width_mm / 2, layout.count
+    turn = 2 * np.pi * np.arange(points) / points
+    normal = np.tile(np.column_stack([np.cos(turn), np.sin(turn)]), (count, 1))
+    place = np.repeat(layout.positions_mm(), points, axis=0) + pin * normal
+    potential, flux = _free_space(place, normal, count, pin)
+    image, image_flux = _images(place, normal, radius_mm)
+    weight = 2 * np.pi * pin / points
+    potential += weight * image
+    flux += weight * image_flux
+    rim = np.kron(np.eye(count), np.ones((points, 1)))
+    system = potential / conductance_S + contact_impedance * (np.eye(len(place)) / 2 + flux)
+    density = np.linalg.solve(system, rim)  # σ for one volt on each pin in turn
+    admittance = weight * rim.T @ density
+    return grounded(np.linalg.inv(admittance))
+
+
+def _free_space(place: Array, normal: Array, count: int, pin: float) -> tuple[Array, Array]:
+    """−1/2π ln|x − y| and minus its normal derivative at x, integrated over the rims."""
+    points = len(place) // count
+    weight = 2 * np.pi * pin / points
+    apart = place[:, None] - place
+    squared = (apart**2).sum(axis=2)
+    np.fill_diagonal(squared, 1)
+    potential = -weight / (4 * np.pi) * np.log(squared)
+    flux = weight / (2 * np.pi) * np.einsum("ijk,ik->ij", apart, normal) / squared
+    # On its own rim the kernel is singular, but diagonal in Fourier modes: −ρ ln ρ for the mean, ρ/2|m| above it.
+    mode = np.abs(np.fft.fftfreq(points, 1 / points))
+    eigenvalues = np.where(mode == 0, -pin * np.log(pin), pin / (2 * np.maximum(mode, 1)))
+    row = np.fft.ifft(eigenvalues).real
+    own = row[(np.arange(points)[:, None] - np.arange(points)) % points]
+    for k in range(count):
+        block = slice(k * points, (k + 1) * points)
+        potential[block, block] = own
+        flux[block, block] = weight / (4 * np.pi * pin)
+    return potential, flux
+
+
+def _images(place: Array, normal: Array, radius: float) -> tuple[Array, Array]:
+    """Contribution of each point's image beyond the edge, y* = R² y/|y|², and minus its normal derivative at x."""
+    far = np.hypot(place[:, 0], place[:, 1])
+    image = place * (radius / far)[:, None] ** 2
+    apart = place[:, None] - image
+    squared = (apart**2).sum(axis=2)
+    potential = -np.log(squared * (far / radius) ** 2) / (4 * np.pi)
+    flux = np.einsum("ijk,ik->ij", apart, normal) / squared / (2 * np.pi)
+    return potential, flux
+
+
+#: Fewer resistors are no ring.
+FEWEST_RESISTORS = 3
+
+
+def ring_impedance(resistances_ohm: Sequence[float] | Array) -> Array:
+    """Transfer impedance of a ring of resistors, for currents that sum to zero and differences of potentials.
+
+    Between electrodes i and j lie two arcs in parallel, of s and S − s ohms where S is the whole ring: their
+    resistance is r = s (S − s) / S, for equal resistors R k (n − k) / n at distance k (Klein and Randić, Resistance
+    distance, J. Math. Chem. 12 (1993) 81–95). A current from a to b makes between c and d the voltage
+    (r_bc + r_ad − r_ac − r_bd) / 2 per ampere, so that −r / 2 is a transfer impedance.
+
+    Parameters
+    ----------
+    resistances_ohm : (n,) the first between electrodes 0 and 1, the last between the last one and 0.
+
+    Returns
+    -------
+    (n, n) float64 [V/A], symmetric.
+
+    Raises
+    ------
+    NumericsError
+        If there are fewer than three resistors, or one is not above zero and finite.
+    """
+    ohm = np.asarray(resistances_ohm, dtype=np.float64)
+    if ohm.ndim != 1 or len(ohm) < FEWEST_RESISTORS:
+        raise NumericsError(f"resistors of shape {ohm.shape} are no ring", remedy="give three or more")
+    if not (np.isfinite(ohm).all() and (ohm > 0).all()):
+        bad = int(np.flatnonzero(~(np.isfinite(ohm) & (ohm > 0)))[0])
+        raise NumericsError(f"resistor {bad} of the ring has {ohm[bad]:g} Ω", remedy="it is above zero and finite")
+    along = np.concatenate([[0.0], np.cumsum(ohm[:-1])])
+    arc = np.abs(along[:, None] - along)
+    impedance: Array = -arc * (1 - arc / ohm.sum()) / 2
+    return impedance
+
+
+def ring_readings(resistances_ohm: Sequence[float] | Array, pattern: DrivePattern) -> Array:
+    """Readings per ampere of a ring of resistors, (drives, measures) [V/A].
+
+    Of n equal resistors with neighbouring pairs a driven pair reads R (n − 1)/n, and every other pair −R/n.
+
+    Raises
+    ------
+    NumericsError
+        As :func:`ring_impedance`, or if the pattern has another number of electrodes.
+    """
+    impedance = ring_impedance(resistances_ohm)
+    if len(impedance) != pattern.electrode_count:
+        raise NumericsError(
+            f"a ring of {len(impedance)} resistors does not fit a pattern of {pattern.electrode_count} electrodes",
+            remedy="give one for each pair of neighbouring electrodes",
+        )
+    readings: Array = pattern.drive_currents().T @ impedance @ pattern.measure_matrix()
+    return readings
+
+
+def lead_readings(pattern: DrivePattern) -> NDArray[np.float64]:
+    """What resistance in each electrode's lead adds to a reading: (drives, measures, electrodes) of −1, 0 and +1.
+
+    A pair that is measured through a lead which carries current reads the drop over it as well: +1 where the source
+    and the plus terminal, or the sink and the minus terminal, share the electrode.
+    """
+    added: Array = pattern.drive_currents().T[:, None, :] * pattern.measure_matrix().T[None, :, :]
+    return added

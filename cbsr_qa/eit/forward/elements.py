@@ -1,0 +1,219 @@
+"""Finite elements on a mesh: what depends on geometry alone, for first and second order alike.
+
+Plain numpy instead of scikit-fem: the matrices are needed per element, unassembled, so that the conductance enters as
+a scale and a local change touches its own elements only.
+
+Shape functions of triangles and their edges, of first and second order, in barycentric coordinates.
+
+Nodes of a triangle are its corners, then the middles of the edges from corner j to j + 1; those of an edge its ends,
+then its middle.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.sensor import Mesh
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shapes:
+    """What an element needs to know of its shape functions, at points where it integrates.
+
+    Parameters
+    ----------
+    points : (q, 3) barycentric coordinates of the points inside a triangle, all of one weight.
+    slopes : (q, k, 2) derivatives of the triangle's functions along its first and its third edge turned round, that
+        is by the second and by the third barycentric coordinate.
+    edge_weights : (g,) of the points along an edge, with sum 1.
+    edge_values, edge_slopes : (g, b) functions of the edge and their derivatives from end to end.
+    """
+
+    points: Array
+    slopes: Array
+    edge_weights: Array
+    edge_values: Array
+    edge_slopes: Array
+
+
+def _linear() -> Shapes:
+    points = np.full((1, 3), 1 / 3)
+    along, weights = _gauss(2)
+    values = np.column_stack([1 - along, along])
+    return Shapes(points, _free(np.eye(3)[None]), weights, values, np.tile([-1.0, 1.0], (2, 1)))
+
+
+def _quadratic() -> Shapes:
+    """Three points are exact for the stiffness of straight elements, and enough for bent ones (Ciarlet 1978)."""
+    points = (np.eye(3) * 3 + 1) / 6
+    slopes = np.zeros((3, 6, 3))
+    for corner in range(3):
+        following = (corner + 1) % 3
+        slopes[:, corner, corner] = 4 * points[:, corner] - 1
+        slopes[:, 3 + corner, corner] = 4 * points[:, following]
+        slopes[:, 3 + corner, following] = 4 * points[:, corner]
+    s, weights = _gauss(4)
+    values = np.column_stack([(1 - s) * (1 - 2 * s), s * (2 * s - 1), 4 * s * (1 - s)])
+    return Shapes(points, _free(slopes), weights, values, np.column_stack([4 * s - 3, 4 * s - 1, 4 - 8 * s]))
+
+
+def _free(slopes: Array) -> Array:
+    """Derivatives by the coordinates that are free once their sum is one."""
+    return slopes[..., 1:] - slopes[..., :1]
+
+
+def _gauss(count: int) -> tuple[Array, Array]:
+    points, weights = np.polynomial.legendre.leggauss(count)
+    return (points + 1) / 2, weights / 2
+
+
+#: by order
+SHAPES: Final = {1: _linear(), 2: _quadratic()}
+
+
+Indices = NDArray[np.int64]
+
+
+class FiniteElements:
+    """Continuous functions that are polynomials on each element, with one unknown a node.
+
+    Elements of second order follow the mesh's arcs (isoparametric); those of first order are the mesh's triangles.
+
+    Parameters
+    ----------
+    mesh : its nodes come first among those here, in the same order.
+    order : 1 or 2. The second has the middles of the mesh's edges as further nodes.
+
+    Raises
+    ------
+    NumericsError
+        If there are no elements of that order, or an arc bends an element inside out.
+    """
+
+    def __init__(self, mesh: Mesh, order: int = 1) -> None:
+        if order not in SHAPES:
+            raise NumericsError(f"there are no finite elements of order {order}; there are 1 and 2")
+        self.mesh = mesh
+        self.order = order
+        self.shapes = SHAPES[order]
+        #: nodes of each element, (e, 3) or (e, 6) int64
+        self.cells: Indices = mesh.elements
+        #: places of the nodes, (n, 2) [mm]
+        self.points_mm: Array = mesh.nodes_mm
+        if order == 2:
+            count = len(mesh.nodes_mm)
+            self.cells = np.hstack([mesh.elements, count + mesh.element_edges])
+            self.points_mm = np.vstack([mesh.nodes_mm, mesh.nodes_mm[mesh.edges].mean(axis=1)])
+            for arcs in mesh.arcs:
+                self.points_mm[self.along(arcs.edges)[:, 2]] = arcs.middles_mm(mesh.nodes_mm)
+
+    @property
+    def count(self) -> int:
+        """Number of nodes n."""
+        return len(self.points_mm)
+
+    @cached_property
+    def elements_per_node(self) -> Indices:
+        """To how many elements each node belongs, (n,) int64."""
+        return np.bincount(self.cells.ravel(), minlength=self.count).astype(np.int64)
+
+    @cached_property
+    def reaches_mm(self) -> Array:
+        """Largest distance of a corner of each element from its centroid, (e,) [mm]."""
+        away = self.mesh.corners_mm - self.mesh.centroids_mm[:, None]
+        reaches: Array = np.hypot(away[..., 0], away[..., 1]).max(axis=1)
+        return reaches
+
+    @property
+    def weights_mm2(self) -> Array:
+        """Area that each integration point stands for, (e, q) [mm²]."""
+        return self._geometry[0]
+
+    @property
+    def gradients(self) -> Array:
+        """Gradients of the k shape functions at the integration points, (e, q, k, 2) [1/mm]."""
+        return self._geometry[1]
+
+    @cached_property
+    def stiffness(self) -> Array:
+        """∫ ∇φ_i·∇φ_j over each element, for unit sheet conductance: (e, k, k), dimensionless."""
+        root = np.sqrt(self.weights_mm2)[..., None, None] * self.gradients
+        return _outer(root, root)
+
+    def directional_stiffness(self, elements: Indices, conductance: Array) -> Array:
+        """∫ ∇φ_i·Γ∇φ_j over some elements, for conductances that differ by direction and place.
+
+        Parameters
+        ----------
+        elements : (m,) int64.
+        conductance : (m, q, 2, 2) symmetric Γ at the integration points [S].
+
+        Returns
+        -------
+        (m, k, k) [S].
+        """
+        gradients = self.gradients[elements]
+        weighted = (self.weights_mm2[elements][..., None, None] * conductance)[:, :, None]
+        return _outer((weighted @ gradients[..., None])[..., 0], gradients)
+
+    def along(self, edges: Indices) -> Indices:
+        """Nodes along edges of the mesh: (b, 2) pairs of its nodes to (b, 2) or, with the middle, (b, 3).
+
+        Raises
+        ------
+        NumericsError
+            If no element has such an edge.
+        """
+        if self.order == 1:
+            return edges
+        count = len(self.mesh.nodes_mm)
+        known = self.mesh.edges @ np.array([count, 1])
+        wanted = np.sort(edges, axis=1) @ np.array([count, 1])
+        place = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
+        stray = np.flatnonzero(known[place] != wanted)
+        if stray.size:
+            first, second = edges[stray[0]]
+            raise NumericsError(
+                f"nodes {first} and {second} are joined by an arc or an electrode, but by no element's edge",
+                remedy="list edges of the mesh only",
+            )
+        return np.column_stack([edges, count + place]).astype(np.int64)
+
+    def edge_masses(self, edges: Indices) -> Array:
+        """∫ φ_i φ_j ds along edges of the mesh, over the nodes of :meth:`along`: (b, 2, 2) or (b, 3, 3) [mm]."""
+        shapes = self.shapes
+        tangent = shapes.edge_slopes @ self.points_mm[self.along(edges)]  # (b, g, 2)
+        lengths = np.hypot(tangent[..., 0], tangent[..., 1]) * shapes.edge_weights
+        masses: Array = (shapes.edge_values.T * lengths[:, None]) @ shapes.edge_values
+        return masses
+
+    @cached_property
+    def _geometry(self) -> tuple[Array, Array]:
+        slopes = self.shapes.slopes
+        q, k = slopes.shape[:2]
+        frame = slopes.transpose(0, 2, 1).reshape(2 * q, k) @ self.points_mm[self.cells]
+        (ax, ay), (bx, by) = np.moveaxis(frame.reshape(-1, q, 2, 2), (2, 3), (0, 1))  # first and second edge vector
+        twice = ax * by - ay * bx
+        folded = np.flatnonzero((twice <= 0).any(axis=1))
+        if folded.size:
+            raise NumericsError(
+                f"an arc bends element {folded[0]} (of {folded.size} such) inside out",
+                remedy="use smaller elements along the arc",
+            )
+        inverse = np.stack([np.stack([by, -bx], -1), np.stack([-ay, ax], -1)], -2) / twice[..., None, None]
+        return twice / (2 * q), slopes @ inverse
+
+
+def _outer(first: Array, second: Array) -> Array:
+    """Σ over points and directions of first ⊗ second: two (m, q, k, 2) to (m, k, k)."""
+    count, q, k, _ = first.shape
+    flat = (part.transpose(0, 2, 1, 3).reshape(count, k, 2 * q) for part in (first, second))
+    one, other = flat
+    product: Array = one @ other.swapaxes(1, 2)
+    return product

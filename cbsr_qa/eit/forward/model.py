@@ -1,0 +1,344 @@
+"""Complete electrode model of a sheet: factorised once, solved for every drive.
+
+∇·(γ∇u) = 0, u + z_l γ ∂u/∂n = U_l on electrode l, ∫ γ ∂u/∂n = I_l, no flux elsewhere, ΣI = ΣU = 0
+(Somersalo, Cheney & Isaacson 1992), in finite elements of first or second order (Vauhkonen et al. 1999). γ is *sheet*
+conductance, so that contact impedance is per length of an electrode's outline.
+"""
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError, real_numbers
+from cbsr_qa.domain.sensor import DrivePattern, Mesh
+from cbsr_qa.eit.forward.contacts import edge_contacts, point_contacts
+from cbsr_qa.eit.forward.elements import FiniteElements
+from cbsr_qa.eit.forward.prepared import PreparedSheet
+from cbsr_qa.eit.forward.value_range import check_contacts, check_contrast, check_values, far_apart, least_and_most
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+class ForwardModel:
+    """Voltages and sensitivities of one sheet. Prepared on construction, then only solved.
+
+    Parameters
+    ----------
+    mesh : e elements, with electrode edges.
+    pattern : drive and measure pairs.
+    conductance : (e,) sheet conductance γ [S], positive; or (e, q, 2, 2), symmetric and positive definite, where it
+        differs by direction and by integration point of an element (1 for the first order, 3 for the second).
+    contact_impedance : (electrodes,) z [Ω·mm], positive.
+    order : of the elements, 1 or 2. The second follows the mesh's arcs and is far more accurate for its time.
+    prepared : of another model on the same mesh, in place of ``order``; :meth:`changed` passes it on.
+
+    Raises
+    ------
+    NumericsError
+        If the mesh is in pieces or has electrodes without edges, or a conductance or contact impedance is not a
+        positive finite number, or ``prepared`` belongs to another mesh. If conductances are more than 1e8 apart, or
+        z γ/|E| of an electrode is not within 1e-9 and 1e9 (:mod:`cbsr_qa.eit.forward.value_range`).
+    """
+
+    def __init__(
+        self,
+        mesh: Mesh,
+        pattern: DrivePattern,
+        conductance: Array,
+        contact_impedance: Array,
+        *,
+        order: int = 1,
+        prepared: PreparedSheet | None = None,
+    ) -> None:
+        if prepared is None:
+            elements = FiniteElements(mesh, order)
+            prepared = PreparedSheet(elements, edge_contacts(elements))
+        elif prepared.elements.mesh is not mesh:
+            raise NumericsError("the sheet was prepared for another mesh", remedy="prepare each mesh for itself")
+        self.mesh = mesh
+        self.pattern = pattern
+        self.prepared = prepared
+        self.elements = prepared.elements
+        #: ∫ ∇φ_i·∇φ_j over each element, (e, k, k)
+        self.stiffness = prepared.elements.stiffness
+        self.conductance = real_numbers(conductance, "conductances").copy()
+        self.contact_impedance = real_numbers(contact_impedance, "contact impedances").copy()
+        self._check()
+        self._factors = prepared.factorise(self.conductance, self.contact_impedance)
+
+    def changed(self, *, conductance: Array | None = None, contact_impedance: Array | None = None) -> "ForwardModel":
+        """Return the same sheet with other values; what depends on the mesh alone is not computed again."""
+        return ForwardModel(
+            self.mesh,
+            self.pattern,
+            self.conductance if conductance is None else conductance,
+            self.contact_impedance if contact_impedance is None else contact_impedance,
+            prepared=self.prepared,
+        )
+
+    def changed_on(self, elements: Indices, change: Array, contact_impedance: Array | None = None) -> "ForwardModel":
+        """Return the same sheet with other conductances on some elements, factorised again.
+
+        Parameters
+        ----------
+        elements : (m,) int64; changes of an element named twice add up.
+        change : (m,), or (m, q, 2, 2) as of :meth:`Cover.change <cbsr_qa.eit.forward.coverage.Cover.change>` [S].
+        contact_impedance : (electrodes,) z in place of the model's [Ω·mm].
+        """
+        self.check_elements(elements)
+        conductance, change = _alike(self.conductance.copy(), change, len(self.elements.shapes.points))
+        np.add.at(conductance, elements, change)
+        return self.changed(conductance=conductance, contact_impedance=contact_impedance)
+
+    def check_elements(self, elements: Indices) -> None:
+        """Refuse numbers (m,) that are not elements of the mesh.
+
+        Raises
+        ------
+        NumericsError
+            Naming the range.
+        """
+        count = len(self.mesh.elements)
+        if elements.size and not 0 <= elements.min() <= elements.max() < count:
+            raise NumericsError(
+                f"a changed element is not one of 0 to {count - 1}", remedy="count the mesh's elements from 0"
+            )
+
+    def changed_conductance(self, elements: Indices, change: Array) -> Array:
+        """Conductance of some elements, each named once, after a change: (m,) or (m, q, 2, 2) [S]."""
+        conductance, change = _alike(self.conductance[elements], change, len(self.elements.shapes.points))
+        changed: Array = conductance + change
+        return changed
+
+    def element_matrices(self, elements: Indices) -> Array:
+        """Stiffness of some elements with their conductance: (m,) int64 to (m, k, k) [S]."""
+        conductance = self.conductance[elements]
+        if conductance.ndim > 1:
+            return self.elements.directional_stiffness(elements, conductance)
+        matrices: Array = conductance[:, None, None] * self.stiffness[elements]
+        return matrices
+
+    def solve(self, load: Array) -> Array:
+        """Solve for the nodes' potentials caused by currents into nodes.
+
+        Parameters
+        ----------
+        load : (n, k) [A]; columns that do not sum to zero raise the whole sheet by some constant.
+
+        Returns
+        -------
+        (n, k) [V], for the n nodes of the finite elements, the mesh's first.
+        """
+        return self._factors.solve(load, refine=self._far_apart)
+
+    @cached_property
+    def electrode_fields(self) -> Array:
+        """Potentials for a unit current into each electrode and out of all alike.
+
+        Returns
+        -------
+        (n, electrodes) float64 [V/A], up to a constant in each column.
+        """
+        return self._fields_at(np.arange(self.elements.count))
+
+    @cached_property
+    def transfer_impedance(self) -> Array:
+        """Electrode potentials per electrode current Z.
+
+        Returns
+        -------
+        (electrodes, electrodes) float64 [Ω], U = Z·I for ΣI = 0, with ΣU = 0.
+        """
+        return _grounded(self._sheet_impedance + np.diag(self._own_impedance))
+
+    def voltages(self) -> Array:
+        """Readings per unit current: (drives, measures) [V/A].
+
+        What the contacts of driven electrodes drop is added to the readings that touch them alone: poor contacts cost
+        the others no digits.
+        """
+        return self.readings(self._sheet_impedance) + self.readings(np.diag(self._own_impedance))
+
+    def readings(self, transfer_impedance: Array) -> Array:
+        """Turn a transfer impedance (electrodes, electrodes) into readings (drives, measures)."""
+        driven, measured = self._pairs
+        readings: Array = (transfer_impedance @ driven).T @ measured
+        return readings
+
+    def jacobian(self) -> Array:
+        """Change of every reading per change of every element's conductance.
+
+        ∂V_kl/∂γ_e = −∫_e ∇u_k·∇u_l with u_k the field of the drive and u_l of a unit current through the measured
+        pair (Lionheart 2004); the adjoint field needs no further factorisation because the system is symmetric.
+
+        Returns
+        -------
+        (drives, measures, e) [V/A per S].
+        """
+        driven, measured = self._pair_fields
+        jacobian = np.empty((*self.pattern.shape, len(self.mesh.elements)))
+        for rows, field in zip(jacobian, driven, strict=True):
+            np.einsum("ie,mie->me", field, measured, out=rows)
+        return np.negative(jacobian, out=jacobian)
+
+    def jacobian_rows(self, drive: Indices, measure: Indices) -> Array:
+        """Rows of :meth:`jacobian` for chosen readings alone, such as those that are not each other's reciprocals.
+
+        Parameters
+        ----------
+        drive, measure : (m,) numbers of the readings' drive and measure pairs.
+
+        Returns
+        -------
+        (m, e) [V/A per S].
+        """
+        driven, measured = self._pair_fields
+        rows = np.empty((len(drive), len(self.mesh.elements)))
+        for row, one, other in zip(rows, drive, measure, strict=True):
+            np.einsum("ie,ie->e", driven[one], measured[other], out=row)
+        return np.negative(rows, out=rows)
+
+    def contact_jacobian(self) -> Array:
+        """Change of every reading per change of every contact impedance.
+
+        ∂V_kl/∂z_n = ∫ j_k j_l ds over electrode n, with j = I/|E| + (ū − u)/z the current density under it.
+
+        Returns
+        -------
+        (drives, measures, electrodes) [V/A per Ω·mm].
+        """
+        contacts = self.prepared.contacts
+        electrodes = len(contacts.nodes)
+        slopes = np.zeros((*self.pattern.shape, electrodes))
+        for number, (nodes, mass) in enumerate(zip(contacts.nodes, contacts.masses, strict=True)):
+            fields = self._fields_against(nodes, nodes[0])  # under good contacts they hardly differ
+            impedance = fields.T @ mass @ fields / self.contact_impedance[number] ** 2
+            impedance[number, number] += 1 / contacts.lengths_mm[number]
+            slopes[..., number] = self.readings(impedance)
+        return slopes
+
+    @cached_property
+    def _pairs(self) -> tuple[Array, Array]:
+        """Currents of the drive pairs and weights of the measure pairs, each (electrodes, pairs)."""
+        return self.pattern.drive_currents(), self.pattern.measure_matrix()
+
+    @cached_property
+    def _pair_fields(self) -> tuple[Array, Array]:
+        """Gradients, times the root of the area each stands for, for drive and measure pairs: (pairs, 2 q, e)."""
+        elements = self.elements
+        root = np.sqrt(elements.weights_mm2)[..., None, None] * elements.gradients  # (e, q, k, 2)
+        count, q, k, _ = root.shape
+        gradient = root.transpose(0, 1, 3, 2).reshape(count, 2 * q, k)
+        nodal = self._fields_against(elements.cells, elements.cells[:, :1])  # in good conductors they hardly differ
+
+        def of(pairs: Array) -> Array:
+            return np.array((gradient @ (nodal @ pairs)).transpose(2, 1, 0), dtype=np.float64, order="C")
+
+        driven, measured = self._pairs
+        drive = of(driven)
+        return drive, drive if self.pattern.drive == self.pattern.measure else of(measured)
+
+    @property
+    def _own_impedance(self) -> Array:
+        """What each electrode's contact adds to its own potential, (electrodes,) [Ω]."""
+        impedance: Array = self.contact_impedance / self.prepared.contacts.lengths_mm
+        return impedance
+
+    @cached_property
+    def _sheet_impedance(self) -> Array:
+        """Mean potentials under the electrodes per electrode current, up to a constant in each column [Ω]."""
+        contacts = self.prepared.contacts
+        touched = np.concatenate(contacts.nodes)
+        impedance: Array = contacts.means[touched].T @ self._fields_at(touched)
+        return impedance
+
+    def _fields_at(self, nodes: Indices) -> Array:
+        """:attr:`electrode_fields` at some nodes."""
+        fields = np.empty((len(nodes), len(self.contact_impedance)))
+        fields[:, 1:] = self._ordered_fields[self.prepared.place[nodes]]
+        fields[:, 0] = -fields[:, 1:] @ np.ones(fields.shape[1] - 1)  # all together drive nothing
+        return fields
+
+    def _fields_against(self, nodes: Indices, others: Indices) -> Array:
+        """Differences of :attr:`electrode_fields` between nodes, right to their own size: (…, electrodes)."""
+        place = self.prepared.place
+        here, there = place[nodes], place[others]
+        rest = self._ordered_fields[here] - self._ordered_fields[there]
+        if self._ordered_rest is not None:
+            rest += self._ordered_rest[here] - self._ordered_rest[there]
+        return np.concatenate([-rest.sum(axis=-1, keepdims=True), rest], axis=-1)
+
+    @property
+    def _ordered_fields(self) -> Array:
+        """Fields of all electrodes but the first, in the order of elimination: (n, electrodes − 1)."""
+        return self._ordered_parts[0]
+
+    @property
+    def _ordered_rest(self) -> Array | None:
+        """What rounding took of them; None where nobody knows."""
+        return self._ordered_parts[1]
+
+    @cached_property
+    def _ordered_parts(self) -> tuple[Array, Array | None]:
+        drives = self.prepared.ordered_drives
+        return (
+            self._factors.refined_ordered(drives) if self._far_apart else (self._factors.solve_ordered(drives), None)
+        )
+
+    def _check(self) -> None:
+        electrodes, count = self.pattern.electrode_count, len(self.mesh.elements)
+        if len(self.prepared.contacts.nodes) != electrodes:
+            raise NumericsError(
+                f"the mesh carries {len(self.prepared.contacts.nodes)} electrodes with edges,"
+                f" the pattern needs {electrodes}",
+                remedy="use a pattern of the mesh's electrodes",
+            )
+        directional = (len(self.elements.shapes.points), 2, 2) if self.conductance.ndim > 1 else ()
+        check_values("conductance", self.conductance, (count, *directional))
+        check_values("contact impedance", self.contact_impedance, (electrodes,))
+        least, most = least_and_most(self.conductance)
+        check_contrast(least, most)
+        prepared = self.prepared
+        self._far_apart = far_apart(least, most, self.contact_impedance, prepared.contacts.lengths_mm)
+        check_contacts(least, most, self.contact_impedance, prepared.contacts.lengths_mm, prepared.beside)
+
+
+def point_model(
+    mesh: Mesh, nodes: Indices, pattern: DrivePattern, conductance: Array, *, order: int = 1
+) -> ForwardModel:
+    """Model with point electrodes, the limit of narrow ones: currents go in at single nodes.
+
+    Readings that touch a driven electrode grow without bound as the mesh is refined; the others converge. There is no
+    contact impedance: the model's is one everywhere, and nothing depends on it.
+
+    Parameters
+    ----------
+    nodes : (electrodes,) nodes of the mesh, each once.
+
+    Raises
+    ------
+    NumericsError
+        As :class:`ForwardModel`, or if nodes are not in the mesh or repeat.
+    """
+    elements = FiniteElements(mesh, order)
+    prepared = PreparedSheet(elements, point_contacts(elements, nodes))
+    return ForwardModel(mesh, pattern, conductance, np.ones(len(nodes)), prepared=prepared)
+
+
+def _alike(one: Array, other: Array, points: int) -> tuple[Array, Array]:
+    """Conductances both as numbers, or both as matrices (…, q, 2, 2)."""
+    if np.ndim(one) == np.ndim(other):
+        return one, other
+    first, second = (
+        part if np.ndim(part) > 1 else np.multiply.outer(part, np.tile(np.eye(2), (points, 1, 1)))
+        for part in (one, other)
+    )
+    return first, second
+
+
+def _grounded(impedance: Array) -> Array:
+    projected: Array = impedance - impedance.mean(axis=0)
+    projected -= projected.mean(axis=1, keepdims=True)
+    return projected

@@ -1,0 +1,302 @@
+"""A sheet's system of equations, prepared: for every new conductance it is only scaled, factorised and solved.
+
+The matrix is linear in the elements' conductance and in the reciprocal contact impedance, so that its entries are two
+sparse products; where they go, and the order in which nodes are eliminated, depend on the mesh alone.
+
+Iterative refinement of potentials: what rounding lets leak from good conductors is put back.
+
+A row of the matrix holds the sum of its conductances on the diagonal. Rounding that sum leaks some 1e-16 of the best
+conductor's current out of the sheet, which counts against the worst conductor that current has to pass: with
+contrasts of 1e8, readings that the problem itself would determine to 1e-15 were right to 1e-8. Here residuals are
+formed without the diagonal, as Σ_j K_ij (u_j − u_i), of potentials in twice the precision (Dekker 1971): what flows
+into a node then flows out of it again to the last digit. Corrections from the same factors are added until they
+vanish or are of rounding (Wilkinson 1963; Demmel et al. 2006), which takes two or three.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import SuperLU, splu
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.eit.forward.contacts import Contacts
+from cbsr_qa.eit.forward.elements import FiniteElements
+
+Array = NDArray[np.float64]
+SparseIndices = NDArray[np.int32]
+
+_MOST_STEPS: Final = 12
+_DONE: Final = 1e-13  # of the largest potential: the next correction would be one of rounding
+_SHRINKS: Final = 0.5  # a correction that is no smaller than so much of the last one is of rounding already
+_LOST: Final = 1e-2  # of the largest potential: corrections that end above were never any
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conductors:
+    """A symmetric matrix whose rows sum to zero, as what joins its nodes.
+
+    Parameters
+    ----------
+    values : (k,) entries column by column; those on the diagonal do not count.
+    row : (k,) int32 of each entry. start : (n + 1,) int32, where each column's entries begin; none is empty.
+    """
+
+    values: Array
+    row: SparseIndices
+    start: SparseIndices
+
+    def out_of(self, high: Array, low: Array) -> Array:
+        """Current out of each node into the others for potentials high + low, (n, k) [V] both: (n, k) [A]."""
+        counts = np.diff(self.start)
+        one, other = high[self.row], np.repeat(high, counts, axis=0)
+        difference, lost = _difference(one, other)
+        lost += low[self.row] - np.repeat(low, counts, axis=0)
+        flow = self.values[:, None] * (difference + lost)
+        return np.asarray(np.add.reduceat(flow, self.start[:-1], axis=0), dtype=np.float64)
+
+
+def refined(
+    conductors: Conductors, load: Array, solve: Callable[[Array], Array], potentials: Array, ground: int
+) -> tuple[Array, Array]:
+    """Refine potentials until they are those of the conductors to rounding.
+
+    Parameters
+    ----------
+    load : (n, k) currents into the nodes, columns that sum to zero [A].
+    solve : gives potentials of a load, nearly.
+    potentials : (n, k) to begin with [V].
+    ground : a node; potentials are returned against it, small ones near it with all their digits.
+
+    Returns
+    -------
+    (n, k) and (n, k) [V], rounded and what rounding took: their sum has differences that are right to their own size,
+    as between nodes of a good conductor.
+
+    Raises
+    ------
+    NumericsError
+        If corrections do not shrink: the factors have no digit left.
+    """
+    high, low = potentials - potentials[ground], np.zeros_like(potentials)
+    left = np.inf
+    for _ in range(_MOST_STEPS):
+        correction = solve(load - conductors.out_of(high, low))
+        correction -= correction[ground]
+        high, lost = _sum(high, correction)
+        high, low = _sum(high, low + lost)
+        before, left = left, _share(correction, high)
+        if left <= _DONE or left > _SHRINKS * before:
+            break
+    if not left <= _LOST:
+        raise NumericsError(
+            "the sheet's potentials cannot be refined: its conductances and contacts are too far apart",
+            remedy="bring conductances and contact impedances closer to each other",
+        )
+    return high, low
+
+
+def _share(correction: Array, potentials: Array) -> float:
+    """Largest correction of a column over its largest potential, of all columns the worst."""
+    largest = np.abs(potentials).max(axis=0)
+    share: float = (np.abs(correction).max(axis=0)[largest > 0] / largest[largest > 0]).max(initial=0.0)
+    return float(share)
+
+
+def _sum(one: Array, other: Array) -> tuple[Array, Array]:
+    """Rounded sum, and what rounding lost of it (Knuth)."""
+    total = one + other
+    part = total - one
+    return total, (one - (total - part)) + (other - part)
+
+
+def _difference(one: Array, other: Array) -> tuple[Array, Array]:
+    """Rounded difference, and what rounding lost of it."""
+    return _sum(one, -other)
+
+
+Indices = NDArray[np.int64]
+
+# Supernodes are not relaxed: with the symmetric ordering SuperLU pads some of them until they cost ten times as much.
+_SYMMETRIC: Final[dict[str, Any]] = {
+    "diag_pivot_thresh": 0.0,
+    "relax": 1,
+    "panel_size": 1,
+    "options": {"SymmetricMode": True, "Equil": False},
+}
+
+
+class PreparedSheet:
+    """Complete electrode model over the nodes (Vauhkonen et al. 1999, eq 12).
+
+    Departs from the usual form in that the electrodes' potentials are eliminated, U_l = z_l I_l/|E_l| + mean of u on
+    E_l: contacts of 1e8 Ω·mm then cost no digits of the readings that do not feel them. The free constant is fixed at
+    one node of the best conductor: currents sum to zero, so that the solution does not feel how, but what is taken
+    from the inverse between nodes would lose the digits of a constant that a poor conductor makes large.
+
+    Parameters
+    ----------
+    elements : of either order.
+    contacts : where its electrodes touch.
+
+    Raises
+    ------
+    NumericsError
+        If the mesh is in pieces, or has nodes that belong to no element.
+    """
+
+    def __init__(self, elements: FiniteElements, contacts: Contacts) -> None:
+        check_connected(elements.mesh)
+        self.elements = elements
+        self.contacts = contacts
+        rows, columns, owner, values = _entries(elements, contacts)
+        sources = len(elements.cells) + len(contacts.nodes)
+        held = elements.cells[0, 0]  # any node: what counts here is which entries there are
+        places = np.append(rows, held), np.append(columns, held)
+        matrix = sparse.csc_matrix((np.append(values, 1.0), places), shape=(elements.count,) * 2)
+        #: place of each node in the order of elimination, (n,)
+        self.place: Indices = splu(matrix, permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC).perm_c.astype(np.int64)
+        keys = self.place[columns] * elements.count + self.place[rows]
+        entry, slot = np.unique(keys, return_inverse=True)
+        column, self._row = np.divmod(entry, elements.count)
+        self._start = np.searchsorted(column, np.arange(elements.count + 1)).astype(np.int32)
+        self._row = self._row.astype(np.int32)
+        self._diagonal = np.flatnonzero(self._row == column)
+        k = elements.cells.shape[1]
+        self._slot = slot[: elements.cells.size * k].reshape(len(elements.cells), k, k)
+        self._scale = sparse.csr_matrix((values, (slot, owner)), shape=(len(entry), sources))
+
+    @cached_property
+    def ordered_drives(self) -> Array:
+        """Unit currents into each electrode but the first and out of all alike, in the order of elimination."""
+        means = self.contacts.means[np.argsort(self.place)]
+        return np.asfortranarray((means - means.mean(axis=1, keepdims=True))[:, 1:])
+
+    @cached_property
+    def beside(self) -> tuple[Indices, ...]:
+        """Of each electrode, the elements that touch it."""
+        cells = self.elements.cells
+        touching = []
+        for nodes in self.contacts.nodes:
+            own = np.zeros(self.elements.count, dtype=np.bool_)
+            own[nodes] = True
+            touching.append(np.flatnonzero(own[cells].any(axis=1)))
+        return tuple(touching)
+
+    def factorise(self, conductance: Array, contact_impedance: Array) -> "Factors":
+        """Scale and factorise the matrix.
+
+        Parameters
+        ----------
+        conductance : (e,) [S], or (e, q, 2, 2) by direction and integration point.
+        contact_impedance : (electrodes,) [Ω·mm].
+        """
+        even, uneven = _split(conductance)
+        values = self._scale @ np.concatenate([even, 1 / contact_impedance])
+        if uneven.size:
+            rest = conductance[uneven] - even[uneven, None, None, None] * np.eye(2)
+            change = self.elements.directional_stiffness(uneven, rest)
+            values += np.bincount(self._slot[uneven].ravel(), change.ravel(), minlength=len(values))
+        conductors = Conductors(values.copy(), self._row, self._start)
+        best = int(even.argmax())
+        ground = int(self.place[self.elements.cells[best, 0]])
+        values[self._diagonal[ground]] += even[best]
+        matrix = sparse.csc_matrix((values, self._row, self._start), shape=(self.elements.count,) * 2)
+        factors = splu(matrix, permc_spec="NATURAL", **_SYMMETRIC)
+        return Factors(factors, self.place, conductors, ground, float(even[best]))
+
+
+class Factors:
+    """A factorised matrix.
+
+    Parameters
+    ----------
+    factors : of the matrix in the order of elimination, with a node held.
+    place : (n,) each node's place in that order.
+    conductors : of the matrix, without what holds the node.
+    ground : place of the node that is held. held_by : what it is held by [S].
+    """
+
+    def __init__(self, factors: SuperLU, place: Indices, conductors: Conductors, ground: int, held_by: float) -> None:
+        self._factors = factors
+        self._place = place
+        self._conductors = conductors
+        self._ground = ground
+        self._held_by = held_by
+        self._order = np.argsort(place)
+
+    def solve(self, load: Array, *, refine: bool = False) -> Array:
+        """Potentials for currents into nodes: (n, k) [A] to (n, k) [V]; refined, as :meth:`refined_ordered`."""
+        ordered = np.take(load.T, self._order, axis=1).T  # column by column in memory, as the solver wants it
+        return (self.refined_ordered(ordered)[0] if refine else self.solve_ordered(ordered))[self._place]
+
+    def solve_ordered(self, load: Array) -> Array:
+        """The same, both in the order of elimination."""
+        potentials: Array = self._factors.solve(load)
+        return potentials
+
+    def refined_ordered(self, load: Array) -> tuple[Array, Array]:
+        """The same to rounding, however far conductances and contacts are apart, and what rounding took of it.
+
+        What columns do not sum to zero by leaves at the node that is held.
+
+        Raises
+        ------
+        NumericsError
+            As :func:`~cbsr_qa.eit.forward.prepared.refined`.
+        """
+        total = load.sum(axis=0)
+        balanced = load.copy()
+        balanced[self._ground] -= total
+        high, low = refined(
+            self._conductors, balanced, self.solve_ordered, self.solve_ordered(balanced), self._ground
+        )
+        high += total / self._held_by
+        return high, low
+
+
+def check_connected(mesh: Mesh) -> None:
+    """Refuse a mesh in several pieces, or with nodes that belong to no element.
+
+    Raises
+    ------
+    NumericsError
+        Naming how many pieces there are.
+    """
+    count = len(mesh.nodes_mm)
+    first, second = mesh.elements[:, [0, 1, 2]].ravel(), mesh.elements[:, [1, 2, 0]].ravel()
+    graph = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
+    pieces, _ = sparse.csgraph.connected_components(graph, directed=False)
+    if pieces != 1:
+        raise NumericsError(
+            f"the mesh falls into {pieces} pieces that share no edge",
+            remedy="use a mesh of one piece without loose nodes",
+        )
+
+
+def _entries(elements: FiniteElements, contacts: Contacts) -> tuple[Indices, Indices, Indices, Array]:
+    """Rows, columns, sources and values of all entries, where a source is an element or, after them, an electrode."""
+    cells, count = elements.cells, len(elements.cells)
+    k = cells.shape[1]
+    rows, columns = [np.repeat(cells, k, axis=1).ravel()], [np.tile(cells, k).ravel()]
+    owner, values = [np.repeat(np.arange(count), k * k)], [elements.stiffness.ravel()]
+    for number, (nodes, mass) in enumerate(zip(contacts.nodes, contacts.masses, strict=True)):
+        rows.append(np.repeat(nodes, len(nodes)))
+        columns.append(np.tile(nodes, len(nodes)))
+        owner.append(np.full(mass.size, count + number))
+        values.append(mass.ravel())
+    return np.concatenate(rows), np.concatenate(columns), np.concatenate(owner), np.concatenate(values)
+
+
+def _split(conductance: Array) -> tuple[Array, Indices]:
+    """A conductance for each element, and the elements in which that is not all of it."""
+    if conductance.ndim == 1:
+        return conductance, np.zeros(0, dtype=np.int64)
+    even = conductance[:, 0, 0, 0]
+    alike = (conductance == even[:, None, None, None] * np.eye(2)).all(axis=(1, 2, 3))
+    return even, np.flatnonzero(~alike)

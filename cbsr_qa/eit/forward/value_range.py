@@ -1,0 +1,172 @@
+"""How far apart conductances and contact impedances may be before rounding decides the readings.
+
+Rounding lets current leak out of a row of the matrix, some 1e-16 of its largest entry: of the best conductor, and of
+|E|/z under a contact. The leak counts against the worst conductor the current has to pass. Where values are more than
+a hundred apart potentials are therefore refined (:mod:`cbsr_qa.eit.forward.prepared`); readings that touch no driven
+electrode are then right to 1e-13 in norm over all that is allowed here, also after local updates (1e-12 where every
+element has a conductance of its own, over eight decades: entries of the matrix are rounded sums). Without, they would
+err by 4e-16 |E|/(z γ) where contacts are good and by up to 1.5e-14 of the contrast, where good conductors round the
+electrodes are parted by a poor one. What refinement needs is that the factors have digits left at all; beyond these
+ranges, which no sheet comes near, values are taken for mistakes.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+
+Array = NDArray[np.float64]
+
+#: z γ/|E| of an electrode with the conductance next to it.
+CONTACT_RANGE: Final = (1e-9, 1e9)
+#: And with the smallest and the largest conductance of the sheet, which current may have to pass on its way.
+FAR_CONTACT_RANGE: Final = (1e-10, 1e10)
+#: Largest over smallest conductance.
+MOST_CONTRAST: Final = 1e8
+#: Conductances, contacts' among them, further apart than this have their potentials refined.
+REFINED_ABOVE: Final = 1e2
+#: What rounding does to readings and sensitivities that are not refined, of how far conductances are apart.
+UNREFINED_ERROR: Final = 1.5e-14
+#: And to readings of sheets every element of which has a conductance of its own (2e-13 was seen).
+SCATTERED_ERROR: Final = 1e-12
+_ROUNDING: Final = 1 + 1e-9  # what a contrast of just so much may be off
+
+
+_NOTHING: Final = {
+    "conductance": "give an insulator 1e-8 of the others' conductance, or leave it out of the mesh",
+    "contact impedance": "give a perfect contact a small one, as 1e-6 of the electrode's length over conductance",
+}
+
+
+class ValueRangeError(NumericsError):
+    """Conductances or contacts are too far apart for readings that are more than rounding."""
+
+
+def least_and_most(conductance: Array) -> tuple[Array, Array]:
+    """Smallest and largest conductance in any direction.
+
+    Parameters
+    ----------
+    conductance : (m,) [S], or (m, q, 2, 2) by integration point, symmetric and positive definite.
+
+    Returns
+    -------
+    (m,) and (m,) [S].
+    """
+    if conductance.ndim == 1:
+        return conductance, conductance
+    xx, xy, yy = conductance[..., 0, 0], conductance[..., 0, 1], conductance[..., 1, 1]
+    most = (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
+    least = (xx * yy - xy * xy) / most  # the determinant is the product of both
+    return least.min(axis=1), most.max(axis=1)
+
+
+def check_contrast(least: Array, most: Array) -> None:
+    """Refuse conductances further apart than :data:`MOST_CONTRAST`.
+
+    Parameters
+    ----------
+    least, most : (e,) [S], of :func:`least_and_most`.
+
+    Raises
+    ------
+    ValueRangeError
+        Naming the elements of the smallest and the largest.
+    """
+    low, high = int(least.argmin()), int(most.argmax())
+    if most[high] / MOST_CONTRAST > least[low] * _ROUNDING:
+        raise ValueRangeError(
+            f"conductance {high} is {most[high]:g} S and conductance {low} is {least[low]:g} S, a contrast above"
+            f" {MOST_CONTRAST:g}: rounding would decide the readings",
+            remedy=f"bring conductances to within a factor of {MOST_CONTRAST:g} of each other",
+        )
+
+
+def far_apart(least: Array, most: Array, impedance: Array, lengths_mm: Array) -> bool:
+    """Whether rounding would cost readings more than some two of their digits, so that potentials are refined.
+
+    Parameters
+    ----------
+    least, most : (e,) [S], of :func:`least_and_most`. impedance, lengths_mm : (electrodes,) [Ω·mm], [mm].
+    """
+    best, worst = most.max(), least.min()
+    contact = (lengths_mm / impedance)[np.isfinite(lengths_mm)].max(initial=0.0)
+    return bool(max(best, contact) > REFINED_ABOVE * worst)
+
+
+def check_contacts(
+    least: Array, most: Array, impedance: Array, lengths_mm: Array, beside: tuple[NDArray[np.int64], ...]
+) -> None:
+    """Refuse contacts so good or so poor that readings lose their digits.
+
+    Parameters
+    ----------
+    least, most : (e,) [S], of :func:`least_and_most`.
+    impedance : (electrodes,) z [Ω·mm].
+    lengths_mm : (electrodes,) |E|; infinite for points, which have no contact impedance.
+    beside : of each electrode, the elements that touch it.
+
+    Raises
+    ------
+    ValueRangeError
+        Naming the first electrode, its ratio z γ/|E| and what is allowed.
+    """
+    if np.isinf(lengths_mm).any():
+        return
+    length = impedance / lengths_mm
+    near = np.array([least[of].min() for of in beside]), np.array([most[of].max() for of in beside])
+    for where, (low, high), allowed in (
+        ("the conductance next to it", near, CONTACT_RANGE),
+        ("the sheet's smallest or largest conductance", (least.min(), most.max()), FAR_CONTACT_RANGE),
+    ):
+        _check_ratios(length * low, length * high, impedance, where, allowed)
+
+
+def _check_ratios(low: Array, high: Array, impedance: Array, where: str, allowed: tuple[float, float]) -> None:
+    wrong = np.flatnonzero((low < allowed[0]) | (high > allowed[1]))
+    if wrong.size:
+        first = wrong[0]
+        good = low[first] < allowed[0]
+        raise ValueRangeError(
+            f"contact impedance {first} is {impedance[first]:g} Ω·mm, {(low if good else high)[first]:.3g} of the"
+            f" electrode's length over {where} (z γ/|E|; one of {wrong.size} such); {allowed[0]:g} to {allowed[1]:g}"
+            " are allowed: beyond, rounding would decide the readings",
+            remedy=f"{'raise' if good else 'lower'} it; readings that touch no driven electrode hardly change",
+        )
+
+
+def conducts(conductance: Array) -> NDArray[np.bool_]:
+    """Whether conductances (m,) or (m, q, 2, 2) are finite and positive, as matrices symmetric and definite: (m,)."""
+    if conductance.ndim == 1:
+        return np.asarray(np.isfinite(conductance) & (conductance > 0), dtype=np.bool_)
+    (xx, xy), (yx, yy) = np.moveaxis(conductance, (-2, -1), (0, 1))
+    with np.errstate(invalid="ignore", over="ignore"):
+        alike = np.abs(xy - yx) <= 1e-12 * np.sqrt(np.abs(xx * yy))
+        definite = np.isfinite(xx + yy) & alike & (xx > 0) & (xx * yy > xy**2)
+    return np.asarray(definite.all(axis=1), dtype=np.bool_)
+
+
+def check_values(name: str, values: Array, shape: tuple[int, ...]) -> Array:
+    """Return conductances or contact impedances as they are.
+
+    Raises
+    ------
+    NumericsError
+        If they have another shape, or one is not a positive finite number, naming the first of these.
+    """
+    if values.shape != shape:
+        raise NumericsError(
+            f"{name} has shape {values.shape}; one value for each of {shape[0]} is needed",
+            remedy=f"give an array of shape {shape}",
+        )
+    wrong = np.flatnonzero(~conducts(values))
+    if wrong.size:
+        direction = ", in every direction" if values.ndim > 1 else ""
+        raise NumericsError(
+            f"{name} {wrong[0]} is {values[wrong[0]].tolist()} (one of {wrong.size} such);"
+            f" it must be a positive finite number{direction}",
+            remedy=_NOTHING.get(name, ""),
+        )
+    return values

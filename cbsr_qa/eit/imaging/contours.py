@@ -1,0 +1,299 @@
+"""Regions bounded by a contour inside the elements, for images whose masks would jump by whole elements.
+
+An image of one value per element becomes one value per node (:func:`nodal_values`), linear in between; a region is
+where that field reaches a share of its maximum. ``contour_regions(image, fraction)`` returns them heaviest first
+(:func:`masked_contours` those of several masks at once); E_CoM, A_OL and SD of :mod:`.shape` take them
+as they take blobs, and all three are then exact for the linear field. ``nearest_blob`` of
+:mod:`cbsr_qa.eit.imaging.blobs` picks the sensed one.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import csr_array
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import Image
+from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.eit.imaging.blobs import component_labels, groups, threshold
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_SPECK: Final = 1e-9  # of a mean element's area
+_ALIGNED: Final = 1e-9  # elements around a node that are more in a line than this say nothing across it
+
+
+@dataclass(frozen=True, eq=False)
+class ContourRegion:
+    """A connected part of a sheet where a field, linear in every element, is at or above a level.
+
+    Parameters
+    ----------
+    triangles_mm : (t, 3, 2) float64, counterclockwise pieces that make up the region.
+    values : (t, 3) float64, the field at their corners, relative.
+    start_mm, end_mm : (k, 2) float64, straight pieces of the perimeter, the region to their left.
+    """
+
+    triangles_mm: Array
+    values: Array
+    start_mm: Array
+    end_mm: Array
+
+    @cached_property
+    def area_mm2(self) -> float:
+        """Area A_b [mm²]."""
+        return float(self._areas_mm2.sum())
+
+    @cached_property
+    def weight(self) -> float:
+        """Integral of the field over the region [mm²]."""
+        return float(self._areas_mm2 @ self._sums) / 3
+
+    def centre_mm(self) -> Array:
+        """Centre of mass M of the field over the region, exact: (2,) [mm]."""
+        return self._centre_mm
+
+    def rim_mm(self) -> tuple[Array, Array]:
+        """Starts and ends (k, 2) [mm] of the perimeter's pieces."""
+        return self.start_mm, self.end_mm
+
+    @cached_property
+    def _centre_mm(self) -> Array:
+        # ∫ u x over a triangle is A/12 (Σu Σx + Σ u x).
+        shared = (self._areas_mm2[:, None] * (self._sums[:, None] + self.values)).reshape(-1)
+        centre: Array = shared @ self.triangles_mm.reshape(-1, 2) / (12 * self.weight)
+        return centre
+
+    @cached_property
+    def _sums(self) -> Array:
+        first, second, third = self.values.T
+        sums: Array = first + second + third
+        return sums
+
+    @cached_property
+    def _areas_mm2(self) -> Array:
+        one, other = (self.triangles_mm[:, k] - self.triangles_mm[:, 0] for k in (1, 2))
+        areas: Array = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
+        return areas
+
+
+def nodal_values(mesh: Mesh, values: Array) -> Array:
+    """Return at each node the linear function that fits the elements around it best, by area: (e,) → (n,).
+
+    That is the area-weighted mean of these elements, moved from their centre of mass to the node. The mean alone
+    (which would keep the integral exactly) is wrong by the distance between the two, a first-order error on uneven
+    meshes; moved, it is exact for linear images and of second order in the element size for smooth ones, integral
+    included. On the edge of the mesh the mean stays where it is: there the fit would be an extrapolation.
+    """
+    nodal: Array = _fit_at_nodes(mesh) @ values
+    return nodal
+
+
+def contour_regions(image: Image, fraction: float) -> tuple[ContourRegion, ...]:
+    """Find the connected regions where the field of nodal values reaches a fraction of its maximum.
+
+    Parameters
+    ----------
+    image : response-signed, noise floor subtracted.
+    fraction : p in (0, 1).
+
+    Returns
+    -------
+    Heaviest first; empty where no node is positive. Specks of a billionth of an element, whose figures would be
+    rounding, are left out.
+
+    Raises
+    ------
+    NumericsError
+        If the fraction is outside (0, 1).
+    """
+    return masked_contours(image, (fraction,))[0]
+
+
+def masked_contours(image: Image, fractions: Sequence[float]) -> tuple[tuple[ContourRegion, ...], ...]:
+    """Find the regions of several masks, at little more than the cost of the laxest.
+
+    Returns
+    -------
+    One tuple per mask, in the order given, each as :func:`contour_regions` returns it.
+
+    Raises
+    ------
+    NumericsError
+        If a fraction is outside (0, 1).
+    """
+    if max(fractions, default=0.5) == 1:
+        raise NumericsError("a contour at the maximum itself encloses nothing", remedy="take a mask below 100 %")
+    nodal = nodal_values(image.mesh, image.values)
+    levels = np.array([threshold(nodal, fraction) for fraction in fractions])
+    if not levels.size or levels[0] <= 0:
+        return ((),) * len(levels)
+    return field_regions(image.mesh, nodal, levels)
+
+
+def field_regions(mesh: Mesh, nodal: Array, levels: Array) -> tuple[tuple[ContourRegion, ...], ...]:
+    """Find the connected regions where a field, linear in every element, is at or above levels.
+
+    Parameters
+    ----------
+    nodal : (n,) float64, the field at the nodes.
+    levels : (k,) float64, at least one, positive.
+
+    Returns
+    -------
+    One tuple per level, heaviest first.
+    """
+    found: tuple[list[ContourRegion], ...] = tuple([] for _ in levels)
+    least = _SPECK * float(mesh.areas_mm2.mean())
+    for mask, region in _regions(_Cut(mesh, nodal, levels)):
+        if region.area_mm2 > least:
+            found[mask].append(region)
+    return tuple(tuple(sorted(regions, key=lambda region: -region.weight)) for regions in found)
+
+
+@lru_cache(maxsize=16)
+def _fit_at_nodes(mesh: Mesh) -> csr_array:
+    """Weights of :func:`nodal_values`; rows are nodes, columns elements."""
+    element, node = np.repeat(np.arange(len(mesh.elements)), 3), mesh.elements.ravel()
+    share = mesh.areas_mm2[element] / np.bincount(node, mesh.areas_mm2[element])[node]
+    centre = np.column_stack([np.bincount(node, share * along) for along in mesh.centroids_mm[element].T])
+    off_x, off_y = (mesh.centroids_mm[element] - centre[node]).T
+    move_x, move_y = (mesh.nodes_mm[: len(centre)] - centre).T
+    xx, xy, yy = (np.bincount(node, share * product) for product in (off_x**2, off_x * off_y, off_y**2))
+    spread = xx * yy - xy**2
+    moved = spread > _ALIGNED * (xx + yy) ** 2
+    moved[mesh.outline] = False
+    per_spread = np.where(moved, 1 / np.where(moved, spread, 1.0), 0.0)
+    slope_x, slope_y = (yy * move_x - xy * move_y) * per_spread, (xx * move_y - xy * move_x) * per_spread
+    weight = share * (1 + off_x * slope_x[node] + off_y * slope_y[node])
+    return csr_array((weight, (node, element)), shape=(len(mesh.nodes_mm), len(mesh.elements)))
+
+
+class _Cut:
+    """Elements cut at several levels. Corners are numbered level by level: node k at level j is j × nodes + k.
+
+    Attributes
+    ----------
+    whole, tips, stumps : (…, 3) corners of elements with three, one and two of them at or above the level. The one
+        that differs from the others comes first.
+    tip_cuts, stump_cuts : where the field passes the level from the first corner to the second and to the third.
+    joined : (k, 2), edges with both ends at or above.
+    outer : (k, 2), edges of the sheet's own edge with an end at or above.
+    """
+
+    def __init__(self, mesh: Mesh, nodal: Array, levels: Array) -> None:
+        self._nodes_mm, self._nodal, self._levels = mesh.nodes_mm, nodal, levels
+        self.above = (nodal >= levels[:, None]).ravel()
+        high = nodal >= levels.min()
+        triangles = self._copies(mesh.elements[_any(high, mesh.elements)])
+        reached = self.above[triangles]
+        first, second, third = reached.T.astype(np.int8)
+        count = first + second + third
+        self.whole = triangles[count == 3]
+        self.tips, self.stumps = (
+            _turned(triangles[count == 1], reached[count == 1]),
+            _turned(triangles[count == 2], ~reached[count == 2]),
+        )
+        self.tip_cuts = [self.crossing(self.tips[:, 0], self.tips[:, k]) for k in (1, 2)]
+        self.stump_cuts = [self.crossing(self.stumps[:, k], self.stumps[:, 0]) for k in (1, 2)]
+        edges = self._copies(mesh.edges[_all(high, mesh.edges)])
+        self.joined = edges[_all(self.above, edges)]
+        outer = self._copies(mesh.outline[_any(high, mesh.outline)])
+        self.outer = outer[_any(self.above, outer)]
+
+    def _copies(self, nodes: Indices) -> Indices:
+        shift = len(self._nodal) * np.arange(len(self._levels))
+        return (nodes + shift[:, None, None]).reshape(-1, nodes.shape[1])
+
+    def place(self, corner: Indices) -> Array:
+        """Places of corners, (…, 2) [mm]."""
+        return self._nodes_mm[corner % len(self._nodal)]
+
+    def value(self, corner: Indices) -> Array:
+        """Field at corners."""
+        return self._nodal[corner % len(self._nodal)]
+
+    def mask(self, corner: Indices) -> Indices:
+        """Which level corners belong to."""
+        mask: Indices = corner // len(self._nodal)
+        return mask
+
+    def crossing(self, high: Indices, low: Indices) -> Array:
+        """Where the field passes the level between corners at or above it and corners below it."""
+        level, upper, place = self._levels[self.mask(high)], self.value(high), self.place(high)
+        share = (upper - level) / (upper - self.value(low))
+        return place + share[:, None] * (self.place(low) - place)
+
+    def level(self, corner: Indices) -> Array:
+        """Level that corners belong to."""
+        return self._levels[self.mask(corner)]
+
+
+def _any(flags: NDArray[np.bool_], nodes: Indices) -> NDArray[np.bool_]:
+    """Whether any of some nodes (k, …) is marked: (k,). Column by column, for speed."""
+    found: NDArray[np.bool_] = np.logical_or.reduce(flags[nodes.T])
+    return found
+
+
+def _all(flags: NDArray[np.bool_], nodes: Indices) -> NDArray[np.bool_]:
+    found: NDArray[np.bool_] = np.logical_and.reduce(flags[nodes.T])
+    return found
+
+
+def _turned(triangles: Indices, odd: NDArray[np.bool_]) -> Indices:
+    """Turn triangles so that the one corner that is marked comes first."""
+    turned: Indices = np.take_along_axis(triangles, (odd.argmax(axis=1)[:, None] + np.arange(3)) % 3, axis=1)
+    return turned
+
+
+def _regions(cut: _Cut) -> Iterator[tuple[int, ContourRegion]]:
+    """Put the pieces of each connected region together; with the number of its level."""
+    corners_mm, values, anchor = _inside(cut)
+    start, end, rim_anchor = _rim(cut)
+    label = component_labels(len(cut.above), cut.joined[:, 0], cut.joined[:, 1])
+    rims = groups(label[rim_anchor])
+    for number, pieces in groups(label[anchor]).items():
+        rim = rims.get(number, pieces[:0])
+        mask = int(cut.mask(anchor[pieces[0]]))
+        yield mask, ContourRegion(corners_mm[pieces], values[pieces], start[rim], end[rim])
+
+
+def _inside(cut: _Cut) -> tuple[Array, Array, Indices]:
+    """Triangles (t, 3, 2) of what reaches the level, values (t, 3), and a corner at or above it of each (t,)."""
+    stump_right, stump_left = cut.stump_cuts
+    stumps, tip_level, stump_level = cut.place(cut.stumps), cut.level(cut.tips[:, 0]), cut.level(cut.stumps[:, 0])
+    corners = [
+        cut.place(cut.whole),
+        np.stack([cut.place(cut.tips[:, 0]), *cut.tip_cuts], axis=1),
+        np.stack([stump_right, stumps[:, 1], stumps[:, 2]], axis=1),
+        np.stack([stump_right, stumps[:, 2], stump_left], axis=1),
+    ]
+    stump_values = cut.value(cut.stumps)
+    values = [
+        cut.value(cut.whole),
+        np.column_stack([cut.value(cut.tips[:, 0]), tip_level, tip_level]),
+        np.column_stack([stump_level, stump_values[:, 1:]]),
+        np.column_stack([stump_level, stump_values[:, 2], stump_level]),
+    ]
+    anchor = [cut.whole[:, 0], cut.tips[:, 0], cut.stumps[:, 1], cut.stumps[:, 2]]
+    return np.concatenate(corners), np.concatenate(values), np.concatenate(anchor)
+
+
+def _rim(cut: _Cut) -> tuple[Array, Array, Indices]:
+    """Starts and ends (k, 2) of the contours' pieces and of the sheet's edge between them, and a corner above."""
+    first, last = cut.outer.T
+    enters, leaves = ~cut.above[first], ~cut.above[last]
+    start, end = cut.place(first), cut.place(last)
+    start[enters] = cut.crossing(last[enters], first[enters])
+    end[leaves] = cut.crossing(first[leaves], last[leaves])
+    starts = np.concatenate([cut.tip_cuts[0], cut.stump_cuts[1], start])
+    ends = np.concatenate([cut.tip_cuts[1], cut.stump_cuts[0], end])
+    anchor = np.concatenate([cut.tips[:, 0], cut.stumps[:, 1], np.where(enters, last, first)])
+    apart = starts != ends
+    has_length = apart[:, 0] | apart[:, 1]
+    return starts[has_length], ends[has_length], anchor[has_length]

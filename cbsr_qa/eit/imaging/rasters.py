@@ -1,0 +1,186 @@
+"""Images on square pixels (GREIT and pixel plugins), by scikit-image: outlines, regions, touching loads parted."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import skimage.feature
+import skimage.measure
+import skimage.segmentation
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import Image
+from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.eit.imaging.blobs import percentage_mask, threshold
+
+# scikit-image ships without types for these.
+_feature: Final[Any] = skimage.feature
+_measure: Final[Any] = skimage.measure
+_segmentation: Final[Any] = skimage.segmentation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Raster:
+    """Relative conductance change per pixel, response-signed, noise floor subtracted.
+
+    Parameters
+    ----------
+    values : (rows, columns) float64; rows rise with y, columns with x.
+    pitch_mm : width of a pixel.
+    first_mm : (x, y) of the centre of pixel [0, 0].
+    """
+
+    values: NDArray[np.float64]
+    pitch_mm: float
+    first_mm: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 2 or not np.isfinite(self.values).all() or not self.pitch_mm > 0:
+            raise NumericsError(
+                f"a raster of shape {self.values.shape} and pitch {self.pitch_mm} mm"
+                " must be two-dimensional, finite and of positive pitch"
+            )
+
+    def places_mm(self, pixels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Places of (row, column) pairs, which may be fractional: (k, 2) → (k, 2) of x and y [mm]."""
+        places: NDArray[np.float64] = np.asarray(self.first_mm) + self.pitch_mm * pixels[:, ::-1]
+        return places
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PixelRegion:
+    """Connected pixels that survived a mask, with the contour around them.
+
+    Parameters
+    ----------
+    pixels : (rows, columns) bool.
+    centre : value-weighted centre of mass of the pixels, (2,) [mm].
+    area_mm2 : inside the contour.
+    weight : sum of the pixels' values, times a pixel's area [mm²].
+    start_mm, end_mm : (k, 2) straight pieces of the contour, the region to their left.
+    """
+
+    pixels: NDArray[np.bool_]
+    centre: NDArray[np.float64]
+    area_mm2: float
+    weight: float
+    start_mm: NDArray[np.float64]
+    end_mm: NDArray[np.float64]
+
+    def centre_mm(self) -> NDArray[np.float64]:
+        """Centre of mass M, (2,) [mm]."""
+        return self.centre
+
+    def rim_mm(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Starts and ends (k, 2) [mm] of the contour's pieces."""
+        return self.start_mm, self.end_mm
+
+
+def find_regions(raster: Raster, fraction: float) -> tuple[PixelRegion, ...]:
+    """Find the connected pixels of a percentage mask, over shared edges; heaviest first, empty for "no blob".
+
+    Raises
+    ------
+    NumericsError
+        If the fraction is outside (0, 1).
+    """
+    keep, level = _masked(raster, fraction)
+    return _regions(raster, _measure.label(keep, connectivity=1), level)
+
+
+def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tuple[PixelRegion, ...]:
+    """Find regions, and part those that hold several peaks along the valleys between them (watershed).
+
+    Parameters
+    ----------
+    separation_mm : peaks closer than this belong to one load; the image is smoothed over a quarter of it first,
+        so that noise on one load's plateau does not part it.
+
+    Raises
+    ------
+    NumericsError
+        If the separation is not positive, or the fraction outside (0, 1).
+    """
+    if not separation_mm > 0:
+        raise NumericsError(f"a separation of {separation_mm} mm does not tell loads apart; it must be positive")
+    keep, level = _masked(raster, fraction)
+    if not keep.any():
+        return ()
+    smooth = gaussian_filter(raster.values, separation_mm / 4 / raster.pitch_mm)
+    apart = max(round(separation_mm / raster.pitch_mm / 2), 1)
+    joined = _measure.label(keep, connectivity=1)
+    peaks = _feature.peak_local_max(smooth, min_distance=apart, labels=joined, exclude_border=False)
+    markers = np.zeros(keep.shape, dtype=np.int64)
+    markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
+    # A flat image has no peak anywhere, but its pixels are a region all the same.
+    for peakless in np.setdiff1d(joined[keep], joined[markers > 0]):
+        markers[joined == peakless] = markers.max() + 1
+    return _regions(raster, _segmentation.watershed(-smooth, markers, mask=keep), level)
+
+
+def pixel_image(raster: Raster, where: NDArray[np.bool_] | None = None) -> Image:
+    """Return a raster as an image on a mesh: two triangles a pixel, for figures that want areas.
+
+    Parameters
+    ----------
+    where : (rows, columns), the pixels of the sheet; all by default.
+
+    Raises
+    ------
+    NumericsError
+        If no pixel is left.
+    """
+    rows, columns = raster.values.shape
+    kept = np.ones(raster.values.shape, dtype=np.bool_) if where is None else where
+    if not kept.any():
+        raise NumericsError("no pixel of the raster lies on the sheet")
+    corners = np.stack(np.meshgrid(np.arange(rows + 1), np.arange(columns + 1), indexing="ij"), axis=-1) - 0.5
+    row, column = np.nonzero(kept)
+    lower = row * (columns + 1) + column
+    right, up, across = lower + 1, lower + columns + 1, lower + columns + 2
+    halves = np.stack([np.column_stack([lower, right, across]), np.column_stack([lower, across, up])], axis=1)
+    mesh = Mesh(raster.places_mm(corners.reshape(-1, 2)), halves.reshape(-1, 3))
+    return Image(mesh, np.repeat(raster.values[kept], 2))
+
+
+def outlines(raster: Raster, level: float) -> tuple[NDArray[np.float64], ...]:
+    """Closed outlines at a level, with sub-pixel accuracy (marching squares), longest first.
+
+    The raster is continued with zeros, so that a region on its rim is closed too.
+
+    Returns
+    -------
+    tuple of (k, 2) float64 [mm], first and last point equal; what is above the level lies to the left.
+    """
+    found = _measure.find_contours(np.pad(raster.values, 1), level, positive_orientation="high")
+    # Rows rise with y: (row, column) to (x, y) is a reflection, which turns outlines round.
+    closed = [raster.places_mm(contour[::-1] - 1) for contour in found]
+    return tuple(sorted(closed, key=lambda outline: -float(np.hypot(*np.diff(outline, axis=0).T).sum())))
+
+
+def _masked(raster: Raster, fraction: float) -> tuple[NDArray[np.bool_], float]:
+    if fraction == 1:
+        raise NumericsError("a contour at the maximum itself encloses nothing", remedy="take a mask below 100 %")
+    keep = percentage_mask(raster.values.ravel(), fraction).reshape(raster.values.shape)
+    return keep, threshold(raster.values, fraction)
+
+
+def _regions(raster: Raster, labels: NDArray[np.int64], level: float) -> tuple[PixelRegion, ...]:
+    regions = []
+    for found in _measure.regionprops(labels, intensity_image=raster.values):
+        pixels = labels == found.label
+        centre = raster.places_mm(np.array([found.centroid_weighted]))[0]
+        alone = Raster(
+            np.where(pixels | (raster.values < level), raster.values, 0.0), raster.pitch_mm, raster.first_mm
+        )
+        pieces = outlines(alone, level)
+        start, end = (np.concatenate([piece[part] for piece in pieces]) for part in (slice(-1), slice(1, None)))
+        long = (start != end).any(axis=1)
+        # About a corner of its own: products of places far from the origin would leave no digits of a small area.
+        one, other = start - start[0], end - start[0]
+        area = float((one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum()) / 2
+        weight = float(raster.values[pixels].sum()) * raster.pitch_mm**2
+        regions.append(PixelRegion(pixels, centre, area, weight, start[long], end[long]))
+    return tuple(sorted(regions, key=lambda region: -region.weight))

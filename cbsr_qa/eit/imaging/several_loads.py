@@ -1,0 +1,276 @@
+"""Several loads at once: which region belongs to which load, and what was merged, missed or made up.
+
+Touching loads parted on a mesh: a blob with several peaks is cut along the valleys between them.
+
+Two-touch resolution: how far apart two equal loads must be to be seen as two.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import linear_sum_assignment
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.geometry import Footprint, inside_edges, overlap_mm2
+from cbsr_qa.domain.results import Blob, Image, ImagingProblem, PreparedReconstruction, Region
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.eit.imaging.blobs import masked_blobs
+from cbsr_qa.eit.imaging.contours import contour_regions
+
+
+def split_blobs(blobs: Sequence[Blob], prominence: float) -> tuple[Blob, ...]:
+    """Part blobs that hold several peaks (watershed by flooding, Vincent & Soille 1991, on the mesh's elements).
+
+    A peak counts where one has to go down by more than the prominence before one can climb to a higher one: so noise
+    on a plateau parts nothing.
+
+    Parameters
+    ----------
+    prominence : a share of the largest value of all blobs, in (0, 1).
+
+    Returns
+    -------
+    Heaviest first; blobs with one peak are as they were.
+
+    Raises
+    ------
+    NumericsError
+        If the prominence is outside (0, 1).
+    """
+    if not 0 < prominence < 1:
+        raise NumericsError(
+            f"a prominence of {prominence:g} is outside (0, 1)", remedy="give it as a share of the peak, e.g. 0.05"
+        )
+    if not blobs:
+        return ()
+    depth = prominence * max(float(blob.image.values[blob.elements].max()) for blob in blobs)
+    parts = [part for blob in blobs for part in _parted(blob, depth)]
+    return tuple(sorted(parts, key=lambda part: (-part.weight, int(part.elements[0]))))
+
+
+def _parted(blob: Blob, depth: float) -> list[Blob]:
+    basin = _flooded(blob.image.values[blob.elements], _neighbours(blob), depth)
+    numbers = np.unique(basin)
+    if len(numbers) == 1:
+        return [blob]
+    return [Blob(blob.image, blob.elements[basin == number]) for number in numbers]
+
+
+def _neighbours(blob: Blob) -> list[list[int]]:
+    """Neighbours of each element within the blob, by place in the blob."""
+    number = np.full(len(blob.image.values), -1, dtype=np.int64)
+    number[blob.elements] = np.arange(len(blob.elements))
+    pairs = number[blob.image.mesh.neighbours]
+    around: list[list[int]] = [[] for _ in blob.elements]
+    for one, other in pairs[(pairs[:, 0] >= 0) & (pairs[:, 1] >= 0)].tolist():
+        around[one].append(other)
+        around[other].append(one)
+    return around
+
+
+def _flooded(values: NDArray[np.float64], around: list[list[int]], depth: float) -> NDArray[np.int64]:
+    """Number of the basin, by its peak, of every element: the level falls from the highest peak to the rim.
+
+    An element between basins goes to that of its highest neighbour. Where two meet, the lower one is joined to the
+    higher one unless its peak stands above the valley by more than the depth.
+    """
+    into = list(range(len(values)))  # a basin that was joined to another points to it
+    basin = np.full(len(values), -1, dtype=np.int64)
+
+    def found(peak: int) -> int:
+        while into[peak] != peak:
+            peak = into[peak]
+        return peak
+
+    for element in np.argsort(-values, kind="stable").tolist():
+        known = sorted((other for other in around[element] if basin[other] >= 0), key=lambda k: -values[k])
+        if not known:
+            basin[element] = element
+            continue
+        basin[element] = basin[known[0]]
+        peaks = sorted({found(int(basin[other])) for other in known}, key=lambda k: (-values[k], k))
+        for peak in peaks[1:]:
+            if values[peak] - values[element] <= depth:
+                into[peak] = peaks[0]
+    return np.array([found(int(number)) for number in basin])
+
+
+@dataclass(frozen=True, slots=True)
+class Assignment:
+    """Which region belongs to which load.
+
+    Parameters
+    ----------
+    region_of : for each load the index of its region; None where it has none of its own.
+    merged_with : for each load the index of the load whose region it shares; None where it shares none.
+    false : indices of the regions that belong to no load.
+    """
+
+    region_of: tuple[int | None, ...]
+    merged_with: tuple[int | None, ...]
+    false: tuple[int, ...]
+
+    @property
+    def missed(self) -> tuple[int, ...]:
+        """Loads with neither a region of their own nor a share in another's."""
+        pairs = zip(self.region_of, self.merged_with, strict=True)
+        return tuple(load for load, (own, shared) in enumerate(pairs) if own is None and shared is None)
+
+    @property
+    def merged(self) -> tuple[int, ...]:
+        """Loads that share the region of another."""
+        return tuple(load for load, shared in enumerate(self.merged_with) if shared is not None)
+
+    @property
+    def apart(self) -> bool:
+        """Whether every load has a region of its own that no other shares."""
+        return not self.merged and not self.missed
+
+    def fate(self, load: int) -> str:
+        """Say what became of a load: ``"apart"``, ``"merged"`` (the one that owns the region too) or ``"missed"``."""
+        if load in self.missed:
+            return "missed"
+        return "merged" if load in self.merged or load in self.merged_with else "apart"
+
+
+def assign_regions(regions: Sequence[Region], loads: Sequence[Footprint], *, gate_mm: float) -> Assignment:
+    """Assign regions to loads so that the sum over the loads of min(distance, gate) is the least there is.
+
+    The distance is that of the region's centre of mass from the load's centre; a load without region counts as one
+    at the gate (the cut-off distance of OSPA, Schuhmacher, Vo & Vo 2008). A region can belong to a load that is
+    within the gate, or whose centre it covers. A load left without a region of its own is *merged* with the owner of
+    one that could have been its own, and *missed* where there is none.
+
+    Parameters
+    ----------
+    gate_mm : beyond this distance a region says nothing about a load; the diameter of the head is a fair choice.
+
+    Raises
+    ------
+    NumericsError
+        If the gate is not a positive number.
+    """
+    if not 0 < gate_mm < float("inf"):
+        raise NumericsError(f"a gate of {gate_mm} mm assigns nothing", remedy="take the diameter of the head")
+    distance, covered = _relations(regions, loads)
+    possible = covered | (distance <= gate_mm)
+    # A column of its own lets every load stay without region; of two equal costs, a region is better than none.
+    nobody = np.where(np.eye(len(loads), dtype=np.bool_), gate_mm * (1 + 1e-9), np.inf)
+    costs = np.hstack([np.where(possible, np.minimum(distance, gate_mm), np.inf), nobody])
+    columns = linear_sum_assignment(costs)[1].tolist()
+    region_of = tuple(column if column < len(regions) else None for column in columns)
+    owner = {region: load for load, region in enumerate(region_of) if region is not None}
+    merged_with = tuple(
+        min((k for k in owner if possible[load, k]), key=lambda k: float(distance[load, k]), default=None)
+        if own is None
+        else None
+        for load, own in enumerate(region_of)
+    )
+    return Assignment(
+        region_of,
+        tuple(None if k is None else owner[k] for k in merged_with),
+        tuple(k for k in range(len(regions)) if k not in owner),
+    )
+
+
+def _relations(
+    regions: Sequence[Region], loads: Sequence[Footprint]
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Distances of the regions' centres of mass from the loads' centres, and whether they cover them."""
+    pressed = np.array([load.centre_mm for load in loads]).reshape(-1, 2)
+    distance = np.empty((len(loads), len(regions)))
+    covered = np.empty_like(distance, dtype=np.bool_)
+    for number, region in enumerate(regions):
+        distance[:, number] = np.hypot(*(pressed - region.centre_mm()).T)
+        covered[:, number] = inside_edges(pressed, *region.rim_mm())
+    return distance, covered
+
+
+Array = NDArray[np.float64]
+
+#: Mask under which a watershed parts two loads, and how deep the valley between them must be, both of the maximum.
+WATERSHED_MASK: Final = 0.25
+WATERSHED_DEPTH: Final = 0.05
+
+
+@dataclass(frozen=True, slots=True)
+class TwoTouch:
+    """Two equal loads, moved apart step by step.
+
+    Parameters
+    ----------
+    separation_mm : smallest distance of their centres from which on they were two at every larger one; None where
+        they were not two at the largest.
+    tried_mm : the largest distance that was tried.
+    step_mm : between distances.
+    """
+
+    separation_mm: float | None
+    tried_mm: float
+    step_mm: float
+
+
+def two_touch_resolution(
+    reconstruction: PreparedReconstruction,
+    indenter: Indenter,
+    *,
+    mask: float | None = 0.85,
+    direction_deg: float = 0.0,
+    furthest_mm: float | None = None,
+    step_mm: float = 0.5,
+) -> TwoTouch:
+    """Move two equal loads apart along a line through the sheet's centre until they are seen as two for good.
+
+    They are two where :func:`~cbsr_qa.eit.imaging.assign_regions` finds a region for each that is nearer to
+    it than to the other. The readings are those of the linearised model, without noise: the figure says what the
+    method can part, not what a noisy frame lets it. Heads cannot overlap, so none is smaller than the head is wide.
+
+    Parameters
+    ----------
+    mask : of the image's maximum, whose contours are counted; None for a watershed of the 25 % mask that parts peaks
+        with a valley of 5 % between them.
+    direction_deg : of the line.
+    furthest_mm : largest distance of the centres; by default 0.8 of the sheet's radius.
+
+    Raises
+    ------
+    NumericsError
+        If the step is not positive, or the heads do not fit the distance.
+    """
+    problem = reconstruction.problem
+    furthest_mm = 0.8 * problem.sensor_type.radius_mm if furthest_mm is None else furthest_mm
+    angle = np.radians(direction_deg)
+    along = np.array([np.cos(angle), np.sin(angle)])
+    width = float(np.ptp(indenter.at(0.0, 0.0).drawn_mm() @ along))
+    if not (step_mm > 0 and width + step_mm <= furthest_mm):
+        raise NumericsError(
+            f"two heads {width:.3g} mm wide do not move apart up to {furthest_mm:.3g} mm in steps of {step_mm:g} mm",
+            remedy="try larger distances, in positive steps",
+        )
+    tried = step_mm * np.arange(np.ceil(width / step_mm), np.floor(furthest_mm / step_mm + 1e-9) + 1)
+    seen = [_pair(reconstruction, indenter, along * distance / 2, mask).apart for distance in tried]
+    together = np.flatnonzero(~np.array(seen))
+    first = int(together[-1]) + 1 if together.size else 0
+    return TwoTouch(float(tried[first]) if first < len(tried) else None, float(tried[-1]), step_mm)
+
+
+def loads_change(problem: ImagingProblem, loads: list[Footprint]) -> Array:
+    """Return the readings' changes (m,) of equal loads of contrast 1, by the linearised model."""
+    shares = [overlap_mm2(load, problem.mesh.corners_mm) / problem.mesh.areas_mm2 for load in loads]
+    change: Array = problem.jacobian @ np.sum(shares, axis=0)
+    return change
+
+
+def _pair(reconstruction: PreparedReconstruction, indenter: Indenter, half: Array, mask: float | None) -> Assignment:
+    loads = [indenter.at(float(x), float(y)) for x, y in (half, -half)]
+    values = reconstruction.images(loads_change(reconstruction.problem, loads)[None])[0]
+    image = Image(reconstruction.problem.mesh, np.maximum(values, 0.0))
+    regions: tuple[Region, ...]
+    if mask is None:
+        regions = split_blobs(masked_blobs(image, (WATERSHED_MASK,))[0], WATERSHED_DEPTH)
+    else:
+        regions = contour_regions(image, mask)
+    return assign_regions(regions, loads, gate_mm=float(np.hypot(*half)))

@@ -1,0 +1,5 @@
+"""The linearised problem and what reconstructions share: priors, one-step solutions, noise."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

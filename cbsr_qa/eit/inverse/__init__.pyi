@@ -1,0 +1,40 @@
+from .dual import (
+    check_hyperparameter as check_hyperparameter,
+    dual_matrix as dual_matrix,
+    dual_spectrum as dual_spectrum,
+)
+from .one_step import OneStep as OneStep, RidgeSearch as RidgeSearch
+from .options import (
+    number as number,
+    optional_number as optional_number,
+    optional_whole as optional_whole,
+    shown as shown,
+    whole as whole,
+)
+from .overlap import overlap_fractions as overlap_fractions
+from .pixels import pixel_imaging as pixel_imaging
+from .priors import (
+    Prior as Prior,
+    high_pass as high_pass,
+    indenter_smoothness as indenter_smoothness,
+    laplace as laplace,
+    laplace_matrix as laplace_matrix,
+    noser as noser,
+)
+from .problem import (
+    NOMINAL_CONTACT_MM as NOMINAL_CONTACT_MM,
+    image_jacobian as image_jacobian,
+    imaging_problem as imaging_problem,
+    nominal_model as nominal_model,
+    target_signal as target_signal,
+)
+from .readings import FEWEST_FRAMES as FEWEST_FRAMES, ReadingFold as ReadingFold, reading_noise as reading_noise
+from .scaling import changes as changes, scale_doubts as scale_doubts, scale_of as scale_of
+from .temporal import (
+    Correlation as Correlation,
+    TemporalImages as TemporalImages,
+    lasting_noise_figure as lasting_noise_figure,
+    smoothed as smoothed,
+)
+from .truncation import Truncation as Truncation
+from .uncertainty import masking_effect as masking_effect

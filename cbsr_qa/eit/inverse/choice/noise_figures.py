@@ -1,0 +1,217 @@
+"""Noise figure of a linear imaging matrix: how much signal-to-noise ratio the image has lost.
+
+What a parameter is chosen on: a small central target, and changes measured or made up, with their noise.
+
+Choosing the hyperparameter for a noise figure, without knowing any truth.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.eit.inverse.dual import DualSpectrum
+from cbsr_qa.eit.inverse.problem import target_signal
+from cbsr_qa.eit.inverse.readings import ReadingFold
+
+Array = NDArray[np.float64]
+
+
+class NoiseFigureForm(StrEnum):
+    """Which of the two forms in use; a report names it."""
+
+    ADLER_2009 = "Adler et al. 2009"  #: rms noise from the propagated covariance
+    EIDORS = "EIDORS"  #: mean over channels of the deviation over elements, 2–20 % lower
+
+
+def noise_figure(
+    matrix: Array,
+    signal: Array,
+    areas: Array,
+    *,
+    noise_variance: Array | None = None,
+    form: NoiseFigureForm = NoiseFigureForm.ADLER_2009,
+) -> float:
+    """NF = SNR of the readings over SNR of the image, each mean|signal| over rms noise.
+
+    Parameters
+    ----------
+    matrix : (e, m) R.
+    signal : (m,) y of a small central target.
+    areas : (e,) weights A of the image, in any unit.
+    noise_variance : (m,) of the readings, for the 2009 form only; None for equal noise on every channel.
+    form : 2009: (mean|y| / √mean v) / (mean|A R y| / √(Σ(A R)² v / e)).
+        EIDORS: noise on one channel c at a time, deviations with the mean removed over channels or elements and
+        ddof 1, (mean|y| / mean_c std(n_c)) / (mean|A R y| / mean_c std(A R n_c)).
+
+    Raises
+    ------
+    NumericsError
+        If the matrix does not see the signal at all, or variances are given for EIDORS's form, which has none.
+    """
+    weighted = areas[:, None] * matrix
+    response = float(np.abs(weighted @ signal).mean())
+    if not (np.isfinite(response) and response > 0):
+        raise NumericsError(
+            "the noise figure is not defined: the matrix does not see the target",
+            remedy="check the hyperparameter and which channels are masked",
+        )
+    level = float(np.abs(signal).mean())
+    if form is NoiseFigureForm.EIDORS:
+        if noise_variance is not None:
+            raise NumericsError(
+                "the EIDORS form of the noise figure knows equal noise only",
+                remedy="take the form of Adler et al. 2009",
+            )
+        channel = np.std(np.eye(len(signal))[0], ddof=1)
+        return level / float(channel) * float(np.std(weighted, axis=0, ddof=1).mean()) / response
+    variance = np.ones(len(signal)) if noise_variance is None else noise_variance
+    noise = np.sqrt(np.einsum("em,em,m->", weighted, weighted, variance) / len(areas))
+    return level / float(np.sqrt(variance.mean())) * float(noise) / response
+
+
+#: Radius of the central target, of the sheet's: the 13 mm indenter on the 100 mm disc.
+TARGET_RADIUS: Final = 0.13
+#: Its contrast for a noise figure, where the response is still linear.
+SMALL_CONTRAST: Final = 0.01
+
+# Where nothing was measured: a press as deep as the paper's, the noise of a good instrument.
+_CONTRAST: Final = 0.2
+_NOISE_DB: Final = 60
+_FRAMES: Final = 32
+_SEED: Final = 3
+
+_MOST_CHANGED: Final = 1e12  # a measured change, of the largest reading: more is another unit
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Evidence:
+    """Changes to choose a parameter from.
+
+    Parameters
+    ----------
+    changes : (n, m) float64, scaled as the problem's reference.
+    variance : of a reading of unit relative variance; None where nobody knows.
+    words : what they are.
+    """
+
+    changes: Array
+    variance: float | None
+    words: str
+
+
+def target_radius_mm(problem: ImagingProblem) -> float:
+    """Radius of the central target on a sheet [mm]."""
+    return TARGET_RADIUS * problem.sensor_type.radius_mm
+
+
+def central_signal(problem: ImagingProblem, contrast: float = SMALL_CONTRAST) -> Array:
+    """Changes of the used readings for the central target, (m,)."""
+    x, y = problem.sensor_type.outline.centre_mm
+    return target_signal(problem, x_mm=x, y_mm=y, radius_mm=target_radius_mm(problem), contrast=contrast)
+
+
+def evidence_of(problem: ImagingProblem) -> Evidence:
+    """Return a problem's measured changes, with the noise that reciprocal readings show; else simulated ones.
+
+    Raises
+    ------
+    NumericsError
+        If the sample does not fit the problem, is not finite, or is of another unit.
+    """
+    return _simulated(problem) if problem.sample is None else _measured(problem, problem.sample)
+
+
+def _measured(problem: ImagingProblem, sample: Array) -> Evidence:
+    count = len(problem.reference)
+    if sample.ndim != 2 or sample.shape[1] != count or not len(sample):
+        raise NumericsError(
+            f"a sample of shape {sample.shape} does not fit {count} used readings",
+            remedy=f"give frames of the used readings, (k, {count})",
+        )
+    if not np.isfinite(sample).all():
+        raise NumericsError("a reading to choose λ from is not a finite number", remedy="leave its channel out")
+    largest, usual = float(np.abs(sample).max()), float(np.abs(problem.reference).max())
+    if largest > _MOST_CHANGED * usual:
+        raise NumericsError(
+            f"a change to choose λ from is {largest:.2g}, where readings are {usual:.2g}: at most"
+            f" {_MOST_CHANGED:.0e} times as much can be",
+            remedy="give changes in the unit of the reference readings",
+        )
+    variance, freedom = ReadingFold.of(problem).noise(sample)
+    frames = "1 measured change" if len(sample) == 1 else f"{len(sample)} measured changes"
+    return Evidence(sample, variance if freedom else None, frames)
+
+
+def _simulated(problem: ImagingProblem) -> Evidence:
+    deviation = 10 ** (-_NOISE_DB / 20) * float(np.abs(problem.reference).mean())
+    relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
+    noise = np.random.default_rng(_SEED).standard_normal((_FRAMES, len(relative))) * np.sqrt(relative)
+    words = (
+        f"{_FRAMES} simulated frames (seed {_SEED}) of a central target of {2 * target_radius_mm(problem):.3g} mm and"
+        f" {_CONTRAST:.0%} contrast, noise {_NOISE_DB} dB below the mean reading"
+    )
+    return Evidence(central_signal(problem, _CONTRAST) + deviation * noise, deviation**2, words)
+
+
+_LOWEST, _HIGHEST = 1e-6, 1e3  # λ searched, relative to the root of the largest eigenvalue
+_STEPS: Final = 43
+
+
+def noise_figure_of(
+    spectrum: DualSpectrum, signal: Array, areas: Array, noise_variance: Array | None = None
+) -> Callable[[float], float]:
+    """Noise figure (Adler et al. 2009) as a function of λ, at a matrix–vector product a call.
+
+    The noise term needs no matrix: the rows of the analysis have unit variance and no covariance, so
+    Σ(A R)²v = Σ_k (Σ_e A_e²B_ek²) g_k².
+    """
+    basis = areas[:, None] * spectrum.basis
+    energy = (basis**2).sum(axis=0)
+    seen = spectrum.analysis @ signal
+    variance = np.ones(len(signal)) if noise_variance is None else noise_variance
+    snr = float(np.abs(signal).mean() / np.sqrt(variance.mean()))
+
+    def figure(hyperparameter: float) -> float:
+        gain = spectrum.gains(hyperparameter)
+        noise = np.sqrt((energy * gain**2).sum() / len(areas))
+        return snr * float(noise / np.abs(basis @ (gain * seen)).mean())
+
+    return figure
+
+
+def hyperparameter_for(
+    target: float, spectrum: DualSpectrum, signal: Array, areas: Array, noise_variance: Array | None = None
+) -> float:
+    """Find λ, to ten digits, whose noise figure is the target.
+
+    Raises
+    ------
+    NumericsError
+        If no λ reaches the target; says the range that can be reached.
+    """
+    figure = noise_figure_of(spectrum, signal, areas, noise_variance)
+    grid = np.log(searched(spectrum))
+    reached = np.array([figure(float(np.exp(at))) for at in grid])
+    if not (np.isfinite(target) and reached.min() <= target <= reached.max()):
+        raise NumericsError(
+            f"noise figure {target} cannot be reached;"
+            f" this sensor type allows {reached.min():.3g} to {reached.max():.3g}",
+            remedy="ask for a noise figure in that range, or give the hyperparameter itself",
+        )
+    # The noise figure falls with λ but for wiggles at the ends; the largest λ that reaches the target is smoothest.
+    last = np.flatnonzero((reached[:-1] >= target) & (target >= reached[1:]))[-1]
+    root = brentq(lambda at: np.log(figure(float(np.exp(at))) / target), grid[last], grid[last + 1], xtol=1e-12)
+    return float(f"{np.exp(root):.10g}")  # digits beyond these depend on how many threads the linear algebra has
+
+
+def searched(spectrum: DualSpectrum) -> Array:
+    """Values of λ among which one is looked for, rising."""
+    unit = float(np.sqrt(spectrum.values[-1]))
+    return np.geomspace(_LOWEST * unit, _HIGHEST * unit, _STEPS)

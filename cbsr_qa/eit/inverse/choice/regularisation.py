@@ -1,0 +1,179 @@
+"""How much a method smooths: by which criterion, on what, and what the others would have said."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Final, Protocol, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain.results import ImagingProblem, ParameterAnswer, ParameterCurve
+from cbsr_qa.eit.inverse.choice.noise_figures import SMALL_CONTRAST, Evidence, evidence_of, target_radius_mm
+from cbsr_qa.eit.inverse.options import optional_number, shown
+
+Array = NDArray[np.float64]
+
+
+class Criterion(StrEnum):
+    """What a parameter is chosen by, without knowing the truth."""
+
+    NOISE_FIGURE = "noise-figure"  #: Adler et al. 2009 form; looks at the model alone
+    GCV = "gcv"  #: generalised cross-validation, Golub, Heath & Wahba 1979
+    L_CURVE = "l-curve"  #: the corner of image size over residual, Hansen 1992
+    DISCREPANCY = "discrepancy"  #: the residual is as large as the noise, Morozov 1966
+
+
+_SAID: Final = {
+    Criterion.GCV: "generalised cross-validation",
+    Criterion.L_CURVE: "corner of the L-curve",
+    Criterion.DISCREPANCY: "residual as large as the noise (discrepancy principle)",
+}
+
+
+class ParameterSearch(Protocol):
+    """A method's parameter on one problem, ready to be chosen."""
+
+    @property
+    def grid(self) -> Array:
+        """Values that are looked at, (k,) rising."""
+        ...
+
+    @property
+    def shown(self) -> Array:
+        """Values close enough together to draw what lies between them, over the same range."""
+        ...
+
+    @property
+    def discrete(self) -> bool:
+        """Whether the parameter is a count, and ``grid`` holds all there are."""
+        ...
+
+    def noise_figures(self, values: Array) -> Array:
+        """Noise figure at each of some values."""
+        ...
+
+    def for_noise_figure(self, target: float) -> float:
+        """Value with this noise figure; NumericsError with the range where there is none."""
+        ...
+
+    def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
+        """Value by a criterion that looks at readings; NumericsError where it has no answer."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Regularisation:
+    """What the options of a plugin say about its parameter.
+
+    Parameters
+    ----------
+    criterion : None where the value is given.
+    noise_figure : target, for the criterion of that name.
+    given : the value itself, or None.
+    given_as : name of the option that gives it.
+    """
+
+    criterion: Criterion | None
+    noise_figure: float
+    given: float | None
+    given_as: str
+
+    @classmethod
+    def of(
+        cls,
+        method: str,
+        *,
+        choose: str | None,
+        noise_figure: float | None,
+        given: float | None,
+        given_as: str = "hyperparameter",
+    ) -> Self:
+        """Check a plugin's options and put them together.
+
+        Raises
+        ------
+        ConfigError
+            If the criterion is unknown, or a number is none.
+        NumericsError
+            If two options contradict each other.
+        """
+        noise_figure = optional_number(method, "noise_figure", noise_figure)
+        given = optional_number(method, given_as, given)
+        if choose is not None and not (isinstance(choose, str) and choose in set(Criterion)):
+            raise ConfigError(f"{method}: choose is {shown(choose)}", remedy=f"allowed: {', '.join(Criterion)}")
+        if given is not None:
+            for name, other in (("noise_figure", noise_figure), ("choose", choose)):
+                if other is not None:
+                    raise NumericsError(
+                        f"{method} takes {name} or {given_as}, not both", remedy="leave one of them out"
+                    )
+            return cls(None, 1.0, given, given_as)
+        criterion = Criterion(choose or Criterion.NOISE_FIGURE)
+        if noise_figure is not None and criterion is not Criterion.NOISE_FIGURE:
+            raise NumericsError(
+                f"{method} takes a noise_figure or chooses by {criterion}, not both", remedy="leave one of them out"
+            )
+        return cls(criterion, 1.0 if noise_figure is None else noise_figure, None, given_as)
+
+    @property
+    def decided_by(self) -> str:
+        """Name of what decides: a criterion, or ``"given"``."""
+        return "given" if self.criterion is None else self.criterion.value
+
+    def choose(
+        self, problem: ImagingProblem, search_on: Callable[[ImagingProblem], ParameterSearch]
+    ) -> tuple[float, str, ParameterCurve | None]:
+        """Choose the value.
+
+        A noise figure, and whatever has no measured changes to look at, is settled on the sensor type's nominal
+        problem: what belongs to the type is the same for all of its sensors. Measured changes are looked at with the
+        readings and the noise they were measured with.
+
+        Returns
+        -------
+        The value, how it was chosen, and what there was to choose from.
+
+        Raises
+        ------
+        NumericsError
+            If the criterion has no answer.
+        """
+        if self.criterion is None:
+            assert self.given is not None
+            return self.given, f"{self.given_as} given", None
+        looks = self.criterion is not Criterion.NOISE_FIGURE and problem.sample is not None
+        base = problem if looks else problem.nominal or problem
+        search, evidence = search_on(base), evidence_of(base)
+        answers, refusals = [], {}
+        for criterion in Criterion:
+            words = self._words(criterion, base, evidence)
+            try:
+                answers.append(ParameterAnswer(criterion, self._value(criterion, search, evidence), words))
+            except NumericsError as error:
+                answers.append(ParameterAnswer(criterion, None, error.reason))
+                refusals[criterion] = error
+        if self.criterion in refusals:
+            raise refusals[self.criterion]
+        own = next(answer for answer in answers if answer.criterion == self.criterion)
+        assert own.value is not None
+        return own.value, own.words, self._curve(search, tuple(answers))
+
+    def _curve(self, search: ParameterSearch, answers: tuple[ParameterAnswer, ...]) -> ParameterCurve:
+        """Noise figures over all that was searched, with every answer among the values."""
+        values = np.union1d(search.shown, [a.value for a in answers if a.value is not None])
+        return ParameterCurve(values, search.noise_figures(values), answers, self.noise_figure, search.discrete)
+
+    def _value(self, criterion: Criterion, search: ParameterSearch, evidence: Evidence) -> float:
+        if criterion is Criterion.NOISE_FIGURE:
+            return search.for_noise_figure(self.noise_figure)
+        return search.by_readings(criterion, evidence)
+
+    def _words(self, criterion: Criterion, problem: ImagingProblem, evidence: Evidence) -> str:
+        if criterion is Criterion.NOISE_FIGURE:
+            return (
+                f"noise figure {self.noise_figure:.2f} (Adler et al. 2009) on the nominal model, central target of"
+                f" {2 * target_radius_mm(problem):.3g} mm and {SMALL_CONTRAST:.0%} contrast"
+            )
+        return f"{_SAID[criterion]} on {evidence.words}"

@@ -1,0 +1,203 @@
+"""One-step Gauss–Newton in its dual form: a solve as large as the number of readings, not of elements.
+
+With P = R⁻¹, (JᵀWJ + λ²R)⁻¹JᵀW = PJᵀ (JPJᵀ + λ²W⁻¹)⁻¹. With one eigendecomposition of W^½ JPJᵀ W^½ every λ costs a
+product. To form that matrix squares the condition number of J: what is below 1e-8 of its largest singular value is
+gone. Where P = HᵀH has a root that can be multiplied with, the eigenvectors and the roots of the eigenvalues are
+singular vectors and values of H JᵀW^½ instead, found by QR and SVD, and every λ down to 0 (Moore–Penrose) can be had.
+
+Where R has a null space N (a constant image costs nothing under a smoothness prior) R⁻¹ does not exist, yet the image
+does as long as the readings see N. It is x = PJᵀW^½ d + N c with any generalised inverse P of R, where the
+coefficients d are orthogonal to T = W^½JN (Wahba 1990, section 1.3; universal kriging): with [Q₁ Q₂] the complete
+orthogonal factor of T, d = Q₂ (Q₂ᵀAQ₂ + λ²I)⁻¹ Q₂ᵀ W^½y, A = W^½JPJᵀW^½, and c fits Tc to W^½y − Ad. Nothing is added
+to R to make it regular, and the part of the readings that N explains is not regularised at all.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.eit.inverse.priors import Prior
+
+Array = NDArray[np.float64]
+
+#: Of the dual system, or of its root where that is decomposed: ten digits of what it is made of are lost.
+_MOST_CONDITION: Final = 1e10
+_LARGEST: Final = 1e50  # of λ: its square, and that of an image it leaves, are doubles
+_UNSEEN: Final = 1e-12  # of what the readings could see at most
+
+
+def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, variance: Array | None = None) -> Array:
+    """Imaging matrix of one hyperparameter, by singular values, or one Cholesky factorisation where P has no root.
+
+    Parameters
+    ----------
+    jacobian : (m, e).
+    prior : of the image; an array is the diagonal of R, (e,) positive.
+    hyperparameter : λ.
+    variance : (m,) diagonal of W⁻¹, None for ones.
+
+    Returns
+    -------
+    (e, m) float64.
+
+    Raises
+    ------
+    NumericsError
+        If λ is negative or above 1e50, or so small that the readings do not determine the solve.
+    """
+    check_hyperparameter(hyperparameter)
+    system = _System.of(jacobian, prior, variance)
+    if system.half is not None:
+        spectrum = system.spectrum()
+        sizes = spectrum.values[[0, -1]] + hyperparameter**2
+        if np.sqrt(sizes[1]) > _MOST_CONDITION * np.sqrt(sizes[0]):
+            raise _too_small(hyperparameter)
+        return spectrum.matrix(hyperparameter)
+    normal = system.normal()
+    normal.flat[:: len(normal) + 1] += hyperparameter**2
+    try:
+        factor = linalg.cho_factor(normal, lower=True)
+    except linalg.LinAlgError:
+        factor = None
+    if factor is None or _condition(normal, factor[0]) > _MOST_CONDITION:
+        raise _too_small(hyperparameter)
+    matrix: Array = system.back @ linalg.cho_solve(factor, system.analysis)
+    if len(system.free_analysis):
+        matrix += system.free @ system.free_analysis
+    return matrix
+
+
+def _too_small(hyperparameter: float) -> NumericsError:
+    return NumericsError(
+        f"hyperparameter {hyperparameter:.3g} is too small: the readings do not determine the image to rounding",
+        remedy="raise the hyperparameter, or ask for a noise figure",
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DualSpectrum:
+    """The dual form of every hyperparameter at once.
+
+    Parameters
+    ----------
+    basis : (e, k + f) image of each eigenvector; the last f are of what R leaves free (none where R is regular).
+    values : (k,) eigenvalues, rising, not negative.
+    analysis : (k + f, m) from readings to eigenvectors. Its rows have unit variance under the readings' noise, and
+        no covariance.
+    """
+
+    basis: Array
+    values: Array
+    analysis: Array
+
+    def gains(self, hyperparameter: float) -> Array:
+        """Factor of each eigenvector, (k + f,): 1/(Λ + λ²), and 1 for what is not regularised."""
+        gains: Array = np.ones(self.basis.shape[1])
+        gains[: len(self.values)] /= self.values + hyperparameter**2
+        return gains
+
+    def matrix(self, hyperparameter: float) -> Array:
+        """Imaging matrix (e, m) of a hyperparameter; of zero only where no eigenvalue is zero."""
+        check_hyperparameter(hyperparameter)
+        matrix: Array = (self.basis * self.gains(hyperparameter)) @ self.analysis
+        return matrix
+
+
+def dual_spectrum(jacobian: Array, prior: Prior | Array, variance: Array | None = None) -> DualSpectrum:
+    """Decompose the dual system once; parameters as in :func:`dual_matrix`."""
+    return _System.of(jacobian, prior, variance).spectrum()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _System:
+    """The dual system before λ: images of the readings' coefficients, and how much of them is seen again.
+
+    Parameters
+    ----------
+    white : (k, e) whitened Jacobian, without what N explains. back : (e, k) P times its transpose.
+    half : (n, k) H times its transpose; None where P has no root.
+    analysis : (k, m), whitened readings, without those N explains.
+    free : (e, f), free_analysis : (f, m), what N explains.
+    """
+
+    white: Array
+    back: Array
+    half: Array | None
+    analysis: Array
+    free: Array
+    free_analysis: Array
+
+    @classmethod
+    def of(cls, jacobian: Array, prior: Prior | Array, variance: Array | None) -> "_System":
+        prior = prior if isinstance(prior, Prior) else Prior.diagonal(prior)
+        count = len(jacobian)
+        root = np.ones(count) if variance is None else 1 / np.sqrt(variance)
+        white = jacobian if variance is None else root[:, None] * jacobian
+        if prior.free is None:
+            nothing = np.zeros((jacobian.shape[1], 0)), np.zeros((0, count))
+            return cls._regular(white, prior, np.diag(root), *nothing)
+        seen = white @ prior.free
+        if np.linalg.norm(seen, axis=0).min() <= _UNSEEN * np.linalg.norm(white) * np.linalg.norm(prior.free):
+            raise NumericsError(
+                "the readings do not see the image the prior leaves free: it cannot be determined",
+                remedy="mend the masked channels, or take a prior that leaves nothing free (gauss-newton-noser)",
+            )
+        return cls._without_free(white, prior, seen, prior.free, root)
+
+    def normal(self) -> Array:
+        """The dual system itself, (k, k) symmetric."""
+        normal: Array = self.white @ self.back
+        return normal
+
+    def spectrum(self) -> DualSpectrum:
+        """Eigenvectors and eigenvalues, rising."""
+        if self.half is None:
+            values, vectors = linalg.eigh(self.normal())
+            values = np.maximum(values, 0)
+        else:
+            (triangle,) = linalg.qr(self.half, mode="r")
+            _, roots, rows = linalg.svd(triangle[: len(self.white)])
+            sizes = np.zeros(len(rows))
+            sizes[: len(roots)] = roots
+            values, vectors = sizes[::-1] ** 2, rows[::-1].T
+        return DualSpectrum(
+            np.hstack([self.back @ vectors, self.free]),
+            values,
+            np.vstack([vectors.T @ self.analysis, self.free_analysis]),
+        )
+
+    @classmethod
+    def _regular(cls, white: Array, prior: Prior, analysis: Array, free: Array, free_analysis: Array) -> "_System":
+        columns = white.T
+        half = None if prior.half is None else prior.half(columns)
+        return cls(white, prior.covariance(columns), half, analysis, free, free_analysis)
+
+    @classmethod
+    def _without_free(cls, white: Array, prior: Prior, seen: Array, free: Array, root: Array) -> "_System":
+        complete, triangle = linalg.qr(seen)
+        width = free.shape[1]
+        triangle = triangle[:width]
+        explained, rest = complete[:, :width], complete[:, width:]
+        free = linalg.solve_triangular(triangle, free.T, trans="T").T  # so that its coefficients are Q₁ᵀ of readings
+        system = cls._regular(rest.T @ white, prior, rest.T * root, free, explained.T * root)
+        back = system.back - free @ (explained.T @ (white @ system.back))
+        return replace(system, back=back)
+
+
+def check_hyperparameter(value: float) -> None:
+    """Refuse λ that is negative or no number, or so large that the image is nothing but rounding."""
+    if not 0 <= value <= _LARGEST:
+        raise NumericsError(
+            f"hyperparameter λ is {value}; it must be a finite number, zero or above, up to {_LARGEST:.0e}",
+            remedy="give a λ in that range, or ask for a noise figure",
+        )
+
+
+def _condition(matrix: Array, factor: Array) -> float:
+    """Estimate the condition number in the 1-norm from a lower Cholesky factor (LAPACK pocon)."""
+    reciprocal, _ = linalg.lapack.dpocon(np.asfortranarray(factor), np.linalg.norm(matrix, 1), uplo="L")
+    return float(1 / reciprocal) if reciprocal > 0 else float("inf")

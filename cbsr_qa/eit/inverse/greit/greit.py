@@ -1,0 +1,178 @@
+"""GREIT: the matrix that turns the readings of training targets into the images one wants of them.
+
+Each row of the matrix, one for each node of the image, is a least-squares fit of its own (Adler et al. 2009, eq. 5):
+min Σ_k W_k(x) [r(x)·y_k − d_k(x)]² + λ² |r(x)|², where W lets what is near the target count in full and the rest
+little. Most implementations drop W. But the place and the outline of a masked blob are decided by the top of an image
+alone: to fit far slopes as exactly costs three times the noise.
+"""
+
+from contextlib import suppress
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.eit.inverse.choice import central_signal, noise_figure
+from cbsr_qa.eit.inverse.dual import check_hyperparameter
+from cbsr_qa.eit.inverse.greit.targets import TargetDesign, Targets, make_targets, neighbours
+from cbsr_qa.eit.inverse.readings import ReadingFold
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_NEAR: Final = 2.0  # radii of the head: up to here an error of the image counts, most on top of the target
+_FAR: Final = 0.1  # what errors count further out, against one on top
+_LOUD: Final = 0.6  # of a peak: rows that a target further away drives to more take it more seriously,
+_RAISED: Final = 4.0  # by this factor of the squared error,
+_RAISES: Final = 4  # so often at most
+_USUAL: Final = 0.1  # λ at which that is settled
+_MOST_CONDITION: Final = 1e12  # of a row's normal equations; they have four digits then
+_AT_ONCE: Final = 256  # rows solved together
+
+#: Widths (second moments) of desired images that are solved for, of the nominal one; others are interpolated.
+WIDTHS: Final = (0.35, 0.55, 0.8, 1.1)
+
+
+class GreitRows:
+    """Least-squares fits of all rows on one problem.
+
+    Parameters
+    ----------
+    problem : n image nodes, m readings, folded to g.
+    design : of the targets.
+    """
+
+    def __init__(self, problem: ImagingProblem, design: TargetDesign) -> None:
+        self.problem = problem
+        self.design = design
+        self._fold = ReadingFold.of(problem)
+        self.targets = make_targets(problem, self._fold, design)
+        self._signal = central_signal(problem)
+        self._unit = float((self.targets.signals**2).mean())
+        self._fit = _Fit(self.targets, _NEAR * design.head_mm)
+        self._quieten()
+
+    def solve(self, hyperparameter: float) -> Array:
+        """Rows of the nodes, for folded readings of unit variance and each of :data:`WIDTHS`: (n, g, w).
+
+        Parameters
+        ----------
+        hyperparameter : λ, rms noise over rms signal of a reading (of a target, root mean square over all of them).
+
+        Raises
+        ------
+        NumericsError
+            If λ is negative, not finite, or too small to determine the fit.
+        """
+        check_hyperparameter(hyperparameter)
+        ridge = hyperparameter**2 * self._unit
+        largest = float(np.einsum("ngg->n", self._fit.normal).max())  # at least the largest eigenvalue
+        least, rows = float(np.sqrt(largest / _MOST_CONDITION / self._unit)), None
+        if ridge * _MOST_CONDITION > largest:
+            rows = self._solved(hyperparameter, np.arange(len(self._fit.right)))
+        if rows is None or not np.isfinite(rows).all():
+            raise NumericsError(
+                f"greit: hyperparameter {hyperparameter:.3g} is too small: the targets do not determine the image",
+                remedy=f"give a hyperparameter above {least:.1e}, or ask for a noise figure",
+            )
+        return rows
+
+    def _solved(self, hyperparameter: float, nodes: Indices) -> Array:
+        """Rows of some nodes, (k, g, w); not finite where λ is too small."""
+        normal, right = self._fit.normal, self._fit.right
+        ridge = hyperparameter**2 * self._unit * np.eye(normal.shape[1])
+        rows = np.full((len(nodes), *right.shape[1:]), np.nan)
+        for first in range(0, len(nodes), _AT_ONCE):
+            part = nodes[first : first + _AT_ONCE]
+            with suppress(np.linalg.LinAlgError):
+                rows[first : first + _AT_ONCE] = np.linalg.solve(normal[part] + ridge, right[part])
+        return rows
+
+    def _quieten(self) -> None:
+        """Let errors further out count more in rows that would answer far targets loudly.
+
+        Those are rows near the sheet's edge, and where readings are missing: what is near them is seen so little that
+        fitting it costs large errors elsewhere, which a mask would take for the target.
+        """
+        nodes = np.arange(len(self._fit.right))
+        for _ in range(_RAISES):
+            nodes = nodes[self._loudest(nodes) > _LOUD]
+            if not nodes.size:
+                return
+            self._fit.raise_far(nodes)
+
+    def _loudest(self, nodes: Indices) -> Array:
+        """Largest error of some rows at targets further away that lie on the sheet as a whole, of a peak: (k,)."""
+        targets, head_mm = self.targets, self.design.head_mm
+        mesh = targets.mesh
+        edge = cKDTree(mesh.nodes_mm[np.unique(mesh.outline)])
+        whole = np.flatnonzero(targets.of_head & (np.asarray(edge.query(targets.centres_mm)[0]) >= head_mm))
+        rows = combined(self._solved(_USUAL, nodes), np.ones(len(nodes)))
+        error = np.abs(rows @ targets.signals[:, whole] - targets.desired(mesh.nodes_mm[nodes], targets=whole))
+        away = mesh.nodes_mm[nodes][:, None] - targets.centres_mm[whole]
+        far = (away**2).sum(axis=2) > (_NEAR * head_mm) ** 2
+        loudest: Array = np.where(far, error, 0).max(axis=1, initial=0) * 2 * np.pi * self.design.head_variance_mm2
+        return loudest
+
+    def matrix(self, rows: Array) -> Array:
+        """Imaging matrix (e, m) of rows (n, g).
+
+        Values of elements are the means of their corners', which is the mean of the image that is linear between.
+        """
+        nodal = self._fold.unfold(rows / np.sqrt(self._fold.variance))
+        elements = self.problem.mesh.elements
+        matrix: Array = (nodal[elements[:, 0]] + nodal[elements[:, 1]] + nodal[elements[:, 2]]) / 3
+        return matrix
+
+    def noise_figure(self, matrix: Array) -> float:
+        """Noise figure (Adler et al. 2009, equal noise on all readings, whatever they are weighted with)."""
+        return noise_figure(matrix, self._signal, self.problem.mesh.areas_mm2)
+
+
+def combined(solved: Array, width: Array) -> Array:
+    """Rows (n, g) for a width of each node (n,), from rows for :data:`WIDTHS` (n, g, w): a cubic in log width."""
+    at, known = np.log(width), np.log(WIDTHS)
+    shares = np.ones((len(width), len(known)))
+    for one, here in enumerate(known):
+        for other in np.delete(known, one):
+            shares[:, one] *= (at - other) / (here - other)
+    rows: Array = np.einsum("ngw,nw->ng", solved, shares)
+    return rows
+
+
+class _Fit:
+    """Normal equations of all rows: (n, g, g) and (n, g, w). Far targets count so little that one width does."""
+
+    def __init__(self, targets: Targets, near_mm: float) -> None:
+        signals, nodes = targets.signals, targets.mesh.nodes_mm
+        count = len(signals)
+        self.normal = np.empty((len(nodes), count, count))
+        self.right = np.empty((len(nodes), count, len(WIDTHS)))
+        self._far_normal = _FAR**2 * (signals @ signals.T)
+        self._far_right = np.empty((len(nodes), count))
+        self._share = np.empty(len(nodes))  # of the far errors in the whole
+        close = neighbours(targets.centres_mm, nodes, near_mm)
+        for row, (node, found) in enumerate(zip(nodes, close, strict=True)):
+            weight = _weight(np.hypot(*(targets.centres_mm[found] - node).T) / near_mm)
+            here = signals[:, found] * weight
+            self._share[row] = 1 / (weight.sum() + _FAR**2 * signals.shape[1])
+            self._far_right[row] = _FAR**2 * targets.desired(node[None])[0] @ signals.T
+            near_right = here @ targets.desired(node[None], WIDTHS, found)[0]
+            self.normal[row] = (here @ signals[:, found].T + self._far_normal) * self._share[row]
+            self.right[row] = (near_right + self._far_right[row][:, None]) * self._share[row]
+        self._raised = np.ones(len(nodes))
+
+    def raise_far(self, nodes: Indices) -> None:
+        """Let far errors count more in the rows of some nodes."""
+        more = (_RAISED - 1) * self._raised[nodes] * self._share[nodes]
+        self.normal[nodes] += more[:, None, None] * self._far_normal
+        self.right[nodes] += (more[:, None] * self._far_right[nodes])[..., None]
+        self._raised[nodes] *= _RAISED
+
+
+def _weight(distance: Array) -> Array:
+    """What an error of the image counts, by the distance from the target: 1 on top, 0 from 1 on, smooth."""
+    return np.asarray((1 - np.minimum(distance, 1) ** 4) ** 2, dtype=np.float64)

@@ -1,0 +1,324 @@
+"""GREIT's imaging matrix: of a λ, and the λ of a noise figure. What was made last is kept.
+
+Shaping GREIT's images until masked images of targets lie where the targets do, and are as large.
+
+A regularised image is drawn to where readings are strongest, and wider where they are weak. Both are known for every
+target, so that both can be taken back: by a scale of each row, and by the width of the image it is asked for.
+"""
+
+from collections import OrderedDict
+from dataclasses import dataclass, field
+from hashlib import blake2b
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.optimize import brentq
+from scipy.sparse.linalg import splu
+from scipy.spatial import cKDTree
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.eit.inverse.greit.greit import WIDTHS, GreitRows, combined
+from cbsr_qa.eit.inverse.greit.targets import TargetDesign, neighbours, node_areas_mm2
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_ROUNDS: Final = 10  # of shaping: offsets then are 0.02 mm on the 100 mm disc, down from 0.4 mm
+_MASK_POWER: Final = 10  # of an image's values: of 8 to 18 the one whose centres are nearest to those of an 85 % mask
+_INNER: Final = 2.0  # radii of the head that a target keeps from the sheet's edge: beyond, images are cut off
+_SEEN: Final = 2.5  # radii of the head around a target, where its mask can lie
+_SMOOTH: Final = 0.6  # radii of the head over which widths are averaged
+
+
+@dataclass(frozen=True, eq=False)
+class Shape:
+    """What shaping has come to, per node of the image.
+
+    Parameters
+    ----------
+    scale : (n,) factor of the row.
+    width : (n,) second moment of the desired image, of the nominal one.
+    """
+
+    scale: Array
+    width: Array
+
+    def rows(self, solved: Array) -> Array:
+        """Rows (n, g) from those solved for all widths (n, g, w)."""
+        return self.scale[:, None] * combined(solved, self.width)
+
+
+class Calibration:
+    """Shapes the rows of one problem.
+
+    Parameters
+    ----------
+    fits : rows to shape. Where the sheet is so small that no target keeps clear of its edge, they stay as they are.
+    """
+
+    def __init__(self, fits: GreitRows) -> None:
+        self._fits = fits
+        targets, mesh, head_mm = fits.targets, fits.problem.mesh, fits.design.head_mm
+        edge_mm = mesh.nodes_mm[np.unique(mesh.outline)]
+        clear = _INNER * head_mm
+        inner = targets.of_head & (_nearest(edge_mm, targets.centres_mm)[0] > clear)
+        self._signals, centres = targets.signals[:, inner], targets.centres_mm[inner]
+        self._any = bool(inner.any())
+        if self._any:
+            self._slopes = _SlopeFit(mesh)
+            self._masks = _SoftMasks(mesh, centres, _SEEN * head_mm)
+            self._beyond = _nearest(edge_mm, mesh.nodes_mm)[0] <= clear
+            self._place = _nearest(centres, mesh.nodes_mm)[1]
+            self._node = _nearest(mesh.nodes_mm, centres)[1]
+            self._average = _averaging(mesh.nodes_mm, centres, _SMOOTH * head_mm)
+
+    def rows(self, hyperparameter: float) -> Array:
+        """Rows (n, g) of a λ; NumericsError where it is too small."""
+        solved = self._fits.solve(hyperparameter)
+        return self.shape(solved).rows(solved)
+
+    def shape(self, solved: Array) -> Shape:
+        """Find the shape of rows solved for all widths, (n, g, w).
+
+        Where the masked image of a target is off by b, the logarithm of the scale is given the slope −b/s, with s the
+        second moment of the image: that moves a Gaussian by −b. One scale is fitted to the slopes of all places by
+        least squares; it is one but for a few per cent. Its mean is such that peaks are those of the desired images.
+        """
+        variance, nodes = self._fits.design.head_variance_mm2, len(solved)
+        scale, width = np.ones(nodes), np.ones(nodes)
+        for _ in range(_ROUNDS if self._any else 0):
+            images = Shape(scale, width).rows(solved) @ self._signals
+            offset, spread = self._masks.moments(images)
+            slope = np.where(self._beyond[:, None], 0.0, -offset[self._place] / variance)
+            scale = scale * np.exp(self._slopes.fit(slope))
+            scale = scale / (2 * np.pi * variance * float(np.median(images.max(axis=0))))
+            width = np.clip(self._average @ (width[self._node] * variance / spread), WIDTHS[0], WIDTHS[-1])
+        return Shape(scale, width)
+
+
+class _SoftMasks:
+    """Centre and spread of masked images, without the jumps of a mask.
+
+    Parameters
+    ----------
+    mesh : n nodes. centres_mm : (t, 2) of the targets. reach_mm : what is further from a target is no part of it.
+    """
+
+    def __init__(self, mesh: Mesh, centres_mm: Array, reach_mm: float) -> None:
+        near = neighbours(mesh.nodes_mm, centres_mm, reach_mm)
+        most = max(len(found) for found in near)
+        self._node = np.array([np.pad(found, (0, most - len(found))) for found in near])
+        there = np.arange(most) < np.array([len(found) for found in near])[:, None]
+        self._mass = np.where(there, node_areas_mm2(mesh)[self._node], 0.0)  # (t, most)
+        self._away = mesh.nodes_mm[self._node] - centres_mm[:, None]
+        self._square = (self._away**2).sum(axis=2)
+        self._smallest = float(mesh.areas_mm2.mean())  # a mask of one node has no size
+
+    def moments(self, images: Array) -> tuple[Array, Array]:
+        """How far masks lie from their targets (t, 2) [mm], and second moments (t,) [mm²] of Gaussians like them.
+
+        Parameters
+        ----------
+        images : (n, t).
+        """
+        positive = np.where(self._mass > 0, images.T[np.arange(len(self._node))[:, None], self._node], 0.0)
+        relative = np.maximum(positive, 0) / np.maximum(positive.max(axis=1), np.finfo(float).tiny)[:, None]
+        weight = relative**_MASK_POWER * self._mass
+        weight /= np.maximum(weight.sum(axis=1), np.finfo(float).tiny)[:, None]
+        offset = np.einsum("tk,tkd->td", weight, self._away)
+        square = (weight * self._square).sum(axis=1) - (offset**2).sum(axis=1)
+        return offset, np.maximum(_MASK_POWER * square / 2, self._smallest)
+
+
+class _SlopeFit:
+    """The piecewise linear function of a mesh whose slopes are nearest to given ones."""
+
+    def __init__(self, mesh: Mesh) -> None:
+        self._mesh = mesh
+        side = np.roll(mesh.corners_mm, -2, axis=1) - np.roll(mesh.corners_mm, -1, axis=1)
+        #: gradients of the hat functions times the element's area, (e, 3, 2)
+        self._gradient = np.stack([-side[..., 1], side[..., 0]], axis=2) / 2
+        local = np.einsum("eid,ejd->eij", self._gradient, self._gradient) / mesh.areas_mm2[:, None, None]
+        row, column = (np.broadcast_to(mesh.elements[index], local.shape).ravel() for index in _PAIRS)
+        count = len(mesh.nodes_mm)
+        stiffness = sparse.csc_array((local.ravel(), (row, column)), shape=(count, count))
+        # Slopes leave the mean open; the smallest is as good as any.
+        self._factors = splu((stiffness + 1e-9 * sparse.diags_array(node_areas_mm2(mesh))).tocsc())
+
+    def fit(self, slopes: Array) -> Array:
+        """Values (n,) for slopes at the nodes (n, 2)."""
+        mean = slopes[self._mesh.elements].mean(axis=1)
+        source = np.einsum("eid,ed->ei", self._gradient, mean)
+        values = self._factors.solve(np.bincount(self._mesh.elements.ravel(), source.ravel()))
+        return np.asarray(values - values.mean(), dtype=np.float64)
+
+
+def _nearest(points_mm: Array, places_mm: Array) -> tuple[Array, Indices]:
+    """Distance of each place from the nearest of the points, and which that is."""
+    away, nearest = cKDTree(points_mm).query(places_mm)
+    return np.asarray(away, dtype=np.float64), np.asarray(nearest, dtype=np.int64)
+
+
+def _averaging(nodes_mm: Array, places_mm: Array, length_mm: float) -> Array:
+    """Matrix (n, t) that averages values at places around each node, with a Gaussian of a length."""
+    square = ((nodes_mm[:, None] - places_mm) ** 2).sum(axis=2)
+    weight = np.exp(-(square - square.min(axis=1, keepdims=True)) / (2 * length_mm**2))
+    averaging: Array = weight / weight.sum(axis=1, keepdims=True)
+    return averaging
+
+
+_PAIRS: Final = (np.s_[:, :, None], np.s_[:, None, :])
+
+
+_LOWEST, _HIGHEST = (
+    1e-4,
+    0.6,
+)  # λ searched, noise over signal of a reading: above, masks of targets lose their targets
+_TYPICAL: Final = (0.05, 0.3)  # searched first
+_WIDER: Final = 4.0  # each time the noise figure is not between them
+_REACHED: Final = 1e-3  # in ln λ; half of that or less in the noise figure
+_KEPT: Final = 6  # problems
+_MATRICES: Final = 2  # of each, 3.4 MB on the usual mesh
+
+
+@dataclass(frozen=True, eq=False)
+class GreitMatrix:
+    """What comes of one λ.
+
+    Parameters
+    ----------
+    values : (e, m) float64, read only.
+    noise_figure : Adler et al. 2009, with equal noise on all readings.
+    """
+
+    values: Array
+    noise_figure: float
+
+
+def greit_matrix(problem: ImagingProblem, design: TargetDesign, hyperparameter: float) -> GreitMatrix:
+    """Make the imaging matrix of a λ, rms noise over rms signal of a reading.
+
+    Raises
+    ------
+    NumericsError
+        If λ is negative, not finite, or too small to determine the image; or a target is felt by no reading.
+    """
+    kept = _kept(problem, design)
+    return kept.matrices.get(hyperparameter) or _Search(problem, design, kept).at(hyperparameter)
+
+
+@dataclass(frozen=True, eq=False)
+class GreitChoice:
+    """The λ of a noise figure, and what was looked at on the way: the same whatever was searched before.
+
+    Parameters
+    ----------
+    value : λ.
+    searched, noise_figures : (k,) float64, λ rising and the noise figure of each; ``value`` is among them.
+    """
+
+    value: float
+    searched: Array
+    noise_figures: Array
+
+
+def hyperparameter_for(problem: ImagingProblem, design: TargetDesign, noise_figure: float) -> GreitChoice:
+    """Find the λ whose matrix has a noise figure, to 1 in 1000.
+
+    Raises
+    ------
+    NumericsError
+        If there is none; says the range that can be reached.
+    """
+    kept = _kept(problem, design)
+    if noise_figure not in kept.chosen:
+        kept.chosen[noise_figure] = _Search(problem, design, kept).for_noise_figure(noise_figure)
+    return kept.chosen[noise_figure]
+
+
+@dataclass(frozen=True, eq=False)
+class _Kept:
+    matrices: OrderedDict[float, GreitMatrix] = field(default_factory=OrderedDict)
+    chosen: dict[float, GreitChoice] = field(default_factory=dict)
+
+
+_PROBLEMS: Final[OrderedDict[tuple[bytes, TargetDesign], _Kept]] = OrderedDict()
+
+
+def _kept(problem: ImagingProblem, design: TargetDesign) -> _Kept:
+    """What is kept of problems with the same numbers."""
+    variance = problem.noise_variance
+    digest = blake2b(problem.used.tobytes())
+    for values in (problem.mesh.nodes_mm, problem.jacobian, problem.reference):
+        digest.update(np.ascontiguousarray(values).tobytes())
+    digest.update(b"" if variance is None else variance.tobytes())
+    key = digest.digest(), design
+    kept = _PROBLEMS.setdefault(key, _Kept())
+    _PROBLEMS.move_to_end(key)
+    while len(_PROBLEMS) > _KEPT:
+        _PROBLEMS.popitem(last=False)
+    return kept
+
+
+class _Search:
+    def __init__(self, problem: ImagingProblem, design: TargetDesign, kept: _Kept) -> None:
+        self._fits, self._kept = GreitRows(problem, design), kept
+        self._calibration = Calibration(self._fits)
+        self._seen: dict[float, float] = {}
+
+    def at(self, hyperparameter: float) -> GreitMatrix:
+        """Return the matrix of a λ."""
+        matrices = self._kept.matrices
+        if hyperparameter not in matrices:
+            values = self._fits.matrix(self._calibration.rows(hyperparameter))
+            values.flags.writeable = False  # shared by everybody who asks
+            matrices[hyperparameter] = GreitMatrix(values, self._fits.noise_figure(values))
+            while len(matrices) > _MATRICES:
+                matrices.popitem(last=False)
+        matrices.move_to_end(hyperparameter)
+        return matrices[hyperparameter]
+
+    def for_noise_figure(self, target: float) -> GreitChoice:
+        """λ of a noise figure."""
+        self._seen = {}
+        ends = self._ends(target) if np.isfinite(target) and target > 0 else None
+        if ends is None:
+            reached = [self._figure(value) for value in (_HIGHEST, _LOWEST)]
+            raise NumericsError(
+                f"noise figure {target} cannot be reached by greit; this problem allows"
+                f" {reached[0]:.3g} to {reached[1]:.3g}",
+                remedy="ask for a noise figure in that range, or give the hyperparameter itself",
+            )
+
+        low, high = (float(np.log(end)) for end in ends)
+        exactly = dict(zip((low, high), ends, strict=True))  # e^(ln λ) is not λ to the last digit, hence another fit
+
+        def over(at: float) -> float:
+            return float(np.log(self._figure(exactly.get(at, float(np.exp(at)))) / target))
+
+        root = float(brentq(over, low, high, xtol=_REACHED))
+        value = exactly.get(root, float(np.exp(root)))
+        self._seen[value] = self.at(value).noise_figure  # and its matrix is kept
+        searched = np.array(sorted(self._seen))
+        return GreitChoice(value, searched, np.array([self._seen[each] for each in searched]))
+
+    def _figure(self, hyperparameter: float) -> float:
+        """Noise figure of a λ, which is remembered for the search."""
+        if hyperparameter not in self._seen:
+            self._seen[hyperparameter] = self.at(hyperparameter).noise_figure
+        return self._seen[hyperparameter]
+
+    def _ends(self, target: float) -> tuple[float, float] | None:
+        """Two λ between whose noise figures the target lies; None where there are none."""
+        low, high = _TYPICAL
+        while self._figure(low) < target:
+            if low == _LOWEST:
+                return None
+            low = max(low / _WIDER, _LOWEST)
+        if self._figure(high) > target:
+            high = _HIGHEST
+        return (low, high) if self._figure(high) <= target else None

@@ -1,0 +1,264 @@
+"""Iterative Gauss–Newton for the state of a sheet: conductance and contact impedances from readings, not changes.
+
+Minimises Φ(θ) = Σ (V(θ) − d)²/σ² + (θ − θ₀)ᵀC⁻¹(θ − θ₀), θ the logarithms of conductance and contact impedance, σ the
+noise, C what is expected of θ before it is measured: the most probable state (Tarantola 2005, section 3.2; absolute
+impedance images with contacts unknown: Vilhunen et al. 2002, Heikkinen et al. 2002). Each step is solved in its dual
+form, as large as the number of readings,
+
+    θ⁺ = θ₀ + C Jᵀ (J C Jᵀ + σ²)⁻¹ (d − V(θ) + J (θ − θ₀)),
+
+and halved until Φ falls. C is never inverted: with θ = θ₀ + C w the second term is wᵀ(θ − θ₀).
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+from scipy.spatial.distance import cdist
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.eit.forward import ValueRangeError
+from cbsr_qa.eit.inverse.iterative.sheet_model import SheetModel, SolvedSheet
+
+Array = NDArray[np.float64]
+
+#: Steps allowed; three to six do it.
+MOST_STEPS: Final = 20
+#: Fall of Φ that is left at which a state counts as found: a hundredth of a standard deviation, or a millionth of Φ.
+TOLERANCE: Final = 1e-4
+_SHARE: Final = 1e-6
+_MOST_ELEMENTS: Final = 10_000
+_LONGEST: Final = 1.5  # change of a logarithm in one step
+_HALVINGS: Final = 8
+_LEAST_FALL: Final = 1e-4  # of the predicted one (Armijo)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetPrior:
+    """What is expected of a state: the covariance C of its logarithms.
+
+    Parameters
+    ----------
+    conductance : (e, e). contact : variance of each ln z.
+    """
+
+    conductance: Array
+    contact: float
+
+    @classmethod
+    def of(cls, mesh: Mesh, *, spread: float, length_mm: float, level: float, contact: float) -> "SheetPrior":
+        """Matérn covariance of smoothness 3/2, and a level common to all elements.
+
+        Parameters
+        ----------
+        spread : standard deviation of ln γ about the level. length_mm : over which it varies.
+        level : standard deviation of the level. contact : of each ln z.
+
+        Raises
+        ------
+        NumericsError
+            If the mesh has so many elements that the covariance does not fit.
+        """
+        return cls(spread**2 * matern(mesh, length_mm) + level**2, contact**2)
+
+    def times(self, columns: Array) -> Array:
+        """C times columns (e + electrodes, k)."""
+        count = len(self.conductance)
+        return np.concatenate([self.conductance @ columns[:count], self.contact * columns[count:]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FoundState:
+    """The most probable state, and how well it is known.
+
+    Parameters
+    ----------
+    solved : the state with its readings.
+    residual : Σ (V − d)²/σ² over the number of readings; one where noise alone is left.
+    unexplained : ‖V − d‖/‖d‖.
+    log_contact_error : (electrodes,) standard deviations of ln z.
+    steps : taken.
+    """
+
+    solved: SolvedSheet
+    residual: float
+    unexplained: float
+    log_contact_error: Array
+    steps: int
+
+    @property
+    def conductance(self) -> Array:
+        """γ (e,) in units of the nominal sheet's."""
+        return np.exp(self.solved.state.log_conductance)
+
+    @property
+    def contact_impedance(self) -> Array:
+        """Contact impedance z (electrodes,) times the nominal sheet's conductance [mm]."""
+        return np.exp(self.solved.state.log_contact)
+
+
+def matern(mesh: Mesh, length_mm: float) -> Array:
+    """Matérn correlation of smoothness 3/2 between elements, (e, e).
+
+    Raises
+    ------
+    NumericsError
+        If the mesh has so many elements that it does not fit.
+    """
+    if len(mesh.elements) > _MOST_ELEMENTS:
+        raise NumericsError(
+            f"absolute images keep a dense covariance; {len(mesh.elements)} elements are more than {_MOST_ELEMENTS}",
+            remedy="image on larger elements",
+        )
+    distance = cdist(mesh.centroids_mm, mesh.centroids_mm) * (np.sqrt(3) / length_mm)
+    correlation: Array = (1 + distance) * np.exp(-distance)
+    return correlation
+
+
+class Linearised:
+    """A state with its Jacobian, and the dual system of a step from it.
+
+    Parameters
+    ----------
+    solved : the state. prior : C. variance : (g,) σ² of the folded readings.
+
+    Raises
+    ------
+    NumericsError
+        If the noise variances, against what is expected, leave a system that rounding decides.
+    """
+
+    def __init__(self, solved: SolvedSheet, prior: SheetPrior, variance: Array) -> None:
+        self.solved, self.variance = solved, variance
+        self.readings = solved.readings()
+        self.jacobian = solved.jacobian()
+        self.back = prior.times(self.jacobian.T)
+        self._prior = prior
+        system = self.jacobian @ self.back
+        system.flat[:: len(system) + 1] += variance
+        try:
+            self._factor = linalg.cho_factor(system, lower=True)
+        except (linalg.LinAlgError, ValueError) as error:  # not positive to rounding, or not finite
+            raise _beyond(f"noise variances of {variance.min():.2g} to {variance.max():.2g} leave") from error
+
+    def matrix(self) -> Array:
+        """First step from here per change of the readings, (e + electrodes, g)."""
+        matrix: Array = linalg.cho_solve(self._factor, self.back.T).T
+        return matrix
+
+    def step(self, wanted: Array, place: "_Place") -> tuple[Array, Array, float]:
+        """Step of θ and of w towards readings, and the fall of Φ it promises."""
+        left = wanted - self.readings + self.jacobian @ place.away
+        coefficients = linalg.cho_solve(self._factor, left)
+        step = self.back @ coefficients - place.away
+        weights = self.jacobian.T @ coefficients - place.weights
+        seen = self.jacobian @ step
+        return step, weights, float(seen @ (seen / self.variance) + weights @ step)
+
+    def contact_error(self) -> Array:
+        """Standard deviations of ln z after the readings are known, (electrodes,)."""
+        count = len(self.solved.state.log_conductance)
+        back = self.back[count:]
+        explained = np.einsum("ng,gn->n", back, linalg.cho_solve(self._factor, back.T))
+        error: Array = np.sqrt(np.maximum(self._prior.contact - explained, 0))
+        return error
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Place:
+    """Where an iteration is: θ − θ₀ and w, with θ − θ₀ = C w."""
+
+    away: Array
+    weights: Array
+
+    def moved(self, step: Array, weights: Array, length: float) -> "_Place":
+        return _Place(self.away + length * step, self.weights + length * weights)
+
+    def cost(self) -> float:
+        return float(self.weights @ self.away)
+
+
+def most_probable_state(
+    model: SheetModel,
+    start: Linearised,
+    wanted: Array,
+    prior: SheetPrior,
+    *,
+    most_steps: int = MOST_STEPS,
+    tolerance: float = TOLERANCE,
+) -> FoundState:
+    """Iterate to the most probable state, expecting the one to start from.
+
+    Parameters
+    ----------
+    start : θ₀, linearised.
+    wanted : (g,) folded readings d.
+    most_steps, tolerance : allowed, and the fall of Φ left at which the state counts as found.
+
+    Raises
+    ------
+    NumericsError
+        If no step lowers Φ, or steps run out, before that; or if Φ is no finite number.
+    """
+    origin, here, variance = start.solved.state, start, start.variance
+    place = _Place(np.zeros(len(origin.unknowns)), np.zeros(len(origin.unknowns)))
+    cost = _misfit(here.readings, wanted, variance)
+    fall = np.inf
+    for number in range(most_steps):
+        with np.errstate(all="ignore"):  # what is not finite is refused here
+            step, weights, fall = here.step(wanted, place)
+        if not (np.isfinite(cost) and np.isfinite(fall) and np.isfinite(step).all()):
+            raise _beyond(f"readings of up to {np.abs(wanted).max():.2g} give")
+        if fall <= tolerance + _SHARE * cost:
+            return _found(here, wanted, number)
+        length = min(1.0, _LONGEST / float(np.abs(step).max()))
+        for _ in range(_HALVINGS):
+            tried = place.moved(step, weights, length)
+            try:
+                solved = model.at(origin.moved(tried.away))
+            except ValueRangeError:  # no state this far out has readings
+                lower = np.inf
+            else:
+                lower = _misfit(solved.readings(), wanted, variance) + tried.cost()
+            if lower <= cost - _LEAST_FALL * length * fall:
+                break
+            length /= 2
+        else:
+            raise _not_found(number + 1, fall, "no step lowers the misfit")
+        place, cost, here = tried, lower, Linearised(solved, prior, variance)
+    raise _not_found(most_steps, fall, "steps ran out")
+
+
+def _misfit(readings: Array, wanted: Array, variance: Array) -> float:
+    with np.errstate(over="ignore"):
+        return float(((readings - wanted) ** 2 / variance).sum())
+
+
+def _found(here: Linearised, wanted: Array, steps: int) -> FoundState:
+    apart = here.readings - wanted
+    return FoundState(
+        here.solved,
+        _misfit(here.readings, wanted, here.variance) / len(wanted),
+        float(np.linalg.norm(apart) / np.linalg.norm(wanted)),
+        here.contact_error(),
+        steps,
+    )
+
+
+def _beyond(what: str) -> NumericsError:
+    return NumericsError(
+        f"the absolute image cannot be computed: {what} no finite numbers, or none that rounding does not decide",
+        remedy="check the units of readings and of their noise variances, and noise_dB",
+    )
+
+
+def _not_found(steps: int, fall: float, why: str) -> NumericsError:
+    return NumericsError(
+        f"the absolute image did not converge: after {steps} steps {why}, and the misfit would still fall by"
+        f" {fall:.2g} (χ²)",
+        remedy="check the geometry and the electrodes' order, state a larger noise (noise_dB), or allow more"
+        " iterations",
+    )

@@ -1,0 +1,263 @@
+"""Absolute images of a sensor: its own unloaded state first, then every frame against it."""
+
+from dataclasses import dataclass, fields
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
+from cbsr_qa.eit.inverse.choice import central_signal, noise_figure
+from cbsr_qa.eit.inverse.iterative.absolute import (
+    MOST_STEPS,
+    FoundState,
+    Linearised,
+    SheetPrior,
+    matern,
+    most_probable_state,
+)
+from cbsr_qa.eit.inverse.iterative.sheet_model import SheetModel
+from cbsr_qa.eit.inverse.one_step import RidgeSearch
+from cbsr_qa.eit.inverse.priors import Prior
+
+Array = NDArray[np.float64]
+
+_UNEXPLAINED = 0.1  # of a frame's readings; more means another sheet, or electrodes in another order
+_KNOWN = 0.5  # of its expected spread: a contact whose error is larger was not measured
+
+
+#: Least and most of each number of :class:`Expected`; none may be zero.
+_RANGES: Final = {
+    "noise_dB": (0.0, 200.0),
+    "spread": (1e-6, 5.0),
+    "length": (1e-3, 10.0),
+    "load_spread": (1e-6, 5.0),
+    "noise_figure": (0.0, 100.0),
+    "load_length": (1e-3, 10.0),
+    "contact_spread": (1e-6, 5.0),
+    "mesh_size": (0.03, 0.25),
+    "iterations": (1, 1000),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Expected:
+    """What is expected of a sensor before it is measured.
+
+    Parameters
+    ----------
+    noise_dB : how far below the mean reading the noise of readings is.
+    spread, length : standard deviation of ln γ over the unloaded sheet, and the length over which it varies, of the
+        radius.
+    load_spread, load_length : the same of what a load changes. No spread: the one whose first step has
+        ``noise_figure`` on the sensor type's nominal problem.
+    contact_spread : standard deviation of ln z about the nominal contact; loads change it as much as ln γ.
+    mesh_size : edge length of the forward mesh (second order), of the radius, 0.03 to 0.25. At 0.03 a sheet with 16
+        pins takes 11 s to prepare, 0.8 s for each step and 0.8 GB.
+    iterations : Gauss–Newton steps allowed, 1 to 1000.
+
+    Raises
+    ------
+    NumericsError
+        If one is out of its range; says it.
+    """
+
+    noise_dB: float = 60.0
+    spread: float = 0.3
+    length: float = 0.3
+    load_spread: float | None = None
+    noise_figure: float = 1.0
+    load_length: float = 0.13
+    contact_spread: float = 1.0
+    mesh_size: float = 0.1
+    iterations: int = MOST_STEPS
+
+    def __post_init__(self) -> None:
+        for name, (least, most) in _RANGES.items():
+            value = getattr(self, name)
+            if value is not None and not (value > 0 and least <= value <= most):
+                allowed = f"{least:g} to {most:g}" if least else f"above 0 and at most {most:g}"
+                raise NumericsError(f"{name} is {value}; it must be {allowed}", remedy=_usual(name))
+
+    def deviation(self, problem: ImagingProblem) -> float:
+        """σ of a reading of unit relative variance; the mean reading is that of the sensor type's nominal problem."""
+        reference = (problem.nominal or problem).reference
+        return float(10 ** (-self.noise_dB / 20) * np.abs(reference).mean())
+
+    def chosen_spread(self, problem: ImagingProblem) -> tuple[float, str]:
+        """Spread of loads, and how it was chosen: it is σ/λ of a one-step image."""
+        if self.load_spread is not None:
+            return self.load_spread, "load_spread given"
+        nominal = problem.nominal or problem
+        correlation = matern(nominal.mesh, self.load_length * problem.sensor_type.radius_mm)
+        search = RidgeSearch(nominal, Prior(lambda columns: correlation @ columns))
+        spread = self.deviation(nominal) / search.for_noise_figure(self.noise_figure)
+        return spread, f"the first step has noise figure {self.noise_figure:.2f} on the nominal model"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AbsoluteImages:
+    """A prepared method, see :class:`~cbsr_qa.domain.results.PreparedReconstruction`.
+
+    Parameters
+    ----------
+    choice : of the spread of loads, which with the noise is what regularises.
+    expected : of the sensor.
+    model : of the readings.
+    reference : the unloaded sheet's state; the nominal one where its readings are not known.
+    scale : of the readings over those of a sheet of this state.
+    before_load : the reference, linearised, with what is expected of loads.
+    load : that expectation.
+    """
+
+    method: str
+    problem: ImagingProblem
+    choice: ParameterChoice
+    expected: Expected
+    model: SheetModel
+    reference: FoundState
+    scale: float
+    before_load: Linearised
+    load: SheetPrior
+
+    @classmethod
+    def of(cls, method: str, problem: ImagingProblem, expected: Expected) -> "AbsoluteImages":
+        """Find the reference's state and linearise there.
+
+        Raises
+        ------
+        NumericsError
+            If the reference readings belong to no such sheet, or the iteration does not converge.
+        """
+        model = SheetModel(problem, expected.mesh_size)
+        variance = expected.deviation(problem) ** 2 * model.fold.variance
+        reference, scale = _reference_state(problem, expected, model, variance)
+        spread, how = expected.chosen_spread(problem)
+        length_mm = expected.load_length * problem.sensor_type.radius_mm
+        # A contact changes as little as conductance does, or it would explain what the image may not.
+        load = SheetPrior.of(problem.mesh, spread=spread, length_mm=length_mm, level=0.0, contact=spread)
+        before = Linearised(reference.solved, load, variance)
+        figure = _noise_figure(problem, model, before)
+        how = f"{how}; {_said(problem, reference)}"
+        criterion = "noise-figure" if expected.load_spread is None else "given"
+        choice = ParameterChoice(spread, how, figure, "spread of ln γ under loads", criterion=criterion)
+        return cls(method, problem, choice, expected, model, reference, scale, before, load)
+
+    def images(self, changes: Array) -> Array:
+        """Relative conductance changes (n, e) against the reference's state, of scaled changes (n, m).
+
+        Raises
+        ------
+        RefusedError
+            If readings do not fit or are not finite.
+        NumericsError
+            If a frame does not converge, after how many steps; or if no sheet explains its readings to 10 %.
+        """
+        unloaded = self.reference.conductance
+        images = np.array([state.conductance / unloaded - 1 for state in self.states(changes)])
+        return images.reshape(len(changes), len(unloaded))
+
+    def absolute(self, changes: Array) -> Array:
+        """Conductances (n, e) in units of the unit model's, of the same changes."""
+        images: Array = (1 + self.images(changes)) * self.reference.conductance / self.scale
+        return images
+
+    def states(self, changes: Array) -> list[FoundState]:
+        """State of each frame, with its residual and number of steps; contacts are found anew.
+
+        Raises
+        ------
+        RefusedError, NumericsError
+            As :meth:`images`.
+        """
+        folded = self.model.fold.fold(checked_readings(changes, self.problem)) / self.scale
+        found = [
+            most_probable_state(
+                self.model,
+                self.before_load,
+                self.before_load.readings + change,
+                self.load,
+                most_steps=self.expected.iterations,
+            )
+            for change in folded
+        ]
+        for number, state in enumerate(found):
+            _check_explained(state, f"frame {number}")
+        return found
+
+    def contact_impedance(self) -> Array:
+        """Contact impedances of the unloaded sensor times the unit model's conductance, (electrodes,) [mm].
+
+        Raises
+        ------
+        NumericsError
+            If the readings do not tell those of some electrodes; names them.
+        """
+        error = self.reference.log_contact_error
+        unknown = np.flatnonzero(error > _KNOWN * self.expected.contact_spread)
+        if unknown.size or self.problem.measured is None:
+            electrodes = ", ".join(str(number) for number in unknown) or "all"
+            raise NumericsError(
+                f"the readings do not tell the contact impedance of electrodes {electrodes}",
+                remedy="use reference readings that touch driven electrodes too",
+            )
+        contacts: Array = self.reference.contact_impedance * self.scale
+        return contacts
+
+
+def _usual(name: str) -> str:
+    """Remedy for a number out of range: its default."""
+    default = next(field.default for field in fields(Expected) if field.name == name)
+    return f"leave it out for {default:g}" if isinstance(default, int | float) else "leave it out, to have it chosen"
+
+
+def _reference_state(
+    problem: ImagingProblem, expected: Expected, model: SheetModel, variance: Array
+) -> tuple[FoundState, float]:
+    """State of the unloaded sheet, and the scale of its readings."""
+    prior = SheetPrior.of(
+        problem.mesh,
+        spread=expected.spread,
+        length_mm=expected.length * problem.sensor_type.radius_mm,
+        level=1.0,
+        contact=expected.contact_spread,
+    )
+    nominal = Linearised(model.at(model.nominal), prior, variance)
+    if problem.measured is None:
+        found = most_probable_state(model, nominal, nominal.readings, prior)
+        return found, 1.0
+    wanted = model.fold.fold(checked_readings(problem.measured[None], problem))[0]
+    scale = float(wanted @ nominal.readings / (nominal.readings @ nominal.readings))
+    if not scale > 0:
+        raise NumericsError(
+            "the reference readings have nothing in common with the model's, or are turned in polarity",
+            remedy="check the electrode numbering of the sensor type and that the source was on",
+        )
+    found = most_probable_state(model, nominal, wanted / scale, prior, most_steps=expected.iterations)
+    _check_explained(found, "the reference")
+    return found, scale
+
+
+def _check_explained(state: FoundState, what: str) -> None:
+    if state.unexplained > _UNEXPLAINED:
+        raise NumericsError(
+            f"no sheet of this geometry explains {what}: {state.unexplained:.0%} of its readings is left,"
+            f" {_UNEXPLAINED:.0%} is allowed",
+            remedy="check geometry, electrode numbering and pattern of the sensor type, and mask bad channels",
+        )
+
+
+def _noise_figure(problem: ImagingProblem, model: SheetModel, before: Linearised) -> float:
+    """Noise figure of the first step, which is a matrix."""
+    matrix = model.fold.unfold(before.matrix()[: len(problem.mesh.elements)])
+    areas, variance = problem.mesh.areas_mm2, problem.noise_variance
+    return noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
+
+
+def _said(problem: ImagingProblem, reference: FoundState) -> str:
+    if problem.measured is None:
+        return "the reference is the nominal sheet, for its readings are not known"
+    return (
+        f"the reference's state, found in {reference.steps} steps, leaves {reference.unexplained:.2%} of its readings"
+    )

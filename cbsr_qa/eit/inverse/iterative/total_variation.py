@@ -1,0 +1,342 @@
+"""Images of least total variation that explain the readings: flat where nothing tells otherwise, edges stay edges.
+
+Minimises ½‖A x − y‖² + α Σ_k l_k |x_i − x_j| over the edges k between elements i and j, l their length [mm]: the sum
+is ∫|∇x| of an image that is constant on each element (Rudin, Osher & Fatemi 1992; for impedance images Borsic,
+Graham, Adler & Lionheart 2010). By a primal–dual interior point method: with jumps D x = u − v, u, v ≥ 0, and p the
+dual of that, the optimum has
+
+    Aᵀ(A x − y) + Dᵀp = 0,  u (α − p) = 0,  v (α + p) = 0,  |p| ≤ α,
+
+and Newton steps with Mehrotra's (1992) predictor and corrector follow u (α − p) = v (α + p) = μ as μ → 0. Departs
+from Borsic et al. in that nothing smooths the absolute value, and that image and dual go the same way along a step.
+Each step solves (AᵀA + DᵀWD) δx = b: DᵀWD is a graph Laplacian, factorised sparsely, and A has few rows.
+
+The duality gap P(x) − D(A x − y) bounds what is left to gain, and ½‖A (x − x*)‖² with it.
+"""
+
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+from scipy.sparse.linalg import splu
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.sensor import Mesh
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Duality gap, of the objective, at which an image is taken for the minimiser.
+TOLERANCE: Final = 1e-5
+#: Steps allowed; fifteen do it.
+MOST_STEPS: Final = 60
+_BALANCED = 1e-7  # largest departure from Aᵀ(Ax − y) + Dᵀp = 0 that leaves the gap its meaning, of Aᵀy
+_SHY = 0.99  # of the way to the wall
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TvImage:
+    """A minimiser and how surely it is one.
+
+    Parameters
+    ----------
+    image : (e,). residual : ‖A x − y‖².
+    gap : duality gap, of the objective.
+    steps : taken.
+    """
+
+    image: Array
+    residual: float
+    gap: float
+    steps: int
+
+
+class TotalVariation:
+    """The method prepared for one mesh and one set of readings.
+
+    Parameters
+    ----------
+    mesh : of the image, e elements.
+    rows : (m, e) A, whitened.
+    tolerance : duality gap, of the objective.
+    most_steps : allowed.
+    """
+
+    def __init__(
+        self, mesh: Mesh, rows: Array, *, tolerance: float = TOLERANCE, most_steps: int = MOST_STEPS
+    ) -> None:
+        self._rows = rows
+        self._jumps = jump_matrix(mesh)
+        self._graph = _Graph.of(self._jumps)
+        self._even = self._graph.laplacian(np.ones(self._jumps.shape[0]))
+        self._tolerance = tolerance
+        self._most_steps = most_steps
+
+    def image(self, readings: Array, alpha: float) -> TvImage:
+        """Minimise for whitened readings (m,).
+
+        Raises
+        ------
+        NumericsError
+            If α is not a positive finite number, readings or rows are so large or small that their squares are no
+            numbers, or the gap is not closed within the steps allowed.
+        """
+        check_alpha(alpha)
+        with np.errstate(all="ignore"), warnings.catch_warnings():  # what is not finite is refused below
+            warnings.simplefilter("ignore", linalg.LinAlgWarning)
+            return self._flat_image(readings, alpha) or self._converged(readings, alpha)
+
+    def flattening(self, readings: Array) -> float:
+        """Return an α at which, and above which, the image of readings is flat; NumericsError as of the image."""
+        with np.errstate(all="ignore"):
+            return self._flattest(readings)[1]
+
+    def _converged(self, readings: Array, alpha: float) -> TvImage:
+        state = _State.beginning(self._rows.shape[1], self._jumps.shape[0], readings, alpha)
+        pull, steps = float(np.abs(self._rows.T @ readings).max()), 0
+        while True:
+            here = _Here.at(state, self._rows, self._jumps, readings)
+            gap, apart = here.gap(alpha, readings), float(np.abs(here.imbalance).max()) / pull
+            if abs(gap) <= self._tolerance and apart <= _BALANCED and np.isfinite(state.image).all():
+                return TvImage(state.image, float(here.residual @ here.residual), gap, steps)
+            if steps == self._most_steps:
+                break
+            try:
+                state = self._step(state, here, alpha)
+            except (RuntimeError, ValueError):  # singular to rounding, or no longer finite
+                break
+            steps += 1
+        raise NumericsError(
+            f"total variation did not converge: after {steps} of {self._most_steps} steps {self._left(gap, apart)}",
+            remedy="raise the hyperparameter, or "
+            + (
+                "allow more iterations"
+                if steps == self._most_steps
+                else "check the units of readings and their noise"
+            ),
+        )
+
+    def _left(self, gap: float, apart: float) -> str:
+        """What an image lacks to be taken for the minimiser; a gap means nothing out of balance."""
+        if not (np.isfinite(gap) and np.isfinite(apart)):
+            return "the image is no longer made of finite numbers"
+        if apart > _BALANCED:
+            return f"image and dual are out of balance by {apart:.1e}, {_BALANCED:.0e} is wanted"
+        return f"the duality gap is {gap:.1e} of the objective, {self._tolerance:.0e} is wanted"
+
+    def _flat_image(self, readings: Array, alpha: float) -> TvImage | None:
+        """Minimiser where it is certainly flat: a dual within ±α balances the residual of a constant."""
+        level, dual, residual = self._flattest(readings)
+        if dual > alpha:
+            return None
+        return TvImage(np.full(self._rows.shape[1], level), residual, 0.0, 0)
+
+    def _flattest(self, readings: Array) -> tuple[float, float, float]:
+        """Best constant image, the largest dual (of least norm) that balances it, and its squared residual."""
+        ones = self._rows.sum(axis=1)
+        level = float(ones @ readings / (ones @ ones))
+        residual = level * ones - readings
+        pull = self._rows.T @ residual
+        found = level, np.inf, float(residual @ residual)
+        if np.isfinite(pull).all():
+            found = level, float(np.abs(self._jumps @ self._even.solve(pull)).max()), found[2]
+        if not np.isfinite(found).all():
+            raise NumericsError(
+                f"total variation cannot be minimised: readings are up to {np.abs(readings).max():.2g} and"
+                f" sensitivities up to {np.abs(self._rows).max():.2g} of their noise: their squares are no numbers",
+                remedy="check the units of readings and of their noise variances",
+            )
+        return found
+
+    def _step(self, state: "_State", here: "_Here", alpha: float) -> "_State":
+        weights = 1 / (state.up / (alpha - state.dual) + state.down / (alpha + state.dual))
+        newton = _Newton(self._rows, self._jumps, self._graph.laplacian(weights), weights)
+        predicted = _direction(newton, state, here, alpha, 0.0, 0.0)
+        before = state.complementarity(alpha)
+        after = state.moved(predicted, state.room(predicted, alpha)).complementarity(alpha)
+        centring = before * (after / before) ** 3
+        corrected = _direction(
+            newton,
+            state,
+            here,
+            alpha,
+            centring + predicted.up * predicted.dual,
+            centring - predicted.down * predicted.dual,
+        )
+        return state.moved(corrected, min(1.0, _SHY * state.room(corrected, alpha)))
+
+
+def jump_matrix(mesh: Mesh) -> sparse.csr_matrix:
+    """Jump over every edge between two elements, times its length [mm]: (edges, e) sparse."""
+    joined = mesh.neighbours
+    edge = np.sort(mesh.element_edges[joined].reshape(len(joined), 6), axis=1)
+    shared = edge[:, :-1][edge[:, 1:] == edge[:, :-1]]
+    ends = mesh.nodes_mm[mesh.edges[shared]]
+    lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
+    row = np.arange(len(joined))
+    entries = (np.concatenate([lengths, -lengths]), (np.tile(row, 2), joined.T.ravel()))
+    return sparse.csr_matrix(entries, shape=(len(joined), len(mesh.elements)))
+
+
+def check_alpha(alpha: float) -> None:
+    """Refuse α that is not a positive finite number."""
+    if not (np.isfinite(alpha) and alpha > 0):
+        raise NumericsError(
+            f"hyperparameter α is {alpha}; it must be a finite number above zero",
+            remedy="give such a number, or none to have it chosen",
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _State:
+    """Image (e,), jumps up and down (k,) ≥ 0, their dual (k,) in −α … α; also a direction of these."""
+
+    image: Array
+    up: Array
+    down: Array
+    dual: Array
+
+    @classmethod
+    def beginning(cls, elements: int, edges: int, readings: Array, alpha: float) -> "_State":
+        jump = np.full(edges, float(readings @ readings) / (2 * alpha * edges))
+        return cls(np.zeros(elements), jump, jump, np.zeros(edges))
+
+    def moved(self, by: "_State", length: float) -> "_State":
+        return _State(
+            self.image + length * by.image,
+            self.up + length * by.up,
+            self.down + length * by.down,
+            self.dual + length * by.dual,
+        )
+
+    def complementarity(self, alpha: float) -> float:
+        """μ: the mean of u (α − p) and v (α + p)."""
+        return float(self.up @ (alpha - self.dual) + self.down @ (alpha + self.dual)) / (2 * len(self.up))
+
+    def room(self, by: "_State", alpha: float) -> float:
+        """How far one can go in a direction until something turns negative, at most 1."""
+        pairs = (
+            (self.up, by.up),
+            (self.down, by.down),
+            (alpha - self.dual, -by.dual),
+            (alpha + self.dual, by.dual),
+        )
+        return min([1.0, *(float((at[d < 0] / -d[d < 0]).min()) for at, d in pairs if (d < 0).any())])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Here:
+    """Residuals at a state: of the readings (m,), of the balance (e,), of the jumps (k,); and the jumps D x."""
+
+    residual: Array
+    imbalance: Array
+    mismatch: Array
+    jumps: Array
+
+    @classmethod
+    def at(cls, state: _State, rows: Array, jumps: sparse.csr_matrix, readings: Array) -> "_Here":
+        residual = rows @ state.image - readings
+        across = jumps @ state.image
+        imbalance = rows.T @ residual + jumps.T @ state.dual
+        return cls(residual, imbalance, across - state.up + state.down, across)
+
+    def gap(self, alpha: float, readings: Array) -> float:
+        """Return P − D of P, where D(r) = −½‖r‖² − rᵀy for the residual r that p balances."""
+        energy = float(self.residual @ self.residual)
+        primal = energy / 2 + alpha * float(np.abs(self.jumps).sum())
+        return (primal + energy / 2 + float(self.residual @ readings)) / primal if primal else 0.0
+
+
+def _direction(
+    newton: "_Newton", state: _State, here: _Here, alpha: float, up_wanted: Array | float, down_wanted: Array | float
+) -> _State:
+    """Newton step towards given products u (α − p) and v (α + p)."""
+    above, below = alpha - state.dual, alpha + state.dual
+    shift = here.mismatch + (down_wanted / below - state.down) - (up_wanted / above - state.up)
+    image = newton.solve(-here.imbalance - newton.jumps.T @ (newton.weights * shift))
+    dual = newton.weights * (newton.jumps @ image + shift)
+    return _State(
+        image,
+        (up_wanted - state.up * above + state.up * dual) / above,
+        (down_wanted - state.down * below - state.down * dual) / below,
+        dual,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Laplacian:
+    """DᵀWD factorised, with one element held by a large entry, for it leaves constants free.
+
+    For a right side that sums to zero the solution is the one that is zero there.
+    """
+
+    held: float
+    solve: Callable[[Array], Array]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Graph:
+    """Where the entries of DᵀWD are, so that new weights cost a sum.
+
+    Parameters
+    ----------
+    rows, starts : of the compressed columns. place : (4 k,) where each edge's four entries go, of size (4 k,).
+    corner : place of the first element's diagonal entry.
+    """
+
+    rows: Indices
+    starts: Indices
+    place: Indices
+    size: Array
+    corner: int
+
+    @classmethod
+    def of(cls, jumps: sparse.csr_matrix) -> "_Graph":
+        first, second = jumps.indices.reshape(-1, 2).T.astype(np.int64)
+        one, other = jumps.data.reshape(-1, 2).T
+        row = np.concatenate([first, second, first, second])
+        column = np.concatenate([first, second, second, first])
+        count = jumps.shape[1]
+        keys, place = np.unique(column * count + row, return_inverse=True)
+        starts = np.searchsorted(keys, np.arange(count + 1) * count)
+        size = np.concatenate([one * one, other * other, one * other, one * other])
+        return cls(keys % count, starts, place.astype(np.int64), size, int(np.searchsorted(keys, 0)))
+
+    def laplacian(self, weights: Array) -> _Laplacian:
+        entries = np.bincount(self.place, self.size * np.tile(weights, 4))
+        held = float(entries.max())
+        entries[self.corner] += held
+        count = len(self.starts) - 1
+        matrix = sparse.csc_matrix((entries, self.rows, self.starts), shape=(count, count))
+        factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+        return _Laplacian(held, factors.solve)
+
+
+class _Newton:
+    """(AᵀA + DᵀWD)⁻¹ by a sparse factorisation and a dense system as large as the number of readings."""
+
+    def __init__(self, rows: Array, jumps: sparse.csr_matrix, laplacian: _Laplacian, weights: Array) -> None:
+        self.jumps, self.weights, self._rows, self._laplacian = jumps, weights, rows, laplacian
+        first = np.zeros((1, rows.shape[1]))
+        first[0, 0] = 1
+        self._low = np.vstack([rows, first])
+        self._back = self._laplacian.solve(np.asfortranarray(self._low.T))
+        core = self._low @ self._back
+        core.flat[:: len(core) + 1] += np.append(np.ones(len(rows)), -1 / self._laplacian.held)
+        self._core = linalg.lu_factor(core)
+
+    def solve(self, right: Array) -> Array:
+        """Solve, and once more for what rounding has left."""
+        first = self._once(right)
+        left = right - self._rows.T @ (self._rows @ first)
+        left -= self.jumps.T @ (self.weights * (self.jumps @ first))
+        return first + self._once(left)
+
+    def _once(self, right: Array) -> Array:
+        guess = self._laplacian.solve(right)
+        solved: Array = guess - self._back @ linalg.lu_solve(self._core, self._low @ guess)
+        return solved

@@ -1,0 +1,298 @@
+"""Total variation on the readings of a problem, frame by frame.
+
+How much total variation may cost: as much as leaves a residual of the noise's size (Morozov 1966).
+
+∫|∇x| is the same number on every mesh, so what it may cost is settled on a coarse image of the sensor type, in a
+second or two, and holds on any finer one. The noise figure there says what a chosen α does to noise.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import ImagingProblem, ParameterChoice, checked_readings
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.eit.inverse.choice import Evidence, central_signal, evidence_of, target_radius_mm
+from cbsr_qa.eit.inverse.iterative.total_variation import TotalVariation, TvImage, check_alpha
+from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.eit.inverse.readings import ReadingFold
+
+Array = NDArray[np.float64]
+
+_UNEXPLAINED = 10.0  # residual over noise; loads that double the conductance leave 1.2, a tank's third dimension 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WhiteReadings:
+    """Readings of a problem, folded by reciprocity and with equal noise on all.
+
+    Parameters
+    ----------
+    fold : which readings are the same.
+    deviation : (g,) of the folded readings, relative.
+    rows : (g, e), the Jacobian of white readings.
+    """
+
+    fold: ReadingFold
+    deviation: Array
+    rows: Array
+
+    @classmethod
+    def of(cls, problem: ImagingProblem) -> "WhiteReadings":
+        """Whiten a problem."""
+        fold = ReadingFold.of(problem)
+        deviation = np.sqrt(fold.variance)
+        return cls(fold, deviation, fold.rows(problem.jacobian) / deviation[:, None])
+
+    def white(self, changes: Array) -> Array:
+        """White readings (n, g) of changes (n, m)."""
+        white: Array = self.fold.fold(changes) / self.deviation
+        return white
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TotalVariationImages:
+    """A prepared method, see :class:`~cbsr_qa.domain.results.PreparedReconstruction`.
+
+    Parameters
+    ----------
+    choice : of α.
+    minimise : prepared for the problem's mesh and readings.
+    variance : of the noise α was chosen for, of a reading of unit relative variance; None where nobody said.
+    """
+
+    method: str
+    problem: ImagingProblem
+    choice: ParameterChoice
+    readings: WhiteReadings
+    minimise: TotalVariation
+    variance: float | None = None
+
+    @classmethod
+    def of(
+        cls,
+        method: str,
+        problem: ImagingProblem,
+        choice: ParameterChoice,
+        variance: float | None = None,
+        *,
+        tolerance: float,
+        most_steps: int,
+    ) -> "TotalVariationImages":
+        """Prepare for a problem; tolerance and steps as of :class:`TotalVariation`."""
+        readings = WhiteReadings.of(problem)
+        minimise = TotalVariation(problem.mesh, readings.rows, tolerance=tolerance, most_steps=most_steps)
+        return cls(method, problem, choice, readings, minimise, variance)
+
+    def images(self, changes: Array) -> Array:
+        """Images (n, e) of scaled changes (n, m), each frame by itself.
+
+        Raises
+        ------
+        RefusedError
+            If readings do not fit or are not finite.
+        NumericsError
+            If a frame does not converge, after how many steps; or if no image explains it to ten times the noise α
+            was chosen for: the image that comes nearest would be one of whatever else is in the readings.
+        """
+        return np.array([one.image for one in self.minimisers(changes)]).reshape(
+            len(changes), len(self.problem.mesh.elements)
+        )
+
+    def minimisers(self, changes: Array) -> list[TvImage]:
+        """Images with their residual, duality gap and number of steps."""
+        white = self.readings.white(checked_readings(changes, self.problem))
+        found = [self.minimise.image(one, self.choice.value) for one in white]
+        if self.variance is not None:
+            left = np.sqrt([one.residual / (white.shape[1] * self.variance) for one in found])
+            for frame in np.flatnonzero(left > _UNEXPLAINED)[:1]:
+                raise NumericsError(
+                    f"no image explains frame {frame}: what is left is {left[frame]:.0f} times the noise that was"
+                    " expected",
+                    remedy="state the noise the readings have (noise_dB), or check geometry and channels",
+                )
+        return found
+
+
+_COARSE: Final = 0.12  # edge length of the image α is settled on, of the sheet's radius
+_CONTRAST: Final = 0.2  # of the simulated target: a press as deep as the paper's
+_NOISE_DB: Final = 60  # of its readings; with other noise a target that stands as far out of it is chosen on
+_QUIETEST_DB: Final = 200
+_SAID: Final = "residual as large as the noise (discrepancy principle) on "
+_FRAMES: Final = 3  # that a residual is averaged over
+_DRAWS: Final = 8  # of noise, for the noise figure
+_SEED: Final = 3
+_LEAST: Final = 1e-7  # α searched, of the one that leaves nothing but a flat image
+_NOTHING: Final = 1e-12  # of the largest reading: less is no change
+_STEP: Final = 8.0  # from which it is searched downwards in such steps
+_CLEAR: Final = 4.0  # sampling errors by which a flat image must fail, or the readings are all noise
+_EXACT: Final = 0.01  # α is found to a hundredth: the residual it is held against is no better known
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenAlpha:
+    """The choice, and the noise it was made for.
+
+    Parameters
+    ----------
+    variance : of a reading of unit relative variance; None where α was given.
+    """
+
+    choice: ParameterChoice
+    variance: float | None
+
+
+def choose_alpha(problem: ImagingProblem, *, given: float | None, noise_dB: float) -> ChosenAlpha:
+    """Choose α for a problem.
+
+    Parameters
+    ----------
+    given : α itself; None for the discrepancy principle, on measured changes where the problem has them, else on
+        simulated ones of the sensor type's nominal problem.
+    noise_dB : how far below the mean reading the noise is, where no changes were measured. α grows with the noise
+        in proportion: it is chosen for targets that stand as far out of it as a press does at 60 dB.
+
+    Raises
+    ------
+    NumericsError
+        If α is not a positive finite number, or no α leaves a residual of the noise's size.
+    """
+    if given is not None:
+        check_alpha(given)
+    if not 0 < noise_dB <= _QUIETEST_DB:
+        raise NumericsError(
+            f"noise_dB is {noise_dB}; it must be above 0 and at most {_QUIETEST_DB}",
+            remedy="give how many dB below the mean reading the noise is; 60 is usual",
+        )
+    if problem.sample is not None:
+        return _chosen(problem, given, noise_dB)
+    return _of_type(problem.sensor_type, given, noise_dB)
+
+
+@lru_cache(maxsize=16)
+def _of_type(sensor_type: SensorType, given: float | None, noise_dB: float) -> ChosenAlpha:
+    return _chosen(imaging_problem(sensor_type), given, noise_dB)
+
+
+def _chosen(problem: ImagingProblem, given: float | None, noise_dB: float) -> ChosenAlpha:
+    size_mm = _COARSE * problem.sensor_type.radius_mm
+    coarse = imaging_problem(
+        problem.sensor_type, used=problem.used, noise_variance=problem.noise_variance, image_size_mm=size_mm
+    )
+    simulated = _simulated(coarse)
+    assert simulated.variance is not None
+    louder = 10 ** ((_NOISE_DB - noise_dB) / 20)
+    looks = problem.sample is not None and given is None
+    evidence = evidence_of(replace(coarse, sample=problem.sample)) if looks else simulated
+    if given is not None:
+        value, how, variance = given, "hyperparameter given", None
+    elif looks:
+        value, how, variance = _by_discrepancy(coarse, evidence), _SAID + evidence.words, evidence.variance
+    else:
+        value = float(f"{louder * _by_discrepancy(coarse, evidence):.6g}")
+        how, variance = _SAID + evidence.words, louder**2 * simulated.variance
+        how += "" if louder == 1 else f", times {louder:.3g} for noise of {noise_dB:g} dB"
+    # The image of a louder target in louder noise is the louder image: what holds for α holds for louder · α there.
+    figure, error = _noise_figure(coarse, value / louder, simulated)
+    how += (
+        f"; noise figure {figure:.2f} ± {error:.2f} by {_DRAWS} draws (seed {_SEED}) at"
+        f" {100 * louder * _CONTRAST:.3g}% contrast, on elements of {size_mm:.3g} mm"
+    )
+    criterion = "discrepancy" if given is None else "given"
+    return ChosenAlpha(ParameterChoice(value, how, figure, "α", criterion=criterion), variance)
+
+
+def _simulated(problem: ImagingProblem) -> Evidence:
+    deviation = 10 ** (-_NOISE_DB / 20) * float(np.abs(problem.reference).mean())
+    relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
+    noise = np.random.default_rng(_SEED).standard_normal((_DRAWS, len(relative))) * np.sqrt(relative)
+    words = (
+        f"{_FRAMES} simulated frames (seed {_SEED}) of a central target of {2 * target_radius_mm(problem):.3g} mm and"
+        f" {_CONTRAST:.0%} contrast, noise {_NOISE_DB} dB below the mean reading"
+    )
+    return Evidence(central_signal(problem, _CONTRAST) + deviation * noise, deviation**2, words)
+
+
+def _by_discrepancy(problem: ImagingProblem, evidence: Evidence) -> float:
+    if evidence.variance is None:
+        raise NumericsError(
+            "the discrepancy principle needs the noise, and no readings are there twice to tell it",
+            remedy="give the hyperparameter itself",
+        )
+    changes = evidence.changes[:_FRAMES]
+    largest = float(np.abs(changes).max())
+    if largest < _NOTHING * np.abs(problem.reference).max():
+        raise NumericsError(
+            f"the changes to choose α on are at most {largest:.2g}, and do not differ from their reference",
+            remedy="choose it on readings of a load, or give the hyperparameter itself",
+        )
+    if evidence.variance <= (np.finfo(float).eps * largest) ** 2:
+        raise NumericsError(
+            "the changes to choose α on have no noise: readings that are there twice are the same to the last digit",
+            remedy="choose it on readings as they were measured, or give the hyperparameter itself",
+        )
+    white = WhiteReadings.of(problem)
+    search = _Search(TotalVariation(problem.mesh, white.rows), white.white(changes), evidence.variance)
+    return float(f"{search.alpha():.6g}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """Residual against α, for white readings (n, g) of a variance."""
+
+    method: TotalVariation
+    readings: Array
+    variance: float
+
+    def alpha(self) -> float:
+        """Return α at which the mean squared residual is the variance."""
+        upper = max(self.method.flattening(one) for one in self.readings)
+        if self.excess(upper) < _CLEAR * np.sqrt(2 / self.readings.size):
+            raise NumericsError(
+                "the changes to choose α on are all noise: a flat image explains them",
+                remedy="give the hyperparameter itself, or choose it on a clearer change",
+            )
+        lower, least = upper / _STEP, _LEAST * upper
+        while self.excess(lower) > 0:
+            upper, lower = lower, lower / _STEP
+            if lower < least:
+                raise NumericsError(
+                    "no image explains the changes to choose α on as well as the noise would allow",
+                    remedy="give the hyperparameter itself, or check geometry and noise",
+                )
+        found = brentq(lambda log: self.excess(float(np.exp(log))), np.log(lower), np.log(upper), xtol=_EXACT)
+        return float(np.exp(found))
+
+    def excess(self, alpha: float) -> float:
+        """Logarithm of the mean squared residual over the variance."""
+        residuals = [self.method.image(one, alpha).residual for one in self.readings]
+        return float(np.log(max(sum(residuals), np.finfo(float).tiny) / self.readings.size / self.variance))
+
+
+def _noise_figure(problem: ImagingProblem, alpha: float, evidence: Evidence) -> tuple[float, float]:
+    """Noise figure (Adler et al. 2009 form) at the evidence's contrast and noise, and its standard error.
+
+    The image of the signal is the mean of the noisy ones, and the error is what leaving out one draw at a time says
+    (jackknife).
+    """
+    assert evidence.variance is not None
+    white = WhiteReadings.of(problem)
+    method = TotalVariation(problem.mesh, white.rows)
+    images = np.array([method.image(one, alpha).image for one in white.white(evidence.changes)])
+    images *= problem.mesh.areas_mm2
+    relative = np.ones(1) if problem.noise_variance is None else problem.noise_variance
+    snr = float(np.abs(central_signal(problem, _CONTRAST)).mean() / np.sqrt(evidence.variance * relative.mean()))
+    left_out = [snr / _image_snr(np.delete(images, one, axis=0)) for one in range(len(images))]
+    spread = np.sqrt((len(images) - 1) * np.var(left_out))
+    return snr / _image_snr(images), float(spread)
+
+
+def _image_snr(images: Array) -> float:
+    """Mean size of the mean image over the root of the mean variance."""
+    noise = np.sqrt(images.var(axis=0, ddof=1).mean())
+    return float(np.abs(images.mean(axis=0)).mean() / noise) if noise > 0 else np.inf

@@ -1,0 +1,124 @@
+"""How much of each element of one mesh lies in each element of another, exactly."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from cbsr_qa.domain.sensor import Mesh
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+
+_SLIVER = 1e-12  # of a mean element's area: what is smaller has no centroid to rounding
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pieces:
+    """Where the elements of two meshes lie over each other.
+
+    Parameters
+    ----------
+    fine, coarse : (p,) int64, the elements.
+    areas_mm2 : (p,) of what they share.
+    centroids_mm : (p, 2) of the same.
+    """
+
+    fine: Indices
+    coarse: Indices
+    areas_mm2: Array
+    centroids_mm: Array
+
+
+def overlap_pieces(fine: Mesh, coarse: Mesh) -> Pieces:
+    """Cut every fine element by the coarse mesh, so that the pieces of each make up all of its area.
+
+    What a fine element has outside the coarse mesh (slivers between two polygons of the same circle) is counted in
+    proportion to what it has inside, or goes to the nearest coarse element where nothing is inside.
+    """
+    first, second = _candidates(fine, coarse)
+    area, centroids = _intersections(fine.corners_mm[first], coarse.corners_mm[second])
+    keep = area > _SLIVER * fine.areas_mm2.mean()
+    first, second, area, centroids = first[keep], second[keep], area[keep], centroids[keep]
+    inside = np.bincount(first, area, minlength=len(fine.elements))
+    lost = np.flatnonzero(inside <= 0)
+    if lost.size:
+        nearest = cKDTree(coarse.centroids_mm).query(fine.centroids_mm[lost])[1]
+        first, second = np.concatenate([first, lost]), np.concatenate([second, nearest])
+        area = np.concatenate([area, fine.areas_mm2[lost]])
+        centroids = np.vstack([centroids, fine.centroids_mm[lost]])
+        inside[lost] = fine.areas_mm2[lost]
+    return Pieces(first, second, area * (fine.areas_mm2 / inside)[first], centroids)
+
+
+def overlap_fractions(fine: Mesh, coarse: Mesh) -> sparse.csr_matrix:
+    """Fraction of each fine element's area in each coarse element; rows sum to one, see :func:`overlap_pieces`.
+
+    Returns
+    -------
+    (fine elements, coarse elements) sparse.
+    """
+    pieces = overlap_pieces(fine, coarse)
+    share = pieces.areas_mm2 / fine.areas_mm2[pieces.fine]
+    return sparse.csr_matrix((share, (pieces.fine, pieces.coarse)), shape=(len(fine.elements), len(coarse.elements)))
+
+
+def _candidates(fine: Mesh, coarse: Mesh) -> tuple[Indices, Indices]:
+    """Pairs of elements whose bounding circles meet."""
+    reach = [_reach(mesh) for mesh in (fine, coarse)]
+    near = cKDTree(coarse.centroids_mm).query_ball_point(
+        fine.centroids_mm, reach[0] + reach[1].max(), return_sorted=True
+    )
+    first = np.repeat(np.arange(len(near)), [len(found) for found in near])
+    second = np.concatenate([np.asarray(found, dtype=np.int64) for found in near])
+    apart = np.hypot(*(fine.centroids_mm[first] - coarse.centroids_mm[second]).T)
+    meet = apart < reach[0][first] + reach[1][second]
+    return first[meet], second[meet]
+
+
+def _reach(mesh: Mesh) -> Array:
+    offset = mesh.corners_mm - mesh.centroids_mm[:, None]
+    reach: Array = np.hypot(offset[..., 0], offset[..., 1]).max(axis=1)
+    return reach
+
+
+def _intersections(first: Array, second: Array) -> tuple[Array, Array]:
+    """Areas (p,) and centroids (p, 2) of what counterclockwise triangles (p, 3, 2) share (Sutherland & Hodgman 1974).
+
+    Centroids of what has no area mean nothing.
+    """
+    polygon = first
+    for corner in range(3):
+        start = second[:, corner]
+        polygon = _clipped(polygon, start, second[:, (corner + 1) % 3] - start)
+    following = np.roll(polygon, -1, axis=1)
+    origin = polygon[:, :1]
+    one, other = polygon - origin, following - origin
+    twice = one[..., 0] * other[..., 1] - one[..., 1] * other[..., 0]
+    area = np.maximum(twice.sum(axis=1) / 2, 0)
+    moment = (twice[..., None] * (one + other)).sum(axis=1)
+    divisor = np.where(area > 0, 6 * area, 1.0)[:, None]
+    return area, origin[:, 0] + moment / divisor
+
+
+def _clipped(polygon: Array, start: Array, along: Array) -> Array:
+    """Cut convex polygons (p, k, 2) left of a line: (p, k + 1, 2), where spare corners repeat the last."""
+    relative = polygon - start[:, None]
+    height = along[:, None, 0] * relative[..., 1] - along[:, None, 1] * relative[..., 0]
+    following, after = np.roll(polygon, -1, axis=1), np.roll(height, -1, axis=1)
+    crosses = (height >= 0) != (after >= 0)
+    share = np.where(crosses, height / np.where(crosses, height - after, 1), 0)
+    crossing = polygon + share[..., None] * (following - polygon)
+    pairs, corners = height.shape
+    slots = np.stack([polygon, crossing], axis=2).reshape(pairs, 2 * corners, 2)
+    filled = np.stack([height >= 0, crosses], axis=2).reshape(pairs, 2 * corners)
+    order = np.argsort(~filled, axis=1, kind="stable")[:, : corners + 1]
+    last = np.maximum(filled.sum(axis=1) - 1, 0)
+    place = np.minimum(np.arange(corners + 1), last[:, None])
+    chosen = np.take_along_axis(order, place, axis=1)
+    cut: Array = np.take_along_axis(slots, chosen[..., None], axis=1)
+    cut[~filled.any(axis=1)] = 0
+    return cut

@@ -1,0 +1,219 @@
+"""What is expected of an image before it is measured, the R of (JᵀWJ + λ²R), in the form the dual system needs.
+
+That form is P = R⁻¹ as a product with columns. Diagonal priors are a division; the Laplace prior is one sparse
+factorisation; the priors with a length (:mod:`cbsr_qa.eit.inverse.priors`) are built from P or its root.
+
+Priors with a length: the Gaussian high-pass filter and the indenter's own smoothness.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, sparse
+from scipy.sparse.linalg import splu
+from scipy.spatial.distance import cdist
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.sensor import Mesh
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """A prior of the image.
+
+    Parameters
+    ----------
+    covariance : (e, k) → (e, k), the product with P = R⁻¹; with a symmetric generalised inverse of R that is exact
+        on columns orthogonal to ``free``, where R is singular.
+    free : (e, f) null space of R, images that cost nothing; None where there is none.
+    half : (e, k) → (n, k), the product with a root H of P = HᵀH. Where a prior has one, the dual system is decomposed
+        without being formed, which would square its condition number. None where it has none.
+    """
+
+    covariance: Callable[[Array], Array]
+    free: Array | None = None
+    half: Callable[[Array], Array] | None = None
+
+    @classmethod
+    def diagonal(cls, weights: Array) -> Self:
+        """Prior that knows nothing of neighbours: R = diag(weights), (e,) positive."""
+        root = np.sqrt(weights)[:, None]
+        return cls(lambda columns: columns / weights[:, None], half=lambda columns: columns / root)
+
+
+def noser(jacobian: Array, exponent: float) -> Array:
+    """Diagonal of the NOSER prior, diag(JᵀJ)^p (Cheney et al. 1990; exponents below 1 are EIDORS's).
+
+    p = 0 is Tikhonov's identity, p = 1 makes the penalty as strong where the readings are sensitive as elsewhere.
+
+    Parameters
+    ----------
+    jacobian : (m, e). exponent : p in 0 … 1.
+
+    Returns
+    -------
+    (e,) float64, positive.
+
+    Raises
+    ------
+    NumericsError
+        If p is out of range, or an element is felt by no reading at all.
+    """
+    if not 0 <= exponent <= 1:
+        raise NumericsError(
+            f"NOSER exponent {exponent} is not in 0 … 1",
+            remedy="give an exponent from 0 (Tikhonov's prior) to 1; 0.5 is usual",
+        )
+    squared = np.einsum("me,me->e", jacobian, jacobian)
+    if not (squared > 0).all():
+        raise NumericsError(
+            f"{int((squared <= 0).sum())} image elements are felt by no reading that is left",
+            remedy="mend the masked channels",
+        )
+    weights: Array = squared**exponent
+    return weights
+
+
+def laplace_matrix(mesh: Mesh) -> sparse.csc_matrix:
+    """Laplace prior of EIDORS: twice the graph Laplacian of elements that share an edge, (e, e) sparse.
+
+    xᵀRx = 2 Σ (x_i − x_j)² over neighbours; edge lengths and distances do not enter, so on graded meshes it is no
+    discrete Laplacian (Vauhkonen et al. 1998 weigh alike).
+    """
+    differences = _differences(mesh)
+    return sparse.csc_matrix(2 * (differences.T @ differences))
+
+
+def _differences(mesh: Mesh) -> sparse.csr_matrix:
+    """Differences (edges, e) between elements that share an edge."""
+    edge = np.arange(len(mesh.neighbours))
+    ones = np.ones(len(edge))
+    first, second = mesh.neighbours.T
+    entries = np.concatenate([ones, -ones]), (np.concatenate([edge, edge]), np.concatenate([first, second]))
+    return sparse.csr_matrix(entries, shape=(len(edge), len(mesh.elements)))
+
+
+def laplace(mesh: Mesh) -> Prior:
+    """Prior of :func:`laplace_matrix`; a constant image costs nothing.
+
+    P is the inverse with the last element held at zero. It differs from any other generalised inverse by constants,
+    which the dual form determines from the readings. R = 2 DᵀD with D the differences between neighbours; √2 DP is a
+    root of P.
+    """
+    differences = np.sqrt(2.0) * _differences(mesh)
+    factors = splu(
+        laplace_matrix(mesh)[:-1, :-1].tocsc(),
+        permc_spec="MMD_AT_PLUS_A",
+        diag_pivot_thresh=0.0,
+        options={"SymmetricMode": True},
+    )
+
+    def covariance(columns: Array) -> Array:
+        held = np.zeros_like(columns, order="F")
+        held[:-1] = factors.solve(np.asfortranarray(columns[:-1]))
+        return held
+
+    def half(columns: Array) -> Array:
+        product: Array = differences @ covariance(columns)
+        return product
+
+    return Prior(covariance, np.ones((len(mesh.elements), 1)), half)
+
+
+#: The filter is a dense matrix; one of this many elements takes 800 MB and half a minute.
+_MOST_FILTERED: Final = 10_000
+_ROWS_AT_ONCE: Final = 512
+_SHORTEST: Final = 1e-6  #: length, of an element's edge
+_NARROWEST: Final = 0.5  #: width of the filter, likewise
+_LONGEST: Final = 10.0  #: of either, of the sheet's extent
+
+
+def indenter_smoothness(mesh: Mesh, length_mm: float) -> Prior:
+    """Matérn covariance of smoothness 3/2, P_ij = (1 + r) e^(−r) with r = √3 |c_i − c_j| / length.
+
+    A load is as wide as the head that makes it: with the head's radius as the length, what is smoother than a load
+    costs nothing more and what is rougher costs much. Its images have one derivative; the Gaussian covariance, which
+    has all of them, places loads a quarter worse at the same noise figure.
+
+    Parameters
+    ----------
+    length_mm : correlation length [mm], a millionth of an element's edge to ten times the sheet.
+
+    Raises
+    ------
+    NumericsError
+        If the length is out of that range.
+    """
+    _check_length(mesh, length_mm, least=_SHORTEST)
+    places = mesh.centroids_mm * (np.sqrt(3) / length_mm)
+
+    def covariance(columns: Array) -> Array:
+        product = np.empty(columns.shape)
+        for start in range(0, len(places), _ROWS_AT_ONCE):
+            rows = slice(start, start + _ROWS_AT_ONCE)
+            distance = cdist(places[rows], places)
+            product[rows] = ((1 + distance) * np.exp(-distance)) @ columns
+        return product
+
+    return Prior(covariance)
+
+
+def high_pass(mesh: Mesh, width_mm: float) -> Prior:
+    """Gaussian high-pass prior R = FᵀF, F = I − G (Adler & Guardo 1996).
+
+    G is a Gaussian low-pass filter of this width at half height, weighted by the elements' areas and normalised on
+    each element, also near the edge, so that a constant image passes and costs nothing (EIDORS's filter knows no
+    areas). With w the left null vector of F, P = F₁⁻¹ (I − wwᵀ/wᵀw) F₁⁻ᵀ, F₁ = F + 1wᵀ/wᵀ1.
+
+    Parameters
+    ----------
+    width_mm : at half height [mm], half of an element's edge to ten times the sheet; a narrower filter would pass
+        nothing between elements, and F be nothing but rounding. Adler & Guardo take a tenth of the sheet's diameter.
+
+    Raises
+    ------
+    NumericsError
+        If the width is out of that range, or the mesh has so many elements that F does not fit.
+    """
+    _check_length(mesh, width_mm, least=_NARROWEST)
+    count, areas = len(mesh.elements), mesh.areas_mm2
+    if count > _MOST_FILTERED:
+        raise NumericsError(
+            f"the high-pass prior is a dense filter; {count} elements are more than {_MOST_FILTERED}",
+            remedy="image on larger elements, or take another prior",
+        )
+    squared = cdist(mesh.centroids_mm, mesh.centroids_mm, "sqeuclidean")
+    kernel = np.exp(squared * (-4 * np.log(2) / width_mm**2)) * areas
+    sums = kernel.sum(axis=1)
+    left = areas * sums  # wᵀF = 0, as the kernel is symmetric before it is weighted and normalised
+    regular = np.eye(count) - kernel / sums[:, None] + left / left.sum()
+    factors = linalg.lu_factor(regular, overwrite_a=True, check_finite=False)
+    unit = (left / np.linalg.norm(left))[:, None]
+
+    def half(columns: Array) -> Array:
+        product: Array = linalg.lu_solve(factors, columns, trans=1)
+        product -= unit @ (unit.T @ product)
+        return product
+
+    def covariance(columns: Array) -> Array:
+        product: Array = linalg.lu_solve(factors, half(columns))
+        return product
+
+    return Prior(covariance, np.ones((count, 1)), half)
+
+
+def _check_length(mesh: Mesh, value: float, *, least: float) -> None:
+    """Refuse a length that is out of range; ``least`` is of the mean element's edge."""
+    shortest = least * float(np.sqrt(4 / np.sqrt(3) * mesh.areas_mm2.mean()))
+    longest = _LONGEST * float(np.ptp(mesh.nodes_mm, axis=0).max())
+    if not shortest <= value <= longest:
+        raise NumericsError(
+            f"a prior's length is {value:.3g} mm; it must be a positive finite number, {shortest:.2g} to"
+            f" {longest:.2g} mm on this image",
+            remedy="give a width or diameter in that range, or image on other elements",
+        )

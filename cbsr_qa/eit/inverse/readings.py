@@ -1,0 +1,242 @@
+"""Noise variance of every reading from a few frames of a sheet nobody touches, shrunk towards what is common.
+
+The variance of one reading over n frames is known to √(2/(n − 2)) of itself, a third of it from twenty frames. Taken
+as it is, a reading that happened to be quiet would count too much. So variances are *moderated* (Smyth 2004, eqs 6, 8
+and 10): readings' true variances are taken to scatter about a common one by a scaled inverse χ² law of ν₀ degrees of
+freedom, ν₀ and the common s₀² are found from the scatter of the logarithms over all readings, and
+
+    s̃² = (ν₀ s₀² + ν s²) / (ν₀ + ν),    ν = n − 2,
+
+of which 1/s̃² is the posterior mean of a reading's weight. Where the readings scatter no more than equal noise would,
+ν₀ = ∞ and all count alike; where they differ in earnest, each keeps its own. ν₀ is not made robust against few loud
+readings, as it could be (Phipson et al. 2016): that would draw exactly the readings inwards that are to count less.
+
+G. K. Smyth, Linear models and empirical Bayes methods for assessing differential expression in microarray
+experiments, Stat. Appl. Genet. Mol. Biol. 3 (2004) 3.
+
+Readings that must be equal by reciprocity, folded into one.
+
+Drive a pair and measure another, or the other way round: the readings, and their sensitivities, are the same
+(Geselowitz 1971). With noise variances v the weighted mean Σ(y/v)/Σ(1/v), of variance 1/Σ(1/v), says everything about
+the image that the readings say (a sufficient statistic), so a linear problem of 208 readings is one of 104 and its
+solution is the same to rounding. What the readings differ by says how large their noise is.
+"""
+
+from dataclasses import dataclass
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import digamma, polygamma
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.sensor import DrivePattern
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_SAME = 1e-6  # references of readings that are folded agree at least so well, relative to the largest
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadingFold:
+    """Which of m readings are the same, as g groups.
+
+    Parameters
+    ----------
+    group : (m,) int64, 0 to g − 1, in the order of first readings.
+    first : (g,) int64, first reading of each group.
+    sign : (m,) float64, +1 or −1 against the first reading of the group.
+    weight : (m,) float64, sign times share in the mean; magnitudes sum to one in each group.
+    variance : (g,) float64 of the means, relative as the problem's.
+    """
+
+    group: Indices
+    first: Indices
+    sign: Array
+    weight: Array
+    variance: Array
+
+    @classmethod
+    def of(cls, problem: ImagingProblem) -> Self:
+        """Fold a problem's readings; none where its own reference contradicts reciprocity."""
+        group, first, sign = _groups(problem.sensor_type.pattern, problem.used)
+        reference = problem.reference
+        apart = np.abs(reference - sign * reference[first][group])
+        if apart.max(initial=0.0) > _SAME * np.abs(reference).max():
+            group = first = np.arange(len(reference))
+            sign = np.ones(len(reference))
+        variance = np.ones(len(reference)) if problem.noise_variance is None else problem.noise_variance
+        information = np.bincount(group, 1 / variance)
+        return cls(group, first, sign, sign / variance / information[group], 1 / information)
+
+    def rows(self, jacobian: Array) -> Array:
+        """Jacobian (g, e) of the folded readings."""
+        rows: Array = jacobian[self.first]
+        return rows
+
+    def fold(self, readings: Array) -> Array:
+        """Weighted means (n, g) of readings (n, m)."""
+        folded = np.zeros((len(readings), len(self.first)))
+        np.add.at(folded.T, self.group, (readings * self.weight).T)
+        return folded
+
+    def unfold(self, matrix: Array) -> Array:
+        """Matrix (k, m) that takes all readings, of one (k, g) that takes their means."""
+        whole: Array = matrix[:, self.group]
+        whole *= self.weight
+        return whole
+
+    def noise(self, readings: Array) -> tuple[float, int]:
+        """Mean variance of readings (n, m) for unit relative variance, from what reciprocal ones differ by.
+
+        Returns
+        -------
+        The estimate and its degrees of freedom, 0 where no readings are folded.
+        """
+        freedom = len(readings) * (len(self.group) - len(self.first))
+        if not freedom:
+            return 0.0, 0
+        size = np.bincount(self.group)
+        informed = np.abs(self.weight) / self.variance[self.group]  # 1/v of every reading
+        left = readings - self.fold(readings)[:, self.group] * self.sign
+        repeated = size[self.group] > 1
+        return float((left[:, repeated] ** 2 @ informed[repeated]).sum() / freedom), freedom
+
+
+def _groups(pattern: DrivePattern, used: NDArray[np.bool_]) -> tuple[Indices, Indices, Array]:
+    """Group, first reading of each group, and sign of every used reading against it."""
+    names, signs = (table[used] for table in pattern.reading_groups())
+    _, at, group = np.unique(names, return_index=True, return_inverse=True)
+    order = np.argsort(at)
+    rank = np.empty_like(order)
+    rank[order] = np.arange(len(order))
+    first, group = at[order], rank[group]
+    relative: Array = np.asarray(signs * signs[first][group], dtype=np.float64)
+    return group.astype(np.int64), first.astype(np.int64), relative
+
+
+#: Fewer frames leave too few degrees of freedom to tell loud readings from chance.
+FEWEST_FRAMES: Final = 6
+
+_REMEDY: Final = 'or set analysis.noise_weighting = "equal" in the recipe'
+_MOST_SILENT: Final = 0.5  # share of readings that never change, above which nobody knows the noise
+_ROUNDING: Final = 1e-13  # of the largest level: less is no difference
+_CLIP: Final = 3.0  # deviations count up to this many times the spread, so that a glitch is no noise
+_CLIPPED_VARIANCE: Final = 0.99501  # E min(z², 9) of a standard normal z
+_DEVIATION: Final = 1.4826  # standard deviation of normal noise over its median absolute deviation
+_ROUNDS: Final = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReadingNoise:
+    """What the noise of readings is.
+
+    Parameters
+    ----------
+    variance : (m,) float64, moderated, in the square of the readings' unit.
+    common : s₀², towards which they were drawn.
+    common_freedom : ν₀, in frames' worth of evidence; infinite where the readings do not differ beyond chance.
+    silent : (m,) bool, readings that never changed: nothing is known of their noise, and they have the common one.
+    """
+
+    variance: Array
+    common: float
+    common_freedom: float
+    silent: NDArray[np.bool_]
+
+
+def reading_noise(readings: Array, time_s: Array) -> ReadingNoise:
+    """Estimate the noise of readings from frames in which nothing happens but drift.
+
+    Deviations are from a straight line in time, and count up to three times their spread (Huber's winsorised fit).
+    No variance is below that of rounding to the converter's step, step²/12; the step is the median over readings of
+    the smallest difference between two values of one.
+
+    Parameters
+    ----------
+    readings : (n, m) float64, in any unit.
+    time_s : (n,) float64, rising.
+
+    Raises
+    ------
+    NumericsError
+        If there are fewer than six frames, a reading is not finite, or more than half of the readings never change.
+    """
+    count = len(readings)
+    if count < FEWEST_FRAMES:
+        raise NumericsError(
+            f"{count} unloaded frames are too few to weigh readings by their noise; {FEWEST_FRAMES} are needed",
+            remedy=f"take more unloaded frames, {_REMEDY}",
+        )
+    bad = ~np.isfinite(readings)
+    if bad.any():
+        raise NumericsError(
+            f"{int(bad.any(axis=0).sum())} readings are not finite numbers in the unloaded frames",
+            remedy=f"have the driver flag such readings as missing, {_REMEDY}",
+        )
+    rounding = _ROUNDING * float(np.abs(readings).max())
+    silent = np.ptp(readings, axis=0) <= rounding
+    if silent.mean() > _MOST_SILENT:
+        raise NumericsError(
+            f"{int(silent.sum())} of {len(silent)} readings are the same in all {count} unloaded frames: there is no"
+            " noise to weigh readings by",
+            remedy=f"measure with a finer converter step, {_REMEDY}",
+        )
+    step = _converter_step(readings[:, ~silent], rounding)
+    own = np.maximum(_scatter(readings[:, ~silent], time_s, step), step**2 / 12)
+    moderated, common, freedom = _moderated(own, count - 2)
+    variance = np.full(len(silent), common)
+    variance[~silent] = moderated
+    return ReadingNoise(variance, common, freedom, silent)
+
+
+def _converter_step(readings: Array, rounding: float) -> float:
+    """Median over readings of the smallest difference between two values of one; next to nothing where unrounded."""
+    apart = np.diff(np.sort(readings, axis=0), axis=0)
+    smallest = np.where(apart > rounding, apart, np.inf).min(axis=0)
+    return float(np.median(smallest))
+
+
+def _scatter(readings: Array, time_s: Array, step: float) -> Array:
+    """Winsorised variance about a straight line in time, (m,)."""
+    count = len(readings)
+    q, _ = np.linalg.qr(np.column_stack([np.ones(count), time_s - time_s.mean()]))
+    least, freedom = step / np.sqrt(12), count - 2
+    values = readings - np.median(readings, axis=0)
+    clipped = values
+    for _ in range(_ROUNDS):
+        line = q @ (q.T @ clipped)
+        left = values - line
+        spread = np.maximum(_DEVIATION * np.sqrt(count / freedom) * np.median(np.abs(left), axis=0), least)
+        clipped = line + np.clip(left, -_CLIP * spread, _CLIP * spread)
+    left = clipped - q @ (q.T @ clipped)
+    variance: Array = (left**2).sum(axis=0) / (freedom * _CLIPPED_VARIANCE)
+    return variance
+
+
+def _moderated(own: Array, freedom: int) -> tuple[Array, float, float]:
+    """Return s̃², s₀² and ν₀ of variances with so many degrees of freedom each; Smyth 2004, section 6.2."""
+    level = np.log(own) - digamma(freedom / 2) + np.log(freedom / 2)
+    beyond_chance = float(level.var(ddof=1) - polygamma(1, freedom / 2)) if len(own) > 1 else 0.0
+    mean = float(level.mean())
+    if beyond_chance <= 0:
+        common = float(np.exp(mean))
+        return np.full_like(own, common), common, float("inf")
+    prior = 2 * _inverse_trigamma(beyond_chance)
+    common = float(np.exp(mean + digamma(prior / 2) - np.log(prior / 2)))
+    moderated: Array = (prior * common + freedom * own) / (prior + freedom)
+    return moderated, common, prior
+
+
+def _inverse_trigamma(value: float) -> float:
+    """Return y with ψ′(y) = value, by the Newton iteration of Smyth 2004, appendix; it converges from below."""
+    at = 0.5 + 1 / value
+    for _ in range(50):
+        slope = float(polygamma(1, at))
+        step = slope * (1 - slope / value) / float(polygamma(2, at))
+        at += step
+        if -step < 1e-10 * at:
+            break
+    return at

@@ -1,0 +1,138 @@
+"""From a sensor's volts to the unit model's."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError, real_numbers
+from cbsr_qa.domain.results import ImagingProblem
+
+Array = NDArray[np.float64]
+
+_LEAST_ALIKE: Final = 0.9  # cosine between a sensor's reference and the model's, in size
+
+
+def scale_of(reference_voltages: Array, problem: ImagingProblem) -> float:
+    """Scale of a sensor against the unit model, s = ⟨V_ref, reference⟩ / ⟨reference, reference⟩.
+
+    A least-squares fit of current over sheet conductance; counts do as well as volts.
+
+    Parameters
+    ----------
+    reference_voltages : (drives, measures) of the unloaded sensor; only used readings are looked at.
+
+    Raises
+    ------
+    NumericsError
+        If a used reading is not a finite real number, the shape is another, or the readings have nothing in common
+        with the model's.
+    """
+    readings = _used_once(reference_voltages, problem)
+    scale = float(readings @ problem.reference / (problem.reference @ problem.reference))
+    if abs(scale) * np.linalg.norm(problem.reference) <= 1e-6 * np.linalg.norm(readings) or scale == 0:
+        raise NumericsError(
+            "the reference frame has nothing in common with the model's (all zero, or electrodes in another order)",
+            remedy="check the electrode numbering of the sensor type and that the source was on",
+        )
+    return scale
+
+
+def agreement(reference_voltages: Array, problem: ImagingProblem) -> float:
+    """Cosine between a reference frame and the unit model's, in −1 … 1.
+
+    Near 1 the geometry, electrode order and polarity are right; near −1 the polarity is turned.
+    """
+    readings = _used_once(reference_voltages, problem)
+    length = float(np.linalg.norm(readings) * np.linalg.norm(problem.reference))
+    return float(readings @ problem.reference) / length if length else 0.0
+
+
+def scale_doubts(reference_voltages: Array, problem: ImagingProblem) -> tuple[str, ...]:
+    """What is to be said against the scale of a reference frame, a sentence or none.
+
+    A frame that lies on an offset, or has its electrodes in another order, has a scale all the same, and images over
+    it are of any size. Simulated sensors with every imperfection there is agree with the model to 0.97, one with an
+    electrode off and not masked to 0.93; an offset that swamps the readings leaves 0.81 or less.
+    """
+    alike = agreement(reference_voltages, problem)
+    if abs(alike) >= _LEAST_ALIKE:
+        return ()
+    return (
+        f"the unloaded frame is like the model's to a cosine of {alike:.2f} only (1 is alike): its readings lie on an"
+        " offset, or electrodes are elsewhere or in another order; amplitudes of images may be of any size",
+    )
+
+
+def changes(voltages: Array, reference: Array, problem: ImagingProblem, scale: float) -> Array:
+    """Scaled changes of the used readings, what :meth:`LinearReconstruction.images` takes.
+
+    Parameters
+    ----------
+    voltages : (n, drives, measures). reference : (drives, measures). scale : of :func:`scale_of`.
+
+    Returns
+    -------
+    (n, m) float64.
+
+    Raises
+    ------
+    NumericsError
+        If a used reading or the scale is not a finite real number, the scale is zero or so small that changes over
+        it are no numbers, or shapes disagree.
+    """
+    _check_scale(scale)
+    with np.errstate(over="ignore"):
+        changed: Array = (_used(voltages, problem) - _used_once(reference, problem)) / scale
+    wrong = np.argwhere(~np.isfinite(changed))
+    if wrong.size:
+        frame, channel = wrong[0]
+        raise NumericsError(
+            f"the change of {_reading(problem, channel)} of frame {frame} over the scale {scale:g} is too large for"
+            " a number",
+            remedy="take the scale of the sensor's own unloaded frame (scale_of), in the unit of the voltages",
+        )
+    return changed
+
+
+def _check_scale(scale: float) -> None:
+    number = real_numbers(scale, "scales of a sensor")
+    if number.ndim or not np.isfinite(number) or number == 0:
+        raise NumericsError(
+            f"the scale of the sensor is {scale}; it must be a finite number other than zero",
+            remedy="take that of its unloaded frame (scale_of)",
+        )
+
+
+def _used_once(voltages: Array, problem: ImagingProblem) -> Array:
+    """Used readings (m,) of one frame (drives, measures)."""
+    frame = real_numbers(voltages, "voltages")
+    if frame.shape != problem.used.shape:
+        raise NumericsError(
+            f"a reference of shape {frame.shape} does not fit frames of {problem.used.shape}",
+            remedy="give one frame, by drive and measure pair",
+        )
+    readings: Array = _used(frame[None], problem)[0]
+    return readings
+
+
+def _used(voltages: Array, problem: ImagingProblem) -> Array:
+    voltages = real_numbers(voltages, "voltages")
+    if voltages.ndim != 3 or voltages.shape[1:] != problem.used.shape:
+        raise NumericsError(
+            f"voltages of shape {voltages.shape} do not fit frames of {problem.used.shape}",
+            remedy="give frames one after another, each by drive and measure pair",
+        )
+    readings: Array = voltages[:, problem.used]
+    if not np.isfinite(readings).all():
+        frame, channel = np.argwhere(~np.isfinite(readings))[0]
+        raise NumericsError(
+            f"{_reading(problem, channel)} of frame {frame} is not a finite number",
+            remedy="leave its channel out of the problem (`used`)",
+        )
+    return readings
+
+
+def _reading(problem: ImagingProblem, channel: int) -> str:
+    drive, measure = np.argwhere(problem.used)[channel]
+    return f"reading (drive {drive}, measure {measure})"

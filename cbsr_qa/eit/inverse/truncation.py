@@ -1,0 +1,182 @@
+"""Truncated singular value decomposition: the singular vectors of W^½J that stand out of the noise, unregularised.
+
+On a symmetric sheet singular values come in pairs, a pattern and its turned twin. Half a pair would prefer one
+direction over another, so that cuts are made between values that differ by more than a mesh makes them differ.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.eit.inverse.choice import Criterion, Evidence, central_signal
+from cbsr_qa.eit.inverse.dual import DualSpectrum, dual_spectrum
+from cbsr_qa.eit.inverse.one_step import noise_level
+from cbsr_qa.eit.inverse.readings import ReadingFold
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+_PAIR: Final = 0.98  # singular values closer than this ratio are kept or dropped together
+_LEAST: Final = 1e-7  # of the largest: no measurement has seven digits to tell what is below
+_WIDEST: Final = np.cos(7 / 8 * np.pi)  # of the angle at a corner
+_REMEDY: Final = "choose by noise figure, or give the number of components itself"
+
+
+class Truncation:
+    """A problem's singular values and vectors, the largest first.
+
+    Parameters
+    ----------
+    problem : its readings are folded first.
+    """
+
+    def __init__(self, problem: ImagingProblem) -> None:
+        self._fold = ReadingFold.of(problem)
+        rows = self._fold.rows(problem.jacobian)
+        spectrum = dual_spectrum(rows, problem.mesh.areas_mm2, self._fold.variance)
+        kept = np.flatnonzero(spectrum.values > _LEAST**2 * spectrum.values[-1])[::-1]
+        self._values = spectrum.values[kept]
+        self._spectrum = DualSpectrum(spectrum.basis[:, kept], self._values, spectrum.analysis[kept])
+        self._problem = problem
+
+    @property
+    def cuts(self) -> Indices:
+        """Numbers of components that split no pair, rising."""
+        roots = np.sqrt(self._values)
+        apart = np.append(roots[1:] < _PAIR * roots[:-1], True)
+        return np.flatnonzero(apart).astype(np.int64) + 1
+
+    @property
+    def grid(self) -> Array:
+        """The same, as values of a parameter."""
+        return self.cuts.astype(np.float64)
+
+    @property
+    def shown(self) -> Array:
+        """The same: there are no others."""
+        return self.grid
+
+    @property
+    def discrete(self) -> bool:
+        """Components are counted."""
+        return True
+
+    def within(self, target: float) -> int:
+        """Most components whose noise figure is at most a target, for a problem that is not the type's nominal one.
+
+        Noise is that of the quiet readings (harmonic mean of the variances): a reading that is loud beyond all
+        others is as good as missing, and its noise must not raise what the others are allowed to add.
+
+        Raises
+        ------
+        NumericsError
+            If even the fewest components have a larger one; says how large.
+        """
+        variance = self._problem.noise_variance
+        louder = 1.0 if variance is None else float(np.sqrt(variance.mean() * (1 / variance).mean()))
+        reached = louder * self.noise_figures(self.grid)
+        enough = np.flatnonzero(reached <= target)
+        if not enough.size:
+            raise NumericsError(
+                f"no number of components keeps within noise figure {target:.3g} with the readings that are left; the"
+                f" least is {reached.min():.3g}",
+                remedy="ask for a larger noise figure, give the number of components itself, or mend bad channels",
+            )
+        return int(self.cuts[enough[-1]])
+
+    def matrix(self, components: int) -> Array:
+        """Imaging matrix (e, m).
+
+        Raises
+        ------
+        NumericsError
+            If there are not so many components, or a pair would be split.
+        """
+        if components not in self.cuts:
+            near = self.cuts[np.argsort(np.abs(self.cuts - components), kind="stable")[:2]]
+            count = len(self._values)
+            raise NumericsError(
+                f"{components} components are not among the {count} there are"
+                if not 1 <= components <= count
+                else f"{components} components split a pair of equal singular values",
+                remedy=f"keep {' or '.join(str(number) for number in sorted(near))}",
+            )
+        kept = slice(None, components)
+        images = self._spectrum.basis[:, kept] / self._values[kept]
+        return self._fold.unfold(images @ self._spectrum.analysis[kept])
+
+    def noise_figures(self, values: Array) -> Array:
+        """Noise figure (Adler et al. 2009) of each of some numbers of components."""
+        areas, variance = self._problem.mesh.areas_mm2, self._problem.noise_variance
+        signal = central_signal(self._problem)
+        snr = np.abs(signal).mean() / np.sqrt(1.0 if variance is None else variance.mean())
+        weighted = areas[:, None] * self._spectrum.basis / self._values
+        noise = np.sqrt(np.cumsum((weighted**2).sum(axis=0)) / len(areas))
+        image = np.cumsum(weighted * (self._spectrum.analysis @ self._fold.fold(signal[None])[0]), axis=1)
+        figures: Array = snr * noise / np.abs(image).mean(axis=0)
+        return figures[values.astype(np.int64) - 1]
+
+    def for_noise_figure(self, target: float) -> float:
+        """Most components whose noise figure is at most the target."""
+        reached = self.noise_figures(self.grid)
+        within = np.flatnonzero(reached <= target)
+        if not within.size or not target <= reached.max():
+            raise NumericsError(
+                f"noise figure {target} cannot be reached; this sensor type allows {reached.min():.3g} to"
+                f" {reached.max():.3g}",
+                remedy="ask for a noise figure in that range, or give the number of components itself",
+            )
+        return float(self.grid[within[-1]])
+
+    def by_readings(self, criterion: Criterion, evidence: Evidence) -> float:
+        """Number of components by what readings say; NumericsError where that is nothing."""
+        energy = ((self._fold.fold(evidence.changes) @ self._spectrum.analysis.T) ** 2).sum(axis=0)
+        if not energy.any():
+            raise NumericsError(
+                "the readings to choose from do not differ from their reference: nothing to fit",
+                remedy="choose by noise figure, or on readings of a load",
+            )
+        left = np.append(np.cumsum(energy[::-1])[::-1], 0.0)[self.cuts]
+        if criterion is Criterion.GCV:
+            return self._cross_validated(left)
+        if criterion is Criterion.DISCREPANCY:
+            return self._discrepant(left, noise_level(evidence, len(self._fold.first)))
+        return self._cornered(left, np.cumsum(energy / self._values)[self.cuts - 1])
+
+    def _cross_validated(self, left: Array) -> float:
+        free = len(self._values) - self.cuts
+        inside = free > 0
+        where = int(np.argmin(left[inside] / free[inside] ** 2))
+        if where in (0, int(inside.sum()) - 1):
+            raise NumericsError(f"cross-validation has no minimum within 1 to {len(free)} components", remedy=_REMEDY)
+        return float(self.cuts[where])
+
+    def _discrepant(self, left: Array, level: float) -> float:
+        """Fewest components that leave no more than noise."""
+        enough = np.flatnonzero(left <= level)
+        if not enough.size or enough[0] == 0 or level <= 0:
+            raise NumericsError(
+                "the discrepancy principle has no answer: the readings are"
+                f" {'no larger than' if enough.size and level > 0 else 'not explained down to'} their noise",
+                remedy=_REMEDY,
+            )
+        return float(self.cuts[enough[0]])
+
+    def _cornered(self, left: Array, size: Array) -> float:
+        """Corner of the discrete L-curve by the triangle method (Castellanos, Gómez & Guerra 2002)."""
+        seen = left > _LEAST**2 * left[0]
+        points = np.column_stack([np.log(left[seen]), np.log(size[seen])]) / 2
+        best, corner = _WIDEST, -1
+        for middle in range(1, len(points) - 1):
+            back, ahead = points[:middle] - points[middle], points[-1] - points[middle]
+            cosine = back @ ahead / (np.hypot(*back.T) * np.hypot(*ahead))
+            towards_origin = back[:, 0] * ahead[1] - back[:, 1] * ahead[0] > 0
+            sharpest = float(np.where(towards_origin, cosine, -np.inf).max())
+            if sharpest > best:
+                best, corner = sharpest, middle
+        if corner < 0:
+            raise NumericsError("the L-curve of the components has no corner", remedy=_REMEDY)
+        return float(self.cuts[seen][corner])

@@ -1,0 +1,136 @@
+"""What noise, and readings that are left out, do to images and to places."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.eit.inverse.choice import target_radius_mm
+from cbsr_qa.eit.inverse.problem import masked_electrodes
+
+Array = NDArray[np.float64]
+
+#: Places further out than this, of the radius, are the electrodes' own neighbourhood.
+_OUTERMOST: Final = 0.8
+_PLACES: Final = 150
+
+
+def image_variance(matrix: Array, covariance: Array | None = None) -> Array:
+    """Variance of every element of a linear image, the diagonal of R C Rᵀ.
+
+    Parameters
+    ----------
+    matrix : (e, m) R.
+    covariance : (m, m) C of the readings, or (m,) its diagonal; None for unit variance on every channel.
+
+    Returns
+    -------
+    (e,) float64, in the square of the readings' unit over the matrix's.
+
+    Raises
+    ------
+    NumericsError
+        If the covariance has another shape, is not finite, or has a negative variance.
+    """
+    count = matrix.shape[1]
+    covariance = np.ones(count) if covariance is None else np.asarray(covariance, dtype=np.float64)
+    variances = np.diag(covariance) if covariance.ndim == 2 else covariance
+    if covariance.shape not in ((count,), (count, count)) or not np.isfinite(covariance).all() or variances.min() < 0:
+        raise NumericsError(f"a covariance of shape {covariance.shape} does not fit {count} readings, or is none")
+    if covariance.ndim == 1:
+        of_channels: Array = matrix**2 @ covariance
+        return of_channels
+    variance: Array = np.einsum("em,em->e", matrix @ covariance, matrix)
+    return variance
+
+
+@dataclass(frozen=True, slots=True)
+class MaskingEffect:
+    """How much less the readings that are left say about places.
+
+    Parameters
+    ----------
+    electrodes : of which no reading is left.
+    left, of : readings.
+    typical, worst : median and largest ratio of the place's standard error to that with all readings.
+    worst_x_mm, worst_y_mm : where the largest is.
+    """
+
+    electrodes: tuple[int, ...]
+    left: int
+    of: int
+    typical: float
+    worst: float
+    worst_x_mm: float
+    worst_y_mm: float
+
+    def words(self) -> str:
+        """One sentence for a report."""
+        numbers = [str(number) for number in self.electrodes]
+        listed = ", ".join(numbers[:-1]) + f" and {numbers[-1]}" if len(numbers) > 1 else "".join(numbers)
+        named = f"electrode{'s' if len(numbers) > 1 else ''} {listed}" if numbers else "some readings"
+        return (
+            f"images are made without {named}, from {self.left} of {self.of} readings: the place of a load is"
+            f" {self.typical:.1f} times as uncertain as with all of them (median over the sheet), at"
+            f" ({self.worst_x_mm:.0f}, {self.worst_y_mm:.0f}) mm {self.worst:.1f} times"
+        )
+
+
+def masking_effect(problem: ImagingProblem) -> MaskingEffect | None:
+    """Compare the Cramér–Rao bounds on a load's place with those of all readings, at equal noise.
+
+    Place and strength of a smooth bump as wide as the indenter are unknown, its size is known. The ratio depends on
+    no method and on no noise level. Looked at are places up to 0.8 of the way to the sheet's edge.
+
+    Returns
+    -------
+    None where no reading is left out.
+    """
+    if problem.nominal is None or len(problem.reference) == len(problem.nominal.reference):
+        return None
+    places = _places(problem)
+    jacobian, kept = problem.nominal.jacobian, problem.used[problem.nominal.used]
+    patterns = jacobian @ _bumps(problem, places)
+    all_of, some_of = (_place_bounds(rows.reshape(len(rows), 3, -1)) for rows in (patterns, patterns[kept]))
+    ratio = some_of / all_of
+    worst = int(np.argmax(ratio))
+    return MaskingEffect(
+        masked_electrodes(problem.sensor_type.pattern, problem.used),
+        int(kept.sum()),
+        len(kept),
+        float(np.median(ratio)),
+        float(ratio[worst]),
+        float(places[worst, 0]),
+        float(places[worst, 1]),
+    )
+
+
+def _places(problem: ImagingProblem) -> Array:
+    """Places of elements, about 150, spread over the sheet but for its edge."""
+    outline, centroids = problem.sensor_type.outline, problem.mesh.centroids_mm
+    clear = outline.clearance_mm(centroids)
+    inner = np.flatnonzero(clear >= (1 - _OUTERMOST) * clear.max())
+    chosen: Array = centroids[inner[:: max(1, len(inner) // _PLACES)]]
+    return chosen
+
+
+def _bumps(problem: ImagingProblem, places: Array) -> Array:
+    """Bumps at the places, and their derivatives along x and y: (e, 3 p)."""
+    width = target_radius_mm(problem) / 2
+    offset = problem.mesh.centroids_mm[:, None] - places[None]
+    bump = np.exp(-(offset**2).sum(axis=2) / (2 * width**2))
+    slopes = offset * bump[..., None] / width**2
+    return np.hstack([bump, slopes[..., 0], slopes[..., 1]])
+
+
+def _place_bounds(patterns: Array) -> Array:
+    """Standard error of the place, up to the noise, from patterns and their derivatives (m, 3, p): (p,)."""
+    information = np.einsum("map,mbp->pab", patterns, patterns)
+    size = np.sqrt(np.einsum("paa->pa", information))
+    scaled = information / (size[:, :, None] * size[:, None, :])  # lengths and strengths have other units
+    covariance = np.linalg.pinv(scaled, hermitian=True)
+    bounds: Array = np.sqrt((np.einsum("paa->pa", covariance) / size**2)[:, 1:].sum(axis=1))
+    return bounds

@@ -1,0 +1,233 @@
+"""Loads that keep their shape while their strength changes: what each sends back to its rim, tabulated.
+
+Everything about such a load is a smooth function of one number. With X = (I + ΔΛ W)⁻¹ ΔΛ what a patch answers to the
+fields that reach its rim (:mod:`cbsr_qa.eit.forward.local`), X/s is analytic in the strength s wherever all elements
+still conduct, and so is the change of the elements over s: a Chebyshev series of a few terms is exact to rounding
+(Trefethen 2013, theorem 8.2). It is summed where the exact way would be to assemble and to solve.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.eit.forward import ForwardModel, InverseEntries
+from cbsr_qa.eit.loads.patches import ElementChanges, PatchStack, check_change
+from cbsr_qa.eit.loads.rims import own_rim, seen_outside
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+#: Loads that overlap are residues where all together are no stronger than this, and are no more than so many.
+WEAK: Final = 2e-3
+_MOST_WEAK: Final = 8
+#: Terms of a series, and what its last ones may be of its largest.
+TERMS: Final = 24
+_ROUNDING: Final = 1e-13
+_REACH: Final = 0.3  # a head that presses by half on the shipped materials
+_HALVINGS: Final = 8
+_SAFE: Final = 0.5  # of an element's conductance: changes below it leave some, whatever their direction
+
+
+class Series:
+    """f(s)/s as a Chebyshev series where |s| is at most ``reach``; f itself beyond.
+
+    Parameters
+    ----------
+    exact : f, arrays of one shape, zero at zero.
+    reach : tried first; halved until the series has converged.
+
+    Raises
+    ------
+    NumericsError
+        If f cannot be had even for small s.
+    """
+
+    def __init__(self, exact: Callable[[float], Array], *, reach: float = _REACH) -> None:
+        self._exact = exact
+        places = np.cos(np.pi * (np.arange(TERMS) + 0.5) / TERMS)
+        self.coefficients: Array = np.zeros((TERMS, 1))
+        for halving in range(_HALVINGS if reach else 0):
+            self.reach = reach * 0.5**halving
+            try:
+                values = np.array([exact(float(s)) / s for s in self.reach * places])
+            except NumericsError:
+                if halving == _HALVINGS - 1:
+                    raise
+                continue
+            #: (terms, …)
+            self.coefficients = _transformed(values)
+            size = np.abs(self.coefficients).reshape(TERMS, -1).max(axis=1)
+            if size[-2:].max() <= _ROUNDING * size.max():
+                return
+        self.reach = 0.0  # not smooth: always the exact way
+
+    def __call__(self, strength: float) -> Array:
+        """Return f(s)."""
+        if not abs(strength) <= self.reach or not strength:
+            return self._exact(strength)
+        value: Array = strength * np.tensordot(polynomials(strength / self.reach), self.coefficients, 1)
+        return value
+
+
+def polynomials(x: float | Array) -> Array:
+    """Chebyshev polynomials T₀ … at x in [−1, 1]: (…) to (…, terms)."""
+    values: Array = np.cos(np.arange(TERMS) * np.arccos(np.clip(np.asarray(x), -1, 1))[..., None])
+    return values
+
+
+def _transformed(values: Array) -> Array:
+    order = np.arange(TERMS)
+    matrix = 2 / TERMS * np.cos(np.pi * np.outer(order, order + 0.5) / TERMS)
+    matrix[0] /= 2
+    transformed: Array = np.tensordot(matrix, values, 1)
+    return transformed
+
+
+class StackedSeries:
+    """Changes of elements by several loads, added up where they overlap.
+
+    Parameters
+    ----------
+    series : of the change of each load, (k, q, 2, 2) each.
+    places : (k,) int64 of each, where its elements are among all.
+    shape : (all elements, q, 2, 2).
+    """
+
+    def __init__(self, series: Sequence[Series], places: Sequence[Indices], shape: tuple[int, ...]) -> None:
+        self._series, self._places = tuple(series), places
+        self._reach = np.array([one.reach for one in series])
+        self._shape = shape
+        terms, owners, orders = [], [], []
+        for number, (one, place) in enumerate(zip(series, places, strict=True)):
+            size = np.abs(one.coefficients).reshape(TERMS, -1).max(axis=1)
+            kept = (
+                np.flatnonzero(size > np.finfo(float).eps * size.max()) if one.reach else np.zeros(0, dtype=np.int64)
+            )
+            spread = np.zeros((len(kept), *self._shape))
+            if kept.size:
+                spread[:, place] = one.coefficients[kept]
+            terms.append(spread.reshape(len(kept), -1))
+            owners.append(np.full(len(kept), number))
+            orders.append(kept)
+        self._terms = np.concatenate(terms)
+        self._owner, self._order = np.concatenate(owners), np.concatenate(orders)
+        # Largest entry by strength, of matrices of two by two.
+        self._slope = np.array([2 * np.abs(one.coefficients).sum(axis=0).max() for one in series])
+
+    def __call__(self, strengths: Array) -> Array:
+        """Return the sum of all changes for (n,) strengths: (all elements, q, 2, 2)."""
+        within = np.abs(strengths) <= self._reach
+        used = np.where(within, strengths, 0.0)
+        angle = np.arccos(np.clip(used / np.where(self._reach > 0, self._reach, 1.0), -1, 1))
+        factors = used[self._owner] * np.cos(self._order * angle[self._owner])
+        change: Array = (factors @ self._terms).reshape(self._shape)
+        for number in np.flatnonzero(~within).tolist():
+            change[self._places[number]] += self._series[number](float(strengths[number]))
+        return change
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes."""
+        return self._terms.nbytes
+
+    def most(self, strengths: Sequence[float]) -> float:
+        """More than any entry of the sum; infinite where a strength is beyond its series."""
+        if (np.abs(strengths) > self._reach).any():
+            return float("inf")
+        return float(np.abs(strengths) @ self._slope)
+
+
+class LoadFamily:
+    """A load of one shape at one place, for any strength.
+
+    Parameters
+    ----------
+    elements : (k,) int64, rising.
+    change : of their conductance, by strength: (k, q, 2, 2) [S], zero without strength.
+    """
+
+    def __init__(self, elements: Indices, change: Callable[[float], Array]) -> None:
+        self.elements = elements
+        self.change = Series(change)
+
+
+class Patch:
+    """The elements of one load, or of several that overlap, seen from their rim.
+
+    Parameters
+    ----------
+    model : the unchanged sheet.
+    inverse : gives K₀⁻¹ between its nodes.
+    families : the loads.
+    """
+
+    def __init__(self, model: ForwardModel, inverse: InverseEntries, families: Sequence[LoadFamily]) -> None:
+        self.families = tuple(families)
+        self._elements = np.unique(np.concatenate([family.elements for family in families]))
+        self._model = model
+        self._stack = PatchStack(model, [self._elements], [seen_outside(model, self._elements)])
+        self._matrices = ElementChanges(model, self._elements)
+        #: (b,) nodes of its rim
+        self.rim: Indices = self._stack.rims[0]
+        self._own = own_rim(inverse, self.rim)
+        shape = len(self._elements), len(model.elements.shapes.points), 2, 2
+        places = [np.searchsorted(self._elements, family.elements) for family in families]
+        self._stacked = StackedSeries([family.change for family in families], places, shape)
+        self._least = float(model.conductance[self._elements].min())
+        #: of X by the strength of a single load; None where there are several
+        self.series = None if families[1:] else Series(lambda s: self.answer([s]), reach=families[0].change.reach)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes beside its loads: most of it for what is tabulated."""
+        tables = [self._own, *vars(self).get("_weak", ()), *([self.series.coefficients] if self.series else [])]
+        parts = self._stack.nbytes + self._matrices.nbytes + self._stacked.nbytes
+        return parts + sum(int(table.nbytes) for table in tables)
+
+    def answer(self, strengths: Sequence[float]) -> Array:
+        """X for the strengths of its loads, without a series: (b, b) [S].
+
+        Residues of loads that overlap are answered to second order in their strengths, which leaves out less than
+        what changes of 1e-7 may do.
+
+        Raises
+        ------
+        NumericsError
+            If an element is left without conductance.
+        """
+        if 1 < len(strengths) <= _MOST_WEAK and sum(map(abs, strengths)) <= WEAK:
+            linear, quadratic = self._weak
+            given = np.asarray(strengths)
+            both = np.concatenate([given, np.outer(given, given)[np.triu_indices(len(given))]])
+            weak: Array = np.tensordot(both, np.concatenate([linear, quadratic]), 1)
+            return weak
+        return self._exact(strengths)
+
+    @cached_property
+    def _weak(self) -> tuple[Array, Array]:
+        """Coefficients of the strengths (n, b, b), and of their products, pair by pair (n (n + 1)/2, b, b)."""
+        count, step = len(self.families), WEAK
+        unit = step * np.eye(count)
+        up, down = (np.array([self._exact((sign * row).tolist()) for row in unit]) for sign in (1, -1))
+        pairs = []
+        for one, other in zip(*np.triu_indices(count), strict=True):
+            if one == other:
+                pairs.append((up[one] + down[one]) / (2 * step**2))
+            else:
+                both = self._exact((unit[one] + unit[other]).tolist()) + self._exact(
+                    (-unit[one] - unit[other]).tolist()
+                )
+                pairs.append((both - up[one] - down[one] - up[other] - down[other]) / (2 * step**2))
+        return (up - down) / (2 * step), np.array(pairs)
+
+    def _exact(self, strengths: Sequence[float]) -> Array:
+        change = self._stacked(np.asarray(strengths))
+        if not self._stacked.most(strengths) < _SAFE * self._least:
+            check_change(self._model, self._elements, change)
+        seen = self._stack.rim_changes(self._matrices.of(change))[0]
+        answer: Array = np.linalg.solve(np.eye(len(seen)) + seen @ self._own, seen)
+        return answer

@@ -1,0 +1,298 @@
+"""Patches of changed elements, seen from their rims: what they need, whatever their change."""
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import Any, Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.eit.forward import ForwardModel, InverseEntries, conducts
+from cbsr_qa.eit.loads.rims import between_rims, connected_parts, filled_up, met_bases, seen_outside, spans_of
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Item = TypeVar("Item")
+
+# What reaches a patch from outside is smooth there: of the fields its rim could carry, few are ever met.
+_NEGLIGIBLE: Final = 1e-14
+_NEGLIGIBLE_CONTACT: Final = 1e-12  # contacts are round and small: what is left out of their fields is not sent back
+
+
+class PatchStack:
+    """Patches of about one size, each of elements that hang together; those inside are condensed away.
+
+    All arrays are filled up to the largest patch, so that one call serves the whole stack: with zeros on the rim, and
+    with ones on the diagonal inside.
+
+    Parameters
+    ----------
+    model : the unchanged sheet.
+    patches : elements of each, (k,) int64, each once.
+    rims : whether a node is seen from outside, for the sorted nodes of each patch.
+    """
+
+    def __init__(self, model: ForwardModel, patches: Sequence[Indices], rims: Sequence[NDArray[np.bool_]]) -> None:
+        self._rim = max(int(rim.sum()) for rim in rims)
+        size = self._rim + max(int((~rim).sum()) for rim in rims)
+        cells = model.elements.cells
+        #: nodes on the rim of each patch, the rest filled up with −1: (g, b)
+        self.rims: Indices = np.full((len(patches), self._rim), -1, dtype=np.int64)
+        filled = np.tile(np.arange(size) >= self._rim, (len(patches), 1))
+        scatter = []
+        for number, (elements, rim) in enumerate(zip(patches, rims, strict=True)):
+            nodes, corner = np.unique(cells[elements], return_inverse=True)
+            rank = np.where(rim, np.cumsum(rim) - 1, self._rim + np.cumsum(~rim) - 1)
+            filled[number, rank] = False
+            self.rims[number, : rim.sum()] = nodes[rim]
+            place = rank[corner.reshape(len(elements), -1)]
+            scatter.append((number * size + place[:, :, None]) * size + place[:, None, :])
+        self._shape = len(patches), size, size
+        self._scatter = np.concatenate(scatter).ravel()
+        base = self._assembled(model.element_matrices(np.concatenate(patches)))
+        stack, node = np.nonzero(filled)
+        base[stack, node, node] = 1
+        self._base = np.ascontiguousarray(base[:, self._rim :])
+        eye = np.tile(np.eye(self._rim), (len(patches), 1, 1))
+        self._extension = np.concatenate([eye, -self._inside(self._base)], axis=1)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes."""
+        return _nbytes(self)
+
+    def rim_changes(self, change: Array) -> Array:
+        """How the stiffness that each rim feels changes, ΔΛ = Eᵀ ΔK E₀: (g, b, b) [S].
+
+        Parameters
+        ----------
+        change : (all elements of the stack, k, k) of their matrices [S].
+        """
+        stiffness = self._assembled(change)
+        currents = stiffness @ self._extension
+        inside = self._inside(self._base + stiffness[:, self._rim :])
+        seen: Array = currents[:, : self._rim] - inside.swapaxes(1, 2) @ currents[:, self._rim :]
+        return seen
+
+    def _inside(self, lower: Array) -> Array:
+        """Minus the potentials inside for each unit potential of a rim node: (g, i, b)."""
+        return np.asarray(np.linalg.solve(lower[..., self._rim :], lower[..., : self._rim]), dtype=np.float64)
+
+    def _assembled(self, matrices: Array) -> Array:
+        size = self._shape[0] * self._shape[1] * self._shape[2]
+        assembled = np.bincount(self._scatter, matrices.ravel(), minlength=size)
+        return np.asarray(assembled.reshape(self._shape), dtype=np.float64)
+
+
+class ContactStack:
+    """The electrodes' contacts, which a change of their impedance changes as if each were a patch that is all rim.
+
+    Parameters
+    ----------
+    model : the unchanged sheet.
+    """
+
+    def __init__(self, model: ForwardModel) -> None:
+        contacts = model.prepared.contacts
+        width = max(len(nodes) for nodes in contacts.nodes)
+        #: nodes under each electrode, the rest filled up with −1: (g, b)
+        self.rims: Indices = np.full((len(contacts.nodes), width), -1, dtype=np.int64)
+        self._masses = np.zeros((len(contacts.nodes), width, width))
+        for number, (nodes, mass) in enumerate(zip(contacts.nodes, contacts.masses, strict=True)):
+            self.rims[number, : len(nodes)] = nodes
+            self._masses[number, : len(nodes), : len(nodes)] = mass
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes."""
+        return _nbytes(self)
+
+    def rim_changes(self, change: Array) -> Array:
+        """Change of the matrix under each electrode: (g,) of 1/z [S/mm] to (g, b, b) [S]."""
+        changes: Array = change[:, None, None] * self._masses
+        return changes
+
+
+class Patches:
+    """A set of changed elements as patches that share no node, and what links their rims.
+
+    Fields from outside are described on each rim by the few that are ever met, without their mean, which no change of
+    conductance feels.
+
+    Parameters
+    ----------
+    model : the unchanged sheet.
+    elements : (k,) int64, each once.
+    inverse : gives K₀⁻¹ between rim nodes.
+    contacts : whether the contacts' impedances change too; no element may then touch one.
+    """
+
+    def __init__(
+        self, model: ForwardModel, elements: Indices, inverse: InverseEntries, *, contacts: bool = False
+    ) -> None:
+        members = list(connected_parts(model.elements.cells[elements]))
+        rims = [seen_outside(model, elements[part]) for part in members]
+        groups = list(_alike([(int(rim.sum()), int((~rim).sum())) for rim in rims]))
+        patches = [
+            PatchStack(model, [elements[members[k]] for k in group], [rims[k] for k in group]) for group in groups
+        ]
+        self._members = [np.concatenate([members[k] for k in group]) for group in groups]
+        self._matrices = [ElementChanges(model, elements[part]) for part in self._members]
+        self._patches = patches
+        self._contacts = ContactStack(model) if contacts else None
+        self._stacks: list[PatchStack | ContactStack] = [*patches, *([self._contacts] if self._contacts else [])]
+        self._link(model, inverse)
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes."""
+        parts = sum(stack.nbytes for stack in self._stacks) + sum(matrices.nbytes for matrices in self._matrices)
+        arrays: list[NDArray[Any]] = [*self._members, *self._own, *self._met, *self._linked]
+        return _nbytes(self) + parts + sum(array.nbytes for array in arrays)
+
+    def correction(self, change: Array, contact_change: Array | None = None) -> Array:
+        """What the transfer impedance loses.
+
+        Parameters
+        ----------
+        change : (k,) or (k, q, 2, 2) [S] of each element's conductance, leaving it positive.
+        contact_change : (electrodes,) of 1/z [S/mm], where contacts change too.
+
+        Returns
+        -------
+        (electrodes, electrodes) float64 [V/A].
+        """
+        scattered = []
+        parts = zip(self._rim_changes(change, contact_change), self._own, self._met, self._linked, strict=True)
+        for seen, own, met, linked in parts:
+            capacitance = seen @ own
+            np.einsum("gii->gi", capacitance)[:] += 1
+            answer = met.swapaxes(1, 2) @ np.linalg.solve(capacitance, seen @ met)  # of each patch alone
+            scattered.append((answer @ linked).reshape(-1, linked.shape[2]))
+        count = len(self._fields)
+        flat = np.concatenate(scattered)
+        between = flat[:, :count]
+        np.einsum("ii->i", between)[:] += 1
+        correction: Array = self._fields.T @ np.linalg.solve(between, flat[:, count:])
+        return correction
+
+    def _rim_changes(self, change: Array, contact_change: Array | None) -> Iterator[Array]:
+        for stack, matrices, members in zip(self._patches, self._matrices, self._members, strict=True):
+            yield stack.rim_changes(matrices.of(change[members]))
+        if self._contacts is not None and contact_change is not None:
+            yield self._contacts.rim_changes(contact_change)
+
+    def _link(self, model: ForwardModel, inverse: InverseEntries) -> None:
+        """Describe what each patch meets, and how patches and electrodes meet each other."""
+        shapes = [stack.rims.shape for stack in self._stacks]
+        spans = spans_of([b for g, b in shapes for _ in range(g)])
+        between, fields = between_rims(model, inverse, [row for stack in self._stacks for row in stack.rims], spans)
+        self._own = [
+            np.stack([between[span, span] for span in part]) for part in _shared_out(spans, [g for g, _ in shapes])
+        ]
+        for span in spans:
+            between[span, span] = 0
+        of_contacts = [stack is self._contacts for stack in self._stacks for _ in stack.rims]
+        least = [_NEGLIGIBLE_CONTACT if contact else _NEGLIGIBLE for contact in of_contacts]
+        shared = [
+            list(part) for part in _shared_out(met_bases(between, fields, spans, least), [g for g, _ in shapes])
+        ]
+        self._met = [np.stack(filled_up(part)) for part in shared]
+        bases = [basis for part in self._met for basis in part]
+        places = spans_of([basis.shape[1] for basis in bases])
+        whole = np.zeros((len(fields), places[-1].stop))
+        for place, span, basis in zip(places, spans, bases, strict=True):
+            whole[span, place] = basis
+        self._fields = whole.T @ fields  # (sum of ranks, electrodes)
+        rows = np.hstack([whole.T @ between @ whole, self._fields])
+        ends = np.cumsum([met.shape[0] * met.shape[2] for met in self._met])[:-1]
+        self._linked = [
+            part.reshape(len(met), -1, rows.shape[1])
+            for part, met in zip(np.split(rows, ends), self._met, strict=True)
+        ]
+
+
+class ElementChanges:
+    """Changes of elements' matrices by changes of their conductance.
+
+    Parameters
+    ----------
+    model, elements : (k,) int64.
+    """
+
+    def __init__(self, model: ForwardModel, elements: Indices) -> None:
+        self._stiffness = model.stiffness[elements]
+        self._model, self._elements = model, elements
+
+    @cached_property
+    def _directional(self) -> Array:
+        """Change for the entries of each integration point's conductance, (k, q · 4, n · n)."""
+        gradients = self._model.elements.gradients[self._elements]  # (k, q, n, 2)
+        weighted = self._model.elements.weights_mm2[self._elements][..., None, None] * gradients
+        count, entries = len(gradients), self._stiffness[0].size
+        matrices: Array = np.einsum("kqia,kqjb->kqabij", weighted, gradients).reshape(count, -1, entries)
+        return matrices
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes."""
+        return _nbytes(self)
+
+    def of(self, change: Array) -> Array:
+        """Changes (k,) or (k, q, 2, 2) [S] to matrices (k, n, n) [S]."""
+        if change.ndim == 1:
+            return np.asarray(change[:, None, None] * self._stiffness, dtype=np.float64)
+        flat = change.reshape(len(change), 1, -1) @ self._directional
+        return np.asarray(flat.reshape(self._stiffness.shape), dtype=np.float64)
+
+
+def check_change(model: ForwardModel, elements: Indices, change: Array) -> None:
+    """Refuse a change of conductance that leaves an element without any.
+
+    Parameters
+    ----------
+    elements : (k,) int64, each once.
+    change : (k,) or (k, q, 2, 2) [S].
+
+    Raises
+    ------
+    NumericsError
+        Naming the first such element.
+    """
+    new = model.changed_conductance(elements, change)
+    wrong = np.flatnonzero(~conducts(new))
+    if wrong.size:
+        raise NumericsError(
+            f"the change of element {elements[wrong[0]]} leaves it with a conductance of {new[wrong[0]].tolist()}"
+            " S; it must stay a positive finite number, in every direction",
+            remedy="give changes above minus the conductance there is; what is to insulate keeps 1e-8 of it",
+        )
+
+
+def dense_work(model: ForwardModel, elements: Indices) -> float:
+    """Sum of the cubed numbers of nodes of patches that elements (k,) form."""
+    cells = model.elements.cells[elements]
+    return float(sum(len(np.unique(cells[part])) ** 3 for part in connected_parts(cells)))
+
+
+def _nbytes(of: object) -> int:
+    return sum(value.nbytes for value in vars(of).values() if isinstance(value, np.ndarray))
+
+
+def _alike(sizes: Sequence[tuple[int, int]]) -> Iterator[list[int]]:
+    """Groups of patches that waste little when each is filled up to the largest (rim, inside)."""
+    group: list[int] = []
+    for number in sorted(range(len(sizes)), key=lambda k: sizes[k][::-1]):
+        if group and any(sizes[number][k] > 1.25 * min(sizes[n][k] for n in group) + 8 for k in (0, 1)):
+            yield group
+            group = []
+        group.append(number)
+    if group:
+        yield group
+
+
+def _shared_out(items: Sequence[Item], counts: Sequence[int]) -> Iterator[Sequence[Item]]:
+    """Successive parts of a sequence."""
+    for span in spans_of(counts):
+        yield items[span]

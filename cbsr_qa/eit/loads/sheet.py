@@ -1,0 +1,292 @@
+"""Voltages of a sheet under many loads of known shapes, whose strengths change all the time.
+
+As :class:`~cbsr_qa.eit.forward.LocalUpdate`, with which it agrees to eight digits, for sequences of frames: what a
+load answers to the fields about it is tabulated over its strength (:mod:`cbsr_qa.eit.loads.family`), contacts are
+eliminated once for many strengths, and of the fields that reach a rim those below a part in 10⁸ are left out. A
+frame of nine loads is then a system of some two hundred.
+
+A set of loads and contacts that feel each other, whatever their strengths.
+"""
+
+from collections import OrderedDict
+from collections.abc import Hashable, Mapping, Sequence
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.eit.forward import ForwardModel, InverseEntries, LocalUpdate
+from cbsr_qa.eit.loads.family import TERMS, LoadFamily, Patch, polynomials
+from cbsr_qa.eit.loads.patches import ContactStack
+from cbsr_qa.eit.loads.rims import between_rims, filled_up, met_bases, spans_of
+
+Array = NDArray[np.float64]
+Indices = NDArray[np.int64]
+
+# What of the fields at a rim is left out, over the largest. What a patch sends back of a field that it hardly meets
+# is hardly met elsewhere: readings feel the square of it.
+_NEGLIGIBLE: Final = 1e-8
+_NEGLIGIBLE_CONTACT: Final = 3e-6
+_ROUNDING: Final = 1e-14  # a load by itself meets the electrodes' few fields alone
+
+
+class LinkedPatches:
+    """What a sheet loses by loads on patches that share no element, and by changed contacts.
+
+    Patches side by side share nodes: these are on both rims, for each has elements that do not belong to the other.
+
+    With B = K₀⁻¹ between the patches and F the electrodes' fields there, both in the few fields that are ever met,
+    and A the patches' answers, the transfer impedance loses Fᵀ (I + A B)⁻¹ A F. Contacts come first: with G what they
+    lose in themselves, B − B G B and F − B G F serve all strengths of the loads until the contacts change again.
+
+    Parameters
+    ----------
+    model : the unchanged sheet.
+    inverse : gives K₀⁻¹ between nodes of the rims.
+    patches : of the loads.
+    contacts : where contacts change too; no load may then touch one.
+    """
+
+    def __init__(
+        self, model: ForwardModel, inverse: InverseEntries, patches: Sequence[Patch], contacts: ContactStack | None
+    ) -> None:
+        self._patches = tuple(patches)
+        self._contacts = contacts
+        rims = [patch.rim for patch in patches] + ([] if contacts is None else list(contacts.rims))
+        spans = spans_of([len(rim) for rim in rims])
+        between, fields = between_rims(model, inverse, rims, spans)
+        own = [between[span, span].copy() for span in spans]
+        for span in spans:
+            between[span, span] = 0
+        count = len(patches)
+        least = [_NEGLIGIBLE if k < count else _NEGLIGIBLE_CONTACT for k in range(len(rims))]
+        least = least if len(rims) > 1 else [_ROUNDING]
+        found = met_bases(between, fields, spans, least)
+        bases = filled_up(found[:count]) + filled_up(found[count:])
+        self._bases, self._contact_bases = bases[:count], bases[count:]
+        self._contact_own = np.stack(own[count:]) if contacts is not None else np.zeros((0, 0, 0))
+        whole = _block_diagonal(spans, bases)
+        self._between = whole.T @ between @ whole
+        self._fields = whole.T @ fields  # (sum of ranks, electrodes)
+        self._loads = sum(basis.shape[1] for basis in self._bases)
+        self._series, self._reach = self._projected()
+        self._eliminated: tuple[bytes, tuple[Array, Array, Array]] | None = None
+
+    @property
+    def nbytes(self) -> int:
+        """Memory it takes beside its patches."""
+        eliminated = self._eliminated[1] if self._eliminated else ()
+        kept = [*self._bases, *self._contact_bases, self._between, self._fields, self._series, self._contact_own]
+        return sum(array.nbytes for array in [*kept, *eliminated])
+
+    def corrections(self, loads: Sequence[Mapping[LoadFamily, float]], contact_change: Array | None) -> Array:
+        """What the transfer impedance loses, at several moments.
+
+        Parameters
+        ----------
+        loads : strength of every load of the patches, at each moment.
+        contact_change : (electrodes,) of 1/z [S/mm], where contacts change too, at all moments alike.
+
+        Returns
+        -------
+        (moments, electrodes, electrodes) float64 [V/A]. The first moment's is exact. With φ = (I + B A)⁻¹ F what the
+        patches meet then and D what their answers have changed by since, the others' are the first's and
+        φᵀ (D − D (B − B A B) D) φ: what is left out is D B D B D, and D B A B A B D.
+        """
+        between, fields, lost = self._without_contacts(contact_change)
+        if not self._patches:
+            return np.repeat(lost[None], len(loads), axis=0)
+        answers = np.array([self._answers(moment) for moment in loads])
+        system = _times(answers[0], between)
+        np.einsum("ii->i", system)[:] += 1
+        sent = np.linalg.solve(system, _times(answers[0], fields))
+        met = fields - between @ sent
+        corrections = [lost + fields.T @ sent]
+        for more in answers[1:] - answers[0]:
+            added = _times(more, met)
+            felt = between @ added
+            corrections.append(corrections[0] + met.T @ added - added.T @ felt + felt.T @ _times(answers[0], felt))
+        return np.array(corrections)
+
+    def _answers(self, loads: Mapping[LoadFamily, float]) -> Array:
+        """What each patch sends back of the fields it meets: (patches, rank, rank)."""
+        single = np.array([loads[patch.families[0]] if patch.series else np.inf for patch in self._patches])
+        within = np.abs(single) <= self._reach
+        strengths = np.where(within, single, 0.0)
+        terms = polynomials(strengths / np.where(self._reach > 0, self._reach, 1.0)) * strengths[:, None]
+        rank = self._bases[0].shape[1]
+        answers: Array = (terms[:, None, :] @ self._series).reshape(-1, rank, rank)
+        for number in np.flatnonzero(~within):
+            patch, basis = self._patches[number], self._bases[number]
+            answers[number] = basis.T @ patch.answer([loads[family] for family in patch.families]) @ basis
+        return answers
+
+    def _projected(self) -> tuple[Array, Array]:
+        """Series of the answers (patches, terms, rank · rank) in the fields that are met, and how far they reach."""
+        rank = self._bases[0].shape[1] if self._bases else 0
+        series = np.zeros((len(self._patches), TERMS, rank * rank))
+        reach = np.zeros(len(self._patches))
+        for number, (patch, basis) in enumerate(zip(self._patches, self._bases, strict=True)):
+            if patch.series is not None:
+                projected = basis.T @ patch.series.coefficients @ basis
+                series[number] = projected.reshape(TERMS, -1)
+                reach[number] = patch.series.reach
+        return series, reach
+
+    def _without_contacts(self, change: Array | None) -> tuple[Array, Array, Array]:
+        """B and F between loads with the contacts changed, and what the contacts lose by themselves."""
+        loads = slice(0, self._loads)
+        if change is None or self._contacts is None:
+            return self._between[loads, loads], self._fields[loads], np.zeros((self._fields.shape[1],) * 2)
+        key = change.tobytes()
+        if self._eliminated is None or self._eliminated[0] != key:
+            self._eliminated = key, self._eliminate(self._contacts.rim_changes(change))
+        return self._eliminated[1]
+
+    def _eliminate(self, seen: Array) -> tuple[Array, Array, Array]:
+        loads, contacts = slice(0, self._loads), slice(self._loads, None)
+        capacitance = np.eye(seen.shape[1]) + seen @ self._contact_own
+        met = np.stack(self._contact_bases)
+        answers = met.swapaxes(1, 2) @ np.linalg.solve(capacitance, seen @ met)
+        rows = np.hstack([self._between[contacts], self._fields[contacts]])
+        answered = _times(answers, rows)
+        system = answered[:, contacts.start : len(self._between)]
+        solved = np.linalg.solve(np.eye(len(system)) + system, answered)  # G times all rows
+        into = solved[:, loads], solved[:, len(self._between) :]
+        towards = self._between[loads, contacts]
+        return (
+            self._between[loads, loads] - towards @ into[0],
+            self._fields[loads] - towards @ into[1],
+            self._fields[contacts].T @ into[1],
+        )
+
+
+def _times(blocks: Array, rows: Array) -> Array:
+    """Blocks (g, r, r) on a diagonal, times rows (g · r, n)."""
+    product: Array = (blocks @ rows.reshape(len(blocks), blocks.shape[2], -1)).reshape(rows.shape)
+    return product
+
+
+def _block_diagonal(spans: Sequence[slice], bases: Sequence[Array]) -> Array:
+    places = spans_of([basis.shape[1] for basis in bases])
+    whole = np.zeros((spans[-1].stop, places[-1].stop))
+    for span, place, basis in zip(spans, places, bases, strict=True):
+        whole[span, place] = basis
+    return whole
+
+
+Kept = TypeVar("Kept", Patch, LinkedPatches | None)
+
+_MOST_PATCHES: Final = 192  # some 0.3 MB each; of many loads that overlap tens of times that
+_MOST_LINKS: Final = 24
+_MOST_BYTES: Final = 96 << 20  # of either
+_MOST_WORK: Final = 2e7  # cubes of the patches' elements, which have some two nodes each of their own
+
+
+class LoadedSheet:
+    """Transfer impedances of a model under loads.
+
+    Parameters
+    ----------
+    model : the unloaded sheet.
+    """
+
+    def __init__(self, model: ForwardModel) -> None:
+        self.model = model
+        self._local = LocalUpdate(model)
+        self._inverse = InverseEntries(model)
+        self._contacts = ContactStack(model)
+        self._patches: OrderedDict[Hashable, Patch] = OrderedDict()
+        self._links: OrderedDict[Hashable, LinkedPatches | None] = OrderedDict()
+
+    def transfer_impedances(
+        self, loads: Sequence[Mapping[LoadFamily, float]], contact_impedance: Array | None = None
+    ) -> Array:
+        """Electrode potentials per electrode current at moments that follow each other closely.
+
+        The first moment's are exact; the others' lack what is of third order in what has changed since, see
+        :meth:`LinkedPatches.corrections <cbsr_qa.eit.loads.sheet.LinkedPatches.corrections>`.
+
+        Parameters
+        ----------
+        loads : strength of each load, the same loads at all moments.
+        contact_impedance : (electrodes,) z in place of the model's at all these moments [Ω·mm].
+
+        Returns
+        -------
+        (moments, electrodes, electrodes) float64 [V/A], for currents that sum to zero and differences of potentials.
+
+        Raises
+        ------
+        NumericsError
+            If an element is left without conductance, or a contact impedance is not a positive finite number.
+        """
+        before = self.model.transfer_impedance
+        contact_change, own = self._local.contact_change(contact_impedance)
+        if not loads[0] and contact_change is None:
+            return np.repeat(before[None], len(loads), axis=0)
+        link = self._link(tuple(loads[0]), contact_change is not None)
+        if link is None:
+            each = (_together(self.model, moment) for moment in loads)
+            return np.array([self._local.transfer_impedance(*one, contact_impedance) for one in each])
+        changed: Array = before + own - link.corrections(loads, contact_change)
+        return changed
+
+    def _link(self, families: tuple[LoadFamily, ...], contacts: bool) -> LinkedPatches | None:
+        """What links some loads, or None where the local update has to do it."""
+        key = (frozenset(families), contacts)
+        if key not in self._links:
+            _make_room(self._links, _MOST_LINKS)
+            self._links[key] = self._linked(families, contacts)
+        self._links.move_to_end(key)
+        return self._links[key]
+
+    def _linked(self, families: tuple[LoadFamily, ...], contacts: bool) -> LinkedPatches | None:
+        elements = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(family.elements for family in families)]))
+        if contacts and not self._local.contacts_can_be_patches(elements):
+            return None
+        groups = _overlapping(families)
+        sizes = [len(np.unique(np.concatenate([family.elements for family in group]))) for group in groups]
+        if sum(size**3 for size in sizes) >= _MOST_WORK:
+            return None
+        patches = [self._patch(group) for group in groups]
+        return LinkedPatches(self.model, self._inverse, patches, self._contacts if contacts else None)
+
+    def _patch(self, group: tuple[LoadFamily, ...]) -> Patch:
+        key = frozenset(group)
+        if key not in self._patches:
+            _make_room(self._patches, _MOST_PATCHES)
+            self._patches[key] = Patch(self.model, self._inverse, group)
+        self._patches.move_to_end(key)
+        return self._patches[key]
+
+
+def _make_room(kept: "OrderedDict[Hashable, Kept]", most: int) -> None:
+    """Drop those unused for longest, until there are fewer and they take less memory than is allowed."""
+    sizes = [one.nbytes if one is not None else 0 for one in kept.values()]
+    used = sum(sizes)
+    for size in sizes:
+        if len(kept) < most and used < _MOST_BYTES:
+            break
+        kept.popitem(last=False)
+        used -= size
+
+
+def _overlapping(families: Sequence[LoadFamily]) -> list[tuple[LoadFamily, ...]]:
+    """Groups of loads that share elements. Those that only share nodes, which then are on both rims, are apart."""
+    groups: list[tuple[list[LoadFamily], set[int]]] = []
+    for family in families:
+        elements = set(family.elements.tolist())
+        touching = [group for group in groups if group[1] & elements]
+        groups = [group for group in groups if not group[1] & elements]
+        members = [member for group in touching for member in group[0]]
+        groups.append(([*members, family], elements.union(*(group[1] for group in touching))))
+    return [tuple(members) for members, _ in groups]
+
+
+def _together(model: ForwardModel, loads: Mapping[LoadFamily, float]) -> tuple[Indices, Array]:
+    """Elements and changes of all loads, one behind the other."""
+    none = np.zeros((0, len(model.elements.shapes.points), 2, 2))
+    elements = [np.zeros(0, dtype=np.int64), *(family.elements for family in loads)]
+    changes = [none, *(family.change(strength) for family, strength in loads.items())]
+    return np.concatenate(elements), np.concatenate(changes)

@@ -1,0 +1,330 @@
+"""The edge of a sheet as nodes: spaced by a size field, with every corner and every strip's end on one.
+
+How large the elements of a sheet's mesh are, from place to place.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from cbsr_qa.domain.geometry import ClosedCurve
+from cbsr_qa.domain.sensor import CircleArcs
+
+Points = NDArray[np.float64]
+Lengths = NDArray[np.float64]
+Size = Callable[[Points], Lengths]
+#: (least edge length, distances from where it is) → edge lengths
+Grade = Callable[[float, Lengths], Lengths]
+
+FINEST: Final = 1 / 16  # edge length at a pin's rim or an arc's end, relative to the sheet's
+EDGES_PER_PIN: Final = 12  # at least so many edges round a pin
+EDGES_PER_ARC: Final = 10  # and along an arc
+FEWEST_SMOOTHLY: Final = 4  # edges along an arc, for elements of second order
+SMOOTHING: Final = 10  # passes
+_STEEPEST = 0.45  # growth of the edge length per distance from an electrode; more makes thin triangles
+# For the second order: with a size of 0.12 radii all readings of a disc with 16 arcs err by 1e-4, in 7000 unknowns.
+_SMOOTH_SIZE = 0.12
+_SMOOTH_FACTOR = 0.17
+_SMOOTH_POWER = 0.6
+_SMOOTH_STEEPEST = 0.6
+_REACH = 0.13  # of the radius: how far the refinement reaches, so that a family of meshes refines everywhere alike
+
+
+def growth(size: float, radius: float) -> float:
+    """Growth of the edge length per distance from where it is finest."""
+    return min(_STEEPEST, size / (_REACH * radius))
+
+
+def graded(size: float, finest: float, radius: float, distance: Callable[[Points], Lengths]) -> Size:
+    """Edge lengths that grow from ``finest`` to ``size`` with a distance."""
+    lengths = plain_lengths(size, radius)
+    return lambda points: lengths(finest, distance(points))
+
+
+def plain_lengths(size: float, radius: float) -> Grade:
+    """Edge lengths by their least and the distance from there."""
+    slope = growth(size, radius)
+    return lambda finest, away: np.minimum(size, finest + slope * np.maximum(away, 0))
+
+
+def graded_smoothly(size: float, finest: float, radius: float, distance: Callable[[Points], Lengths]) -> Size:
+    """Edge lengths for elements of second order, which all err alike under a singularity in ``distance`` 0.
+
+    Where a field goes as r log r an element of second order errs by (h/r)⁴ r² in energy, and there are r dr/h² of
+    them: both together are least for h ∝ r^(2/3). The power was then measured on discs with arcs. Readings converge
+    with the fourth order of ``size``, whatever the contact impedance.
+    """
+    lengths = smooth_lengths(size, radius)
+    return lambda points: lengths(finest, distance(points))
+
+
+def smooth_lengths(size: float, radius: float, power: float = _SMOOTH_POWER) -> Grade:
+    """Edge lengths for elements of second order by their least and the distance from there.
+
+    Parameters
+    ----------
+    power : of the distance; 1 − λ/3 at a corner where the field goes as r^λ.
+    """
+    scale = size / (_SMOOTH_SIZE * radius)
+    slope = _SMOOTH_STEEPEST * min(1.0, scale)
+
+    def lengths(finest: float, distance: Lengths) -> Lengths:
+        away = np.maximum(distance, 0)
+        far = np.minimum(size, _SMOOTH_FACTOR * scale * radius * (away / radius) ** power)
+        return np.maximum(finest, np.minimum(far, finest + slope * away))
+
+    return lengths
+
+
+def finest_at_corner(size: float, radius: float, power: float) -> float:
+    """Edge length at a re-entrant corner, for elements of second order: where its power of r meets the slope."""
+    scale = size / (_SMOOTH_SIZE * radius)
+    slope = _SMOOTH_STEEPEST * min(1.0, scale)
+    return float(slope * radius * min(1.0, _SMOOTH_FACTOR * scale / slope) ** (1 / (1 - power)))
+
+
+def finest_smoothly(size: float, radius: float, length: float) -> float:
+    """Edge length at the ends of an electrode of some length, for elements of second order."""
+    scale = size / (_SMOOTH_SIZE * radius)
+    return float(min(0.012 * scale ** (1 / (1 - _SMOOTH_POWER)), 0.1)) * length
+
+
+def edges_round_pin_smoothly(size: float, radius: float) -> int:
+    """Edges round a pin, for elements of second order."""
+    return max(6, int(np.ceil(8 * _SMOOTH_SIZE * radius / size - 1e-9)))
+
+
+def finest_of_arc(size: float, radius: float, length: float) -> float:
+    """Edge length at an arc's ends, small enough that it takes its least number of edges."""
+    slope = growth(size, radius)
+    return min(size * FINEST, slope * length / 2 / float(np.expm1(slope * EDGES_PER_ARC / 2)))
+
+
+def spread(density: Lengths, places: Lengths, *, at_least: int) -> Lengths:
+    """Places between the first and the last, both included, that share out the integral of a density evenly.
+
+    Parameters
+    ----------
+    density : (n,) edges per length, at (n,) evenly spaced ``places``.
+    at_least : number of stretches.
+    """
+    total = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2) * (places[1] - places[0])])
+    count = max(at_least, int(np.ceil(total[-1])))
+    chosen: Lengths = np.interp(np.arange(count + 1) / count * total[-1], total, places)
+    return chosen
+
+
+Indices = NDArray[np.int64]
+
+_ACROSS: Final = 2.5  # elements across a narrow place, at least
+#: Two places on the edge face each other where it is so much longer between them than straight.
+_DETOUR: Final = 4.0
+_TURN_PER_EDGE: Final = np.pi / 3  # of a rounded corner, at most
+_SHORT_ARC: Final = 0.6  # of the elements: shorter arcs have one node
+_SHORT_EDGE: Final = 0.45  # of the elements: round shorter edges they are smaller
+_ON_CORNER: Final = 0.01  # of a strip's width: ends closer to a corner lie on it
+#: Where along a stretch sizes are looked at: close together at its ends, where they may be far smaller.
+_SAMPLES: Final = np.unique(
+    np.concatenate([np.linspace(0, 1, 401), np.geomspace(1e-6, 0.1, 200), 1 - np.geomspace(1e-6, 0.1, 200)])
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Source:
+    """A disc at whose rim elements are finest, or a point where its radius is 0."""
+
+    centre: Points
+    radius: float
+    finest: float
+    grade: Grade
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SizeField:
+    """Wanted edge lengths: ``size``, and less near places where the field is singular or the sheet narrow.
+
+    Parameters
+    ----------
+    size : far from everything.
+    slope : growth of the edge length per distance from a narrow place.
+    sources : where the field is singular.
+    narrow, across : (w, 2), (w,) places on the edge and the edge length there.
+    """
+
+    size: float
+    slope: float
+    sources: tuple[Source, ...]
+    narrow: Points
+    across: Lengths
+
+    def __call__(self, points: Points) -> Lengths:
+        """Edge lengths at (n, 2) points, (n,)."""
+        sizes = np.full(len(points), self.size)
+        for source in self.sources:
+            away = np.hypot(points[:, 0] - source.centre[0], points[:, 1] - source.centre[1]) - source.radius
+            np.minimum(sizes, source.grade(source.finest, away), out=sizes)
+        if len(self.narrow):
+            count = min(4, len(self.narrow))
+            away, which = cKDTree(self.narrow).query(points, k=range(1, count + 1))
+            np.minimum(sizes, (self.across[which] + self.slope * away).min(axis=1), out=sizes)
+        return sizes
+
+    def with_narrow(self, places: Points, across: Lengths) -> "SizeField":
+        """Return the field with further narrow places."""
+        places, across = np.vstack([self.narrow, places]), np.concatenate([self.across, across])
+        return replace(self, narrow=places, across=across)
+
+
+def narrow_places(curve: ClosedCurve, size: float) -> tuple[Points, Lengths]:
+    """Where the sheet, or the gap between two parts of it, is too narrow for elements of a size.
+
+    Returns
+    -------
+    places : (w, 2) on the edge.
+    across : (w,) edge length with which enough elements fit, not below ``size`` times :data:`FINEST`.
+    """
+    count = min(max(int(np.ceil(4 * curve.perimeter / size)), 16), 4000)
+    along = curve.perimeter * np.arange(count) / count
+    points = curve.at(along)
+    pairs = cKDTree(points).query_pairs(_ACROSS * size, output_type="ndarray")
+    between = np.abs(along[pairs[:, 0]] - along[pairs[:, 1]])
+    between = np.minimum(between, curve.perimeter - between)
+    straight = np.hypot(*(points[pairs[:, 0]] - points[pairs[:, 1]]).T)
+    facing = between > _DETOUR * straight
+    width = np.full(count, np.inf)
+    for end in (0, 1):
+        np.minimum.at(width, pairs[facing, end], straight[facing])
+    across = np.maximum(width / _ACROSS, FINEST * size)
+    narrow = across < size
+    return points[narrow], across[narrow]
+
+
+def singular_corners(curve: ClosedCurve, size: float, radius: float, order: int) -> Iterator[Source]:
+    """Yield the re-entrant corners.
+
+    At a corner of inner angle ω the field is singular as r^(π/ω), at an electrode's end as r^(1/2). Elements are as
+    much finer as the singularity is stronger.
+    """
+    inner = np.pi - curve.turns
+    for corner in np.flatnonzero(inner > np.pi + 1e-6):
+        exponent = float(np.pi / inner[corner])
+        if order == 1:
+            grade, finest = plain_lengths(size, radius), size * FINEST ** (2 * (1 - exponent))
+        else:
+            power = 1 - exponent / 3
+            grade, finest = smooth_lengths(size, radius, power), finest_at_corner(size, radius, power)
+        yield Source(curve.start[corner], 0.0, finest, grade)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge:
+    """The outline as nodes.
+
+    Parameters
+    ----------
+    points : (k, 2) counterclockwise.
+    strips : (k_l, 2) pairs of nodes for each strip.
+    arcs : edges that stand for arcs.
+    """
+
+    points: Points
+    strips: tuple[Indices, ...]
+    arcs: tuple[CircleArcs, ...]
+
+
+def fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: float) -> Lengths:
+    """Lengths along an edge at which a node must be, rising: corners, ends of arcs, ends of strips.
+
+    An arc that is shorter than an element has one node, in its middle; a strip that ends next to a corner ends there.
+    """
+    begins, ends = curve.begins[:-1], curve.begins[1:]
+    middles = (begins + ends) / 2
+    short = (curve.curvature != 0) & (curve.length < _SHORT_ARC * sizes(curve.at(middles)))
+    smooth = np.abs(curve.turns) < 1e-6
+    free = smooth & (short | np.roll(short, 1))  # where a short arc begins or ends
+    corners = np.concatenate([begins[~free], middles[short]])
+    stops = np.concatenate([strips - width / 2, strips + width / 2]) % curve.perimeter
+    for corner in corners:
+        away = np.abs(stops - corner)
+        stops[np.minimum(away, curve.perimeter - away) < _ON_CORNER * width] = corner
+    places = np.unique(np.concatenate([corners, stops]))
+    apart = np.diff(np.append(places, places[0] + curve.perimeter))
+    kept: Lengths = places[np.roll(apart, 1) > 1e-9 * curve.perimeter]
+    return kept
+
+
+def short_edges(points: Points, sizes: Size) -> tuple[Points, Lengths]:
+    """Where nodes of a closed line are closer together than elements are large: (w, 2) places and (w,) lengths."""
+    ends = np.roll(points, -1, axis=0)
+    middles, length = (points + ends) / 2, np.hypot(*(ends - points).T)
+    short = length < _SHORT_EDGE * sizes(middles)
+    return middles[short], length[short]
+
+
+def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths, width: float, fewest: int) -> Edge:
+    """Spread nodes along an edge.
+
+    Parameters
+    ----------
+    fixed : of :func:`fixed_places`.
+    strips : (l,) lengths along the edge at which the strips' centres lie.
+    width : of each strip.
+    fewest : edges that each strip has at least.
+    """
+    points: list[Points] = []
+    owners: list[int] = []
+    pieces: list[int] = []
+    for begin, end in zip(fixed, np.append(fixed[1:], fixed[0] + curve.perimeter), strict=True):
+        middle = (begin + end) / 2 % curve.perimeter
+        piece = _piece_of(curve, begin, end)
+        owner = _owner(curve, middle, strips, width)
+        turn = 0.0 if piece < 0 else (end - begin) * abs(curve.curvature[piece])
+        least = max(1, int(np.ceil(turn / _TURN_PER_EDGE - 1e-9)))
+        if owner >= 0:
+            least = max(least, int(np.ceil(fewest * (end - begin) / width - 0.2)))
+        places = begin + _SAMPLES * (end - begin)
+        chosen = _spread(1 / sizes(curve.at(places)), places, least)[:-1]
+        points.append(curve.at(chosen))
+        owners += [owner] * len(chosen)
+        pieces += [piece] * len(chosen)
+    edges = np.column_stack([np.arange(len(owners)), (np.arange(len(owners)) + 1) % len(owners)]).astype(np.int64)
+    of_strip, of_piece = np.array(owners), np.array(pieces)
+    arcs = [
+        CircleArcs(edges[of_piece == piece], _centre(curve, piece), float(1 / abs(curve.curvature[piece])))
+        for piece in np.flatnonzero(curve.curvature).tolist()
+        if (of_piece == piece).any()
+    ]
+    return Edge(np.vstack(points), tuple(edges[of_strip == strip] for strip in range(len(strips))), tuple(arcs))
+
+
+def _spread(density: Lengths, places: Lengths, at_least: int) -> Lengths:
+    """Places between the first and the last, both included, that share out the integral of a density evenly."""
+    total = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(places))])
+    count = max(at_least, int(np.ceil(total[-1])))
+    chosen: Lengths = np.interp(np.arange(count + 1) / count * total[-1], total, places)
+    return chosen
+
+
+def _piece_of(curve: ClosedCurve, begin: float, end: float) -> int:
+    """The piece that a stretch lies on, −1 where it goes on from one to the next."""
+    along = (begin + end) / 2 % curve.perimeter
+    piece = int(np.searchsorted(curve.begins, along, side="right")) - 1
+    whole = end - begin <= 2 * min(along - curve.begins[piece], curve.begins[piece + 1] - along) * (1 + 1e-9)
+    return piece if whole else -1
+
+
+def _owner(curve: ClosedCurve, along: float, strips: Lengths, width: float) -> int:
+    """Strip that covers a place on the edge, −1 for none."""
+    away = np.abs(strips - along)
+    covered = np.flatnonzero(np.minimum(away, curve.perimeter - away) < width / 2)
+    return int(covered[0]) if covered.size else -1
+
+
+def _centre(curve: ClosedCurve, piece: int) -> tuple[float, float]:
+    heading, radius = float(curve.heading[piece]), 1 / float(curve.curvature[piece])
+    x, y = curve.start[piece].tolist()
+    return x - radius * float(np.sin(heading)), y + radius * float(np.cos(heading))

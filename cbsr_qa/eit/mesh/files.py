@@ -1,0 +1,243 @@
+"""Sensor types whose sheet is a mesh made elsewhere.
+
+Mesh files: our own ``.npz``, and whatever meshio reads where it is installed.
+"""
+
+import io
+import re
+import zipfile
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stderr, redirect_stdout
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import CbsrError, NumericsError
+from cbsr_qa.domain.geometry import Polygon, inside_polygon, signed_area, thinned_ring
+from cbsr_qa.domain.sensor import (
+    DrivePattern,
+    ElectrodeKind,
+    GivenMesh,
+    Mesh,
+    PlacedElectrodes,
+    Response,
+    SensorType,
+    edge_lists,
+    mesh_arrays,
+    mesh_of_arrays,
+)
+from cbsr_qa.eit.mesh.imported import ElectrodeGiven, imported_mesh
+from cbsr_qa.system import written_whole
+
+#: More than any mesh of a sheet holds; a file that claims more is refused before memory is taken for it.
+LARGEST_BYTES: Final = 200_000_000
+#: Name of a group of lines in a file that stands for an electrode, and its number.
+_ELECTRODE: Final = re.compile(r"electrode[-_ ]?(\d+)", re.IGNORECASE)
+
+
+def write_mesh(path: Path, mesh: Mesh) -> None:
+    """Write a mesh as ``.npz``: arrays by the names of :func:`cbsr_qa.domain.sensor.mesh_arrays`.
+
+    Raises
+    ------
+    NumericsError
+        If the file cannot be written.
+    """
+    try:
+        with written_whole(path) as file:
+            arrays: dict[str, Any] = mesh_arrays(mesh)
+            np.savez_compressed(file, **arrays)
+    except OSError as error:
+        raise NumericsError(
+            f"the mesh cannot be written to {path}: {error.strerror or error}",
+            remedy="choose a folder that is there and may be written to",
+        ) from error
+
+
+def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *, mend: bool = False) -> Mesh:
+    """Read a mesh and check it as :func:`cbsr_qa.eit.mesh.imported_mesh` does.
+
+    Parameters
+    ----------
+    path : ``.npz`` with ``nodes_mm`` and ``elements`` (from 0), or any other format for meshio [mm].
+    electrodes : as there; by default what the file says: ``electrode_edges`` and ``electrode_edge_counts`` of an
+        ``.npz``, groups of lines called "electrode 0", "electrode 1" and so on of another.
+    mend : turn clockwise elements and leave out nodes that no element uses.
+
+    Raises
+    ------
+    NumericsError
+        If there is no such file, it is no mesh, meshio is needed and not installed, or the mesh is refused.
+    """
+    if not path.is_file():
+        raise NumericsError(
+            f"there is no mesh file {path}", remedy="check its name, and the folder it is looked for in"
+        )
+    if path.stat().st_size > LARGEST_BYTES:
+        raise NumericsError(
+            f"{path} has {path.stat().st_size} bytes; a mesh file has at most {LARGEST_BYTES}",
+            remedy="mesh the sheet with larger elements",
+        )
+    try:
+        if path.suffix == ".npz":
+            return _checked(_npz(path), electrodes, mend=mend)
+        nodes, elements, found = _by_meshio(path)
+        return imported_mesh(nodes, elements, found if electrodes is None else electrodes, mend=mend)
+    except CbsrError as error:
+        raise NumericsError(f"{path.name}: {error.reason}", remedy=error.remedy) from error
+
+
+def _npz(path: Path) -> dict[str, NDArray[Any]]:
+    try:
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+        raise NumericsError(
+            "it is damaged, or no .npz file of numbers", remedy="write it again, with write_mesh or numpy.savez"
+        ) from error
+
+
+def _checked(arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeGiven] | None, *, mend: bool) -> Mesh:
+    missing = [name for name in ("nodes_mm", "elements") if name not in arrays]
+    if missing:
+        raise NumericsError(
+            f"it holds no {missing[0]}", remedy="write it with write_mesh, or with arrays nodes_mm and elements"
+        )
+    if electrodes is not None or "electrode_edges" not in arrays:
+        return imported_mesh(arrays["nodes_mm"], arrays["elements"], electrodes or (), mend=mend)
+    mesh = imported_mesh(arrays["nodes_mm"], arrays["elements"], edge_lists(arrays, "electrode"), mend=mend)
+    if len(mesh.nodes_mm) != len(arrays["nodes_mm"]) or "arc_edges" not in arrays:
+        return mesh  # arcs do not outlive nodes that are left out
+    return mesh_of_arrays({**arrays, **mesh_arrays(mesh), **{k: arrays[k] for k in arrays if k.startswith("arc_")}})
+
+
+def _by_meshio(path: Path) -> tuple[NDArray[Any], NDArray[Any], list[ElectrodeGiven]]:
+    try:
+        meshio: Any = import_module("meshio")
+    except ImportError as error:
+        raise NumericsError(
+            f"files of type {path.suffix!r} are read by meshio, which is not installed",
+            remedy="install meshio, or write the mesh as .npz with arrays nodes_mm and elements",
+        ) from error
+    said = io.StringIO()
+    try:
+        with redirect_stdout(said), redirect_stderr(said):
+            found = meshio.read(path)
+    # meshio raises whatever its readers stumble over; on some formats it prints why and leaves the program.
+    except (Exception, SystemExit) as error:
+        why = " ".join((said.getvalue() or str(error)).split())
+        raise NumericsError(f"meshio cannot read it: {why[:200]}") from error
+    triangles = found.cells_dict.get("triangle")
+    if triangles is None:
+        kinds = ", ".join(sorted(found.cells_dict)) or "nothing"
+        raise NumericsError(f"it holds no triangles but {kinds}", remedy="mesh the sheet with triangles")
+    return found.points, triangles, _named_lines(found)
+
+
+def _named_lines(found: Any) -> list[ElectrodeGiven]:
+    """Groups of lines that are called electrodes, in the order of their numbers."""
+    lines = found.cells_dict.get("line")
+    groups: dict[int, NDArray[Any]] = {}
+    for name, members in found.cell_sets_dict.items():
+        called = _ELECTRODE.fullmatch(str(name))
+        if called and lines is not None and "line" in members:
+            groups[int(called[1])] = lines[members["line"]]
+    physical = found.cell_data_dict.get("gmsh:physical", {}).get("line")
+    for name, (tag, dimension) in found.field_data.items():
+        called = _ELECTRODE.fullmatch(str(name))
+        if called and lines is not None and physical is not None and dimension == 1:
+            groups.setdefault(int(called[1]), lines[physical == tag])
+    return [groups[number] for number in sorted(groups)]
+
+
+Indices = NDArray[np.int64]
+
+#: A sheet's outline follows its mesh's edge to this share of the radius.
+_OUTLINE: Final = 1e-3
+
+
+def mesh_sensor(
+    name: str,
+    mesh: Mesh,
+    pattern: DrivePattern,
+    *,
+    thickness_mm: float,
+    response: Response = Response.AUTO,
+) -> SensorType:
+    """Sensor type on a mesh that carries electrodes: its outline is the mesh's, its forward model's mesh is this one.
+
+    Raises
+    ------
+    NumericsError
+        If the mesh carries no electrodes, or fewer than three.
+    RefusedError
+        If the pattern is of another number of electrodes, or the outline is none a sheet can have.
+    """
+    if len(mesh.electrode_edges) < 3:
+        raise NumericsError(
+            f"the mesh carries {len(mesh.electrode_edges)} electrodes; a sensor has at least 3",
+            remedy="give imported_mesh its electrodes",
+        )
+    ring = outer_ring(mesh)
+    # What is furthest from the middle is a corner, where there are any.
+    middle = mesh.nodes_mm[ring].mean(axis=0)
+    ring = np.roll(ring, -int(np.hypot(*(mesh.nodes_mm[ring] - middle).T).argmax()))
+    corners = thinned_ring(mesh.nodes_mm[ring], _OUTLINE * float(np.sqrt(mesh.areas_mm2.sum() / np.pi)))
+    polygon = Polygon(tuple((x, y) for x, y in corners.tolist()))
+    on_edge = np.zeros(len(mesh.nodes_mm), dtype=np.bool_)
+    on_edge[ring] = True
+    kind = ElectrodeKind.ARC if all(on_edge[edges].all() for edges in mesh.electrode_edges) else ElectrodeKind.PIN
+    middles, lengths = zip(*(_middle(mesh, edges) for edges in mesh.electrode_edges), strict=True)
+    width = float(np.mean(lengths)) / (1 if kind is ElectrodeKind.ARC else np.pi)
+    electrodes = PlacedElectrodes(kind, tuple(middles), width)
+    return SensorType(
+        name, polygon.radius_mm, thickness_mm, electrodes, pattern, response, polygon, GivenMesh.of(mesh)
+    )
+
+
+def outer_ring(mesh: Mesh) -> Indices:
+    """Nodes of the outer boundary, counterclockwise: of the boundary's closed lines the one that goes round most."""
+    return max(_rings(mesh), key=lambda ring: signed_area(mesh.nodes_mm[ring]))
+
+
+def without_holes(image: Mesh, sheet: Mesh) -> Mesh:
+    """Leave out of an image's mesh the elements that lie in a hole of the sheet's, with all their corners."""
+    inside = np.zeros(len(image.elements), dtype=np.bool_)
+    for ring in _rings(sheet):
+        corners = sheet.nodes_mm[ring]
+        if signed_area(corners) < 0:
+            nodes = inside_polygon(image.nodes_mm, corners)
+            inside |= nodes[image.elements].all(axis=1) & inside_polygon(image.centroids_mm, corners)
+    used, elements = np.unique(image.elements[~inside], return_inverse=True)
+    return Mesh(image.nodes_mm[used], elements.reshape(-1, 3).astype(np.int64))
+
+
+def _rings(mesh: Mesh) -> list[Indices]:
+    """Closed lines of the boundary, with the sheet to their left."""
+    counts = np.bincount(mesh.element_edges.ravel(), minlength=len(mesh.edges))
+    element, side = np.nonzero(counts[mesh.element_edges] == 1)
+    start, end = mesh.elements[element, side], mesh.elements[element, (side + 1) % 3]
+    following: dict[int, list[int]] = {}
+    for a, b in zip(start.tolist(), end.tolist(), strict=True):
+        following.setdefault(a, []).append(b)
+    rings = []
+    while following:
+        ring = [next(iter(following))]
+        while ring[-1] in following:
+            ends = following[ring[-1]]
+            ring.append(ends.pop())
+            if not ends:
+                del following[ring[-2]]
+        rings.append(np.array(ring[:-1], dtype=np.int64))
+    return rings
+
+
+def _middle(mesh: Mesh, edges: Indices) -> tuple[tuple[float, float], float]:
+    """Middle of an electrode and its length."""
+    ends = mesh.nodes_mm[edges]
+    lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
+    x, y = (lengths @ ends.mean(axis=1) / lengths.sum()).tolist()
+    return (x, y), float(lengths.sum())

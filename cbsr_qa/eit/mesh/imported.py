@@ -1,0 +1,344 @@
+"""Meshes made elsewhere: checked, and given their electrodes.
+
+What must be right about a mesh that was made elsewhere, each with what to do where it is not.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import sparse
+from scipy.spatial import cKDTree
+
+from cbsr_qa.domain import NumericsError, array_of, real_numbers
+from cbsr_qa.domain.sensor import FARTHEST_MM, Mesh
+
+Indices = NDArray[np.int64]
+Points = NDArray[np.float64]
+
+_SAME: Final = 1e-9  # of the mesh's size: nodes closer together are one
+_SMALLEST_MM: Final = 1e-9  # extent of a mesh
+_FLAT: Final = 1e-9  # area over the longest edge squared: thinner elements have no area worth the name
+
+
+def plane_points(nodes_mm: ArrayLike) -> Points:
+    """Return nodes as (n, 2) finite numbers; a third coordinate that is the same for all is left out.
+
+    Raises
+    ------
+    NumericsError
+        If they are of another type or shape, not finite, or of an extent that no sheet has.
+    """
+    points = real_numbers(nodes_mm, "nodes")
+    if points.ndim == 2 and points.shape[1] == 3 and len(points) and np.ptp(points[:, 2]) == 0:
+        points = points[:, :2]
+    if points.ndim != 2 or points.shape[1] != 2 or len(points) < 3:
+        raise NumericsError(
+            f"nodes of shape {points.shape} are not at least three places (x, y) in a plane",
+            remedy="give an array (n, 2) of places in millimetres",
+        )
+    wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if wrong.size:
+        raise NumericsError(
+            f"node {wrong[0]} (one of {wrong.size} such) is at a place that is not a finite number",
+            remedy="mend it, or leave it and its elements out",
+        )
+    farthest, extent = float(np.abs(points).max()), float(np.ptp(points, axis=0).max())
+    if farthest > FARTHEST_MM or extent < _SMALLEST_MM:
+        raise NumericsError(
+            f"a mesh of {extent:g} mm that reaches {farthest:g} mm from its origin is no sheet's; allowed are"
+            f" {_SMALLEST_MM:g} to {FARTHEST_MM:g} mm",
+            remedy="give places in millimetres from the sheet's centre",
+        )
+    return np.ascontiguousarray(points)
+
+
+def whole_numbers(numbers: ArrayLike, what: str, tail: tuple[int, ...]) -> Indices:
+    """Return rows of nodes as int64: ``tail`` is () for single ones, (2,) for edges, (3,) for triangles."""
+    array = array_of(numbers, what)
+    counted = array.dtype.kind == "f" and bool(((array == np.floor(array)) & (np.abs(array) < 2**53)).all())
+    whole = array.dtype.kind in "iu" or counted
+    if not whole or array.ndim != 1 + len(tail) or array.shape[1:] != tail or not len(array):
+        wanted = {(): "a list of nodes", (2,): "rows of two nodes", (3,): "rows of three nodes"}[tail]
+        raise NumericsError(
+            f"{what} of shape {array.shape} and type {array.dtype}; {wanted} are needed, by number",
+            remedy="give whole numbers, one row after another",
+        )
+    return array.astype(np.int64)
+
+
+def check_range(numbers: Indices, count: int, first: int, what: str) -> None:
+    """Refuse rows that name nodes that are not there."""
+    wrong = np.flatnonzero(~((numbers >= 0) & (numbers < count)).reshape(len(numbers), -1).all(axis=1))
+    if wrong.size:
+        row = (numbers[wrong[0]] + first).tolist()
+        counted = "first=1" if first == 0 else "first=0"
+        raise NumericsError(
+            f"{what} {wrong[0]} names nodes {row}; there are {first} to {count - 1 + first}",
+            remedy=f"if nodes are counted from {1 - first}, say {counted}",
+        )
+
+
+def check_doubled(points: Points, corners: Indices) -> None:
+    """Refuse nodes at one place, among those that elements use."""
+    size = float(np.ptp(points, axis=0).max())
+    used = np.unique(corners)
+    pairs = cKDTree(points[used]).query_pairs(_SAME * size, output_type="ndarray")
+    if len(pairs):
+        one, other = sorted(used[pairs[0]].tolist())
+        raise NumericsError(
+            f"nodes {one} and {other} (one of {len(pairs)} such pairs) are at the same place",
+            remedy="merge them: elements that touch must share their nodes",
+        )
+
+
+def check_used(points: Points, corners: Indices) -> None:
+    """Refuse nodes that belong to no element."""
+    used = np.zeros(len(points), dtype=np.bool_)
+    used[corners] = True
+    idle = np.flatnonzero(~used)
+    if idle.size:
+        raise NumericsError(
+            f"node {idle[0]} (one of {idle.size} such) belongs to no element",
+            remedy="leave such nodes out, or say mend=True",
+        )
+
+
+def check_shape(points: Points, corners: Indices) -> None:
+    """Refuse elements that are flat or turned."""
+    twice = twice_area(points, corners)
+    sides = points[corners] - np.roll(points[corners], 1, axis=1)
+    longest = (sides**2).sum(axis=2).max(axis=1)
+    flat = np.flatnonzero(np.abs(twice) <= _FLAT * longest)
+    if flat.size:
+        raise NumericsError(
+            f"element {flat[0]} (one of {flat.size} such) is flat: its corners lie on one line",
+            remedy="leave it out, or mesh the sheet again",
+        )
+    turned = np.flatnonzero(twice < 0)
+    if turned.size:
+        raise NumericsError(
+            f"element {turned[0]} (one of {turned.size} such) is turned: its corners go clockwise",
+            remedy="list them counterclockwise, or say mend=True",
+        )
+
+
+def twice_area(points: Points, corners: Indices) -> NDArray[np.float64]:
+    """Twice the signed area of each element, (e,)."""
+    a, b, c = (points[corners[:, k]] for k in range(3))
+    twice: NDArray[np.float64] = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    return twice
+
+
+def boundary_edges(mesh: Mesh) -> Indices:
+    """Edges of exactly one element, (b, 2); an edge of three is refused."""
+    counts = np.bincount(mesh.element_edges.ravel(), minlength=len(mesh.edges))
+    crowded = np.flatnonzero(counts > 2)
+    if crowded.size:
+        first, second = mesh.edges[crowded[0]]
+        raise NumericsError(
+            f"{counts[crowded[0]]} elements share the edge between nodes {first} and {second}",
+            remedy="a sheet's edge has an element on either side at most: leave out elements that lie on others",
+        )
+    boundary: Indices = mesh.edges[counts == 1]
+    return boundary
+
+
+def check_in_one_piece(mesh: Mesh) -> None:
+    """Refuse a mesh whose elements do not all hang together over shared edges."""
+    first, second = mesh.neighbours.T
+    count = len(mesh.elements)
+    graph = sparse.coo_matrix((np.ones(len(first)), (first, second)), shape=(count, count))
+    pieces, piece = sparse.csgraph.connected_components(graph, directed=False)
+    if pieces > 1:
+        small = int(np.bincount(piece).min())
+        raise NumericsError(
+            f"the mesh falls into {pieces} pieces that share no edge, the smallest of {small} elements",
+            remedy="use a mesh of one piece; where pieces touch they must share their nodes",
+        )
+
+
+def check_hanging(mesh: Mesh, boundary: Indices) -> None:
+    """Refuse nodes that lie on an edge without dividing it: current would not pass there."""
+    on_edge = np.unique(boundary)
+    size = float(np.ptp(mesh.nodes_mm, axis=0).max())
+    for first, second in boundary:
+        start, along = mesh.nodes_mm[first], mesh.nodes_mm[second] - mesh.nodes_mm[first]
+        off = mesh.nodes_mm[on_edge] - start
+        share = off @ along / (along @ along)
+        away = np.abs(off[:, 0] * along[1] - off[:, 1] * along[0]) / np.hypot(*along)
+        hanging = on_edge[(share > 1e-6) & (share < 1 - 1e-6) & (away < _SAME * size)]
+        if hanging.size:
+            raise NumericsError(
+                f"node {hanging[0]} lies on the edge between nodes {first} and {second} without dividing it",
+                remedy="divide the elements there, so that neighbours share whole edges",
+            )
+
+
+_LEAST_COVERED: Final = 0.5  # of an electrode's width must be edges of the mesh
+
+
+@dataclass(frozen=True, slots=True)
+class ElectrodeAt:
+    """An electrode by its place: every edge of the boundary whose middle lies within half its width of there.
+
+    Parameters
+    ----------
+    x_mm, y_mm : middle of a strip, or of the hole that a pin is.
+    width_mm : a strip's length or a pin's diameter.
+    """
+
+    x_mm: float
+    y_mm: float
+    width_mm: float
+
+
+#: One electrode: its nodes in any order (k,), its edges as pairs of nodes (k, 2), or its place.
+ElectrodeGiven = ElectrodeAt | ArrayLike
+
+
+def imported_mesh(
+    nodes_mm: ArrayLike,
+    elements: ArrayLike,
+    electrodes: Sequence[ElectrodeGiven] = (),
+    *,
+    first: int = 0,
+    mend: bool = False,
+) -> Mesh:
+    """Check a mesh that was made elsewhere, and find its electrodes' edges.
+
+    Parameters
+    ----------
+    nodes_mm : (n, 2) [mm]; (n, 3) where the third coordinate is the same for all.
+    elements : (e, 3) nodes of each triangle.
+    electrodes : each by its nodes, its edges or its place; in the order of their numbers. Nodes and edges are counted
+        as those of ``elements`` are.
+    first : number of the first node, 1 where software counts from one (MATLAB, EIDORS, gmsh).
+    mend : turn clockwise elements and leave out nodes that no element uses, instead of refusing them.
+
+    Raises
+    ------
+    NumericsError
+        If arrays have other shapes or name nodes that are not there; two nodes are at one place; a node is used by
+        no element; an element is turned or flat; three elements share an edge; a node hangs on an edge; the mesh
+        falls into pieces; an electrode is outside the mesh, not on its boundary, has no edges, or shares one.
+        Messages count nodes, elements and electrodes from 0.
+    """
+    points = plane_points(nodes_mm)
+    corners = whole_numbers(elements, "elements", (3,)) - first
+    check_range(corners, len(points), first, "element")
+    given = [one if isinstance(one, ElectrodeAt) else _numbers(one, k, first) for k, one in enumerate(electrodes)]
+    check_doubled(points, corners)
+    if mend:
+        points, corners, given = _mended(points, corners, given)
+    check_used(points, corners)
+    check_shape(points, corners)
+    mesh = Mesh(points, corners)
+    boundary = boundary_edges(mesh)
+    check_in_one_piece(mesh)
+    check_hanging(mesh, boundary)
+    edges = [_edges_of(one, number, mesh, boundary) for number, one in enumerate(given)]
+    _check_shared(edges)
+    return Mesh(points, corners, tuple(edges))
+
+
+def _numbers(given: ArrayLike, number: int, first: int) -> Indices:
+    """Nodes (k,) or edges (k, 2) of an electrode, counted from 0."""
+    array = array_of(given, f"nodes of electrode {number}")
+    if not array.size:
+        raise NumericsError(
+            f"electrode {number} has no nodes or edges", remedy="give it some, or leave it and its pairs out"
+        )
+    return whole_numbers(array, f"electrode {number}:", (2,) if array.ndim == 2 else ()) - first
+
+
+def _mended(
+    points: Points, corners: Indices, given: list[ElectrodeAt | Indices]
+) -> tuple[Points, Indices, list[ElectrodeAt | Indices]]:
+    turned = twice_area(points, corners) < 0
+    corners = corners.copy()
+    corners[turned] = corners[turned][:, ::-1]
+    used = np.unique(corners)
+    new = np.full(len(points), -1, dtype=np.int64)
+    new[used] = np.arange(len(used))
+    kept: list[ElectrodeAt | Indices] = []
+    for number, one in enumerate(given):
+        if not isinstance(one, ElectrodeAt):
+            check_range(one, len(points), 0, f"electrode {number}: entry")
+            if (new[one] < 0).any():
+                raise NumericsError(
+                    f"electrode {number} names a node that belongs to no element", remedy="name nodes of the sheet"
+                )
+        kept.append(one if isinstance(one, ElectrodeAt) else new[one])
+    return points[used], new[corners], kept
+
+
+def _edges_of(given: ElectrodeAt | Indices, number: int, mesh: Mesh, boundary: Indices) -> Indices:
+    if isinstance(given, ElectrodeAt):
+        return _edges_at(given, number, mesh, boundary)
+    check_range(given, len(mesh.nodes_mm), 0, f"electrode {number}: entry")
+    if given.ndim == 1:
+        return _edges_between(given, number, boundary)
+    keys = _keys(boundary, mesh)
+    inside = np.flatnonzero(~np.isin(_keys(given, mesh), keys))
+    if inside.size:
+        first, second = given[inside[0]]
+        raise NumericsError(
+            f"electrode {number}: nodes {first} and {second} are no edge of the mesh's boundary",
+            remedy="an electrode is on the sheet's edge, or on the rim of a hole in it",
+        )
+    return given
+
+
+def _edges_between(nodes: Indices, number: int, boundary: Indices) -> Indices:
+    edges: Indices = boundary[np.isin(boundary, nodes).all(axis=1)]
+    lonely = np.setdiff1d(nodes, edges)
+    if lonely.size:
+        where = "is not on the mesh's boundary" if not np.isin(lonely[0], boundary) else "has no other beside it"
+        raise NumericsError(
+            f"electrode {number}: node {lonely[0]} {where}; an electrode's nodes are joined by edges of the boundary",
+            remedy="name all its nodes; for an electrode that is a single point use"
+            " cbsr_qa.eit.forward.model.point_model",
+        )
+    return edges
+
+
+def _edges_at(place: ElectrodeAt, number: int, mesh: Mesh, boundary: Indices) -> Indices:
+    here, ends = np.array([place.x_mm, place.y_mm]), mesh.nodes_mm[boundary]
+    to_middle = np.hypot(*(ends.mean(axis=1) - here).T)
+    chosen: Indices = boundary[to_middle <= place.width_mm / 2 * (1 + 1e-9)]
+    covered = float(np.hypot(*(mesh.nodes_mm[chosen[:, 1]] - mesh.nodes_mm[chosen[:, 0]]).T).sum())
+    if covered >= _LEAST_COVERED * place.width_mm:
+        return chosen
+    where = f"electrode {number} at ({place.x_mm:g}, {place.y_mm:g}) mm"
+    along = ends[:, 1] - ends[:, 0]
+    share = np.clip(((here - ends[:, 0]) * along).sum(axis=1) / (along**2).sum(axis=1), 0, 1)
+    away = float(np.hypot(*(here - ends[:, 0] - share[:, None] * along).T).min())
+    if away > place.width_mm:
+        raise NumericsError(
+            f"{where} is not on the mesh's boundary, which is {away:.4g} mm away",
+            remedy="move it to the sheet's edge or to a hole, or check the mesh's unit of length (millimetres)",
+        )
+    raise NumericsError(
+        f"{where} covers {covered:.4g} mm of the mesh's boundary; it is {place.width_mm:g} mm wide",
+        remedy="use smaller elements there, with nodes at the electrode's ends",
+    )
+
+
+def _check_shared(electrodes: list[Indices]) -> None:
+    owner: dict[tuple[int, int], int] = {}
+    for number, edges in enumerate(electrodes):
+        for first, second in np.sort(edges, axis=1).tolist():
+            other = owner.setdefault((first, second), number)
+            if other != number:
+                raise NumericsError(
+                    f"electrodes {other} and {number} share the edge between nodes {first} and {second}",
+                    remedy="electrodes may not overlap",
+                )
+
+
+def _keys(edges: Indices, mesh: Mesh) -> Indices:
+    keys: Indices = np.sort(edges, axis=1) @ np.array([len(mesh.nodes_mm), 1])
+    return keys

@@ -1,0 +1,308 @@
+"""Meshes of sheets of any outline, with electrodes anywhere: the edge node by node, then filled.
+
+The outline is first laid in a frame of its own, its first corner in the origin and its first edge along +x, on a grid
+far finer than any drawing: a sheet that is turned or moved has the same mesh, turned or moved.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from typing import Final, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, cKDTree
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.geometry import ClosedCurve, Disc, SheetOutline, circle_curve, polygon_curve, simplified
+from cbsr_qa.domain.sensor import CircleArcs, ElectrodeKind, Mesh, SensorType, placement_problems, width_problem
+from cbsr_qa.eit.mesh.boundary import (
+    EDGES_PER_ARC,
+    EDGES_PER_PIN,
+    FEWEST_SMOOTHLY,
+    FINEST,
+    SMOOTHING,
+    Edge,
+    Indices,
+    Lengths,
+    Points,
+    SizeField,
+    Source,
+    edge_nodes,
+    edges_round_pin_smoothly,
+    finest_of_arc,
+    finest_smoothly,
+    fixed_places,
+    growth,
+    narrow_places,
+    plain_lengths,
+    short_edges,
+    singular_corners,
+    smooth_lengths,
+)
+from cbsr_qa.eit.mesh.triangulate import Outline, fill
+
+_ROUNDS: Final = 12  # of dividing edges that the triangles would cut
+_EDGES_ROUND_CLOSE_PIN: Final = 200  # at most: a pin as close to something as that has no room
+#: An image's outline leaves out corners that stick out by less than this, of the elements' size.
+_OUT_OF_LINE: Final = 0.03
+
+
+def outline_sheet_mesh(sensor_type: SensorType, size_mm: float, order: int) -> Mesh:
+    """Mesh any sheet for its forward model; see :func:`cbsr_qa.eit.mesh.sheet_mesh`.
+
+    Raises
+    ------
+    RefusedError
+        If an electrode does not fit the sheet, or the outline cannot be followed with elements of this size.
+    """
+    electrodes = sensor_type.electrodes
+    for number, what in placement_problems(electrodes, sensor_type.outline):
+        which = "its ring of electrodes" if number is None else f"electrode {number}"
+        raise RefusedError(f"sensor type {sensor_type.name!r}: {which} {what}", remedy="move it, or make it narrower")
+    narrow = width_problem(electrodes, sensor_type.outline.radius_mm)
+    if narrow is not None:
+        raise RefusedError(f"sensor type {sensor_type.name!r}: the electrodes' width {narrow}", remedy="change it")
+    frame = _Frame.of(sensor_type.outline)
+    curve, radius = frame.curve, frame.radius
+    places, width = frame.into(electrodes.positions_mm()), electrodes.width_mm
+    if electrodes.kind is ElectrodeKind.PIN:
+        contacts = _Contacts(_Pins.of(curve, places, width / 2, size_mm, order), np.zeros(0), 0.0, 1)
+    else:
+        fewest = EDGES_PER_ARC if order == 1 else FEWEST_SMOOTHLY
+        contacts = _Contacts(_Pins.none(), curve.nearest(places)[0], width, fewest)
+    sources = (
+        *contacts.sources(curve, size_mm, radius, order),
+        *singular_corners(curve, size_mm, radius, order),
+    )
+    sizes = SizeField(size_mm, growth(size_mm, radius), sources, *narrow_places(curve, size_mm))
+    return frame.out(_filled(curve, sizes, contacts, np.zeros((0, 2))))
+
+
+def outline_image_mesh(outline: SheetOutline, size_mm: float) -> Mesh:
+    """Mesh any sheet with near-uniform triangles; see :func:`cbsr_qa.eit.mesh.image_mesh`.
+
+    Raises
+    ------
+    RefusedError
+        If the outline cannot be followed with elements of this size.
+    """
+    plain = simplified(outline, _OUT_OF_LINE * size_mm)
+    frame = _Frame.of(plain)
+    curve = frame.curve
+    sizes = SizeField(size_mm, growth(size_mm, frame.radius), (), *narrow_places(curve, size_mm))
+    start = _lattice(curve, size_mm)
+    start = start[_signed_distance(curve, start) > 0.7 * size_mm]
+    mesh = _filled(curve, sizes, _Contacts(_Pins.none(), np.zeros(0), 0.0, 1), start)
+    return frame.out(replace(mesh, electrode_edges=(), arcs=()))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Frame:
+    """Where the sheet's own frame lies: x = origin + turn · x_own.
+
+    Parameters
+    ----------
+    curve : the edge, in the own frame.
+    """
+
+    origin: Points
+    turn: Points
+    grid: float
+    curve: ClosedCurve
+
+    @classmethod
+    def of(cls, outline: SheetOutline) -> Self:
+        grid = float(10.0 ** (np.floor(np.log10(outline.radius_mm)) - 10))
+        if isinstance(outline, Disc):
+            return cls(np.zeros(2), np.eye(2), grid, circle_curve(outline.radius_mm))
+        corners = np.array(outline.corners_mm)
+        along = corners[1] - corners[0]
+        cosine, sine = along / np.hypot(*along)
+        turn = np.array([[cosine, -sine], [sine, cosine]])
+        own = np.round((corners - corners[0]) @ turn / grid) * grid
+        return cls(corners[0], turn, grid, polygon_curve(own, outline.corner_radius_mm))
+
+    @property
+    def radius(self) -> float:
+        """Of the disc of equal area, the same to the bit however the sheet lies."""
+        return float(np.sqrt(self.curve.area / np.pi))
+
+    def into(self, points: Points) -> Points:
+        own: Points = np.round((points - self.origin) @ self.turn / self.grid) * self.grid
+        return own
+
+    def out(self, mesh: Mesh) -> Mesh:
+        arcs = tuple(
+            CircleArcs(a.edges, (float(x), float(y)), a.radius_mm)
+            for a, (x, y) in ((a, self.origin + self.turn @ np.array(a.centre_mm)) for a in mesh.arcs)
+        )
+        return replace(mesh, nodes_mm=self.origin + mesh.nodes_mm @ self.turn.T, arcs=arcs)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Pins:
+    """Round holes: (p, 2) centres, their radius, (p,) edge length at their rims."""
+
+    centres: Points
+    radius: float
+    finest: Lengths
+
+    @classmethod
+    def none(cls) -> Self:
+        return cls(np.zeros((0, 2)), 0.0, np.zeros(0))
+
+    @classmethod
+    def of(cls, curve: ClosedCurve, centres: Points, radius: float, size: float, order: int) -> Self:
+        """Edges so short that enough go round a pin, and that they fit between it and what is next to it."""
+        room = curve.nearest(centres)[1] - radius
+        if len(centres) > 1:
+            next_pin = np.asarray(cKDTree(centres).query(centres, k=[2])[0])[:, 0]
+            room = np.minimum(room, next_pin - 2 * radius)
+        round_ = 2 * np.pi * radius
+        room = np.maximum(room, round_ / _EDGES_ROUND_CLOSE_PIN)
+        if order == 1:
+            finest = min(size * FINEST, round_ / EDGES_PER_PIN)
+        else:
+            finest = round_ / edges_round_pin_smoothly(size, float(np.sqrt(curve.area / np.pi)))
+        return cls(centres, radius, np.minimum(finest, room))
+
+    def finer(self, which: Indices) -> Self:
+        """Return them with half the edge length round some."""
+        finest = self.finest.copy()
+        finest[which] /= 2
+        return replace(self, finest=finest)
+
+    def rims(self) -> list[Points]:
+        """Nodes round each pin."""
+        counts = np.ceil(2 * np.pi * self.radius / self.finest - 1e-9).astype(int)
+        rims = []
+        for centre, count in zip(self.centres, counts, strict=True):
+            angle = 2 * np.pi * np.arange(count) / count
+            rims.append(centre + self.radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+        return rims
+
+    def distance(self, points: Points) -> Lengths:
+        """Distance of points to the nearest rim, negative in a pin."""
+        if not len(self.centres):
+            return np.full(len(points), np.inf)
+        return np.asarray(cKDTree(self.centres).query(points)[0], dtype=np.float64) - self.radius
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Contacts:
+    """Electrodes: pins, or strips by the lengths along the edge of their centres, their width and fewest edges."""
+
+    pins: _Pins
+    strips: Lengths
+    width: float
+    fewest: int
+
+    def sources(self, curve: ClosedCurve, size: float, radius: float, order: int) -> Iterator[Source]:
+        """Yield where they make the field singular: at pins, at the ends of strips."""
+        grade = plain_lengths(size, radius) if order == 1 else smooth_lengths(size, radius)
+        for centre, finest in zip(self.pins.centres, self.pins.finest, strict=True):
+            yield Source(centre, self.pins.radius, float(finest), grade)
+        finest_of = finest_of_arc if order == 1 else finest_smoothly
+        for end in curve.at(np.concatenate([self.strips - self.width / 2, self.strips + self.width / 2])):
+            yield Source(end, 0.0, finest_of(size, radius, self.width), grade)
+
+
+def _filled(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts, start: Points) -> Mesh:
+    edge, pins, sizes = _followed(curve, sizes, contacts)
+    rims = pins.rims()
+    points = np.vstack([edge.points, *rims])
+    hole = np.repeat(np.arange(-1, len(rims)), [len(edge.points), *map(len, rims)])
+    near = _near_edge(curve, edge.points)
+
+    def clearance(places: Points) -> Lengths:
+        return np.minimum(near(places), pins.distance(places))
+
+    outline = Outline(points, hole.astype(np.int64), sizes, clearance, curve.contains)
+    nodes, elements = fill(outline, start, smoothing=SMOOTHING)
+    first = len(edge.points) + np.cumsum([0, *map(len, rims)])
+    rings = [begin + _ring(len(rim)) for begin, rim in zip(first[:-1], rims, strict=True)]
+    circles = [
+        CircleArcs(ring, (x, y), pins.radius) for ring, (x, y) in zip(rings, pins.centres.tolist(), strict=True)
+    ]
+    mesh = Mesh(nodes, elements, (*edge.strips, *rings), (*edge.arcs, *circles))
+    _check_edge(mesh, [_ring(len(edge.points)), *rings], sizes.size)
+    return mesh
+
+
+def _followed(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts) -> tuple[Edge, _Pins, SizeField]:
+    """Spread nodes along the edge and round the pins, closer where triangles through them would cut either."""
+    fixed, pins = fixed_places(curve, sizes, contacts.strips, contacts.width), contacts.pins
+
+    def spread() -> Edge:
+        return edge_nodes(curve, sizes, fixed, contacts.strips, contacts.width, contacts.fewest)
+
+    edge = spread()
+    sizes = sizes.with_narrow(*short_edges(edge.points, sizes))
+    for _ in range(_ROUNDS):
+        edge, rims = spread(), pins.rims()
+        rings = [edge.points, *rims]
+        cut = _cut_edges(rings)
+        if not cut.any():
+            break
+        starts, ends = np.vstack(rings), np.vstack([np.roll(ring, -1, axis=0) for ring in rings])
+        sizes = sizes.with_narrow((starts + ends)[cut] / 2, np.hypot(*(ends - starts)[cut].T) / 2)
+        owner = np.repeat(np.arange(-1, len(rims)), [len(ring) for ring in rings])
+        pins = pins.finer(np.unique(owner[cut & (owner >= 0)]))
+    return edge, pins, sizes
+
+
+def _cut_edges(rings: list[Points]) -> NDArray[np.bool_]:
+    """Which edges of closed lines are no edges of the Delaunay triangles of all their nodes, one for each node."""
+    points = np.vstack(rings)
+    triangles = Delaunay(points).simplices
+    joined = np.sort(np.vstack([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]]), axis=1)
+    begins = np.cumsum([0, *(len(ring) for ring in rings)])
+    edges = np.vstack([begin + _ring(len(ring)) for begin, ring in zip(begins[:-1], rings, strict=True)])
+    cut: NDArray[np.bool_] = ~np.isin(np.sort(edges, axis=1) @ [len(points), 1], joined @ [len(points), 1])
+    return cut
+
+
+def _check_edge(mesh: Mesh, rings: list[Indices], size: float) -> None:
+    """The mesh must end exactly where the sheet does."""
+    counts = np.bincount(mesh.element_edges.ravel(), minlength=len(mesh.edges))
+    found = mesh.edges[counts == 1] @ [len(mesh.nodes_mm), 1]
+    wanted = np.sort(np.vstack(rings), axis=1) @ [len(mesh.nodes_mm), 1]
+    if counts.max() > 2 or not np.array_equal(np.sort(found), np.sort(wanted)):
+        raise RefusedError(
+            f"elements of {size:g} mm cannot follow the sheet's outline",
+            remedy="use a smaller element size, or a plainer outline",
+        )
+
+
+def _near_edge(curve: ClosedCurve, nodes: Points) -> Callable[[Points], Lengths]:
+    """Signed distance to the edge, exact near it and to the nearest node on it, which costs less, far from it."""
+    tree = cKDTree(nodes)
+    longest = float(np.hypot(*(nodes - np.roll(nodes, 1, axis=0)).T).max())
+
+    def distance(places: Points) -> Lengths:
+        away = np.asarray(tree.query(places)[0], dtype=np.float64)
+        near = away < 3 * longest
+        away[near] = curve.nearest(places[near])[1]
+        return np.where(curve.contains(places), away, -away)
+
+    return distance
+
+
+def _signed_distance(curve: ClosedCurve, points: Points) -> Lengths:
+    distance = curve.nearest(points)[1]
+    return np.where(curve.contains(points), distance, -distance)
+
+
+def _lattice(curve: ClosedCurve, size: float) -> Points:
+    """Equilateral lattice over the curve's pieces, along +x."""
+    low, high = curve.start.min(axis=0), curve.start.max(axis=0)
+    step = np.array([size, size * np.sqrt(3) / 2])
+    columns, rows = np.ceil((high - low) / step).astype(int) + 1
+    row, column = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    x = low[0] + size * (column + 0.5 * (row % 2))
+    return np.column_stack([x.ravel(), (low[1] + step[1] * row).ravel()])
+
+
+def _ring(count: int) -> Indices:
+    """Edges of a closed line of so many nodes."""
+    return np.column_stack([np.arange(count), (np.arange(count) + 1) % count]).astype(np.int64)

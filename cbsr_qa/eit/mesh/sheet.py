@@ -1,0 +1,325 @@
+"""A mesh whose edges follow a circle inside it, so that every element lies on one side of a round load's outline.
+
+Loads that come and go are better served by cutting elements (:mod:`cbsr_qa.eit.forward`); this is for reference
+solutions, which then converge as fast as without a load.
+
+Meshes of a sensor type's round sheet: graded at the electrodes for voltages, near-uniform for images.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, cKDTree
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.sensor import (
+    CircleArcs,
+    ElectrodeKind,
+    ElectrodeLayout,
+    Mesh,
+    SensorType,
+    widest_ring_mm,
+    width_problem,
+)
+from cbsr_qa.eit.mesh.boundary import (
+    EDGES_PER_ARC,
+    EDGES_PER_PIN,
+    FEWEST_SMOOTHLY,
+    FINEST,
+    SMOOTHING,
+    Size,
+    edges_round_pin_smoothly,
+    finest_of_arc,
+    finest_smoothly,
+    graded,
+    graded_smoothly,
+    spread,
+)
+from cbsr_qa.eit.mesh.files import without_holes
+from cbsr_qa.eit.mesh.outline import outline_image_mesh, outline_sheet_mesh
+from cbsr_qa.eit.mesh.triangulate import Outline, fill
+
+Points = NDArray[np.float64]
+
+_COARSEST = 0.25  # largest edge length, of the radius
+
+
+def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Mesh:
+    """Mesh a sheet for its forward model; the sensor type's own mesh where it comes with one.
+
+    Pins are round holes whose rims are the electrodes; arcs are stretches of the edge, refined at their ends
+    where the current density is singular. All edge lengths scale with ``size_mm`` once there are enough edges on an
+    electrode, so that a sequence of sizes shows a clean order of convergence.
+
+    Parameters
+    ----------
+    size_mm : edge length far from the electrodes [mm], at most a quarter of the radius.
+    order : of the elements that the mesh is to carry. Those of second order want larger steps away from electrodes,
+        and smaller ones at the ends of arcs.
+
+    Raises
+    ------
+    RefusedError
+        If the size is out of range, or the electrodes do not fit the sheet.
+    """
+    if sensor_type.mesh is not None:
+        return sensor_type.mesh.mesh
+    _check_size(sensor_type, size_mm)
+    layout = sensor_type.electrodes
+    if sensor_type.polygon is not None or not isinstance(layout, ElectrodeLayout):
+        return outline_sheet_mesh(sensor_type, size_mm, order)
+    _check_layout(sensor_type.name, layout, sensor_type.radius_mm)
+    return _round_mesh(layout, sensor_type.radius_mm, size_mm, order)
+
+
+@lru_cache(maxsize=4)
+def _round_mesh(layout: ElectrodeLayout, radius_mm: float, size_mm: float, order: int) -> Mesh:
+    """Mesh a disc, or return the mesh made before: a second sensor of a type has the first one's."""
+    ring = _pins if layout.kind is ElectrodeKind.PIN else _arcs
+    boundary = ring(layout, radius_mm, size_mm, order)
+    nodes, elements = fill(boundary.outline, np.zeros((0, 2)), smoothing=SMOOTHING)
+    for shared in (nodes, elements, *boundary.electrode_edges, *(arcs.edges for arcs in boundary.arcs)):
+        shared.flags.writeable = False
+    return Mesh(nodes, elements, boundary.electrode_edges, boundary.arcs)
+
+
+def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
+    """Mesh a sheet with near-uniform triangles, without electrodes, to carry images.
+
+    Parameters
+    ----------
+    size_mm : edge length [mm], at most a quarter of the radius.
+
+    Raises
+    ------
+    RefusedError
+        If the size is out of range.
+    """
+    _check_size(sensor_type, size_mm)
+    if sensor_type.polygon is not None:
+        mesh = outline_image_mesh(sensor_type.polygon, size_mm)
+        return mesh if sensor_type.mesh is None else without_holes(mesh, sensor_type.mesh.mesh)
+    radius = sensor_type.radius_mm
+    count = int(np.ceil(2 * np.pi * radius / size_mm))
+    rim = radius * _unit(2 * np.pi * np.arange(count) / count)
+    outline = Outline(
+        rim,
+        np.full(count, -1, dtype=np.int64),
+        lambda points: np.full(len(points), size_mm),
+        lambda points: radius - np.hypot(points[:, 0], points[:, 1]),
+    )
+    lattice = _hexagonal(radius, size_mm)
+    start = lattice[np.hypot(lattice[:, 0], lattice[:, 1]) < radius - 0.7 * size_mm]
+    nodes, elements = fill(outline, start, smoothing=SMOOTHING)
+    return Mesh(nodes, elements)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Boundary:
+    outline: Outline
+    electrode_edges: tuple[NDArray[np.int64], ...]
+    arcs: tuple[CircleArcs, ...]
+
+
+def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
+    centres, pin = layout.positions_mm(), layout.width_mm / 2
+    tree = cKDTree(centres)
+    gap = radius - layout.ring_radius_mm - pin
+
+    def from_pin(points: Points) -> NDArray[np.float64]:
+        return np.asarray(tree.query(points)[0], dtype=np.float64) - pin
+
+    def clearance(points: Points) -> NDArray[np.float64]:
+        return np.minimum(from_pin(points), radius - np.hypot(points[:, 0], points[:, 1]))
+
+    if order == 1:
+        finest = min(size * FINEST, 2 * np.pi * pin / EDGES_PER_PIN, gap)
+        sizes = graded(size, finest, radius, from_pin)
+    else:
+        finest = min(2 * np.pi * pin / edges_round_pin_smoothly(size, radius), gap)
+        sizes = graded_smoothly(size, finest, radius, from_pin)
+    rim_count = int(np.ceil(2 * np.pi * pin / finest - 1e-9))
+    edge = _rotated(_spread_arc(radius, layout.angles_rad()[0], abs(layout.step_rad), sizes)[:-1], layout, radius)
+    rim = pin * _unit(2 * np.pi * np.arange(rim_count) / rim_count)
+    rims = [centre + _turn(rim, angle) for centre, angle in zip(centres, layout.angles_rad(), strict=True)]
+    hole = np.concatenate([np.full(len(edge), -1), np.repeat(np.arange(layout.count), rim_count)])
+    edges = tuple(len(edge) + k * rim_count + _ring(rim_count) for k in range(layout.count))
+    arcs = [CircleArcs(e, (x, y), pin) for e, (x, y) in zip(edges, centres.tolist(), strict=True)]
+    outline = Outline(np.vstack([edge, *rims]), hole.astype(np.int64), sizes, clearance)
+    return _Boundary(outline, edges, (CircleArcs(_round(edge), (0.0, 0.0), radius), *arcs))
+
+
+def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
+    half = layout.width_mm / radius / 2
+    ends = layout.angles_rad()[:, None] + np.array([-half, half])
+    tree = cKDTree(radius * _unit(ends.ravel()))
+    fewest, finest_at, grade = (
+        (EDGES_PER_ARC, finest_of_arc, graded) if order == 1 else (FEWEST_SMOOTHLY, finest_smoothly, graded_smoothly)
+    )
+    finest = finest_at(size, radius, layout.width_mm)
+    sizes = grade(size, finest, radius, lambda points: np.asarray(tree.query(points)[0], dtype=np.float64))
+    start = float(ends[0, 0])
+    arc = _spread_arc(radius, start, 2 * half, sizes, at_least=fewest)
+    space = _spread_arc(radius, start + 2 * half, abs(layout.step_rad) - 2 * half, sizes)
+    edge = _rotated(np.concatenate([arc[:-1], space[:-1]]), layout, radius)
+    period = len(edge) // layout.count
+    along = np.arange(len(arc) - 1)
+    edges = tuple((np.column_stack([along, along + 1]) + k * period) % len(edge) for k in range(layout.count))
+    outline = Outline(
+        edge,
+        np.full(len(edge), -1, dtype=np.int64),
+        sizes,
+        lambda points: radius - np.hypot(points[:, 0], points[:, 1]),
+    )
+    return _Boundary(outline, edges, (CircleArcs(_round(edge), (0.0, 0.0), radius),))
+
+
+def _ring(count: int) -> NDArray[np.int64]:
+    """Edges of a closed line of so many nodes."""
+    return np.column_stack([np.arange(count), (np.arange(count) + 1) % count])
+
+
+def _round(edge: Points) -> NDArray[np.int64]:
+    """Edges of the sheet's edge counterclockwise, whichever way its stretches follow each other."""
+    order = np.argsort(np.arctan2(edge[:, 1], edge[:, 0]), kind="stable")
+    return np.column_stack([order, np.roll(order, -1)])
+
+
+def _spread_arc(radius: float, start: float, span: float, sizes: Size, *, at_least: int = 2) -> NDArray[np.float64]:
+    """Angles along an arc, both ends included, with the wanted distances between them."""
+    angles = start + np.linspace(0, span, 2001)
+    density = radius / sizes(radius * _unit(angles))
+    return spread(density, angles, at_least=at_least)
+
+
+def _rotated(angles: NDArray[np.float64], layout: ElectrodeLayout, radius: float) -> Points:
+    """Nodes of one electrode's stretch of the edge, repeated for every electrode, in the electrodes' order."""
+    every = angles + layout.step_rad * np.arange(layout.count)[:, None]
+    return radius * _unit(every.ravel())
+
+
+def _unit(angles: NDArray[np.float64]) -> Points:
+    return np.column_stack([np.cos(angles), np.sin(angles)])
+
+
+def _turn(points: Points, angle: float) -> Points:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.column_stack([cosine * points[:, 0] - sine * points[:, 1], sine * points[:, 0] + cosine * points[:, 1]])
+
+
+def _hexagonal(radius: float, size: float) -> Points:
+    """Equilateral lattice over a square of this half width, one node in the centre."""
+    count = int(np.ceil(radius / size * 2 / np.sqrt(3))) + 1
+    row, column = np.meshgrid(np.arange(-count, count + 1), np.arange(-2 * count, 2 * count + 1), indexing="ij")
+    x = size * (column + 0.5 * (row % 2))
+    return np.column_stack([x.ravel(), (size * np.sqrt(3) / 2 * row).ravel()])
+
+
+def _check_size(sensor_type: SensorType, size_mm: float) -> None:
+    largest = _COARSEST * sensor_type.radius_mm
+    if not 0 < size_mm <= largest:
+        raise RefusedError(
+            f"mesh size {size_mm} mm does not fit sensor type {sensor_type.name!r};"
+            f" it must be above 0 and at most a quarter of the radius, {largest:g} mm"
+        )
+
+
+def _check_layout(name: str, layout: ElectrodeLayout, radius: float) -> None:
+    narrow = width_problem(layout, radius)
+    if narrow is not None:
+        raise RefusedError(f"sensor type {name!r}: the electrodes' width {narrow}", remedy="change it or the ring")
+    widest = widest_ring_mm(layout.width_mm, radius)
+    if layout.kind is ElectrodeKind.PIN and layout.ring_radius_mm > widest:
+        raise RefusedError(
+            f"sensor type {name!r}: pins of {layout.width_mm} mm on a ring of radius"
+            f" {layout.ring_radius_mm} mm do not lie inside the sheet of radius {radius} mm, clear of its edge",
+            remedy=f"use a ring of at most {widest:g} mm",
+        )
+    if layout.kind is ElectrodeKind.ARC and abs(layout.ring_radius_mm - radius) > 1e-6 * radius:
+        raise RefusedError(
+            f"sensor type {name!r}: electrodes.ring_radius_mm is {layout.ring_radius_mm};"
+            f" arcs lie on the sheet's edge, at its radius of {radius} mm",
+            remedy=f"set it to {radius}",
+        )
+
+
+Array = NDArray[np.float64]
+
+_CLOSE: Final = 0.6  # nodes nearer to the circle than this share of the local edge length make way for its own
+_DENSE: Final = 4000  # points the local edge length is looked up at
+
+
+def fitted_mesh(mesh: Mesh, centre_mm: tuple[float, float], radius_mm: float) -> tuple[Mesh, NDArray[np.bool_]]:
+    """Put a circle into a mesh.
+
+    Parameters
+    ----------
+    mesh : convex but for round holes that are electrodes' rims.
+    centre_mm, radius_mm : of a circle inside the sheet that touches no hole.
+
+    Returns
+    -------
+    A mesh of about the same edge lengths with the circle among its arcs, and which elements are inside, (e,) bool.
+
+    Raises
+    ------
+    RefusedError
+        If the circle comes so close to an edge of the sheet that it cannot be followed.
+    """
+    ring = _ring_fitted_mesh(mesh, np.asarray(centre_mm), radius_mm)
+    fixed = np.unique(mesh.outline)
+    size = _size_at(mesh, mesh.nodes_mm)
+    far = np.abs(np.hypot(*(mesh.nodes_mm - centre_mm).T) - radius_mm) > _CLOSE * size
+    kept = far | np.isin(np.arange(len(far)), fixed)
+    renumbered = np.cumsum(kept) - 1
+    nodes = np.vstack([mesh.nodes_mm[kept], ring])
+    following = int(kept.sum()) + np.arange(len(ring))
+    circle = np.column_stack([following, np.roll(following, -1)])
+    edges = tuple(renumbered[e] for e in mesh.electrode_edges)
+    elements = _triangles(nodes, edges)
+    arcs = [CircleArcs(renumbered[a.edges], a.centre_mm, a.radius_mm) for a in mesh.arcs]
+    fitted = Mesh(nodes, elements, edges, (*arcs, CircleArcs(circle, centre_mm, radius_mm)))
+    known = fitted.edges @ np.array([len(nodes), 1])
+    if not np.isin(np.sort(circle, axis=1) @ np.array([len(nodes), 1]), known).all():
+        raise RefusedError(
+            f"a circle of radius {radius_mm:g} mm about {centre_mm} cannot be followed by this mesh",
+            remedy="keep it clear of edge and electrodes, or use smaller elements",
+        )
+    return fitted, np.hypot(*(fitted.centroids_mm - centre_mm).T) < radius_mm
+
+
+def _size_at(mesh: Mesh, points: Array) -> Array:
+    """Edge length of an equilateral triangle as large as the element at each point."""
+    nearest = cKDTree(mesh.centroids_mm).query(points)[1]
+    size: Array = np.sqrt(mesh.areas_mm2[nearest] * 4 / np.sqrt(3))
+    return size
+
+
+def _ring_fitted_mesh(mesh: Mesh, centre: Array, radius: float) -> Array:
+    """Nodes round the circle, as dense as the mesh is there."""
+    turn = 2 * np.pi * np.arange(_DENSE + 1) / _DENSE
+    circle = centre + radius * np.column_stack([np.cos(turn), np.sin(turn)])
+    density = 1 / _size_at(mesh, circle)
+    total = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2)]) * radius * turn[1]
+    count = max(int(np.ceil(total[-1])), 12)
+    angle = np.interp(np.arange(count) / count * total[-1], total, turn)
+    ring: Array = centre + radius * np.column_stack([np.cos(angle), np.sin(angle)])
+    return ring
+
+
+def _triangles(nodes: Array, rims: tuple[NDArray[np.int64], ...]) -> NDArray[np.int64]:
+    elements = Delaunay(nodes).simplices.astype(np.int64)
+    hole = np.full(len(nodes), -1)
+    for number, rim in enumerate(rims):
+        hole[rim.ravel()] = number
+    own = hole[elements]
+    elements = elements[~((own[:, 0] >= 0) & (own == own[:, :1]).all(axis=1))]
+    a, b, c = (nodes[elements[:, k]] for k in range(3))
+    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    elements[twice < 0] = elements[twice < 0][:, ::-1]
+    longest = ((b - a) ** 2).sum(axis=1)
+    solid: NDArray[np.int64] = elements[np.abs(twice) > 1e-9 * longest]
+    return solid

@@ -1,0 +1,188 @@
+"""Fill an outline with triangles of a wanted size: Delaunay refinement, then smoothing.
+
+Points are inserted at circumcentres of triangles that are too large (Chew 1989; Ruppert 1995), many at a time, and
+then moved so that every edge gets the length the size function wants (Persson & Strang 2004). No random
+numbers and no order of execution enter, so the same outline gives the same mesh on any machine with the same qhull.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import Delaunay, cKDTree
+
+from cbsr_qa.domain import NumericsError
+
+Points = NDArray[np.float64]
+Elements = NDArray[np.int64]
+
+_TOO_LARGE = 1.25  # a circumradius above this many times an equilateral triangle's asks for a point
+_SPACING = 0.86  # points inserted together keep this distance, in wanted sizes
+_CLEARANCE = 0.58  # and this one from the outline
+_ROUNDS = 60
+#: More points than any sheet's mesh has use for (3000 to 20000 do); filling so many takes about a minute.
+MOST_POINTS: Final = 200_000
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outline:
+    """What is to be filled.
+
+    Parameters
+    ----------
+    points : (k, 2) nodes on the outline, which stay where they are.
+    hole : (k,) int64, number of the hole a node is on the rim of, −1 on the outer edge. Holes are convex.
+    size : wanted edge length at (n, 2) points, (n,).
+    clearance : distance of (n, 2) points to the outline, (n,), negative outside.
+    inside : whether (n, 2) points lie within the outer edge, (n,); None where that is convex.
+    """
+
+    points: Points
+    hole: Elements
+    size: Callable[[Points], NDArray[np.float64]]
+    clearance: Callable[[Points], NDArray[np.float64]]
+    inside: Callable[[Points], NDArray[np.bool_]] | None = None
+
+
+def fill(outline: Outline, start: Points, *, smoothing: int) -> tuple[Points, Elements]:
+    """Triangulate an outline.
+
+    Parameters
+    ----------
+    start : (n, 2) points to begin with inside the outline; may be empty.
+    smoothing : number of smoothing passes, of which the one with the best worst angle is kept; at least one.
+
+    Returns
+    -------
+    nodes : (n, 2), the outline's first, in their order.
+    elements : (e, 3) counterclockwise.
+
+    Raises
+    ------
+    NumericsError
+        If it would take more than :data:`MOST_POINTS` points.
+    """
+    points = _refine(outline, np.vstack([outline.points, start]))
+    elements = triangulate(outline, points)
+    best = points, elements, 0.0
+    for _ in range(smoothing):
+        points = _smoothed(outline, points, elements)
+        elements = triangulate(outline, points)
+        angle = float(smallest_angle_deg(points, elements).min())
+        if angle > best[2]:  # a pass helps on the whole, but may flatten a single element
+            best = points, elements, angle
+    return best[0], best[1]
+
+
+def triangulate(outline: Outline, points: Points) -> Elements:
+    """Delaunay triangles of the points, counterclockwise, without those that fill a hole or have no area.
+
+    Nor are there those outside a concave edge: they join three of its nodes.
+    """
+    elements = Delaunay(points).simplices.astype(np.int64)
+    hole = np.full(len(points), -1)
+    hole[: len(outline.hole)] = outline.hole
+    own = hole[elements]
+    in_hole = (own[:, 0] >= 0) & (own[:, 0] == own[:, 1]) & (own[:, 1] == own[:, 2])
+    elements = elements[~in_hole]
+    twice_area = _twice_area(points, elements)
+    turned = twice_area < 0
+    elements[turned] = elements[turned][:, ::-1]
+    longest = _edge_lengths(points, elements).max(axis=1)
+    solid: Elements = elements[np.abs(twice_area) > 1e-9 * longest**2]
+    if outline.inside is not None:
+        edge = np.flatnonzero(((solid < len(outline.hole)) & (hole[solid] < 0)).all(axis=1))
+        outside = ~outline.inside(points[solid[edge]].mean(axis=1))
+        solid = np.delete(solid, edge[outside], axis=0)
+    return solid
+
+
+def smallest_angle_deg(points: Points, elements: Elements) -> NDArray[np.float64]:
+    """Smallest angle of each triangle, (e,) [°]."""
+    lengths = np.sort(_edge_lengths(points, elements), axis=1)
+    short, middle, long = lengths.T
+    cosine = (middle**2 + long**2 - short**2) / (2 * middle * long)
+    angle: NDArray[np.float64] = np.rad2deg(np.arccos(np.clip(cosine, -1, 1)))
+    return angle
+
+
+def _refine(outline: Outline, points: Points) -> Points:
+    for _ in range(_ROUNDS):
+        _check_number(len(points), len(outline.points))
+        centres, radii = _circumcircles(points, triangulate(outline, points))
+        keep = outline.clearance(centres) > 0
+        centres, radii = centres[keep], radii[keep]
+        wanted = outline.size(centres)
+        excess = radii * np.sqrt(3) / wanted
+        keep = (excess > _TOO_LARGE) & (outline.clearance(centres) > _CLEARANCE * wanted)
+        if not keep.any():
+            break
+        order = np.argsort(-excess[keep], kind="stable")
+        centres, wanted = centres[keep][order], wanted[keep][order]
+        points = np.vstack([points, centres[_spread(centres, _SPACING * wanted)]])
+    return points
+
+
+def _check_number(points: int, on_outline: int) -> None:
+    if points > MOST_POINTS:
+        raise NumericsError(
+            f"the mesh would take more than {MOST_POINTS} points ({on_outline} of them on the outline and round"
+            " electrodes)",
+            remedy="take larger elements, or give electrodes more width, or more room to the edge and to each other",
+        )
+
+
+def _spread(points: Points, distance: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Take points in order, leaving out each that is closer than its distance to one already taken."""
+    near = cKDTree(points).query_ball_point(points, distance, return_sorted=True)
+    dropped = np.zeros(len(points), dtype=bool)
+    for index, neighbours in enumerate(near):
+        if not dropped[index]:
+            later = np.asarray(neighbours)
+            dropped[later[later > index]] = True
+    return np.flatnonzero(~dropped)
+
+
+def _smoothed(outline: Outline, points: Points, elements: Elements) -> Points:
+    """Push the ends of edges that are too short apart, in proportion to what they lack (Persson & Strang 2004)."""
+    edges = np.sort(np.vstack([elements[:, [0, 1]], elements[:, [1, 2]], elements[:, [2, 0]]]), axis=1)
+    edges = np.unique(edges[:, 0] * len(points) + edges[:, 1])
+    first, second = np.divmod(edges, len(points))
+    along = points[second] - points[first]
+    length = np.hypot(along[:, 0], along[:, 1])
+    wanted = outline.size((points[first] + points[second]) / 2)
+    wanted = 1.2 * wanted * np.sqrt((length**2).sum() / (wanted**2).sum())
+    push = (np.maximum(wanted - length, 0) / length)[:, None] * along
+    move = np.zeros_like(points)
+    np.add.at(move, first, -push)
+    np.add.at(move, second, push)
+    fixed = len(outline.points)
+    moved = points.copy()
+    moved[fixed:] += 0.2 * move[fixed:]
+    stray = outline.clearance(moved[fixed:]) < 0.3 * outline.size(moved[fixed:])
+    moved[fixed:][stray] = points[fixed:][stray]
+    return moved
+
+
+def _twice_area(points: Points, elements: Elements) -> NDArray[np.float64]:
+    a, b, c = (points[elements[:, k]] for k in range(3))
+    area: NDArray[np.float64] = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    return area
+
+
+def _edge_lengths(points: Points, elements: Elements) -> NDArray[np.float64]:
+    corners = points[elements]
+    sides = corners - np.roll(corners, -1, axis=1)
+    lengths: NDArray[np.float64] = np.hypot(sides[..., 0], sides[..., 1])
+    return lengths
+
+
+def _circumcircles(points: Points, elements: Elements) -> tuple[Points, NDArray[np.float64]]:
+    a, b, c = (points[elements[:, k]] for k in range(3))
+    u, v = b - a, c - a
+    twice = 2 * (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0])
+    uu, vv = (u**2).sum(axis=1), (v**2).sum(axis=1)
+    offset = np.column_stack([v[:, 1] * uu - u[:, 1] * vv, u[:, 0] * vv - v[:, 0] * uu]) / twice[:, None]
+    return a + offset, np.hypot(offset[:, 0], offset[:, 1])

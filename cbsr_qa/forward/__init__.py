@@ -1,1 +1,0 @@
-"""Forward model: meshing, complete electrode model, Jacobian, exact local updates."""

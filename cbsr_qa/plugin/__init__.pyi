@@ -1,0 +1,36 @@
+from .discovery import Plugins as Plugins, discover as discover, left_running as left_running, made as made
+from .hooks import Kind as Kind, Register as Register, hookimpl as hookimpl
+from .instruments import (
+    Addressed as Addressed,
+    Alive as Alive,
+    ForceApplicator as ForceApplicator,
+    FrameSource as FrameSource,
+    Instrument as Instrument,
+    Linked as Linked,
+    MeterReading as MeterReading,
+    Multiplexer as Multiplexer,
+    Sampler as Sampler,
+    SelfTesting as SelfTesting,
+    SourceMeter as SourceMeter,
+    StationContext as StationContext,
+)
+from .interfaces import (
+    AnyEffect as AnyEffect,
+    Effect as Effect,
+    Interruption as Interruption,
+    LoadMetric as LoadMetric,
+    Reconstruction as Reconstruction,
+    RecordingEffect as RecordingEffect,
+    RecordingFormat as RecordingFormat,
+    RecordingWriter as RecordingWriter,
+    ReportSection as ReportSection,
+    RunMetric as RunMetric,
+    Sequence as Sequence,
+    SequenceContext as SequenceContext,
+    SheetEffect as SheetEffect,
+    SwitchingEffect as SwitchingEffect,
+    contained as contained,
+    failure as failure,
+    said as said,
+)
+from .software import kind_named as kind_named, software_versions as software_versions

@@ -1,0 +1,220 @@
+"""Finding plugins: one door, lazily, and a plugin that fails takes nothing else down."""
+
+import importlib
+import inspect
+import threading
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from difflib import get_close_matches
+from importlib.metadata import EntryPoint, entry_points
+from typing import Any
+
+import pluggy
+
+from cbsr_qa.domain import AbortedError, ConfigError, PluginError
+from cbsr_qa.domain.plan import PluginChoice
+from cbsr_qa.plugin import hooks as hookspecs
+from cbsr_qa.plugin.hooks import PROJECT, Kind
+from cbsr_qa.plugin.interfaces import contained, failure
+
+Factory = Callable[..., Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Registration:
+    """One thing a plugin added.
+
+    Parameters
+    ----------
+    target : ``"package.module:factory"``, imported on first use.
+    distribution, version : where it came from.
+    """
+
+    kind: Kind
+    name: str
+    target: str
+    distribution: str
+    version: str
+
+
+@dataclass(frozen=True, slots=True)
+class PluginFailure:
+    """A plugin that could not be loaded, and why."""
+
+    distribution: str
+    entry_point: str
+    reason: str
+
+    def __str__(self) -> str:
+        return f"plugin distribution {self.distribution} ({self.entry_point}) could not be loaded: {self.reason}"
+
+
+class Plugins:
+    """What is installed. Made by :func:`discover`; there is no global instance."""
+
+    def __init__(self) -> None:
+        self.manager = pluggy.PluginManager(PROJECT)
+        self.manager.add_hookspecs(hookspecs)
+        self.failures: list[PluginFailure] = []
+        self._registered: dict[tuple[Kind, str], Registration] = {}
+
+    def registrations(self, kind: Kind | None = None) -> tuple[Registration, ...]:
+        """What is registered, sorted by kind and name, whatever order the plugins were found in."""
+        chosen = (r for r in self._registered.values() if kind in (None, r.kind))
+        return tuple(sorted(chosen, key=lambda r: (r.kind, r.name)))
+
+    def names(self, kind: Kind) -> tuple[str, ...]:
+        """Names registered under a kind, sorted."""
+        return tuple(r.name for r in self.registrations(kind))
+
+    def in_order(self, kind: Kind) -> tuple[str, ...]:
+        """Names registered under a kind: each distribution's in its own order, the built-ins' first."""
+        return tuple(r.name for r in self._registered.values() if r.kind is kind)
+
+    def factory(self, kind: Kind, name: str) -> Factory:
+        """Import what a name stands for.
+
+        Raises
+        ------
+        PluginError
+            If nobody registered the name, or its module cannot be imported; says which plugins failed to load.
+        """
+        registration = self._registered.get((kind, name))
+        if registration is None:
+            raise PluginError(f"there is no {kind} plugin named {name!r}", remedy=self._remedy(kind, name))
+        module, _, attribute = registration.target.partition(":")
+        try:
+            factory: Factory = getattr(importlib.import_module(module), attribute)
+        except BaseException as error:
+            raise PluginError(
+                f"{kind} plugin {name!r} of {registration.distribution} cannot be loaded: {failure(error)}",
+                remedy="mend or uninstall that distribution",
+            ) from error
+        return factory
+
+    def tell(self, hook: str, warn: Callable[[str], None], *, may_abort: bool = False, **arguments: object) -> None:
+        """Call every implementation of a hook, each in its own ``try``: one that fails silences no other.
+
+        Parameters
+        ----------
+        hook : name of the hook.
+        warn : told about implementations that fail.
+        may_abort : whether an implementation may stop the run.
+        arguments : of the hook.
+
+        Raises
+        ------
+        AbortedError
+            If one wants the run stopped, and may.
+        """
+        for implementation in getattr(self.manager.hook, hook).get_hookimpls():
+            try:
+                implementation.function(**{name: arguments[name] for name in implementation.argnames})
+            except BaseException as error:
+                if may_abort and isinstance(error, AbortedError):
+                    raise
+                warn(f"plugin {implementation.plugin_name} failed in {hook}: {failure(error)}")
+
+    def add(self, plugin: object, distribution: str, version: str, entry_point: str) -> None:
+        """Take in one plugin; whatever it does wrong is kept as a failure."""
+        pending: dict[tuple[Kind, str], Registration] = {}
+
+        def register(kind: Kind, name: str, target: str) -> None:
+            key = (Kind(kind), name)
+            if taken := self._registered.get(key) or pending.get(key):
+                raise ValueError(f"{kind} {name!r} is already registered by {taken.distribution}")
+            if ":" not in target:
+                raise ValueError(f"target {target!r} of {kind} {name!r} is not 'package.module:factory'")
+            pending[key] = Registration(key[0], name, target, distribution, version)
+
+        try:
+            self.manager.register(plugin, name=f"{distribution}:{entry_point}")
+            hook = getattr(plugin, "cbsr_register", None)
+            if hook is not None:
+                hook(register)
+        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+            if self.manager.is_registered(plugin):
+                self.manager.unregister(plugin)
+            self.failures.append(PluginFailure(distribution, entry_point, failure(error)))
+        else:
+            self._registered |= pending
+
+    def _remedy(self, kind: Kind, name: str) -> str:
+        known = self.names(kind)
+        near = get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        parts = [f"installed: {', '.join(known) or 'none'}"]
+        parts += [f"{f.distribution} failed to load: {f.reason}" for f in self.failures]
+        return hint + "; ".join(parts)
+
+
+def discover(*, blocked: Iterable[str] = (), found: Iterable[EntryPoint] | None = None) -> Plugins:
+    """Load every installed plugin, each in its own ``try``.
+
+    Parameters
+    ----------
+    blocked : distributions to leave out.
+    found : entry points to use instead of the installed ones.
+    """
+    plugins = Plugins()
+    available = entry_points(group=PROJECT) if found is None else found
+    # The built-ins go first, so that a stranger cannot take one of their names away.
+    for point in sorted(available, key=lambda p: (_provenance(p)[0] != "cbsr-qa", _provenance(p))):
+        distribution, version = _provenance(point)[:2]
+        if distribution in set(blocked):
+            continue
+        try:
+            module = point.load()
+        except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+            plugins.failures.append(PluginFailure(distribution, point.name, failure(error)))
+        else:
+            plugins.add(module, distribution, version, point.name)
+    return plugins
+
+
+def made(plugins: Plugins, kind: Kind, choice: PluginChoice, where: str) -> Any:
+    """Make the object a plugin stands for, with its options.
+
+    Raises
+    ------
+    PluginError
+        If the plugin is unknown, cannot be loaded, or its factory fails.
+    ConfigError
+        If it refuses its options; the message names where they are given.
+    """
+    factory = plugins.factory(kind, choice.name)
+    try:
+        with contained(f"{where}: {kind} {choice.name!r}"):
+            return factory(**choice.options)
+    except ConfigError as error:
+        raise ConfigError(f"{where}: {error.reason}", remedy=error.remedy) from error
+    except PluginError as error:
+        untaken = _untaken(factory, kind, choice, where) if isinstance(error.__cause__, TypeError) else None
+        raise untaken or error from error.__cause__
+
+
+def _untaken(factory: Factory, kind: Kind, choice: PluginChoice, where: str) -> ConfigError | None:
+    """Say which options a factory does not take, or lacks; None if its TypeError came from elsewhere."""
+    taken = inspect.signature(factory).parameters
+    wrong = [name for name in choice.options if name not in taken]
+    lacking = [name for name, p in taken.items() if p.default is p.empty and name not in choice.options]
+    if any(p.kind is p.VAR_KEYWORD for p in taken.values()) or not (wrong or lacking):
+        return None
+    near = [close for name in wrong for close in get_close_matches(name, taken, n=1)]
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    said = f"takes no option {wrong[0]!r}" if wrong else f"needs option {lacking[0]!r}"
+    return ConfigError(
+        f"{where}: {kind} {choice.name!r} {said}", remedy=f"{hint}options: {', '.join(taken) or 'none'}"
+    )
+
+
+def left_running(before: Iterable[threading.Thread]) -> list[str]:
+    """Say which threads would hold the end of the program; those from before are not named."""
+    names = sorted(thread.name for thread in set(threading.enumerate()) - set(before) if not thread.daemon)
+    return [f"thread {name!r} of a plugin is still running, and is not waited for" for name in names]
+
+
+def _provenance(point: EntryPoint) -> tuple[str, str, str]:
+    if point.dist is None:
+        return "unknown", "unknown", point.name
+    return point.dist.name, point.dist.version, point.name

@@ -1,0 +1,266 @@
+"""Sequences: what makes a recipe's steps.
+
+A plugin's failure stays the plugin's: nothing it raises ends the program or passes for the user's own stop.
+
+Recording formats and sections of reports.
+
+Reconstructions and metrics.
+
+Effects of the simulated world.
+"""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Protocol, runtime_checkable
+
+from cbsr_qa.domain import CbsrError, PluginError
+from cbsr_qa.domain.plan import Moment, SheetDesign, Step, Transcript
+from cbsr_qa.domain.readings import ReadOptions, Recording, RecordingResult
+from cbsr_qa.domain.results import (
+    ImagingProblem,
+    LoadObservation,
+    Measurement,
+    PreparedReconstruction,
+    RunObservation,
+    RunResult,
+    Section,
+)
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.domain.sensor import SensorType
+
+#: Longer messages of plugins are cut [characters].
+_LONGEST: Final = 500
+
+
+class Interruption(BaseException):
+    """Breaks into a plugin's code from outside; the plugin is not to blame for it."""
+
+
+def failure(error: BaseException) -> str:
+    """Say in one line why a plugin's code failed.
+
+    Call it from ``except BaseException``: ``SystemExit`` and the like are a plugin's failure as any other error is.
+
+    Raises
+    ------
+    BaseException
+        The same error, where it is not the plugin's: Ctrl-C, an :class:`Interruption`, a generator that is closed.
+    """
+    if isinstance(error, KeyboardInterrupt | GeneratorExit | Interruption):
+        raise error
+    return said(error)
+
+
+def said(error: BaseException) -> str:
+    """Return type and message of an error, printable and of limited length; it raises nothing itself."""
+    try:
+        text = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
+    except KeyboardInterrupt:
+        raise
+    except BaseException:  # noqa: BLE001 - even its message is a stranger's code
+        text = type(error).__name__
+    plain = "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text[:_LONGEST])
+    return plain + "…" * (len(text) > _LONGEST)
+
+
+@contextmanager
+def contained(who: str) -> Iterator[None]:
+    """Blame a plugin for what its code raises.
+
+    Parameters
+    ----------
+    who : kind and name of the plugin, e.g. ``"metric 'creep'"``.
+
+    Raises
+    ------
+    PluginError
+        Naming the plugin, for every error that is not of this package on purpose; those pass as they are.
+    """
+    try:
+        yield
+    except CbsrError:
+        raise
+    except BaseException as error:
+        raise PluginError(
+            f"{who} failed: {failure(error)}", remedy="report it to the plugin's author, or do without that plugin"
+        ) from error
+
+
+class RecordingFormat(Protocol):
+    """Reads one family of files."""
+
+    def recognises(self, path: Path, head: bytes) -> bool:
+        """Tell from the name and the first 4096 bytes whether this is such a file."""
+        ...
+
+    def datasets(self, path: Path) -> tuple[str, ...]:
+        """Name the data sets of a file that can hold several; empty for a file that is one."""
+        ...
+
+    def read(self, path: Path, options: ReadOptions) -> Recording:
+        """Read it whole. RecordingError if nothing in it can be used; single bad rows are problems, not errors."""
+        ...
+
+
+@runtime_checkable
+class RecordingWriter(Protocol):
+    """What a :class:`RecordingFormat` has besides where simulated scenes can be written in it."""
+
+    def write(self, path: Path, recording: Recording, transcript: Transcript) -> tuple[str, ...]:
+        """Write a file as this format's rig would have, and return what it cannot say, in words.
+
+        Parameters
+        ----------
+        recording : all frames, also those of which rows are lost.
+        transcript : which rows are lost, and where a board dumps its log.
+
+        Raises
+        ------
+        RefusedError
+            If the format cannot hold such a recording, or the file exists already.
+        """
+        ...
+
+
+class ReportSection(Protocol):
+    """Writes one section of the report."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section, or None where the result has nothing for it."""
+        ...
+
+
+class Reconstruction(Protocol):
+    """Turns a linearised problem into images; a linear method into one matrix (LinearReconstruction).
+
+    A reconstruction may say by two attributes what ``analyse``, which images single presses, must hand it beyond
+    their changes: ``sequences = True`` where a frame's image depends on the frames beside it, for consecutive
+    frames; ``absolute = True`` where it wants the unloaded sensor's own readings (:attr:`ImagingProblem.measured`),
+    with changes in the same one scale. ``weighs_noise = False`` where it lets all readings count alike whatever
+    :attr:`ImagingProblem.noise_variance` says: a recipe that asks for weights is then refused.
+    """
+
+    def prepare(self, problem: ImagingProblem) -> PreparedReconstruction:
+        """Prepare once per sensor type; NumericsError where the problem cannot be solved."""
+        ...
+
+
+@runtime_checkable
+class LoadMetric(Protocol):
+    """A metric of one press.
+
+    A metric of either kind may have an attribute ``measures``, a mapping from the names of its measurements to
+    their units. Limits are then checked against it before anything moves; without it, only after the run.
+    """
+
+    def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; a quantity that cannot be determined is a Measurement without value, never an exception."""
+        ...
+
+
+@runtime_checkable
+class RunMetric(Protocol):
+    """A metric of a whole run. A metric plugin may be both."""
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; a quantity that cannot be determined is a Measurement without value, never an exception."""
+        ...
+
+
+@runtime_checkable
+class Effect(Protocol):
+    """One physical effect of a scene. An effect that is off is not imported."""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Effects that must be on and come before this one."""
+        ...
+
+    @property
+    def perturbs(self) -> str:
+        """A stage of the moment; :data:`cbsr_qa.simulate.STAGES` lists them."""
+        ...
+
+    def apply(self, moment: Moment) -> None:
+        """Change the moment. Random numbers come from the stream of (seed, own name, ``moment.index``)."""
+        ...
+
+
+@runtime_checkable
+class SwitchingEffect(Protocol):
+    """What an effect of the stage ``impedance`` that changes in steps has as well."""
+
+    def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
+        """Times of its steps after the first and up to the last [s]; at such a time the step is over."""
+        ...
+
+
+@runtime_checkable
+class SheetEffect(Protocol):
+    """An effect on the sheet as it is made (stage ``sheet``)."""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Effects that must be on and come before this one."""
+        ...
+
+    @property
+    def perturbs(self) -> str:
+        """The stage ``sheet``."""
+        ...
+
+    def design(self, design: SheetDesign) -> None:
+        """Change the sheet before it is made. Random numbers come from the stream of (seed, own name, 0)."""
+        ...
+
+
+@runtime_checkable
+class RecordingEffect(Protocol):
+    """An effect on how a scene's frames are written down (stage ``recording``)."""
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Effects that must be on and come before this one."""
+        ...
+
+    @property
+    def perturbs(self) -> str:
+        """The stage ``recording``."""
+        ...
+
+    def record(self, transcript: Transcript) -> None:
+        """Change the transcript. Random numbers come from the stream of (seed, own name, frame)."""
+        ...
+
+
+#: What a scene's effects may be.
+AnyEffect = Effect | SheetEffect | RecordingEffect
+
+
+@dataclass(frozen=True, slots=True)
+class SequenceContext:
+    """What a sequence may know when it makes its steps.
+
+    Parameters
+    ----------
+    sensor_type, indenter : what is tested.
+    seed : of the run; a sequence that draws numbers addresses them by its own name.
+    """
+
+    sensor_type: SensorType
+    indenter: Indenter
+    seed: int
+
+
+class Sequence(Protocol):
+    """Makes steps. It never touches an instrument: the runner does, and a dry run only counts.
+
+    A sequence may have an attribute ``role`` (:class:`~cbsr_qa.domain.plan.Role`) that says what it is for;
+    metrics and report sections look for roles. Without it the role is OTHER.
+    """
+
+    def steps(self, context: SequenceContext) -> Iterator[Step]:
+        """Yield the steps, the same ones each time it is asked."""
+        ...

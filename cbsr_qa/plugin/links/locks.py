@@ -1,0 +1,78 @@
+"""One program at a time talks to an instrument: a lock per port or resource, which says who holds it."""
+
+import hashlib
+import json
+import os
+import shlex
+import sys
+import tempfile
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+from cbsr_qa.domain import InstrumentError
+from cbsr_qa.system import FileLock, HeldError, RealClock
+
+#: Below the computer's directory for temporary files, so that programs of all its users meet there.
+_FOLDER: Final = "cbsr-qa-locks"
+_LONGEST_COMMAND: Final = 160
+
+
+class AddressLock:
+    """Holds an address until it is released or the process ends, however it ends.
+
+    See :class:`~cbsr_qa.system.FileLock`. A second instrument of the same program is refused like another
+    program's.
+
+    Parameters
+    ----------
+    role : of the instrument, for messages.
+    address : as the station file states it; paths of one device are one address, also through links to it.
+    device : what is locked, where one device has addresses that are written in several ways.
+
+    Raises
+    ------
+    InstrumentError
+        If it is held, naming by whom; or if the file for it cannot be made.
+    """
+
+    def __init__(self, role: str, address: str, *, device: str = "") -> None:
+        path = lock_path(device or address)
+        try:
+            with suppress(FileExistsError):
+                path.parent.mkdir()
+                path.parent.chmod(0o1777)
+            self._lock = FileLock(path, json.dumps(_self(role)).encode(), shared=True)
+        except HeldError as error:
+            by = _holder(error.who)
+            raise InstrumentError(
+                role, address, f"it is in use by {by}", remedy="end that program, or wait for it"
+            ) from error
+        except OSError as error:
+            reason = f"it cannot be locked against a second program: {error}"
+            raise InstrumentError(role, address, reason, remedy=f"let this user write in {path.parent}") from error
+
+    def release(self) -> None:
+        """Let others have it; may be called more than once."""
+        self._lock.release()
+
+
+def lock_path(address: str) -> Path:
+    """File that is locked for an address."""
+    one = str(Path(address).resolve()) if address.startswith("/") else address.strip().upper()
+    return Path(tempfile.gettempdir()) / _FOLDER / hashlib.sha256(one.encode()).hexdigest()[:32]
+
+
+def _self(role: str) -> dict[str, Any]:
+    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])[:_LONGEST_COMMAND]
+    since = RealClock().wall().isoformat(timespec="seconds")
+    return {"pid": os.getpid(), "command": command, "role": role, "since": since}
+
+
+def _holder(said: bytes) -> str:
+    """Say who holds a lock; one that has only just taken it may not have written its name yet."""
+    try:
+        who = json.loads(said)
+        return f"process {who['pid']} ({who['command']}) as {who['role']} since {who['since']}"
+    except (ValueError, KeyError, TypeError):
+        return "another program"

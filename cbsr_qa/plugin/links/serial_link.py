@@ -1,0 +1,252 @@
+"""A serial port whose every failure is an InstrumentError that names the role and the address."""
+
+import errno
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+import serial
+from serial.tools import list_ports
+
+from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.plugin.links.locks import AddressLock
+from cbsr_qa.system import RealClock
+
+_USB: Final = "usb:"
+#: A waiting reader lets others have the line this often [s, real time].
+_SLICE_S: Final = 0.02
+#: How long a port may not take any bytes: only a driver of the system that hangs does [s, real time].
+_WRITE_S: Final = 3.0
+#: No instrument of a bench sends longer lines; what does is not the instrument that was expected.
+_LONGEST_LINE: Final = 4096
+
+
+class SerialLink:
+    """An open serial port; its methods may be called from several threads.
+
+    Timeouts are real time, whatever the station's clock. Bytes of an answer that stayed incomplete are kept for the
+    next reading, so that nothing is lost where an instrument is merely slow; :meth:`flush_input` throws them away.
+
+    Parameters
+    ----------
+    role : of the instrument, for messages.
+    address : path of the port, or ``usb:VID:PID`` or ``usb:VID:PID:SERIAL`` (hexadecimal, as in ``usb:2C99:0002``):
+        a device by its identity, whatever port it is plugged into.
+    baud : bits per second; 8 data bits, no parity, 1 stop bit.
+    timeout_s : how long an answer is waited for where a call says nothing else.
+
+    Raises
+    ------
+    ConfigError
+        If the address is no usb: address though it begins like one.
+    InstrumentError
+        If there is no such port or device, it may not be opened, or another program has it.
+    """
+
+    def __init__(self, role: str, address: str, *, baud: int, timeout_s: float = 1.0) -> None:
+        self.role = role
+        self.address = address
+        self.timeout_s = timeout_s
+        self._baud = baud
+        #: Whether the line was found to be down; only reopening mends that.
+        self.down = False
+        self._time = RealClock()
+        self._held = bytearray()
+        self._reading = threading.RLock()
+        self._writing = threading.Lock()
+        self._port = self._opened()
+
+    @property
+    def port(self) -> str:
+        """Path of the port the device is at now."""
+        return str(self._port.port)
+
+    def write(self, data: bytes) -> None:
+        """Send all of this.
+
+        Raises
+        ------
+        InstrumentError
+            If the line is down, or does not take the bytes in time (retryable).
+        """
+        with self._writing, self._mapped():
+            sent = self._port.write(data)
+        if sent is not None and sent < len(data):
+            raise self._error(f"took {sent} of {len(data)} bytes within {_WRITE_S:g} s", retryable=True)
+
+    def read(self, count: int, timeout_s: float | None = None) -> bytes:
+        """Return exactly so many bytes.
+
+        Raises
+        ------
+        InstrumentError
+            If they do not come in time (retryable), or the line is down.
+        """
+        allowed_s = self.timeout_s if timeout_s is None else timeout_s
+        for _ in self._filling(allowed_s):
+            with self._reading:
+                if len(self._held) >= count:
+                    return self._taken(count)
+        said = f"answered {len(self._held)} of {count} bytes within {allowed_s:g} s"
+        raise self._error(said, remedy=_SILENT, retryable=True)
+
+    def read_line(self, timeout_s: float | None = None) -> bytes:
+        r"""Return the next line without its end (``\n`` or ``\r\n``).
+
+        Raises
+        ------
+        InstrumentError
+            If no whole line comes in time (retryable), it does not end, or the link is down.
+        """
+        allowed_s = self.timeout_s if timeout_s is None else timeout_s
+        for _ in self._filling(allowed_s):
+            with self._reading:
+                end = self._held.find(b"\n")
+                if end >= 0:
+                    return self._taken(end + 1).rstrip(b"\r\n")
+                if len(self._held) > _LONGEST_LINE:
+                    self._held.clear()
+                    raise self._error(f"sent more than {_LONGEST_LINE} bytes without a line end", remedy=_BAUD)
+        found = f"{len(self._held)} bytes without a line end" if self._held else "nothing"
+        raise self._error(f"answered {found} within {allowed_s:g} s", remedy=_SILENT, retryable=True)
+
+    def read_available(self) -> bytes:
+        """Return what has come, without waiting; may be nothing."""
+        with self._reading:
+            self._receive(0.0)
+            return self._taken(len(self._held))
+
+    def flush_input(self) -> None:
+        """Throw away what has come and was not read."""
+        with self._reading, self._mapped():
+            self._held.clear()
+            self._port.reset_input_buffer()
+
+    def reopen(self) -> None:
+        """Give the port back and open it again: a usb: address where the device is plugged in now.
+
+        Raises
+        ------
+        InstrumentError
+            If it cannot be opened.
+        """
+        self.close()
+        with self._reading:
+            self._held.clear()
+            self._port = self._opened()
+            self.down = False
+
+    def close(self) -> None:
+        """Give the port back; may be called more than once."""
+        self._port.close()
+        self._lock.release()
+
+    def _taken(self, count: int) -> bytes:
+        data = bytes(self._held[:count])
+        del self._held[:count]
+        return data
+
+    def _filling(self, allowed_s: float) -> Iterator[None]:
+        """Come back after everything that was received, the first time at once, until the time is over."""
+        until_s = self._time.now() + allowed_s
+        yield
+        while (left_s := until_s - self._time.now()) > 0:
+            self._receive(min(left_s, _SLICE_S))
+            yield
+
+    def _receive(self, wait_s: float) -> None:
+        with self._reading, self._mapped():
+            waiting = self._port.in_waiting
+            if not waiting and wait_s <= 0:
+                return
+            if self._port.timeout != wait_s:
+                self._port.timeout = wait_s
+            self._held += self._port.read(max(waiting, 1))
+
+    def _opened(self) -> serial.Serial:
+        path = self._path()
+        self._lock = AddressLock(self.role, path)
+        try:
+            return serial.Serial(path, self._baud, timeout=self.timeout_s, write_timeout=_WRITE_S, exclusive=True)
+        except (serial.SerialException, OSError, ValueError) as error:
+            self._lock.release()
+            raise self._not_opened(path, error) from error
+
+    def _path(self) -> str:
+        """Return the path of the port, where a usb: device is plugged in at the moment."""
+        if not self.address.lower().startswith(_USB):
+            return self.address
+        vid, pid, number = _usb_identity(self.role, self.address)
+        found = [
+            port.device
+            for port in list_ports.comports()
+            if (port.vid, port.pid) == (vid, pid) and number in (None, port.serial_number)
+        ]
+        if len(found) == 1:
+            return str(found[0])
+        if not found:
+            raise self._error("no such device is plugged in", remedy=_ports())
+        raise self._error(
+            f"{len(found)} such devices are plugged in ({', '.join(sorted(found))})",
+            remedy="say which by its serial number: usb:VID:PID:SERIAL",
+        )
+
+    def _not_opened(self, path: str, error: Exception) -> InstrumentError:
+        number = getattr(error, "errno", None)
+        if number in (errno.EAGAIN, errno.EWOULDBLOCK, errno.EBUSY) or "lock" in str(error).lower():
+            return self._error("another program has the port", remedy="end the other program, or wait for it")
+        if number in (errno.ENOENT, errno.ENXIO, errno.ENODEV):
+            return self._error(f"there is no port {path}", remedy=_ports())
+        if number in (errno.EACCES, errno.EPERM):
+            return self._error(
+                f"port {path} may not be opened", remedy="add the user to the group that owns it (often dialout)"
+            )
+        return self._error(f"port {path} does not open: {error}", remedy=_ports())
+
+    @contextmanager
+    def _mapped(self) -> Iterator[None]:
+        try:
+            yield
+        except serial.SerialTimeoutException as error:
+            said = f"took no more bytes for {_WRITE_S:g} s"
+            raise self._error(said, remedy=_SILENT, retryable=True) from error
+        except serial.PortNotOpenError as error:
+            self.down = True
+            raise self._error("the link is closed") from error
+        except (serial.SerialException, OSError, TypeError, ValueError) as error:
+            self.down = True
+            if not self._port.is_open:  # pyserial leaks a TypeError where it is closed
+                raise self._error("the link is closed") from error
+            raise self._error(f"the link is down ({error})", remedy=_CABLE) from error
+
+    def _error(self, reason: str, *, remedy: str = "", retryable: bool = False) -> InstrumentError:
+        return InstrumentError(self.role, self.address, reason, remedy=remedy, retryable=retryable)
+
+
+_SILENT: Final = "check that it is switched on, and its baud rate"
+_BAUD: Final = "check the address and the baud rate"
+_CABLE: Final = "check the cable and the power of the instrument"
+
+
+def _usb_identity(role: str, address: str) -> tuple[int, int, str | None]:
+    """Return vendor, product and serial number; None where any will do."""
+    vendor, _, rest = address[len(_USB) :].partition(":")
+    product, _, number = rest.partition(":")
+    try:
+        return int(vendor, 16), int(product, 16), number or None
+    except ValueError as error:
+        raise ConfigError(
+            f"instrument {role!r}: address {address!r} is no USB device",
+            remedy='write usb:VID:PID or usb:VID:PID:SERIAL in hexadecimal, e.g. "usb:2C99:0002"',
+        ) from error
+
+
+def _ports() -> str:
+    """Say which ports there are, those of USB devices with their identity."""
+    known = [
+        f"{port.device} (usb:{port.vid:04X}:{port.pid:04X}{f':{port.serial_number}' if port.serial_number else ''})"
+        for port in list_ports.comports()
+        if port.vid is not None and port.pid is not None
+    ]
+    return f"plug it in; USB serial ports found: {', '.join(sorted(known)) or 'none'}"

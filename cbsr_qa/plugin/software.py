@@ -1,0 +1,60 @@
+"""Which software made a number.
+
+Which plugins there are.
+"""
+
+import platform
+from difflib import get_close_matches
+from importlib.metadata import PackageNotFoundError, version
+from typing import Final
+
+import cbsr_qa
+from cbsr_qa.domain import PluginError
+from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.plugin.hooks import Kind
+
+#: What numbers rest on, besides this package and its plugins.
+_NUMERICS: Final = ("numpy", "scipy", "scikit-image", "h5py", "sqlalchemy")
+#: What instruments are spoken to through.
+_LINKS: Final = ("pyserial", "pyvisa", "pyvisa-py")
+
+
+def software_versions(plugins: Plugins) -> tuple[tuple[str, str], ...]:
+    """Versions of this package, of every distribution that registered a plugin, of Python and the libraries used.
+
+    Returns
+    -------
+    (distribution, version) pairs: ours first, then plugins and libraries by name.
+    """
+    theirs = {(r.distribution, r.version) for r in plugins.registrations() if r.distribution != "cbsr-qa"}
+    python = ("python", platform.python_version())
+    return (("cbsr-qa", cbsr_qa.__version__), *sorted(theirs), python, *_installed())
+
+
+def _installed() -> tuple[tuple[str, str], ...]:
+    found = []
+    for name in (*_NUMERICS, *_LINKS):
+        try:
+            found.append((name, version(name)))
+        except PackageNotFoundError:
+            found.append((name, "not installed"))
+    return tuple(found)
+
+
+def kind_named(name: str | None) -> Kind | None:
+    """Return the kind of plugin a user named, None for every kind.
+
+    Raises
+    ------
+    PluginError
+        If there is no such kind.
+    """
+    if name is None:
+        return None
+    try:
+        return Kind(name)
+    except ValueError:
+        kinds = [str(kind) for kind in Kind]
+        near = get_close_matches(name, kinds, n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise PluginError(f"there is no kind of plugin {name!r}", remedy=f"{hint}kinds: {', '.join(kinds)}") from None

@@ -1,1 +1,0 @@
-"""What reconstructions share: the linearised problem, priors, choice of λ, noise propagation."""

@@ -1,0 +1,49 @@
+from .page import Banner as Banner, Page as Page, run_page as run_page
+from .render import (
+    check_replaceable as check_replaceable,
+    render_recording as render_recording,
+    render_run as render_run,
+    render_sections as render_sections,
+    report_name as report_name,
+    write_report as write_report,
+)
+from .select import (
+    SIGNS as SIGNS,
+    SPATIAL as SPATIAL,
+    Measured as Measured,
+    alike as alike,
+    by_label as by_label,
+    loads_of as loads_of,
+    location_verdicts as location_verdicts,
+    mask_qualifier as mask_qualifier,
+    mean_deviation as mean_deviation,
+    observed as observed,
+    seen_loads as seen_loads,
+    settled_loads as settled_loads,
+    spread_text as spread_text,
+    verdicts_in_words as verdicts_in_words,
+)
+from .station import (
+    chart_blocks as chart_blocks,
+    counted as counted,
+    lines_table as lines_table,
+    remedies as remedies,
+    station_blocks as station_blocks,
+)
+from .tables import (
+    bound_sign as bound_sign,
+    duration as duration,
+    fixed as fixed,
+    limit_text as limit_text,
+    margin_text as margin_text,
+    number as number,
+    plain as plain,
+    plural as plural,
+    quantity as quantity,
+    scaled_unit as scaled_unit,
+    text_table as text_table,
+    unit_column as unit_column,
+    unit_shown as unit_shown,
+    value_cell as value_cell,
+    with_uncertainty as with_uncertainty,
+)

@@ -1,0 +1,237 @@
+"""Readings of a reference ring against its closed form.
+
+Per-channel quantities: the map of all drive and measure pairs, and the ring of electrode pairs.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Rectangle
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.results import Figure
+from cbsr_qa.report.draw.sheet import add_scale
+from cbsr_qa.report.draw.style import (
+    AMOUNT_MAP,
+    BLUE,
+    FAINT,
+    INK,
+    QUIET,
+    VERMILION,
+    WIDTH_IN,
+    canvas,
+    drawn,
+    light_grid,
+)
+from cbsr_qa.report.tables import scaled_unit, unit_shown
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelMark:
+    """Readings to point at, e.g. saturated ones: (drive, measure) pairs, a matplotlib marker, a legend's words."""
+
+    pairs: tuple[tuple[int, int], ...]
+    symbol: str
+    label: str
+
+
+def channel_map_figure(
+    values: NDArray[np.float64],
+    *,
+    label: str,
+    unit: str,
+    caption: str,
+    alternative: str,
+    used: NDArray[np.bool_] | None = None,
+    marks: Sequence[ChannelMark] = (),
+    limits: tuple[float, float] | None = None,
+) -> Figure:
+    """Draw one value per reading as a map, drive pairs down, measure pairs across.
+
+    Parameters
+    ----------
+    values : (drives, measures) float64; not finite where there is no value (drawn empty).
+    label, unit : what is shown and in what.
+    used : (drives, measures) bool; readings that are not used are drawn empty.
+    marks : readings to point at, with a legend below the map; those without pairs are left out.
+    limits : (lowest, highest) of the colour scale; the 2nd and 98th percentile where None.
+    """
+
+    def build() -> Canvas:
+        drives, measures = values.shape
+        shown = np.isfinite(values) & (True if used is None else used)
+        size_in = 3.5
+        tall_in = min(size_in * max(drives / measures, 0.12), 4.5)
+        height_in = tall_in + 0.6
+        figure = canvas(height_in, WIDTH_IN)
+        left, bottom = (WIDTH_IN - size_in) / 2 / WIDTH_IN, 0.45 / height_in
+        axes = figure.add_axes((left, bottom, size_in / WIDTH_IN, tall_in / height_in))
+        norm = Normalize(*(limits or _middle(values[shown])))
+        _draw_map(axes, values, shown, norm)
+        _draw_marks(axes, marks)
+        title = f"{label} [{unit_shown(unit)}]" if unit_shown(unit) else label
+        if shown.any():
+            add_scale(figure, axes, norm, AMOUNT_MAP, label=title, place="right")
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def pair_bar_figure(
+    values: NDArray[np.float64],
+    names: Sequence[str],
+    *,
+    label: str,
+    unit: str,
+    caption: str,
+    alternative: str,
+    limits: tuple[float | None, float | None] = (None, None),
+    outside: Sequence[int] = (),
+) -> Figure:
+    """Draw one bar per electrode pair, with the allowed range and the median.
+
+    Parameters
+    ----------
+    values : (pairs,) float64, finite, at least one.
+    names : of the pairs, e.g. ``"3–4"``.
+    limits : lower and upper bound, drawn where given.
+    outside : pairs drawn in the warning colour.
+    """
+
+    def build() -> Canvas:
+        figure = canvas(2.0)
+        axes = figure.add_axes((0.085, 0.22, 0.79, 0.68))
+        light_grid(axes)
+        colours = [VERMILION if pair in set(outside) else BLUE for pair in range(len(values))]
+        axes.bar(np.arange(len(values)), values, width=0.72, color=colours, linewidth=0)
+        axes.set_xticks(range(len(values)), names)
+        axes.tick_params(axis="x", length=0)
+        axes.set_xlim(-0.6, len(values) - 0.4)
+        axes.set_xlabel("electrode pair")
+        shown = unit_shown(unit)
+        axes.set_ylabel(f"{label} [{shown}]" if shown else label)
+        lines = [(float(np.median(values)), "median", INK, "solid")]
+        bounds = zip(limits, ("lowest", "highest"), strict=True)
+        lines += [(bound, name, VERMILION, "dashed") for bound, name in bounds if bound is not None]
+        for level, name, colour, style in lines:
+            axes.axhline(level, color=colour, linewidth=0.8, linestyle=style)
+            axes.text(len(values) - 0.3, level, name, color=colour, va="center", fontsize=7)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def _middle(values: NDArray[np.float64]) -> tuple[float, float]:
+    if not values.size:
+        return 0.0, 1.0
+    lowest, highest = (float(v) for v in np.percentile(values, (2, 98)))
+    return (lowest, highest) if highest > lowest else (lowest - 0.5, highest + 0.5)
+
+
+def _draw_map(axes: Axes, values: NDArray[np.float64], shown: NDArray[np.bool_], norm: Normalize) -> None:
+    drives, measures = values.shape
+    _empty_cells(axes, shown)
+    edges_x, edges_y = np.arange(measures + 1) - 0.5, np.arange(drives + 1) - 0.5
+    picture = np.ma.MaskedArray(values, mask=~shown)
+    axes.pcolormesh(edges_x, edges_y, picture, norm=norm, cmap=AMOUNT_MAP, edgecolors="white", linewidth=0.4)
+    axes.set_xlim(-0.5, measures - 0.5)
+    axes.set_ylim(drives - 0.5, -0.5)
+    axes.set_aspect("auto" if drives == 1 else "equal")
+    axes.set_xticks(range(0, measures, max(1, measures // 16)))
+    axes.set_yticks(range(0, drives, max(1, drives // 16)))
+    axes.tick_params(length=0)
+    axes.set_xlabel("measure pair")
+    axes.set_ylabel("drive pair")
+    for side in ("left", "bottom"):
+        axes.spines[side].set_visible(False)
+
+
+def _empty_cells(axes: Axes, shown: NDArray[np.bool_]) -> None:
+    for drive, measure in np.argwhere(~shown):
+        axes.add_patch(Rectangle((measure - 0.5, drive - 0.5), 1, 1, facecolor="#f2f2f2", edgecolor="white", lw=0.4))
+
+
+def _draw_marks(axes: Axes, marks: Sequence[ChannelMark]) -> None:
+    present = [mark for mark in marks if mark.pairs]
+    for mark in present:
+        drive, measure = np.array(mark.pairs).T
+        axes.scatter(
+            measure, drive, marker=mark.symbol, s=16, c=VERMILION, linewidths=1.1, label=mark.label, zorder=4
+        )
+    if present:
+        axes.legend(loc="upper right", bbox_to_anchor=(-0.12, 1.0), frameon=False, fontsize=7, labelcolor=QUIET)
+
+
+Array = NDArray[np.float64]
+
+
+def ring_figure(
+    expected: Array,
+    mean: Array,
+    residual: Array,
+    *,
+    driven: NDArray[np.bool_],
+    used: NDArray[np.bool_],
+    allowed: float,
+    unit: str,
+) -> Figure:
+    """Draw mean readings over the closed form, and what of each is left when gain, offset and leads are taken out.
+
+    Parameters
+    ----------
+    expected, mean : (drives, measures) in ``unit``.
+    residual : (drives, measures) as a fraction of the expected reading.
+    driven : (drives, measures) bool; readings that touch a driven electrode.
+    used : (drives, measures) bool; readings without a flag, the others are not drawn.
+    allowed : largest residual that is well, as a fraction.
+    """
+    kinds = [("touches no driven electrode", used & ~driven, BLUE), ("touches one", used & driven, VERMILION)]
+
+    def build() -> Canvas:
+        figure = canvas(2.6)
+        _compared(figure, expected, mean, kinds, unit)
+        axes = figure.add_axes((0.52, 0.17, 0.46, 0.66))
+        light_grid(axes)
+        number = np.arange(expected.size).reshape(expected.shape)
+        for _, which, colour in kinds:
+            axes.plot(number[which], 100 * residual[which], ".", color=colour, markersize=2.5)
+        for limit in (-allowed, allowed):
+            axes.axhline(100 * limit, color=INK, linewidth=0.8)
+        axes.set_xlabel("reading, drive pair after drive pair")
+        axes.set_ylabel("left of the reading [%]")
+        axes.set_title("Gain, offset and leads taken out")
+        return figure
+
+    worst = 100 * float(np.abs(np.where(used, residual, 0.0)).max())
+    return drawn(
+        build,
+        caption="Left: mean reading over the closed form of the ring; a perfect station lies on the line. Right:"
+        f" what is left of each reading, of what is expected, between the limits of ±{100 * allowed:.3g} %.",
+        alternative=f"{int(used.sum())} readings against the closed form; the worst residual is {worst:.3g} %.",
+    )
+
+
+def _compared(
+    figure: Canvas,
+    expected: Array,
+    mean: Array,
+    kinds: Sequence[tuple[str, NDArray[np.bool_], str]],
+    unit: str,
+) -> None:
+    """Left half: readings over the closed form, with the line of equality."""
+    axes = figure.add_axes((0.09, 0.17, 0.33, 0.66))
+    light_grid(axes, "both")
+    scale, shown = scaled_unit(float(np.abs(expected).max()), unit)
+    ends = np.array([expected.min(), expected.max()]) / scale
+    axes.plot(ends, ends, color=FAINT, linewidth=0.8)
+    for label, which, colour in kinds:
+        if which.any():
+            axes.plot(expected[which] / scale, mean[which] / scale, "o", color=colour, markersize=3, label=label)
+    axes.set_xlabel(f"closed form [{shown}]")
+    axes.set_ylabel(f"mean reading [{shown}]")
+    axes.set_title("Readings")
+    axes.legend(frameon=False, fontsize=6.5, labelcolor=QUIET, loc="upper left")

@@ -1,0 +1,260 @@
+"""A material in one dimension: changes against stress and strain, and how it settles (paper: Figs 5 to 8, D.19)."""
+
+from collections.abc import Callable, Sequence
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure as Canvas
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.results import (
+    Characterisation,
+    CycleChange,
+    Figure,
+    FitStatus,
+    FittedLine,
+    StrainLevel,
+    StrainSettling,
+)
+from cbsr_qa.report.draw.relaxation import relaxation_value
+from cbsr_qa.report.draw.style import (
+    BLUE,
+    FAINT,
+    INK,
+    QUIET,
+    VERMILION,
+    canvas,
+    drawn,
+    fit_left,
+    light_grid,
+    spread_labels,
+)
+
+_BAND: Final = 1.96  # standard errors to each side of a line: 95 %
+_STRAINS: Final = LinearSegmentedColormap.from_list("cbsr_strain", ["#9ecae1", "#2171b5", "#08306b"])
+
+Change = Callable[[CycleChange], float]
+
+
+def lines_figure(found: Characterisation, *, caption: str, alternative: str) -> Figure:
+    """Draw changes between the pins and under the head against stress and strain, with line and band."""
+
+    def build() -> Canvas:
+        figure = canvas(4.3)
+        grid = figure.add_gridspec(2, 2, left=0.09, right=0.985, bottom=0.095, top=0.945, hspace=0.5, wspace=0.24)
+        left: list[Axes] = []
+        rows = (
+            ("between the pins", _apparent, found.against_stress, found.against_strain),
+            ("under the head", _local, found.local_against_stress, found.local_against_strain),
+        )
+        for row, (where, change, against_stress, against_strain) in enumerate(rows):
+            for column, (line, place, label) in enumerate(
+                ((against_stress, _stress, "stress [kPa]"), (against_strain, _strain, "strain [%]"))
+            ):
+                axes = figure.add_subplot(grid[row, column])
+                light_grid(axes)
+                _draw_line(axes, found, line, place, change, scale=100.0 if column else 1.0)
+                axes.set_title(f"{where}, against {'strain' if column else 'stress'}", fontweight="normal")
+                axes.set_xlabel(label)
+                if column == 0:
+                    axes.set_ylabel("Δρ/ρ₀ [%]")
+                    left.append(axes)
+        fit_left(figure, grid, left)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def _apparent(cycle: CycleChange) -> float:
+    return cycle.apparent
+
+
+def _local(cycle: CycleChange) -> float:
+    return cycle.local
+
+
+def _strain(cycle: CycleChange) -> float | None:
+    return cycle.strain
+
+
+def _stress(cycle: CycleChange) -> float | None:
+    return cycle.stress_kPa
+
+
+def _draw_line(
+    axes: Axes,
+    found: Characterisation,
+    line: FittedLine,
+    place: Callable[[CycleChange], float | None],
+    change: Change,
+    *,
+    scale: float,
+) -> None:
+    """Cycles as faint dots, means with deviations, strains left out open; the line only where it was fitted."""
+    highest = 0.0
+    for level in found.levels:
+        members = [(place(c), change(c)) for c in found.cycles if c.strain == level.strain]
+        points = np.array([(x * scale, 100 * y) for x, y in members if x is not None]).reshape(-1, 2)
+        if len(points):
+            _draw_level(axes, level, points)
+            highest = max(highest, float(points[:, 0].max()))
+    if line.line is None or not highest:
+        axes.text(0.98, 0.06, "no line", transform=axes.transAxes, ha="right", color=VERMILION)
+        return
+    slope, intercept = line.line.slope, line.line.intercept
+    x = np.linspace(0, 1.06 * highest, 60) / scale
+    y = slope.value * x + intercept.value
+    variance = ((slope.stderr or 0) * x) ** 2 + (intercept.stderr or 0) ** 2 + 2 * x * (line.line.covariance or 0)
+    error = _BAND * np.sqrt(np.maximum(variance, 0))
+    axes.fill_between(
+        x * scale, 100 * (y - error), 100 * (y + error), color="#0072b2", alpha=0.14, linewidth=0, zorder=1
+    )
+    axes.plot(x * scale, 100 * y, color=BLUE, linewidth=1.1, zorder=2)
+    axes.set_xlim(0, 1.06 * highest)
+
+
+def _draw_level(axes: Axes, level: StrainLevel, points: NDArray[np.float64]) -> None:
+    x, y = points.mean(axis=0)
+    deviation = points[:, 1].std(ddof=1) if len(points) > 1 else 0.0
+    axes.plot(points[:, 0], points[:, 1], linestyle="none", marker="o", markersize=2, color=FAINT, zorder=2.5)
+    style = {"markerfacecolor": "white", "color": VERMILION} if level.why else {"color": INK}
+    axes.errorbar(
+        x,
+        y,
+        yerr=deviation,
+        marker="o",
+        markersize=4,
+        linewidth=0.9,
+        capsize=2,
+        zorder=3,
+        **style,  # type: ignore[arg-type]
+    )
+    if level.why:
+        words = f"{100 * level.strain:g} % left out"
+        axes.annotate(words, (x, y), (5, -2), textcoords="offset points", va="top", fontsize=7, color=VERMILION)
+
+
+def relaxations_figure(found: Characterisation, *, caption: str, alternative: str) -> Figure:
+    """Draw the mean trace of every strain after press and release with its fit, over its steady change."""
+    panels = [
+        (title, members)
+        for title, members in (
+            ("conductance after the press", _of(found, "conductance", True)),
+            ("conductance after the release", _of(found, "conductance", False)),
+            ("stress after the press", _of(found, "stress", True)),
+        )
+        if members
+    ]
+
+    def build() -> Canvas:
+        figure = canvas(2.35)
+        grid = figure.add_gridspec(1, max(len(panels), 1), left=0.07, right=0.94, bottom=0.18, top=0.88, wspace=0.27)
+        axes = None
+        for column, (title, members) in enumerate(panels):
+            axes = figure.add_subplot(grid[column])
+            light_grid(axes)
+            axes.set_title(title, fontweight="normal")
+            axes.set_xlabel("time since the end of the ramp [s]")
+            ends = [_draw_relaxation(axes, found, one, len(members)) for one in members]
+            axes.set_xlim(left=0)
+            if column == 0:
+                axes.set_ylabel("Δρ/ρ₀ [%]")
+            if title.startswith("stress"):
+                axes.set_ylabel("[kPa]", labelpad=1)
+            if column == len(panels) - 1:
+                _name_strains(axes, members, ends)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def _of(found: Characterisation, signal: str, loading: bool) -> list[StrainSettling]:
+    return [
+        one
+        for one in found.settlings
+        if one.signal == signal and one.loading is loading and one.strain is not None and len(one.values)
+    ]
+
+
+def _draw_relaxation(axes: Axes, found: Characterisation, one: StrainSettling, count: int) -> float:
+    """One strain's mean trace and fit; returns where it ends."""
+    scale = 100.0 if one.signal == "conductance" else 1.0
+    strains = sorted({level.strain for level in found.levels})
+    colour = _STRAINS(strains.index(one.strain or 0.0) / max(count - 1, 1))
+    axes.plot(
+        one.time_s,
+        scale * one.values,
+        linestyle="none",
+        marker="o",
+        markersize=1.5,
+        color=colour,
+        alpha=0.55,
+        zorder=2,
+    )
+    if one.fit.status not in (FitStatus.REJECTED, FitStatus.DRIFTING):
+        fine = np.linspace(0.0, float(one.time_s[-1]), 120)
+        axes.plot(fine, scale * relaxation_value(one.fit, fine), color=colour, linewidth=1.0, zorder=3)
+        settled = one.settling.value_s
+        if settled is not None and not one.settling.censored:
+            at = scale * relaxation_value(one.fit, np.array([settled]))
+            axes.plot([settled], at, marker="|", markersize=7, markeredgewidth=1.2, color=VERMILION, zorder=4)
+    return scale * float(one.values[-max(len(one.values) // 8, 1) :].mean())
+
+
+def _name_strains(axes: Axes, members: Sequence[StrainSettling], ends: Sequence[float]) -> None:
+    low, high = axes.get_ylim()
+    places = spread_labels(list(ends), 0.075 * (high - low))
+    for one, place in zip(members, places, strict=True):
+        x = axes.get_xlim()[1]
+        axes.text(1.01 * x, place, f"{100 * (one.strain or 0):g} %", va="center", fontsize=7, color=QUIET)
+
+
+def settling_by_strain_figure(found: Characterisation, *, caption: str, alternative: str) -> Figure:
+    """Draw settling times against strain, for loading and unloading (paper: Fig D.19)."""
+
+    def build() -> Canvas:
+        figure = canvas(2.3)
+        grid = figure.add_gridspec(1, 2, left=0.075, right=0.985, bottom=0.18, top=0.88, wspace=0.2)
+        for column, signal in enumerate(("conductance", "stress")):
+            axes = figure.add_subplot(grid[column])
+            light_grid(axes)
+            axes.set_title(f"{signal} settles", fontweight="normal")
+            axes.set_xlabel("strain [%]")
+            for loading in (True, False):
+                _draw_settling(axes, found, signal, loading)
+            axes.set_ylim(bottom=0)
+            if column == 0:
+                axes.set_ylabel("settling time [s]")
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def _draw_settling(axes: Axes, found: Characterisation, signal: str, loading: bool) -> None:
+    colour, shift = (BLUE, -0.15) if loading else (VERMILION, 0.15)
+    members = [one for one in _of(found, signal, loading) if one.settling.value_s is not None]
+    for one in members:
+        late = one.settling.censored
+        axes.errorbar(
+            100 * (one.strain or 0) + shift,
+            one.settling.value_s or 0.0,
+            yerr=one.stderr_s or 0.0,
+            marker="^" if late else "o",
+            markersize=4,
+            color=colour,
+            markerfacecolor=colour if loading else "white",
+            linewidth=0.9,
+            capsize=2,
+            zorder=3,
+        )
+    common = next((o for o in found.settlings if (o.signal, o.loading, o.strain) == (signal, loading, None)), None)
+    if not members or common is None or common.settling.value_s is None:
+        return
+    value, error = common.settling.value_s, common.stderr_s or 0.0
+    style = "solid" if loading else (0, (4, 2))
+    axes.axhline(value, color=colour, linewidth=0.8, linestyle=style, zorder=2)
+    axes.axhspan(value - error, value + error, color=colour, alpha=0.1, linewidth=0, zorder=1)
+    words = f"after the {'press' if loading else 'release'}, all strains: {value:.3g} s"
+    axes.text(0.99, 0.06 if loading else 0.15, words, transform=axes.transAxes, ha="right", fontsize=7, color=colour)

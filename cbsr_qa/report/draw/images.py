@@ -1,0 +1,260 @@
+"""Images of the sheet: electrodes, what conducts more or less, and what was found there.
+
+Where on the sheet limits were met and where not, to be read without colour.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Circle
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.geometry import SheetOutline
+from cbsr_qa.domain.results import SEVERITY, Figure, Image, Outcome
+from cbsr_qa.domain.sensor import Electrodes, Mesh, SensorType
+from cbsr_qa.report.draw.sheet import Raster, add_scale, draw_electrodes, draw_sheet, fit_sheet, reach
+from cbsr_qa.report.draw.style import CHANGE_MAP, INK, QUIET, WIDTH_IN, bare, canvas, change_norm, drawn
+from cbsr_qa.report.select import SIGNS, LocationVerdict
+
+_ACROSS: Final = 3
+_SIDE_IN: Final = 2.1
+_ROW_IN: Final = 2.62
+#: More places than this stand too close for their names.
+_MOST_NAMES: Final = 16
+#: As dark in grey print as the outcome is bad; the edge tells them apart besides.
+_LOOK: Final[dict[Outcome, dict[str, Any]]] = {
+    Outcome.PASS: {"facecolor": "#e9f5f0", "edgecolor": "#00664b", "linewidth": 0.8},
+    Outcome.MARGINAL: {"facecolor": "#f3d9a0", "edgecolor": "#8a5a00", "linewidth": 1.1, "linestyle": (0, (3, 1.5))},
+    Outcome.FAIL: {"facecolor": "#a32900", "edgecolor": "#5e1800", "linewidth": 1.6},
+    Outcome.NOT_MEASURED: {
+        "facecolor": "white",
+        "edgecolor": "#4d4d4d",
+        "linewidth": 1.1,
+        "linestyle": (0, (1, 1.5)),
+    },
+}
+
+
+def verdict_figure(
+    verdicts: Sequence[LocationVerdict], sensor: SensorType, *, caption: str, alternative: str
+) -> Figure:
+    """Draw a sheet for each phase with the outcome of every place.
+
+    Parameters
+    ----------
+    verdicts : at least one.
+    """
+
+    def build() -> Canvas:
+        phases = list(dict.fromkeys(one.phase for one in verdicts))
+        rows = ceil(len(phases) / _ACROSS)
+        height_in = rows * _ROW_IN
+        figure = canvas(height_in)
+        across = min(len(phases), _ACROSS)
+        step_in = WIDTH_IN / across if across > 1 else _SIDE_IN + 0.2
+        for number, phase in enumerate(phases):
+            row, column = divmod(number, _ACROSS)
+            left_in = column * step_in + (step_in - _SIDE_IN) / 2 * (across > 1)
+            bottom_in = height_in - (row + 1) * _ROW_IN + 0.24
+            axes = figure.add_axes(
+                (left_in / WIDTH_IN, bottom_in / height_in, _SIDE_IN / WIDTH_IN, _SIDE_IN / height_in)
+            )
+            _draw_phase(axes, phase, [one for one in verdicts if one.phase == phase], sensor)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def outcome_counts(verdicts: Sequence[LocationVerdict]) -> str:
+    """Count outcomes in words, the best first: ``7 pass, 1 marginal, 1 fail``."""
+    counts = [(outcome, sum(one.outcome is outcome for one in verdicts)) for outcome in reversed(SEVERITY)]
+    return ", ".join(f"{count} {outcome.value}" for outcome, count in counts if count)
+
+
+def _draw_phase(axes: Axes, phase: str, verdicts: Sequence[LocationVerdict], sensor: SensorType) -> None:
+    bare(axes)
+    draw_sheet(axes, sensor.outline, filled=True)
+    draw_electrodes(axes, sensor.electrodes, sensor.outline, numbered=False)
+    radius_mm = _disc_mm(verdicts, sensor)
+    named = len(verdicts) <= _MOST_NAMES
+    # The worst last, so that none hides below a neighbour that passed.
+    for one in sorted(verdicts, key=lambda v: -SEVERITY.index(v.outcome)):
+        axes.add_patch(Circle((one.x_mm, one.y_mm), radius_mm, zorder=4, **_LOOK[one.outcome]))
+        sign = SIGNS[one.outcome]
+        text = f"{sign}\n{one.label}" if named else sign
+        colour = "white" if one.outcome is Outcome.FAIL else INK
+        axes.text(one.x_mm, one.y_mm, text, ha="center", va="center", fontsize=5.5, linespacing=0.95,
+                  color=colour, fontweight="bold" if one.outcome is not Outcome.PASS else "normal",
+                  zorder=6)  # fmt: skip
+    fit_sheet(axes, sensor.outline)
+    axes.set_title(phase, loc="center", pad=2, fontweight="normal")
+    axes.text(0.5, -0.015, outcome_counts(verdicts), transform=axes.transAxes, ha="center", va="top", fontsize=7)
+
+
+def _disc_mm(verdicts: Sequence[LocationVerdict], sensor: SensorType) -> float:
+    """Radius that lets neighbours stand clear of each other, and a sign fit in."""
+    at = np.array([(one.x_mm, one.y_mm) for one in verdicts])
+    apart = np.hypot(*(at[:, None, :] - at[None, :, :]).transpose(2, 0, 1))
+    nearest = float(np.min(apart, where=apart > 1e-9, initial=0.34 * sensor.radius_mm))
+    return float(np.clip(0.48 * nearest, 0.06 * sensor.radius_mm, 0.16 * sensor.radius_mm))
+
+
+_SCALE_LABEL: Final = "conductance change Δγ/γ₀ [%]"
+_SCALE_IN: Final = 0.42  #: room for a scale below each image
+
+
+@dataclass(frozen=True, slots=True)
+class Marker:
+    """A place on an image.
+
+    Parameters
+    ----------
+    x, y : in the unit of the image's mesh.
+    label : short; empty for none.
+    """
+
+    x: float
+    y: float
+    label: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImagePanel:
+    """One image with a title, a line below it, the places found on it, and the way an object took.
+
+    Parameters
+    ----------
+    track : (n, 2) in the unit of the image's mesh, in order of time; None where nothing moves.
+    """
+
+    title: str
+    image: Image
+    markers: tuple[Marker, ...] = ()
+    note: str = ""
+    track: NDArray[np.float64] | None = None
+
+
+def image_figure(
+    panels: Sequence[ImagePanel],
+    *,
+    sheet: SheetOutline,
+    caption: str,
+    alternative: str,
+    electrodes: Electrodes | None = None,
+    columns: int = 3,
+    shared_scale: bool = True,
+) -> Figure:
+    """Draw images side by side, with electrodes and markers.
+
+    Parameters
+    ----------
+    panels : at least one; all in the same unit of length.
+    sheet : its outline in that unit (a disc of radius 1 where lengths are in units of the radius).
+    electrodes : drawn and numbered where they are known; a ring is drawn on a disc's edge where it would be
+        outside of it, the disc being in another unit than millimetres.
+    columns : at most this many side by side.
+    shared_scale : one colour scale for all, below them; otherwise each image has its own below it.
+
+    Returns
+    -------
+    Figure
+        Colours show the relative conductance change in percent: blue conducts more, brown less.
+    """
+
+    def build() -> Canvas:
+        across = min(columns, len(panels))
+        each_in, below_in = (0.0, 0.6) if shared_scale else (_SCALE_IN, 0.1)
+        figure, places = _laid_out(len(panels), across, each_in=each_in, below_in=below_in)
+        sizes = [float(np.abs(panel.image.values).max()) for panel in panels]
+        rasters: dict[int, Raster] = {}
+        for panel, size, axes in zip(panels, sizes, places, strict=True):
+            mesh = panel.image.mesh
+            if id(mesh) not in rasters:
+                rasters[id(mesh)] = Raster(mesh, sheet, 420 if across < 3 else 300)
+            _draw_panel(axes, panel, rasters[id(mesh)], sheet, max(sizes) if shared_scale else size)
+            if electrodes is not None:
+                draw_electrodes(axes, electrodes, sheet)
+            if not shared_scale:
+                _draw_own_scale(figure, axes, size)
+        if shared_scale:
+            _draw_scale(figure, max(sizes))
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def _laid_out(count: int, across: int, *, each_in: float, below_in: float) -> tuple[Canvas, list[Axes]]:
+    """Square axes in rows, with room for a title above and a note (and more) below each, and below them all."""
+    side_in = min((WIDTH_IN - 0.6) / across, 2.9)
+    row_in = side_in + 0.42 + each_in
+    height_in = ceil(count / across) * row_in + below_in
+    figure = canvas(height_in)
+    left_in = (WIDTH_IN - across * side_in) / 2
+    places = []
+    for index in range(count):
+        row, column = divmod(index, across)
+        bottom_in = height_in - (row + 1) * row_in + 0.2 + each_in
+        corner = ((left_in + column * side_in) / WIDTH_IN, bottom_in / height_in)
+        places.append(figure.add_axes((*corner, side_in / WIDTH_IN, side_in / height_in)))
+    return figure, places
+
+
+def _draw_scale(figure: Canvas, largest: float) -> None:
+    whole = figure.add_axes((0, 0, 1, 1))
+    whole.set_axis_off()
+    add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=_SCALE_LABEL, place="bottom")
+
+
+def _draw_own_scale(figure: Canvas, axes: Axes, largest: float) -> None:
+    """Draw an image's scale below its note."""
+    bottom_in = axes.get_position().y0 * figure.get_size_inches()[1] - 0.3
+    norm = change_norm(100 * largest)
+    add_scale(figure, axes, norm, CHANGE_MAP, label=_SCALE_LABEL, place="bottom", bottom_in=bottom_in)
+
+
+def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, sheet: SheetOutline, largest: float) -> None:
+    bare(axes)
+    radius = reach(sheet)
+    axes.imshow(
+        raster.picture(panel.image.values),
+        origin="lower",
+        extent=raster.extent,
+        cmap=CHANGE_MAP,
+        norm=change_norm(largest),
+    )
+    draw_sheet(axes, sheet)
+    if panel.track is not None:
+        _draw_track(axes, panel.track)
+    for marker in panel.markers:
+        axes.plot([marker.x], [marker.y], marker="+", markersize=8, color="white", markeredgewidth=2.6, zorder=7)
+        axes.plot([marker.x], [marker.y], marker="+", markersize=7, color=INK, markeredgewidth=1.1, zorder=8)
+        if marker.label:
+            left = marker.x > 0.5 * radius
+            shift = -0.09 * radius if left else 0.09 * radius
+            label = axes.text(marker.x + shift, marker.y + 0.09 * radius, marker.label, zorder=9)
+            label.set(ha="right" if left else "left", va="bottom", fontsize=7, fontweight="bold")
+            label.set_bbox(
+                {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.0}
+            )  # readable on dark images
+    axes.set_title(panel.title, loc="center", pad=2)
+    if panel.note:
+        axes.text(0.5, -0.01, panel.note, transform=axes.transAxes, ha="center", va="top", fontsize=7, color=QUIET)
+    fit_sheet(axes, sheet)
+
+
+def _draw_track(axes: Axes, track: NDArray[np.float64]) -> None:
+    """Draw a way from a ring to a dot, readable on dark and pale images."""
+    for width, colour, order in ((2.4, "white", 4.5), (0.9, INK, 5)):
+        axes.plot(*track.T, color=colour, linewidth=width, zorder=order)
+    for place, face in ((track[0], "white"), (track[-1], INK)):
+        axes.plot(*place, "o", markersize=4.5, markerfacecolor=face, markeredgecolor=INK, zorder=6)
+
+
+def sheet_radius(mesh: Mesh) -> float:
+    """Return the radius of the disc a mesh covers, in the mesh's unit."""
+    return float(np.linalg.norm(mesh.nodes_mm, axis=1).max())

@@ -1,0 +1,324 @@
+"""Where loads were, where they were seen, and what their images look like."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import ceil
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Circle
+
+from cbsr_qa.domain.geometry import Footprint, SheetOutline
+from cbsr_qa.domain.results import Figure, Image, Outcome, Region
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.report.draw.sheet import (
+    Raster,
+    add_scale,
+    draw_circles,
+    draw_electrodes,
+    draw_heads,
+    draw_outlines,
+    draw_sheet,
+    fit_sheet,
+    head_path,
+    reach,
+    region_path,
+    sheet_patch,
+)
+from cbsr_qa.report.draw.style import (
+    BLUE,
+    CHANGE_MAP,
+    FAINT,
+    INK,
+    QUIET,
+    VERMILION,
+    WIDTH_IN,
+    bare,
+    canvas,
+    change_norm,
+    drawn,
+    light_grid,
+    name_rows,
+    spread_labels,
+)
+
+_GRID: Final = "#dcdcdc"
+#: Arrows are drawn this many times longer than the error, so that a typical one is about a third of the head.
+_ARROW_SCALES: Final = (1, 2, 5, 10, 20, 50)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeenLoad:
+    """One press as figures need it.
+
+    Parameters
+    ----------
+    label, title : short name; name with strain or trial.
+    x_mm, y_mm, radius_mm, strain : what was pressed; the radius of a head that is not round is that of its area.
+    pressed : the head's outline there.
+    image : un-subtracted.
+    sensed : region of the main mask; None where nothing was seen.
+    error_mm, overlap_percent : None where not measured.
+    outcome, overlap_outcome : of the centre-of-mass error, and of the overlap.
+    group : heading it stands under, e.g. the phase.
+    """
+
+    label: str
+    title: str
+    x_mm: float
+    y_mm: float
+    radius_mm: float
+    pressed: Footprint
+    strain: float
+    image: Image
+    sensed: Region | None
+    error_mm: float | None
+    overlap_percent: float | None
+    outcome: Outcome
+    overlap_outcome: Outcome
+    group: str
+
+
+def load_images_figure(
+    loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str, columns: int = 6
+) -> Figure:
+    """Draw every load's image with the indenter over the outline of the sensed blob.
+
+    Parameters
+    ----------
+    loads : at least one, all imaged on one mesh; headings are drawn where the group changes.
+    """
+
+    def build() -> Canvas:
+        rows, sheet = ceil(len(loads) / columns), sensor.outline
+        low_x, high_x, low_y, high_y = sheet.extent_mm
+        radius, middle = reach(sheet), ((low_x + high_x) / 2, (low_y + high_y) / 2)
+        cell_x, cell_y = high_x - low_x + 0.12 * radius, high_y - low_y + 0.86 * radius
+        scale_in = WIDTH_IN / (columns * cell_x)
+        body_in = rows * cell_y * scale_in
+        height_in = body_in + 0.62
+        figure = canvas(height_in)
+        axes = figure.add_axes((0, 0.62 / height_in, 1, body_in / height_in))
+        bare(axes)
+        raster = Raster(loads[0].image.mesh, sheet, 200)
+        largest = max(float(np.abs(load.image.values).max()) for load in loads)
+        group, heads = "", []
+        for index, load in enumerate(loads):
+            row, column = divmod(index, columns)
+            centre = (column + 0.5) * cell_x, -(row + 0.5) * cell_y - 0.16 * radius
+            shift = centre[0] - middle[0], centre[1] - middle[1]
+            _draw_small(axes, load, raster, shift, largest)
+            _write_small(axes, load, centre, (high_y - low_y) / 2, radius)
+            draw_sheet(axes, sheet, shift)
+            if load.group != group:
+                place = shift[0] + low_x, shift[1] + high_y + 0.3 * radius
+                axes.text(*place, load.group, fontsize=7, fontweight="bold")
+                group = load.group
+            heads.append(head_path(load.pressed, shift))
+        draw_heads(axes, heads, color=VERMILION)
+        axes.set_xlim(0, columns * cell_x)
+        axes.set_ylim(-rows * cell_y, 0)
+        whole = figure.add_axes((0, 0, 1, 1))
+        whole.set_axis_off()
+        label = "conductance change Δγ/γ₀ [%]"
+        add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=label, place="bottom")
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str) -> Figure:
+    """Draw the sheet with indenter (dashed), blob outlines, error arrows, and each location's metrics beside it.
+
+    Parameters
+    ----------
+    loads : trials of the same location share a label.
+    caption : must say by how much the arrows are lengthened: see :func:`arrow_scale`.
+    """
+
+    def build() -> Canvas:
+        figure = canvas(3.75)
+        axes = figure.add_axes((0.0, 0.01, 0.545, 0.98))
+        _draw_places(axes, loads, sensor, arrow_scale(loads))
+        firsts = {load.label: load for load in reversed(loads)}
+        for label, load in firsts.items():
+            above = load.y_mm + load.radius_mm + 0.03 * reach(sensor.outline)
+            axes.text(load.x_mm, above, label, ha="center", va="bottom", fontsize=7, fontweight="bold", zorder=9)
+        order = list(dict.fromkeys(load.label for load in loads))
+        error_axes = figure.add_axes((0.62, 0.115, 0.165, 0.8))
+        overlap_axes = figure.add_axes((0.825, 0.115, 0.165, 0.8))
+        _draw_dots(error_axes, order, [(load.label, load.error_mm, load.outcome) for load in loads])
+        _draw_dots(overlap_axes, order, [(load.label, load.overlap_percent, load.overlap_outcome) for load in loads])
+        error_axes.set_title("error E_CoM [mm]", fontweight="normal")
+        overlap_axes.set_title("overlap A_OL [%]", fontweight="normal")
+        error_axes.set_xlim(left=0)
+        overlap_axes.set_xlim(0, 104)
+        overlap_axes.set_xticks([0, 50, 70, 100])
+        overlap_axes.tick_params(labelleft=False)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def random_loads_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, caption: str, alternative: str) -> Figure:
+    """Draw random loads on a polar plot, discs growing with strain, and the error against strain beside it (Fig 11).
+
+    Places are true to scale, on lines of x and y where the sheet is no disc; crosses mark where the load was seen.
+    """
+
+    def build() -> Canvas:
+        figure = canvas(3.6)
+        axes = figure.add_axes((0.0, 0.02, 0.54, 0.96))
+        _draw_polar(axes, loads, sensor)
+        side = figure.add_axes((0.66, 0.14, 0.31, 0.74))
+        light_grid(side)
+        known = [(100 * load.strain, load.error_mm, load.label) for load in loads if load.error_mm is not None]
+        side.scatter([k[0] for k in known], [k[1] for k in known], s=18, c=BLUE, linewidths=0, zorder=3)
+        for strain, error, label in known:
+            side.annotate(label, (strain, error), (3.5, 2.5), textcoords="offset points", fontsize=6.5, color=QUIET)
+        for load in loads:
+            if load.error_mm is None:
+                side.plot([100 * load.strain], [0], marker="x", color=VERMILION, clip_on=False, zorder=4)
+        side.set_xlabel("compressive strain [%]")
+        side.set_title("error E_CoM [mm]", fontweight="normal")
+        side.set_xlim(0, max(32.0, 105 * max(load.strain for load in loads)))
+        side.set_ylim(0, 1.2 * max([error for _, error, _ in known], default=1.0) or 1.0)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def arrow_scale(loads: Sequence[SeenLoad]) -> int:
+    """Return by how much error arrows are lengthened: a typical one then spans about a third of the head."""
+    errors = [load.error_mm for load in loads if load.error_mm]
+    if not errors:
+        return 1
+    wanted = 0.7 * loads[0].radius_mm / float(np.median(errors))
+    return max((scale for scale in _ARROW_SCALES if scale <= wanted), default=1)
+
+
+def _draw_small(axes: Axes, load: SeenLoad, raster: Raster, shift: tuple[float, float], largest: float) -> None:
+    left, right, bottom, top = raster.extent
+    extent = (left + shift[0], right + shift[0], bottom + shift[1], top + shift[1])
+    picture, norm = raster.picture(load.image.values), change_norm(largest)
+    axes.imshow(picture, origin="lower", extent=extent, cmap=CHANGE_MAP, norm=norm)
+    if load.sensed is not None:
+        draw_outlines(axes, [region_path(load.sensed, shift)], width=0.9)
+
+
+def _write_small(axes: Axes, load: SeenLoad, centre: tuple[float, float], half: float, radius: float) -> None:
+    """Write the title above a small picture of this half height, and what was found below it."""
+    x, y = centre
+    axes.text(x, y + half + 0.03 * radius, load.title, ha="center", va="bottom", fontsize=6.5)
+    note = "not detected" if load.error_mm is None else f"error {load.error_mm:.1f} mm"
+    colour = VERMILION if load.error_mm is None or load.outcome is Outcome.FAIL else QUIET
+    axes.text(x, y - half - 0.04 * radius, note, ha="center", va="top", fontsize=6.5, color=colour)
+
+
+def _draw_places(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType, scale: int) -> None:
+    bare(axes)
+    draw_sheet(axes, sensor.outline, filled=True)
+    draw_electrodes(axes, sensor.electrodes, sensor.outline)
+    heads = {(load.x_mm, load.y_mm): head_path(load.pressed) for load in loads}
+    draw_heads(axes, list(heads.values()), color=QUIET, dashed=True)
+    seen = [(load, load.sensed) for load in loads if load.sensed is not None]
+    draw_outlines(axes, [region_path(region) for _, region in seen], color=BLUE, face="#0072b218")
+    if seen:
+        start = np.array([load.pressed.centre_mm for load, _ in seen])
+        error = np.array([region.centre_mm() for _, region in seen]) - start
+        axes.quiver(
+            *start.T,
+            *(scale * error).T,
+            angles="xy",
+            scale_units="xy",
+            scale=1,
+            width=0.005,
+            headwidth=4,
+            headlength=4.5,
+            headaxislength=4,
+            minlength=0.1,
+            color=INK,
+            zorder=8,
+        )
+    for load in loads:
+        if load.sensed is None:
+            axes.plot([load.x_mm], [load.y_mm], marker="x", color=VERMILION, markersize=8, zorder=8)
+    fit_sheet(axes, sensor.outline)
+
+
+def _draw_dots(axes: Axes, order: list[str], dots: list[tuple[str, float | None, Outcome]]) -> None:
+    light_grid(axes, "x")
+    rank = {label: place for place, label in enumerate(order)}
+    for label, value, outcome in dots:
+        failed = outcome in (Outcome.FAIL, Outcome.NOT_MEASURED)
+        if value is None:
+            axes.plot([0], [rank[label]], marker="x", color=VERMILION, clip_on=False, zorder=4)
+        else:
+            axes.plot([value], [rank[label]], marker="D" if failed else "o", markersize=4, linestyle="none")
+            axes.lines[-1].set(color=VERMILION if failed else BLUE, zorder=3, clip_on=False)
+    for label in order:
+        known = [value for name, value, _ in dots if name == label and value is not None]
+        if len(known) > 1:
+            axes.plot([min(known), max(known)], [rank[label]] * 2, color=FAINT, linewidth=1.4, zorder=2)
+    name_rows(axes, order)
+
+
+def _draw_polar(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType) -> None:
+    bare(axes)
+    draw_sheet(axes, sensor.outline, filled=True)
+    if sensor.polygon is None:
+        _draw_rays(axes, sensor.radius_mm)
+    else:
+        _draw_grid(axes, sensor.outline)
+    strongest = max(load.strain for load in loads)
+    for load in loads:
+        size = load.radius_mm * max(load.strain / strongest, 0.05)
+        place = (load.x_mm, load.y_mm)
+        axes.add_patch(Circle(place, size, facecolor="#56b4e966", edgecolor=BLUE, linewidth=0.8, zorder=4))
+        if load.sensed is not None:
+            x_mm, y_mm = load.sensed.centre_mm()
+            axes.plot([load.x_mm, x_mm], [load.y_mm, y_mm], color=INK, linewidth=0.8, zorder=6)
+            axes.plot([x_mm], [y_mm], marker="x", markersize=4.5, color=INK, markeredgewidth=1.1, zorder=7)
+    _label_polar(axes, loads, reach(sensor.outline))
+    fit_sheet(axes, sensor.outline)
+
+
+def _draw_rays(axes: Axes, radius: float) -> None:
+    """Rings and rays of a disc."""
+    step = 10.0 if radius <= 60 else 25.0
+    for ring in np.arange(step, radius, step):
+        draw_circles(axes, np.zeros((1, 2)), float(ring), color=_GRID, width=0.5)
+        axes.text(0.6, ring + 0.6, f"{ring:g} mm" if ring + step >= radius else f"{ring:g}", fontsize=6, color=QUIET)
+    for degrees in range(0, 360, 30):
+        x, y = np.cos(np.deg2rad(degrees)), np.sin(np.deg2rad(degrees))
+        axes.plot([0, radius * x], [0, radius * y], color=_GRID, linewidth=0.5, zorder=1)
+        axes.text(
+            1.09 * radius * x, 1.09 * radius * y, f"{degrees}°", ha="center", va="center", fontsize=6.5, color=QUIET
+        )
+
+
+def _draw_grid(axes: Axes, sheet: SheetOutline) -> None:
+    """Lines of x and y of any other sheet, cut at its edge."""
+    low_x, high_x, low_y, high_y = sheet.extent_mm
+    step, out = (10.0 if reach(sheet) <= 60 else 25.0), 0.05 * reach(sheet)
+    edge = sheet_patch(sheet)
+    edge.set(facecolor="none", edgecolor="none")
+    axes.add_patch(edge)
+    for x in np.arange(np.ceil(low_x / step), np.floor(high_x / step) + 1) * step:
+        axes.plot([x, x], [low_y, high_y], color=_GRID, linewidth=0.5, zorder=1, clip_path=edge)
+        axes.text(x, low_y - out, f"{x:g}", ha="center", va="top", fontsize=6, color=QUIET)
+    for y in np.arange(np.ceil(low_y / step), np.floor(high_y / step) + 1) * step:
+        axes.plot([low_x, high_x], [y, y], color=_GRID, linewidth=0.5, zorder=1, clip_path=edge)
+        axes.text(low_x - out, y, f"{y:g}", ha="right", va="center", fontsize=6, color=QUIET)
+
+
+def _label_polar(axes: Axes, loads: Sequence[SeenLoad], radius: float) -> None:
+    for side in (-1, 1):
+        members = [load for load in loads if (load.x_mm < 0) == (side < 0)]
+        heights = spread_labels([load.y_mm for load in members], 0.085 * radius)
+        for load, height in zip(members, heights, strict=True):
+            place = load.x_mm + side * 1.05 * load.radius_mm
+            text = axes.text(place, height, load.label, va="center", fontsize=7, fontweight="bold", zorder=9)
+            text.set_horizontalalignment("left" if side > 0 else "right")

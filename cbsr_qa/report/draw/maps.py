@@ -1,0 +1,260 @@
+"""How strongly each place of the sheet answers, and how surely that is known.
+
+The baseline conductance ρ̄₀ over the sheet, with its uncertainty.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import BoundaryNorm, Colormap, ListedColormap, Normalize
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import PathPatch
+from matplotlib.ticker import MaxNLocator
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.results import BaselineConductance, Figure
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.report.draw.sheet import (
+    add_scale,
+    draw_circles,
+    draw_electrodes,
+    draw_sheet,
+    fit_sheet,
+    head_path,
+    sheet_patch,
+)
+from cbsr_qa.report.draw.style import (
+    AMOUNT_MAP,
+    BLUE,
+    CHANGE_MAP,
+    FAINT,
+    INK,
+    QUIET,
+    VERMILION,
+    bare,
+    canvas,
+    drawn,
+    light_grid,
+    name_rows,
+)
+from cbsr_qa.report.tables import with_uncertainty
+
+
+def baseline_figure(
+    places: Sequence[BaselineConductance],
+    sensor: SensorType,
+    indenter: Indenter,
+    *,
+    caption: str,
+    alternative: str,
+) -> Figure:
+    """Draw ρ̄₀ at its places on the sheet, and the same values with error bars around their mean.
+
+    Parameters
+    ----------
+    places : at least one with a value.
+    """
+
+    def build() -> Canvas:
+        figure = canvas(3.5)
+        axes = figure.add_axes((0.0, 0.01, 0.5, 0.98))
+        known = [(place, place.value) for place in places if place.value is not None]
+        values = [value for _, value in known]
+        low, high = min(values), max(values)
+        room = 0.25 * (high - low) or 0.1 * abs(high) or 1e-6
+        norm = Normalize(low - room, high + room)
+        _draw_map(axes, places, sensor, indenter, norm)
+        add_scale(figure, axes, norm, AMOUNT_MAP, label="ρ̄₀ [relative]", place="right")
+        side = figure.add_axes((0.685, 0.13, 0.3, 0.78))
+        _draw_values(side, places, sum(values) / len(values))
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def _draw_map(
+    axes: Axes,
+    places: Sequence[BaselineConductance],
+    sensor: SensorType,
+    indenter: Indenter,
+    norm: Normalize,
+) -> None:
+    bare(axes)
+    draw_sheet(axes, sensor.outline, filled=True)
+    draw_electrodes(axes, sensor.electrodes, sensor.outline)
+    for place in places:
+        at = (place.x_mm, place.y_mm)
+        known = place.value is not None
+        face = AMOUNT_MAP(norm(place.value)) if place.value is not None else "white"
+        edge = QUIET if known else VERMILION
+        head = head_path(indenter.at(*at))
+        axes.add_patch(PathPatch(head, facecolor=face, edgecolor=edge, linewidth=0.7, zorder=4))
+        below = float(head.get_extents().ymin) - 0.02 * sensor.radius_mm
+        text = "no value" if place.value is None else with_uncertainty(place.value, place.stderr)
+        axes.text(place.x_mm, below, text, ha="center", va="top", fontsize=6.5, zorder=6)
+        dark = place.value is not None and norm(place.value) > 0.55
+        name = axes.text(*at, place.location, ha="center", va="center", fontsize=7, fontweight="bold", zorder=6)
+        name.set_color("white" if dark else INK)
+    fit_sheet(axes, sensor.outline)
+
+
+def _draw_values(axes: Axes, places: Sequence[BaselineConductance], mean: float) -> None:
+    light_grid(axes, "x")
+    for row, place in enumerate(places):
+        if place.value is None:
+            continue
+        axes.errorbar(
+            [place.value], [row], xerr=[place.stderr or 0.0], fmt="o", markersize=3.5, color=BLUE, elinewidth=0.9
+        )
+    axes.axvline(mean, color=INK, linewidth=0.8)
+    name_rows(axes, [place.location for place in places])
+    axes.set_title("ρ̄₀ ± its uncertainty; line: mean", fontweight="normal")
+
+
+Array = NDArray[np.float64]
+
+#: Steps of a scale: as many as a reader tells apart.
+_STEPS: Final = 9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SheetField:
+    """A quantity over the sheet, on a rectangular grid that covers it.
+
+    Parameters
+    ----------
+    title, unit : over the map and at its scale.
+    x_mm, y_mm, values : (n,), (m,) and (m, n).
+    about : centre of a scale in two colours; None for one from zero up.
+    least_reach : of that scale to both sides, so that an even sheet is not drawn as an uneven one.
+    """
+
+    title: str
+    unit: str
+    x_mm: Array
+    y_mm: Array
+    values: Array
+    about: float | None = None
+    least_reach: float = 1e-3
+
+
+def force_map_figure(
+    fields: Sequence[SheetField],
+    sensor: SensorType,
+    *,
+    used_mm: Array,
+    refused_mm: Array,
+    radius_mm: float,
+    caption: str,
+    alternative: str,
+) -> Figure:
+    """Draw fields beside each other in steps, each step's edge a line with its value.
+
+    Parameters
+    ----------
+    fields : one or two.
+    used_mm, refused_mm : (n, 2) places of the loads.
+    radius_mm : of the calibrated area, dashed.
+    """
+
+    def build() -> Canvas:
+        figure = canvas(3.35)
+        for number, field in enumerate(fields):
+            axes = figure.add_axes((0.5 * number, 0.005, 0.42, 0.9))
+            levels, colours = _scale(field, _inside(field, sensor))
+            _draw_field(axes, field, sensor, levels, colours)
+            _draw_places(axes, used_mm, refused_mm, radius_mm)
+            fit_sheet(axes, sensor.outline)
+            axes.set_title(field.title, fontweight="normal")
+            _draw_scale(figure, axes, levels, colours, field.unit)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def _inside(field: SheetField, sensor: SensorType) -> Array:
+    """Values on the sheet: the scale covers them and nothing beyond."""
+    x, y = np.meshgrid(field.x_mm, field.y_mm)
+    on = sensor.outline.clearance_mm(np.column_stack([x.ravel(), y.ravel()])) >= 0
+    kept: Array = field.values.ravel()[on & np.isfinite(field.values.ravel())]
+    return kept if len(kept) else np.array([field.about or 0.0])
+
+
+def _scale(field: SheetField, values: Array) -> tuple[Array, Colormap]:
+    """Levels and one colour for each step between them; steps are round numbers."""
+    if field.about is None:
+        levels = round_levels(float(values.min()), float(values.max()))
+        return levels, ListedColormap(AMOUNT_MAP(np.linspace(0.0, 0.85, len(levels) - 1)))
+    reach = max(float(np.abs(values - field.about).max()), field.least_reach)
+    steps = MaxNLocator(_STEPS, steps=[1, 2, 2.5, 5, 10])
+    levels = np.asarray(steps.tick_values(field.about - reach, field.about + reach), dtype=np.float64)
+    middle = (levels[:-1] + levels[1:]) / 2
+    far = max(levels[-1] - field.about, field.about - levels[0])
+    # Two thirds of the range: text and marks on it stay readable.
+    return levels, ListedColormap(CHANGE_MAP(0.5 + 0.36 * (middle - field.about) / far))
+
+
+def round_levels(least: float, most: float) -> Array:
+    """Zero and the numbers 1, 2, 5 × 10ⁿ from below the least value to above the most, at most three decades.
+
+    An error is told by its order of size: even steps would spend themselves on the sheet's rim.
+    """
+    most = max(most, 1e-9)
+    least = max(least, most / 1e3)
+    powers = range(int(np.floor(np.log10(least))) - 1, int(np.floor(np.log10(most))) + 2)
+    series = np.array([step * 10.0**power for power in powers for step in (1.0, 2.0, 5.0)])
+    first = int(np.searchsorted(series, least, side="right")) - 1
+    last = int(np.searchsorted(series, most, side="left"))
+    found: Array = np.concatenate([[0.0], series[first : last + 1]])
+    return found
+
+
+def _draw_field(axes: Axes, field: SheetField, sensor: SensorType, levels: Array, colours: Colormap) -> None:
+    bare(axes)
+    edge = sheet_patch(sensor.outline)
+    axes.add_patch(edge)
+    norm = BoundaryNorm(levels, colours.N)
+    filled = axes.contourf(field.x_mm, field.y_mm, field.values, levels, cmap=colours, norm=norm, zorder=1)
+    lines = axes.contour(
+        field.x_mm, field.y_mm, field.values, levels, colors=QUIET, linewidths=0.5, linestyles="solid", zorder=2
+    )
+    for drawn_part in (filled, lines):
+        drawn_part.set_clip_path(edge)
+    for name in axes.clabel(lines, fontsize=6, inline=True, inline_spacing=2, fmt=_level_text):
+        name.set_clip_path(edge)
+        name.set_color(INK)
+    draw_sheet(axes, sensor.outline)
+    draw_electrodes(axes, sensor.electrodes, sensor.outline)
+
+
+def _draw_places(axes: Axes, used_mm: Array, refused_mm: Array, radius_mm: float) -> None:
+    draw_circles(axes, np.zeros((1, 2)), radius_mm, color=INK, width=0.7, dashed=True)
+    axes.plot(*used_mm.T, linestyle="", marker="o", markersize=3.0, color="white", markeredgecolor=INK,
+              markeredgewidth=0.7, zorder=7)  # fmt: skip
+    axes.plot(*refused_mm.T, linestyle="", marker="x", markersize=4.5, color=VERMILION, markeredgewidth=1.2,
+              zorder=8)  # fmt: skip
+
+
+def _draw_scale(figure: Canvas, axes: Axes, levels: Array, colours: Colormap, label: str) -> None:
+    box = axes.get_position()
+    slot = figure.add_axes((box.x1 - 0.012, box.y0 + 0.15 * box.height, 0.013, 0.7 * box.height))
+    steps = np.arange(len(levels) - 1)
+    slot.imshow(steps[:, None], cmap=colours, aspect="auto", origin="lower", extent=(0, 1, 0, len(steps)),
+                vmin=-0.5, vmax=len(steps) - 0.5)  # fmt: skip
+    slot.set_xticks([])
+    slot.yaxis.tick_right()
+    slot.yaxis.set_label_position("right")
+    every = max(len(levels) // 8, 1)
+    slot.set_yticks(range(0, len(levels), every), [_level_text(level) for level in levels[::every]])
+    slot.tick_params(length=2, color=FAINT)
+    slot.set_ylabel(label)
+    for side in slot.spines.values():
+        side.set_visible(False)
+
+
+def _level_text(level: float) -> str:
+    return f"{level:.4g}".replace("-", "\N{MINUS SIGN}") if abs(level) > 1e-12 else "0"

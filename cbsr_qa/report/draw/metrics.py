@@ -1,0 +1,256 @@
+"""Size of regions against size of what presses.
+
+Spatial metrics against time (the paper's Figs 10 and E.23), and what waiting buys.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import FuncFormatter, NullFormatter
+from matplotlib.transforms import blended_transform_factory
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.readings import SampleBlock
+from cbsr_qa.domain.results import Figure, MetricTimeline
+from cbsr_qa.report.draw.style import (
+    BLUE,
+    CYCLE,
+    FAINT,
+    INK,
+    ORDERED,
+    QUIET,
+    canvas,
+    drawn,
+    fit_left,
+    light_grid,
+    spread_labels,
+)
+from cbsr_qa.report.draw.time import thinned
+
+_FORCE = "#f6d7a7"  # light orange, as in the paper
+_FORCE_INK = "#a86400"
+
+
+@dataclass(frozen=True, slots=True)
+class Held:
+    """When a load was held [s], and its name."""
+
+    label: str
+    start_s: float
+    end_s: float
+
+
+def mask_timeline_figure(timeline: MetricTimeline, held: Sequence[Held], *, caption: str, alternative: str) -> Figure:
+    """Draw the three spatial metrics of every frame for every mask, with the force behind.
+
+    Parameters
+    ----------
+    held : stretches in which something was pressed; lines are broken in between.
+    """
+
+    def build() -> Canvas:
+        figure = canvas(5.0)
+        grid = figure.add_gridspec(3, 1, left=0.075, right=0.845, bottom=0.085, top=0.945, hspace=0.14)
+        rows = (
+            ("error E_CoM [mm]", timeline.error_mm),
+            ("overlap A_OL [%]", timeline.overlap_percent),
+            ("deviation SD [mm²]", timeline.deviation_mm2),
+        )
+        start_s = held[0].start_s if held else float(timeline.time_s[0])
+        labelled: list[Axes] = []
+        for row, (name, values) in enumerate(rows):
+            axes = figure.add_subplot(grid[row])
+            _draw_masks(axes, timeline, values, held, start_s)
+            _draw_force(figure, axes, timeline.force, held, start_s, labelled=row == 1)
+            axes.set_ylabel(name)
+            labelled.append(axes)
+            axes.tick_params(labelbottom=row == 2)
+            if row == 0:
+                _name_loads(axes, held, start_s)
+                _name_masks(axes, timeline.masks)
+        axes.set_xlabel("time since the first press [min]")
+        fit_left(figure, grid, labelled)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def waiting_figure(
+    timeline: MetricTimeline, mask: int, held: Sequence[Held], *, caption: str, alternative: str
+) -> Figure:
+    """Draw error and overlap against the time held, mean and spread over the loads: what waiting buys.
+
+    Parameters
+    ----------
+    mask : index of the mask that counts.
+    """
+
+    def build() -> Canvas:
+        figure = canvas(1.95)
+        grid = figure.add_gridspec(1, 2, left=0.075, right=0.985, bottom=0.2, top=0.88, wspace=0.2)
+        rows = (("error E_CoM [mm]", timeline.error_mm[mask]), ("overlap A_OL [%]", timeline.overlap_percent[mask]))
+        for column, (name, values) in enumerate(rows):
+            axes = figure.add_subplot(grid[column])
+            light_grid(axes)
+            time_s, mean, low, high = held_profile(timeline.time_s, values, held)
+            axes.fill_between(time_s, low, high, color=BLUE, alpha=0.16, linewidth=0)
+            axes.plot(time_s, mean, color=BLUE, marker="o", markersize=2.2)
+            axes.set_title(name, fontweight="normal")
+            axes.set_xlabel("time held [s]")
+            axes.set_xlim(left=0)
+            if column == 0:
+                axes.set_ylim(bottom=0)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def held_profile(
+    time_s: NDArray[np.float64], values: NDArray[np.float64], held: Sequence[Held]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Average a metric over loads at the same number of frames into the hold.
+
+    Parameters
+    ----------
+    time_s, values : (n,); NaN where nothing was seen.
+
+    Returns
+    -------
+    Mean time held [s], mean, lower and upper quartile, each (k,): only ranks where at least half of the loads
+    have a value.
+    """
+    series = []
+    for stretch in held:
+        inside = (time_s >= stretch.start_s) & (time_s < stretch.end_s)
+        series.append((time_s[inside] - stretch.start_s, values[inside]))
+    longest = max((len(s[0]) for s in series), default=0)
+    times, table = np.full((len(series), longest), np.nan), np.full((len(series), longest), np.nan)
+    for row, (since, seen) in enumerate(series):
+        times[row, : len(since)], table[row, : len(seen)] = since, seen
+    enough = np.isfinite(table).sum(axis=0) * 2 >= max(len(series), 1)
+    if not enough.any():
+        empty = np.zeros(0)
+        return empty, empty, empty, empty
+    times, table = times[:, enough], table[:, enough]
+    low, high = np.nanpercentile(table, (25, 75), axis=0)
+    return np.nanmean(times, axis=0), np.nanmean(table, axis=0), low, high
+
+
+def _draw_masks(
+    axes: Axes, timeline: MetricTimeline, values: NDArray[np.float64], held: Sequence[Held], start_s: float
+) -> None:
+    light_grid(axes)
+    minutes = (timeline.time_s - start_s) / 60
+    for number, series in enumerate(values):
+        colour = mask_colour(number, len(values))
+        for stretch in held:
+            inside = (timeline.time_s >= stretch.start_s) & (timeline.time_s < stretch.end_s)
+            axes.plot(minutes[inside], series[inside], color=colour, linewidth=0.9 + 0.12 * number, zorder=3 + number)
+    _scale(axes, values)
+    axes.set_zorder(2)
+
+
+def _scale(axes: Axes, values: NDArray[np.float64]) -> None:
+    """Start at zero; where masks differ by more than a factor of thirty, use powers of ten instead."""
+    seen = values[np.isfinite(values)]
+    if seen.size and seen.min() > 0 and np.percentile(seen, 98) / np.percentile(seen, 2) > 30:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+        axes.yaxis.set_minor_formatter(NullFormatter())
+    else:
+        axes.set_ylim(bottom=0)
+
+
+def _draw_force(
+    figure: Canvas,
+    axes: Axes,
+    force: SampleBlock | None,
+    held: Sequence[Held],
+    start_s: float,
+    *,
+    labelled: bool,
+) -> None:
+    if force is None or not len(force):
+        return
+    behind = axes.twinx()
+    behind.set_zorder(1)
+    end_s = held[-1].end_s + 5 if held else float(force.time_s[-1])
+    inside = (force.time_s >= start_s - 5) & (force.time_s <= end_s)
+    time_s, newtons = thinned(force.time_s[inside], force.values[inside], 700)
+    behind.fill_between((time_s - start_s) / 60, 0, newtons, color=_FORCE, linewidth=0, alpha=0.75)
+    behind.set_ylim(0, 1.25 * max(float(newtons.max(initial=0.0)), 1e-9))
+    behind.tick_params(colors=_FORCE_INK, labelcolor=_FORCE_INK, right=labelled, labelright=labelled)
+    if labelled:
+        behind.spines["right"].set(visible=True, color=_FORCE_INK)
+        behind.set_ylabel("force [N]", color=_FORCE_INK)
+    axes.patch.set_visible(False)
+
+
+def _name_loads(axes: Axes, held: Sequence[Held], start_s: float) -> None:
+    across = blended_transform_factory(axes.transData, axes.transAxes)
+    every = max(1, len(held) // 18)
+    for stretch in held[::every]:
+        middle = ((stretch.start_s + stretch.end_s) / 2 - start_s) / 60
+        axes.text(middle, 1.03, stretch.label, transform=across, ha="center", va="bottom", fontsize=7, color=INK)
+
+
+def _name_masks(axes: Axes, masks: Sequence[float]) -> None:
+    axes.text(1.075, 1.0, "mask", transform=axes.transAxes, va="top", fontsize=7, color=QUIET)
+    heights = spread_labels([0.84 - 0.17 * number for number in range(len(masks))], 0.15)
+    for number, (fraction, height) in enumerate(zip(masks, heights, strict=True)):
+        colour = mask_colour(number, len(masks))
+        axes.plot([1.075, 1.105], [height] * 2, transform=axes.transAxes, color=colour, linewidth=2, clip_on=False)
+        axes.text(1.115, height, f"{100 * fraction:g} %", transform=axes.transAxes, va="center", fontsize=7)
+
+
+def mask_colour(number: int, count: int) -> str:
+    """Return the colour of the number-th of ``count`` masks, light to dark."""
+    if count == 1:
+        return ORDERED[-1]
+    return ORDERED[round(number * (len(ORDERED) - 1) / (count - 1))]
+
+
+@dataclass(frozen=True, slots=True)
+class SizeSeries:
+    """Diameters of targets and of circles with the regions' areas, at one place [mm]."""
+
+    title: str
+    targets_mm: tuple[float, ...]
+    regions_mm: tuple[float, ...]
+
+
+def size_figure(series: Sequence[SizeSeries], head_mm: float, *, caption: str, alternative: str) -> Figure:
+    """Draw regions' diameters against targets', with the line on which they are equal and the head's size marked."""
+
+    def build() -> Canvas:
+        figure = canvas(2.1)
+        axes = figure.add_axes((0.075, 0.19, 0.4, 0.74))
+        _draw(axes, series, head_mm)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def _draw(axes: Axes, series: Sequence[SizeSeries], head_mm: float) -> None:
+    light_grid(axes, "both")
+    largest = 1.12 * max(max((*one.targets_mm, *one.regions_mm)) for one in series)
+    axes.plot([0, largest], [0, largest], color=FAINT, linestyle=(0, (4, 3)), zorder=1)
+    axes.annotate("as large as the target", (0.9 * largest, 0.97 * largest), (-4, 0), textcoords="offset points",
+                  ha="right", va="top", fontsize=7, color=QUIET, rotation=0)  # fmt: skip
+    axes.axvline(head_mm, color=FAINT, linewidth=0.6, zorder=1)
+    axes.annotate("head", (head_mm, 0), (3, 3), textcoords="offset points", fontsize=7, color=QUIET)
+    for number, (one, colour) in enumerate(zip(series, CYCLE, strict=False)):
+        axes.plot(one.targets_mm, one.regions_mm, color=colour, marker="os^"[number % 3], markersize=4, zorder=3)
+        end = (one.targets_mm[-1], one.regions_mm[-1])
+        axes.annotate(one.title, end, (6, 0), textcoords="offset points", va="center", fontsize=7, color=INK,
+                      annotation_clip=False)  # fmt: skip
+    axes.set_xlim(0, largest)
+    axes.set_ylim(0, largest)
+    axes.set_xlabel("diameter of the target [mm]")
+    axes.set_ylabel("diameter of the region [mm]")
+    ticks = np.arange(0, largest, 5 if largest < 40 else 10 if largest < 80 else 20)
+    axes.set_xticks(ticks)
+    axes.set_yticks(ticks)

@@ -1,0 +1,195 @@
+"""Noise figure against a regularisation parameter: what there was to choose from, and what was chosen."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.axis import Axis
+from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import FixedLocator, FuncFormatter, MaxNLocator, NullLocator
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.results import Figure, ParameterCurve
+from cbsr_qa.report.draw.style import (
+    BLUE,
+    CYCLE,
+    FAINT,
+    HAIR,
+    INK,
+    QUIET,
+    canvas,
+    drawn,
+    light_grid,
+)
+from cbsr_qa.report.tables import number
+
+_SHAPES: Final = "osD^vP"
+_LARGEST: Final = 1e3  # noise figure drawn: above, an image is nothing but noise
+_AROUND: Final = 3.0  # factor on both sides of the marks that is drawn large
+_COUNTS_AROUND: Final = 8
+_FEW: Final = 30  #: with fewer values those looked at are drawn as dots
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterMark:
+    """What one criterion says, and the noise figure there.
+
+    Parameters
+    ----------
+    title : name of the criterion.
+    value, noise_figure : None where the criterion has no answer.
+    chosen : whether it is the one that decided.
+    """
+
+    title: str
+    value: float | None
+    noise_figure: float | None
+    chosen: bool
+
+
+def parameter_figure(
+    curve: ParameterCurve, marks: Sequence[ParameterMark], name: str, *, caption: str, alternative: str
+) -> Figure:
+    """Draw the noise figure over all that was searched, with the chosen value, and again large around all marks.
+
+    Parameters
+    ----------
+    marks : one for each criterion; those that have no answer are named without a mark.
+    name : of the parameter.
+    """
+
+    def build() -> Canvas:
+        figure = canvas(2.35)
+        whole = figure.add_axes((0.07, 0.175, 0.3, 0.72))
+        close = figure.add_axes((0.44, 0.175, 0.335, 0.72))
+        across = near_marks(curve, marks)
+        for axes, title in ((whole, "all that was searched"), (close, "around the answers")):
+            _scale(axes, curve)
+            _draw_curve(axes, curve)
+            axes.set_title(title, fontweight="normal")
+            axes.set_xlabel(name if curve.discrete else f"{name} (no unit)")
+        whole.set_ylabel("noise figure")
+        _draw_marks(whole, [(order, mark) for order, mark in enumerate(marks) if mark.chosen])
+        _draw_marks(close, list(enumerate(marks)))
+        inside = curve.noise_figures[np.isfinite(curve.noise_figures)]
+        whole.set_ylim(0.7 * float(inside.min()), 1.4 * min(float(inside.max()), _LARGEST))
+        whole.axvspan(*across, color=HAIR, linewidth=0, zorder=0)
+        close.set_xlim(*across)
+        close.set_ylim(*_heights(curve, marks, across))
+        for axes in (whole, close):
+            _label_ticks(axes, discrete=curve.discrete)
+        _name_target(close, curve)
+        _name_marks(close, marks, discrete=curve.discrete)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def near_marks(curve: ParameterCurve, marks: Sequence[ParameterMark]) -> tuple[float, float]:
+    """Return the stretch of the parameter that is drawn large."""
+    seen = [mark.value for mark in marks if mark.value is not None] or [float(np.median(curve.values))]
+    low, high = min(seen), max(seen)
+    if curve.discrete:
+        return max(low - _COUNTS_AROUND, 0.5), high + _COUNTS_AROUND
+    return low / _AROUND, high * _AROUND
+
+
+def value_text(value: float, *, discrete: bool) -> str:
+    """Write a value of the parameter: a count as such."""
+    return f"{value:.0f}" if discrete else number(value)
+
+
+def _heights(
+    curve: ParameterCurve, marks: Sequence[ParameterMark], across: tuple[float, float]
+) -> tuple[float, float]:
+    """Return limits that show the curve there, its marks and the target."""
+    within: NDArray[np.bool_] = (curve.values >= across[0]) & (curve.values <= across[1])
+    seen = [float(value) for value in curve.noise_figures[within] if np.isfinite(value)]
+    seen += [mark.noise_figure for mark in marks if mark.noise_figure is not None]
+    seen += [] if curve.target is None else [curve.target]
+    return min(seen) / 1.25, min(max(seen), _LARGEST) * 1.25
+
+
+def _scale(axes: Axes, curve: ParameterCurve) -> None:
+    axes.set_yscale("log")
+    if not curve.discrete:
+        axes.set_xscale("log")
+    light_grid(axes, "both")
+
+
+def _label_ticks(axes: Axes, *, discrete: bool) -> None:
+    """Write plain numbers."""
+    scales: list[tuple[Axis, tuple[float, float]]] = [(axes.yaxis, axes.get_ylim())]
+    if discrete:
+        axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
+    else:
+        scales.append((axes.xaxis, axes.get_xlim()))
+    for axis, (low, high) in scales:
+        axis.set_major_locator(FixedLocator(log_ticks(low, high)))
+        axis.set_minor_locator(NullLocator())
+        axis.set_major_formatter(FuncFormatter(lambda value, _: number(value, 1).removeprefix("1 × ")))
+
+
+def log_ticks(low: float, high: float) -> list[float]:
+    """Return round values between two limits: powers of ten, with 2 and 5 or more where the limits are close."""
+    powers = range(int(np.floor(np.log10(low))), int(np.ceil(np.log10(high))) + 1)
+    ratio = high / low
+    steps = (1.0,) if ratio > 100 else (1.0, 2.0, 5.0) if ratio > 6 else (1.0, 2.0, 3.0, 4.0, 5.0, 7.0)
+    ticks = [step * 10.0**power for power in powers for step in steps if low <= step * 10.0**power <= high]
+    return ticks if ratio <= 100 else ticks[:: max(1, len(ticks) // 4)]
+
+
+def _draw_curve(axes: Axes, curve: ParameterCurve) -> None:
+    if curve.discrete or len(curve.values) < _FEW:
+        axes.plot(curve.values, curve.noise_figures, color=FAINT, linewidth=0.6, zorder=2)
+        axes.plot(curve.values, curve.noise_figures, color=BLUE, linestyle="", marker=".", markersize=3, zorder=3)
+    else:
+        axes.plot(curve.values, curve.noise_figures, color=BLUE, zorder=3)
+    if curve.target is not None:
+        axes.axhline(curve.target, color=QUIET, linewidth=0.8, linestyle=(0, (4, 3)), zorder=1)
+
+
+def _draw_marks(axes: Axes, marks: Sequence[tuple[int, ParameterMark]]) -> None:
+    for order, mark in marks:
+        if mark.value is not None and mark.noise_figure is not None:
+            axes.plot([mark.value], [mark.noise_figure], **_look(order, chosen=mark.chosen))
+            if mark.chosen:
+                axes.axvline(mark.value, color=INK, linewidth=0.6, zorder=1)
+
+
+def _look(order: int, *, chosen: bool) -> dict[str, Any]:
+    """Return the look of a mark; the chosen one is full and drawn above the others."""
+    colour = CYCLE[(order + 1) % len(CYCLE)]
+    return {
+        "marker": _SHAPES[order % len(_SHAPES)],
+        "linestyle": "",
+        "markersize": 6 if chosen else 5,
+        "markeredgecolor": INK if chosen else colour,
+        "markerfacecolor": INK if chosen else "white",
+        "markeredgewidth": 1.1,
+        "zorder": 6 if chosen else 5,
+    }
+
+
+def _name_target(axes: Axes, curve: ParameterCurve) -> None:
+    if curve.target is not None:
+        place = (1.0, curve.target)
+        axes.annotate(f"target {curve.target:g}", place, (-2, 2), xycoords=("axes fraction", "data"),
+                      textcoords="offset points", ha="right", va="bottom", fontsize=7, color=QUIET)  # fmt: skip
+
+
+def _name_marks(axes: Axes, marks: Sequence[ParameterMark], *, discrete: bool) -> None:
+    """Write a key beside the axes: each criterion with its value and the noise figure there."""
+    for order, mark in enumerate(marks):
+        height = 0.97 - 0.25 * order
+        told = "no answer"
+        if mark.value is not None:
+            told = value_text(mark.value, discrete=discrete)
+            told += "" if mark.noise_figure is None else f", noise figure {number(mark.noise_figure)}"
+            axes.plot([1.06], [height], transform=axes.transAxes, clip_on=False, **_look(order, chosen=mark.chosen))
+        title = f"{mark.title} (chosen)" if mark.chosen else mark.title
+        axes.text(1.1, height, title, transform=axes.transAxes, va="center", fontsize=7,
+                  fontweight="bold" if mark.chosen else "normal")  # fmt: skip
+        axes.text(1.1, height - 0.085, told, transform=axes.transAxes, va="center", fontsize=7, color=QUIET)

@@ -1,0 +1,288 @@
+"""How the sheet, its electrodes and what lies on it are drawn; shared by every figure that shows a place.
+
+Outlines of regions and heads, and pictures of images, ready to be drawn.
+"""
+
+from collections import defaultdict
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PathCollection, PolyCollection
+from matplotlib.colors import Colormap, Normalize
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Circle, Polygon as Patch
+from matplotlib.path import Path
+from matplotlib.tri import Triangulation
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
+
+from cbsr_qa.domain.geometry import Disc, Footprint, SheetOutline
+from cbsr_qa.domain.results import Region
+from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, Electrodes, Mesh
+from cbsr_qa.report.draw.style import FAINT, INK, QUIET
+
+Point = tuple[float, float]
+
+
+def rings(region: Region) -> list[NDArray[np.float64]]:
+    """Trace the perimeter of a region, holes included.
+
+    Returns
+    -------
+    Closed rings, each (n, 2) [mm] with the first point repeated; outer rings counterclockwise, holes clockwise.
+    """
+    starts, ends = region.rim_mm()
+    following: dict[Point, list[Point]] = defaultdict(list)
+    for start, end in zip(map(tuple, starts.tolist()), map(tuple, ends.tolist()), strict=True):
+        following[start].append(end)
+    found = []
+    while following:
+        found.append(np.array(_ring(following)))
+    return found
+
+
+def _ring(following: dict[Point, list[Point]]) -> list[Point]:
+    """Walk one ring and take its edges out; a point where rings touch is left by whichever edge is still there."""
+    start = next(iter(following))
+    ring = [start]
+    while True:
+        ends = following[ring[-1]]
+        ring.append(ends.pop())
+        if not ends:
+            del following[ring[-2]]
+        if ring[-1] == start or ring[-1] not in following:
+            return ring
+
+
+def region_path(region: Region, shift_mm: tuple[float, float] = (0.0, 0.0)) -> Path:
+    """Return the outline as one compound path, moved."""
+    return Path.make_compound_path(*(Path(ring + np.asarray(shift_mm), closed=True) for ring in rings(region)))
+
+
+def head_path(head: Footprint, shift_mm: tuple[float, float] = (0.0, 0.0)) -> Path:
+    """Return a head's outline as a path, moved."""
+    corners = head.drawn_mm()
+    return Path(np.vstack([corners, corners[:1]]) + np.asarray(shift_mm), closed=True)
+
+
+class Raster:
+    """Which element lies under each pixel of a picture of the sheet: made once per mesh, used per image.
+
+    A picture of elements is a tenth of the bytes of their polygons, and an image costs one look-up.
+
+    Parameters
+    ----------
+    mesh : of the images.
+    sheet : its outline, in the mesh's unit; the picture ends where it does.
+    pixels : along the longer side; they are square.
+    """
+
+    def __init__(self, mesh: Mesh, sheet: SheetOutline, pixels: int) -> None:
+        low_x, high_x, low_y, high_y = sheet.extent_mm
+        step = max(high_x - low_x, high_y - low_y) / pixels
+        columns, rows = (int(np.ceil(side / step - 1e-9)) for side in (high_x - low_x, high_y - low_y))
+        x, y = np.meshgrid(low_x + step * (np.arange(columns) + 0.5), low_y + step * (np.arange(rows) + 0.5))
+        triangles = Triangulation(mesh.nodes_mm[:, 0], mesh.nodes_mm[:, 1], mesh.elements)
+        found = np.asarray(triangles.get_trifinder()(x, y), dtype=np.int64)
+        # Round edges are polygons in a mesh: pixels of the thin rim between them take the nearest element.
+        rim = found < 0
+        rim[rim] = sheet.clearance_mm(np.column_stack([x[rim], y[rim]])) >= 0
+        if rim.any():
+            found[rim] = KDTree(mesh.centroids_mm).query(np.column_stack([x[rim], y[rim]]))[1]
+        self.elements = found
+        self.extent = (low_x, low_x + step * columns, low_y, low_y + step * rows)
+
+    def picture(self, values: NDArray[np.float64]) -> np.ma.MaskedArray[tuple[int, int], np.dtype[np.float64]]:
+        """Return (rows, columns) values, bottom row first; masked outside the sheet."""
+        outside = self.elements < 0
+        return np.ma.MaskedArray(values[np.where(outside, 0, self.elements)], mask=outside)
+
+
+#: A circle of this many sides is round in print.
+_SIDES: Final = 72
+
+Shift = tuple[float, float]
+
+
+def draw_sheet(axes: Axes, sheet: SheetOutline, shift: Shift = (0.0, 0.0), *, filled: bool = False) -> None:
+    """Draw the sheet's edge."""
+    axes.add_patch(sheet_patch(sheet, shift, filled=filled))
+
+
+def sheet_patch(sheet: SheetOutline, shift: Shift = (0.0, 0.0), *, filled: bool = False) -> Circle | Patch:
+    """Return the sheet's edge, moved."""
+    face, order = ("#fbfbfb", 0) if filled else ("none", 3)
+    if isinstance(sheet, Disc):
+        return Circle(shift, sheet.radius_mm, facecolor=face, edgecolor=QUIET, linewidth=0.7, zorder=order)
+    corners = sheet_path(sheet) + np.asarray(shift)
+    return Patch(corners, closed=True, facecolor=face, edgecolor=QUIET, linewidth=0.7, zorder=order)
+
+
+def sheet_path(sheet: SheetOutline) -> NDArray[np.float64]:
+    """Corners of the sheet's edge as it is drawn, (n, 2): bends in steps that look round in print."""
+    curve = sheet.curve
+    steps = np.maximum(np.ceil(np.abs(curve.curvature * curve.length) * _SIDES / (2 * np.pi)).astype(int), 1)
+    pieces = zip(curve.begins[:-1], curve.length, steps, strict=True)
+    places = [begin + length * np.arange(count) / count for begin, length, count in pieces]
+    return curve.at(np.concatenate(places))
+
+
+def draw_electrodes(
+    axes: Axes, electrodes: Electrodes, sheet: SheetOutline, shift: Shift = (0.0, 0.0), *, numbered: bool = True
+) -> None:
+    """Draw the electrodes where they are, with their numbers just outside the sheet.
+
+    Parameters
+    ----------
+    sheet : as drawn; a ring on a disc is scaled to it where a drawing is in units of the radius.
+    numbered : every number where there is room, else only electrode 0.
+    """
+    if isinstance(electrodes, ElectrodeLayout) and isinstance(sheet, Disc):
+        places = _draw_ring(axes, electrodes, sheet.radius_mm, np.asarray(shift))
+    else:
+        places = _draw_placed(axes, electrodes, sheet, np.asarray(shift))
+    for number, (x, y) in enumerate(places):
+        if numbered or number == 0:
+            axes.text(x, y, str(number), ha="center", va="center", fontsize=6, color=QUIET)
+
+
+def _draw_ring(
+    axes: Axes, layout: ElectrodeLayout, radius_mm: float, shift: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Draw electrodes on a ring; returns where their numbers go."""
+    angles = layout.angles_rad()
+    direction = np.column_stack([np.cos(angles), np.sin(angles)])
+    if layout.kind is ElectrodeKind.PIN:
+        ring = min(layout.ring_radius_mm, radius_mm)
+        pins = direction * ring + shift
+        axes.scatter(pins[:, 0], pins[:, 1], s=4, c=INK, linewidths=0, zorder=4)
+    else:
+        half = layout.width_mm / layout.ring_radius_mm / 2
+        arcs = [_arc(angle - half, angle + half, radius_mm) + shift for angle in angles]
+        axes.add_collection(LineCollection(arcs, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
+    places: NDArray[np.float64] = direction * radius_mm * 1.075 + shift
+    return places
+
+
+def _draw_placed(
+    axes: Axes, electrodes: Electrodes, sheet: SheetOutline, shift: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Draw electrodes one by one; returns where their numbers go: outside the edge, or beside a pin far inside."""
+    centres, curve = electrodes.positions_mm(), sheet.curve
+    along, away = curve.nearest(centres)
+    if electrodes.kind is ElectrodeKind.PIN:
+        pins = centres + shift
+        axes.scatter(pins[:, 0], pins[:, 1], s=4, c=INK, linewidths=0, zorder=4)
+    else:
+        half = electrodes.width_mm / 2
+        strips = [curve.at(np.linspace(place - half, place + half, _SIDES)) + shift for place in along]
+        axes.add_collection(LineCollection(strips, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
+    size = 0.075 * reach(sheet)
+    ahead = curve.at(along + size / 8) - curve.at(along - size / 8)
+    outward = np.column_stack([ahead[:, 1], -ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
+    inner = (away > 4 * size)[:, None]
+    places: NDArray[np.float64] = np.where(inner, centres + size / 2, curve.at(along) + size * outward) + shift
+    return places
+
+
+def draw_circles(
+    axes: Axes,
+    centres_mm: NDArray[np.float64],
+    radius_mm: float,
+    *,
+    color: str = INK,
+    width: float = 0.8,
+    dashed: bool = False,
+) -> None:
+    """Draw equal circles, e.g. the indenter at many places, as one collection.
+
+    Parameters
+    ----------
+    centres_mm : (n, 2).
+    """
+    round_ = _arc(0.0, 2 * np.pi, radius_mm)
+    collection = PolyCollection(
+        [round_ + centre for centre in np.asarray(centres_mm).reshape(-1, 2)],
+        facecolors="none",
+        edgecolors=color,
+        linewidths=width,
+        linestyles=[(0, (2.5, 1.8))] if dashed else "solid",
+        zorder=6,
+    )
+    axes.add_collection(collection)
+
+
+def draw_outlines(axes: Axes, paths: list[Path], *, color: str = INK, width: float = 1.1, face: str = "none") -> None:
+    """Draw outlines of regions (see :func:`cbsr_qa.report.draw.sheet.region_path`) as one collection."""
+    if paths:
+        axes.add_collection(PathCollection(paths, facecolors=face, edgecolors=color, linewidths=width, zorder=5))
+
+
+def draw_heads(axes: Axes, paths: list[Path], *, color: str = INK, dashed: bool = False) -> None:
+    """Draw the indenter at many places (see :func:`cbsr_qa.report.draw.sheet.head_path`) as one collection."""
+    style = [(0, (2.5, 1.8))] if dashed else "solid"
+    axes.add_collection(
+        PathCollection(paths, facecolors="none", edgecolors=color, linewidths=0.8, linestyles=style, zorder=6)
+    )
+
+
+def add_scale(
+    figure: Canvas,
+    axes: Axes,
+    norm: Normalize,
+    colours: Colormap,
+    *,
+    label: str,
+    place: str,
+    bottom_in: float = 0.36,
+) -> None:
+    """Draw a slim colour scale beside (``"right"``) or below (``"bottom"``) the axes.
+
+    Parameters
+    ----------
+    bottom_in : height of a scale below above the figure's lower edge [in].
+    """
+    box = axes.get_position()
+    beside = place == "right"
+    if beside:
+        slot = figure.add_axes((box.x1 + 0.015, box.y0 + 0.15 * box.height, 0.013, 0.7 * box.height))
+    else:
+        height_in = figure.get_size_inches()[1]
+        slot = figure.add_axes((box.x0 + 0.3 * box.width, bottom_in / height_in, 0.4 * box.width, 0.09 / height_in))
+    low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
+    ramp = np.linspace(low, high, 128)[None, :]
+    extent = (0, 1, low, high) if beside else (low, high, 0, 1)
+    picture = ramp.T if beside else ramp
+    slot.imshow(picture, norm=norm, cmap=colours, extent=extent, aspect="auto", origin="lower")
+    for side in slot.spines.values():
+        side.set_visible(False)
+    slot.tick_params(length=2, color=FAINT)
+    if beside:
+        slot.set_xticks([])
+        slot.yaxis.tick_right()
+        slot.yaxis.set_label_position("right")
+        slot.set_ylabel(label)
+    else:
+        slot.set_yticks([])
+        slot.set_xlabel(label)
+
+
+def fit_sheet(axes: Axes, sheet: SheetOutline, margin: float = 0.16) -> None:
+    """Show exactly the sheet with room for the electrodes' numbers."""
+    low_x, high_x, low_y, high_y = sheet.extent_mm
+    room = margin * reach(sheet)
+    axes.set_xlim(low_x - room, high_x + room)
+    axes.set_ylim(low_y - room, high_y + room)
+
+
+def reach(sheet: SheetOutline) -> float:
+    """Half the longer side of the box round a sheet: by it what is drawn beside the sheet is placed."""
+    low_x, high_x, low_y, high_y = sheet.extent_mm
+    return max(high_x - low_x, high_y - low_y) / 2
+
+
+def _arc(start: float, end: float, radius: float) -> NDArray[np.float64]:
+    steps = max(int(_SIDES * abs(end - start) / (2 * np.pi)), 4)
+    angles = np.linspace(start, end, steps + 1)
+    return radius * np.column_stack([np.cos(angles), np.sin(angles)])

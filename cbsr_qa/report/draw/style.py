@@ -1,0 +1,277 @@
+"""One look for all figures: type sizes, line weights and colours that survive colour blindness and a grey printer.
+
+Figures are made with matplotlib's object API; there is no pyplot state. The settings are applied while a figure is
+drawn (:func:`drawing`) and taken back afterwards.
+
+From a matplotlib figure to an inline SVG, and the check every SVG passes before it enters a page.
+"""
+
+import hashlib
+import io
+import re
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any, Final, cast
+from xml.etree import ElementTree
+
+import matplotlib as mpl
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap, Normalize
+from matplotlib.figure import Figure as Canvas
+from matplotlib.gridspec import GridSpec
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.results import Figure
+
+INK: Final = "#1c1c1c"
+QUIET: Final = "#6a6a6a"
+FAINT: Final = "#b9b9b9"
+HAIR: Final = "#e2e2e2"
+
+#: Okabe & Ito 2008, told apart with every common colour blindness.
+BLUE: Final = "#0072B2"
+VERMILION: Final = "#D55E00"
+GREEN: Final = "#009E73"
+PURPLE: Final = "#8E5BA6"
+ORANGE: Final = "#E69F00"
+SKY: Final = "#56B4E9"
+CYCLE: Final = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+
+#: An ordered quantity (25, 50, 75, 85 %): light to dark, so that it survives a grey printer.
+ORDERED: Final = ("#9ecae1", "#56a0d3", "#2171b5", "#08306b")
+
+#: Text width of an A4 page with the report's margins [in].
+WIDTH_IN: Final = 6.9
+
+#: Kept clear at a figure's left edge [in].
+_MARGIN_IN: Final = 0.03
+
+#: Conductance falls (orange-brown), nothing (white), rises (blue).
+CHANGE_MAP: Final = LinearSegmentedColormap.from_list(
+    "cbsr_change", ["#5d2b02", "#b35806", "#f1a340", "#fde7c8", "#ffffff", "#d6e6f2", "#74add1", "#2166ac", "#072a5c"]
+)
+
+#: Little (pale) to much (dark).
+AMOUNT_MAP: Final = LinearSegmentedColormap.from_list(
+    "cbsr_amount", ["#f4f8fb", "#c6dbef", "#74a9cf", "#2b79b5", "#08306b"]
+)
+
+_SETTINGS: Final[dict[str, Any]] = {
+    "svg.fonttype": "none",  # text stays text: searchable, and drawn in the page's own typeface
+    "svg.hashsalt": "cbsr-qa",  # the same numbers give the same bytes
+    "font.family": ["DejaVu Sans"],  # ships with matplotlib; wider than the page's face, so nothing overlaps
+    "font.size": 7.5,
+    "axes.titlesize": 8,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 5,
+    "axes.labelsize": 7.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": QUIET,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.unicode_minus": True,
+    "axes.formatter.use_mathtext": False,
+    "axes.formatter.useoffset": False,
+    "axes.formatter.limits": (-4, 5),
+    "xtick.color": QUIET,
+    "ytick.color": QUIET,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "lines.linewidth": 1.0,
+    "lines.solid_capstyle": "round",
+    "patch.linewidth": 0.6,
+    "text.color": INK,
+    "text.parse_math": False,  # a serial number with $ in it is not a formula
+    "figure.facecolor": "none",
+    "axes.facecolor": "none",
+    "savefig.facecolor": "none",
+    "path.simplify": True,
+    "path.simplify_threshold": 0.1,
+    "image.interpolation": "none",
+}
+
+
+@contextmanager
+def drawing() -> Iterator[None]:
+    """Apply the shared settings while a figure is built and written."""
+    with mpl.rc_context(cast(Any, _SETTINGS)):  # the stubs want literal keys
+        yield
+
+
+def canvas(height_in: float, width_in: float = WIDTH_IN) -> Canvas:
+    """Return an empty figure of the page's width."""
+    return Canvas(figsize=(width_in, height_in))
+
+
+def change_norm(largest: float) -> Normalize:
+    """Return a symmetric scale around no change; ``largest`` 0 is drawn as one part per million."""
+    limit = largest if largest > 0 else 1e-6
+    return Normalize(-limit, limit)
+
+
+def light_grid(axes: Axes, which: str = "y") -> None:
+    """Draw hairlines behind the data."""
+    axes.grid(True, axis=which, color=HAIR, linewidth=0.5)  # type: ignore[arg-type]
+    axes.set_axisbelow(True)
+
+
+def fit_left(figure: Canvas, grid: GridSpec, labelled: Sequence[Axes]) -> None:
+    """Align the labels of vertical axes clear of their numbers, and widen the left margin until both have room.
+
+    Parameters
+    ----------
+    grid : of the figure, with its margins set.
+    labelled : its first column, drawn in full: numbers decide how wide they are.
+    """
+    figure.align_ylabels(labelled)
+    boxes = [axes.yaxis.get_tightbbox(None) for axes in labelled]
+    outermost = min((box.x0 for box in boxes if box is not None), default=0.0)
+    lacking = (_MARGIN_IN * figure.dpi - outermost) / figure.bbox.width
+    if lacking <= 0:
+        return
+    grid.update(left=grid.get_subplot_params(figure).left + lacking)
+    for axes in figure.axes:  # a grid only moves the axes of figures that pyplot knows
+        place = axes.get_subplotspec()
+        if place is not None and place.get_gridspec() is grid:
+            axes.set_position(place.get_position(figure))
+
+
+def name_rows(axes: Axes, names: Sequence[str], most: int = 34) -> None:
+    """Name the rows of a dot plot, the first on top; of more than fit beside each other every second, third …."""
+    every = -(-len(names) // most)
+    rows = range(0, len(names), max(every, 1))
+    axes.set_yticks(rows, [names[row] for row in rows])
+    axes.set_ylim(len(names) - 0.4, -0.6)
+    axes.tick_params(axis="y", length=0)
+    axes.spines["left"].set_visible(False)
+
+
+def bare(axes: Axes) -> None:
+    """Leave nothing of the axes but what is drawn in them, in equal scale."""
+    axes.set_axis_off()
+    axes.set_aspect("equal")
+
+
+def spread_labels(places: list[float], gap: float) -> list[float]:
+    """Move labels apart along one axis so that none overlap, keeping their order and their mean.
+
+    Parameters
+    ----------
+    places : wanted positions.
+    gap : smallest distance between neighbours.
+
+    Returns
+    -------
+    New positions in the order of ``places``.
+    """
+    order = sorted(range(len(places)), key=lambda i: places[i])
+    moved = [places[i] for i in order]
+    for _ in range(50 * len(moved)):
+        pushed = False
+        for lower in range(len(moved) - 1):
+            lacking = gap - (moved[lower + 1] - moved[lower])
+            if lacking > 1e-9 * max(gap, 1e-300):
+                moved[lower] -= lacking / 2
+                moved[lower + 1] += lacking / 2
+                pushed = True
+        if not pushed:
+            break
+    back = [0.0] * len(places)
+    for rank, index in enumerate(order):
+        back[index] = moved[rank]
+    return back
+
+
+_NAMESPACE: Final = "{http://www.w3.org/2000/svg}"
+_HREFS: Final = ("href", "{http://www.w3.org/1999/xlink}href")
+_SHAPES: Final = frozenset(
+    {"path", "rect", "circle", "ellipse", "line", "polyline", "polygon", "image", "text", "tspan"}
+)
+_DRAWN: Final = _SHAPES | {
+    *("svg", "g", "defs", "use", "symbol", "title", "desc", "clipPath", "mask", "pattern", "marker"),
+    *("linearGradient", "radialGradient", "stop"),
+}
+_BITMAP: Final = re.compile(r"data:image/(png|jpeg);base64,[A-Za-z0-9+/=\s]*\Z")
+_OWN_URL: Final = re.compile(r"url\(\s*(?!['\"]?#)", re.IGNORECASE)
+
+
+def drawn(build: Callable[[], Canvas], *, caption: str, alternative: str) -> Figure:
+    """Build a figure under the shared settings and turn it into a block of the report.
+
+    Parameters
+    ----------
+    build : makes the figure; called once.
+    caption : what to see in it.
+    alternative : the same in words, for who cannot see it.
+    """
+    with drawing():
+        figure = build()
+        buffer = io.StringIO()
+        nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
+        figure.savefig(buffer, format="svg", metadata=nothing)
+    return Figure(caption, alternative, _own_names(_body(buffer.getvalue())))
+
+
+def checked_svg(svg: str) -> str:
+    """Return an SVG that can do nothing but be looked at.
+
+    Raises
+    ------
+    RefusedError
+        If it is not well-formed, or holds a script, a style sheet, an event handler, an embedded document, a
+        comment or declaration, or a reference to anything outside itself.
+    """
+    if "<!" in svg or "<?" in svg:
+        raise RefusedError("a figure holds a comment or a declaration; an inline SVG needs neither")
+    try:
+        root = ElementTree.fromstring(svg)  # no declarations, hence no entities to expand
+    except ElementTree.ParseError as error:
+        raise RefusedError(f"a figure is not a well-formed SVG: {error}") from error
+    if root.tag != f"{_NAMESPACE}svg":
+        raise RefusedError(f"a figure is not an SVG but {root.tag!r}")
+    for element in root.iter():
+        _check_element(element)
+    return svg
+
+
+def _check_element(element: ElementTree.Element) -> None:
+    name = element.tag.removeprefix(_NAMESPACE)
+    if name not in _DRAWN:
+        raise RefusedError(f"a figure holds <{name}>, which is not a drawing")
+    for key, value in element.attrib.items():
+        if key.rpartition("}")[2].lower().startswith("on"):
+            raise RefusedError(f"a figure holds the event handler {key!r}")
+        if _OWN_URL.search(value):
+            raise RefusedError(f"a figure refers to something outside itself: {key}={value[:60]!r}")
+        if key in _HREFS and not (value.startswith("#") or (name == "image" and _BITMAP.match(value))):
+            raise RefusedError(f"a figure refers to something outside itself: {key}={value[:60]!r}")
+
+
+def _body(document: str) -> str:
+    """Strip what belongs to a file of its own: declarations, metadata, comments, the style sheet for ``*``."""
+    body = document[document.index("<svg") :]
+    body = re.sub(r"<!--.*?-->\s*", "", body, flags=re.DOTALL)
+    body = re.sub(r"<metadata>.*?</metadata>\s*", "", body, flags=re.DOTALL)
+    body = re.sub(r"<defs>\s*<style[^>]*>.*?</style>\s*</defs>\s*", "", body, count=1, flags=re.DOTALL)
+    return body.replace("<svg ", '<svg stroke-linejoin="round" stroke-linecap="butt" ', 1).strip()
+
+
+def _own_names(body: str) -> str:
+    """Keep only names that are referred to, and make them this figure's own: a page holds many figures."""
+    used = set(re.findall(r'(?:href="|url\()#([^")]+)', body))
+    mark = hashlib.sha256(body.encode()).hexdigest()[:8]
+
+    def rename(match: re.Match[str]) -> str:
+        name = match.group(1)
+        return f' id="f{mark}-{name}"' if name in used else ""
+
+    body = re.sub(r'\sid="([^"]*)"', rename, body)
+    return re.sub(r'(href="|url\()#', rf"\g<1>#f{mark}-", body)

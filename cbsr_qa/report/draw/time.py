@@ -1,0 +1,174 @@
+"""Quantities against time, with the events that explain them.
+
+Where the time went.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+from matplotlib.transforms import blended_transform_factory
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.results import Figure, Trace
+from cbsr_qa.report.draw.style import BLUE, CYCLE, INK, QUIET, canvas, drawn, fit_left, light_grid
+from cbsr_qa.report.tables import duration, unit_shown
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """A total and its parts, in seconds."""
+
+    title: str
+    parts: tuple[tuple[str, float], ...]
+
+
+def budget_figure(budgets: Sequence[Budget], *, caption: str, alternative: str) -> Figure:
+    """Draw one panel of bars per budget, the largest part first, each bar with its time and share."""
+
+    def build() -> Canvas:
+        rows = max(len(budget.parts) for budget in budgets)
+        height_in = 0.19 * rows + 0.42
+        figure = canvas(height_in)
+        width = 1 / len(budgets)
+        for column, budget in enumerate(budgets):
+            share = len(budget.parts) / rows
+            top = 1 - 0.3 / height_in
+            height = (0.19 * rows / height_in) * share
+            axes = figure.add_axes((column * width + 0.15, top - height, width - 0.29, height))
+            _draw_bars(axes, budget)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def _draw_bars(axes: Axes, budget: Budget) -> None:
+    parts = sorted(budget.parts, key=lambda part: -part[1])
+    total = sum(seconds for _, seconds in parts)
+    axes.barh(range(len(parts)), [seconds for _, seconds in parts], height=0.68, color=BLUE, linewidth=0)
+    for row, (_, seconds) in enumerate(parts):
+        share = f"  ({100 * seconds / total:.0f} %)" if total else ""
+        told = f"{duration(seconds)}{share}"
+        axes.annotate(told, (seconds, row), (3, 0), textcoords="offset points", va="center", fontsize=7)
+    axes.set_yticks(range(len(parts)), [name for name, _ in parts])
+    axes.set_ylim(len(parts) - 0.5, -0.5)
+    axes.set_xticks([])
+    axes.tick_params(axis="y", length=0)
+    for side in ("bottom", "left"):
+        axes.spines[side].set_visible(False)
+    axes.set_title(f"{budget.title}: {duration(total)}", x=0, pad=3)
+
+
+#: More points than a line on a page can show are drawn as the extremes of each stretch.
+_POINTS: Final = 1600
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """A stretch of time worth pointing at.
+
+    Parameters
+    ----------
+    start_s, end_s : on the traces' clock; equal for a moment.
+    label : short.
+    peak_s : marked with a tick where given.
+    """
+
+    start_s: float
+    end_s: float
+    label: str
+    peak_s: float | None = None
+
+
+def timeline_figure(
+    traces: Sequence[Trace],
+    spans: Sequence[Span],
+    *,
+    caption: str,
+    alternative: str,
+    time_label: str = "time since the first complete frame [s]",
+    panel_height_in: float = 1.35,
+) -> Figure:
+    """Draw traces below each other over one time axis; traces of equal unit share a panel.
+
+    Parameters
+    ----------
+    traces : at least one; a trace without points is left out.
+    spans : shaded through all panels and named above the first.
+    panel_height_in : of each panel [in].
+    """
+
+    def build() -> Canvas:
+        panels = _by_unit(traces)
+        height_in = panel_height_in * len(panels) + 0.75
+        figure = canvas(height_in)
+        grid = figure.add_gridspec(
+            len(panels), 1, left=0.085, right=0.87, bottom=0.42 / height_in, top=1 - 0.3 / height_in, hspace=0.16
+        )
+        drawn_axes: list[Axes] = []
+        for row, (unit, members) in enumerate(panels):
+            axes = figure.add_subplot(grid[row], sharex=drawn_axes[0] if drawn_axes else None)
+            drawn_axes.append(axes)
+            _draw_traces(axes, members, unit)
+            for span in spans:
+                shade(axes, span, named=row == 0)
+            if row < len(panels) - 1:
+                axes.tick_params(labelbottom=False)
+        axes.set_xlabel(time_label)
+        axes.margins(x=0.01)
+        fit_left(figure, grid, drawn_axes)
+        return figure
+
+    return drawn(build, caption=caption, alternative=alternative)
+
+
+def shade(axes: Axes, span: Span, *, named: bool) -> None:
+    """Shade a stretch of time, tick its peak, and name it above the axes."""
+    axes.axvspan(span.start_s, max(span.end_s, span.start_s), color="#f0e3cf", linewidth=0, zorder=0)
+    across = blended_transform_factory(axes.transData, axes.transAxes)
+    if span.peak_s is not None:
+        axes.plot([span.peak_s] * 2, [0.94, 1.0], transform=across, color=INK, linewidth=1.0, clip_on=False)
+    if named:
+        middle = (span.start_s + span.end_s) / 2
+        axes.text(middle, 1.03, span.label, transform=across, ha="center", va="bottom", fontsize=7)
+
+
+def thinned(
+    time_s: NDArray[np.float64], values: NDArray[np.float64], points: int = _POINTS
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Keep lowest and highest value of each stretch, so that no spike is lost where points are too many to draw."""
+    if len(values) <= points:
+        return time_s, values
+    starts = np.linspace(0, len(values), points // 2 + 1).astype(np.int64)
+    pairs = pairwise(starts)
+    kept = [a + k for a, b in pairs for k in sorted({int(values[a:b].argmin()), int(values[a:b].argmax())})]
+    return time_s[kept], values[kept]
+
+
+def _by_unit(traces: Sequence[Trace]) -> list[tuple[str, list[Trace]]]:
+    panels: dict[str, list[Trace]] = {}
+    for trace in traces:
+        if len(trace.values):
+            panels.setdefault(trace.unit, []).append(trace)
+    return list(panels.items()) or [("", [])]
+
+
+def _draw_traces(axes: Axes, traces: list[Trace], unit: str) -> None:
+    light_grid(axes)
+    for index, trace in enumerate(traces):
+        colour = CYCLE[index % len(CYCLE)] if len(traces) > 1 else BLUE
+        time_s, values = thinned(trace.time_s, trace.values)
+        axes.plot(time_s, values, color=colour, linewidth=0.9)
+        if len(traces) > 1:
+            axes.text(
+                1.01, 0.95 - 0.13 * index, trace.name, transform=axes.transAxes, color=colour, va="top", fontsize=7
+            )
+    name = traces[0].name if len(traces) == 1 else ""
+    shown = unit_shown(unit)
+    axes.set_ylabel(f"{name}\n[{shown}]" if name and shown else name or (f"[{shown}]" if shown else ""), color=INK)
+    axes.yaxis.label.set_fontsize(7.5)
+    axes.tick_params(axis="y", color=QUIET)

@@ -1,0 +1,106 @@
+"""What a run's report says of its station's control charts.
+
+What pages say of a station's check: its lines as a table, how old it is, and what to do.
+"""
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Final
+
+from cbsr_qa.domain import of_kind
+from cbsr_qa.domain.results import Block, Cell, Outcome, Paragraph, Table
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCharts, StationCheck
+from cbsr_qa.report.tables import plural, quantity, text_table
+
+_CELLS: Final = {
+    CheckOutcome.OK: Outcome.PASS,
+    CheckOutcome.WARNING: Outcome.MARGINAL,
+    CheckOutcome.FAILED: Outcome.FAIL,
+    CheckOutcome.NOT_DONE: Outcome.NOT_JUDGED,
+}
+_COLUMNS: Final = ("Of", "Looked at", "Found", "Allowed", "In words", "Outcome")
+
+
+def lines_table(caption: str, results: Sequence[CheckResult]) -> Table:
+    """Return lines of a check, one a row."""
+    return text_table(caption, _COLUMNS, [_row(line) for line in results], (2,))
+
+
+def _row(line: CheckResult) -> tuple[str | Cell, ...]:
+    value = "–" if line.value is None else quantity(line.value, line.unit)
+    outcome = Cell(str(line.outcome), _CELLS[line.outcome])
+    return line.subject, line.name, value, line.allowed or "–", line.said or "–", outcome
+
+
+def remedies(results: Sequence[CheckResult]) -> tuple[Paragraph, ...]:
+    """Return what to do about what failed or warns, a paragraph each."""
+    said = []
+    for line in results:
+        if line.outcome in (CheckOutcome.FAILED, CheckOutcome.WARNING):
+            tone = "warning" if line.outcome is CheckOutcome.FAILED else "note"
+            found = f"{line.subject}, {line.name}: {line.outcome}"
+            said.append(Paragraph(f"{found}. What to do: {line.remedy}." if line.remedy else f"{found}.", tone))
+    return tuple(said)
+
+
+def counted(check: StationCheck) -> str:
+    """Say how many lines failed and warn: ``2 lines failed, 1 warning``; ``no line failed``."""
+    failed, warned = len(check.lines(CheckOutcome.FAILED)), len(check.lines(CheckOutcome.WARNING))
+    words = f"{plural(failed, 'line')} failed"
+    return f"{words}, {plural(warned, 'warning')}" if warned else words
+
+
+def station_blocks(station: str, check: StationCheck | None, begun: datetime) -> tuple[Block, ...]:
+    """Say how a station stood when a run began on it: its latest check, how old that was, what failed.
+
+    Parameters
+    ----------
+    check : the latest until then; None where there was none.
+    begun : when the run began.
+    """
+    if check is None:
+        words = f"Station {station} had never been checked when this run began: run cbsr-qa station check."
+        return (Paragraph(words, "note"),)
+    by = f" by {check.operator}" if check.operator else ""
+    at = check.checked_at.strftime("%Y-%m-%d %H:%M %Z").strip()
+    words = f"Station {station} was last checked {age(check, begun)} before this run began, on {at}{by}"
+    tone = {CheckOutcome.FAILED: "warning", CheckOutcome.WARNING: "note"}.get(check.outcome, "plain")
+    blocks: list[Block] = [Paragraph(f"{words}: {counted(check)} of {len(check.results)}.", tone)]
+    bad = [line for line in check.results if line.outcome in (CheckOutcome.FAILED, CheckOutcome.WARNING)]
+    if bad:
+        blocks.append(lines_table("What was not well then.", bad))
+        blocks += remedies(bad)
+    full = lines_table(f"All lines of check {check.check}.", check.results)
+    blocks.append(Table(full.caption, full.columns, full.rows, full.numeric, folded=True))
+    return tuple(blocks)
+
+
+def age(check: StationCheck, at: datetime) -> str:
+    """Say how old a check was at a moment: minutes, hours, days."""
+    seconds = max((at - check.checked_at).total_seconds(), 0.0)
+    if seconds < 5400:
+        return plural(round(seconds / 60), "minute") if seconds >= 60 else "less than a minute"
+    if seconds < 2 * 86400:
+        return plural(round(seconds / 3600), "hour")
+    return plural(round(seconds / 86400), "day")
+
+
+def chart_blocks(charts: StationCharts | None) -> tuple[Block, ...]:
+    """Say which charts signal since when and by which rule; nothing where the station has no reference stored."""
+    if charts is None:
+        return ()
+    whole = f"{plural(charts.charts, 'control chart')} of {of_kind('station', charts.station)}"
+    if not charts.signals:
+        blocks: list[Block] = [Paragraph(f"None of {whole} signals.")]
+    else:
+        words = f"The station is out of control: {len(charts.signals)} of {whole} signal."
+        blocks = [Paragraph(words, "warning")]
+        blocks += [Paragraph(f"{signal.words()}.", "warning") for signal in charts.signals]
+        blocks.append(
+            Paragraph(
+                "A signal is about the station, not about this sensor's limits: measure a golden sensor "
+                f"(cbsr-qa station check --golden), and see cbsr-qa charts --station {charts.station}.",
+                "note",
+            )
+        )
+    return (*blocks, *(Paragraph(f"{note}.", "note") for note in charts.notes))

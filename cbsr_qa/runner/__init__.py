@@ -1,1 +1,0 @@
-"""Executes steps: dry run, safety, journalling, progress."""

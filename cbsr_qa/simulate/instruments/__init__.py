@@ -1,0 +1,5 @@
+"""Emulated instruments on byte streams, all before one simulated world."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

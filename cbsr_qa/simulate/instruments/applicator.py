@@ -1,0 +1,305 @@
+"""An emulated Cartesian force applicator: a Prusa MK3, or another printer with stock Marlin.
+
+Marlin's line protocol: numbered lines with checksums, and how a printer asks for one again.
+"""
+
+import threading
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import reduce
+from operator import xor
+from typing import Any, Final
+
+from cbsr_qa.simulate.instruments.clock import Fault
+from cbsr_qa.simulate.instruments.head import Position
+from cbsr_qa.simulate.instruments.rig import EmulatedRig
+
+#: A longer line is cut off by the firmware's buffer.
+LONGEST_LINE: Final = 96
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One line: its number, its command, and what is wrong with it in the firmware's words, if anything."""
+
+    number: int | None
+    command: str
+    wrong: str = ""
+
+
+def checksum(text: str) -> int:
+    """XOR of the bytes before the asterisk."""
+    return reduce(xor, text.encode("ascii", "replace"), 0)
+
+
+def read_line(raw: bytes, last: int) -> Line:
+    """Read one line as Marlin's queue does.
+
+    Parameters
+    ----------
+    raw : without its end.
+    last : number of the last line that was taken.
+    """
+    text = raw[: LONGEST_LINE - 1].decode("ascii", "replace").split(";")[0].strip()
+    body, star, given = text.partition("*")
+    if not text.startswith("N"):
+        return Line(None, body.strip(), "No Line Number with checksum" if star else "")
+    digits, _, command = body[1:].partition(" ")
+    if not digits.lstrip("-").isdigit():
+        return Line(None, command, "Line Number is not Last Line Number+1")
+    number = int(digits)
+    if not star:
+        return Line(number, command, "No Checksum with line number")
+    if not given.isdigit() or int(given) != checksum(body):
+        return Line(number, command, "checksum mismatch")
+    if number != last + 1 and "M110" not in command:
+        return Line(number, command, "Line Number is not Last Line Number+1")
+    return Line(number, command.strip())
+
+
+def words(command: str) -> tuple[str, dict[str, float | None]]:
+    """Split a command into its code and its parameters; None for those that carry no number."""
+    code, *rest = command.split() or [""]
+    parameters: dict[str, float | None] = {}
+    for word in rest:
+        try:
+            parameters[word[0].upper()] = float(word[1:])
+        except ValueError:
+            parameters[word[0].upper()] = None
+    return code.upper(), parameters
+
+
+Parameters = Mapping[str, float | None]
+
+#: Far corner of the machine [mm]; its end stops are at 0.
+REACH_MM: Final[Position] = (250.0, 210.0, 210.0)
+_AXES: Final = "XYZ"
+_HOMING_MM_S: Final = (50.0, 50.0, 800 / 60)
+_HOMING_LIFT_MM: Final = 5.0
+#: Mesh levelling, which a plain G28 does on a Prusa [s].
+_LEVELLING_S: Final = 60.0
+_FASTEST_MM_S: Final = (200.0, 200.0, 12.0)
+#: Moves that wait for their turn; another one waits for its acknowledgement.
+_BUFFER: Final = 16
+_BUSY_EVERY_S: Final = 2.0
+#: How long a told BUSY lasts: so many messages, so far apart [s, real time].
+BUSY_MESSAGES: Final = 3
+BUSY_PAUSE_S: Final = 0.45
+
+_BANNER: Final = {
+    "prusa": "start\necho: 3.13.3-7094\necho: Free Memory: 1737  PlannerBufferBytes: 1312\n",
+    "marlin": "start\necho:Marlin 2.1.2.4\necho: Free Memory: 2815  PlannerBufferBytes: 1168\n",
+}
+_FIRMWARE: Final = {
+    "prusa": (
+        "FIRMWARE_NAME:Prusa-Firmware 3.13.3 based on Marlin FIRMWARE_URL:https://github.com/prusa3d/Prusa-Firmware "
+        "PROTOCOL_VERSION:1.0 MACHINE_TYPE:Prusa i3 MK3S EXTRUDER_COUNT:1 UUID:00000000-0000-0000-0000-000000000000"
+    ),
+    "marlin": (
+        "FIRMWARE_NAME:Marlin 2.1.2.4 SOURCE_CODE_URL:github.com/MarlinFirmware/Marlin PROTOCOL_VERSION:1.0 "
+        "MACHINE_TYPE:3D Printer EXTRUDER_COUNT:1 UUID:cede2a2f-41a2-4748-9b12-c55c62f367ff"
+    ),
+}
+
+
+class EmulatedApplicator:
+    """Moves the rig's head by G-code.
+
+    An ``ok`` to a move means that it waits for its turn. Its position is what it believes: until it has homed, and
+    after every reset, that is zero wherever the head stands.
+
+    Parameters
+    ----------
+    rig : whose head it moves.
+    options : of the driver's table: ``firmware``, ``steps_per_mm``, ``centre_mm``, ``hover_height_mm``, ``z_axis``.
+    send : for what nobody asked for.
+    """
+
+    def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:
+        self._rig, self._head, self._send = rig, rig.head, send
+        self._firmware = options.get("firmware", "prusa")
+        self._steps = tuple(options.get("steps_per_mm", (100.0, 100.0, 400.0)))
+        x, y = options.get("centre_mm", (0.0, 0.0))
+        with rig.lock:
+            rig.head.mounted(
+                (x, y), options.get("hover_height_mm", rig.motion.hover_mm), up=options.get("z_axis", "up") == "up"
+            )
+        self._partial = b""
+        self._told: set[Fault] = set()
+        self._reset()
+        send(_BANNER[self._firmware].encode())
+
+    def received(self, data: bytes) -> bytes:
+        """Obey what came, line by line."""
+        if Fault.BUSY in self._told:
+            self._told.discard(Fault.BUSY)
+            self._keep_busy()
+        if Fault.RESET in self._told:
+            self._told.discard(Fault.RESET)
+            return self._restarted()
+        said = ""
+        with self._rig.lock:
+            *lines, self._partial = (self._partial + data).split(b"\n")
+            for line in lines:
+                said += self._obey(line)
+        return said.encode()
+
+    def misbehave(self, fault: Fault) -> None:
+        """Ask for the next numbered line again, be busy before the next answer, or restart instead of it."""
+        if fault in (Fault.RESEND, Fault.BUSY, Fault.RESET):
+            self._told.add(fault)
+
+    def _keep_busy(self) -> None:
+        for _ in range(BUSY_MESSAGES):
+            self._send(b"echo:busy: processing\n")
+            threading.Event().wait(BUSY_PAUSE_S)
+            self._rig.clock.sleep(_BUSY_EVERY_S)
+
+    def _restarted(self) -> bytes:
+        with self._rig.lock:
+            self._reset()
+        return _BANNER[self._firmware].encode()
+
+    def _reset(self) -> None:
+        self._head.stop()
+        self._partial = b""
+        self._last = 0
+        self._absolute = True
+        self._speed_mm_s = 25.0
+        self._believe((0.0, 0.0, 0.0))
+
+    def _believe(self, position: Position) -> None:
+        """Take the place where the head stands for this one."""
+        x, y, z = (true - told for true, told in zip(self._head.target_mm, position, strict=True))
+        self._offset: Position = (x, y, z)
+
+    def _obey(self, raw: bytes) -> str:
+        line = read_line(raw, self._last)
+        wrong = line.wrong
+        if line.number is not None and not wrong and Fault.RESEND in self._told:
+            self._told.discard(Fault.RESEND)
+            wrong = "checksum mismatch"
+        if wrong:
+            return f"Error:{wrong}, Last Line: {self._last}\nResend: {self._last + 1}\nok\n"
+        if line.number is not None:
+            self._last = line.number
+        if not line.command:
+            return "" if line.number is None else "ok\n"
+        return self._done(line.command)
+
+    def _done(self, command: str) -> str:
+        code, parameters = words(command)
+        if code == "M112":
+            return "Error:Printer halted. kill() called!\n" + self._restarted().decode()
+        if code == "M105":
+            return "ok T:21.3 /0.0 B:20.9 /0.0 T0:21.3 /0.0 @:0 B@:0\n"
+        if code == "M118":
+            return command.partition(" ")[2] + "\nok\n"
+        if code in ("G21", "M17", "M201", "M204"):  # millimetres it has anyway; speeds are constant here
+            return "ok\n"
+        doing = getattr(self, f"_{code.lower()}", None) if code[:1] in ("G", "M") and code[1:].isdigit() else None
+        return f'echo:Unknown command: "{command}"\nok\n' if doing is None else f"{doing(parameters)}ok\n"
+
+    # --- commands; each returns what it says before its ok ---
+
+    def _g0(self, parameters: Parameters) -> str:
+        return self._g1(parameters)
+
+    def _g1(self, parameters: Parameters) -> str:
+        said = ""
+        while self._head.queued >= _BUFFER:
+            said += self._wait_until(self._head.next_end_s)
+        speed = parameters.get("F")
+        if speed is not None and speed > 0:
+            self._speed_mm_s = speed / 60
+        origin = self._target_mm()
+        wanted = [self._told_to_go(axis, parameters) for axis in range(3)]
+        x, y, z = (min(max(to, 0.0), most) for to, most in zip(wanted, REACH_MM, strict=True))
+        ways = [abs(b - a) for a, b in zip(origin, (x, y, z), strict=True)]
+        length = sum(way**2 for way in ways) ** 0.5
+        slowest_s = max([length / self._speed_mm_s, *(w / v for w, v in zip(ways, _FASTEST_MM_S, strict=True))])
+        if length > 0:
+            self._head.go(self._true((x, y, z)), length / slowest_s)
+        return said
+
+    def _g4(self, parameters: Parameters) -> str:
+        said = self._m400({})
+        dwell_s = (parameters.get("S") or 0.0) + (parameters.get("P") or 0.0) / 1e3
+        return said + self._wait_until(self._rig.clock.now() + dwell_s)
+
+    def _g28(self, parameters: Parameters) -> str:
+        """Home the axes named, or all of them.
+
+        A Prusa lifts before it, and levels the mesh after it where no axis was named.
+        """
+        said = self._m400({})
+        named = [axis for axis, letter in enumerate(_AXES) if letter in parameters] or [0, 1, 2]
+        x, y, z = self._head.target_mm
+        if self._firmware == "prusa":
+            self._head.go((x, y, z + _HOMING_LIFT_MM), _HOMING_MM_S[2])
+        for axis in named:
+            goal = list(self._head.target_mm)
+            goal[axis] = 0.0
+            self._head.go((goal[0], goal[1], goal[2]), _HOMING_MM_S[axis])
+        said += self._m400({})
+        x, y, z = (0.0 if axis in named else offset for axis, offset in enumerate(self._offset))
+        self._offset = (x, y, z)
+        if not any(letter in parameters for letter in (*_AXES, "W")) and self._firmware == "prusa":
+            said += self._wait_until(self._rig.clock.now() + _LEVELLING_S)
+        return said
+
+    def _g90(self, parameters: Parameters) -> str:
+        self._absolute = True
+        return ""
+
+    def _g91(self, parameters: Parameters) -> str:
+        self._absolute = False
+        return ""
+
+    def _m110(self, parameters: Parameters) -> str:
+        self._last = int(parameters.get("N") or 0)
+        return ""
+
+    def _m114(self, parameters: Parameters) -> str:
+        x, y, z = self._target_mm()
+        live = [true - offset for true, offset in zip(self._head.position_mm, self._offset, strict=True)]
+        if self._firmware == "prusa":
+            count = f"Count X: {live[0]:.2f} Y:{live[1]:.2f} Z:{live[2]:.2f} E:0.00"
+        else:
+            steps = [round(mm * per_mm) for mm, per_mm in zip(live, self._steps, strict=True)]
+            count = f"Count X:{steps[0]} Y:{steps[1]} Z:{steps[2]}"
+        return f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 {count}\n"
+
+    def _m115(self, parameters: Parameters) -> str:
+        return f"{_FIRMWARE[self._firmware]}\n"
+
+    def _m400(self, parameters: Parameters) -> str:
+        return self._wait_until(self._head.free_at_s)
+
+    def _m410(self, parameters: Parameters) -> str:
+        self._head.stop()
+        return ""
+
+    # --- places and time ---
+
+    def _target_mm(self) -> Position:
+        x, y, z = (true - offset for true, offset in zip(self._head.target_mm, self._offset, strict=True))
+        return x, y, z
+
+    def _true(self, position: Position) -> Position:
+        x, y, z = (told + offset for told, offset in zip(position, self._offset, strict=True))
+        return x, y, z
+
+    def _told_to_go(self, axis: int, parameters: Parameters) -> float:
+        now_mm, told = self._target_mm()[axis], parameters.get(_AXES[axis])
+        if told is None:
+            return now_mm
+        return told if self._absolute else now_mm + told
+
+    def _wait_until(self, time_s: float) -> str:
+        """Let time pass, with a word every two seconds."""
+        said = ""
+        while (left_s := time_s - self._rig.clock.now()) > 0:
+            self._rig.clock.sleep(min(left_s, _BUSY_EVERY_S))
+            said += "echo:busy: processing\n" if left_s > _BUSY_EVERY_S else ""
+        return said

@@ -1,0 +1,91 @@
+"""The station's clock where instruments are emulated: whoever waits moves the emulated world on.
+
+What emulated instruments can be told to do wrong.
+"""
+
+import threading
+from collections import deque
+from collections.abc import Callable
+from datetime import datetime
+from enum import StrEnum
+from typing import Final
+
+from cbsr_qa.system import VirtualClock
+
+
+class WatchedClock(VirtualClock):
+    """A virtual clock that several threads sleep on, and that tells whoever acts while time passes.
+
+    The runner sleeps in its own thread, emulated instruments in theirs; a free-running instrument (a load cell that
+    sends eight samples a second) watches, and sends what fell due before the sleep returns.
+
+    Parameters
+    ----------
+    start : the wall time at second 0; by default now.
+    """
+
+    def __init__(self, start: datetime | None = None) -> None:
+        super().__init__(start)
+        #: Held while time passes, and by an emulated instrument while it obeys a command.
+        self.lock = threading.RLock()
+        self._watchers: list[Callable[[float], None]] = []
+
+    def watch(self, watcher: Callable[[float], None]) -> None:
+        """Call this with the time whenever it has passed; it must not sleep, and must not block."""
+        self._watchers.append(watcher)
+
+    def now(self) -> float:
+        """Seconds slept so far, by anybody [s]."""
+        with self.lock:
+            return super().now()
+
+    def sleep(self, duration_s: float) -> None:
+        """Advance at once by this much [s], and tell the watchers."""
+        with self.lock:
+            super().sleep(duration_s)
+            now_s = super().now()
+            for watcher in self._watchers:
+                watcher(now_s)
+
+
+class Fault(StrEnum):
+    """One misbehaviour, at the next command after it was armed."""
+
+    DROP = "drop"  #: the link hangs up and stays down
+    SILENCE = "silence"  #: commands are taken, and nothing is ever answered again
+    GARBLE = "garble"  #: one byte of the reply is another one
+    DELAY = "delay"  #: the reply comes after the driver has given up waiting for it
+    STALE = "stale"  #: the reply before comes once more, ahead of the right one
+    RESET = "reset"  #: the instrument restarts and has forgotten everything
+    COMPLIANCE = "compliance"  #: the source is at its voltage limit from now on
+    RESEND = "resend"  #: the line is asked for once more
+    BUSY = "busy"  #: it says it is busy for a while before it answers
+    OVERLOAD = "overload"  #: the force reads far above any ceiling from now on
+
+
+#: Faults of the link itself; the others are the instrument's, see ``Served.misbehave``.
+OF_THE_LINK: Final = frozenset({Fault.DROP, Fault.SILENCE, Fault.GARBLE, Fault.DELAY, Fault.STALE})
+
+
+class ArmedFaults:
+    """Faults waiting for the next command; armed in one thread, met in another."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[Fault] = deque()
+        self._lock = threading.Lock()
+
+    def arm(self, fault: Fault) -> None:
+        """Let the next command meet a fault; several are met by one command each."""
+        with self._lock:
+            self._waiting.append(fault)
+
+    @property
+    def waiting(self) -> int:
+        """How many were armed and not met yet."""
+        with self._lock:
+            return len(self._waiting)
+
+    def met(self) -> Fault | None:
+        """Take the fault the present command meets."""
+        with self._lock:
+            return self._waiting.popleft() if self._waiting else None

@@ -1,0 +1,136 @@
+"""The ERT board, emulated: it scans from the moment it has power, sends what it reads, and is told nothing."""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.simulate.instruments.clock import Fault
+from cbsr_qa.simulate.instruments.rig import EmulatedRig
+from cbsr_qa.simulate.instruments.streams import Port
+
+Counts = NDArray[np.int64]
+
+_PAIRS: Final = 16
+#: Readings away from the driven electrodes fill this much of the converter, so that loads find room.
+_FILLED: Final = 0.4
+_UNSIGNED: Final = (0, 2**16 - 1)
+_SIGNED: Final = (-(2**15), 2**15 - 1)
+#: More than this waiting at the other end, and the next row finds no room: somebody does not read [bytes].
+_ROOM: Final = 2048
+#: After this much time at once nobody can want every row: what is older than two frames was lost [frames].
+_KEPT_FRAMES: Final = 2
+#: How long it starts before its first frame, and what it prints then.
+_BOOT_S: Final = 0.3
+_BOOT: Final = b"ets Jul 29 2019 12:21:46\r\n\r\nrst:0x1 (POWERON_RESET),boot:0x13 (SPI_FAST_FLASH_BOOT)\r\n"
+#: Rounding of times that fall due; far below a row's time [s].
+_NOW_S: Final = 1e-9
+
+
+class EmulatedErtBoard:
+    """Sends a row of counts whenever one falls due on the clock.
+
+    Counts are ``zero_counts`` plus the reading times a scale that its range is well used by; what lies beyond its
+    range is cut there. Every frame is of the moment in its middle, which is still to come when its first row is sent:
+    only a movement that begins within the frame is not in it, and a driver throws such a frame away.
+
+    Parameters
+    ----------
+    options : ``format``, ``frame_period_s``, ``signed``, ``zero_counts``, ``order`` and ``first_reading`` as the
+        driver takes them.
+    """
+
+    def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:
+        self._rig = rig
+        self._send = send
+        self._text = options.get("format", "binary") == "ascii"
+        self._range = _SIGNED if options.get("signed", False) else _UNSIGNED
+        self._zero = float(options.get("zero_counts", 0))
+        self._by_drive = options.get("order", "measure") == "drive"
+        self._first = int(options.get("first_reading", 0))
+        self._row_s = float(options.get("frame_period_s", rig.world.setting.frame_period_s)) / _PAIRS
+        self._line: Port | None = None
+        self._origin_s = rig.clock.now()
+        self._next_row = 0
+        self._frame: tuple[int, Counts] | None = None
+        # Addresses of random numbers: others after a restart, and in a session that goes on with a run.
+        self._session = math.ceil(1e3 * rig.world.setting.began_s)
+        self._silent = False
+        self._last = b""
+        self._scale = self._counts_per_volt()
+
+    def attached(self, line: Port) -> None:
+        """Begin to send."""
+        self._line = line
+        self._rig.clock.watch(self._time_passed)
+
+    def received(self, data: bytes) -> bytes:
+        """Ignore what comes: the board is sent no commands."""
+        del data
+        return b""
+
+    def misbehave(self, fault: Fault) -> None:
+        """Start again (RESET); other faults are none of an instrument without commands."""
+        if fault is Fault.RESET:
+            self._send(_BOOT)
+            self._origin_s = self._rig.clock.now() + _BOOT_S
+            self._next_row = 0
+            self._session += 1
+            self._frame = None
+
+    def _time_passed(self, now_s: float) -> None:
+        """Send the rows that fell due."""
+        self._next_row = max(self._next_row, self._due(now_s) - _KEPT_FRAMES * _PAIRS)
+        while self._next_row < self._due(now_s) and self._line is not None and not self._silent:
+            row, self._next_row = self._next_row, self._next_row + 1
+            if self._line.unread() < _ROOM:
+                self._send_row(self._line, row)
+
+    def _due(self, now_s: float) -> int:
+        """How many rows fell due since it began its scans."""
+        return int((now_s - self._origin_s + _NOW_S) / self._row_s)
+
+    def _send_row(self, line: Port, row: int) -> None:
+        fault = line.faults.met()
+        if fault is Fault.DROP:
+            self._silent = True
+            return line.hang_up()
+        self._silent = fault is Fault.SILENCE
+        if fault is Fault.RESET:
+            return self.misbehave(fault)
+        said = self._said(row)
+        if fault is Fault.GARBLE:
+            said = said[:7] + said[8:]
+        if fault is Fault.STALE:
+            said = self._last + said
+        self._last = said
+        if not self._silent:
+            self._send(said)
+        return None
+
+    def _said(self, row: int) -> bytes:
+        """What is sent for a row; the mark of text goes out as soon as the frame before it is over."""
+        frame, pair = divmod(row, _PAIRS)
+        counts = self._counts(frame).ravel()[_PAIRS * pair : _PAIRS * (pair + 1)].tolist()
+        if self._text:
+            return "".join(f"{count}," for count in counts).encode() + (b"\nA\n" if pair == _PAIRS - 1 else b"\n")
+        sent = b"".join((count & 0xFFFF).to_bytes(2, "little") + b"\r" for count in counts)
+        return sent + (b"A\r" if pair == _PAIRS - 1 else b"")
+
+    def _counts(self, frame: int) -> Counts:
+        """Counts of a frame in the order they are sent, (16, 16)."""
+        if self._frame is None or self._frame[0] != frame:
+            middle_s = self._origin_s + (frame + 0.5) * _PAIRS * self._row_s
+            volts = self._rig.world.frame(middle_s, (self._session << 32) + frame).voltages
+            scanned = np.roll((volts.T if self._by_drive else volts).ravel(), -self._first)
+            counts = np.rint(np.clip(self._zero + self._scale * scanned, *self._range)).astype(np.int64)
+            self._frame = (frame, counts.reshape(_PAIRS, _PAIRS))
+        return self._frame[1]
+
+    def _counts_per_volt(self) -> float:
+        world = self._rig.world
+        unloaded = np.abs(world.sheet.unloaded) * world.setting.current_A
+        largest_V = float(unloaded[world.setting.sensor_type.pattern.usable()].max())
+        return _FILLED * self._range[1] / largest_V

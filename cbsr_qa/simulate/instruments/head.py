@@ -1,0 +1,181 @@
+"""The emulated head: it moves in the machine's coordinates, and leaves strain in the world's sheet."""
+
+import math
+from collections import deque
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain.plan import Motion
+from cbsr_qa.simulate.head import PressWriter
+from cbsr_qa.simulate.instruments.clock import WatchedClock
+from cbsr_qa.simulate.world import SimulatedWorld
+from cbsr_qa.system import in_ticks
+
+Position = tuple[float, float, float]
+
+#: Where the machine stands when it is switched on: beside its end stops, not where its firmware believes.
+_PARKED_MM: Final = (10.0, 10.0, 40.0)
+_NEAR_MM: Final = 1e-6
+#: A resumed session may begin at any millisecond, and make so many movements (as a power of two).
+_MOVEMENTS_BITS: Final = 32
+
+
+@dataclass(frozen=True, slots=True)
+class _Way:
+    """One straight motion at constant speed."""
+
+    start_s: float
+    end_s: float
+    origin: Position
+    goal: Position
+    speed_mm_s: float
+
+    def at(self, time_s: float) -> Position:
+        part = 1.0 if time_s >= self.end_s else max(time_s - self.start_s, 0.0) / (self.end_s - self.start_s)
+        x, y, z = (a + part * (b - a) for a, b in zip(self.origin, self.goal, strict=True))
+        return self.goal if part == 1.0 else (x, y, z)
+
+
+class EmulatedHead:
+    """A head on three axes; motions are queued by a command and happen later, as time passes on the clock.
+
+    Speeds are constant: what acceleration costs at 200 mm/s² is left out, as in :mod:`cbsr_qa.domain.plan.steps`.
+
+    Parameters
+    ----------
+    clock : the station's.
+    world : whose sheet it presses.
+    motion : the station's hover height.
+    """
+
+    def __init__(self, clock: WatchedClock, world: SimulatedWorld, motion: Motion) -> None:
+        self._clock = clock
+        self._world = world
+        self._hover_mm = motion.hover_mm
+        self._centre_mm = (0.0, 0.0)
+        self._hover_z_mm = 0.0
+        self._upward = 1.0
+        self._ways: deque[_Way] = deque()
+        self._rests: Position = _PARKED_MM
+        #: How often it was moved sideways while it was in the sheet: never by a driver that lifts first.
+        self.dragged = 0
+        self._written = self._writer()
+        clock.watch(self._follow)
+
+    def mounted(self, centre_mm: tuple[float, float], hover_z_mm: float, *, up: bool = True) -> None:
+        """Say where the sheet lies in the machine.
+
+        Parameters
+        ----------
+        centre_mm : of the sheet, in the machine's x and y.
+        hover_z_mm : where the head is at its hover height, in the machine's z.
+        up : whether the machine's z grows upwards.
+        """
+        self._centre_mm, self._hover_z_mm, self._upward = centre_mm, hover_z_mm, 1.0 if up else -1.0
+        self._written = self._writer()
+
+    @property
+    def position_mm(self) -> Position:
+        """Where it is at this moment, in the machine's coordinates."""
+        now_s = self._clock.now()
+        return next((way.at(now_s) for way in self._ways if way.start_s <= now_s < way.end_s), self._rests)
+
+    @property
+    def place_mm(self) -> tuple[float, float]:
+        """Where it is from the sheet's centre."""
+        x, y, _ = self._sheet_position(self.position_mm)
+        return x, y
+
+    @property
+    def height_mm(self) -> float:
+        """Height above the nominal surface; negative in the sheet."""
+        return -self._sheet_position(self.position_mm)[2]
+
+    @property
+    def touching(self) -> bool:
+        """Whether it is below the sheet's surface at this moment."""
+        x, y, depth_mm = self._sheet_position(self.position_mm)
+        return self._above_sheet(x, y) and depth_mm > self._world.surface_mm(x, y, self._clock.now()) + _NEAR_MM
+
+    @property
+    def up(self) -> bool:
+        """Whether it is at the hover height or above it."""
+        return self.height_mm >= self._hover_mm - 1e-3
+
+    @property
+    def moving(self) -> bool:
+        """Whether a motion is under way or waits."""
+        return bool(self._ways)
+
+    @property
+    def queued(self) -> int:
+        """How many motions wait or are under way."""
+        return len(self._ways)
+
+    @property
+    def free_at_s(self) -> float:
+        """When the last motion ends; not before now."""
+        return self._ways[-1].end_s if self._ways else self._clock.now()
+
+    @property
+    def next_end_s(self) -> float:
+        """When the motion under way ends; not before now."""
+        return self._ways[0].end_s if self._ways else self._clock.now()
+
+    @property
+    def target_mm(self) -> Position:
+        """Where it will be when every motion has ended."""
+        return self._ways[-1].goal if self._ways else self._rests
+
+    def go(self, goal: Position, speed_mm_s: float) -> None:
+        """Queue a straight motion; a goal where it ends anyway is none."""
+        origin, start_s = self.target_mm, self.free_at_s
+        length_mm = math.dist(origin, goal)
+        if length_mm <= _NEAR_MM:
+            return
+        self._ways.append(_Way(start_s, start_s + in_ticks(length_mm / speed_mm_s), origin, goal, speed_mm_s))
+        if len(self._ways) == 1:
+            self._begin(self._ways[0])
+
+    def stop(self) -> None:
+        """Stand still at once, and forget every motion that waits."""
+        if self._ways:
+            self._rests = self.position_mm
+            self._written.halt(self._clock.now())
+            self._ways.clear()
+
+    def _writer(self) -> PressWriter:
+        """Begin to write from where the head stands; a resumed session has position errors of its own."""
+        first = math.ceil(1e3 * self._world.setting.began_s) << _MOVEMENTS_BITS
+        return PressWriter(self._world, self._sheet_position(self._rests), first_index=first)
+
+    def _follow(self, now_s: float) -> None:
+        """Begin the motions whose time has come; called whenever time has passed."""
+        while self._ways and self._ways[0].end_s <= now_s:
+            self._rests = self._ways.popleft().goal
+            if self._ways:
+                self._begin(self._ways[0])
+
+    def _begin(self, way: _Way) -> None:
+        self._rests = way.goal
+        before, after = self._sheet_position(way.origin), self._sheet_position(way.goal)
+        if before[:2] != after[:2]:
+            surface_mm = self._world.surface_mm(*before[:2], way.start_s)
+            self.dragged += self._above_sheet(*before[:2]) and self._written.true[2] > surface_mm
+            self._written.travel((*after[:2], before[2]), way.end_s)
+        if before[2] != after[2] and self._above_sheet(*after[:2]):
+            self._written.stroke(after, way.start_s, way.end_s - way.start_s, way.speed_mm_s)
+        elif before[2] != after[2]:
+            self._written.travel(after, way.end_s)
+
+    def _above_sheet(self, x_mm: float, y_mm: float) -> bool:
+        outline = self._world.setting.sensor_type.outline
+        return bool(outline.clearance_mm(np.array([[x_mm, y_mm]]))[0] >= 0)
+
+    def _sheet_position(self, position: Position) -> Position:
+        """Return place from the sheet's centre and depth below its nominal surface."""
+        x, y, z = position
+        height_mm = self._hover_mm + self._upward * (z - self._hover_z_mm)
+        return x - self._centre_mm[0], y - self._centre_mm[1], -height_mm

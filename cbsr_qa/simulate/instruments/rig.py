@@ -1,0 +1,191 @@
+"""The one world behind all emulated instruments: sheet, head, and how source and meter are wired to the pins.
+
+Start the emulated instruments of a station, each on a byte stream of its own.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
+from importlib import import_module
+from types import TracebackType
+from typing import Any, Final, Self
+
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.plan import EMULATED, InstrumentSpec, Motion
+from cbsr_qa.simulate.frames import SimulatedFrame
+from cbsr_qa.simulate.instruments.clock import Fault, WatchedClock
+from cbsr_qa.simulate.instruments.head import EmulatedHead
+from cbsr_qa.simulate.instruments.streams import FreeRunning, Port, PtyPort, Served, TcpPort
+from cbsr_qa.simulate.world import SimulatedWorld
+
+#: More rounds than a session has.
+_ROUNDS_BITS: Final = 32
+#: A round that takes so many times as long as expected was broken off.
+_LATEST_ROUNDS: Final = 3.0
+
+
+@dataclass(slots=True)
+class Wiring:
+    """What is connected to the sheet at the moment.
+
+    Parameters
+    ----------
+    current_A : of the source; None while its output is off.
+    limit_V : the source's voltage limit.
+    reading_s : time from one reading to the next, as it was last.
+    drive, measure : pairs of the sensor type's pattern that the multiplexer connects.
+    frame : counts the multiplexer's rounds; readings of one round belong to one frame.
+    """
+
+    current_A: float | None = None
+    limit_V: float = 20.0
+    reading_s: float = 1e-3
+    drive: int = 0
+    measure: int = 0
+    frame: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Electrical:
+    """What is between source, sheet and meter at the moment.
+
+    Parameters
+    ----------
+    volts : between the measured pair.
+    current_A : through the driven pair.
+    limited : whether the source is at its voltage limit.
+    """
+
+    volts: float
+    current_A: float
+    limited: bool
+
+
+class EmulatedRig:
+    """A simulated world that emulated instruments share.
+
+    The world moves on by commands, never by the computer's time: an instrument that takes time for a command sleeps
+    on the clock, and whoever waits on it moves everything on. Every access holds :attr:`lock`.
+
+    Parameters
+    ----------
+    clock : the station's.
+    world : the simulated sheet; its scene says at which current its readings are.
+    motion : the station's hover height.
+    """
+
+    def __init__(self, clock: WatchedClock, world: SimulatedWorld, motion: Motion) -> None:
+        self.clock = clock
+        self.lock = clock.lock
+        self.world = world
+        self.motion = motion
+        # Rounds count on from elsewhere in a session that goes on with a run: their noise is addressed by the count.
+        self.wiring = Wiring(frame=math.ceil(1e3 * world.setting.began_s) << _ROUNDS_BITS)
+        # It watches the clock before any instrument does: what they say of a moment rests on where the head was.
+        self.head = EmulatedHead(clock, world, motion)
+        self._taken: tuple[int, float, SimulatedFrame] | None = None
+
+    def electrical(self) -> Electrical:
+        """Ohm's law: what the source is told to give flows, or what its voltage limit drives through the sheet."""
+        wiring = self.wiring
+        if wiring.current_A is None:
+            return Electrical(0.0, 0.0, limited=False)
+        frame, at = self.frame(), (wiring.drive, wiring.measure)
+        ohm = float(frame.drive_ohm[at])
+        limited = abs(wiring.current_A) * ohm > wiring.limit_V
+        flowing_A = math.copysign(wiring.limit_V / ohm, wiring.current_A) if limited else wiring.current_A
+        per_ampere = float(frame.voltages[at]) / float(frame.current_A[at])
+        return Electrical(per_ampere * flowing_A, flowing_A, limited)
+
+    def frame(self) -> SimulatedFrame:
+        """Readings of the multiplexer's present round, all of the moment in its middle [V at the scene's current].
+
+        The sheet is solved once a round, when its first reading is taken; and again for what is left of a round that
+        was broken off and is gone on with much later.
+        """
+        number, now_s = self.wiring.frame, self.clock.now()
+        if self._taken is None or self._taken[0] != number or now_s > self._taken[1]:
+            drives, measures = self.world.setting.sensor_type.pattern.shape
+            half_s = drives * measures * self.wiring.reading_s / 2
+            stale_s = now_s + _LATEST_ROUNDS * 2 * half_s
+            self._taken = (number, stale_s, self.world.frame(now_s + half_s, number))
+        return self._taken[2]
+
+
+#: Driver → (module below this package, class, stream). Imported only where a station emulates one.
+EMULATORS: Final[Mapping[str, tuple[str, str, type[Port]]]] = {
+    "keithley-2600": ("source_meter", "EmulatedSourceMeter", TcpPort),
+    "esp32-multiplexer": ("multiplexer", "EmulatedMultiplexer", PtyPort),
+    "marlin-applicator": ("applicator", "EmulatedApplicator", PtyPort),
+    "serial-load-cell": ("load_cell", "EmulatedLoadCell", PtyPort),
+    "serial-thermometer": ("thermometer", "EmulatedThermometer", PtyPort),
+    "ert-board-stream": ("ert_board", "EmulatedErtBoard", PtyPort),
+}
+
+
+class Emulation:
+    """Running emulators of one station; a context manager, or closed by hand.
+
+    Parameters
+    ----------
+    specs : the station's instruments; those whose address is "emulated" are served.
+    rig : the world they share.
+
+    Raises
+    ------
+    ConfigError
+        If there is no emulator for a driver.
+    """
+
+    def __init__(self, specs: Iterable[InstrumentSpec], rig: EmulatedRig) -> None:
+        self.rig = rig
+        self.ports: dict[str, Port] = {}
+        self.instruments: dict[str, Served] = {}
+        try:
+            for spec in specs:
+                if spec.emulated:
+                    self._start(spec)
+        except BaseException:
+            self.close()
+            raise
+
+    def addressed(self, spec: InstrumentSpec) -> InstrumentSpec:
+        """Return an instrument's table with the address its emulator is at; others as they are.
+
+        The table says no more that it is emulated: ask the one it came from.
+        """
+        if spec.role not in self.ports:
+            return spec
+        return replace(spec, options={**spec.options, "address": self.ports[spec.role].address})
+
+    def arm(self, role: str, fault: Fault) -> None:
+        """Let the next command to an instrument meet a fault."""
+        self.ports[role].faults.arm(fault)
+
+    def close(self) -> None:
+        """End every emulator."""
+        for port in self.ports.values():
+            port.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _start(self, spec: InstrumentSpec) -> None:
+        if spec.driver not in EMULATORS:
+            raise ConfigError(
+                f"instrument {spec.role!r} has address {EMULATED!r}, but driver {spec.driver!r} has no emulator",
+                remedy=f"emulated are: {', '.join(sorted(EMULATORS))}",
+            )
+        module, name, stream = EMULATORS[spec.driver]
+        make: Callable[[EmulatedRig, Mapping[str, Any], Callable[[bytes], None]], Served]
+        make = getattr(import_module(f"cbsr_qa.emulate.{module}"), name)
+        port = self.ports[spec.role] = stream(f"emulated {spec.role}")
+        instrument = self.instruments[spec.role] = make(self.rig, spec.options, port.send)
+        if isinstance(instrument, FreeRunning):
+            instrument.attached(port)
+        port.serve(instrument)

@@ -1,0 +1,248 @@
+"""An emulated thermometer: one line a second with the temperature of a room that slowly warms and cools.
+
+Instruments that send a line every so often, whether anybody asks or not.
+
+An emulated load cell with its amplifier: text lines, eight a second.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any, Final
+
+from cbsr_qa.simulate.instruments.clock import Fault
+from cbsr_qa.simulate.instruments.rig import EmulatedRig
+from cbsr_qa.simulate.instruments.streams import Port
+from cbsr_qa.simulate.streams import RandomStream
+from cbsr_qa.system import RealClock
+
+#: How long lines that come late are held back, and how long a restart takes [s].
+LATE_S: Final = 3.0
+_BOOT_S: Final = 1.0
+#: The kernel hands bytes to the far end of a pseudo terminal a moment after they were written [s, real time].
+_HANDED_OVER_S: Final = 0.01
+#: From so many unread bytes on nobody reads.
+_FULL: Final = 3000
+
+
+class LineSender:
+    """Sends what fell due whenever time has passed on the clock, and can be told to do so badly.
+
+    Faults of the link are met here too, since nobody sends commands that could meet them.
+
+    Parameters
+    ----------
+    rig : whose clock it runs by.
+    send : takes the bytes.
+    rate_hz : of the lines.
+    line : from a line's number and its time [s] to its text, without line end.
+    banner : what it says when it starts.
+    other : told those faults that are not the line's.
+    """
+
+    def __init__(
+        self,
+        rig: EmulatedRig,
+        send: Callable[[bytes], None],
+        rate_hz: float,
+        line: Callable[[int, float], str],
+        *,
+        banner: str = "",
+        other: Callable[[Fault], None] = lambda fault: None,
+    ) -> None:
+        self._other = other
+        self._rig, self._send, self._rate_hz, self._line, self._banner = rig, send, rate_hz, line, banner
+        self._port: Port | None = None
+        self._told: list[Fault] = []
+        self._late = b""
+        self._late_until_s: float | None = None
+        self._silent = False
+        self._last = b""
+        with rig.lock:
+            self._sent = int(rig.clock.now() * rate_hz)
+            #: When it was switched on or restarted [s].
+            self.started_s = rig.clock.now()
+            rig.clock.watch(self._follow)
+
+    def attached(self, line: Port) -> None:
+        """Be given the line; its faults are met by the lines that are sent."""
+        self._port = line
+
+    def received(self, data: bytes) -> bytes:
+        """It does not listen."""
+        return b""
+
+    def misbehave(self, fault: Fault) -> None:
+        """Meet a fault with the next line."""
+        with self._rig.lock:
+            self._told.append(fault)
+
+    def _follow(self, now_s: float) -> None:
+        due = b""
+        while (self._sent + 1) / self._rate_hz <= now_s:
+            self._sent += 1
+            due_s = self._sent / self._rate_hz
+            if due_s < self.started_s:
+                continue  # it boots
+            said = f"{self._line(self._sent, due_s)}\r\n".encode("ascii")
+            while (fault := self._fault()) is not None:
+                said = self._spoilt(fault, said, due_s)
+            due += self._in_time(said, due_s)
+        if due and not self._silent:
+            self._hand_over(due)
+
+    def _fault(self) -> Fault | None:
+        if self._told:
+            return self._told.pop(0)
+        return None if self._port is None else self._port.faults.met()
+
+    def _spoilt(self, fault: Fault, said: bytes, due_s: float) -> bytes:
+        match fault:
+            case Fault.DROP:
+                self._silent = True
+                if self._port is not None:
+                    self._port.hang_up()
+            case Fault.SILENCE:
+                self._silent = True
+            case Fault.GARBLE:
+                return bytes([said[0] ^ 0x15]) + said[1:]
+            case Fault.STALE:
+                return self._last + said
+            case Fault.DELAY:
+                self._late_until_s = due_s + LATE_S
+            case Fault.RESET:
+                self.started_s = due_s + _BOOT_S
+                return f"{self._banner}\r\n".encode("ascii")
+            case _:
+                self._other(fault)
+        return said
+
+    def _in_time(self, said: bytes, due_s: float) -> bytes:
+        """Return what is sent now: a line, nothing, or all that was held back before it."""
+        self._last = said
+        self._late += said
+        if self._late_until_s is not None and due_s < self._late_until_s:
+            return b""
+        self._late_until_s, all_of_it, self._late = None, self._late, b""
+        return all_of_it
+
+    def _hand_over(self, said: bytes) -> None:
+        """Send, and wait until it is where the driver finds it: time goes on only then."""
+        before = _FULL if self._port is None else self._port.unread()
+        self._send(said)
+        clock = RealClock()
+        while before < _FULL and self._port is not None and self._port.unread() == before:
+            if clock.now() > _HANDED_OVER_S:
+                return
+
+
+#: Newtons of one gram force.
+_NEWTON_PER_G: Final = 9.80665e-3
+#: Its clock runs fast by this much, as a ceramic resonator's does.
+_DRIFT: Final = 4e-5
+#: What it reads too much once it is told to [N].
+OVERLOAD_N: Final = 200.0
+
+
+class EmulatedLoadCell:
+    """Sends what the world's force is to it, by the same scale that the driver takes it back with.
+
+    Parameters
+    ----------
+    rig : whose world it weighs.
+    options : of the driver's table: ``unit``, ``scale``, ``offset``, ``sign``, ``time``, ``rate_hz``, ``limit_N``.
+    send : takes the lines.
+    """
+
+    def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:
+        self._rig = rig
+        self._per_unit_N = 1.0 if options.get("unit", "N") in ("N", "counts") else _NEWTON_PER_G
+        self._scale, self._offset = options.get("scale", 1.0), options.get("offset", 0.0)
+        self._sign, self._limit_N = options.get("sign", 1), options.get("limit_N")
+        self._counts = options.get("unit") == "counts"
+        self._with_time = options.get("time", "device_ms") == "device_ms"
+        self._more_N = 0.0
+        # A resumed session draws noise of its own: a block of 2³² samples for each millisecond it may have begun at.
+        self._first = math.ceil(1e3 * rig.world.setting.began_s) << 32
+        self._lines = LineSender(
+            rig, send, options.get("rate_hz", 8.0), self._line, banner="load cell ready", other=self._overload
+        )
+
+    def attached(self, line: Port) -> None:
+        """Be given the line; its faults are met by the lines that are sent."""
+        self._lines.attached(line)
+
+    def received(self, data: bytes) -> bytes:
+        """It does not listen."""
+        return b""
+
+    def misbehave(self, fault: Fault) -> None:
+        """Read far too much from the next line on, or spoil that line."""
+        self._lines.misbehave(fault)
+
+    def _line(self, number: int, time_s: float) -> str:
+        force_N = self._rig.world.force_N(time_s, self._first + number) + self._more_N
+        if self._limit_N is not None:
+            force_N = min(max(force_N, -self._limit_N), self._limit_N)
+        value = (self._sign * force_N / self._per_unit_N - self._offset) / self._scale
+        said = f"{round(value)}" if self._counts else f"{value:.6g}"
+        if not self._with_time:
+            return said
+        return f"{round(1e3 * (1 + _DRIFT) * (time_s - self._lines.started_s))},{said}"
+
+    def _overload(self, fault: Fault) -> None:
+        if fault is Fault.OVERLOAD:
+            self._more_N = OVERLOAD_N
+
+
+_MEAN_C: Final = 22.0
+_SWING_K: Final = 0.3
+_PERIOD_S: Final = 1200.0
+_NOISE_K: Final = 0.01
+#: What it reads too much once it is told to [K].
+OVERLOAD_K: Final = 100.0
+
+
+class EmulatedThermometer:
+    """Sends the temperature, by the same scale that the driver takes it back with.
+
+    It has a room of its own: the world's effects do not say at which temperature they are.
+
+    Parameters
+    ----------
+    rig : whose clock it runs by, and whose seed its noise has.
+    options : of the driver's table: ``scale``, ``offset``, ``rate_hz``.
+    send : takes the lines.
+    """
+
+    def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:
+        self._rig = rig
+        self._scale, self._offset = options.get("scale", 1.0), options.get("offset", 0.0)
+        self._noise = RandomStream(rig.world.setting.seed, "emulated-thermometer")
+        self._more_K = 0.0
+        self._began_s = rig.world.setting.began_s
+        self._lines = LineSender(
+            rig, send, options.get("rate_hz", 1.0), self._line, banner="thermometer ready", other=self._overload
+        )
+
+    def attached(self, line: Port) -> None:
+        """Be given the line; its faults are met by the lines that are sent."""
+        self._lines.attached(line)
+
+    def received(self, data: bytes) -> bytes:
+        """It does not listen."""
+        return b""
+
+    def misbehave(self, fault: Fault) -> None:
+        """Read far too much from the next line on, or spoil that line."""
+        self._lines.misbehave(fault)
+
+    def _line(self, number: int, time_s: float) -> str:
+        room_C = _MEAN_C + _SWING_K * math.sin(2 * math.pi * (self._began_s + time_s) / _PERIOD_S)
+        # A resumed session draws noise of its own: a block of 2³² samples for each millisecond it may have begun at.
+        index = (math.ceil(1e3 * self._began_s) << 32) + number
+        read_C = room_C + _NOISE_K * float(self._noise.normal(index)) + self._more_K
+        return f"{(read_C - self._offset) / self._scale:.2f}"
+
+    def _overload(self, fault: Fault) -> None:
+        if fault is Fault.OVERLOAD:
+            self._more_K = OVERLOAD_K

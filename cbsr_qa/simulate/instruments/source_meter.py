@@ -1,0 +1,288 @@
+"""An emulated Keithley 2634B: two channels, nvbuffers, an error queue, and a subset of TSP."""
+
+import math
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Final
+
+from cbsr_qa.simulate.instruments.clock import Fault
+from cbsr_qa.simulate.instruments.rig import EmulatedRig
+from cbsr_qa.simulate.instruments.tsp import RUNTIME_ERROR, Interpreter, TspError
+
+_IDENTITY: Final = "Keithley Instruments Inc., Model 2634B, 4123456, 3.2.2"
+_LINE_HZ: Final = 50.0
+#: What the instrument prints where there is no number.
+NO_NUMBER: Final = 9.91e37
+_OUT_OF_RANGE: Final = -222
+_COMPLIANCE: Final = 0x40
+_SEVERITY: Final = 20.0
+#: A meter's range ends this far above its nominal end.
+_OVERRANGE: Final = 1.02
+#: Share of the asked current that a source gives which is at its limit though the sheet would let it.
+_STUCK_SHARE: Final = 0.1
+
+_CONSTANTS: Final[Mapping[str, float]] = {
+    "format.ASCII": 1,
+    "format.REAL32": 2,
+    "format.REAL64": 3,
+    "format.NORMAL": 0,
+    "format.LITTLEENDIAN": 1,
+}
+_CHANNEL_CONSTANTS: Final[Mapping[str, float]] = {
+    "OUTPUT_OFF": 0,
+    "OUTPUT_ON": 1,
+    "OUTPUT_DCAMPS": 0,
+    "OUTPUT_DCVOLTS": 1,
+    "OUTPUT_NORMAL": 0,
+    "OUTPUT_HIGH_Z": 2,
+    "AUTORANGE_OFF": 0,
+    "AUTORANGE_ON": 1,
+    "AUTOZERO_OFF": 0,
+    "AUTOZERO_ONCE": 1,
+    "AUTOZERO_AUTO": 2,
+    "SENSE_LOCAL": 0,
+    "SENSE_REMOTE": 1,
+}
+#: Attributes of a channel, their values after a reset, and what they may be.
+_CHANNEL: Final[Mapping[str, tuple[float, float, float]]] = {
+    "sense": (0, 0, 1),
+    "source.func": (1, 0, 1),
+    "source.leveli": (0.0, -1.5, 1.5),
+    "source.limitv": (20.0, 0.01, 200.0),
+    "source.rangei": (1e-7, 0.0, 1.5),
+    "source.autorangei": (1, 0, 1),
+    "source.output": (0, 0, 1),
+    "source.offmode": (0, 0, 2),
+    "measure.nplc": (1.0, 0.001, 25.0),
+    "measure.rangev": (0.1, 0.0, 200.0),
+    "measure.rangei": (1e-7, 0.0, 1.5),
+    "measure.autorangev": (1, 0, 1),
+    "measure.autorangei": (1, 0, 1),
+    "measure.autozero": (2, 0, 2),
+    "measure.delay": (0.0, -1.0, 100.0),
+    "nvbuffer1.appendmode": (0, 0, 1),
+}
+_FORMAT: Final[Mapping[str, tuple[float, float, float]]] = {
+    "format.data": (1, 1, 3),
+    "format.byteorder": (1, 0, 1),
+    "format.asciiprecision": (6, 1, 16),
+}
+#: What a reset leaves as it is.
+_NODE: Final[Mapping[str, tuple[float, float, float]]] = {"localnode.prompts": (0, 0, 1)}
+
+
+@dataclass(slots=True)
+class _Buffer:
+    readings: list[float] = field(default_factory=list)
+    statuses: list[float] = field(default_factory=list)
+
+    def clear(self) -> None:
+        self.readings.clear()
+        self.statuses.clear()
+
+
+class EmulatedSourceMeter:
+    """Channel B drives the sheet, channel A measures; both over the rig's wiring.
+
+    Faults: COMPLIANCE leaves the source at its limit from now on, RESET makes it forget everything.
+
+    Parameters
+    ----------
+    rig : the shared world.
+    options : of the driver's table: which channel drives and which measures.
+    send : unused; the instrument only speaks when asked.
+    """
+
+    def __init__(self, rig: EmulatedRig, options: Mapping[str, Any], send: Callable[[bytes], None]) -> None:
+        self._rig = rig
+        self._drives = f"smu{options.get('source_channel', 'b')}"
+        self._measures = f"smu{options.get('meter_channel', 'a')}"
+        self._held = b""
+        self._stuck = False
+        self._switched_off()
+
+    def received(self, data: bytes) -> bytes:
+        """Run the lines that are whole."""
+        *lines, self._held = (self._held + data).split(b"\n")
+        self._said = bytearray()
+        with self._rig.lock:
+            for line in lines:
+                self._obey(line.decode("ascii", "replace").strip())
+        return bytes(self._said)
+
+    def misbehave(self, fault: Fault) -> None:
+        """Go into compliance for good, or forget everything."""
+        with self._rig.lock:
+            if fault is Fault.COMPLIANCE:
+                self._stuck = True
+            elif fault is Fault.RESET:
+                self._switched_off()
+
+    # --- the machine of the language ---
+
+    def value(self, name: str) -> Any:
+        """Return an attribute, a constant, or the buffer or column that a name stands for."""
+        if name in self._attributes:
+            return self._attributes[name]
+        if name not in self._names:
+            raise TspError(RUNTIME_ERROR, f"TSP Runtime error at line 1: attempt to index `{name}' (a nil value)")
+        return self._names[name]()
+
+    def assign(self, name: str, value: Any) -> None:
+        """Set an attribute."""
+        channel, _, rest = name.partition(".")
+        bounds = _FORMAT.get(name) or _NODE.get(name) or (_CHANNEL.get(rest) if channel in self._buffers else None)
+        if bounds is None:
+            raise TspError(RUNTIME_ERROR, f"TSP Runtime error at line 1: attempt to set `{name}'")
+        if not isinstance(value, float | int) or not bounds[1] <= value <= bounds[2]:
+            raise TspError(_OUT_OF_RANGE, "Parameter data out of range")
+        self._attributes[name] = float(value)
+        ranges_itself = name.replace(".range", ".autorange")
+        if ranges_itself != name and ranges_itself in self._attributes:
+            self._attributes[ranges_itself] = 0.0  # as in the instrument: a range that is set is kept
+        self._wire()
+
+    def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
+        """Call a built-in function."""
+        channel, _, rest = name.partition(".")
+        if channel in self._buffers and rest in ("reset", "nvbuffer1.clear", "measure.v", "measure.i", "abort"):
+            return self._of_channel(channel, rest, arguments)
+        if name == "reset":
+            self._reset()
+        elif name == "print":
+            self._said += "\t".join(map(self._shown, arguments)).encode() + b"\n"
+        elif name == "printbuffer":
+            self._print_buffers(*arguments)
+        elif name == "errorqueue.clear":
+            self._errors.clear()
+        elif name == "errorqueue.next":
+            return self._errors.pop(0) if self._errors else (0.0, "Queue Is Empty", 0.0, 1.0)
+        else:
+            raise TspError(RUNTIME_ERROR, f"TSP Runtime error at line 1: attempt to call `{name}' (a nil value)")
+        return ()
+
+    # --- what it does ---
+
+    def _obey(self, line: str) -> None:
+        if line == "*IDN?":
+            self._said += _IDENTITY.encode() + b"\n"
+        elif line == "*RST":
+            self._reset()
+        elif line == "*CLS":
+            self._errors.clear()
+        elif line not in ("", "abort"):
+            try:
+                self._tsp.run(line)
+            except TspError as error:
+                self._errors.append((float(error.code), str(error), _SEVERITY, 1.0))
+        if self._attributes["localnode.prompts"]:
+            self._said += b"TSP>\n"
+
+    def _switched_off(self) -> None:
+        """Forget everything, as without power."""
+        self._errors: list[tuple[float, str, float, float]] = []
+        self._said = bytearray()
+        self._tsp = Interpreter(self)
+        self._buffers = {"smua": _Buffer(), "smub": _Buffer()}
+        self._names = self._readable()
+        self._attributes = {name: spec[0] for name, spec in _NODE.items()}
+        self._reset()
+
+    def _readable(self) -> dict[str, Callable[[], Any]]:
+        """What names stand for that are no attributes."""
+        fixed = {**_CONSTANTS, "localnode.linefreq": _LINE_HZ}
+        for channel in self._buffers:
+            fixed.update({f"{channel}.{name}": value for name, value in _CHANNEL_CONSTANTS.items()})
+        names: dict[str, Callable[[], Any]] = {name: partial(float, value) for name, value in fixed.items()}
+        names["errorqueue.count"] = lambda: len(self._errors)
+        for channel, buffer in self._buffers.items():
+            own = f"{channel}.nvbuffer1"
+            names[own] = partial(self._buffers.__getitem__, channel)
+            names[f"{own}.readings"] = partial(getattr, buffer, "readings")
+            names[f"{own}.statuses"] = partial(getattr, buffer, "statuses")
+            names[f"{channel}.source.compliance"] = partial(self._limited, channel)
+        return names
+
+    def _reset(self) -> None:
+        channels = {f"{c}.{name}": spec[0] for c in ("smua", "smub") for name, spec in _CHANNEL.items()}
+        kept = {name: self._attributes[name] for name in _NODE}
+        self._attributes = {**channels, **{name: spec[0] for name, spec in _FORMAT.items()}, **kept}
+        for buffer in self._buffers.values():
+            buffer.clear()
+        self._wire()
+
+    def _wire(self) -> None:
+        """Tell the rig what the driving channel does now."""
+        of = {
+            name: self._attributes[f"{self._drives}.source.{name}"] for name in ("func", "output", "leveli", "limitv")
+        }
+        gives = of["output"] == 1 and of["func"] == 0
+        self._rig.wiring.current_A = of["leveli"] if gives else None
+        self._rig.wiring.limit_V = of["limitv"]
+
+    def _of_channel(self, channel: str, rest: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
+        if rest.startswith("measure"):
+            return (self._measured(channel, rest[-1], *arguments),)
+        if rest == "nvbuffer1.clear":
+            self._buffers[channel].clear()
+        elif rest == "reset":
+            for name, spec in _CHANNEL.items():
+                self._attributes[f"{channel}.{name}"] = spec[0]
+            self._wire()
+        return ()
+
+    def _measured(self, channel: str, quantity: str, buffer: _Buffer | None = None) -> float:
+        """Take the time of one reading; put it into a buffer."""
+        self._rig.clock.sleep(self._attributes[f"{channel}.measure.nplc"] / _LINE_HZ)
+        value = self._volts(channel) if quantity == "v" else self._amperes(channel)
+        limit = self._attributes[f"{channel}.measure.range{quantity}"] * _OVERRANGE
+        ranges_itself = self._attributes[f"{channel}.measure.autorange{quantity}"] == 1
+        value = value if ranges_itself or abs(value) <= limit else NO_NUMBER
+        if buffer is not None:
+            if not self._attributes[f"{channel}.nvbuffer1.appendmode"]:
+                buffer.clear()
+            buffer.readings.append(value)
+            buffer.statuses.append(float(_COMPLIANCE if self._limited(channel) else 0))
+        return value
+
+    def _volts(self, channel: str) -> float:
+        there = self._rig.electrical()
+        if channel == self._measures:
+            limit_V = self._attributes[f"{channel}.source.limitv"]
+            volts = there.volts * (_STUCK_SHARE if self._stuck else 1.0)
+            return max(-limit_V, min(limit_V, volts))
+        return math.copysign(self._rig.wiring.limit_V, there.current_A) if self._limited(channel) else there.volts
+
+    def _amperes(self, channel: str) -> float:
+        if channel != self._drives:
+            return 0.0
+        return self._rig.electrical().current_A * (_STUCK_SHARE if self._stuck else 1.0)
+
+    def _limited(self, channel: str) -> bool:
+        """Whether a channel is at its voltage limit."""
+        there = self._rig.electrical()
+        if channel == self._drives:
+            return self._rig.wiring.current_A is not None and (there.limited or self._stuck)
+        return abs(there.volts) >= self._attributes[f"{channel}.source.limitv"]
+
+    def _print_buffers(self, first: float, last: float, *columns: list[float]) -> None:
+        """Print the columns interleaved; where there is nothing, no number."""
+        values = [
+            column[k - 1] if 1 <= k <= len(column) else NO_NUMBER
+            for k in range(int(first), int(last) + 1)
+            for column in columns
+        ]
+        if self._attributes["format.data"] == _CONSTANTS["format.REAL32"]:
+            order = "<" if self._attributes["format.byteorder"] == 1 else ">"
+            self._said += b"#0" + struct.pack(f"{order}{len(values)}f", *values) + b"\n"
+        else:
+            self._said += ", ".join(map(self._shown, values)).encode() + b"\n"
+
+    def _shown(self, value: Any) -> str:
+        if value is None or isinstance(value, bool):
+            return {None: "nil", True: "true", False: "false"}[value]
+        if isinstance(value, str):
+            return value
+        return f"{value:.{int(self._attributes['format.asciiprecision']) - 1}e}"

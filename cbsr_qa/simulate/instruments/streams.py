@@ -1,0 +1,251 @@
+"""Byte streams with an emulated instrument at the far end: a pseudo terminal, or a socket on the loopback."""
+
+import errno
+import fcntl
+import os
+import pty
+import select
+import socket
+import struct
+import termios
+import threading
+import tty
+from abc import ABC, abstractmethod
+from contextlib import suppress
+from typing import Final, Protocol, runtime_checkable
+
+from cbsr_qa.simulate.instruments.clock import OF_THE_LINK, ArmedFaults, Fault
+
+_READ_BYTES: Final = 4096
+#: How often a thread looks whether it should end [s, real time].
+_LOOK_S: Final = 0.2
+#: How late a delayed reply is: later than any driver waits for an answer [s, real time].
+LATE_S: Final = 3.0
+
+
+class Served(Protocol):
+    """An emulated instrument: bytes in, bytes out. It is only ever called from the thread of its port."""
+
+    def received(self, data: bytes) -> bytes:
+        """Obey what came, possibly the beginning or several of its commands, and return the answers."""
+        ...
+
+    def misbehave(self, fault: Fault) -> None:
+        """Do a fault that is not one of the link; one it does not know is ignored."""
+        ...
+
+
+@runtime_checkable
+class FreeRunning(Served, Protocol):
+    """An emulated instrument that sends without being asked, and so looks by itself what faults wait for it."""
+
+    def attached(self, line: "Port") -> None:
+        """Be given the line it is on, before it is served."""
+        ...
+
+
+class Port(ABC):
+    """Serves one emulated instrument in a thread of its own until it is closed.
+
+    Parameters
+    ----------
+    name : of the thread.
+    """
+
+    address: str
+
+    def __init__(self, name: str) -> None:
+        self.faults = ArmedFaults()
+        self._name = name
+        self._over = threading.Event()
+        self._silent = False
+        self._last = b""
+        self._thread: threading.Thread | None = None
+        #: What the instrument raised, for whoever looks why it fell silent.
+        self.failure: BaseException | None = None
+
+    def serve(self, instrument: Served) -> None:
+        """Begin to serve."""
+        self._thread = threading.Thread(target=self._run, args=(instrument,), name=self._name, daemon=True)
+        self._thread.start()
+
+    @abstractmethod
+    def send(self, data: bytes) -> None:
+        """Send what nobody asked for; bytes for which there is no room are lost, as on a real line."""
+
+    def unread(self) -> int:
+        """How many bytes were sent that no driver has read yet; 0 where nobody can tell."""
+        return 0
+
+    @abstractmethod
+    def hang_up(self) -> None:
+        """Take the link down, as a pulled cable does."""
+
+    def close(self) -> None:
+        """End the thread and give everything back."""
+        self._over.set()
+        self.hang_up()
+        if self._thread is not None and self._thread is not threading.current_thread():
+            self._thread.join(timeout=5 * _LOOK_S)
+
+    def _run(self, instrument: Served) -> None:
+        try:
+            self._serve(instrument)
+        except BaseException as error:  # noqa: BLE001 - an instrument that fails is a link that hangs up
+            self.failure = error
+            with suppress(OSError):
+                self.hang_up()
+
+    @abstractmethod
+    def _serve(self, instrument: Served) -> None:
+        """Take what comes, and send the answers, until it is over."""
+
+    def _answered(self, instrument: Served, data: bytes) -> bytes | None:
+        """Return the answer to what came, after the fault it met; None where the link is to hang up."""
+        fault = self.faults.met()
+        if fault is not None and fault not in OF_THE_LINK:
+            instrument.misbehave(fault)
+        if fault is Fault.DROP:
+            return None
+        self._silent = self._silent or fault is Fault.SILENCE
+        reply = instrument.received(data)
+        if self._silent:
+            return b""
+        if fault is Fault.GARBLE and reply:
+            reply = bytes([reply[0] ^ 0x15]) + reply[1:]
+        if fault is Fault.DELAY:
+            self._over.wait(LATE_S)
+        said, self._last = (self._last if fault is Fault.STALE else b"") + reply, reply or self._last
+        return said
+
+
+class PtyPort(Port):
+    """A pseudo terminal in raw mode; the driver opens :attr:`address` like a serial port."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._master, self._slave = pty.openpty()
+        # The slave stays open here, so that the line lives while no driver has it open.
+        tty.setraw(self._slave, termios.TCSANOW)
+        os.set_blocking(self._master, False)
+        self.address = os.ttyname(self._slave)
+        self._writing = threading.Lock()
+        self._wakes, self._wake = os.pipe()
+
+    def send(self, data: bytes) -> None:
+        """Send what nobody asked for; what finds no room is lost."""
+        with self._writing, suppress(BlockingIOError, OSError):
+            os.write(self._master, data)
+
+    def unread(self) -> int:
+        """How many bytes wait at the driver's end."""
+        with self._writing, suppress(OSError):
+            return int(struct.unpack("i", fcntl.ioctl(self._slave, termios.FIONREAD, bytes(4)))[0])
+        return 0
+
+    def hang_up(self) -> None:
+        """Close both ends; a driver that has the line open sees it hang up."""
+        with self._writing:
+            ends, self._master, self._slave = (self._master, self._slave), -1, -1
+            if ends[0] >= 0:
+                os.write(self._wake, b"!")
+        if self._thread is not None and self._thread is not threading.current_thread():
+            # A descriptor somebody waits on stays open behind its closing: the driver would not see it hang up.
+            self._thread.join(timeout=_LOOK_S)
+        for end in ends:
+            if end >= 0:
+                with suppress(OSError):
+                    os.close(end)
+
+    def close(self) -> None:
+        """End the thread and give everything back."""
+        super().close()
+        with self._writing:
+            ends, self._wakes, self._wake = (self._wakes, self._wake), -1, -1
+        for end in ends:
+            if end >= 0:
+                os.close(end)
+
+    def _serve(self, instrument: Served) -> None:
+        while not self._over.is_set() and (master := self._master) >= 0:
+            try:
+                ready, _, _ = select.select([master, self._wakes], [], [], _LOOK_S)
+                data = os.read(master, _READ_BYTES) if master in ready and self._master >= 0 else b""
+            except BlockingIOError:
+                continue
+            except (OSError, ValueError) as error:
+                if isinstance(error, OSError) and error.errno == errno.EIO and self._slave >= 0:
+                    continue  # nobody has it open at the moment
+                return
+            if not data:
+                continue
+            said = self._answered(instrument, data)
+            if said is None:
+                return self.hang_up()
+            self._write(master, said)
+
+    def _write(self, master: int, said: bytes) -> None:
+        left = said
+        while left and not self._over.is_set():
+            _, ready, _ = select.select([], [master], [], _LOOK_S)
+            if ready:
+                with self._writing, suppress(BlockingIOError):
+                    left = left[os.write(master, left) :]
+
+
+class TcpPort(Port):
+    """A raw socket on the loopback, one driver at a time, as a LAN instrument has."""
+
+    def __init__(self, name: str) -> None:
+        super().__init__(name)
+        self._listening = socket.create_server(("127.0.0.1", 0))
+        self._listening.settimeout(_LOOK_S)
+        self._talking: socket.socket | None = None
+        self.number = int(self._listening.getsockname()[1])
+        self.address = f"TCPIP::127.0.0.1::{self.number}::SOCKET"
+
+    def send(self, data: bytes) -> None:
+        """Send what nobody asked for, if somebody is connected."""
+        if (talking := self._talking) is not None:
+            with suppress(OSError):
+                talking.sendall(data)
+
+    def hang_up(self) -> None:
+        """Close the connection and take no further one."""
+        for one in (self._talking, self._listening):
+            if one is not None:
+                # Closing alone would not wake the thread that waits on it.
+                with suppress(OSError):
+                    one.shutdown(socket.SHUT_RDWR)
+                with suppress(OSError):
+                    one.close()
+
+    def _serve(self, instrument: Served) -> None:
+        while not self._over.is_set():
+            try:
+                talking, _ = self._listening.accept()
+            except TimeoutError:
+                continue
+            except OSError:
+                return
+            with talking:
+                talking.settimeout(_LOOK_S)
+                talking.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                self._talking = talking
+                self._talk(talking, instrument)
+
+    def _talk(self, talking: socket.socket, instrument: Served) -> None:
+        while not self._over.is_set():
+            try:
+                data = talking.recv(_READ_BYTES)
+            except TimeoutError:
+                continue
+            except OSError:
+                return
+            if not data:
+                return
+            said = self._answered(instrument, data)
+            if said is None:
+                return self.hang_up()
+            with suppress(OSError):
+                talking.sendall(said)

@@ -1,0 +1,293 @@
+"""A scene's frames and samples, one after the other, as a recording.
+
+The heads of a scene that is recorded by itself: they press its loads before the first frame is taken.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.plan import (
+    PressTimes,
+    SceneLoad,
+    ScenePlan,
+    SimulatedPress,
+    Transcript,
+    distance_mm,
+    press_times,
+    stroke_points,
+    travel_s,
+)
+from cbsr_qa.domain.readings import FrameBlock, Recording, SampleBlock, ScanKind, VoltageUnit
+from cbsr_qa.domain.run import Load, LoadRecord
+from cbsr_qa.simulate.head import SimulatedHead
+from cbsr_qa.simulate.world import SimulatedWorld
+from cbsr_qa.system import VirtualClock
+
+#: Movements of a head, the addresses of their random numbers, are counted from this multiple of its number less one.
+HEAD_BLOCK: Final = 1 << 24
+
+
+@dataclass(frozen=True, slots=True)
+class PressedLoad:
+    """A load as it was pressed.
+
+    Parameters
+    ----------
+    index : in the scene's list, from 0.
+    record : as a rig would have noted it: where and how deep its head was told to go, and when it did.
+    press : what the sheet had of it; None where the head did not reach the true surface.
+    """
+
+    index: int
+    load: SceneLoad
+    record: LoadRecord
+    press: SimulatedPress | None
+
+    @property
+    def true_strain(self) -> float:
+        """Deepest true strain: the sheet may lie off nominal, and heads may err."""
+        if self.press is None:
+            return 0.0
+        return max(self.press.strain_at(step.start_s + step.ramp_s) for step in self.press.steps)
+
+
+def press_loads(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[PressedLoad, ...]:
+    """Let every head of a scene press its loads, each on a clock of its own.
+
+    Parameters
+    ----------
+    world : presses are appended to its list, those of head 1 first.
+    plan : whose loads were found to be possible.
+    end_s : when the last rest is over.
+
+    Returns
+    -------
+    In the scene's order.
+
+    Raises
+    ------
+    RefusedError
+        If a load strains the sheet, as it truly lies and is, by 100 % or more.
+    """
+    pressed: list[PressedLoad] = []
+    for number, loads in plan.heads().items():
+        pressed += _pressed_by(world, plan, number, loads, end_s)
+    for one in pressed:
+        if one.true_strain >= 1:
+            raise RefusedError(
+                f"loads[{one.index + 1}] would strain the sheet by {100 * one.true_strain:.0f} %: where it is pressed"
+                " the sheet lies higher or is thinner than nominal",
+                remedy="press it less deep, or take effects on the sheet and the head that leave more",
+            )
+    return tuple(sorted(pressed, key=lambda one: one.index))
+
+
+def _pressed_by(
+    world: SimulatedWorld, plan: ScenePlan, number: int, loads: tuple[SceneLoad, ...], end_s: float
+) -> list[PressedLoad]:
+    clock = VirtualClock()
+    first = (number - 1) * HEAD_BLOCK
+    head = SimulatedHead(clock, world, plan.motion, role=f"head {number}", first_index=first)
+    thickness_mm = world.setting.sensor_type.thickness_mm
+    pressed = []
+    for load in loads:
+        times = press_times(load, load.strain * thickness_mm, plan.motion)
+        before = len(world.presses)
+        head.travel(load.x_mm, load.y_mm)
+        clock.sleep(times.leaves_s - clock.now())
+        head.press(load.strain * thickness_mm, plan.motion.press_speed_mm_s)
+        clock.sleep(times.lifts_s - clock.now())
+        head.lift()
+        made = world.presses[before] if len(world.presses) > before else None
+        index = next(index for index, one in enumerate(plan.loads) if one is load)
+        pressed.append(PressedLoad(index, load, _record(index, load, times, end_s), made))
+    return _rested(pressed)
+
+
+def _record(index: int, load: SceneLoad, times: PressTimes, rest_end_s: float) -> LoadRecord:
+    return LoadRecord(
+        index,
+        Load(f"L{index}", load.x_mm, load.y_mm, load.strain, 0),
+        press_start_s=times.leaves_s,
+        hold_start_s=times.down_s,
+        release_start_s=times.lifts_s,
+        release_end_s=times.up_s,
+        rest_end_s=rest_end_s,
+        clear_s=times.clear_s,
+    )
+
+
+def _rested(pressed: list[PressedLoad]) -> list[PressedLoad]:
+    """Let each rest end where the same head's next press begins."""
+    rested = [
+        replace(one, record=replace(one.record, rest_end_s=following.record.press_start_s))
+        for one, following in pairwise(pressed)
+    ]
+    return [*rested, *pressed[-1:]]
+
+
+def head_path(plan: ScenePlan, thickness_mm: float, time_s: NDArray[np.float64]) -> tuple[SampleBlock, ...]:
+    """Where head 1 was told to be at some times: x, y from the sheet's centre and z over the hover height [mm].
+
+    As in the rig's CSV: z falls from 0, and is −hover at the nominal surface. Between presses the head goes on at
+    once and waits over the next place; without a load it stays over the centre.
+    """
+    corners = [(0.0, 0.0, 0.0, 0.0)]
+    for load in plan.heads().get(1, ()):
+        depth_mm = load.strain * thickness_mm
+        free_s, *place, _ = corners[-1]
+        there_s = free_s + travel_s(plan.motion, distance_mm((place[0], place[1]), load.place_mm))
+        corners.append((there_s, *load.place_mm, 0.0))
+        times = press_times(load, depth_mm, plan.motion)
+        corners += [(at_s, *load.place_mm, z_mm) for at_s, z_mm in stroke_points(times, depth_mm, plan.motion)]
+    at_s, *axes = np.array(corners).T
+    return tuple(
+        SampleBlock(name, "mm", time_s, np.interp(time_s, at_s, along))
+        for name, along in zip(("x", "y", "z"), axes, strict=True)
+    )
+
+
+Array = NDArray[np.float64]
+
+#: Samples of force and place a second: of the rig's load cell; a power of two, so that their times are exact.
+SAMPLE_RATE_HZ: Final = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RecordedScene:
+    """A scene that was recorded.
+
+    Parameters
+    ----------
+    recording : all frames, also those of which rows are lost.
+    transcript : which rows those are, and where a board paused.
+    pressed : every load, in the scene's order.
+    """
+
+    recording: Recording
+    transcript: Transcript
+    pressed: tuple[PressedLoad, ...]
+
+    @property
+    def frames_lost(self) -> int:
+        """Frames of which at least one row is lost."""
+        return int(self.transcript.lost.any(axis=1).sum())
+
+
+def planned_middles_s(plan: ScenePlan) -> Array:
+    """Middles of the frames of a board that never pauses, (frames,) [s]."""
+    middles: Array = (np.arange(plan.frame_count, dtype=np.float64) + 0.5) * plan.scene.frame_period_s
+    return middles
+
+
+def frame_times_s(transcript: Transcript) -> tuple[Array, Array]:
+    """When frames are taken by a board that pauses.
+
+    A frame's time is its planned middle and what the board had paused up to the row in the frame's middle (of 16 rows
+    the ninth, the first that is read after it): a dump before that row makes the frame itself late, one behind it
+    only the rest of its rows.
+
+    Returns
+    -------
+    (frames,) times of the frames, and (frames, drives) how much later than with its frame's time each row is read,
+    [s]; below zero for rows that were read before a dump in the frame's first half.
+    """
+    pauses_s = transcript.pauses_s()
+    middle_s = pauses_s[:, pauses_s.shape[1] // 2]
+    return transcript.time_s + middle_s, pauses_s - middle_s[:, None]
+
+
+def record_scene(
+    world: SimulatedWorld, plan: ScenePlan, *, progress: Callable[[int, int], None] = lambda done, of: None
+) -> RecordedScene:
+    """Press a scene's loads and record it.
+
+    Everything is addressed (frames by their number, force samples by theirs) and done one after the other, so that
+    the same scene and seed give the same bytes everywhere.
+
+    Parameters
+    ----------
+    world : of the scene, with no press on it yet.
+    plan : whose loads were found to be possible.
+    progress : told how many frames of how many are taken.
+
+    Raises
+    ------
+    RefusedError
+        If a load strains the sheet by 100 % or more, or an effect leaves nothing that can be solved.
+    """
+    transcript = world.transcript(planned_middles_s(plan))
+    paused_s = sum(dump.pause_s for dump in transcript.dumps)
+    end_s = plan.frame_count * plan.scene.frame_period_s + paused_s
+    pressed = press_loads(world, plan, end_s)
+    cell = _LoadCell(world, end_s)
+
+    def taken(done: int, of: int) -> None:
+        cell.read_up_to(done / of)  # along with the frames: of slow frames they take most of the time
+        progress(done, of)
+
+    frames = _frames(world, transcript, taken)
+    samples = cell.samples(plan)
+    recording = Recording(
+        path=Path(),
+        format="cbsr-recording",
+        dataset="",
+        scan=ScanKind.FULL,
+        frames=frames,
+        reference=None,
+        still=False,
+        magnitudes_only=False,
+        clock="station",
+        samples=samples,
+        loads=tuple(sorted((one.record for one in pressed), key=lambda record: record.press_start_s)),
+        layout=world.setting.sensor_type.electrodes,
+        sensor_type=world.setting.sensor_type.name,
+    )
+    return RecordedScene(recording, transcript, pressed)
+
+
+def _frames(world: SimulatedWorld, transcript: Transcript, progress: Callable[[int, int], None]) -> FrameBlock:
+    times_s, row_pauses_s = frame_times_s(transcript)
+    frames = []
+    for index, (time_s, pauses_s) in enumerate(zip(times_s.tolist(), row_pauses_s, strict=True)):
+        frames.append(world.frame(time_s, index, pauses_s))
+        progress(index + 1, len(times_s))
+    own = [one.time_s for one in frames if one.time_s is not None]
+    return FrameBlock(
+        times_s,
+        np.stack([one.voltages for one in frames]),
+        np.stack([one.flags for one in frames]),
+        VoltageUnit.VOLT,
+        world.setting.current_A,
+        np.stack(own) if own else None,
+    )
+
+
+class _LoadCell:
+    """Force on the load cell, which all heads share, from zero to the end."""
+
+    def __init__(self, world: SimulatedWorld, end_s: float) -> None:
+        self._world = world
+        self._time_s = np.arange(int(end_s * SAMPLE_RATE_HZ + 1e-9) + 1) / SAMPLE_RATE_HZ
+        self._force_N = np.empty_like(self._time_s)
+        self._count = 0
+
+    def read_up_to(self, share: float) -> None:
+        """Take the samples of a share of the recording that are not taken yet."""
+        end = math.ceil(share * len(self._time_s))
+        for number in range(self._count, end):
+            self._force_N[number] = self._world.force_N(float(self._time_s[number]), number)
+        self._count = end
+
+    def samples(self, plan: ScenePlan) -> tuple[SampleBlock, ...]:
+        """All of them, and the way of head 1."""
+        cell = SampleBlock("force", "N", self._time_s, self._force_N)
+        return (cell, *head_path(plan, self._world.setting.sensor_type.thickness_mm, self._time_s))

@@ -1,1 +1,0 @@
-"""Numerically hard cases, each held against truth: its error and bound, or its named refusal."""

@@ -1,0 +1,5 @@
+"""A station at work: bench, dry run, steps carried out, safety."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,332 @@
+"""The instruments of a station, by the roles they fill.
+
+Tell everybody to stop, even when one of them raises or never answers.
+"""
+
+import re
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from typing import Any, Final
+
+from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain.plan import InstrumentSpec
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.plugin import (
+    Alive,
+    ForceApplicator,
+    FrameSource,
+    Instrument,
+    Linked,
+    Multiplexer,
+    Sampler,
+    SourceMeter,
+    contained,
+)
+from cbsr_qa.system import RealClock
+
+#: How long one instrument may take before the next is told as well [s, real time].
+PATIENCE_S: Final = 0.25
+#: How long all of them together may take [s, real time].
+DEADLINE_S: Final = 10.0
+
+Action = tuple[str, Callable[[], object]]
+
+
+class _Call(threading.Thread):
+    """One action in a thread of its own, which is left behind if it never comes back."""
+
+    def __init__(self, name: str, action: Callable[[], object]) -> None:
+        super().__init__(name=f"stop {name}", daemon=True)
+        self.who = name
+        self.done = threading.Event()
+        self.why = ""
+        self._action = action
+
+    def run(self) -> None:
+        """Call, and keep what it raised."""
+        try:
+            self._action()
+        except BaseException as error:  # noqa: BLE001 - nothing one instrument does may stop the others
+            self.why = f"{type(error).__name__}: {error}"
+        finally:
+            self.done.set()
+
+
+def stop_all(
+    actions: Sequence[Action], *, patience_s: float = PATIENCE_S, deadline_s: float = DEADLINE_S
+) -> tuple[str, ...]:
+    """Call every action; a slow one delays the next by no more than the patience.
+
+    Quick ones are called one after the other, in order, so that a simulated bench does the same each time.
+    The waiting is in real time also on a virtual clock: a thread that hangs does so in real time.
+
+    Parameters
+    ----------
+    actions : (who, what to call).
+
+    Returns
+    -------
+    In words, who raised or did not come back before the deadline; empty if all did what they were told.
+    """
+    clock = RealClock()
+    calls = [_Call(name, action) for name, action in actions]
+    for call in calls:
+        try:
+            call.start()
+        except RuntimeError:  # no more threads to be had: then without one
+            call.run()
+        call.done.wait(patience_s)
+    for call in calls:
+        call.done.wait(max(0.0, deadline_s - clock.now()))
+    late = [f"{call.who} did not answer within {deadline_s:g} s" for call in calls if not call.done.is_set()]
+    return (*(f"{call.who}: {call.why}" for call in calls if call.why), *late)
+
+
+FRAME_SOURCE: Final = "frame_source"
+FORCE_APPLICATOR: Final = "force_applicator"
+SOURCE_METER: Final = "source_meter"
+MULTIPLEXER: Final = "multiplexer"
+#: Channel whose samples the force ceiling is held against.
+FORCE_CHANNEL: Final = "force"
+
+#: What fills a role; every other role is a sampler's, and named as the channel it samples.
+_PROTOCOLS: Final[dict[str, type]] = {
+    FRAME_SOURCE: FrameSource,
+    FORCE_APPLICATOR: ForceApplicator,
+    SOURCE_METER: SourceMeter,
+    MULTIPLEXER: Multiplexer,
+}
+#: Who is made safe first: what presses, then what drives current.
+_FIRST_SAFE: Final = (FORCE_APPLICATOR, SOURCE_METER, FRAME_SOURCE)
+
+
+@dataclass(frozen=True, slots=True)
+class Mounted:
+    """One opened instrument and the station file's table for it."""
+
+    spec: InstrumentSpec
+    instrument: Instrument
+
+    @property
+    def name(self) -> str:
+        """Role and driver, as messages name it."""
+        return f"{self.spec.role} ({self.spec.driver})"
+
+
+class Bench:
+    """Opened instruments, each known to do what the station file says it does, and linked with those it needs.
+
+    Parameters
+    ----------
+    mounted : in the station file's order, which is also the order they are closed in.
+    stop_within_s : how long all of them together may take to reach their safe state [s, real time].
+    after : what else is closed once all of them are.
+
+    Raises
+    ------
+    ConfigError
+        Naming role and driver, if an instrument does not provide what it is said to (a role is one of the bench's, or
+        the channel that an instrument samples), a role is filled twice or not at all, nothing measures the force, or
+        an instrument that needs another does not find it.
+    """
+
+    def __init__(
+        self, mounted: Iterable[Mounted], *, stop_within_s: float = DEADLINE_S, after: Sequence[Action] = ()
+    ) -> None:
+        self._stop_within_s = stop_within_s
+        self._after = tuple(after)
+        self.mounted = tuple(mounted)
+        filled: dict[str, Mounted] = {}
+        for one in self.mounted:
+            for role in one.spec.provides:
+                if role in filled:
+                    raise ConfigError(f"role {role!r} is provided by {filled[role].name} and by {one.name}")
+                filled[role] = _checked(one, role)
+        self.frame_source: FrameSource = _filled(filled, FRAME_SOURCE)
+        self.force_applicator: ForceApplicator = _filled(filled, FORCE_APPLICATOR)
+        self.samplers = _samplers([one for role, one in filled.items() if role not in _PROTOCOLS])
+        _link(self.mounted, filled)
+
+    def identities(self) -> tuple[InstrumentIdentity, ...]:
+        """Ask every instrument who it is; one that the station emulates is simulated, whatever it says.
+
+        So is one without an address of its own that is linked with those, such as frames scanned with a meter.
+
+        Raises
+        ------
+        InstrumentError
+            If one does not answer, or is not the one that the station file asks for.
+        """
+        emulates = any(one.spec.emulated for one in self.mounted)
+        return tuple(identity_of(one, emulated=emulates and _works_through_others(one)) for one in self.mounted)
+
+    def name_of(self, instrument: object) -> str:
+        """Return role and driver of an instrument, as messages name it."""
+        return next((one.name for one in self.mounted if one.instrument is instrument), "an unknown instrument")
+
+    def alive(self) -> tuple[Alive, ...]:
+        """Return the instruments that can be asked whether they are there."""
+        return tuple(one.instrument for one in self.mounted if isinstance(one.instrument, Alive))
+
+    def safe_state(self) -> tuple[str, ...]:
+        """Bring every instrument to its safe state, whatever the others do: the head first, then current sources.
+
+        Returns
+        -------
+        In words, who did not get there; empty if all did.
+        """
+        by_urgency = sorted(self.mounted, key=_urgency)
+        return self._tell_all([(one.name, one.instrument.safe_state) for one in by_urgency])
+
+    def close(self) -> tuple[str, ...]:
+        """Close every instrument, whatever the others do; returns who did not, in words."""
+        return self._tell_all([*((one.name, one.instrument.close) for one in self.mounted), *self._after])
+
+    def _tell_all(self, actions: list[Action]) -> tuple[str, ...]:
+        return stop_all(actions, deadline_s=self._stop_within_s)
+
+
+def open_bench(
+    specs: Iterable[InstrumentSpec],
+    make: Callable[[InstrumentSpec], Instrument],
+    *,
+    after: Sequence[Action] = (),
+) -> Bench:
+    """Open the instruments of a station; if one cannot be opened, those that were are closed again.
+
+    Parameters
+    ----------
+    make : opens one instrument (finds its factory and calls it with its context).
+    after : (who, what to call) once the instruments are closed, also where one could not be opened.
+
+    Raises
+    ------
+    ConfigError
+        If an instrument is not what the station file says it is.
+    CbsrError
+        Whatever ``make`` raises.
+    """
+    opened: list[Mounted] = []
+    try:
+        for spec in specs:
+            opened.append(Mounted(spec, make(spec)))
+        return Bench(opened, after=after)
+    except BaseException:
+        # What went wrong first is what the reader needs; a second failure while closing would hide it.
+        with suppress(Exception):
+            stop_all([(one.name, one.instrument.safe_state) for one in opened])
+            stop_all([*((one.name, one.instrument.close) for one in opened), *after])
+        raise
+
+
+def _urgency(one: Mounted) -> int:
+    """Rank in which instruments are made safe; one that hangs delays the next."""
+    ranks = [_FIRST_SAFE.index(role) for role in one.spec.provides if role in _FIRST_SAFE]
+    return min(ranks, default=len(_FIRST_SAFE))
+
+
+def _works_through_others(one: Mounted) -> bool:
+    """Whether it has no address of its own: it is then as real as those it is linked with."""
+    return isinstance(one.instrument, Linked) and "address" not in one.spec.options
+
+
+def identity_of(one: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
+    """Ask one instrument who it is; see :meth:`Bench.identities`.
+
+    Parameters
+    ----------
+    emulated : it works through instruments that the station emulates, so that it is simulated with them.
+    """
+    with contained(f"instrument {one.spec.role!r} ({one.spec.driver})"):
+        said = one.instrument.identity()
+    _recognise(one.spec, said)
+    return replace(
+        said,
+        role=one.spec.role,
+        driver=one.spec.driver,
+        simulated=said.simulated or one.spec.emulated or emulated,
+        calibration_due=one.spec.calibration_due,
+        notes=(*_address(one.spec), *said.notes),
+    )
+
+
+def _recognise(spec: InstrumentSpec, said: InstrumentIdentity) -> None:
+    """Refuse another instrument than the station file asks for: limits and calibration dates are not its own."""
+    for what, expected, found in (("model", spec.model, said.model), ("serial", spec.serial, said.serial)):
+        if expected and not _names(expected, found):
+            raise InstrumentError(
+                spec.role,
+                spec.address,
+                f"it says its {what} is {found!r}; the station file expects {expected!r}",
+                remedy=f"connect the instrument that is meant, or mend address or {what} in the station file",
+            )
+
+
+def _names(expected: str, found: str) -> bool:
+    """Whether all words of the one follow each other in the other: "2634B" names a "Model 2634B"."""
+    wanted, said = (re.findall(r"[^\s,;]+", words.casefold()) for words in (expected, found))
+    return bool(wanted) and any(said[first : first + len(wanted)] == wanted for first in range(len(said)))
+
+
+def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:
+    """Where the station file says an instrument is, as a note to its identity."""
+    address = spec.options.get("address")
+    return () if address is None else (("address", str(address)),)
+
+
+def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
+    peers = {role: one.instrument for role, one in filled.items()}
+    for one in mounted:
+        if isinstance(one.instrument, Linked):
+            try:
+                with contained(f"instrument {one.spec.role!r} ({one.spec.driver})"):
+                    one.instrument.link(peers)
+            except ConfigError as error:
+                raise ConfigError(f"instrument {one.name}: {error.reason}", remedy=error.remedy) from error
+
+
+def _checked(one: Mounted, role: str) -> Mounted:
+    channel = str(getattr(one.instrument, "channel", "")).replace(" ", "_")
+    if role not in _PROTOCOLS and role != channel:
+        near = get_close_matches(role, filter(None, (*_PROTOCOLS, channel)), n=1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise ConfigError(
+            f"instrument {one.name} is said to provide {role!r}, which is neither a role nor what it samples:"
+            f" {f'it samples {channel!r}' if channel else 'it samples nothing'}",
+            remedy=f"{hint}roles: {', '.join(_PROTOCOLS)}, and what an instrument samples, such as 'force'",
+        )
+    protocol = _PROTOCOLS.get(role, Sampler)
+    if not isinstance(one.instrument, protocol):
+        lacking = sorted(name for name in _members(protocol) if not hasattr(one.instrument, name))
+        raise ConfigError(
+            f"instrument {one.name} is said to provide {role!r} but is no {protocol.__name__}:"
+            f" it has no {', '.join(lacking)}",
+            remedy="mend 'provides' in the station file, or use another driver",
+        )
+    return one
+
+
+def _members(protocol: type) -> set[str]:
+    return {name for kind in protocol.__mro__ for name in vars(kind) if not name.startswith("_")}
+
+
+def _filled(filled: dict[str, Mounted], role: str) -> Any:
+    if role not in filled:
+        raise ConfigError(
+            f"no instrument of the station provides {role!r}",
+            remedy="name it in the 'provides' of one of its instruments",
+        )
+    return filled[role].instrument
+
+
+def _samplers(mounted: list[Mounted]) -> tuple[Sampler, ...]:
+    samplers = tuple(one.instrument for one in mounted if isinstance(one.instrument, Sampler))
+    if all(one.channel != FORCE_CHANNEL for one in samplers):
+        raise ConfigError(
+            f"no instrument of the station samples {FORCE_CHANNEL!r}",
+            remedy="a head must not press without it: name a load cell's role in 'provides'",
+        )
+    return samplers

@@ -1,0 +1,169 @@
+"""The stream of documents: the journal has them first, everybody else only what the journal has.
+
+A run that is kept in memory only: for simulations that are priced and forgotten.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Final, TypeVar
+
+from cbsr_qa.domain import AbortedError, CbsrError, SafetyError
+from cbsr_qa.domain.readings import join_frames, join_samples
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import (
+    FramesTaken,
+    LoadFinished,
+    PhaseFinished,
+    PhaseRecord,
+    PhaseStarted,
+    RunEnded,
+    RunEvent,
+    RunIdentity,
+    RunRecord,
+    SamplesTaken,
+    Unloaded,
+)
+from cbsr_qa.plugin import failure
+from cbsr_qa.station.interrupts import Interrupts
+from cbsr_qa.station.plan import Plan
+
+Subscriber = Callable[[RunEvent], None]
+Warn = Callable[[str], None]
+
+_RULE: Final = "journal"
+
+
+class Documents:
+    """Delivers each document to the journal, then to the listeners.
+
+    Parameters
+    ----------
+    subscribers : the first is the journal and must store a document before it returns. The others only
+        watch: one that raises is warned about and not called again, unless it raises AbortedError to stop the run.
+    interrupts : signals wait until a document is delivered.
+    warn : is told about listeners that fail.
+    """
+
+    def __init__(self, subscribers: Sequence[Subscriber], interrupts: Interrupts, warn: Warn) -> None:
+        self._journal, *self._listeners = subscribers
+        self._interrupts = interrupts
+        self._warn = warn
+
+    def emit(self, event: RunEvent) -> None:
+        """Deliver one document.
+
+        Raises
+        ------
+        SafetyError
+            With rule ``"journal"`` if the journal could not store it: what is not stored was not measured.
+        """
+        with self._interrupts.deferred():
+            self._store(event)
+            self._tell(event)
+
+    def finish(self, event: RunEnded) -> RunEnded:
+        """Deliver the last document; the bench is safe already, and nothing raises any more.
+
+        Returns
+        -------
+        The document as delivered: broken by the journal, if the journal could not store it.
+        """
+        try:
+            self._store(event)
+        except SafetyError as error:
+            event = replace(event, end=EndReason.BROKEN, detail=_unstored(event, error))
+        with suppress(AbortedError):  # it has ended
+            self._tell(event)
+        return event
+
+    def _store(self, event: RunEvent) -> None:
+        try:
+            self._journal(event)
+        except AbortedError:  # raised by a signal's handler, not by the journal
+            raise
+        except Exception as error:
+            said, remedy = (
+                (error.reason, error.remedy)
+                if isinstance(error, CbsrError)
+                else (f"{type(error).__name__}: {error}", "")
+            )
+            raise SafetyError(
+                _RULE, f"the journal could not store {type(event).__name__}: {said}", remedy=remedy
+            ) from error
+
+    def _tell(self, event: RunEvent) -> None:
+        for listener in tuple(self._listeners):
+            try:
+                listener(event)
+            except AbortedError:  # it stops the run, and says who wants that
+                raise
+            except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
+                said = failure(error)
+                self._listeners.remove(listener)
+                self._warn(f"{_name(listener)} failed and is not told more: {said}")
+
+
+def _unstored(event: RunEnded, error: SafetyError) -> str:
+    """Say that the end of a run could not be stored; once, where the same has ended it."""
+    if event.detail.startswith(f"rule {_RULE!r}"):
+        return event.detail
+    end = ": ".join(filter(None, [str(event.end), event.detail]))
+    return "; ".join(filter(None, [error.reason, error.remedy, f"before that the run was {end}"]))
+
+
+def _name(listener: Subscriber) -> str:
+    return getattr(listener, "__qualname__", type(listener).__qualname__)
+
+
+E = TypeVar("E", FramesTaken, LoadFinished, SamplesTaken, Unloaded)
+
+
+class MemoryJournal:
+    """Keeps the documents of a run and puts them together as a record.
+
+    Parameters
+    ----------
+    plan : that is run.
+    """
+
+    def __init__(self, plan: Plan) -> None:
+        self._plan = plan
+        self._events: list[RunEvent] = []
+
+    def __call__(self, event: RunEvent) -> None:
+        """Keep one document."""
+        self._events.append(event)
+
+    def record(self, identity: RunIdentity, ended: RunEnded) -> RunRecord:
+        """Return the run as the database would give it back, but for its sessions."""
+        ends = {event.index: event.time_s for event in self._events if isinstance(event, PhaseFinished)}
+        started = [event for event in self._events if isinstance(event, PhaseStarted)]
+        phases = tuple(self._phase(event, ends.get(event.index, ended.time_s)) for event in started)
+        plan = self._plan
+        return RunRecord(
+            identity, plan.sensor_type, plan.material, plan.indenter, phases, ended.end, ended.detail, ended.time_s,
+            ended.spent,
+        )  # fmt: skip
+
+    def _of(self, kind: type[E], phase: int) -> list[E]:
+        return [event for event in self._events if isinstance(event, kind) and event.phase == phase]
+
+    def _phase(self, event: PhaseStarted, ended_s: float) -> PhaseRecord:
+        frames = [one.frames for one in self._of(FramesTaken, event.index)]
+        samples = [one.samples for one in self._of(SamplesTaken, event.index)]
+        channels = sorted({block.channel for block in samples})
+        loads = [one.record for one in self._of(LoadFinished, event.index)]
+        return PhaseRecord(
+            index=event.index,
+            name=event.name,
+            sequence=event.sequence,
+            started_s=event.time_s,
+            ended_s=ended_s,
+            frames=join_frames(frames) if frames else None,
+            samples=tuple(join_samples([one for one in samples if one.channel == name]) for name in channels),
+            loads=tuple(load for load in loads if not load.eased),
+            loops=tuple(load for load in loads if load.eased),
+            unloaded_from_s=max((one.time_s for one in self._of(Unloaded, event.index)), default=None),
+            role=event.role,
+        )

@@ -1,0 +1,318 @@
+"""Walk a plan without moving anything: how long, how far, how hard, and what the station would not allow."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from itertools import chain
+from typing import Any
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.plan import (
+    AcquireFrames,
+    Ease,
+    FindSurface,
+    Hold,
+    Home,
+    MarkUnloaded,
+    Press,
+    Prompt,
+    Release,
+    Step,
+    steps as kinematics,
+)
+from cbsr_qa.domain.run import Load
+from cbsr_qa.station.limits import (
+    Violation,
+    dwell_violations,
+    expected_force_N,
+    load_violations,
+    place_violations,
+    strain_violations,
+)
+from cbsr_qa.station.plan import (
+    Kind,
+    LoadKey,
+    Plan,
+    ScheduledPhase,
+    ScheduledStep,
+    Spent,
+    describe,
+    duration,
+    frames_in_hold,
+    schedule,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class DryPhase:
+    """What one phase will take.
+
+    Parameters
+    ----------
+    durations_s : of each of its steps.
+    """
+
+    scheduled: ScheduledPhase
+    durations_s: tuple[float, ...]
+    frames: int
+
+    @property
+    def duration_s(self) -> float:
+        """Time of the whole phase [s]."""
+        return sum(self.durations_s)
+
+
+@dataclass(frozen=True, slots=True)
+class DryRun:
+    """What a plan will take, and what is wrong with it.
+
+    Parameters
+    ----------
+    phases : with the very steps that will be executed.
+    spent : station seconds by kind of activity.
+    travel_mm : path of the head at the hover height.
+    loads, frames : counts.
+    peak_strain, peak_force_N : highest asked for, and highest force expected; 0 without loads.
+    violations : every broken rule, in words, with its step; empty if the plan may run.
+    """
+
+    phases: tuple[DryPhase, ...]
+    spent: tuple[tuple[str, float], ...]
+    travel_mm: float
+    loads: int
+    frames: int
+    peak_strain: float
+    peak_force_N: float
+    violations: tuple[str, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Station time of the whole plan [s]."""
+        return sum(seconds for _, seconds in self.spent)
+
+    def refuse(self) -> None:
+        """Refuse a plan that breaks rules.
+
+        Raises
+        ------
+        RefusedError
+            Listing every violation.
+        """
+        if self.violations:
+            listed = "\n".join(f"  {violation}" for violation in self.violations)
+            raise RefusedError(
+                f"the recipe asks for what this station does not allow:\n{listed}",
+                remedy="change the recipe's options, or the station's [safety] limits if the bench can take it",
+            )
+
+    def lines(self) -> tuple[str, ...]:
+        """Return the summary as lines of text."""
+        by_kind = ", ".join(f"{kind} {duration(seconds)}" for kind, seconds in self.spent)
+        phases = tuple(
+            f"  {p.scheduled.name}: {duration(p.duration_s)}, {p.scheduled.loads} loads, {p.frames} frames"
+            for p in self.phases
+        )
+        return (
+            f"station time  {duration(self.duration_s)} ({by_kind})",
+            *phases,
+            f"loads         {self.loads}, up to {100 * self.peak_strain:g} % strain"
+            f" and {self.peak_force_N:.3g} N expected",
+            f"frames        {self.frames}",
+            f"travel        {self.travel_mm / 1000:.2f} m",
+            *(f"not allowed   {violation}" for violation in self.violations),
+        )
+
+    def document(self) -> dict[str, Any]:
+        """Return the summary as one JSON document."""
+        return {
+            "duration_s": round(self.duration_s, 3),
+            "spent_s": {kind: round(seconds, 3) for kind, seconds in self.spent},
+            "phases": [
+                {
+                    "name": p.scheduled.name,
+                    "sequence": p.scheduled.sequence,
+                    "duration_s": round(p.duration_s, 3),
+                    "loads": p.scheduled.loads,
+                    "frames": p.frames,
+                }
+                for p in self.phases
+            ],
+            "loads": self.loads,
+            "frames": self.frames,
+            "travel_mm": round(self.travel_mm, 1),
+            "peak_strain": self.peak_strain,
+            "peak_force_N": round(self.peak_force_N, 3),
+            "violations": list(self.violations),
+        }
+
+
+def dry_run(
+    plan: Plan,
+    frame_period_s: float,
+    *,
+    done: frozenset[LoadKey] = frozenset(),
+    ended: frozenset[int] = frozenset(),
+    answered: bool = True,
+) -> DryRun:
+    """Walk a plan's steps with nothing but arithmetic.
+
+    Parameters
+    ----------
+    frame_period_s : of the bench's frame source.
+    done, ended : loads and phases finished in an earlier session of the same run.
+    answered : whether somebody is there to answer prompts.
+
+    Raises
+    ------
+    RefusedError
+        If the plan has no phase, or a sequence makes no step or no end of them. Broken limits are listed in
+        the result instead; :meth:`DryRun.refuse` raises for them.
+    PluginError
+        If a sequence's role is none.
+    """
+    walk = _Walk(plan, frame_period_s, answered)
+    phases = tuple(walk.phase(scheduled) for scheduled in schedule(plan, done, ended))
+    walk.finish()
+    return DryRun(
+        phases,
+        walk.spent.table(),
+        walk.travel_mm,
+        sum(isinstance(s.step, Press) for p in phases for s in p.scheduled.steps),
+        sum(p.frames for p in phases),
+        walk.peak_strain,
+        walk.peak_force_N,
+        tuple(walk.violations),
+    )
+
+
+@dataclass(slots=True)
+class _Walk:
+    """Where the head would be, and what was added up so far."""
+
+    plan: Plan
+    frame_period_s: float
+    answered: bool
+    spent: Spent = field(default_factory=Spent)
+    travel_mm: float = 0.0
+    peak_strain: float = 0.0
+    peak_force_N: float = 0.0
+    violations: list[str] = field(default_factory=list)
+    place_mm: tuple[float, float] = (0.0, 0.0)
+    depth_mm: float | None = None  #: None while the head is up
+    load: Load | None = None  #: pressed last
+    down_s: float = 0.0  #: station time when the head was down
+    dwelt: bool = False  #: this press has been down for too long, which was said
+    frames: int = 0
+
+    def phase(self, scheduled: ScheduledPhase) -> DryPhase:
+        """Walk one phase."""
+        self.frames = 0
+        durations_s = []
+        for step in scheduled.steps:
+            before_s = self.spent.total_s()
+            where = f"phase {scheduled.name!r}, {describe(step.step)}"
+            self.violations += [f"{where}: {v.what}" for v in chain(self._step(step), self._dwell())]
+            durations_s.append(self.spent.total_s() - before_s)
+        if self.depth_mm is not None:
+            self.violations.append(f"phase {scheduled.name!r} ends with the head down")
+        return DryPhase(scheduled, tuple(durations_s), self.frames)
+
+    def finish(self) -> None:
+        """Judge the whole."""
+        total_s, allowed_s = self.spent.total_s(), self.plan.safety.duration_s
+        if not total_s <= allowed_s:
+            self.violations.append(f"the run takes {duration(total_s)}; the station allows {duration(allowed_s)}")
+
+    def _step(self, scheduled: ScheduledStep) -> Iterator[Violation]:
+        step = scheduled.step
+        if isinstance(step, Home | FindSurface | Press) and self.depth_mm is not None:
+            yield Violation("order", "the head is still down")
+        match step:
+            case Press(load=load):
+                yield from load_violations(load, self.plan)
+                self._press(load)
+            case Ease(strain=strain):
+                yield from self._ease(strain)
+            case FindSurface(x_mm=x_mm, y_mm=y_mm):
+                yield from place_violations(x_mm, y_mm, self.plan)
+                self._travel(x_mm, y_mm)
+                self.spent.add(Kind.SURFACE, kinematics.surface_search_s(self.plan.motion))
+            case Release():
+                if self.depth_mm is None:
+                    yield Violation("order", "the head is not down")
+                self._release()
+            case Hold():
+                yield from self._hold(step)
+            case _:
+                yield from self._other(step)
+
+    def _other(self, step: Step) -> Iterator[Violation]:
+        match step:
+            case Home():
+                self.spent.add(Kind.HOME, kinematics.homing_s(self.plan.motion, self.plan.safety.travel_radius_mm))
+                self.place_mm = (0.0, 0.0)
+            case AcquireFrames(count=count):
+                if count < 1:
+                    yield Violation("order", f"{count} frames; at least 1 is needed")
+                self._take(count, Kind.FRAMES)
+            case MarkUnloaded():
+                if self.depth_mm is not None:
+                    yield Violation("order", "the head is down, the sheet is not unloaded")
+            case Prompt():
+                if not self.answered:
+                    yield Violation("order", "nobody is there to answer")
+            case _:
+                yield Violation("order", f"this runner does not know steps of type {type(step).__name__}")
+
+    def _dwell(self) -> Iterator[Violation]:
+        """Say once of a press that it is held for too long."""
+        if self.depth_mm is not None and not self.dwelt:
+            for violation in dwell_violations(self.spent.total_s() - self.down_s, self.plan):
+                self.dwelt = True
+                yield violation
+
+    def _press(self, load: Load) -> None:
+        depth_mm = load.strain * self.plan.sensor_type.thickness_mm
+        self._travel(load.x_mm, load.y_mm)
+        self.spent.add(Kind.PRESS, kinematics.stroke_s(self.plan.motion, depth_mm))
+        self.load = load
+        self._down(load.strain)
+        self.down_s, self.dwelt = self.spent.total_s(), False
+
+    def _ease(self, strain: float) -> Iterator[Violation]:
+        if self.depth_mm is None or self.load is None:
+            yield Violation("order", "the head is not down")
+            return
+        yield from strain_violations(strain, self.plan)  # its place was looked at when it was pressed
+        to_mm = strain * self.plan.sensor_type.thickness_mm
+        self.spent.add(Kind.PRESS, kinematics.ease_s(self.plan.motion, self.depth_mm, to_mm))
+        self._down(strain)
+
+    def _down(self, strain: float) -> None:
+        self.depth_mm = strain * self.plan.sensor_type.thickness_mm
+        self.peak_strain = max(self.peak_strain, strain)
+        self.peak_force_N = max(self.peak_force_N, expected_force_N(strain, self.plan))
+
+    def _release(self) -> None:
+        self.spent.add(Kind.RELEASE, kinematics.stroke_s(self.plan.motion, self.depth_mm or 0.0))
+        self.depth_mm = None
+
+    def _hold(self, step: Hold) -> Iterator[Violation]:
+        kind = Kind.REST if self.depth_mm is None else Kind.HOLD
+        if not 0 <= step.hold_s < float("inf"):
+            yield Violation("order", f"{step.hold_s} s is not a duration")
+        elif not step.acquire:
+            self.spent.add(kind, step.hold_s)
+        else:
+            count = frames_in_hold(step.hold_s, self.frame_period_s)
+            self.frames += count
+            self.spent.add(kind, max(step.hold_s, count * self.frame_period_s))
+
+    def _take(self, count: int, kind: Kind) -> None:
+        self.frames += max(count, 0)
+        self.spent.add(kind, max(count, 0) * self.frame_period_s)
+
+    def _travel(self, x_mm: float, y_mm: float) -> None:
+        distance_mm = kinematics.distance_mm(self.place_mm, (x_mm, y_mm))
+        self.travel_mm += distance_mm
+        self.spent.add(Kind.TRAVEL, kinematics.travel_s(self.plan.motion, distance_mm))
+        self.place_mm = (x_mm, y_mm)

@@ -1,0 +1,247 @@
+"""Runs a plan: every step, every document, and one way to end whatever happens.
+
+How a run ended, in words: by whom it was stopped, or which rule, instrument or error broke it, and where.
+"""
+
+import logging
+from collections.abc import Sequence
+from contextlib import suppress
+from typing import Final
+
+from cbsr_qa.domain import AbortedError, CbsrError, InstrumentError, SafetyError
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import PhaseFinished, PhaseStarted, RunEnded, RunIdentity, RunStarted, StepStarted
+from cbsr_qa.plugin import said
+from cbsr_qa.station.bench import Bench
+from cbsr_qa.station.documents import Documents, Subscriber, Warn
+from cbsr_qa.station.dry_runs import DryPhase, DryRun, dry_run
+from cbsr_qa.station.interrupts import Asking, Interrupts, Stopped, on_stderr
+from cbsr_qa.station.limits import check_samplers
+from cbsr_qa.station.performer import Ask, Performer
+from cbsr_qa.station.plan import LoadKey, Plan, ScheduledStep, describe
+from cbsr_qa.station.safety import Interlock
+from cbsr_qa.station.watchdog import BrokenInto, Watchdog
+from cbsr_qa.system import Clock
+
+#: Reason and detail.
+Ending = tuple[EndReason, str]
+
+_log: Final = logging.getLogger(__name__)
+
+
+def ending(error: BaseException, where: str, *, at_once: bool = False, before: Ending | None = None) -> Ending:
+    """Say how an error ended a run.
+
+    Parameters
+    ----------
+    where : "while", the step under way, and what the bench was doing.
+    at_once : a second signal ended it.
+    before : how the run had ended already when this came up while the head was lifted.
+    """
+    with suppress(Exception):
+        _log.debug("the run ended while %s", where, exc_info=error)
+    if before is not None:
+        reason, detail = before
+        return reason, f"{detail}; {_during_retreat(error)}"
+    if isinstance(error, AbortedError | KeyboardInterrupt):
+        how = " and at once by a second signal" if at_once else ""
+        return EndReason.ABORTED, f"by {_by(error)}{how}, {where}"
+    return EndReason.BROKEN, f"{_what(error)}, {where}{_remedy(error)}"
+
+
+def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
+    """Say that instruments did not reach their safe state: whatever else it was, the run is broken."""
+    said = [f"NOT SAFE: {who}; look at the bench before touching it" for who in silent]
+    return EndReason.BROKEN, "; ".join([*filter(None, [_told(end)]), *said])
+
+
+def _told(end: Ending) -> str:
+    reason, detail = end
+    return f"aborted {detail}" if reason is EndReason.ABORTED else detail
+
+
+def _by(error: BaseException) -> str:
+    return error.by if isinstance(error, AbortedError | Stopped) else "the operator (Ctrl-C)"
+
+
+def _what(error: BaseException) -> str:
+    match error:
+        case BrokenInto():
+            return _what(error.error)
+        case SafetyError():
+            return f"rule {error.rule!r}: {error.reason}"
+        case InstrumentError():
+            return f"instrument {error.reason}"
+        case CbsrError():
+            return error.reason
+        case _:
+            return f"error {said(error)}"
+
+
+def _remedy(error: BaseException) -> str:
+    """What to do about it, where the error says so."""
+    cause = error.error if isinstance(error, BrokenInto) else error
+    remedy = cause.remedy if isinstance(cause, CbsrError) else ""
+    return f"; {remedy}" if remedy else ""
+
+
+def _during_retreat(error: BaseException) -> str:
+    if isinstance(error, AbortedError | KeyboardInterrupt):
+        return "a second signal ended it at once"
+    return f"the head was not lifted in order: {_what(error)}"
+
+
+def execute(
+    plan: Plan,
+    identity: RunIdentity,
+    bench: Bench,
+    clock: Clock,
+    subscribers: Sequence[Subscriber],
+    *,
+    done: frozenset[LoadKey] = frozenset(),
+    ended: frozenset[int] = frozenset(),
+    ask: Ask | None = None,
+    retries: int = 2,
+    warn: Warn = _log.warning,
+    tell: Warn = on_stderr,
+) -> RunEnded:
+    """Run a plan on an open bench and leave the bench safe.
+
+    The bench is brought to its safe state before anything else: an earlier session may have been killed.
+
+    Parameters
+    ----------
+    subscribers : told every document in order. The first is the journal: it has stored a document before
+        anybody else sees it, and a document it cannot store breaks the run. The others cannot stop the run.
+    done : loads (phase, index) finished in an earlier session of the same run; they are not pressed again.
+    ended : phases that ended in an earlier session; only homing and surface finding of them are done again.
+    ask : shows a prompt and returns when it is answered; an :class:`~cbsr_qa.station.Asking` where instruments
+        ask through it as well, so that one which waits for the operator does not count as hanging.
+    retries : how often an operation that failed retryably is tried again.
+    warn : is told about subscribers that fail.
+    tell : is told what a signal did and what another would do, at once and from a signal's handler.
+
+    Returns
+    -------
+    How the run ended; once it has begun, nothing is raised. The bench is in its safe state, or the detail
+    says which instrument is not.
+
+    Raises
+    ------
+    RefusedError
+        Before anything is told or moved: the plan breaks the station's limits, a limit cannot be watched, or there is
+        no journal.
+    SafetyError
+        If the bench could not be brought to its safe state before the run; nothing was told.
+    """
+    dry = dry_run(plan, bench.frame_source.frame_period_s, done=done, ended=ended, answered=ask is not None)
+    dry.refuse()
+    check_samplers(plan, bench.samplers)
+    interlock = Interlock()
+    asking = ask if isinstance(ask, Asking) else Asking(ask)
+    with (
+        Interrupts(tell) as interrupts,
+        Watchdog(
+            plan.safety.answer_s,
+            break_in=interrupts.break_in,
+            make_safe=bench.safe_state,
+            tell=tell,
+            excused=asking.is_waiting,
+        ) as watchdog,
+    ):
+        interlock.clear(bench)
+        interrupts.hurry, interrupts.waiting = watchdog.hurry, asking.is_waiting
+        documents = Documents(subscribers, interrupts, warn)
+        performer = Performer(
+            plan,
+            bench,
+            clock,
+            documents,
+            interlock,
+            interrupts=interrupts,
+            watchdog=watchdog,
+            retries=retries,
+            ask=None if ask is None else asking,
+        )
+        walk = _Walk(dry, performer, documents, interlock, watchdog, clock)
+        end, detail = walk.to_its_end(identity, bench, interrupts)
+        return documents.finish(RunEnded(end, detail, clock.now(), performer.spent.table()))
+
+
+class _Walk:
+    """Goes through the scheduled steps and remembers where it is."""
+
+    def __init__(
+        self,
+        dry: DryRun,
+        performer: Performer,
+        documents: Documents,
+        interlock: Interlock,
+        watchdog: Watchdog,
+        clock: Clock,
+    ) -> None:
+        self._dry = dry
+        self._performer = performer
+        self._documents = documents
+        self._interlock = interlock
+        self._watchdog = watchdog
+        self._clock = clock
+        self._left_s = dry.duration_s
+        self._at: tuple[DryPhase, ScheduledStep] | None = None
+        self._end: Ending | None = None
+
+    def to_its_end(self, identity: RunIdentity, bench: Bench, interrupts: Interrupts) -> Ending:
+        """Carry out everything, and leave the bench safe whatever comes up; nothing is raised."""
+        silent: tuple[str, ...] = ()
+        try:
+            with interrupts.heard():
+                self._through_or_back(identity, interrupts)
+        except BaseException as error:  # noqa: BLE001 - whatever it is, the head comes up
+            interrupts.mask()
+            self._end = ending(error, self.where(), at_once=interrupts.urgent, before=self._end)
+        finally:
+            interrupts.mask()
+            self._watchdog.end()
+            silent = self._interlock.stop(bench)
+        assert self._end is not None
+        return unsafe(self._end, silent) if silent else self._end
+
+    def _through_or_back(self, identity: RunIdentity, interrupts: Interrupts) -> None:
+        """Carry out everything; where somebody stops it, lift the head as after any press."""
+        try:
+            self._through(identity)
+        except (AbortedError, KeyboardInterrupt) as error:
+            self._end = ending(error, self.where(), at_once=interrupts.urgent)
+            if not interrupts.urgent:
+                self._performer.retreat()
+        else:
+            self._end = EndReason.FINISHED, ""
+
+    def _through(self, identity: RunIdentity) -> None:
+        self._documents.emit(RunStarted(identity))
+        for phase in self._dry.phases:
+            self._phase(phase)
+
+    def where(self) -> str:
+        """Say while which step it was, and what the bench was doing."""
+        if self._at is None:
+            return "before the first step"
+        phase, step = self._at
+        said = f"while {describe(step.step)} (phase {phase.scheduled.name!r}, step {step.number})"
+        return f"{said}, bench {self._interlock.state}"
+
+    def _phase(self, phase: DryPhase) -> None:
+        told = phase.scheduled
+        # A phase that an earlier session finished has its documents already; only the bench is set up again.
+        if not told.finished:
+            began = PhaseStarted(told.index, told.name, told.sequence, self._clock.now(), told.role)
+            self._documents.emit(began)
+        for step, planned_s in zip(told.steps, phase.durations_s, strict=True):
+            self._at = phase, step
+            now_s = self._clock.now()
+            self._documents.emit(StepStarted(step.phase, step.number, step.step, now_s, max(self._left_s, 0.0)))
+            self._performer.perform(step)
+            self._left_s -= planned_s
+        self._performer.finish_load()
+        if not told.finished:
+            self._documents.emit(PhaseFinished(told.index, self._clock.now()))

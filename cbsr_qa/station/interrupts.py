@@ -1,0 +1,202 @@
+"""Ctrl-C, termination and hang-up during a run: the first ends it in order, the second at once.
+
+An operator who is being asked is waited for: nothing hangs meanwhile.
+"""
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+from typing import Any, Final, Generic, Self, TypeVar
+
+A = TypeVar("A")
+
+
+class Asking(Generic[A]):
+    """Asks the operator, and knows while somebody is being asked.
+
+    The runner's own prompts and instruments that are worked by hand must ask through the same one.
+
+    Parameters
+    ----------
+    ask : shows a text and returns the answer; None where nobody is there.
+    """
+
+    def __init__(self, ask: Callable[[str], A] | None) -> None:
+        self._ask = ask
+        self._waiting = False
+
+    def is_waiting(self) -> bool:
+        """Say whether somebody is being asked right now."""
+        return self._waiting
+
+    def __call__(self, text: str) -> A:
+        """Ask, and return the answer."""
+        assert self._ask is not None  # nobody is asked where nobody is there
+        self._waiting = True
+        try:
+            return self._ask(text)
+        finally:
+            self._waiting = False
+
+
+#: Signals that end a run. Ctrl-Z and Ctrl-\ would suspend or kill the program with the head down. Windows knows two.
+_NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT")
+
+#: Said on the first signal and on the second.
+FIRST: Final = (
+    "{}: the run stops in order. What is under way is completed and stored, the head comes up at its press speed,"
+    " the bench is made safe. A second signal makes it safe at once."
+)
+SECOND: Final = "{}: everything is made safe at once. Further signals are ignored until it is."
+
+
+class Stopped(KeyboardInterrupt):
+    """A signal asked the run to stop; not an ``Exception``, so that no driver's ``except`` swallows it."""
+
+    def __init__(self, by: str) -> None:
+        super().__init__(f"stopped by {by}")
+        self.by = by
+
+
+def on_stderr(line: str) -> None:
+    """Write a line past Python's buffers, which a signal may have found half written."""
+    with suppress(OSError, AttributeError, ValueError):  # no terminal, or one that has gone
+        os.write((sys.__stderr__ or sys.stderr).fileno(), f"{line}\n".encode())
+
+
+def _nobody(line: str) -> None:
+    """Tell nobody."""
+
+
+class Interrupts:
+    """While entered, signals end the run at a moment when nothing can be torn.
+
+    The first signal is only remembered: :meth:`poll` raises it where the run may end, which is after every
+    document and within :meth:`idle`. The second raises wherever the run is, also in a delivery or a driver that
+    hangs, and :attr:`urgent` says so. Both do that only within :meth:`heard`; outside, and from :meth:`mask` on,
+    nothing is raised: the bench is being made safe, and impatience must not leave the head down. Handlers the
+    application installed are asked who it was; where there is none the signal raises :class:`Stopped`. A signal the
+    process inherited as ignored (SIGHUP under nohup, SIGINT in a script's background) stays ignored: whoever started
+    it wanted that. Outside the main thread nothing is installed, because Python delivers no signals there.
+
+    Parameters
+    ----------
+    tell : told in words what a signal does, and what another would do; not in a worker of a pool, whose parent heard
+        the same signal and answers for all of them.
+    """
+
+    def __init__(self, tell: Callable[[str], None] = on_stderr) -> None:
+        #: The run is to end at once, not in order.
+        self.urgent = False
+        #: Whether the run only waits, for reasons of its own: as within :meth:`idle`.
+        self.waiting: Callable[[], bool] = lambda: False
+        #: Called on the first signal: what is under way gets little time from now on.
+        self.hurry: Callable[[], None] = lambda: None
+        self._tell = tell if multiprocessing.parent_process() is None else _nobody
+        self._before: dict[signal.Signals, Any] = {}
+        self._alarm_before: Any = None
+        self._first: signal.Signals | None = None
+        self._overdue: BaseException | None = None
+        self._raised = False
+        self._masked = False
+        self._heard_now = False
+        self._idle = False
+
+    def __enter__(self) -> Self:
+        if threading.current_thread() is threading.main_thread():
+            for number in [getattr(signal, name) for name in _NAMES if hasattr(signal, name)]:
+                if signal.getsignal(number) not in (signal.SIG_IGN, None):  # None: not set from Python
+                    self._before[number] = signal.signal(number, self._hear)
+            if hasattr(signal, "SIGALRM"):
+                self._alarm_before = signal.signal(signal.SIGALRM, self._broken_into)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for number, handler in self._before.items():
+            signal.signal(number, handler)
+        if self._alarm_before is not None:
+            signal.signal(signal.SIGALRM, self._alarm_before)
+
+    def mask(self) -> None:
+        """Take no notice of signals from here on."""
+        self._masked = True
+
+    @contextmanager
+    def heard(self) -> Iterator[None]:
+        """Let signals end what is inside; what comes up while this is left is raised to whoever entered it."""
+        self._heard_now = True
+        try:
+            yield
+        finally:
+            self._heard_now = False
+
+    @contextmanager
+    def idle(self) -> Iterator[None]:
+        """Let the first signal end at once what is inside: nothing happens but waiting."""
+        self._idle = True
+        try:
+            self.poll()
+            yield
+        finally:
+            self._idle = False
+
+    @contextmanager
+    def deferred(self) -> Iterator[None]:
+        """Let the first signal end the run once what is inside has been done."""
+        yield
+        self.poll()
+
+    def poll(self) -> None:
+        """Raise the first signal, if there was one: here the run may end.
+
+        Raises
+        ------
+        Stopped, KeyboardInterrupt, AbortedError
+            Saying who stopped the run; once.
+        """
+        if self._first is not None and self._heard_now and not self._raised:
+            self._raise()
+
+    def break_in(self, error: BaseException) -> None:
+        """Raise an error in the main thread, wherever it hangs; called by another thread.
+
+        It does nothing where no signal was installed. A call that waits in C is woken where the system can do that.
+        """
+        self._overdue = error
+        if self._alarm_before is not None:
+            ident = threading.main_thread().ident
+            assert ident is not None
+            signal.pthread_kill(ident, signal.SIGALRM)
+
+    def _hear(self, number: int, _: FrameType | None) -> None:
+        if self._masked:
+            return
+        name = signal.Signals(number).name
+        if self._first is None:
+            self._first = signal.Signals(number)
+            self._tell(FIRST.format(name))
+            self.hurry()
+            if self._idle or self.waiting():
+                self.poll()
+        elif self._heard_now:
+            self.urgent = self._masked = True
+            self._tell(SECOND.format(name))
+            self._raise()
+
+    def _broken_into(self, _: int, __: FrameType | None) -> None:
+        if self._heard_now and not self._masked and self._overdue is not None:
+            self._masked = True
+            raise self._overdue
+
+    def _raise(self) -> None:
+        self._raised = True
+        assert self._first is not None
+        before = self._before[self._first]
+        if callable(before):
+            before(self._first, None)
+        raise Stopped(f"signal {self._first.name}")

@@ -1,0 +1,280 @@
+"""The station's limits, held against what the bench says while steps are executed.
+
+The dry run has checked what was planned; here is checked what happens. Every check raises
+:class:`~cbsr_qa.domain.SafetyError` naming its rule.
+
+What a station allows a step to ask for. The dry run lists every broken rule; the runner stops at the first.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain import ConfigError, SafetyError
+from cbsr_qa.domain.readings import FrameBlock, ReadingFlag, SampleBlock
+from cbsr_qa.domain.run import Load
+from cbsr_qa.plugin import Sampler
+from cbsr_qa.station.bench import FORCE_CHANNEL
+from cbsr_qa.station.plan import Plan, duration
+
+#: Sums of durations are compared with this much room: below the resolution of any clock after hours [s].
+_ROUNDING_S: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Violation:
+    """A rule a step would break.
+
+    Parameters
+    ----------
+    rule : ``"strain"``, ``"force"``, ``"travel"``, ``"dwell"``, ``"duration"`` or ``"order"``.
+    what : what is asked for and what is allowed.
+    """
+
+    rule: str
+    what: str
+
+
+def place_violations(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
+    """Yield what is wrong with a place: out of the head's range, or the head not wholly on the sheet."""
+    radius_mm = math.hypot(x_mm, y_mm)
+    if not radius_mm <= plan.safety.travel_radius_mm:
+        yield Violation(
+            "travel", f"{radius_mm:.4g} mm from the centre; the station allows {plan.safety.travel_radius_mm:g} mm"
+        )
+    if plan.sensor_type.polygon is None:
+        yield from _off_disc(radius_mm, plan)
+    else:
+        yield from _off_polygon(x_mm, y_mm, plan)
+
+
+def _off_disc(radius_mm: float, plan: Plan) -> Iterator[Violation]:
+    head_mm, sheet_mm = plan.indenter.reach_mm, plan.sensor_type.radius_mm
+    if not radius_mm + head_mm <= sheet_mm:
+        yield Violation(
+            "travel",
+            f"the head of {2 * head_mm:g} mm would reach {radius_mm + head_mm:.4g} mm; the sheet ends at"
+            f" {sheet_mm:g} mm",
+        )
+
+
+def _off_polygon(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
+    head_mm = plan.indenter.reach_mm
+    room_mm = float(plan.sensor_type.outline.clearance_mm(np.array([[x_mm, y_mm]]))[0])
+    if not room_mm >= head_mm and not _stands_on(x_mm, y_mm, plan):
+        where = f"{room_mm:.4g} mm from the sheet's edge" if room_mm >= 0 else f"{-room_mm:.4g} mm outside the sheet"
+        yield Violation(
+            "travel", f"the head of {2 * head_mm:g} mm would stand {where}; it needs {head_mm:g} mm inside it"
+        )
+
+
+def _stands_on(x_mm: float, y_mm: float, plan: Plan) -> bool:
+    """Whether a head with corners stands on the sheet with all of its outline, its edge included.
+
+    A head may be as wide as a strip, and be turned as the strip is. The outline is looked at every 0.25 mm.
+    """
+    corners = np.array(plan.indenter.outline_mm)
+    if not len(corners):
+        return False
+    ahead = np.roll(corners, -1, axis=0)
+    steps = [max(math.ceil(math.dist(a, b) / 0.25), 1) for a, b in zip(corners, ahead, strict=True)]
+    edges = [np.linspace(a, b, count, endpoint=False) for a, b, count in zip(corners, ahead, steps, strict=True)]
+    clearance_mm = plan.sensor_type.outline.clearance_mm(np.vstack(edges) + np.array([x_mm, y_mm]))
+    return bool((clearance_mm >= -1e-9).all())
+
+
+def load_violations(load: Load, plan: Plan) -> Iterator[Violation]:
+    """Yield what is wrong with a load: its place, its strain, the force it is expected to take."""
+    yield from place_violations(load.x_mm, load.y_mm, plan)
+    yield from strain_violations(load.strain, plan)
+
+
+def strain_violations(strain: float, plan: Plan) -> Iterator[Violation]:
+    """Yield what is wrong with a strain, wherever it is pressed: itself, the force it is expected to take."""
+    if not 0 < strain <= plan.safety.strain:
+        yield Violation(
+            "strain", f"{100 * strain:.4g} % strain; the station allows up to {100 * plan.safety.strain:g} %"
+        )
+    force_N = expected_force_N(strain, plan)
+    if not force_N <= plan.safety.force_N:
+        yield Violation("force", f"{force_N:.3g} N expected; the station allows {plan.safety.force_N:g} N")
+
+
+def dwell_violations(dwell_s: float, plan: Plan) -> Iterator[Violation]:
+    """Yield what is wrong with a head that has been down, and still or eased, for this long."""
+    if not dwell_s <= plan.safety.dwell_s + _ROUNDING_S:
+        allowed_s = plan.safety.dwell_s
+        yield Violation("dwell", f"the head is down for {dwell_s:.4g} s; the station allows {allowed_s:g} s")
+
+
+def expected_force_N(strain: float, plan: Plan) -> float:
+    """Return the highest force a press is expected to take [N].
+
+    E ε A is the relaxed force (E of the material file is the relaxed modulus); at the end of a fast ramp the
+    relaxing terms stand on top of it: F = E ε A (1 + Σ max(w, 0)), an upper bound for any mixture of signs.
+    """
+    relaxed_N = plan.material.modulus_kPa.value * 1e-3 * strain * plan.indenter.area_mm2
+    return relaxed_N * (1 + sum(max(weight, 0.0) for weight in plan.material.stress_relaxation.weights))
+
+
+#: Channel whose samples the range of temperatures is held against, and the unit they must have.
+TEMPERATURE_CHANNEL: Final = "temperature"
+TEMPERATURE_UNIT: Final = "°C"
+#: A limited temperature may be this old: a room does not warm up faster, and thermometers are slow [s].
+TEMPERATURE_STALE_S: Final = 300.0
+
+_LIMITED: Final = int(ReadingFlag.COMPLIANCE | ReadingFlag.SATURATED)
+
+
+def check_samplers(plan: Plan, samplers: tuple[Sampler, ...]) -> None:
+    """Refuse a station that limits a temperature which nothing measures.
+
+    Raises
+    ------
+    ConfigError
+        Naming the key, what was found and what is needed.
+    """
+    unit = {one.channel: one.unit for one in samplers}.get(TEMPERATURE_CHANNEL)
+    if plan.safety.temperature_C is not None and unit != TEMPERATURE_UNIT:
+        found = "no instrument samples it" if unit is None else f"it is sampled in {unit!r}"
+        raise ConfigError(
+            f"[safety] temperature_C limits the temperature, but {found}",
+            remedy=f"add a thermometer that samples {TEMPERATURE_CHANNEL!r} in {TEMPERATURE_UNIT!r}, or leave the key"
+            " out",
+        )
+
+
+class Limits:
+    """What the station allows, and how fresh what is known is.
+
+    Parameters
+    ----------
+    plan : with the station's limits.
+    started_s : on the run's clock.
+    """
+
+    def __init__(self, plan: Plan, started_s: float) -> None:
+        self._plan = plan
+        self._started_s = started_s
+        self._force_time_s = started_s
+        self._temperature_time_s = started_s
+        self._down_since_s: float | None = None
+        usable = plan.sensor_type.pattern.usable()
+        # On a strip with two pins every reading touches the driven ones, and counts.
+        self._counted = usable if usable.any() else np.ones_like(usable)
+
+    def check_load(self, load: Load) -> None:
+        """Check strain, expected force and place of a press before it."""
+        _refuse(load_violations(load, self._plan))
+
+    def check_place(self, x_mm: float, y_mm: float) -> None:
+        """Check a place before the head goes there."""
+        _refuse(place_violations(x_mm, y_mm, self._plan))
+
+    def check_samples(self, block: SampleBlock, who: str) -> None:
+        """Hold measured force and temperature against their limits, and remember how fresh they are.
+
+        Parameters
+        ----------
+        who : the instrument that sampled.
+        """
+        if len(block) and block.channel == FORCE_CHANNEL:
+            self._check_force(block, who)
+            self._force_time_s = max(self._force_time_s, float(block.time_s[-1]))
+        elif len(block) and block.channel == TEMPERATURE_CHANNEL:
+            self._check_temperature(block, who)
+            self._temperature_time_s = max(self._temperature_time_s, float(block.time_s[-1]))
+
+    def check_frame(self, block: FrameBlock, who: str) -> None:
+        """Refuse frames whose current or voltages were limited: with an open lead they are no measurement."""
+        limited = (block.flags & _LIMITED) != 0
+        counted = limited[:, self._counted]
+        share = counted.mean(axis=1)
+        worst = int(share.argmax())
+        if share[worst] >= self._plan.safety.compliance:
+            drives = self._limited_drives(limited[worst])
+            raise SafetyError(
+                "compliance",
+                f"{int(counted[worst].sum())} of {counted.shape[1]} readings of a frame of {who}"
+                f" ({100 * share[worst]:.3g} %) were at the source's compliance or the end of the meter's range"
+                f"{drives}; the station stops at {100 * self._plan.safety.compliance:g} %",
+                remedy="check leads and contacts of these electrodes, and the drive current",
+            )
+
+    def check_time(self, now_s: float, *, touching: bool, down: bool) -> None:
+        """Check the run's duration, how long the head has been down, and the age of what must be fresh.
+
+        Parameters
+        ----------
+        touching : whether the head touches, or may touch, the sheet.
+        down : whether it is in the sheet, and still or eased.
+        """
+        safety = self._plan.safety
+        if now_s - self._started_s > safety.duration_s:
+            raise SafetyError(
+                "duration", f"the run takes longer than the station allows ({duration(safety.duration_s)})"
+            )
+        self._check_dwell(now_s, down)
+        if touching:
+            self._check_age("stale force", "force", now_s - self._force_time_s, safety.stale_s)
+        if safety.temperature_C is not None:
+            age_s = now_s - self._temperature_time_s
+            self._check_age("stale temperature", "temperature", age_s, TEMPERATURE_STALE_S)
+
+    def _check_dwell(self, now_s: float, down: bool) -> None:
+        if not down:
+            self._down_since_s = None
+            return
+        if self._down_since_s is None:
+            self._down_since_s = now_s
+        _refuse(dwell_violations(now_s - self._down_since_s, self._plan))
+
+    def _check_force(self, block: SampleBlock, who: str) -> None:
+        peak_N, allowed_N = float(abs(block.values).max()), self._plan.safety.force_N
+        if not math.isfinite(peak_N):
+            raise SafetyError(
+                "force", f"the force of {who} is not a number", remedy="check the load cell and its cable"
+            )
+        if peak_N > allowed_N:
+            raise SafetyError("force", f"{peak_N:.3g} N measured by {who}; the station allows {allowed_N:g} N")
+
+    def _check_temperature(self, block: SampleBlock, who: str) -> None:
+        allowed_C = self._plan.safety.temperature_C
+        if allowed_C is None:
+            return
+        lowest_C, highest_C = allowed_C
+        outside = block.values[~((block.values >= lowest_C) & (block.values <= highest_C))]
+        if len(outside):
+            raise SafetyError(
+                "temperature",
+                f"{outside[0]:.4g} °C measured by {who}; the station allows {lowest_C:g} to {highest_C:g} °C",
+            )
+
+    def _limited_drives(self, limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> str:
+        """Name the drive pairs of which every counted reading was limited: an open lead limits both of its own."""
+        pairs = zip(self._plan.sensor_type.pattern.drive, limited, self._counted, strict=True)
+        whole = [pair for pair, row, counted in pairs if counted.any() and row[counted].all()]
+        if not whole:
+            return ""
+        named = ", ".join(f"{source}–{sink}" for source, sink in whole[:6]) + (" …" if len(whole) > 6 else "")
+        shared = set.intersection(*(set(pair) for pair in whole)) if len(whole) > 1 else set()
+        suspect = f": electrode {shared.pop()} may be open" if len(shared) == 1 else ""
+        return f", all of those driven through electrodes {named}{suspect}"
+
+    @staticmethod
+    def _check_age(rule: str, what: str, age_s: float, allowed_s: float) -> None:
+        if age_s > allowed_s:
+            while_touching = " while the head touches the sheet" if what == "force" else ""
+            raise SafetyError(
+                rule,
+                f"the last {what} sample is {age_s:.3g} s old; the station allows {allowed_s:g} s{while_touching}",
+                remedy="check the load cell and its cable" if what == "force" else "check the thermometer",
+            )
+
+
+def _refuse(violations: Iterator[Violation]) -> None:
+    for violation in violations:
+        raise SafetyError(violation.rule, violation.what)

@@ -1,0 +1,339 @@
+"""Carries out one step after the other on the bench.
+
+Times of the press under way, until its rest is over and it becomes a record.
+"""
+
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from functools import partial
+from typing import Final, TypeVar
+
+from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain.plan import (
+    AcquireFrames,
+    Ease,
+    FindSurface,
+    Hold,
+    Home,
+    MarkUnloaded,
+    Press,
+    Prompt,
+    Release,
+    steps as kinematics,
+)
+from cbsr_qa.domain.readings import FrameBlock
+from cbsr_qa.domain.run import EasedStrain, FramesTaken, Load, LoadFinished, LoadRecord, StepRetried, Unloaded
+from cbsr_qa.plugin import Addressed
+from cbsr_qa.station.bench import FRAME_SOURCE, Bench
+from cbsr_qa.station.documents import Documents
+from cbsr_qa.station.interrupts import Interrupts
+from cbsr_qa.station.limits import Limits
+from cbsr_qa.station.plan import Kind, Plan, ScheduledStep, Spent, another_frame, ends_rest
+from cbsr_qa.station.safety import Interlock, State, Watch
+from cbsr_qa.station.watchdog import Watchdog
+from cbsr_qa.system import Clock, in_ticks
+
+
+@dataclass(slots=True)
+class LoadLog:
+    """The press under way.
+
+    Parameters
+    ----------
+    times_s : press start, hold start, release start, release end, as far as they have happened.
+    lift_off_s : how long the head needs to leave the sheet once it starts up; None where nobody knows.
+    """
+
+    index: int = -1
+    load: Load | None = None
+    times_s: list[float] = field(default_factory=list)
+    lift_off_s: float | None = None
+    eased: list[EasedStrain] = field(default_factory=list)
+
+    def begin(self, index: int, load: Load, now_s: float, lift_off_s: float) -> None:
+        """The head starts down."""
+        self.index, self.load, self.times_s, self.lift_off_s = index, load, [now_s], lift_off_s
+        self.eased = []
+
+    def ease(self, strain: float, start_s: float, now_s: float, lift_off_s: float) -> None:
+        """The head has gone to another strain, from a time up to now."""
+        self.eased.append(EasedStrain(strain, start_s, now_s))
+        self.lift_off_s = lift_off_s
+
+    def mark(self, now_s: float) -> None:
+        """The head is down; then it starts up; then it is up."""
+        self.times_s.append(now_s)
+
+    def lose_track(self) -> None:
+        """The way up was not one movement: when the head left the sheet is not known."""
+        self.lift_off_s = None
+
+    def finish(self, now_s: float) -> LoadRecord | None:
+        """The rest is over: return the record of a press that came to its end, or None where there is none."""
+        if self.load is None or len(self.times_s) != 4:
+            return None
+        press_s, hold_s, release_s, up_s = self.times_s
+        times = (press_s, hold_s, release_s, up_s, now_s, self._clear_s())
+        record = LoadRecord(self.index, self.load, *times, eased=tuple(self.eased))
+        self.load = None
+        return record
+
+    def _clear_s(self) -> float | None:
+        if self.lift_off_s is None:
+            return None
+        _, _, release_s, up_s = self.times_s
+        # In ticks, as all times of a run; and a head that is up has left the sheet.
+        return min(release_s + in_ticks(self.lift_off_s), up_s)
+
+
+T = TypeVar("T")
+
+#: Pause before an operation that failed is tried again [s]; two of them must leave the bench safe within a second.
+RETRY_PAUSE_S: Final = 0.25
+#: Shorter rests of a hold than this are over: below the resolution of any clock after hours [s].
+_OVER_S: Final = 1e-9
+
+Ask = Callable[[str], object]
+
+
+class Performer:
+    """Carries out steps; knows the bench, tells the documents, obeys the interlock.
+
+    Parameters
+    ----------
+    interrupts : signals end a wait at once.
+    watchdog : is told whatever is asked of an instrument.
+    retries : how often an operation that failed retryably is tried again.
+    ask : shows a prompt and returns when it is answered; None where nobody is there.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        bench: Bench,
+        clock: Clock,
+        documents: Documents,
+        interlock: Interlock,
+        *,
+        interrupts: Interrupts,
+        watchdog: Watchdog,
+        retries: int,
+        ask: Ask | None,
+    ) -> None:
+        self.spent = Spent()
+        self._plan = plan
+        self._bench = bench
+        self._clock = clock
+        self._documents = documents
+        self._interlock = interlock
+        self._interrupts = interrupts
+        self._watchdog = watchdog
+        self._limits = Limits(plan, clock.now())
+        self._watch = Watch(plan, bench, clock, documents, interlock, self._limits, self._asked)
+        self._head = bench.name_of(bench.force_applicator)
+        self._retries = retries
+        self._ask = ask
+        self._loads = LoadLog()
+        self._at = ScheduledStep(0, 0, Home(), None)
+        self._addressed = [one.instrument for one in bench.mounted if isinstance(one.instrument, Addressed)]
+
+    def perform(self, scheduled: ScheduledStep) -> None:
+        """Carry out one step.
+
+        Raises
+        ------
+        InstrumentError, SafetyError, AbortedError
+            The bench is then left as it is: whoever catches this stops it.
+        """
+        if ends_rest(scheduled.step):
+            self.finish_load()
+        self._at = scheduled
+        for instrument in self._addressed:
+            instrument.begin_step(scheduled.phase, scheduled.number)
+        match scheduled.step:
+            case Press(load=load):
+                self._press(load)
+            case Ease(strain=strain):
+                self._ease(strain)
+            case Hold() as hold:
+                self._hold(hold)
+            case Release():
+                self._release()
+            case AcquireFrames(count=count):
+                with self.spent.on(Kind.FRAMES, self._clock):
+                    for _ in range(count):
+                        self._take_frame()
+            case MarkUnloaded():
+                self._documents.emit(Unloaded(scheduled.phase, self._clock.now()))
+            case _:
+                self._set_up(scheduled)
+        self._look()
+
+    def retreat(self) -> None:
+        """Lift a head that is down and still as after any press: in order, before the bench is made safe."""
+        if self._interlock.state is State.PRESSED:
+            with self.spent.on(Kind.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
+                self._lift()
+
+    def finish_load(self) -> None:
+        """Tell about the last load, once its rest is over."""
+        record = self._loads.finish(self._clock.now())
+        if record is not None:
+            self._documents.emit(LoadFinished(self._at.phase, record))
+
+    def _set_up(self, scheduled: ScheduledStep) -> None:
+        applicator = self._bench.force_applicator
+        match scheduled.step:
+            case Home():
+                reach_mm = self._plan.safety.travel_radius_mm
+                with self.spent.on(Kind.HOME, self._clock):
+                    self._move(applicator.home, "homing", kinematics.homing_s(self._plan.motion, reach_mm))
+            case FindSurface(x_mm=x_mm, y_mm=y_mm):
+                self._travel(x_mm, y_mm)
+                self._feel(partial(applicator.find_surface, x_mm, y_mm))
+            case Prompt(text=text):
+                assert self._ask is not None  # the dry run refuses prompts that nobody can answer
+                with self.spent.on(Kind.PROMPT, self._clock), self._interrupts.idle():
+                    self._ask(text)
+
+    def _press(self, load: Load) -> None:
+        self._limits.check_load(load)
+        self._travel(load.x_mm, load.y_mm)
+        motion = self._plan.motion
+        depth_mm = load.strain * self._plan.sensor_type.thickness_mm
+        assert self._at.load is not None
+        with self._interlock.passing(State.PRESSING, State.PRESSED):
+            self._look()  # the head does not go down on a load cell that has fallen silent
+            self._loads.begin(self._at.load, load, self._clock.now(), kinematics.lift_off_s(motion, depth_mm))
+            self._go_down(depth_mm)
+        self._loads.mark(self._clock.now())
+
+    def _ease(self, strain: float) -> None:
+        """Go to another depth; everything a press is held against holds, and a failure is not tried again either."""
+        load, motion = self._loads.load, self._plan.motion
+        assert load is not None  # the dry run refuses to ease a head that is up
+        self._limits.check_load(replace(load, strain=strain))
+        depth_mm = strain * self._plan.sensor_type.thickness_mm
+        self._look()
+        with self._interlock.passing(State.EASING, State.PRESSED):
+            start_s = self._clock.now()
+            self._go_down(depth_mm)
+        self._loads.ease(strain, start_s, self._clock.now(), kinematics.lift_off_s(motion, depth_mm))
+
+    def _go_down(self, depth_mm: float) -> None:
+        """Press, or ease; where that failed it is not tried again: nobody knows how deep the head is."""
+        motion = self._plan.motion
+        with self.spent.on(Kind.PRESS, self._clock), self._expect("pressing", kinematics.stroke_s(motion, depth_mm)):
+            self._bench.force_applicator.press(depth_mm, motion.press_speed_mm_s)
+
+    def _release(self) -> None:
+        self._loads.mark(self._clock.now())
+        with self.spent.on(Kind.RELEASE, self._clock), self._interlock.passing(State.RELEASING, State.ARMED):
+            # Going up is safe however often.
+            self._attempt(self._lift, before_another=self._loads.lose_track)
+        self._loads.mark(self._clock.now())
+
+    def _lift(self) -> None:
+        deepest_mm = self._plan.safety.strain * self._plan.sensor_type.thickness_mm
+        with self._expect("lifting the head", kinematics.stroke_s(self._plan.motion, deepest_mm)):
+            self._bench.force_applicator.release()
+
+    def _travel(self, x_mm: float, y_mm: float) -> None:
+        self._limits.check_place(x_mm, y_mm)
+        across_mm = 2 * self._plan.safety.travel_radius_mm
+        with self.spent.on(Kind.TRAVEL, self._clock):
+            there = partial(self._bench.force_applicator.move_to, x_mm, y_mm)
+            self._move(there, "travelling", kinematics.travel_s(self._plan.motion, across_mm))
+        self._interrupts.poll()  # what comes next goes down
+
+    def _move(self, motion: Callable[[], object], what: str, work_s: float) -> None:
+        """Move with the head up; before another attempt the head is lifted, wherever the first one left it."""
+        with self._interlock.passing(State.MOVING, State.ARMED):
+            self._attempt(self._expected(motion, what, work_s), before_another=self._lift)
+
+    def _feel(self, search: Callable[[], object]) -> None:
+        """Let the applicator feel for the surface; it touches the sheet, so the force must be known.
+
+        The search is one call: while it lasts the driver watches over force and its freshness, and the runner
+        checks before and right after it.
+        """
+        with self.spent.on(Kind.SURFACE, self._clock), self._interlock.passing(State.FEELING, State.ARMED):
+            self._look()
+            work_s = kinematics.surface_search_s(self._plan.motion)
+            self._attempt(self._expected(search, "feeling for the surface", work_s), before_another=self._lift)
+            self._look()
+
+    def _hold(self, hold: Hold) -> None:
+        end_s = self._clock.now() + hold.hold_s
+        kind = Kind.HOLD if self._interlock.touching else Kind.REST
+        with self.spent.on(kind, self._clock):
+            if hold.acquire:
+                self._take_frame()
+                while another_frame(end_s - self._clock.now(), self._bench.frame_source.frame_period_s):
+                    self._take_frame()
+            self._wait_until(end_s)
+
+    def _wait_until(self, end_s: float) -> None:
+        while (left_s := end_s - self._clock.now()) > _OVER_S:
+            pause_s = min(left_s, self._watch.next_look_s())
+            with self._watchdog.expect("the station's clock", pause_s), self._interrupts.idle():
+                self._clock.sleep(pause_s)
+            self._look()
+
+    def _take_frame(self) -> None:
+        source, before_s = self._bench.frame_source, self._clock.now()
+        who = self._bench.name_of(source)
+        block = self._asked(partial(source.acquire, 1), f"{who}: a frame", source.frame_period_s)
+        self._check_frame(block, self._clock.now() - before_s)
+        self._documents.emit(FramesTaken(self._at.phase, block))
+        self._limits.check_frame(block, who)  # after the journal has it: it is the evidence
+        self._look()
+
+    def _check_frame(self, block: FrameBlock, took_s: float) -> None:
+        expected = (1, *self._plan.sensor_type.pattern.shape)
+        if block.voltages.shape != expected:
+            raise InstrumentError(
+                FRAME_SOURCE, "the bench", f"frames of shape {block.voltages.shape} came; {expected} was asked for"
+            )
+        if not took_s > 0:  # a hold would never end
+            raise InstrumentError(FRAME_SOURCE, "the bench", "a frame took no time on the station's clock")
+
+    def _look(self) -> None:
+        self._watch.look(self._at.phase)
+        self._interrupts.poll()
+
+    def _expect(self, what: str, work_s: float) -> AbstractContextManager[None]:
+        return self._watchdog.expect(f"{self._head}: {what}", work_s)
+
+    def _expected(self, motion: Callable[[], T], what: str, work_s: float) -> Callable[[], T]:
+        """Return the motion with the watchdog told what it is and how long it takes when all is well."""
+
+        def watched() -> T:
+            with self._expect(what, work_s):
+                return motion()
+
+        return watched
+
+    def _asked(self, operation: Callable[[], T], what: str, work_s: float = 0.0) -> T:
+        """Ask an instrument, and again where that is harmless, under the eyes of the watchdog."""
+
+        def watched() -> T:
+            with self._watchdog.expect(what, work_s):
+                return operation()
+
+        return self._attempt(watched)
+
+    def _attempt(self, operation: Callable[[], T], *, before_another: Callable[[], object] | None = None) -> T:
+        attempt = 0
+        while True:
+            try:
+                return operation()
+            except InstrumentError as error:
+                attempt += 1
+                if not error.retryable or attempt > self._retries:
+                    raise
+                self._documents.emit(StepRetried(self._at.phase, self._at.number, attempt, error.reason))
+            self._clock.sleep(RETRY_PAUSE_S)
+            if before_another is not None:
+                before_another()

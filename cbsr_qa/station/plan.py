@@ -1,0 +1,322 @@
+"""What a run is going to do, put together from station and recipe.
+
+How many frames fit a hold: one rule for the dry run and for the hold itself.
+
+What the station's time is spent on.
+
+Steps in words, for people who watch, wait or look for what went wrong.
+
+The steps of all phases in order, each with the load it belongs to.
+
+The schedule is made once and then executed: what the dry run has checked is what moves.
+"""
+
+import math
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from enum import StrEnum
+from itertools import chain, islice
+from typing import Final
+
+from cbsr_qa.domain import PluginError, RefusedError
+from cbsr_qa.domain.plan import (
+    AcquireFrames,
+    Ease,
+    FindSurface,
+    Hold,
+    Home,
+    MarkUnloaded,
+    Motion,
+    Press,
+    Prompt,
+    Release,
+    Role,
+    SafetyLimits,
+    Step,
+)
+from cbsr_qa.domain.run import Indenter, Load
+from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.plugin import Sequence, SequenceContext, contained
+from cbsr_qa.system import Clock
+
+#: A frame is begun only if more than this share of it lies inside the hold. Without it the rounding of the
+#: clock would decide whether a hold of exactly 24 frames takes 24 or 25.
+WORTHWHILE: Final = 0.1
+
+
+def another_frame(left_s: float, frame_period_s: float) -> bool:
+    """Whether to begin one more frame with this much of the hold left."""
+    return left_s > WORTHWHILE * frame_period_s
+
+
+def frames_in_hold(hold_s: float, frame_period_s: float) -> int:
+    """Return how many frames a hold takes: one after the other until it is over, at least one."""
+    return max(1, math.ceil(hold_s / frame_period_s - WORTHWHILE))
+
+
+class Kind(StrEnum):
+    """Kinds of activity, in the order a report lists them."""
+
+    HOME = "home"
+    SURFACE = "surface finding"
+    TRAVEL = "travel"
+    PRESS = "press"
+    HOLD = "hold"
+    RELEASE = "release"
+    REST = "rest"
+    FRAMES = "frames"
+    PROMPT = "prompt"
+
+
+class Spent:
+    """Seconds by kind of activity."""
+
+    def __init__(self) -> None:
+        self._seconds = dict.fromkeys(Kind, 0.0)
+
+    def add(self, kind: Kind, seconds: float) -> None:
+        """Add to one kind."""
+        self._seconds[kind] += seconds
+
+    @contextmanager
+    def on(self, kind: Kind, clock: Clock) -> Iterator[None]:
+        """Charge what the clock passes inside to one kind, also where it ends in an error."""
+        start_s = clock.now()
+        try:
+            yield
+        finally:
+            self.add(kind, clock.now() - start_s)
+
+    def table(self) -> tuple[tuple[str, float], ...]:
+        """Return (kind, seconds) of every kind that took time, in report order."""
+        return tuple((str(kind), seconds) for kind, seconds in self._seconds.items() if seconds > 0)
+
+    def total_s(self) -> float:
+        """Return the sum over all kinds [s]."""
+        return sum(self._seconds.values())
+
+
+def describe(step: Step) -> str:
+    """Say what a step does; a step of a type nobody knows is called by its type."""
+    said = f"an unknown step ({type(step).__name__})"
+    match step:
+        case Home():
+            said = "homing"
+        case FindSurface(x_mm=x_mm, y_mm=y_mm):
+            said = f"finding the surface at ({x_mm:g}, {y_mm:g}) mm"
+        case Press(load=load):
+            said = f"pressing {describe_load(load)}"
+        case Ease(strain=strain):
+            said = f"easing to {100 * strain:g} %"
+        case Hold(hold_s=hold_s, acquire=acquire):
+            said = f"holding still for {hold_s:g} s{', taking frames' if acquire else ''}"
+        case Release():
+            said = "releasing"
+        case AcquireFrames(count=count):
+            said = f"taking {count} frames"
+        case MarkUnloaded():
+            said = "calling the sheet rested"
+        case Prompt(text=text):
+            said = f"asking: {text}"
+    return said
+
+
+def describe_load(load: Load) -> str:
+    """Say which load this is."""
+    trial = f", trial {load.trial + 1}" if load.trial else ""
+    return f"{load.label} at ({load.x_mm:g}, {load.y_mm:g}) mm to {100 * load.strain:g} %{trial}"
+
+
+def duration(seconds: float) -> str:
+    """Say a duration as a person would: ``"40 s"``, ``"18 min"``, ``"5.4 h"``."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    if seconds < 5400:
+        return f"{seconds / 60:.0f} min"
+    return f"{seconds / 3600:.1f} h"
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPhase:
+    """One phase with the sequence that makes its steps.
+
+    Parameters
+    ----------
+    name : the recipe's name for it.
+    sequence_name : the plugin's.
+    """
+
+    name: str
+    sequence_name: str
+    sequence: Sequence
+
+    def steps(self, context: SequenceContext) -> Iterator[Step]:
+        """Yield the sequence's steps; PluginError where its code fails."""
+        with contained(f"sequence {self.sequence_name!r} of phase {self.name!r}"):
+            yield from self.sequence.steps(context)
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """Everything the runner and the dry run need to know; nothing in it can move.
+
+    Parameters
+    ----------
+    phases : in order.
+    sensor_type, material, indenter : what is tested, and with which head.
+    motion, safety : how the station moves, and what it allows whatever the recipe asks for.
+    seed : of the run; sequences that draw numbers address them by their own name.
+    """
+
+    phases: tuple[PlannedPhase, ...]
+    sensor_type: SensorType
+    material: Material
+    indenter: Indenter
+    motion: Motion
+    safety: SafetyLimits
+    seed: int
+
+    @property
+    def context(self) -> SequenceContext:
+        """What the sequences may know."""
+        return SequenceContext(self.sensor_type, self.indenter, self.seed)
+
+
+#: A sequence that makes more steps than this is taken to be endless.
+MOST_STEPS: Final = 100_000
+
+#: A load as (phase index, load index within the phase).
+LoadKey = tuple[int, int]
+
+
+@dataclass(frozen=True, slots=True)
+class ScheduledStep:
+    """One step with its place in the run.
+
+    Parameters
+    ----------
+    phase : index of its phase.
+    number : 0-based within the phase.
+    load : index within the phase of the load it presses, eases, holds, releases, rests after; None before the first.
+    """
+
+    phase: int
+    number: int
+    step: Step
+    load: int | None
+
+
+@dataclass(frozen=True, slots=True)
+class ScheduledPhase:
+    """The steps of one phase.
+
+    Parameters
+    ----------
+    role : what the sequence says it is for.
+    loads : how many loads it presses, finished ones included.
+    finished : it ended in an earlier session; only what sets the bench up is left.
+    """
+
+    index: int
+    name: str
+    sequence: str
+    role: Role
+    steps: tuple[ScheduledStep, ...]
+    loads: int
+    finished: bool
+
+
+def schedule(
+    plan: Plan, done: frozenset[LoadKey] = frozenset(), ended: frozenset[int] = frozenset()
+) -> tuple[ScheduledPhase, ...]:
+    """Ask every sequence for its steps.
+
+    Nobody knows where the head is when a run begins, so a run begins with homing whether its first sequence
+    asks for it or not. Loads that are ``done`` are left out with their holds and rests; homing and surface
+    finding are not, because the applicator forgets them with the power. A phase that goes on with a later load
+    begins again with the rest before its first load, and then with the rest before the load that is next, frames
+    included: it is pressed on a sheet that has rested as it was meant to, and its last frames before are fresh.
+
+    Parameters
+    ----------
+    done : loads finished in an earlier session of the same run.
+    ended : phases whose last step was carried out in an earlier session.
+
+    Raises
+    ------
+    RefusedError
+        If there is no phase, or a sequence makes no step or no end of them.
+    PluginError
+        If a sequence's role is none.
+    """
+    if not plan.phases:
+        raise RefusedError("the recipe has no phase", remedy="give it at least one [[phases]] table")
+    return tuple(_scheduled(plan, index, phase, done, index in ended) for index, phase in enumerate(plan.phases))
+
+
+def _scheduled(plan: Plan, index: int, phase: PlannedPhase, done: frozenset[LoadKey], ended: bool) -> ScheduledPhase:
+    steps = tuple(islice(phase.steps(plan.context), MOST_STEPS + 1))
+    if not 0 < len(steps) <= MOST_STEPS:
+        found = "no step" if not steps else f"more than {MOST_STEPS} steps"
+        raise RefusedError(f"sequence {phase.sequence_name!r} of phase {phase.name!r} makes {found}")
+    if index == 0 and not isinstance(steps[0], Home):
+        steps = tuple(chain([Home()], steps))
+    numbered = tuple(_numbered(index, steps))
+    loads = sum(isinstance(step, Press) for step in steps)
+    first_open = next((load for load in range(loads) if (index, load) not in done), loads)
+    if ended:
+        left = tuple(s for s in numbered if isinstance(s.step, Home | FindSurface))
+    elif first_open:
+        left = tuple(_left(numbered, first_open, loads))
+    else:
+        left = numbered
+    return ScheduledPhase(index, phase.name, phase.sequence_name, _role(phase), left, loads, ended)
+
+
+def _role(phase: PlannedPhase) -> Role:
+    role = getattr(phase.sequence, "role", Role.OTHER)
+    if not isinstance(role, Role):
+        raise PluginError(
+            f"sequence {phase.sequence_name!r} of phase {phase.name!r} has role {role!r}, which is no Role",
+            remedy=f"a role is one of {', '.join(f'Role.{known.name}' for known in Role)} (cbsr_qa.domain.plan)",
+        )
+    return role
+
+
+def _numbered(phase: int, steps: tuple[Step, ...]) -> Iterator[ScheduledStep]:
+    pressed = -1
+    inside = False
+    for number, step in enumerate(steps):
+        if isinstance(step, Press):
+            pressed, inside = pressed + 1, True
+        elif not isinstance(step, Ease | Hold | Release | AcquireFrames):
+            inside = False
+        yield ScheduledStep(phase, number, step, pressed if inside else None)
+
+
+def _left(numbered: tuple[ScheduledStep, ...], first_open: int, loads: int) -> Iterator[ScheduledStep]:
+    """Yield what is left of a phase whose first loads are done, at least one of them."""
+    pressed = -1
+    released = False
+    for scheduled in numbered:
+        step = scheduled.step
+        if isinstance(step, Press):
+            pressed, released = pressed + 1, False
+        if isinstance(step, Home | FindSurface) or pressed >= first_open:
+            yield scheduled
+        elif first_open == loads:  # nothing is pressed any more: only what comes after the last load
+            if pressed == loads - 1 and scheduled.load is None:
+                yield scheduled
+        elif pressed == -1:
+            # The sheet rests again; the unloaded frames that belong to the loads that are done are there already.
+            if not isinstance(step, MarkUnloaded | AcquireFrames):
+                yield scheduled
+        elif pressed == first_open - 1 and (released or scheduled.load is None):
+            yield scheduled
+        released = released or isinstance(step, Release)
+
+
+def ends_rest(step: Step) -> bool:
+    """Whether the rest after a load is over when this step begins."""
+    return not isinstance(step, Ease | Hold | AcquireFrames | Release | MarkUnloaded)

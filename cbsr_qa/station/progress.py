@@ -1,0 +1,151 @@
+"""What a person who waits sees of a run: phase, what the head does, how long it will take. Only on stderr."""
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Self, TextIO
+
+from cbsr_qa.domain.run import PhaseStarted, RunEnded, RunEvent, RunStarted, StepRetried, StepStarted
+from cbsr_qa.station.plan import describe, duration
+from cbsr_qa.system import Clock, VirtualClock
+
+if TYPE_CHECKING:
+    from rich.progress import Progress, TaskID
+
+
+class RunProgress:
+    """A subscriber that shows a run; on a terminal as a bar, elsewhere as one line a phase.
+
+    The bar's thread only reads the clock, so that the time left runs down through a rest of four minutes in
+    which no document comes. On a virtual clock a time left would mislead, and a percentage is shown.
+
+    Parameters
+    ----------
+    phases : how many there will be.
+    clock : the station's.
+    stream : where to; by default the process's stderr.
+
+    Use it as a context manager: leaving it takes the bar away, also where the run was refused.
+    """
+
+    def __init__(self, phases: int, clock: Clock, *, stream: TextIO | None = None) -> None:
+        self._phases = phases
+        self._clock = clock
+        self._stream = stream or sys.stderr
+        self._phase: PhaseStarted | None = None
+        self._bar: _Bar | None = None
+        self._announced = False
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._close()
+
+    def __call__(self, event: RunEvent) -> None:
+        """Take one document."""
+        match event:
+            case RunStarted() if self._stream.isatty():
+                self._bar = _Bar(self._clock, self._stream)
+            case PhaseStarted():
+                self._phase, self._announced = event, False
+            case StepStarted():
+                self._step(event)
+            case StepRetried(attempt=attempt, why=why):
+                self._say(f"attempt {attempt} failed, trying again: {why}")
+            case RunEnded():
+                self._close()
+
+    def _step(self, event: StepStarted) -> None:
+        if self._bar is not None:
+            self._bar.show(self._name(), describe(event.step), event.time_s, event.remaining_s)
+        elif not self._announced and self._phase is not None:
+            self._announced = True
+            self._say(f"{self._name()}: {duration(event.remaining_s)} of station time left")
+
+    @contextmanager
+    def paused(self) -> Iterator[None]:
+        """Take the bar away while somebody is asked, and show it again."""
+        bar = self._bar
+        if bar is not None:
+            bar.close()
+        try:
+            yield
+        finally:
+            if bar is not None and self._bar is bar:
+                bar.show_again()
+
+    def _name(self) -> str:
+        if self._phase is None:
+            return "setting up"
+        return f"{self._phase.name} ({self._phase.index + 1} of {self._phases})"
+
+    def _say(self, line: str) -> None:
+        if self._bar is not None:
+            self._bar.say(line)
+        else:
+            print(line, file=self._stream, flush=True)
+
+    def _close(self) -> None:
+        if self._bar is not None:
+            bar, self._bar = self._bar, None
+            with suppress(OSError):  # the terminal may be gone before the run
+                bar.close()
+
+
+class _Bar:
+    """The bar on a terminal; rich is imported only for it."""
+
+    def __init__(self, clock: Clock, stream: TextIO) -> None:
+        self._clock = clock
+        self._total_s: float | None = None
+        self._ends_s = 0.0
+        self._bar, self._task = _rich_bar(stream, self._left)
+        self._bar.start()
+
+    def show(self, phase: str, doing: str, now_s: float, remaining_s: float) -> None:
+        """Show a step that begins."""
+        self._total_s = max(self._total_s or 0.0, remaining_s)
+        self._ends_s = now_s + remaining_s
+        done_s = self._total_s - remaining_s
+        self._bar.update(self._task, total=self._total_s, completed=done_s, phase=phase, doing=doing)
+
+    def say(self, line: str) -> None:
+        """Print a line above the bar."""
+        self._bar.console.print(line, markup=False, highlight=False)
+
+    def show_again(self) -> None:
+        """Put the bar back."""
+        self._bar.start()
+
+    def close(self) -> None:
+        """Take the bar away."""
+        self._bar.stop()
+
+    def _left(self, percentage: float) -> str:
+        if isinstance(self._clock, VirtualClock):
+            return f"{percentage:3.0f} %"
+        left_s = max(self._ends_s - self._clock.now(), 0.0)
+        return f"{duration(left_s)} left"
+
+
+def _rich_bar(stream: TextIO, left: Callable[[float], str]) -> "tuple[Progress, TaskID]":
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, ProgressColumn, Task
+    from rich.text import Text
+
+    class Fields(ProgressColumn):
+        """Phase and what the head does, as plain text: a recipe's names are not markup."""
+
+        def render(self, task: Task) -> Text:
+            return Text.assemble((task.fields["phase"], "bold"), "  ", task.fields["doing"])
+
+    class Left(ProgressColumn):
+        """Time left by the clock, or percent."""
+
+        def render(self, task: Task) -> Text:
+            return Text(left(task.percentage))
+
+    console = Console(file=stream)
+    bar = Progress(BarColumn(bar_width=24), Left(), Fields(), console=console, transient=True)
+    return bar, bar.add_task("run", total=None, phase="setting up", doing="")

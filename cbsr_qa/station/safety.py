@@ -1,0 +1,207 @@
+"""Safety as a state machine: what the bench may do next, and how it comes to rest whatever happens.
+
+Looks after the bench while steps are carried out: samples, limits, and whether everybody is still there.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from enum import StrEnum
+from functools import partial
+from typing import Final, Protocol, TypeVar
+
+from cbsr_qa.domain import InstrumentError, SafetyError
+from cbsr_qa.domain.run import SamplesTaken
+from cbsr_qa.plugin import Sampler
+from cbsr_qa.station.bench import Bench
+from cbsr_qa.station.documents import Documents
+from cbsr_qa.station.limits import Limits
+from cbsr_qa.station.plan import Plan
+from cbsr_qa.system import Clock
+
+
+class State(StrEnum):
+    """States of the bench as the runner knows it."""
+
+    IDLE = "idle"  #: nothing was touched yet
+    CLEARING = "clearing"  #: every instrument is being told to reach its safe state, whatever it was left in
+    ARMED = "armed"  #: the head is up and still; steps may begin
+    MOVING = "moving"  #: the head travels or homes
+    FEELING = "feeling"  #: the head feels for the surface, and touches it
+    PRESSING = "pressing"  #: the head goes down
+    PRESSED = "pressed"  #: the head is down and still
+    EASING = "easing"  #: the head goes to another depth without leaving the sheet
+    RELEASING = "releasing"  #: the head goes up
+    STOPPING = "stopping"  #: every instrument is being told to reach its safe state
+    SAFE = "safe"  #: every instrument said it did
+    UNSAFE = "unsafe"  #: at least one did not: somebody must look
+
+
+#: Which state may follow which. STOPPING may follow every one but the two it ends in.
+TRANSITIONS: Final[dict[State, frozenset[State]]] = {
+    State.IDLE: frozenset({State.CLEARING, State.STOPPING}),
+    State.CLEARING: frozenset({State.ARMED, State.STOPPING}),
+    State.ARMED: frozenset({State.MOVING, State.FEELING, State.PRESSING, State.STOPPING}),
+    State.MOVING: frozenset({State.ARMED, State.STOPPING}),
+    State.FEELING: frozenset({State.ARMED, State.STOPPING}),
+    State.PRESSING: frozenset({State.PRESSED, State.STOPPING}),
+    State.PRESSED: frozenset({State.EASING, State.RELEASING, State.STOPPING}),
+    State.EASING: frozenset({State.PRESSED, State.STOPPING}),
+    State.RELEASING: frozenset({State.ARMED, State.STOPPING}),
+    State.STOPPING: frozenset({State.SAFE, State.UNSAFE}),
+    State.SAFE: frozenset(),
+    State.UNSAFE: frozenset(),
+}
+
+#: States in which the head touches, or may touch, the sheet.
+TOUCHING: Final = frozenset({State.FEELING, State.PRESSING, State.PRESSED, State.EASING, State.RELEASING})
+#: States in which it is in the sheet and stays there.
+DWELLING: Final = frozenset({State.PRESSED, State.EASING})
+
+
+class Interlock:
+    """Holds the state and allows transitions."""
+
+    def __init__(self) -> None:
+        self.state = State.IDLE
+
+    def to(self, state: State) -> None:
+        """Go to a state.
+
+        Raises
+        ------
+        SafetyError
+            With rule ``"order"`` if it may not follow the present one.
+        """
+        if state not in TRANSITIONS[self.state]:
+            raise SafetyError("order", f"the bench is {self.state}; it cannot be {state} next")
+        self.state = state
+
+    @contextmanager
+    def passing(self, through: State, into: State) -> Iterator[None]:
+        """Be in one state while something happens and in the next after it; an error leaves the first."""
+        self.to(through)
+        yield
+        self.to(into)
+
+    @property
+    def touching(self) -> bool:
+        """Whether the head touches, or may touch, the sheet."""
+        return self.state in TOUCHING
+
+    @property
+    def dwelling(self) -> bool:
+        """Whether the head is in the sheet and stays there, still or eased."""
+        return self.state in DWELLING
+
+    def clear(self, bench: Bench) -> None:
+        """Bring the bench to its safe state before anything else: what was killed left the head where it was.
+
+        Raises
+        ------
+        SafetyError
+            With rule ``"safe start"`` if an instrument did not get there; nothing has moved on purpose.
+        """
+        self.to(State.CLEARING)
+        failed = bench.safe_state()
+        if failed:
+            self.to(State.STOPPING)
+            self.to(State.UNSAFE)
+            raise SafetyError(
+                "safe start",
+                f"the bench could not be brought to its safe state before the run: {'; '.join(failed)}",
+                remedy="nothing was moved or stored; look at the bench before touching it",
+            )
+        self.to(State.ARMED)
+
+    def stop(self, bench: Bench) -> tuple[str, ...]:
+        """Bring the whole bench to its safe state; returns who did not get there, in words."""
+        self.state = State.STOPPING  # from anywhere: stopping is never refused
+        failed = bench.safe_state()
+        self.to(State.UNSAFE if failed else State.SAFE)
+        return failed
+
+
+T = TypeVar("T")
+
+#: While nothing else happens, force and duration are looked at this often [s].
+WATCH_S: Final = 5.0
+#: What is due within this time is due [s].
+_SOON_S: Final = 1e-3
+
+
+class Attempt(Protocol):
+    """Asks an instrument, and again where that is harmless."""
+
+    def __call__(self, operation: Callable[[], T], what: str) -> T:
+        """Return what it answers."""
+        ...
+
+
+class Watch:
+    """Takes over what the samplers have, holds the limits, asks who is there.
+
+    Parameters
+    ----------
+    limits : what is held against the samples and the time.
+    attempt : asks an instrument, and again where that is harmless.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        bench: Bench,
+        clock: Clock,
+        documents: Documents,
+        interlock: Interlock,
+        limits: Limits,
+        attempt: Attempt,
+    ) -> None:
+        self._safety = plan.safety
+        self._bench = bench
+        self._clock = clock
+        self._documents = documents
+        self._interlock = interlock
+        self._limits = limits
+        self._attempt = attempt
+        self._drained_s = dict.fromkeys(range(len(bench.samplers)), clock.now())
+        self._alive = bench.alive()
+        self._asked_s = clock.now()
+
+    def look(self, phase: int) -> None:
+        """Look at everything that is due; samples are told as those of this phase.
+
+        Raises
+        ------
+        SafetyError
+            If a limit does not hold, or an instrument has fallen silent (rule ``"heartbeat"``).
+        """
+        for number, sampler in enumerate(self._bench.samplers):
+            self._drain(phase, number, sampler)
+        self._limits.check_time(self._clock.now(), touching=self._interlock.touching, down=self._interlock.dwelling)
+        if self._silent_s() >= self._safety.heartbeat_s - _SOON_S:
+            self._ask_all()
+
+    def next_look_s(self) -> float:
+        """How long may be waited until the next look [s]."""
+        every_s = min(WATCH_S, self._safety.stale_s / 2) if self._interlock.touching else WATCH_S
+        return max(min(every_s, self._safety.heartbeat_s - self._silent_s()), _SOON_S) if self._alive else every_s
+
+    def _silent_s(self) -> float:
+        """How long nobody has been asked [s]."""
+        return self._clock.now() - self._asked_s
+
+    def _drain(self, phase: int, number: int, sampler: Sampler) -> None:
+        who = self._bench.name_of(sampler)
+        block = self._attempt(partial(sampler.samples_since, self._drained_s[number]), f"{who}: its samples")
+        if len(block):
+            self._drained_s[number] = float(block.time_s[-1])
+            self._documents.emit(SamplesTaken(phase, block))
+            self._limits.check_samples(block, who)  # after the journal has it: it is the evidence
+
+    def _ask_all(self) -> None:
+        for instrument in self._alive:
+            try:
+                self._attempt(instrument.alive, f"{self._bench.name_of(instrument)}: whether it is there")
+            except InstrumentError as error:
+                raise SafetyError("heartbeat", error.reason, remedy=error.remedy) from error
+        self._asked_s = self._clock.now()

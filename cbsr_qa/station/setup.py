@@ -1,0 +1,222 @@
+"""From configuration files to a plan, a clock and a bench."""
+
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from cbsr_qa.analysis.recording import read_recording_file
+from cbsr_qa.config import (
+    Configuration,
+    load_material,
+    load_recipe,
+    load_scene,
+    load_sensor_type,
+    load_station,
+    merge,
+)
+from cbsr_qa.domain import ConfigError, PluginError
+from cbsr_qa.domain.plan import InstrumentSpec, PluginChoice
+from cbsr_qa.domain.readings import Recording
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.plugin import Instrument, Kind, Plugins, StationContext, contained, made
+from cbsr_qa.simulate import SimulatedWorld
+from cbsr_qa.simulate.instruments import EmulatedRig, Emulation, WatchedClock
+from cbsr_qa.station.bench import Action, Bench, open_bench
+from cbsr_qa.station.plan import Plan, PlannedPhase
+from cbsr_qa.system import Clock, RealClock, VirtualClock
+
+
+def configure(
+    station: str, recipe: str, *, sensor_type: str | None, material: str | None, seed: int
+) -> Configuration:
+    """Load and merge the files of a run.
+
+    Parameters
+    ----------
+    station, recipe : paths or shipped names.
+    sensor_type, material : instead of the station's own, which are looked for next to its file first.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing or wrong.
+    """
+    at = load_station(station)
+    return merge(
+        at,
+        load_recipe(recipe),
+        load_sensor_type(sensor_type) if sensor_type else load_sensor_type(at.value.sensor_type, near=at.folder),
+        load_material(material) if material else load_material(at.value.material, near=at.folder),
+        seed=seed,
+    )
+
+
+def plan_of(configuration: Configuration, plugins: Plugins) -> Plan:
+    """Put the sequences of a recipe together with the station they run on.
+
+    Raises
+    ------
+    PluginError, ConfigError
+        If a sequence is unknown, or refuses its options.
+    """
+    recipe, station = configuration.recipe, configuration.station
+    phases = tuple(
+        PlannedPhase(
+            phase.name,
+            phase.sequence,
+            made(plugins, Kind.SEQUENCE, PluginChoice(phase.sequence, phase.options), f"phase {phase.name!r}"),
+        )
+        for phase in recipe.phases
+    )
+    return Plan(
+        phases,
+        configuration.sensor_type,
+        configuration.material,
+        station.indenter,
+        station.motion,
+        station.safety,
+        configuration.seed,
+    )
+
+
+def station_clock(configuration: Configuration) -> Clock:
+    """Return the clock the station file asks for; emulated instruments live on one of their own kind."""
+    if configuration.station.emulated_scene is not None:
+        return WatchedClock()
+    return VirtualClock() if configuration.station.clock == "virtual" else RealClock()
+
+
+def open_station(
+    configuration: Configuration,
+    plugins: Plugins,
+    clock: Clock,
+    *,
+    resumed_at_s: float = 0.0,
+    ask: Callable[[str], str] | None = None,
+    emulated: Callable[[Emulation], None] = lambda emulation: None,
+) -> Bench:
+    """Open every instrument of the station; those that are emulated are started first, and end with the bench.
+
+    Parameters
+    ----------
+    resumed_at_s, ask : as in :class:`~cbsr_qa.interfaces.StationContext`.
+    emulated : told the emulation, where there is one: to arm faults, or to look at its world.
+
+    Raises
+    ------
+    InstrumentError
+        If one does not answer.
+    ConfigError
+        If one is not what the station file says, or a real one is put on a virtual clock.
+    """
+    opened, after = opener(configuration, plugins, clock, resumed_at_s=resumed_at_s, ask=ask, emulated=emulated)
+    bench = open_bench(configuration.station.instruments, opened, after=after)
+    try:
+        check_clock(configuration, bench.identities())
+    except BaseException:
+        bench.close()
+        raise
+    return bench
+
+
+def opener(
+    configuration: Configuration,
+    plugins: Plugins,
+    clock: Clock,
+    *,
+    resumed_at_s: float = 0.0,
+    ask: Callable[[str], str] | None = None,
+    emulated: Callable[[Emulation], None] = lambda emulation: None,
+) -> tuple[Callable[[InstrumentSpec], Instrument], tuple[Action, ...]]:
+    """Start what the station emulates; parameters and errors as of :func:`open_station`.
+
+    Returns
+    -------
+    What opens one instrument, and what is called once all of them are closed.
+    """
+    emulation = _emulation(configuration, plugins, clock, resumed_at_s)
+    if emulation is not None:
+        emulated(emulation)
+
+    def opened(spec: InstrumentSpec) -> Instrument:
+        told = spec if emulation is None else emulation.addressed(spec)
+        return _opened(told, configuration, plugins, clock, resumed_at_s, ask)
+
+    return opened, () if emulation is None else (("emulated instruments", emulation.close),)
+
+
+def check_clock(configuration: Configuration, instruments: Iterable[InstrumentIdentity]) -> None:
+    """Make sure that no real instrument is put on a virtual clock; ConfigError where one is."""
+    real = [one.role for one in instruments if not one.simulated]
+    if real and configuration.station.clock == "virtual":
+        raise ConfigError(
+            f"station {configuration.station.name!r} has a virtual clock, but {', '.join(real)} is a real instrument",
+            remedy='set clock = "real" in the station file: real instruments need real time',
+        )
+
+
+def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock, resumed_at_s: float) -> Emulation | None:
+    station = configuration.station
+    if station.emulated_scene is None:
+        return None
+    for spec in station.instruments:
+        plugins.factory(Kind.INSTRUMENT, spec.driver)  # a name that is misspelt is not one without an emulator
+    if station.clock != "virtual" or not isinstance(clock, WatchedClock):
+        raise ConfigError(
+            f"station {station.name!r} emulates instruments on a real clock",
+            remedy='set clock = "virtual": their world moves on by commands, and nobody waits for it',
+        )
+    world = SimulatedWorld(
+        load_scene(station.emulated_scene).value,
+        configuration.sensor_type,
+        configuration.material,
+        station.indenter,
+        seed=configuration.seed,
+        effect_factory=lambda name: plugins.factory(Kind.EFFECT, name),
+        began_s=resumed_at_s,
+    )
+    return Emulation(station.instruments, EmulatedRig(clock, world, station.motion))
+
+
+def _recording(plugins: Plugins, path: Path, format_: str | None, dataset: str | None) -> Recording:
+    return read_recording_file(path, plugins, format_=format_, dataset=dataset)
+
+
+def _opened(
+    spec: InstrumentSpec,
+    configuration: Configuration,
+    plugins: Plugins,
+    clock: Clock,
+    resumed_at_s: float,
+    ask: Callable[[str], str] | None,
+) -> Instrument:
+    options: dict[str, Any] = dict(spec.options)
+    scene: Mapping[str, Any] | None = options.pop("scene", None)
+    context = StationContext(
+        role=spec.role,
+        clock=clock,
+        sensor_type=configuration.sensor_type,
+        material=configuration.material,
+        indenter=configuration.station.indenter,
+        seed=configuration.seed,
+        options=options,
+        motion=configuration.station.motion,
+        scene=None if scene is None else load_scene(scene).value,
+        effect_factory=lambda name: plugins.factory(Kind.EFFECT, name),
+        resumed_at_s=resumed_at_s,
+        safety=configuration.station.safety,
+        ask=ask,
+        read_recording=partial(_recording, plugins),
+    )
+    factory = plugins.factory(Kind.INSTRUMENT, spec.driver)
+    try:
+        with contained(f"instrument {spec.role!r}"):
+            instrument: Instrument = factory(context)
+    except (PluginError, ConfigError) as error:
+        who = f"instrument {spec.role!r}"
+        named, said = f"{who} ({spec.driver})", error.reason
+        if not said.startswith(named):
+            said = f"{named}{said.removeprefix(who)}" if said.startswith(who) else f"{named}: {said}"
+        raise ConfigError(said, remedy=error.remedy) from error
+    return instrument

@@ -1,0 +1,145 @@
+"""Notices that an instrument hangs: a call that never comes back is not waited for with the head down."""
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Final, Self
+
+from cbsr_qa.domain import SafetyError
+from cbsr_qa.plugin import Interruption, contained
+from cbsr_qa.system import RealClock
+
+#: Beyond what its work takes, a call gets this long once the run is to stop in order [s, real time].
+GRACE_S: Final = 10.0
+#: How long the run's own thread may take to react before the bench is made safe without it [s, real time].
+REACTION_S: Final = 0.5
+#: How often the watchdog looks [s, real time].
+LOOK_S: Final = 0.1
+
+
+class BrokenInto(Interruption):
+    """Raised in the run's thread, in the middle of the call that hangs."""
+
+    def __init__(self, error: SafetyError) -> None:
+        super().__init__(error.reason)
+        self.error = error
+
+
+@dataclass(slots=True)
+class _Call:
+    """What is under way: who is asked for what, since when, and how long that takes when all is well."""
+
+    what: str
+    since_s: float
+    work_s: float
+
+
+class Watchdog:
+    """A thread that ends what takes too long. Its time is real on every clock: what hangs does so in real time.
+
+    It watches from when it is entered to :meth:`end`: calls to instruments one by one, and between them whatever else
+    the run does, a journal that waits for its disk or a listener for a terminal that has been stopped.
+
+    Parameters
+    ----------
+    answer_s : how long a call may take beyond twice what its work takes.
+    break_in : raises an error in the run's thread, wherever that hangs.
+    make_safe : what is done where that does not help.
+    tell : told in words when it comes to that.
+    excused : whether somebody is being asked right now: an operator is waited for.
+    """
+
+    def __init__(
+        self,
+        answer_s: float,
+        *,
+        break_in: Callable[[BaseException], None],
+        make_safe: Callable[[], object],
+        tell: Callable[[str], None],
+        excused: Callable[[], bool] = lambda: False,
+    ) -> None:
+        self._answer_s = answer_s
+        self._break_in = break_in
+        self._make_safe = make_safe
+        self._tell = tell
+        self._excused = excused
+        self._clock = RealClock()
+        # One assignment each, so that a signal's handler and two threads need no lock.
+        self._call = self._between()
+        self._late: SafetyError | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._watch, name="watchdog", daemon=True)
+
+    def __enter__(self) -> Self:
+        self._call = self._between()
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.end()
+
+    def end(self) -> None:
+        """Watch no longer: nothing is broken into from here on."""
+        self._ended.set()
+        self._thread.join()
+
+    def hurry(self) -> None:
+        """Give what is under way, and all that follows, little time from now on; a signal's handler may call it."""
+        self._answer_s = min(self._answer_s, GRACE_S)
+        self._call.since_s = self._clock.now()
+
+    @contextmanager
+    def expect(self, what: str, work_s: float = 0.0) -> Iterator[None]:
+        """Watch over a call.
+
+        Parameters
+        ----------
+        what : who is asked for what.
+        work_s : how long that takes when all is well [s].
+
+        Raises
+        ------
+        SafetyError
+            With rule ``"no answer"`` if it was broken into or came back too late, and for every call after that.
+        PluginError
+            For what else it raised, see :func:`~cbsr_qa.plugin.contained`.
+        """
+        self._raise_late()
+        self._call = _Call(what, self._clock.now(), work_s)
+        try:
+            with contained(what):
+                yield
+        except BrokenInto as broken:
+            raise broken.error from None
+        finally:
+            self._call = self._between()
+        self._raise_late()
+
+    def _between(self) -> _Call:
+        return _Call("the journal, or whoever listens,", self._clock.now(), 0.0)
+
+    def _raise_late(self) -> None:
+        if self._late is not None:
+            raise self._late
+
+    def _watch(self) -> None:
+        while not self._ended.wait(LOOK_S):
+            call = self._call
+            if self._excused():
+                call.since_s = self._clock.now()
+            elif self._clock.now() - call.since_s > 2 * call.work_s + self._answer_s:
+                self._end(call)
+                return
+
+    def _end(self, call: _Call) -> None:
+        took_s = self._clock.now() - call.since_s
+        late = self._late = SafetyError(
+            "no answer",
+            f"{call.what} has not come back for {took_s:.3g} s",
+            remedy="look what hangs, and at its cable",
+        )
+        self._break_in(BrokenInto(late))
+        if not self._ended.wait(REACTION_S) and self._call is call:
+            self._tell(f"{late.reason}; the bench is made safe without it")
+            self._make_safe()

@@ -1,0 +1,166 @@
+"""Which sensors of which group were measured on which station, and what such a design can tell apart.
+
+Groups (batches, materials, periods) and stations are the two sides of a graph; every run joins its group to its
+station. Differences between groups, with the stations' taken out, exist within a connected part of the graph and
+nowhere else (Searle 1971, section 7.4): a batch that was seen on one station only, which saw no other batch, cannot
+be told from that station.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.csgraph import connected_components
+
+from cbsr_qa.domain import NumericsError
+
+IntArray = NDArray[np.intp]
+SparseArray: TypeAlias = "sparse.csr_array[np.float64, tuple[int, int]]"
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """Groups and stations that runs connect, each sorted by name."""
+
+    groups: tuple[str, ...]
+    stations: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Crossing:
+    """Design of N runs.
+
+    Parameters
+    ----------
+    groups, stations, sensors : names, sorted; each occurs in at least one run.
+    group, station, sensor : (N,) indices of each run's names.
+    group_parts, station_parts : connected part of each group and station, numbered from 0.
+    """
+
+    groups: tuple[str, ...]
+    stations: tuple[str, ...]
+    sensors: tuple[str, ...]
+    group: IntArray
+    station: IntArray
+    sensor: IntArray
+    group_parts: IntArray
+    station_parts: IntArray
+
+    @property
+    def parts(self) -> tuple[Part, ...]:
+        """The connected parts; differences between two of them cannot be told from their stations'."""
+        return tuple(
+            Part(_of_part(self.groups, self.group_parts, part), _of_part(self.stations, self.station_parts, part))
+            for part in range(int(self.group_parts.max()) + 1)
+        )
+
+    def only(self, runs: NDArray[np.bool_] | IntArray) -> "Crossing":
+        """Return the design of some of the runs, as where a metric is missing in the others."""
+        names = self.groups, self.stations, self.sensors
+        codes = (column[runs] for column in (self.group, self.station, self.sensor))
+        return _crossing([_used(name, code) for name, code in zip(names, codes, strict=True)])
+
+    def first_runs(self) -> IntArray:
+        """Return the index of each sensor's first run."""
+        first: IntArray = np.unique(self.sensor, return_index=True)[1]
+        return first
+
+    def columns(self) -> SparseArray:
+        """Return the (N, p) model matrix: one column a group, one a station but the first of each part.
+
+        Its rank is p: the groups' and stations' columns of one connected part have one dependence, their sums.
+        """
+        runs, width = len(self.group), len(self.groups) + len(self.stations)
+        places = np.concatenate([self.group, len(self.groups) + self.station])
+        rows = np.tile(np.arange(runs), 2)
+        matrix = sparse.coo_array((np.ones(2 * runs), (rows, places)), shape=(runs, width))
+        return matrix.tocsc()[:, np.flatnonzero(self.kept())].tocsr()
+
+    def kept(self) -> NDArray[np.bool_]:
+        """Return which of the groups' and stations' columns are in the model matrix."""
+        firsts = np.unique(self.station_parts, return_index=True)[1]
+        kept = np.ones(len(self.groups) + len(self.stations), dtype=bool)
+        kept[len(self.groups) + firsts] = False
+        return kept
+
+    def same_part(self, first: str, second: str) -> None:
+        """Refuse to compare groups that no stations connect.
+
+        Raises
+        ------
+        NumericsError
+            Naming both parts; or a group that is not in the design.
+        """
+        one, two = (int(self.group_parts[self.index("group", name)]) for name in (first, second))
+        if one != two:
+            parts = self.parts
+            raise NumericsError(
+                f"{first} and {second} cannot be compared: {_listed(parts[one].groups)} ran on "
+                f"{_listed(parts[one].stations)} only and {_listed(parts[two].groups)} on "
+                f"{_listed(parts[two].stations)} only, so that their difference may be the stations'",
+                remedy=f"measure some sensors of both on one station, e.g. of {second} on {parts[one].stations[0]}",
+            )
+
+    def index(self, kind: str, name: str) -> int:
+        """Return the index of a ``"group"`` or ``"station"``; refuse an unknown name."""
+        names = self.groups if kind == "group" else self.stations
+        if name not in names:
+            raise NumericsError(f"{kind} {name!r} has no runs that were used; those of {_listed(names)} were")
+        return names.index(name)
+
+
+def crossing(groups: Sequence[str], stations: Sequence[str], sensors: Sequence[str]) -> Crossing:
+    """Return the design of runs.
+
+    Parameters
+    ----------
+    groups, stations, sensors : (N,) names of each run.
+
+    Raises
+    ------
+    NumericsError
+        No runs, columns of different lengths, or a run without a name.
+    """
+    columns = {"group": groups, "station": stations, "sensor": sensors}
+    lengths = {len(column) for column in columns.values()}
+    if len(lengths) > 1 or not groups:
+        counts = ", ".join(f"{len(column)} {kind}s" for kind, column in columns.items())
+        raise NumericsError(f"design: {counts}; every run needs one of each, and there must be runs")
+    for kind, column in columns.items():
+        if not all(column):
+            run = next(index for index, name in enumerate(column) if not name)
+            raise NumericsError(f"design: the run at index {run} has no {kind}", remedy="leave it out, and say so")
+    return _crossing([_coded(column) for column in columns.values()])
+
+
+def _coded(column: Sequence[str]) -> tuple[tuple[str, ...], IntArray]:
+    names = sorted(set(column))
+    places = {name: index for index, name in enumerate(names)}
+    return tuple(names), np.array([places[name] for name in column], dtype=np.intp)
+
+
+def _used(names: tuple[str, ...], codes: IntArray) -> tuple[tuple[str, ...], IntArray]:
+    used, inverse = np.unique(codes, return_inverse=True)
+    return tuple(names[index] for index in used), inverse.astype(np.intp)
+
+
+def _crossing(coded: Sequence[tuple[tuple[str, ...], IntArray]]) -> Crossing:
+    (groups, group), (stations, station), (sensors, sensor) = coded
+    if not len(group):
+        raise NumericsError("design: no runs are left")
+    nodes = len(groups) + len(stations)
+    edges = sparse.coo_array((np.ones(len(group)), (group, len(groups) + station)), shape=(nodes, nodes))
+    labels = connected_components(edges.tocsr(), directed=False)[1].astype(np.intp)
+    return Crossing(groups, stations, sensors, group, station, sensor, labels[: len(groups)], labels[len(groups) :])
+
+
+def _of_part(names: tuple[str, ...], parts: IntArray, part: int) -> tuple[str, ...]:
+    return tuple(names[index] for index in np.flatnonzero(parts == part))
+
+
+def _listed(names: Sequence[str]) -> str:
+    shown = ", ".join(names[:5])
+    return f"{shown} and {len(names) - 5} more" if len(names) > 5 else shown

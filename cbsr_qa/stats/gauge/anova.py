@@ -1,0 +1,319 @@
+"""Crossed gauge R&R by analysis of variance, all effects random (AIAG MSA 4th edition, chapter III and appendix A).
+
+With p sensors, o stations and r trials the expected mean squares are
+
+    MS_sensor = σ² + r σ²_so + o r σ²_s,    MS_station = σ² + r σ²_so + p r σ²_o,
+    MS_inter = σ² + r σ²_so,                MS_trial = σ²
+
+The interaction is pooled with the trials where its p value is above 0.25. Intervals of variances are modified
+large-sample ones, those of shares and categories come from pivots (:mod:`cbsr_qa.stats.gauge.anova`).
+
+Intervals of sums and differences of mean squares: modified large-sample, and of their ratios by pivots.
+
+For γ = Σ c_q θ_q with independent S_q² ~ θ_q χ²_n/n the limits are γ̂ − √V_L and γ̂ + √V_U, where V_L and V_U are such
+that the interval is exact whenever all but one θ vanish (Graybill & Wang 1980 for sums; Ting, Burdick, Graybill,
+Jeyaratnam & Lu 1990 with differences; Burdick & Graybill 1992, section 3.3). Ratios, for which there is no such form
+in general, take the generalised pivotal quantities n S²/χ²_n (Hamada & Weerahandi 2000).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from math import sqrt
+
+import numpy as np
+from scipy import stats
+
+from cbsr_qa.domain import Array
+from cbsr_qa.stats.gauge.crossed_study import CATEGORY_FACTOR, Study, Variance, Variation, check_tolerance, clipped
+from cbsr_qa.stats.samples import Interval, share
+
+_DRAWS = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class MeanSquare:
+    """S² with n degrees of freedom, counted ``factor`` times; negative ones are subtracted."""
+
+    value: float
+    freedom: int
+    factor: float = 1.0
+
+    @property
+    def term(self) -> float:
+        """Return |c| S²."""
+        return abs(self.factor) * self.value
+
+
+@dataclass(frozen=True, slots=True)
+class _Tails:
+    """Coefficients G, H and their mixed kinds at one tail probability."""
+
+    tail: float
+
+    def g(self, n: int) -> float:
+        return 1 - n / float(stats.chi2.isf(self.tail, n))
+
+    def h(self, n: int) -> float:
+        return n / float(stats.chi2.ppf(self.tail, n)) - 1
+
+    def g_mixed(self, plus: int, minus: int) -> float:
+        f = float(stats.f.isf(self.tail, plus, minus))
+        return ((f - 1) ** 2 - self.g(plus) ** 2 * f**2 - self.h(minus) ** 2) / f
+
+    def h_mixed(self, plus: int, minus: int) -> float:
+        f = float(stats.f.ppf(self.tail, plus, minus))
+        return ((1 - f) ** 2 - self.h(plus) ** 2 * f**2 - self.g(minus) ** 2) / f
+
+    def alike(self, one: int, two: int) -> float:
+        whole = self.g(one + two) ** 2 * (one + two) ** 2 / (one * two)
+        return whole - self.g(one) ** 2 * one / two - self.g(two) ** 2 * two / one
+
+
+def sum_interval(parts: Sequence[MeanSquare], confidence: float) -> Interval:
+    """Return the interval of Σ c_q θ_q, where at least one factor is positive."""
+    tails = _Tails((1 - confidence) / 2)
+    plus = [part for part in parts if part.factor > 0]
+    minus = [part for part in parts if part.factor < 0]
+    value = sum(part.factor * part.value for part in parts)
+    below = sum((tails.g(p.freedom) * p.term) ** 2 for p in plus)
+    below += sum((tails.h(m.freedom) * m.term) ** 2 for m in minus)
+    above = sum((tails.h(p.freedom) * p.term) ** 2 for p in plus)
+    above += sum((tails.g(m.freedom) * m.term) ** 2 for m in minus)
+    below += sum(tails.g_mixed(p.freedom, m.freedom) * p.term * m.term for p in plus for m in minus)
+    above += sum(tails.h_mixed(p.freedom, m.freedom) * p.term * m.term for p in plus for m in minus)
+    if plus and minus:
+        below += _pairs(plus, tails)
+        above += _pairs(minus, tails)
+    return Interval(value - sqrt(max(below, 0.0)), value + sqrt(max(above, 0.0)), confidence)
+
+
+def _pairs(parts: Sequence[MeanSquare], tails: _Tails) -> float:
+    """Cross terms of mean squares of one sign."""
+    total = 0.0
+    for index, one in enumerate(parts):
+        for two in parts[index + 1 :]:
+            total += tails.alike(one.freedom, two.freedom) * one.term * two.term
+    return total / (len(parts) - 1) if len(parts) > 1 else 0.0
+
+
+def pivot_interval(squares: Sequence[MeanSquare], function: Callable[[Array], Array], confidence: float) -> Interval:
+    """Return the interval of a function of the true mean squares.
+
+    Parameters
+    ----------
+    squares : of k sources.
+    function : (k, draws) ndarray of mean squares → (draws,).
+    confidence : share between 0 and 1; draws come from a fixed seed, so that one study has one interval.
+    """
+    random = np.random.default_rng(20000415)
+    drawn = np.array([one.freedom * one.value / random.chisquare(one.freedom, _DRAWS) for one in squares])
+    tail = (1 - confidence) / 2
+    low, high = np.quantile(function(drawn), [tail, 1 - tail])
+    return Interval(float(low), float(high), confidence)
+
+
+#: AIAG's level: an interaction that is less significant is taken for repeatability.
+POOLING_LEVEL = 0.25
+
+
+class Source(StrEnum):
+    """Rows of the table."""
+
+    STATION = "station"
+    SENSOR = "sensor"
+    INTERACTION = "sensor × station"
+    TRIAL = "repeated runs"
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One source: sum of squares, degrees of freedom, mean square, F and its p value (None for the trials)."""
+
+    source: Source
+    squares: float
+    freedom: int
+    mean_square: float
+    statistic: float | None
+    p_value: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class GaugeAnova:
+    """A study by analysis of variance.
+
+    Parameters
+    ----------
+    table : before pooling, F of sensor and station against the interaction.
+    pooled : whether the interaction went into repeatability.
+    variation : components with intervals.
+    station, interaction : the two parts of reproducibility; interaction None where pooled.
+    gauge_share, categories : intervals of the gauge's share of the total variance (0 to 1) and of the uncut number of
+        categories.
+    """
+
+    table: tuple[Row, ...]
+    pooled: bool
+    variation: Variation
+    station: Variance
+    interaction: Variance | None
+    gauge_share: Interval
+    categories: Interval
+
+
+@dataclass(frozen=True, slots=True)
+class _Squares:
+    """Mean squares that components are made of; ``inner`` is the interaction, or the pooled trials."""
+
+    sensor: MeanSquare
+    station: MeanSquare
+    inner: MeanSquare
+    trial: MeanSquare
+    shape: tuple[int, int, int]
+    pooled: bool
+
+    def parts(self, *factors: float) -> list[MeanSquare]:
+        """Sensor, station, inner and trial times their factors; pooled, the last two are one source."""
+        sources = [self.sensor, self.station, self.inner, self.trial]
+        if self.pooled:
+            sources, factors = sources[:3], (*factors[:2], factors[2] + factors[3])
+        pairs = zip(sources, factors, strict=True)
+        return [MeanSquare(source.value, source.freedom, factor) for source, factor in pairs if factor]
+
+
+def gauge_anova(study: Study, *, tolerance: float | None = None, confidence: float = 0.95) -> GaugeAnova:
+    """Return components, shares and intervals of a crossed study.
+
+    Parameters
+    ----------
+    tolerance : width of the metric's limits, in its unit.
+
+    Raises
+    ------
+    NumericsError
+        A tolerance or confidence that is none.
+    """
+    check_tolerance(tolerance)
+    share(confidence, "confidence")
+    table = _table(study)
+    rows = {row.source: row for row in table}
+    pooled = (rows[Source.INTERACTION].p_value or 0.0) > POOLING_LEVEL
+    squares = _squares(rows, study.shape, pooled)
+    p, _, r = study.shape
+    gauge = _component(squares, (0, 1 / (p * r), (p - 1) / (p * r), (r - 1) / r), confidence)
+    station = _component(squares, (0, 1 / (p * r), -1 / (p * r), 0), confidence)
+    interaction = None if pooled else _component(squares, (0, 0, 1 / r, -1 / r), confidence)
+    sources, ratio = squares.parts(1, 1, 1, 1), _GaugeShare(study.shape, pooled)
+    return GaugeAnova(
+        table=table,
+        pooled=pooled,
+        variation=_variation(squares, gauge, station, interaction, tolerance, confidence, study.appraiser),
+        station=station,
+        interaction=interaction,
+        gauge_share=pivot_interval(sources, ratio, confidence),
+        categories=pivot_interval(sources, ratio.categories, confidence),
+    )
+
+
+def _table(study: Study) -> tuple[Row, ...]:
+    values = study.values - study.values.mean()
+    p, o, r = study.shape
+    sensors, stations, cells = values.mean(axis=(1, 2)), values.mean(axis=(0, 2)), values.mean(axis=2)
+    mixed = cells - sensors[:, None] - stations + values.mean()
+    squares = {
+        Source.STATION: (p * r * float(np.sum(stations**2)), o - 1),
+        Source.SENSOR: (o * r * float(np.sum(sensors**2)), p - 1),
+        Source.INTERACTION: (r * float(np.sum(mixed**2)), (p - 1) * (o - 1)),
+        Source.TRIAL: (float(np.sum((values - cells[:, :, None]) ** 2)), p * o * (r - 1)),
+    }
+    inner, trial = (squares[source] for source in (Source.INTERACTION, Source.TRIAL))
+    against = {Source.STATION: inner, Source.SENSOR: inner, Source.INTERACTION: trial, Source.TRIAL: None}
+    return tuple(_row(source, *squares[source], below) for source, below in against.items())
+
+
+def _row(source: Source, squares: float, freedom: int, below: tuple[float, int] | None) -> Row:
+    mean_square = squares / freedom
+    if below is None or below[0] == 0:
+        return Row(source, squares, freedom, mean_square, None, None)
+    statistic = mean_square / (below[0] / below[1])
+    return Row(source, squares, freedom, mean_square, statistic, float(stats.f.sf(statistic, freedom, below[1])))
+
+
+def _squares(rows: dict[Source, Row], shape: tuple[int, int, int], pooled: bool) -> _Squares:
+    sensor, station, inner, trial = (
+        MeanSquare(rows[source].mean_square, rows[source].freedom)
+        for source in (Source.SENSOR, Source.STATION, Source.INTERACTION, Source.TRIAL)
+    )
+    if pooled:
+        freedom = inner.freedom + trial.freedom
+        squares = inner.value * inner.freedom + trial.value * trial.freedom
+        inner = trial = MeanSquare(squares / freedom, freedom)
+    return _Squares(sensor, station, inner, trial, shape, pooled)
+
+
+def _component(squares: _Squares, factors: tuple[float, float, float, float], confidence: float) -> Variance:
+    """Σ factor × mean square of sensor, station, interaction and trials, with its interval."""
+    parts = squares.parts(*factors)
+    return clipped(sum(part.factor * part.value for part in parts), sum_interval(parts, confidence))
+
+
+def _variation(
+    squares: _Squares,
+    gauge: Variance,
+    station: Variance,
+    interaction: Variance | None,
+    tolerance: float | None,
+    confidence: float,
+    appraiser: str,
+) -> Variation:
+    """Add the components up as AIAG does: each is cut at zero first, and totals are sums of what is left."""
+    p, o, r = squares.shape
+    repeatability = _component(squares, (0, 0, 0, 1), confidence)
+    apart = _component(squares, (0, 1 / (p * r), (p - 1) / (p * r), -1 / r), confidence)
+    sensor = _component(squares, (1 / (o * r), 0, -1 / (o * r), 0), confidence)
+    between = station.value + (interaction.value if interaction else 0.0)
+    whole = _component(squares, _total_factors(squares.shape), confidence)
+    both = repeatability.value + between
+    named = {appraiser: station, "sensor": sensor} | ({"interaction": interaction} if interaction else {})
+    notes = tuple(
+        f"the estimate of the {name} variance is {part.estimate:.3g} and was set to zero"
+        for name, part in named.items()
+        if part.estimate < 0
+    )
+    return Variation(
+        repeatability=repeatability,
+        reproducibility=Variance(between, apart.estimate, apart.interval),
+        gauge=Variance(both, gauge.estimate, gauge.interval),
+        sensor=sensor,
+        total=Variance(both + sensor.value, whole.estimate, whole.interval),
+        tolerance=tolerance,
+        notes=notes,
+    )
+
+
+def _total_factors(shape: tuple[int, int, int]) -> tuple[float, float, float, float]:
+    """Total = [p MS_s + o MS_o + (po − p − o) MS_so + po(r − 1) MS_t] / (por)."""
+    p, o, r = shape
+    return 1 / (o * r), 1 / (p * r), (p * o - p - o) / (p * o * r), (r - 1) / r
+
+
+@dataclass(frozen=True, slots=True)
+class _GaugeShare:
+    """The gauge's share of the total variance as a function of mean squares, (3 or 4, draws) → (draws,)."""
+
+    shape: tuple[int, int, int]
+    pooled: bool
+
+    def __call__(self, drawn: Array) -> Array:
+        p, o, r = self.shape
+        sensor, station, inner = drawn[:3]
+        trial = inner if self.pooled else drawn[3]
+        gauge = np.maximum(station - inner, 0) / (p * r) + np.maximum(inner - trial, 0) / r + trial
+        spread = np.maximum(sensor - inner, 0) / (o * r)
+        ratio: Array = gauge / (gauge + spread)
+        return ratio
+
+    def categories(self, drawn: Array) -> Array:
+        """1.41 × √(sensor / gauge variance)."""
+        count: Array = CATEGORY_FACTOR * np.sqrt(1 / self(drawn) - 1)
+        return count

@@ -1,0 +1,349 @@
+"""Crossed gauge R&R by averages and ranges (AIAG MSA 4th edition, chapter III): quick, and without intervals.
+
+    EV = R̄ K₁,  AV² = (X̄_diff K₂)² − EV²/(p r),  PV = R_p K₃;   K₁ = 1/d₂(r),  K₂ = 1/d₂*(o),  K₃ = 1/d₂*(p)
+
+R̄ is the mean range of repeated runs, X̄_diff the range of the stations' means, R_p that of the sensors'. It does not
+see an interaction of sensors and stations.
+
+A crossed gauge study and what comes of it, whichever way it is worked out.
+
+Every sensor (AIAG: part) is measured on every station (appraiser) equally often (trials). Variances add up:
+
+    total = sensor + gauge,   gauge (GRR) = repeatability (EV) + reproducibility (AV)
+
+Sources: AIAG, Measurement Systems Analysis, 4th edition 2010, chapter III; Burdick, Borror & Montgomery 2003.
+
+What is missing of a crossed gauge study, and the largest part of it that is whole.
+
+A crossed study needs every sensor on every station equally often. Stored runs are seldom so: the largest balanced
+part is the choice of sensors, stations and trials with the most runs, each at least two.
+"""
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from math import sqrt
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain import Array, NumericsError, of_kind
+from cbsr_qa.stats.nelson import d2_d3, d2_star
+from cbsr_qa.stats.samples import Interval, constant, sample
+
+#: AIAG counts six deviations for all of a process's or a gauge's variation.
+SIX = 6.0
+#: √2 as AIAG rounds it, so that numbers of categories are theirs.
+CATEGORY_FACTOR = 1.41
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Study:
+    """A balanced crossed study.
+
+    Parameters
+    ----------
+    values : (sensors, stations, trials) ndarray, at least two of each.
+    sensors, stations : names, sorted.
+    appraiser : what the stations are, for messages.
+    """
+
+    values: Array
+    sensors: tuple[str, ...]
+    stations: tuple[str, ...]
+    appraiser: str = "station"
+
+    @property
+    def shape(self) -> tuple[int, int, int]:
+        """Numbers of sensors, stations and trials."""
+        sensors, stations, trials = self.values.shape
+        return sensors, stations, trials
+
+
+@dataclass(frozen=True, slots=True)
+class Variance:
+    """A component of variance, in the square of the values' unit.
+
+    Parameters
+    ----------
+    value : at least 0.
+    estimate : as it came out, which may be negative.
+    interval : at least 0; None where the method has none.
+    """
+
+    value: float
+    estimate: float
+    interval: Interval | None = None
+
+    @property
+    def deviation(self) -> float:
+        """Return its root, in the values' unit."""
+        return sqrt(self.value)
+
+
+@dataclass(frozen=True, slots=True)
+class Variation:
+    """Where the variation of a study comes from.
+
+    Parameters
+    ----------
+    repeatability, reproducibility, gauge, sensor, total : components.
+    tolerance : width of the metric's limits, in its unit; None where it has one limit or none.
+    notes : what was done to the numbers, in sentences.
+    """
+
+    repeatability: Variance
+    reproducibility: Variance
+    gauge: Variance
+    sensor: Variance
+    total: Variance
+    tolerance: float | None
+    notes: tuple[str, ...] = ()
+
+    @property
+    def categories(self) -> int:
+        """Number of distinct categories, 1.41 × sensor / gauge deviation cut to a whole number; at least 1."""
+        return max(int(self.categories_uncut), 1)
+
+    @property
+    def categories_uncut(self) -> float:
+        """1.41 × sensor / gauge deviation."""
+        return CATEGORY_FACTOR * self.sensor.deviation / self.gauge.deviation
+
+    def percent_contribution(self, part: Variance) -> float:
+        """Return a component's share of the total variance."""
+        return 100 * part.value / self.total.value
+
+    def percent_study(self, part: Variance) -> float:
+        """Return a component's deviation over the total one."""
+        return 100 * part.deviation / self.total.deviation
+
+    def percent_tolerance(self, part: Variance) -> float | None:
+        """Return six deviations of a component over the tolerance; None without one."""
+        return None if self.tolerance is None else 100 * SIX * part.deviation / self.tolerance
+
+    def tolerance_interval(self, part: Variance) -> Interval | None:
+        """Return the interval of :meth:`percent_tolerance`; None without a tolerance or an interval."""
+        if self.tolerance is None or part.interval is None:
+            return None
+        low, high = (100 * SIX * sqrt(end) / self.tolerance for end in (part.interval.low, part.interval.high))
+        return Interval(low, high, part.interval.confidence)
+
+
+def study(
+    sensors: Sequence[str], stations: Sequence[str], values: Sequence[float], *, appraiser: str = "station"
+) -> Study:
+    """Arrange runs as a crossed study.
+
+    Parameters
+    ----------
+    sensors, stations : (N,) names of each run.
+    values : (N,); trials of one sensor on one station in their order.
+    appraiser : what the stations are: "station", or "operator" where people are compared.
+
+    Raises
+    ------
+    NumericsError
+        Missing values, a sensor that is not on every station equally often, or fewer than two of anything.
+    """
+    array = sample(values, "gauge study", least=8)
+    if not len(sensors) == len(stations) == len(array):
+        raise NumericsError(f"gauge study: {len(sensors)} sensors, {len(stations)} {appraiser}s, {len(array)} values")
+    rows, columns = sorted(set(sensors)), sorted(set(stations))
+    cells: dict[tuple[str, str], list[float]] = {(row, column): [] for row in rows for column in columns}
+    for sensor, station, value in zip(sensors, stations, array, strict=True):
+        cells[sensor, station].append(float(value))
+    _check_balance(cells, rows, columns, appraiser)
+    table = np.array([[cells[row, column] for column in columns] for row in rows])
+    return Study(table, tuple(rows), tuple(columns), appraiser)
+
+
+def usual_trials(counts: Iterable[int]) -> int:
+    """Return how many runs most cells have (of equally common counts the larger): others have too few or too many.
+
+    Cells without runs do not count: none is what they have too few of, however many they are.
+    """
+    found = Counter(count for count in counts if count)
+    return max(found, key=lambda count: (found[count], count), default=0)
+
+
+def on(appraiser: str) -> str:
+    """Return the word between what was measured and who did: on a station, by an operator."""
+    return "on" if appraiser == "station" else "by"
+
+
+def _check_balance(
+    cells: dict[tuple[str, str], list[float]], rows: list[str], columns: list[str], appraiser: str
+) -> None:
+    trials = usual_trials(map(len, cells.values()))
+    for (sensor, station), found in cells.items():
+        if len(found) != trials:
+            raise NumericsError(
+                f"gauge study: sensor {sensor} has {len(found)} run{'s' * (len(found) != 1)} {on(appraiser)} "
+                f"{of_kind(appraiser, station)}, others have {trials}",
+                remedy=f"a crossed study has every sensor {on(appraiser)} every {appraiser} equally often: add the "
+                "missing runs, or leave that sensor out",
+            )
+    sizes = (("sensor", "", len(rows)), (appraiser, "", len(columns)), ("run", f" a sensor and {appraiser}", trials))
+    for one, of, count in sizes:
+        if count < 2:
+            raise NumericsError(f"gauge study: {count} {one}{'s' * (count != 1)}{of} instead of at least 2")
+    if all(constant(np.array(found)) for found in cells.values()):
+        raise NumericsError(
+            "gauge study: repeated runs do not differ at all, which leaves no repeatability to estimate",
+            remedy="record more digits",
+        )
+
+
+def clipped(estimate: float, interval: Interval | None = None) -> Variance:
+    """Return a component whose estimate, and the interval with it, is cut at zero."""
+    if interval is not None:
+        interval = Interval(max(interval.low, 0.0), max(interval.high, 0.0), interval.confidence)
+    return Variance(max(estimate, 0.0), estimate, interval)
+
+
+def check_tolerance(tolerance: float | None) -> None:
+    """Refuse a tolerance that is no width.
+
+    Raises
+    ------
+    NumericsError
+        It is not positive.
+    """
+    if tolerance is not None and not tolerance > 0:
+        raise NumericsError(f"gauge study: a tolerance of {tolerance:g} is none; allowed are positive widths")
+
+
+#: Stations of which every choice is tried (2¹² of them); of more only the best of each number.
+_MOST_TRIED: Final = 12
+
+
+@dataclass(frozen=True, slots=True)
+class BalancedPart:
+    """A whole crossing.
+
+    Parameters
+    ----------
+    sensors, stations : names, sorted; empty where there is no whole crossing of two by two by two.
+    trials : runs of each sensor on each station.
+    kept : indices of the runs that belong to it, ascending: of each cell the first ones.
+    """
+
+    sensors: tuple[str, ...]
+    stations: tuple[str, ...]
+    trials: int
+    kept: tuple[int, ...]
+
+    def words(self, part: str = "sensors", appraiser: str = "stations") -> str:
+        """Return its size as a reader would say it."""
+        size = f"{len(self.sensors)} {part} × {len(self.stations)} {appraiser} × {self.trials} runs"
+        return f"{size} = {len(self.kept)} runs"
+
+
+def missing_runs(sensors: Sequence[str], stations: Sequence[str], appraiser: str = "station") -> tuple[str, ...]:
+    """Return which runs a balanced study lacks or has too many of, in words; none where it is whole.
+
+    Parameters
+    ----------
+    sensors, stations : (N,) names of each run.
+    appraiser : what the stations are: "station", or "operator" where people are compared.
+    """
+    cells = _cells(sensors, stations)
+    trials = usual_trials(map(len, cells.values()))
+    return tuple(
+        f"{sensor} {on(appraiser)} {station} has "
+        + (f"{len(found)} of {_runs(trials)}" if len(found) < trials else f"{_runs(len(found))} instead of {trials}")
+        for (sensor, station), found in cells.items()
+        if len(found) != trials
+    )
+
+
+def _runs(count: int) -> str:
+    return f"{count} run{'s' * (count != 1)}"
+
+
+def largest_balanced(sensors: Sequence[str], stations: Sequence[str]) -> BalancedPart:
+    """Return the balanced part with the most runs; of equal ones that with more sensors, then more stations.
+
+    Parameters
+    ----------
+    sensors, stations : (N,) names of each run, in the order of trials.
+    """
+    cells = _cells(sensors, stations)
+    rows, columns = sorted(set(sensors)), sorted(set(stations))
+    most = max(map(len, cells.values()), default=0)
+    best, size = BalancedPart((), (), 0, ()), (0, 0, 0)
+    for chosen in _choices(columns, cells):
+        for trials in range(2, most + 1):
+            whole = [row for row in rows if all(len(cells[row, column]) >= trials for column in chosen)]
+            found = (len(whole) * len(chosen) * trials, len(whole), len(chosen))
+            if len(whole) >= 2 and found > size:
+                kept = sorted(index for row in whole for column in chosen for index in cells[row, column][:trials])
+                best, size = BalancedPart(tuple(whole), tuple(chosen), trials, tuple(kept)), found
+    return best
+
+
+def _cells(sensors: Sequence[str], stations: Sequence[str]) -> dict[tuple[str, str], list[int]]:
+    cells: dict[tuple[str, str], list[int]] = {
+        (row, column): [] for row in sorted(set(sensors)) for column in sorted(set(stations))
+    }
+    for index, cell in enumerate(zip(sensors, stations, strict=True)):
+        cells[cell].append(index)
+    return cells
+
+
+def _choices(columns: list[str], cells: dict[tuple[str, str], list[int]]) -> Iterable[tuple[str, ...]]:
+    if len(columns) <= _MOST_TRIED:
+        for count in range(2, len(columns) + 1):
+            yield from combinations(columns, count)
+        return
+    ranked = sorted(
+        columns, key=lambda column: -sum(len(runs) > 1 for (_, of), runs in cells.items() if of == column)
+    )
+    for count in range(2, len(columns) + 1):
+        yield tuple(sorted(ranked[:count]))
+
+
+@dataclass(frozen=True, slots=True)
+class GaugeRange:
+    """A study by averages and ranges: what was averaged, in the values' unit, and the components."""
+
+    mean_range: float
+    station_range: float
+    sensor_range: float
+    variation: Variation
+
+
+def gauge_range(study: Study, *, tolerance: float | None = None) -> GaugeRange:
+    """Return the components of a crossed study.
+
+    Parameters
+    ----------
+    tolerance : width of the metric's limits, in its unit.
+
+    Raises
+    ------
+    NumericsError
+        A tolerance that is none.
+    """
+    check_tolerance(tolerance)
+    p, o, r = study.shape
+    mean_range = float(np.ptp(study.values, axis=2).mean())
+    stations = float(np.ptp(study.values.mean(axis=(0, 2))))
+    sensors = float(np.ptp(study.values.mean(axis=(1, 2))))
+    repeatability = (mean_range / d2_d3(r)[0]) ** 2
+    between = clipped((stations / d2_star(o, 1)) ** 2 - repeatability / (p * r))
+    sensor = (sensors / d2_star(p, 1)) ** 2
+    gauge = repeatability + between.value
+    note = "stations differ no more than repeated runs do: reproducibility was set to zero"
+    variation = Variation(
+        repeatability=clipped(repeatability),
+        reproducibility=between,
+        gauge=clipped(gauge),
+        sensor=clipped(sensor),
+        total=clipped(gauge + sensor),
+        tolerance=tolerance,
+        notes=(note,) if between.estimate < 0 else (),
+    )
+    return GaugeRange(mean_range, stations, sensors, variation)

@@ -1,0 +1,235 @@
+"""A gauge against known values: bias, linearity of the bias over the range, and stability over time.
+
+Source: AIAG MSA 4th edition, chapter III, sections B (guidelines for determining stability, bias and linearity). The
+reference values (of golden sensors) are taken as exact, but for bias and linearity where their uncertainties are
+stated: one of a reference moves all its readings' biases together, so that it does not average out as scatter of
+readings does (:mod:`cbsr_qa.stats.intervals`).
+
+A straight line through points by least squares, with what is known of it anywhere along it.
+
+    y = a + b (x − x̄),  b = Σ(x − x̄)(y − ȳ)/S_xx,  a = ȳ,  s² = Σ(y − ŷ)²/(n − 2)
+
+About x̄, a and b are independent, and a large origin (dates, offsets) costs no digits.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import fsum, hypot, sqrt
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.stats.control_charts import Chart, individuals
+from cbsr_qa.stats.difference import Contrast, checked
+from cbsr_qa.stats.intervals import Referenced
+from cbsr_qa.stats.samples import LEAST_SPREAD, centred, constant, sample, summary
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """A fitted line.
+
+    Parameters
+    ----------
+    count : n, at least 3.
+    centre : x̄.
+    level : a, the line at x̄, in the unit of y.
+    slope : b, per unit of x.
+    residual : s, in the unit of y.
+    squares : S_xx.
+    explained : R².
+    """
+
+    count: int
+    centre: float
+    level: float
+    slope: float
+    residual: float
+    squares: float
+    explained: float
+
+    def at(self, x: float) -> Contrast:
+        """Return the line at ``x`` with the standard error of the mean there."""
+        away = x - self.centre
+        error = self.residual * sqrt(1 / self.count + away**2 / self.squares)
+        return Contrast(self.level + self.slope * away, error, self.count - 2)
+
+    def rise(self) -> Contrast:
+        """Return the slope with its standard error."""
+        return Contrast(self.slope, self.residual / sqrt(self.squares), self.count - 2)
+
+
+def straight_line(x: Iterable[float], y: Iterable[float], what: str = "line") -> Line:
+    """Fit a line.
+
+    Parameters
+    ----------
+    x, y : (n,), n ≥ 3.
+    what : what it is of, for messages.
+
+    Raises
+    ------
+    NumericsError
+        Too few points, all at one x, missing values, or points exactly on a line: they leave no variance.
+    """
+    xs, ys = sample(x, f"{what}, x", least=3), sample(y, f"{what}, y", least=3)
+    if len(xs) != len(ys):
+        raise NumericsError(f"{what}: {len(xs)} values of x for {len(ys)} of y")
+    if constant(xs):
+        raise NumericsError(f"{what}: all {len(xs)} points are at {xs[0]:.6g}, which leaves no slope")
+    (centre, across), (level, along) = centred(xs), centred(ys)
+    squares = fsum(across**2)
+    slope = fsum(across * along) / squares
+    rest = fsum((along - slope * across) ** 2)
+    residual, total = sqrt(rest / (len(xs) - 2)), fsum(along**2)
+    if residual <= LEAST_SPREAD * max(abs(level), sqrt(total)):
+        raise NumericsError(f"{what}: the points lie on a line of slope {slope:.6g}, which leaves no variance")
+    checked(slope, residual / sqrt(squares), len(xs) - 2, what)
+    return Line(len(xs), centre, level, slope, residual, squares, 1 - rest / total)
+
+
+@dataclass(frozen=True, slots=True)
+class Linearity:
+    """How the bias depends on the value measured.
+
+    Parameters
+    ----------
+    line : of bias over reference value, as if references were exact.
+    references : the distinct ones, ascending.
+    known : (readings, value, standard uncertainty) of each reference whose uncertainty was stated.
+    """
+
+    line: Line
+    references: tuple[float, ...]
+    known: tuple[tuple[int, float, float], ...] = ()
+
+    @property
+    def intercept(self) -> Referenced:
+        """Return the bias at a reference value of zero."""
+        return self.at(0.0)
+
+    def rise(self) -> Referenced:
+        """Return the slope of the bias, the references' uncertainties in its standard error."""
+        return self._widened(self.line.rise(), 0.0, 1 / self.line.squares)
+
+    def at(self, reference: float) -> Referenced:
+        """Return the bias at a reference value, the references' uncertainties in its standard error."""
+        line = self.line
+        return self._widened(line.at(reference), 1 / line.count, (reference - line.centre) / line.squares)
+
+    def _widened(self, found: Contrast, level: float, slope: float) -> Referenced:
+        """Add what errors of the references bring, whose readings weigh level + slope (x − x̄) each.
+
+        A reference that is u too high reads (1 + b) u too low, b the slope: the truth is further to the left too.
+        """
+        line = self.line
+        parts = [n * (level + slope * (x - line.centre)) * (1 + line.slope) * u for n, x, u in self.known]
+        return Referenced(found.value, found.standard_error, found.freedom, hypot(*parts))
+
+    def acceptable(self, confidence: float = 0.95) -> bool:
+        """Say whether a bias of zero lies within the confidence band at every reference value."""
+        return all(self.at(reference).interval(confidence).holds(0.0) for reference in self.references)
+
+
+#: Readings below which a chart says nothing: its limits come of the same few, so that it hardly ever signals.
+FEWEST_CHARTED: Final = 8
+
+
+@dataclass(frozen=True, slots=True)
+class Stability:
+    """What one reference did over time.
+
+    Parameters
+    ----------
+    drift : slope of the bias, per day.
+    bias : of all readings.
+    chart : of the bias in order of time; limits from its reference period.
+    """
+
+    drift: Contrast
+    bias: Referenced
+    chart: Chart
+
+    @property
+    def in_control(self) -> bool | None:
+        """Whether the chart gives no signal; None of too few readings for it to say anything."""
+        return None if len(self.chart.points) < FEWEST_CHARTED else self.chart.in_control
+
+
+def bias(readings: Iterable[float], reference: float, what: str = "bias", *, uncertainty: float = 0.0) -> Referenced:
+    """Return mean reading − reference, with s/√n of the readings and what is known of the reference.
+
+    Parameters
+    ----------
+    readings : repeated ones of one reference, at least two.
+    uncertainty : one standard deviation of ``reference``, in its unit.
+
+    Raises
+    ------
+    NumericsError
+        Too few or missing readings, or readings that do not differ.
+    """
+    array = sample(readings, what, least=2, spread=True)
+    found = summary(array, what)
+    scatter = float(found.deviation or 0) / sqrt(len(array))
+    one = checked(found.mean - reference, scatter, len(array) - 1, what)
+    return Referenced(one.value, one.standard_error, one.freedom, uncertainty)
+
+
+def linearity(
+    references: Sequence[float],
+    readings: Sequence[float],
+    what: str = "linearity",
+    *,
+    known: Sequence[tuple[int, float, float]] = (),
+) -> Linearity:
+    """Return how the bias goes with the reference value.
+
+    Parameters
+    ----------
+    references, readings : (n,) of each reading the value of its reference, of two references at least.
+    known : (readings, value, standard uncertainty) of references; those that are not named are taken as exact.
+
+    Raises
+    ------
+    NumericsError
+        One reference only, fewer than three or missing readings, or biases that lie exactly on a line.
+    """
+    values = sample(references, f"{what}, reference values")
+    distinct = tuple(float(value) for value in np.unique(values))
+    if len(distinct) < 2:
+        raise NumericsError(f"{what}: all readings are of one reference", remedy="measure references over the range")
+    biases = sample(readings, what, least=3)
+    if len(values) != len(biases):
+        raise NumericsError(f"{what}: {len(values)} reference values for {len(biases)} readings")
+    return Linearity(straight_line(values, biases - values, what), distinct, tuple(known))
+
+
+def stability(
+    times_day: Sequence[float],
+    readings: Sequence[float],
+    reference: float,
+    *,
+    first: int | None = None,
+    what: str = "stability",
+) -> Stability:
+    """Return drift and control chart of one reference.
+
+    Parameters
+    ----------
+    times_day : (n,) in days from any origin, in any order.
+    readings : (n,), n ≥ 3.
+    first : how many of the earliest readings set the chart's limits; None for all.
+
+    Raises
+    ------
+    NumericsError
+        Too few or missing readings, all at one time, or readings that do not differ.
+    """
+    sample(readings, what, least=3)
+    line = straight_line(times_day, readings, what)
+    order = np.argsort(np.asarray(times_day, dtype=float), kind="stable")
+    ordered = np.asarray(readings, dtype=float)[order]
+    chart = individuals(ordered - reference, reference=first, what=what)
+    return Stability(line.rise(), bias(ordered, reference, what), chart)

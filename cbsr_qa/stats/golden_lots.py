@@ -1,0 +1,314 @@
+"""Limits from a golden lot: what share of good sensors a bound holds, with what confidence.
+
+Sensors are the unit. A run judges every value of a measurement (nine locations, three trials) against one limit and
+fails by the worst, so each run of a sensor counts with its worst value, and a bound is asked to hold the worst value
+of a stated share of good sensors: places that differ and values of one sensor that go together need no model. Runs of
+one sensor are told from sensors by :mod:`~cbsr_qa.stats.components`.
+
+Which distribution a lot may be taken for, and which of its values lie far out.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from math import ceil, exp, floor, log, log10
+
+import numpy as np
+from scipy import stats
+
+from cbsr_qa.domain import Array
+from cbsr_qa.stats.intervals import count_needed, spacings_outside
+from cbsr_qa.stats.variance_components import Components, components, telling_runs
+from cbsr_qa.stats.worst_value import worst_of
+
+#: Modified z-score beyond which a value is named an outlier (Iglewicz & Hoaglin 1993).
+FAR_OUT = 3.5
+_NORMAL_MAD = 0.6745  #: median absolute deviation of a standard normal number
+_MOST_TESTED = 2500  #: the test's p-value is trustworthy up to 5000 values
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Whether values may come from a distribution.
+
+    Parameters
+    ----------
+    p_value : of the Shapiro–Wilk test.
+    refuted : whether it is below the level asked for.
+    """
+
+    p_value: float
+    refuted: bool
+
+
+def fits_worst_of(values: Array, count: int, level: float) -> Fit:
+    """Test whether values may be the largest of ``count`` normal ones each (plain normal ones for 1).
+
+    Parameters
+    ----------
+    values : (n,) ndarray, n ≥ 3, not all equal.
+    level : probability of refuting it where it is true.
+
+    Notes
+    -----
+    Mean and deviation are fitted, the values turned into normal scores of the fitted distribution, and these given
+    to Shapiro and Wilk's test, which does not depend on mean and scale.
+    """
+    standard = (values - values.mean()) / values.std(ddof=1)
+    scores = np.sort(worst_of(count).normal_scores(standard))
+    thinned = scores[:: -(-len(scores) // _MOST_TESTED)]
+    p_value = float(stats.shapiro(thinned).pvalue)
+    return Fit(p_value, p_value < level)
+
+
+def far_out(values: Sequence[float]) -> tuple[int, ...]:
+    """Return the indices of values whose modified z-score 0.6745 |x − median| / MAD exceeds 3.5."""
+    array = np.asarray(values, dtype=float)
+    away = np.abs(array - np.median(array))
+    spread = float(np.median(away))
+    if not spread:
+        return ()
+    return tuple(int(index) for index in np.flatnonzero(_NORMAL_MAD * away / spread > FAR_OUT))
+
+
+#: Fewer sensors have no distribution that could be looked at.
+FEWEST_SENSORS = 3
+#: A normal or log-normal distribution is given up below this p-value: of a recipe's dozen limits on a lot that is
+#: normal, one would be refused in every second lot at 0.05.
+LEVEL = 0.01
+_LARGEST = 1e150
+_LEAST_SPREAD = 1e-12  #: of the mean; less is rounding
+_MOST_DECIMALS = 300
+_LARGEST_LOG = 690.0  #: its exponential is still a number
+
+#: Values of a lot: one sequence per sensor, one number per run.
+Runs = Sequence[Sequence[float]]
+
+
+class Distribution(StrEnum):
+    """What single values are taken for."""
+
+    NORMAL = "normal"
+    LOG_NORMAL = "log-normal"
+    ANY = "any (order statistics)"
+
+
+@dataclass(frozen=True, slots=True)
+class Ask:
+    """What is asked of limits.
+
+    Parameters
+    ----------
+    coverage, confidence : shares between 0 and 1.
+    lower, upper : the bounds wanted; at least one.
+    distribution : taken unless the lot refutes it; None for the widest bound of those it does not refute.
+    """
+
+    coverage: float
+    confidence: float
+    lower: bool
+    upper: bool
+    distribution: Distribution | None = None
+
+    @property
+    def sides(self) -> int:
+        """How many bounds."""
+        return self.lower + self.upper
+
+
+@dataclass(frozen=True, slots=True)
+class Scale:
+    """How values are laid out so that a bound is an upper one of something normal: y = ± x or ± log x."""
+
+    sign: int
+    logarithmic: bool
+
+    def forward(self, x: float) -> float:
+        """Return y of a value."""
+        return self.sign * (log(x) if self.logarithmic else x)
+
+    def inverse(self, y: float) -> float:
+        """Return the value of y."""
+        return exp(min(self.sign * y, _LARGEST_LOG)) if self.logarithmic else self.sign * y
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """One proposed bound and what it rests on.
+
+    Parameters
+    ----------
+    limit : rounded outwards to a hundredth of its distance from the mean.
+    distribution : of single values.
+    independent : the sensors' worst values are taken for the largest of this many independent ones: all a run has, or
+        1 where that is refuted and worst values are themselves normal, as where values of a sensor go together.
+    fits : tests of the distributions that were looked at, in order.
+    narrower : what another distribution that is not refuted either would give.
+    scale : of ``parts``.
+    parts : of the sensors' worst values on that scale.
+    factor : k of mean + k deviation on that scale; None for order statistics.
+    mean, deviation : of the sensors' worst values in their own unit, deviation of a single run.
+    """
+
+    limit: float
+    distribution: Distribution
+    independent: int
+    fits: tuple[tuple[Distribution, Fit], ...]
+    scale: Scale
+    parts: Components
+    factor: float | None
+    mean: float = 0.0
+    deviation: float = 0.0
+    narrower: tuple[tuple[Distribution, float], ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class LotLimits:
+    """Bounds of one measurement from a lot, or why there are none.
+
+    Parameters
+    ----------
+    lower, upper : None where not asked for, or refused.
+    why : the reason of a refusal; empty where there are bounds.
+    far_out : indices of sensors far from the others, on the scale used.
+    """
+
+    lower: Bound | None = None
+    upper: Bound | None = None
+    why: str = ""
+    far_out: tuple[int, ...] = ()
+
+
+def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimits:
+    """Propose bounds for a measurement.
+
+    Parameters
+    ----------
+    smallest, largest : of each run of each sensor: the smallest and the largest of its values.
+    values : how many a run has; 1 where both are the same.
+    ask : bounds, coverage and confidence.
+
+    Notes
+    -----
+    Where fewer than four runs repeat a sensor only first runs count. Two bounds of one value a run are mean ± k s. Of
+    several values they are two one-sided bounds, each with half of what may lie outside and half of the doubt
+    (Bonferroni), which is cautious.
+    """
+    smallest, largest, count = telling_runs(smallest), telling_runs(largest), len(largest)
+    if count < FEWEST_SENSORS:
+        return LotLimits(why=f"{count} sensors are too few: at least {FEWEST_SENSORS} are needed")
+    for runs in ([smallest] if ask.lower else []) + ([largest] if ask.upper else []):
+        if why := _nothing_to_go_by(runs):
+            return LotLimits(why=why)
+    looked_at = _looked_at(smallest, ask.distribution)
+    lower = _bound(smallest, looked_at, values, ask, -1) if ask.lower else None
+    upper = _bound(largest, looked_at, values, ask, +1) if ask.upper else None
+    out = _all_far_out(smallest, largest, (lower, upper))
+    refused = next((side for side in (lower, upper) if isinstance(side, str)), "")
+    if refused:
+        return LotLimits(why=refused, far_out=out)
+    assert not isinstance(lower, str)
+    assert not isinstance(upper, str)
+    return LotLimits(lower, upper, far_out=out)
+
+
+def _nothing_to_go_by(runs: Runs) -> str:
+    """Say why values have no spread that means anything; empty where they have."""
+    largest = max(abs(x) for sensor in runs for x in sensor)
+    if largest > _LARGEST:
+        return f"values beyond {_LARGEST:g} are too large to be squared"
+    if 0 < largest < 1 / _LARGEST:
+        return f"values below {1 / _LARGEST:g} are too small to be squared"
+    parts = components(runs)
+    if parts.between**0.5 <= _LEAST_SPREAD * abs(parts.mean):
+        return f"every sensor has {parts.mean:.6g}: without spread there is nothing to go by"
+    return ""
+
+
+def _bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: Ask, sign: int) -> Bound | str:
+    """Return the widest bound of the distributions that are not refuted, or why there is none."""
+    candidates: list[Bound] = []
+    fits: list[tuple[Distribution, Fit]] = []
+    for distribution in looked_at:
+        scale = Scale(sign, distribution is Distribution.LOG_NORMAL)
+        laid_out = [[scale.forward(x) for x in sensor] for sensor in runs]
+        means = np.array([np.mean(sensor) for sensor in laid_out])
+        for independent in dict.fromkeys((values, 1)):
+            fit = fits_worst_of(means, independent, LEVEL)
+            fits.append((distribution, fit))
+            if not fit.refuted:
+                parts = components(laid_out)
+                factor = _factor(parts, independent, values, ask)
+                limit = scale.inverse(parts.mean + factor * parts.deviation)
+                candidates.append(Bound(limit, distribution, independent, (), scale, parts, factor))
+                break
+    if not candidates:
+        return _ordered(runs, ask, sign, fits)
+    *narrower, widest = sorted(candidates, key=lambda bound: sign * bound.limit)
+    others = tuple((bound.distribution, bound.limit) for bound in narrower)
+    return _rounded(replace(widest, fits=tuple(fits), narrower=others), runs)
+
+
+def _looked_at(smallest: Runs, wanted: Distribution | None) -> tuple[Distribution, ...]:
+    """Return the distributions to try: a quantity that can be negative is not log-normal."""
+    positive = min(min(sensor) for sensor in smallest) > 0
+    both = (Distribution.NORMAL, Distribution.LOG_NORMAL) if positive else (Distribution.NORMAL,)
+    return tuple(one for one in both if wanted in (None, one))
+
+
+def _factor(parts: Components, independent: int, values: int, ask: Ask) -> float:
+    if ask.sides == 1:
+        return parts.bound_factor(ask.coverage, ask.confidence, independent)
+    if values == 1:
+        return parts.interval_factor(ask.coverage, ask.confidence)
+    return parts.bound_factor((1 + ask.coverage) / 2, (1 + ask.confidence) / 2, independent)
+
+
+def _ordered(runs: Runs, ask: Ask, sign: int, fits: list[tuple[Distribution, Fit]]) -> Bound | str:
+    """Return the order statistic that holds the share whatever the distribution; each sensor with its worst run."""
+    worst = sorted(max(sign * x for x in sensor) for sensor in runs)
+    outside = spacings_outside(len(worst), ask.coverage, ask.confidence)
+    if outside < ask.sides:
+        needed = count_needed(ask.coverage, ask.confidence, ask.sides)
+        return f"{_why_ordered(fits)}limits without a distribution need {needed} sensors instead of {len(worst)}"
+    scale, limit = Scale(sign, False), sign * worst[-(outside // ask.sides)]
+    parts = components([[sign * x for x in sensor] for sensor in runs])
+    return _rounded(Bound(limit, Distribution.ANY, 1, tuple(fits), scale, parts, None), runs)
+
+
+def _why_ordered(fits: list[tuple[Distribution, Fit]]) -> str:
+    """Say what was refuted, each distribution with the better of its tests."""
+    best: dict[Distribution, float] = {}
+    for name, fit in fits:
+        best[name] = max(fit.p_value, best.get(name, 0.0))
+    refuted = ", nor ".join(f"{name} (p = {p_value:.2g})" for name, p_value in best.items())
+    return f"the values are not {refuted}, and " if refuted else ""
+
+
+def _rounded(bound: Bound, runs: Runs) -> Bound:
+    raw = components(runs)
+    limit = outward(bound.limit, raw.mean, bound.scale.sign)
+    return replace(bound, limit=limit, mean=raw.mean, deviation=raw.deviation)
+
+
+def outward(limit: float, mean: float, sign: int) -> float:
+    """Round a limit away from the mean, to a hundredth of its distance from it: digits nobody has to wonder about."""
+    distance = abs(limit - mean)
+    if not distance:
+        return limit
+    decimals = min(2 - floor(log10(distance)), _MOST_DECIMALS)
+    step = 10.0**decimals
+    steps = limit * step
+    whole = ceil(steps - 1e-9) if sign > 0 else floor(steps + 1e-9)
+    return round(whole / step, max(decimals, 0))
+
+
+def _all_far_out(smallest: Runs, largest: Runs, bounds: Sequence[Bound | str | None]) -> tuple[int, ...]:
+    found: set[int] = set()
+    for runs, bound in zip((smallest, largest), bounds, strict=True):
+        if bound is None:
+            continue
+        means = [float(np.mean(sensor)) for sensor in runs]
+        log_taken = isinstance(bound, Bound) and bound.scale.logarithmic
+        found |= set(far_out([log(x) for x in means] if log_taken else means))
+    return tuple(sorted(found))

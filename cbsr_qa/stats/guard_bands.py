@@ -1,0 +1,151 @@
+"""Guard bands inside a limit, and the risks that remain with them (JCGM 106:2012, clauses 8.3 and 9).
+
+Consumer's and producer's risk of a limit judged with an uncertain measurement (JCGM 106:2012, clause 9).
+
+The true value η of a sensor has a density g (the lot's), the measured one is normal about it with standard deviation
+u. Behind an upper limit T with acceptance limit A = T − w,
+
+    consumer's risk = ∫_{η > T} P(measured ≤ A | η) g(η) dη     a bad sensor is accepted
+    producer's risk = ∫_{η ≤ T} P(measured > A | η) g(η) dη     a good sensor is rejected
+
+Both are global risks: shares of all sensors of the population that the lot was drawn from.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import exp, sqrt
+
+import numpy as np
+from scipy import special, stats
+
+from cbsr_qa.domain import Array
+from cbsr_qa.stats.golden_lots import Bound, Distribution, Runs
+from cbsr_qa.stats.variance_components import FEWEST_REPEATS, components
+from cbsr_qa.stats.worst_value import worst_of
+
+#: Density of true values: (n,) values → (n,) densities.
+Density = Callable[[Array], Array]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(400)
+_REACH = 8.0  #: standard uncertainties beyond which a measurement misleads nobody
+
+
+@dataclass(frozen=True, slots=True)
+class Risks:
+    """Shares of all sensors, between 0 and 1."""
+
+    consumer: float
+    producer: float
+
+    def __add__(self, other: "Risks") -> "Risks":
+        """Add the risks of the other bound; a sensor that risks both counts twice, so this is a cautious sum."""
+        return Risks(self.consumer + other.consumer, self.producer + other.producer)
+
+
+def risks_of_bound(density: Density, limit: float, guard: float, uncertainty: float) -> Risks:
+    """Return the risks of an upper limit; for a lower one give the mirrored density and limit.
+
+    Parameters
+    ----------
+    density : of the true values.
+    limit : T, in the density's unit.
+    guard : w ≥ 0, width of the guard band inside the limit.
+    uncertainty : u > 0, standard uncertainty of a measurement.
+    """
+    accepted_to = limit - guard
+
+    def accepted(true: Array) -> Array:
+        share: Array = special.ndtr((accepted_to - true) / uncertainty)
+        return share
+
+    bad, bad_weights = _panel(limit, limit + _REACH * uncertainty)
+    good, good_weights = _panel(accepted_to - _REACH * uncertainty, limit)
+    consumer = float(np.sum(bad_weights * accepted(bad) * density(bad)))
+    producer = float(np.sum(good_weights * (1 - accepted(good)) * density(good)))
+    return Risks(consumer, producer)
+
+
+def _panel(low: float, high: float) -> tuple[Array, Array]:
+    half = 0.5 * (high - low)
+    return low + half * (_NODES + 1), half * _WEIGHTS
+
+
+#: An expanded uncertainty covers what ± 2 standard deviations of a normal distribution do.
+EXPANDED_SHARE = 0.9545
+#: Spread of true values, in standard uncertainties, below which the lot says nothing about them.
+_LEAST_SPREAD = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Uncertainty:
+    """How well one run measures.
+
+    Parameters
+    ----------
+    standard : u, one standard deviation in the measurement's unit; above 0.
+    freedom : degrees of freedom; None where it was stated and not found from repeats.
+    source : in words.
+    """
+
+    standard: float
+    freedom: int | None
+    source: str
+
+    @property
+    def coverage_factor(self) -> float:
+        """K of the expanded uncertainty U = K u: 2, or Student's t where u comes from few repeats (GUM, G.4)."""
+        if self.freedom is None:
+            return 2.0
+        return float(stats.t.ppf((1 + EXPANDED_SHARE) / 2, self.freedom))
+
+    @property
+    def expanded(self) -> float:
+        """U, for about 95 %."""
+        return self.coverage_factor * self.standard
+
+
+def repeatability(runs: Runs, source: str) -> Uncertainty | None:
+    """Return how well one run measures, from runs of the same sensors; None where there are too few repeats.
+
+    Parameters
+    ----------
+    runs : one sequence of values per sensor.
+    source : in words.
+    """
+    parts = components(runs)
+    if parts.repeats < FEWEST_REPEATS or not parts.within:
+        return None
+    return Uncertainty(sqrt(parts.within), parts.repeats, source)
+
+
+def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
+    """Return consumer's and producer's risk of one bound; None where the lot cannot tell them.
+
+    Parameters
+    ----------
+    guard : width of the band inside the bound that is not accepted; 0 where marginal passes are accepted.
+
+    Notes
+    -----
+    The density of true worst values has the shape that was fitted, and the variance of the lot without that of the
+    measurement. On a logarithmic scale the uncertainty is taken relative to the geometric mean. None for order
+    statistics (no density), and where the uncertainty explains all of the lot's spread.
+    """
+    if bound.distribution is Distribution.ANY:
+        return None
+    parts, scale = bound.parts, bound.scale
+    u = uncertainty.standard
+    if uncertainty.freedom is not None:
+        u = sqrt(parts.within or 0.0)
+    elif scale.logarithmic:
+        u /= exp(scale.sign * parts.mean)
+    remaining = parts.deviation**2 - u**2
+    inside = bound.limit - scale.sign * guard
+    if not u or remaining < (_LEAST_SPREAD * u) ** 2 or (scale.logarithmic and min(inside, bound.limit) <= 0):
+        return None
+    true, shape, limit = sqrt(remaining), worst_of(bound.independent), scale.forward(bound.limit)
+
+    def density(y: Array) -> Array:
+        return shape.density((y - parts.mean) / true) / true
+
+    return risks_of_bound(density, limit, limit - scale.forward(inside), u)

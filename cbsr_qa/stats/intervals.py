@@ -1,0 +1,290 @@
+"""An estimate against a reference that is not known exactly: scatter is estimated, the reference's share is known.
+
+    half width = √((t(ν) s)² + (z u)²)
+
+s is the standard error of the readings, on ν degrees of freedom, and u what the reference's own standard uncertainty
+adds. Effective degrees of freedom (Welch and Satterthwaite, GUM G.4) would multiply √(s² + u²) by one t of more
+degrees of freedom. Of three readings that shrinks t by more than u adds, so that a stated uncertainty narrowed
+intervals, and they held the truth too seldom (92.5 % instead of 95 %). Here each part has its own factor: what is
+known adds, always. By simulation such intervals hold the truth at least as often as they say, and more often of few
+readings with an uncertainty as large as their scatter (95 % ones of three in up to 97.5 %).
+
+Noncentrality of Student's t from an observed value: what exact intervals of standardised quantities invert.
+
+Tolerance limits: bounds that hold a stated share of a population with a stated confidence.
+
+Sources: NIST/SEMATECH e-Handbook 7.2.6.3 (normal, one-sided by the noncentral t), Krishnamoorthy & Mathew 2009,
+chapters 2 (two-sided, exact) and 8 (order statistics), Wilks 1941. Factors take the number of values behind the mean
+and the degrees of freedom of the standard deviation apart; of a plain sample of n they are n and n − 1.
+
+Prediction intervals: where one further value of the same population lies, with a stated confidence.
+
+Source: Hahn & Meeker, Statistical Intervals (1991), section 4.7: mean ± t s √(1 + 1/n), exact for normal values.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import ceil, exp, hypot, isnan, log, sqrt
+from typing import Final
+
+import numpy as np
+from scipy import optimize, special, stats
+from scipy.optimize import brentq
+
+from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.stats.samples import Interval, share
+
+#: Beyond it the normal part of a noncentral t is nothing beside its χ part (1e-8), and its series no longer converge.
+_LARGE = 1e4
+_TAIL: Final = 1e-16  #: share of χ² beyond each end of the integral
+_NODES: Final = 400
+
+
+def noncentrality(t: float, freedom: float, below: float) -> float:
+    """Return δ for which a noncentral t of these degrees of freedom lies below ``t`` with this probability.
+
+    Parameters
+    ----------
+    t : observed statistic.
+    freedom : ν > 0.
+    below : share between 0 and 1; the larger, the smaller δ.
+
+    Notes
+    -----
+    T = (Z + δ)/√(χ²_ν/ν). For |t| > 10⁴, Z is left out: δ = t √(χ²/ν) at the quantile of χ² that is exceeded with
+    this probability.
+    """
+    if t < 0:
+        return -noncentrality(-t, freedom, 1 - below)  # the mirrored tail keeps its digits
+    if t > _LARGE:
+        return t * sqrt(float(stats.chi2.isf(below, freedom)) / freedom)
+
+    def excess(delta: float) -> float:
+        share = float(special.nctdtr(freedom, delta, t))
+        return (integrated(t, freedom, delta) if isnan(share) else share) - below
+
+    step = 5 + t
+    low, high = t - step, t + step
+    while excess(low) < 0:
+        low -= step
+    while excess(high) > 0:
+        high += step
+    return float(optimize.brentq(excess, low, high, xtol=1e-10, rtol=1e-12))
+
+
+def integrated(t: float, freedom: float, delta: float) -> float:
+    """Return P(T ≤ t) by integrating Φ(t s − δ) over s = √(χ²/ν).
+
+    It is slower than scipy's series, which gives no number for some large ν and |δ|.
+    """
+    ends = np.sqrt(np.array([stats.chi2.ppf(_TAIL, freedom), stats.chi2.isf(_TAIL, freedom)]) / freedom)
+    nodes, weights = _legendre()
+    half = 0.5 * (ends[1] - ends[0])
+    s = ends[0] + half * (1 + nodes)
+    density = 2 * freedom * s * stats.chi2.pdf(freedom * s**2, freedom)
+    return float(np.sum(half * weights * density * special.ndtr(t * s - delta)))
+
+
+@lru_cache(maxsize=1)
+def _legendre() -> tuple[Array, Array]:
+    """Nodes and weights of Gauss and Legendre between −1 and 1, found once."""
+    nodes, weights = special.roots_legendre(_NODES)
+    return nodes, weights
+
+
+_NODES_TOLERANCE, _WEIGHTS = np.polynomial.legendre.leggauss(64)
+_FAR = 8.5  #: standard deviations beyond which a normal density is nothing
+
+
+def one_sided_factor(coverage: float, confidence: float, mean_size: float, freedom: float) -> float:
+    """Return k of the bound mean + k s (or mean − k s) of a normal population; exact.
+
+    Parameters
+    ----------
+    coverage, confidence : shares between 0 and 1.
+    mean_size : the variance of the mean is the population's over this.
+    freedom : degrees of freedom of s.
+    """
+    quantile = float(stats.norm.ppf(coverage))
+    return factor_of_quantile(quantile, confidence, mean_size, freedom)
+
+
+def factor_of_quantile(quantile: float, confidence: float, mean_size: float, freedom: float) -> float:
+    """Return k of a bound beyond ``quantile`` standard deviations from the mean; exact for a normal sample."""
+    root = sqrt(mean_size)
+    return float(stats.nct.ppf(confidence, freedom, quantile * root)) / root
+
+
+@lru_cache(maxsize=64)
+def two_sided_factor(coverage: float, confidence: float, mean_size: float, freedom: float) -> float:
+    """Return k of mean ± k s that holds the middle of a normal population; exact, by quadrature over the mean.
+
+    See :func:`one_sided_factor` for the parameters.
+    """
+
+    def shortfall(k: float) -> float:
+        return _held(k, coverage, mean_size, freedom) - confidence
+
+    start = float(stats.norm.ppf((1 + coverage) / 2))
+    low, high = start * 0.5, start * 2
+    while shortfall(high) < 0:
+        low, high = high, 2 * high
+    return float(optimize.brentq(shortfall, low, high, xtol=1e-9))
+
+
+def _held(k: float, coverage: float, mean_size: float, freedom: float) -> float:
+    """Probability that mean ± k s holds the share: E over the mean's error z/√n of P(χ²_f ≥ f r(z)² / k²)."""
+    z = 0.5 * _FAR * (_NODES_TOLERANCE + 1)
+    radius2 = stats.ncx2.ppf(coverage, 1, z**2 / mean_size)
+    held = stats.chi2.sf(freedom * radius2 / k**2, freedom)
+    return float(_FAR * np.sum(_WEIGHTS * stats.norm.pdf(z) * held))
+
+
+def spacings_outside(count: int, coverage: float, confidence: float) -> int:
+    """Return how many spacings between ordered values may lie outside a distribution-free tolerance interval.
+
+    With r of them the bound is the r-th value from the end; shared between both ends for two bounds. 0 where
+    ``count`` values are too few even for their extremes.
+    """
+    outside = int(stats.binom.ppf(1 - confidence, count, 1 - coverage))
+    while outside and stats.binom.cdf(outside - 1, count, 1 - coverage) > 1 - confidence:
+        outside -= 1
+    while stats.binom.cdf(outside, count, 1 - coverage) <= 1 - confidence:
+        outside += 1
+    return outside
+
+
+def count_needed(coverage: float, confidence: float, sides: int) -> int:
+    """Return how many values make their extremes a tolerance interval whatever the distribution.
+
+    Parameters
+    ----------
+    sides : 1 or 2 bounds.
+    """
+    fewer = ceil(log(1 - confidence) / log(coverage) - 1e-9)
+    if spacings_outside(fewer, coverage, confidence) >= sides:
+        return fewer
+    count = 2 * fewer
+    while spacings_outside(count, coverage, confidence) < sides:
+        fewer, count = count, 2 * count
+    while count - fewer > 1:
+        middle = (count + fewer) // 2
+        enough = spacings_outside(middle, coverage, confidence) >= sides
+        fewer, count = (fewer, middle) if enough else (middle, count)
+    return count
+
+
+#: With fewer a spread of two values stands for everything: no interval is given.
+FEWEST_VALUES = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Prediction:
+    """Where one further value lies.
+
+    Parameters
+    ----------
+    count, mean, deviation : of the values so far; the deviation is of one value, with n − 1.
+    low, high : the interval.
+    """
+
+    count: int
+    mean: float
+    deviation: float
+    low: float
+    high: float
+
+    def holds(self, value: float) -> bool:
+        """Whether a value lies in the interval; both ends do."""
+        return self.low <= value <= self.high
+
+
+def predicted(values: Sequence[float], *, confidence: float) -> Prediction:
+    """Predict one further value of the population that some values are from.
+
+    Parameters
+    ----------
+    values : independent, of one normal population; at least three.
+    confidence : with which the interval holds the further value, between 0 and 1.
+
+    Raises
+    ------
+    NumericsError
+        If there are fewer than three, one is not finite, or the confidence is no share.
+    """
+    given = np.asarray(values, dtype=np.float64)
+    if len(given) < FEWEST_VALUES:
+        raise NumericsError(
+            f"{len(given)} values predict nothing", remedy=f"wait until there are {FEWEST_VALUES} or more"
+        )
+    if not np.isfinite(given).all():
+        raise NumericsError("a value is not a finite number")
+    if not 0 < confidence < 1:
+        raise NumericsError(f"a confidence of {confidence:g} is none", remedy="it lies between 0 and 1")
+    count, mean = len(given), float(given.mean())
+    deviation = float(given.std(ddof=1))
+    reach = float(stats.t.ppf((1 + confidence) / 2, count - 1)) * deviation * float(np.sqrt(1 + 1 / count))
+    return Prediction(count, mean, deviation, mean - reach, mean + reach)
+
+
+#: Tails below it are zero: quantiles of smaller ones are no numbers.
+_LEAST_TAIL = 1e-300
+
+
+@dataclass(frozen=True, slots=True)
+class Referenced:
+    """An estimate with an error that was estimated, and one that is known.
+
+    Parameters
+    ----------
+    value : in the unit of all that follows.
+    scatter : standard error of the readings, above 0.
+    freedom : its degrees of freedom, above 0.
+    known : what references' standard uncertainties add, at least 0; 0 gives Student's t interval.
+    """
+
+    value: float
+    scatter: float
+    freedom: float
+    known: float = 0.0
+
+    @property
+    def standard_error(self) -> float:
+        """Return the standard error of both together."""
+        return hypot(self.scatter, self.known)
+
+    def statistic(self, null: float = 0.0) -> float:
+        """Return how many standard errors the estimate is above ``null``."""
+        return (self.value - null) / self.standard_error
+
+    def interval(self, confidence: float = 0.95) -> Interval:
+        """Return value ± half width; never narrower than without what is known.
+
+        Raises
+        ------
+        NumericsError
+            The confidence is not between 0 and 1.
+        """
+        share(confidence, "confidence")
+        half = self._half((1 - confidence) / 2)
+        return Interval(self.value - half, self.value + half, confidence)
+
+    def p_value(self, null: float = 0.0) -> float:
+        """Return the two-sided p value of ``null``: 1 − the confidence of the interval that just reaches it."""
+        away = abs(self.value - null)
+        # t is wider than z: the p value lies between those of t with the scatter alone and with both errors.
+        low = float(stats.t.sf(away / self.scatter, self.freedom))
+        high = float(stats.t.sf(away / self.standard_error, self.freedom))
+        if self.known == 0 or high - low <= 1e-12 * high:
+            return 2 * high
+        low = max(low / 2, _LEAST_TAIL)
+        if high <= low or self._half(low) <= away:
+            return 0.0
+        tail = brentq(lambda logarithm: self._half(exp(logarithm)) - away, log(low), log(min(2 * high, 0.5)))
+        return 2 * exp(tail)
+
+    def _half(self, tail: float) -> float:
+        """Half width that leaves this much on each side."""
+        estimated = float(stats.t.isf(tail, self.freedom)) * self.scatter
+        return hypot(estimated, float(stats.norm.isf(tail)) * self.known)

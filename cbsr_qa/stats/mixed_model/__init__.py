@@ -1,0 +1,5 @@
+"""Groups compared across stations, with the sensors as a random effect."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,0 +1,1 @@
+from .model import Fit as Fit, fit as fit

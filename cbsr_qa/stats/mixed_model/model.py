@@ -1,0 +1,266 @@
+"""Groups compared across stations with the sensors as a random effect, so that a station is not taken for a batch.
+
+    y = group (fixed) + station (fixed) + sensor (random, σ²θ) + run (σ²)
+
+by restricted maximum likelihood after the sensor effect is eliminated (:mod:`.reml`), intervals
+by Kenward & Roger's covariance and degrees of freedom. The model is additive: a station that treats one batch
+otherwise than another is not in it. Where no sensor has more than one run, sensor and run cannot be told apart, and
+ordinary least squares says the same with exact t intervals.
+"""
+
+from dataclasses import dataclass
+from enum import StrEnum
+from math import log, sqrt
+
+import numpy as np
+from scipy import linalg
+
+from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.stats.crossings import Crossing
+from cbsr_qa.stats.difference import Contrast, checked
+from cbsr_qa.stats.mixed_model.reml import Ratio, SensorSums, SmallSample, sensor_sums, small_sample, variance_ratio
+from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, centred, sample
+from cbsr_qa.stats.variance_components import FEWEST_REPEATS
+
+
+class Model(StrEnum):
+    """What was fitted."""
+
+    MIXED = "mixed: group and station fixed, sensor random"
+    FIXED = "fixed: group and station, one run a sensor"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """A fitted model, in the unit of its values.
+
+    Parameters
+    ----------
+    model : which.
+    design : of the runs it was fitted to.
+    effects : (groups + stations,) of every group, and of every station against the first of its connected part.
+    run_deviation : σ; of sensor and run together where the model is fixed.
+    sensor_deviation : σ√θ; None where the model is fixed.
+    ratio : interval of θ; None where the model is fixed.
+    criterion : minus twice the restricted log likelihood; None where the model is fixed.
+    notes : weaknesses of design and fit, in sentences.
+    covariance : (p, p) ndarray of the columns that :meth:`Crossing.kept` names, in the square of the values' unit.
+    freedom : of σ where the model is fixed, of the sensors' variance where it is mixed.
+    small : what degrees of freedom follow from; None where the model is fixed.
+    """
+
+    model: Model
+    design: Crossing
+    effects: Array
+    run_deviation: float
+    sensor_deviation: float | None
+    ratio: Interval | None
+    criterion: float | None
+    notes: tuple[str, ...]
+    small: SmallSample | None
+    covariance: Array
+    freedom: float
+
+    def group_difference(self, first: str, second: str) -> Contrast:
+        """Return first − second with the stations' differences taken out.
+
+        Raises
+        ------
+        NumericsError
+            An unknown or the same group twice, or two that no stations connect.
+        """
+        self.design.same_part(first, second)
+        weights = self._weights()
+        weights[self.design.index("group", first)] += 1
+        weights[self.design.index("group", second)] -= 1
+        return self._contrast(weights, f"{first} − {second}")
+
+    def station_difference(self, first: str, second: str) -> Contrast:
+        """Return what station ``first`` reads above ``second``, with the groups' differences taken out.
+
+        Raises
+        ------
+        NumericsError
+            An unknown or the same station twice, or two that no groups connect.
+        """
+        places = [self.design.index("station", name) for name in (first, second)]
+        one, two = (int(self.design.station_parts[place]) for place in places)
+        if one != two:
+            raise NumericsError(
+                f"stations {first} and {second} cannot be compared: no group ran on stations that connect them",
+                remedy="measure the same sensors on both",
+            )
+        weights = self._weights()
+        weights[len(self.design.groups) + places[0]] += 1
+        weights[len(self.design.groups) + places[1]] -= 1
+        return self._contrast(weights, f"station {first} − {second}")
+
+    def _weights(self) -> Array:
+        return np.zeros(len(self.effects))
+
+    def _contrast(self, weights: Array, what: str) -> Contrast:
+        inner = weights[self.design.kept()]
+        if not inner.any() and not weights.any():
+            raise NumericsError(f"{what}: there is nothing to compare with itself")
+        freedom = self.small.freedom(inner) if self.small else self.freedom
+        return checked(float(weights @ self.effects), sqrt(float(inner @ self.covariance @ inner)), freedom, what)
+
+
+def fit(design: Crossing, values: Array, what: str = "values") -> Fit:
+    """Fit the model to one metric.
+
+    Parameters
+    ----------
+    design : of N runs.
+    values : (N,) ndarray, one of each run; leave missing ones out with :meth:`Crossing.only`.
+    what : the metric, for messages.
+
+    Raises
+    ------
+    NumericsError
+        Missing values, no variance, or no more sensors than effects to tell.
+    """
+    array = sample(values, what)
+    if len(array) != len(design.group):
+        raise NumericsError(f"{what}: {len(array)} values for {len(design.group)} runs")
+    reduced = _reduce(design, array, what)
+    reason = _inseparable(reduced.sums)
+    if not reason:
+        return _mixed(design, reduced, what)
+    first = design.first_runs()
+    if len(first) < len(array):
+        design, reduced = design.only(first), _reduce(design.only(first), array[first], what)
+    return _fixed(design, reduced, reason, what)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Reduced:
+    """Response as origin + scale (X start + r), and the sums of X and r; the start changes nothing but rounding."""
+
+    sums: SensorSums
+    origin: float
+    scale: float
+    start: Array
+
+    def effects(self, design: Crossing, inner: Array) -> Array:
+        """Return the effects in the response's unit, zeros for the stations that are left out."""
+        every = np.zeros(len(design.groups) + len(design.stations))
+        every[design.kept()] = self.scale * (self.start + inner)
+        every[: len(design.groups)] += self.origin
+        return every
+
+
+def _reduce(design: Crossing, array: Array, what: str) -> _Reduced:
+    origin, away = centred(array)
+    scale = float(np.abs(away).max())
+    if scale <= LEAST_SPREAD * float(np.abs(array).max()):
+        raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}, which leaves no variance")
+    matrix = design.columns()
+    if matrix.shape[0] == matrix.shape[1]:
+        raise _nothing_left(what, len(design.sensors), matrix.shape[1])
+    normal, right = (matrix.T @ matrix).toarray(), np.asarray(matrix.T @ (away / scale), dtype=np.float64)
+    start: Array = linalg.solve(normal, right, assume_a="pos")
+    rest = away / scale - matrix @ start
+    if float(np.abs(rest).max()) * scale <= LEAST_SPREAD * max(float(np.abs(array).max()), scale):
+        raise NumericsError(f"{what}: values do not differ within groups and stations, which leaves no variance")
+    return _Reduced(sensor_sums(matrix, rest, design.sensor), origin, scale, start)
+
+
+def _nothing_left(what: str, sensors: int, effects: int) -> NumericsError:
+    return NumericsError(
+        f"{what}: sensors are {sensors}, which leaves nothing to judge {effects} effects of groups and stations by",
+        remedy="measure more sensors of each group",
+    )
+
+
+def _inseparable(sums: SensorSums) -> str:
+    """Say why sensor and run cannot be told apart; empty where they can."""
+    if sums.runs == sums.total_sensors:
+        return "no sensor has more than one run, so that sensors and runs cannot be told apart"
+    if _repeats(sums) < 1:
+        return "the sensors' repeated runs are used up by the stations' differences: first runs only"
+    left = sums.within_rest()
+    if left <= sums.runs * LEAST_SPREAD**2 or left <= 1e-12 * float(sums.products(0.0)[-1, -1]):
+        return "runs of one sensor do not differ: first runs only"
+    return ""
+
+
+def _mixed(design: Crossing, reduced: _Reduced, what: str) -> Fit:
+    sums = reduced.sums
+    between = sums.total_sensors + sums.within_rank() - sums.columns
+    if between < 1:
+        raise _nothing_left(what, sums.total_sensors, sums.columns)
+    ratio = variance_ratio(sums)
+    small = small_sample(sums, ratio.value)
+    whole = sums.within + sums.products(ratio.value)
+    inner = np.asarray(np.linalg.solve(whole[:-1, :-1], whole[:-1, -1]), dtype=np.float64)
+    deviation = reduced.scale * sqrt(ratio.variance)
+    return Fit(
+        model=Model.MIXED,
+        design=design,
+        effects=reduced.effects(design, inner),
+        run_deviation=deviation,
+        sensor_deviation=deviation * sqrt(ratio.value),
+        ratio=ratio.interval,
+        criterion=ratio.criterion + 2 * (sums.runs - sums.columns) * log(reduced.scale),
+        notes=(*_notes(ratio, _repeats(sums)), *_weaknesses(design)),
+        small=small,
+        covariance=deviation**2 * small.adjusted,
+        freedom=float(between),
+    )
+
+
+def _fixed(design: Crossing, reduced: _Reduced, reason: str, what: str) -> Fit:
+    sums = reduced.sums
+    whole = sums.within + sums.products(0.0)
+    freedom = sums.runs - sums.columns
+    if freedom < 1:
+        raise _nothing_left(what, sums.runs, sums.columns)
+    inverse = np.asarray(np.linalg.inv(whole[:-1, :-1]), dtype=np.float64)
+    variance = float(np.linalg.cholesky(whole)[-1, -1]) ** 2 / freedom * reduced.scale**2
+    return Fit(
+        model=Model.FIXED,
+        design=design,
+        effects=reduced.effects(design, inverse @ whole[:-1, -1]),
+        run_deviation=sqrt(variance),
+        sensor_deviation=None,
+        ratio=None,
+        criterion=None,
+        notes=(reason, *_weaknesses(design)),
+        small=None,
+        covariance=variance * inverse,
+        freedom=float(freedom),
+    )
+
+
+def _repeats(sums: SensorSums) -> int:
+    """Degrees of freedom that runs of one sensor have, the stations' differences taken off."""
+    return sums.runs - sums.total_sensors - sums.within_rank()
+
+
+def _notes(ratio: Ratio, repeats: int) -> tuple[str, ...]:
+    notes = []
+    if repeats < FEWEST_REPEATS:
+        notes.append(f"{repeats} repeated runs tell sensors from runs: how their variances share is hardly known")
+    if not ratio.value:
+        notes.append("sensors differ no more than runs of one sensor do: their variance is estimated as zero")
+    return tuple(notes)
+
+
+def _weaknesses(design: Crossing) -> tuple[str, ...]:
+    """Name what rests on the model more than on the design."""
+    notes = []
+    for part in design.parts if len(design.parts) > 1 else ():
+        notes.append(
+            f"{', '.join(part.groups)} on {', '.join(part.stations)}: not compared with groups on other stations, "
+            "whose difference cannot be told from the stations'"
+        )
+    for index, name in enumerate(design.groups):
+        seen = np.unique(design.station[design.group == index])
+        part = design.parts[int(design.group_parts[index])]
+        if len(seen) == 1 and len(part.stations) > 1:
+            notes.append(
+                f"{name} ran on {design.stations[seen[0]]} only: its differences from groups on other stations rest "
+                "on those that ran on both"
+            )
+    return tuple(notes)

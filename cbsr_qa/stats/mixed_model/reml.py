@@ -1,0 +1,308 @@
+"""Ratio of variances θ = σ²_sensor/σ² by restricted maximum likelihood, with everything else profiled out.
+
+With A = XᵀH⁻¹X, R = rᵀH⁻¹r (r the generalised least-squares residuals) and f = N − p, minus twice the log likelihood
+is
+
+    ℓ(θ) = Σ log(1 + n θ) + log|A| + f (1 + log(2πR/f))             restricted (as lme4's REML criterion)
+    ℓ(θ) = Σ log(1 + n θ)          + N (1 + log(2πR/N))             full
+
+Its derivative is found in closed form, so that θ is a root and has all its digits. The interval holds the θ ≥ 0 for
+which ℓ exceeds its minimum by no more than χ² of one degree of freedom. Sources: Patterson & Thompson 1971;
+Bates et al. 2015 (the profiled criterion); Pinheiro & Bates 2000, section 2.4 (profile intervals).
+
+What a model with a random sensor needs of its data: cross-products within sensors and between their means.
+
+A sensor's n runs have the covariance σ²(I + θ 11ᵀ), whose inverse is I − 11ᵀ/n + (1/(1 + nθ)) 11ᵀ/n over σ². So for
+Z = [X y] and H = V/σ²,
+
+    ZᵀH⁻¹Z = W + Σ_n n h_n B_n,   h_n = 1/(1 + nθ),
+
+with W the cross-products of deviations from the sensors' means and B_n those of the means of sensors with n runs: the
+sensor effect is eliminated, and whatever the number of sensors one evaluation costs a few p × p matrices. Nothing is
+subtracted, so that no digits are lost at any θ.
+
+Small-sample covariance and degrees of freedom of the fixed effects of a model with a random sensor.
+
+With V = σ²(I + θZZᵀ), Φ = (XᵀV⁻¹X)⁻¹, the covariance W of the two variances' estimates (inverse of the expected
+restricted information), P_i = −XᵀV⁻¹V_iV⁻¹X and Q_ij = XᵀV⁻¹V_iV⁻¹V_jV⁻¹X,
+
+    Φ_A = Φ + 2 Φ {Σ_ij W_ij (Q_ij − P_i Φ P_j)} Φ
+
+allows for the variances being estimated. A contrast has Satterthwaite's degrees of freedom (Kenward & Roger 1997,
+sections 2 and 3). Everything is in units of σ², which cancels.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from math import log, pi
+
+import numpy as np
+from scipy import optimize, sparse, stats
+
+from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.stats.crossings import IntArray, SparseArray
+from cbsr_qa.stats.samples import Interval
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensorSums:
+    """Sums over sensors, Z having p columns of X and the response as the last.
+
+    Parameters
+    ----------
+    runs : N.
+    sizes : (m,) distinct numbers n of runs a sensor.
+    sensors : (m,) how many sensors have as many.
+    within : (p + 1, p + 1), W.
+    between : (m, p + 1, p + 1), B_n.
+    """
+
+    runs: int
+    sizes: Array
+    sensors: Array
+    within: Array
+    between: Array
+
+    @property
+    def columns(self) -> int:
+        """Return p."""
+        return len(self.within) - 1
+
+    def products(self, ratio: Array | float, power: int = 1, times: int = 0) -> Array:
+        """Return the between part Σ_n n^(1 + times) h_n^power B_n, without W.
+
+        Parameters
+        ----------
+        ratio : θ, any shape.
+        power : of h.
+        times : how often ZZᵀ, the sensors' covariance, stands in the product.
+
+        Returns
+        -------
+        (…, p + 1, p + 1) ndarray
+        """
+        h = 1 / (1 + np.multiply.outer(np.asarray(ratio, dtype=float), self.sizes))
+        summed: Array = np.tensordot(h**power * self.sizes ** (1 + times), self.between, axes=1)
+        return summed
+
+    def trace(self, ratio: float, power: int, times: int) -> float:
+        """Return Σ_n q_n n^times h_n^power, the between part of a trace of powers of H⁻¹ and ZZᵀ."""
+        h = 1 / (1 + ratio * self.sizes)
+        return float(np.sum(self.sensors * self.sizes**times * h**power))
+
+    @property
+    def total_sensors(self) -> int:
+        """Number of sensors q."""
+        return int(self.sensors.sum())
+
+    def within_rank(self) -> int:
+        """Return how many of the effects in X differ between runs of one sensor."""
+        inner, _ = self._within_sensors()
+        largest = float(np.diagonal(inner).max(initial=0.0))
+        return int(np.linalg.matrix_rank(inner, tol=1e-9 * largest, hermitian=True)) if len(inner) else 0
+
+    def within_rest(self) -> float:
+        """Return the sum of squares that runs of one sensor leave, whatever the effects between them."""
+        inner, right = self._within_sensors()
+        fitted = float(right @ np.linalg.pinv(inner, hermitian=True) @ right) if len(inner) else 0.0
+        return float(self.within[-1, -1]) - fitted
+
+    def _within_sensors(self) -> tuple[Array, Array]:
+        """W of the columns of X that differ within some sensor, with themselves and with y; the others' are zero."""
+        moving = np.flatnonzero(np.diagonal(self.within)[:-1] > 0)
+        return self.within[np.ix_(moving, moving)], self.within[moving, -1]
+
+
+def sensor_sums(matrix: SparseArray, response: Array, sensor: IntArray) -> SensorSums:
+    """Return the sums.
+
+    Parameters
+    ----------
+    matrix : (N, p) sparse array, X: ones and zeros, so that what does not differ within a sensor gives exact zeros.
+    response : (N,) ndarray, y.
+    sensor : (N,) index of each run's sensor, 0 … q − 1 without gaps.
+    """
+    counts = np.bincount(sensor)
+    runs, sensors = len(sensor), len(counts)
+    member = sparse.coo_array((np.ones(runs), (np.arange(runs), sensor)), shape=(runs, sensors)).tocsr()
+    shares = sparse.diags_array(1 / counts)
+    means, mean = (shares @ (member.T @ matrix)).tocsr(), np.bincount(sensor, response) / counts
+    within = _cross((matrix - member @ means).tocsr(), response - mean[sensor])
+    sizes, place = np.unique(counts, return_inverse=True)
+    alike = [np.flatnonzero(place == index) for index in range(len(sizes))]
+    between = np.stack([_cross(means[those], mean[those]) for those in alike])
+    return SensorSums(runs, sizes.astype(float), np.bincount(place).astype(float), within, between)
+
+
+def _cross(matrix: SparseArray, response: Array) -> Array:
+    """[X y]ᵀ[X y] of a sparse X."""
+    right = np.asarray(matrix.T @ response, dtype=np.float64)
+    whole = np.empty((len(right) + 1, len(right) + 1))
+    whole[:-1, :-1] = (matrix.T @ matrix).toarray()
+    whole[-1, :-1] = whole[:-1, -1] = right
+    whole[-1, -1] = response @ response
+    return whole
+
+
+#: θ that are tried before the minimum is refined; the likelihood may have two.
+_GRID = np.concatenate([[0.0], np.logspace(-7, 12, 77)])
+_FARTHEST = 1e14
+_MOST_ELEMENTS = 2_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Ratio:
+    """θ, its profile interval, the criterion there, and σ² of the sums' response."""
+
+    value: float
+    interval: Interval
+    criterion: float
+    variance: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Likelihood:
+    """Profile criterion of θ; see the module."""
+
+    sums: SensorSums
+    restricted: bool = True
+
+    @property
+    def freedom(self) -> int:
+        """Return f: N − p, or N for the full likelihood."""
+        return self.sums.runs - (self.sums.columns if self.restricted else 0)
+
+    def criterion(self, ratio: Array) -> Array:
+        """Return ℓ of θ, (k,) → (k,)."""
+        logs = np.concatenate([self._logs(some) for some in np.array_split(ratio, self._blocks(len(ratio)))])
+        spread = np.log1p(np.multiply.outer(ratio, self.sums.sizes)) @ self.sums.sensors
+        determinant = 2 * logs[:, :-1].sum(axis=1) if self.restricted else 0.0
+        f = self.freedom
+        value: Array = spread + determinant + f * (1 + log(2 * pi / f) + 2 * logs[:, -1])
+        return value
+
+    def _logs(self, ratio: Array) -> Array:
+        """Logarithms of the Cholesky factor's diagonal: of A, and √R last."""
+        factor = np.linalg.cholesky(self.sums.within + self.sums.products(ratio))
+        logs: Array = np.log(np.diagonal(factor, axis1=-2, axis2=-1))
+        return logs
+
+    def _blocks(self, count: int) -> int:
+        """In how many parts so many θ are tried: hundreds of groups would fill the memory at once."""
+        return max(1, min(count, count * self.sums.within.size // _MOST_ELEMENTS))
+
+    def slope(self, ratio: float) -> float:
+        """Return dℓ/dθ = Σ n h − tr(A⁻¹ XᵀH⁻¹ZZᵀH⁻¹X) − f rᵀH⁻¹ZZᵀH⁻¹r / R."""
+        whole = self.sums.within + self.sums.products(ratio)
+        moved = self.sums.products(ratio, 2, 1)
+        effects = np.linalg.solve(whole[:-1, :-1], whole[:-1, -1])
+        turned = np.append(-effects, 1.0)
+        lost = np.linalg.solve(whole[:-1, :-1], moved[:-1, :-1])
+        trace = float(np.trace(lost)) if self.restricted else 0.0
+        squares = float(turned @ whole @ turned)
+        return self.sums.trace(ratio, 1, 1) - trace - self.freedom * float(turned @ moved @ turned) / squares
+
+    def variance(self, ratio: float) -> float:
+        """Return σ² = R/f."""
+        whole = self.sums.within + self.sums.products(ratio)
+        return float(np.linalg.cholesky(whole)[-1, -1]) ** 2 / self.freedom
+
+
+def variance_ratio(sums: SensorSums, *, restricted: bool = True, confidence: float = 0.95) -> Ratio:
+    """Return θ of least criterion, 0 where the likelihood falls from there on.
+
+    Raises
+    ------
+    NumericsError
+        Runs of one sensor differ so little that the ratio has no bound.
+    """
+    likelihood = Likelihood(sums, restricted)
+    values = likelihood.criterion(_GRID)
+    best = int(np.argmin(values))
+    if best == len(_GRID) - 1:
+        raise NumericsError("sensor variance: runs of one sensor hardly differ, and its ratio to theirs has no bound")
+    low, high = float(_GRID[max(best - 1, 0)]), float(_GRID[best + 1])
+    value = _root(likelihood.slope, low, high)
+    least = float(likelihood.criterion(np.array([value]))[0])
+    interval = _interval(likelihood, value, least, confidence)
+    return Ratio(value, interval, least, likelihood.variance(value))
+
+
+def _root(slope: Callable[[float], float], low: float, high: float) -> float:
+    if slope(low) >= 0:  # at low = 0: the likelihood falls from there on
+        return low
+    if slope(high) <= 0:
+        return high
+    return float(optimize.brentq(slope, low, high, xtol=1e-15, rtol=1e-14))
+
+
+def _interval(likelihood: Likelihood, value: float, least: float, confidence: float) -> Interval:
+    allowed = least + float(stats.chi2.ppf(confidence, 1))
+
+    def excess(ratio: float) -> float:
+        return float(likelihood.criterion(np.array([ratio]))[0]) - allowed
+
+    low = 0.0 if value == 0.0 or excess(0.0) <= 0 else float(optimize.brentq(excess, 0.0, value, rtol=1e-10))
+    high = max(2 * value, 0.1)
+    while excess(high) < 0:
+        high *= 4
+        if high > _FARTHEST:
+            raise NumericsError("sensor variance: the likelihood puts no upper bound on it")
+    return Interval(low, float(optimize.brentq(excess, value, high, rtol=1e-10)), confidence)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SmallSample:
+    """Covariances over σ² of p fixed effects, and what their degrees of freedom are worked out from.
+
+    Parameters
+    ----------
+    plain, adjusted : (p, p) ndarrays, Φ/σ² and Φ_A/σ².
+    slopes : (2, p, p) ndarray, P of run and sensor variance.
+    variances : (2, 2) ndarray, W/σ⁴.
+    """
+
+    plain: Array
+    adjusted: Array
+    slopes: Array
+    variances: Array
+
+    def freedom(self, contrast: Array) -> float:
+        """Return the degrees of freedom of one contrast, (p,) → number: 2 / Σ W_ij t_i t_j, t_i = lᵀΦP_iΦl / lᵀΦl."""
+        row = self.plain @ contrast
+        traces = np.array([row @ slope @ row for slope in self.slopes]) / float(contrast @ row)
+        return 2 / float(traces @ self.variances @ traces)
+
+
+def small_sample(sums: SensorSums, ratio: float) -> SmallSample:
+    """Return the covariances at a ratio of variances θ ≥ 0."""
+    inner = sums.within[:-1, :-1]
+
+    def between(power: int, times: int) -> Array:
+        return sums.products(ratio, power, times)[:-1, :-1]
+
+    plain = np.asarray(np.linalg.inv(inner + between(1, 0)), dtype=np.float64)
+    slopes: Array = -np.stack([inner + between(2, 0), between(2, 1)])
+    mixed = between(3, 1)
+    curves: Array = np.array([[inner + between(3, 0), mixed], [mixed, between(3, 2)]])
+    variances = np.asarray(np.linalg.inv(_information(sums, ratio, plain, slopes, curves)), dtype=np.float64)
+    squares = (slopes @ plain)[:, None] @ slopes
+    lost = np.einsum("ij,ijkl->kl", variances, curves - squares)
+    adjusted = plain + 2 * plain @ lost @ plain
+    return SmallSample(plain, 0.5 * (adjusted + adjusted.T), slopes, variances)
+
+
+def _information(sums: SensorSums, ratio: float, plain: Array, slopes: Array, curves: Array) -> Array:
+    """Expected restricted information ½ [tr(V⁻¹V_iV⁻¹V_j) − 2 tr(ΦQ_ij) + tr(ΦP_iΦP_j)] of both variances."""
+    inside = sums.runs - sums.total_sensors
+    traces = np.array(
+        [
+            [inside + sums.trace(ratio, 2, 0), sums.trace(ratio, 2, 1)],
+            [sums.trace(ratio, 2, 1), sums.trace(ratio, 2, 2)],
+        ]
+    )
+    turned = [plain @ slope for slope in slopes]
+    crossed = np.array([[np.sum(one * two.T) for two in turned] for one in turned])
+    fitted = np.einsum("ab,ijba->ij", plain, curves)
+    information: Array = 0.5 * (traces - 2 * fitted + crossed)
+    return information

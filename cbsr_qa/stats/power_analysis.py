@@ -1,0 +1,147 @@
+"""How many sensors are needed: to find a difference, and to show that there is none that matters.
+
+To find it: power of the two-sided two-sample t test, exact by the noncentral t.
+
+    power = P(|T| > t_(1−α/2, ν)),  T noncentral t with ν = n₁ + n₂ − 2 and δ = (Δ/σ) √(n₁n₂/(n₁ + n₂))
+
+To show two groups alike within ± m: power of two one-sided tests where they do not differ, with X = √(χ²_ν/ν)
+the estimated deviation in units of the true one.
+
+    power = P(|Z| < δ − t_(1−α, ν) X) = ∫ (2 Φ(δ − t x) − 1) f_X(x) dx over x < δ/t,  δ = (m/σ) √(n₁n₂/(n₁ + n₂))
+
+Sources: Cohen 1988, chapter 2, with the noncentral t instead of his tables' approximation; Schuirmann 1987 and
+Phillips 1990, the integral by Gauss and Legendre's rule instead of Owen's Q.
+"""
+
+from collections.abc import Callable
+from math import sqrt
+from typing import Final
+
+import numpy as np
+from scipy import special, stats
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.stats.samples import share
+
+_MOST = 10**9  #: sensors a group; more is no plan
+_SURE = 40.0  #: δ beyond which a test of this level cannot miss, and the noncentral t need not be summed
+_ONE_SIDED: Final = 10.0  #: δ beyond which nothing (10⁻²³) is found on the wrong side; scipy's tail there may be NaN
+_TAIL: Final = 1e-14  #: of the estimated deviation's distribution, left out at either end
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(128)
+
+
+def power(size: float, first: int, second: int, *, level: float = 0.05) -> float:
+    """Return the probability of finding a difference.
+
+    Parameters
+    ----------
+    size : Δ/σ, the true difference in deviations.
+    first, second : sensors a group, at least three in all.
+    level : of the two-sided test.
+
+    Raises
+    ------
+    NumericsError
+        Groups that have no test, or a level that is none.
+    """
+    freedom, shift = _test(size, first, second, level)
+    critical = float(stats.t.isf(level / 2, freedom))
+    if shift > critical + _SURE and freedom > 30:
+        return 1.0
+    missed = special.nctdtr(freedom, shift, critical)
+    if shift < _ONE_SIDED:
+        missed -= special.nctdtr(freedom, shift, -critical)
+    return float(min(max(1 - missed, 0.0), 1.0))
+
+
+def power_of_equivalence(margin: float, first: int, second: int, *, level: float = 0.05) -> float:
+    """Return the probability of showing two groups alike within ± ``margin`` that do not differ.
+
+    Parameters
+    ----------
+    margin : m/σ, in deviations.
+    first, second : sensors a group, at least three in all.
+    level : of each of the two one-sided tests.
+
+    Raises
+    ------
+    NumericsError
+        Groups that have no test, or a level that is none.
+    """
+    freedom, shift = _test(max(margin, 0.0), first, second, level)
+    critical = float(stats.t.isf(level, freedom))
+    low, high = (sqrt(end / freedom) for end in (stats.chi2.ppf(_TAIL, freedom), stats.chi2.isf(_TAIL, freedom)))
+    high = min(high, shift / critical)
+    if high <= low:
+        return 0.0
+    at = low + (high - low) * (1 + _NODES) / 2
+    density = 2 * freedom * at * stats.chi2.pdf(freedom * at**2, freedom)
+    shown = 2 * special.ndtr(shift - critical * at) - 1
+    return float(np.clip((high - low) / 2 * np.sum(_WEIGHTS * density * shown), 0.0, 1.0))
+
+
+def sensors_needed(size: float, *, wanted: float = 0.8, level: float = 0.05) -> int:
+    """Return how many sensors each of two equal groups needs to find a difference.
+
+    Parameters
+    ----------
+    size : Δ/σ of the difference that must not be missed; its sign does not matter.
+    wanted : power, above the level.
+    level : of the two-sided test.
+
+    Raises
+    ------
+    NumericsError
+        No difference is asked for, more than 10⁹ sensors would be needed, or a share is none.
+    """
+    _check_wanted(wanted, level)
+    if not abs(size) > 0:
+        raise NumericsError(f"power: no number of sensors finds a difference of {size:g} deviations")
+    return _fewest(lambda count: power(size, count, count, level=level) >= wanted, size)
+
+
+def sensors_to_show_alike(margin: float, *, wanted: float = 0.8, level: float = 0.05) -> int:
+    """Return how many sensors each of two equal groups that do not differ needs to be shown alike within ± margin.
+
+    Parameters
+    ----------
+    margin : m/σ, in deviations.
+    wanted : power, above the level.
+    level : of each of the two one-sided tests.
+
+    Raises
+    ------
+    NumericsError
+        The margin is not a positive number, more than 10⁹ sensors would be needed, or a share is none.
+    """
+    _check_wanted(wanted, level)
+    if not margin > 0:
+        raise NumericsError(f"power: no number of sensors shows two groups alike within {margin:g} deviations")
+    return _fewest(lambda count: power_of_equivalence(margin, count, count, level=level) >= wanted, margin)
+
+
+def _test(size: float, first: int, second: int, level: float) -> tuple[int, float]:
+    """Return degrees of freedom, and δ: the size in standard errors of the groups' difference."""
+    share(level, "level")
+    if min(first, second) < 1 or first + second < 3:
+        raise NumericsError(f"power: groups of {first} and {second} sensors have no t test")
+    return first + second - 2, abs(size) * sqrt(first * second / (first + second))
+
+
+def _check_wanted(wanted: float, level: float) -> None:
+    share(wanted, "power"), share(level, "level")
+    if wanted <= level:
+        raise NumericsError(f"power: {wanted:g} is not above the level {level:g}, which a guess already has")
+
+
+def _fewest(enough: Callable[[int], bool], size: float) -> int:
+    """Return the smallest number of sensors a group, from two on, that is enough; more are enough too."""
+    fewer, count = 1, 2
+    while not enough(count):
+        fewer, count = count, 2 * count
+        if count > _MOST:
+            raise NumericsError(f"power: {size:g} deviations need more than {_MOST:g} sensors a group")
+    while count - fewer > 1:
+        middle = (count + fewer) // 2
+        fewer, count = (fewer, middle) if enough(middle) else (middle, count)
+    return count

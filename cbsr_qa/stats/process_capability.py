@@ -1,0 +1,277 @@
+"""Capability: how a process's spread and place fit between its limits.
+
+With the deviation σ̂ within subgroups (short term, ν = N − k degrees of freedom) and s of all values (ν = N − 1),
+
+    Cp = (U − L)/6σ̂,  Cpk = min(U − x̄, x̄ − L)/3σ̂,  Pp and Ppk the same with s;  one limit: that side's index only.
+
+Intervals, for normal values: Cp exact by χ² (e-Handbook 7.1.6); an index of one limit exact by the noncentral t,
+3√N Ĉ ~ t'_ν(3√N C); Cpk of two limits by Bissell 1990, Ĉ ± z √(1/9N + Ĉ²/2ν). Where subgroups differ, the mean moves
+by more than σ̂/√N, and only the intervals of Pp and Ppk, which take all values for one sample, mean what they say.
+
+Where limits on both sides judge several values of a run, the lower one judges its least value l and the upper one its
+greatest g (:func:`capability_of_extremes`):
+
+    Cpk = min((U − ḡ)/3σ_g, (l̄ − L)/3σ_l),  Cp = (U − L − (ḡ − l̄))/(3σ_g + 3σ_l),
+
+Cp being, as ever, the Cpk of the same process moved to the best place. Their intervals are joint ones (Bonferroni).
+
+Shares of sensors that passed, with intervals.
+
+Source: Wilson 1927 (score interval; its mean coverage is the stated one), as in NIST/SEMATECH e-Handbook 7.2.4.1.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from math import fsum, inf, sqrt
+
+import numpy as np
+from scipy import stats
+
+from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.stats.intervals import noncentrality
+from cbsr_qa.stats.samples import Interval, centred, constant, sample, share
+
+
+@dataclass(frozen=True, slots=True)
+class Index:
+    """A capability index without unit, its interval, and the method of the interval."""
+
+    value: float
+    interval: Interval
+    method: str
+
+
+@dataclass(frozen=True, slots=True)
+class Capability:
+    """Indices of one metric.
+
+    Parameters
+    ----------
+    count : N.
+    mean : of all values.
+    within, overall : σ̂ and s, in the values' unit.
+    cp, pp : None where there is one limit.
+    """
+
+    count: int
+    mean: float
+    within: float
+    overall: float
+    cp: Index | None
+    cpk: Index
+    pp: Index | None
+    ppk: Index
+
+
+@dataclass(frozen=True, slots=True)
+class _Spread:
+    """A deviation, its degrees of freedom, and the number of values behind the mean."""
+
+    deviation: float
+    freedom: int
+    count: int
+
+
+def capability(
+    groups: Sequence[Iterable[float]],
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+    confidence: float = 0.95,
+    what: str = "values",
+) -> Capability:
+    """Return Cp, Cpk, Pp and Ppk of values in subgroups (one subgroup: both pairs are the same).
+
+    Parameters
+    ----------
+    groups : values of each subgroup made under like conditions (batch, day), in the unit of the limits.
+    lower, upper : limits; at least one.
+    what : the metric, for messages.
+
+    Raises
+    ------
+    NumericsError
+        No limit, limits in the wrong order, too few or missing values, or no spread.
+    """
+    _check_limits(lower, upper, what)
+    share(confidence, "confidence")
+    arrays = [sample(values, f"{what}, subgroup {index + 1}") for index, values in enumerate(groups)]
+    every = sample(np.concatenate(arrays) if arrays else (), what, least=2, spread=True)
+    within, overall = _within(arrays, what), _within([every], what)
+    mean, _ = centred(every)
+    limits = mean, lower, upper, confidence
+    return Capability(
+        count=len(every),
+        mean=mean,
+        within=within.deviation,
+        overall=overall.deviation,
+        cp=_both(within, *limits[1:]),
+        cpk=_nearest(within, *limits),
+        pp=_both(overall, *limits[1:]),
+        ppk=_nearest(overall, *limits),
+    )
+
+
+def capability_of_extremes(
+    least: Sequence[Iterable[float]],
+    greatest: Sequence[Iterable[float]],
+    *,
+    lower: float,
+    upper: float,
+    confidence: float = 0.95,
+    what: str = "values",
+) -> Capability:
+    """Return the indices of runs of several values each, all of which two limits judge.
+
+    Parameters
+    ----------
+    least, greatest : values of each subgroup's runs, in the same order, in the unit of the limits.
+    lower, upper, what : see :func:`capability`.
+
+    Returns
+    -------
+    Indices whose intervals hold at least the stated share of samples; mean and deviations are the middle of both
+    sides'.
+
+    Raises
+    ------
+    NumericsError
+        As of :func:`capability`, of either side.
+    """
+    _check_limits(lower, upper, what)
+    share(confidence, "confidence")
+    sides: list[tuple[float, _Spread, _Spread]] = []
+    for groups, which in ((least, "least"), (greatest, "greatest")):
+        arrays = [sample(values, f"{what}, {which} of subgroup {index + 1}") for index, values in enumerate(groups)]
+        every = sample(np.concatenate(arrays) if arrays else (), f"{what}, {which}", least=2, spread=True)
+        sides.append((centred(every)[0], _within(arrays, what), _within([every], what)))
+    (low_mean, *low), (high_mean, *high) = sides
+    apart = np.concatenate([np.asarray(list(group), float) for group in greatest])
+    apart = apart - np.concatenate([np.asarray(list(group), float) for group in least])
+    pairs = list(zip(low, high, strict=True))
+    cp, pp = (_room_of_both(one, two, apart, upper - lower, confidence) for one, two in pairs)
+    cpk, ppk = (_nearer(one, two, low_mean - lower, upper - high_mean, confidence) for one, two in pairs)
+    within, overall = ((one.deviation + two.deviation) / 2 for one, two in pairs)
+    return Capability(len(apart), (low_mean + high_mean) / 2, within, overall, cp, cpk, pp, ppk)
+
+
+def capability_of(
+    mean: float,
+    deviation: float,
+    count: int,
+    *,
+    lower: float | None = None,
+    upper: float | None = None,
+    confidence: float = 0.95,
+) -> tuple[Index | None, Index]:
+    """Return Cp (None for one limit) and Cpk of a mean and a deviation with ``count`` − 1 degrees of freedom."""
+    _check_limits(lower, upper, "values")
+    share(confidence, "confidence")
+    if count < 2 or not deviation > 0:
+        raise NumericsError(f"capability: {count} values with a deviation of {deviation:g} have no index")
+    spread = _Spread(deviation, count - 1, count)
+    return _both(spread, lower, upper, confidence), _nearest(spread, mean, lower, upper, confidence)
+
+
+def _check_limits(lower: float | None, upper: float | None, what: str) -> None:
+    if lower is None and upper is None:
+        raise NumericsError(f"{what}: there is no limit, and so no capability")
+    if not (-inf if lower is None else lower) < (inf if upper is None else upper):
+        raise NumericsError(f"{what}: the lower limit {lower} is not below the upper one {upper}")
+
+
+def _within(arrays: Sequence["np.ndarray[tuple[int, ...], np.dtype[np.float64]]"], what: str) -> _Spread:
+    """Pool the deviation within subgroups, √(ΣΣ(x − x̄_g)²/(N − k))."""
+    count = sum(map(len, arrays))
+    freedom = count - len(arrays)
+    if freedom < 1:
+        raise NumericsError(f"{what}: every subgroup has one value", remedy="give all values as one subgroup")
+    if all(constant(array) for array in arrays):
+        raise NumericsError(f"{what}: values within the subgroups do not differ, which leaves no short-term spread")
+    squares = fsum(square for array in arrays for square in centred(array)[1] ** 2)
+    return _Spread(sqrt(squares / freedom), freedom, count)
+
+
+def _both(spread: _Spread, lower: float | None, upper: float | None, confidence: float) -> Index | None:
+    if lower is None or upper is None:
+        return None
+    value, tail = (upper - lower) / (6 * spread.deviation), (1 - confidence) / 2
+    low, high = (sqrt(float(stats.chi2.ppf(p, spread.freedom)) / spread.freedom) for p in (tail, 1 - tail))
+    return Index(value, Interval(value * low, value * high, confidence), "chi-square, exact for normal values")
+
+
+def _nearest(spread: _Spread, mean: float, lower: float | None, upper: float | None, confidence: float) -> Index:
+    room = [upper - mean] if upper is not None else []
+    room += [mean - lower] if lower is not None else []
+    value = min(room) / (3 * spread.deviation)
+    if len(room) == 1:
+        interval = _exact(value, spread, confidence)
+        return Index(value, interval, "noncentral t, exact for normal values")
+    z = float(stats.norm.isf((1 - confidence) / 2))
+    half = z * sqrt(1 / (9 * spread.count) + value**2 / (2 * spread.freedom))
+    return Index(value, Interval(value - half, value + half, confidence), "Bissell 1990, for normal values")
+
+
+def _nearer(low: _Spread, high: _Spread, below: float, above: float, confidence: float) -> Index:
+    """Return the lesser of both sides' indices; both intervals hold at once, and so does the lesser of their ends."""
+    each = 1 - (1 - confidence) / 2
+    values = [below / (3 * low.deviation), above / (3 * high.deviation)]
+    ends = [_exact(value, spread, each) for value, spread in zip(values, (low, high), strict=True)]
+    interval = Interval(min(one.low for one in ends), min(one.high for one in ends), confidence)
+    return Index(min(values), interval, "noncentral t of both sides, Bonferroni, for normal values")
+
+
+def _room_of_both(low: _Spread, high: _Spread, apart: Array, width: float, confidence: float) -> Index:
+    """Return Cp of both sides, with the interval that follows from those of three: both deviations, and ḡ − l̄."""
+    tail = (1 - confidence) / 6
+    error = float(apart.std(ddof=1)) / sqrt(len(apart))
+    half = float(stats.t.isf(tail, len(apart) - 1)) * error
+    room = width - float(apart.mean())
+    wide, narrow = (
+        sum(3 * side.deviation * sqrt(side.freedom / float(stats.chi2.ppf(p, side.freedom))) for side in (low, high))
+        for p in (tail, 1 - tail)
+    )
+    ratios = [end / across for end in (room - half, room + half) for across in (wide, narrow)]
+    value = room / (3 * (low.deviation + high.deviation))
+    return Index(value, Interval(min(ratios), max(ratios), confidence), "χ² of both sides and t, Bonferroni")
+
+
+def _exact(value: float, spread: _Spread, confidence: float) -> Interval:
+    scale, tail = 3 * sqrt(spread.count), (1 - confidence) / 2
+    ends = [noncentrality(scale * value, spread.freedom, p) / scale for p in (1 - tail, tail)]
+    return Interval(ends[0], ends[1], confidence)
+
+
+@dataclass(frozen=True, slots=True)
+class Yield:
+    """A share, between 0 and 1, of a number of sensors."""
+
+    passed: int
+    count: int
+    value: float
+    wilson: Interval
+
+
+def passed_share(passed: int, count: int, *, confidence: float = 0.95) -> Yield:
+    """Return the share that passed.
+
+    Raises
+    ------
+    NumericsError
+        Nothing was counted, or more passed than were counted.
+    """
+    share(confidence, "confidence")
+    if count < 1 or not 0 <= passed <= count:
+        raise NumericsError(f"yield: {passed} of {count} is no share", remedy="count at least one sensor")
+    value = passed / count
+    return Yield(passed, count, value, _wilson(passed, count, confidence))
+
+
+def _wilson(passed: int, count: int, confidence: float) -> Interval:
+    """(p̂ + z²/2n ± z √(p̂q̂/n + z²/4n²)) / (1 + z²/n)."""
+    z, value = float(stats.norm.isf((1 - confidence) / 2)), passed / count
+    centre = value + z**2 / (2 * count)
+    half = z * sqrt(value * (1 - value) / count + z**2 / (4 * count**2))
+    below = 0.0 if passed == 0 else (centre - half) / (1 + z**2 / count)
+    above = 1.0 if passed == count else (centre + half) / (1 + z**2 / count)
+    return Interval(below, above, confidence)

@@ -1,0 +1,156 @@
+"""The check of a stored run: every row that a reader uses is the one that was stored, or is refused by name."""
+
+import hashlib
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any, Final
+
+from sqlalchemy import Boolean, Connection, Integer, Row, Table, select, type_coerce
+from sqlalchemy.orm import aliased
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.run import ChainState
+from cbsr_qa.store.chain.links import SigningKey, key_id_of, link_digest, signing_key
+from cbsr_qa.store.chain.run_documents import (
+    FIGURES,
+    KEYS,
+    PHASE_END,
+    covered,
+    documents,
+    phase_end,
+    shown,
+    stored_figures,
+    tables,
+)
+from cbsr_qa.store.tables import AnalysisRow, CalibrationRow, LinkRow, PhaseRow, RunRow
+
+#: What is read of a run to say what came of it, and to say what it was.
+RESULTS: Final = frozenset(
+    {"runs", FIGURES, *(name for name, key in KEYS.items() if key in (("analysis",), ("calibration",)))}
+)
+IDENTITY: Final = frozenset({"runs", "instruments"})
+ALL_KINDS: Final = frozenset({*KEYS, PHASE_END, FIGURES})
+_REMEDY: Final = "restore the database from a copy; nothing is concluded from this run as it is"
+
+
+def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> ChainState:
+    """Check a stored run: its configuration, the links of its chain, and the rows under it.
+
+    Frames and samples are checked against the digests in their rows where they are read (see blocks.py).
+
+    Parameters
+    ----------
+    kinds : of the documents to check, for who reads no others; none for all, with the chain from end to end.
+
+    Returns
+    -------
+    State of the chain; unchained where the run states none, which may have been removed.
+
+    Raises
+    ------
+    StoreError
+        If there is no such run, or something of it is not what was stored: the message names table and row.
+    """
+    row = connection.execute(
+        select(RunRow.chain, RunRow.configuration, RunRow.configuration_digest).where(RunRow.run == run)
+    ).one_or_none()
+    if row is None:
+        raise StoreError(f"there is no run {run[:64]!r} in this database")
+    if hashlib.sha256(row.configuration.encode()).hexdigest() != row.configuration_digest:
+        raise _broken(run, "its configuration is not the one it was begun with: the digest in its row does not fit")
+    links = _links(connection, run, kinds)
+    if row.chain is None:
+        if links:
+            raise _broken(run, "its row in runs states no chain, and run_links holds links of it")
+        return ChainState()
+    if not links:
+        raise _broken(run, "it is chained, and run_links holds no link of it")
+    key_id, key = key_id_of(row.chain), signing_key(connection)
+    key = key if key is not None and key.key_id == key_id else None
+    if not kinds and (missing := set(range(links[-1].number)) - {link.number for link in links}):
+        raise _broken(run, f"link {min(missing)} in run_links is missing")
+    for link in links:
+        _check_link(run, link, key_id, key)
+    _check_rows(connection, run, kinds or ALL_KINDS, {(one.kind, one.document): one.content_sha256 for one in links})
+    return ChainState(len(links), key_id, key is not None)
+
+
+def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence[Row[*tuple[Any, ...]]]:
+    """Return links in order, each with the digest of the one before it."""
+    link, before = LinkRow, aliased(LinkRow)
+    query = (
+        select(*link.__table__.columns, before.sha256.label("before"))
+        .outerjoin(before, (before.run == link.run) & (before.number == link.number - 1))
+        .where(link.run == run)
+        .order_by(link.number)
+    )
+    return connection.execute(query.where(link.kind.in_(kinds)) if kinds else query).all()
+
+
+def _check_link(run: str, link: Row[*tuple[Any, ...]], key_id: str, key: SigningKey | None) -> None:
+    """Raise StoreError where a link was moved or changed, or is not signed as the run says."""
+    what = f"link {link.number} in run_links, of {shown(link.kind, link.document)}"
+    if link.number and link.before is None:
+        raise _broken(run, f"link {link.number - 1} in run_links is missing")
+    if link.sha256 != link_digest(link.before or "", link.kind, link.document, link.content_sha256):
+        raise _broken(run, f"{what}, does not follow from the link before it")
+    if (link.mac is not None) is not bool(key_id):
+        raise _broken(run, f"{what}, is {'not ' if key_id else ''}signed, unlike its run")
+    if key is not None and not key.signed(run, link.sha256, link.mac):
+        raise _broken(run, f"{what}, was not signed with key {key.key_id}")
+
+
+def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked: dict[tuple[str, str], str]) -> None:
+    """Raise StoreError where rows were changed, added or removed."""
+    figures = {place: linked.pop(place) for place in list(linked) if place[0] == FIGURES}
+    try:
+        of_figures = _figures(connection, run) if FIGURES in kinds else iter(())
+        for stored, links in ((_documents(connection, run, kinds), linked), (of_figures, figures)):
+            for kind, document, content in stored:
+                said = links.pop((kind, document), None)
+                if said is None:
+                    raise _broken(run, f"{shown(kind, document)} was added: no link covers it")
+                if said != content:
+                    raise _broken(run, f"{shown(kind, document)} was changed: it does not fit its digest")
+            for kind, document in links:
+                raise _broken(run, f"{shown(kind, document)} was removed: its link is there, the row is not")
+    except (KeyError, TypeError, ValueError) as error:  # a value that its column cannot hold
+        raise StoreError(f"run {run} cannot be read: {type(error).__name__}: {error}", remedy=_REMEDY) from error
+
+
+def _documents(connection: Connection, run: str, kinds: Collection[str]) -> Iterator[tuple[str, str, str]]:
+    """Yield kind, key and content digest of what is stored of a run."""
+    for table in (one for one in tables() if one.name in kinds):
+        # Every number but 0 is read as true: what stands there is wanted.
+        columns = (
+            type_coerce(one, Integer).label(one.name) if isinstance(one.type, Boolean) else one
+            for one in covered(table)
+        )
+        query = select(*columns).where(_of_run(table, run))
+        try:
+            found = list(documents(table, connection.execute(query).mappings()))
+        except (KeyError, TypeError, ValueError) as error:  # a value that its column cannot hold
+            raise _broken(run, f"{table.name} cannot be read: {type(error).__name__}: {error}") from error
+        for key, content in found:
+            yield table.name, key, content
+    if PHASE_END in kinds:
+        ended = select(PhaseRow.phase, PhaseRow.ended_s).where(PhaseRow.run == run, PhaseRow.ended_s.is_not(None))
+        for phase, ended_s in connection.execute(ended):
+            yield phase_end(phase, ended_s)
+
+
+def _figures(connection: Connection, run: str) -> Iterator[tuple[str, str, str]]:
+    for analysis in connection.scalars(select(AnalysisRow.analysis).where(AnalysisRow.run == run)).all():
+        yield FIGURES, analysis, stored_figures(connection, analysis)
+
+
+def _of_run(table: Table, run: str) -> Any:
+    """Say which rows of a table are a run's: by their run, their analysis or their calibration."""
+    if "run" in table.columns:
+        return table.c.run == run
+    (name,) = KEYS[table.name]
+    owner = AnalysisRow if name == "analysis" else CalibrationRow
+    return table.c[name].in_(select(getattr(owner, name)).where(owner.run == run))
+
+
+def _broken(run: str, what: str) -> StoreError:
+    return StoreError(f"run {run}: {what}", remedy=_REMEDY)

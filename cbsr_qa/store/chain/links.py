@@ -1,0 +1,167 @@
+"""Rows of a run and the links of its chain, stored in one transaction.
+
+The optional key that signs the links of runs: it never reaches a log, a message, a document or the database.
+"""
+
+import hmac
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final, Self
+
+from sqlalchemy import Connection, bindparam, insert, select
+
+from cbsr_qa.domain import ConfigError, StoreError
+from cbsr_qa.store.chain.run_documents import documents, sha256
+from cbsr_qa.store.tables import LinkRow, RunRow
+
+VARIABLE: Final = "CBSR_QA_SIGNING_KEY"
+_LEAST: Final = 16
+_REMEDY: Final = f"set {VARIABLE} to a key of at least {_LEAST} characters, or to @FILE, or unset it"
+
+
+class SigningKey:
+    """A key for HMAC-SHA256. ``key_id`` (12 hexadecimal digits) names it without telling anything of it."""
+
+    def __init__(self, secret: bytes) -> None:
+        self._secret = secret
+        self.key_id = self._mac("cbsr-qa signing key")[:12]
+
+    @classmethod
+    def from_environment(cls, environment: Mapping[str, str] = os.environ) -> Self | None:
+        """Return the key that is set; None where none is.
+
+        Raises
+        ------
+        ConfigError
+            If it is empty or short, or its file cannot be read. The message repeats nothing of the setting.
+        """
+        said = environment.get(VARIABLE)
+        if said is None:
+            return None
+        if said.startswith("@"):
+            try:
+                said = Path(said[1:]).read_text(encoding="utf-8")
+            except (OSError, ValueError) as error:
+                why = (error.strerror if isinstance(error, OSError) else None) or "not UTF-8 text"
+                raise ConfigError(f"the file that {VARIABLE} names cannot be read: {why}", remedy=_REMEDY) from None
+        secret = said.strip()
+        if len(secret) < _LEAST:
+            raise ConfigError(f"the signing key in {VARIABLE} has {len(secret)} characters", remedy=_REMEDY)
+        return cls(secret.encode("utf-8", "surrogateescape"))
+
+    def __repr__(self) -> str:
+        return f"SigningKey({self.key_id})"
+
+    def sign(self, run: str, link: str) -> str:
+        """Return the signature of a link of a run, hexadecimal."""
+        return self._mac(f"cbsr-qa link\n{run}\n{link}")
+
+    def signed(self, run: str, link: str, mac: str) -> bool:
+        """Whether a signature is this key's."""
+        return hmac.compare_digest(self.sign(run, link), mac)
+
+    def _mac(self, text: str) -> str:
+        return hmac.digest(self._secret, text.encode(), "sha256").hex()
+
+
+#: Option of an engine that holds the key, and what the column ``runs.chain`` says.
+KEY_OPTION: Final = "cbsr_signing_key"
+_PLAIN, _SIGNED = "sha256", "hmac-sha256:"
+
+# Built once: there is a link with every frame.
+_INSERT: Final = insert(LinkRow)
+_NEWEST: Final = (
+    select(RunRow.chain, LinkRow.number, LinkRow.sha256)
+    .outerjoin(LinkRow, LinkRow.run == RunRow.run)
+    .where(RunRow.run == bindparam("of_run"))
+    .order_by(LinkRow.number.desc())
+    .limit(1)
+    # Two programs that add to one run must not both follow the same link.
+    .with_for_update(of=RunRow, key_share=True)
+)
+
+
+def signing_key(connection: Connection) -> SigningKey | None:
+    """Return the key that is set; None where none is."""
+    key: SigningKey | None = connection.get_execution_options().get(KEY_OPTION)
+    return key
+
+
+def new_chain(connection: Connection) -> str:
+    """Return what a run that begins now notes of its chain: its kind, and which key signs it."""
+    key = signing_key(connection)
+    return _PLAIN if key is None else f"{_SIGNED}{key.key_id}"
+
+
+def key_id_of(chain: str) -> str:
+    """Return which key signs a chain; empty where none does."""
+    return chain.removeprefix(_SIGNED) if chain.startswith(_SIGNED) else ""
+
+
+def link_digest(before: str, kind: str, document: str, content: str) -> str:
+    """Return the digest of a link, of the digest of the one before (empty for the first)."""
+    return sha256(before, kind, document, content)
+
+
+def add_rows(connection: Connection, run: str, table: Any, rows: Sequence[Mapping[str, Any]]) -> None:
+    """Insert rows of a run, and link every document among them; rows of one document come together.
+
+    Raises
+    ------
+    StoreError
+        As :func:`key_to_continue`.
+    """
+    if not rows:
+        return
+    connection.execute(insert(table), rows)
+    kind = table.__tablename__
+    add_links(connection, run, [(kind, *one) for one in documents(table.__table__, rows)])
+
+
+def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str, str]]) -> None:
+    """Append links of (kind, document, content digest) to a run's chain; an unchained run gets none.
+
+    Raises
+    ------
+    StoreError
+        As :func:`key_to_continue`.
+    """
+    chain, last, before = connection.execute(_NEWEST, {"of_run": run}).one()
+    key = key_to_continue(connection, run, chain)
+    if chain is None:
+        return
+    number, before = (-1, "") if last is None else (last, before)
+    rows = []
+    for kind, document, content in entries:
+        number, before = number + 1, link_digest(before, kind, document, content)
+        mac = None if key is None else key.sign(run, before)
+        values = {"kind": kind, "document": document, "content_sha256": content, "sha256": before, "mac": mac}
+        rows.append({"run": run, "number": number, **values})
+    connection.execute(_INSERT, rows)
+
+
+def key_to_continue(connection: Connection, run: str, chain: str | None) -> SigningKey | None:
+    """Return the key that a run's further links are signed with; None where it is not signed.
+
+    Raises
+    ------
+    StoreError
+        If the run is signed and another key is set, or none; or it is not signed and a key is set: whoever can write
+        the database can remove signatures and chain.
+    """
+    needed, key = key_id_of(chain or ""), signing_key(connection)
+    if not needed:
+        if key is None:
+            return None
+        raise StoreError(
+            f"run {run} {'has no chain' if chain is None else 'is not signed'}, and a signing key is set: nothing is"
+            " added to it",
+            remedy=f"unset {VARIABLE} to go on with this run, knowing that no key vouches for its rows",
+        )
+    if key is None or key.key_id != needed:
+        found = "no key is set" if key is None else f"the key that is set is {key.key_id}"
+        raise StoreError(
+            f"run {run} is signed with key {needed}, and {found}", remedy=f"set {VARIABLE} to the key it began with"
+        )
+    return key

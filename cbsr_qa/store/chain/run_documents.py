@@ -1,0 +1,255 @@
+"""What the chain of a run covers: rows as canonical text, alike on every database, and the digests over it.
+
+A document is the rows of one table that share a key. Columns come from the tables themselves, so that one that is
+added later is covered. A column without a value is left out, so that a nullable one changes no digest of before.
+
+A digest of what a comparison of fleets reads of an analysis: of a million measurements, a block at a time.
+"""
+
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from datetime import UTC
+from functools import cache, reduce
+from itertools import groupby
+from numbers import Real
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import (
+    JSON,
+    Boolean,
+    Column,
+    ColumnElement,
+    Connection,
+    LargeBinary,
+    Row,
+    RowMapping,
+    String,
+    Table,
+    select,
+)
+
+from cbsr_qa.store.tables import (
+    AnalysisRow,
+    Base,
+    BaselineRow,
+    CalibrationRow,
+    ConfigurationChangeRow,
+    FitParameterRow,
+    ForceRow,
+    FrameBlockRow,
+    InstrumentRow,
+    LoadRow,
+    MeasurementRow,
+    OverlapBandRow,
+    PhaseRow,
+    RelaxationRow,
+    RunRow,
+    RunStateRow,
+    SampleBlockRow,
+    SettlingRow,
+    StepRow,
+    UnloadedMarkRow,
+    VerdictOverrideRow,
+    WarningRow,
+)
+from cbsr_qa.store.types import FiniteDouble, Instant, PlainText, Whole
+
+_JSON: Final = json.JSONEncoder(sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+
+#: Tables under the chain, with the columns whose values name a document; without any, a run has one document there.
+KEYS: Final[dict[str, tuple[str, ...]]] = {
+    table.__tablename__: columns
+    for table, columns in (
+        (RunRow, ()),
+        (InstrumentRow, ()),
+        (ConfigurationChangeRow, ()),
+        (RunStateRow, ("number",)),
+        (PhaseRow, ("phase",)),
+        (StepRow, ("phase", "entry")),
+        (FrameBlockRow, ("phase", "block")),
+        (SampleBlockRow, ("phase", "block")),
+        (LoadRow, ("phase", "load_index")),
+        (UnloadedMarkRow, ("phase", "mark")),
+        (AnalysisRow, ("analysis",)),
+        (WarningRow, ("analysis",)),
+        (MeasurementRow, ("analysis",)),
+        (CalibrationRow, ("calibration",)),
+        (ForceRow, ("calibration",)),
+        (BaselineRow, ("calibration",)),
+        (SettlingRow, ("calibration",)),
+        (RelaxationRow, ("calibration",)),
+        (FitParameterRow, ("calibration",)),
+        (OverlapBandRow, ("calibration",)),
+        (VerdictOverrideRow, ("override_id",)),
+    )
+}
+#: Columns that are filled in later. The end of a phase has a link of its own; a calibration is superseded by a row of
+#: another run's chain, from which it follows.
+PHASE_END: Final = "phase_ends"
+_LATER: Final = {("phases", "ended_s"), ("calibrations", "superseded_by")}
+#: What a comparison of fleets reads of an analysis, see fleet_digest.py.
+FIGURES: Final = "figures"
+
+
+def _real(value: Any) -> bool:
+    return isinstance(value, Real)
+
+
+def _foreign(value: Any) -> Any:
+    """Stand for a value that is none of its column's kind, which a reader would round or parse: like no other."""
+    return [type(value).__name__, repr(value)]
+
+
+_CONVERTERS: Final[tuple[tuple[type, Callable[[Any], Any]], ...]] = (
+    # SQLite keeps no −0.
+    (FiniteDouble, lambda value: float(value) + 0.0 if _real(value) else _foreign(value)),
+    (Whole, lambda value: int(value) if _real(value) and value % 1 == 0 else _foreign(value)),
+    (PlainText, lambda value: str(value).replace("\0", "\ufffd")),
+    (Instant, lambda value: value.astimezone(UTC).isoformat()),
+    (Boolean, lambda value: bool(value) if value in (0, 1) else _foreign(value)),
+    (JSON, lambda value: value),
+    (String, str),
+)
+
+
+def tables() -> Iterator[Table]:
+    """Yield the tables under the chain."""
+    return (Base.metadata.tables[name] for name in KEYS)
+
+
+@cache
+def covered(table: Table) -> tuple[Column[Any], ...]:
+    """Return the columns a digest covers. Bytes are not among them: a digest in the same row covers those."""
+    return tuple(
+        one for one in table.columns if not isinstance(one.type, LargeBinary) and (table.name, one.name) not in _LATER
+    )
+
+
+@cache
+def _conversions(table: Table) -> tuple[tuple[str, Callable[[Any], Any]], ...]:
+    return tuple(
+        (one.name, next(how for kind, how in _CONVERTERS if isinstance(one.type, kind))) for one in covered(table)
+    )
+
+
+def row_text(table: Table, row: Mapping[str, Any] | RowMapping) -> str:
+    """Return a row as canonical JSON: floats to the last bit, instants in UTC, keys sorted."""
+    return canonical({name: how(row[name]) for name, how in _conversions(table) if row.get(name) is not None})
+
+
+def canonical(content: Any) -> str:
+    """Return canonical JSON."""
+    return _JSON.encode(content)
+
+
+def sha256(*parts: str) -> str:
+    """Return the digest of some lines, hexadecimal."""
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def documents(table: Table, rows: Iterable[Mapping[str, Any] | RowMapping]) -> Iterator[tuple[str, str]]:
+    """Yield key and content digest of every document among rows of a table, in the order of their keys."""
+    names = KEYS[table.name]
+    keyed = sorted(("/".join(str(row[name]) for name in names), row_text(table, row)) for row in rows)
+    for key, some in groupby(keyed, key=lambda one: one[0]):
+        yield key, sha256(*(text for _, text in some))
+
+
+def phase_end(phase: int, ended_s: float | None) -> tuple[str, str, str]:
+    """Return kind, key and content digest of the end of a phase."""
+    return PHASE_END, str(phase), sha256(canonical({"phase": phase, "ended_s": float(ended_s or 0.0) + 0.0}))
+
+
+def shown(kind: str, key: str) -> str:
+    """Name a document for people: its table and the columns that find it."""
+    if kind == PHASE_END:
+        return f"phases.ended_s (phase {key})"
+    names = ("analysis",) if kind == FIGURES else KEYS.get(kind, ("document",))
+    found = ", ".join(f"{name} {value}" for name, value in zip(names, key.split("/"), strict=False))
+    return f"{'figures of runs and measurements' if kind == FIGURES else kind}{f' ({found})' if names else ''}"
+
+
+#: Stands between words that the database joins: no text has it.
+BETWEEN: Final = "\x1f"
+#: What is said of a value in words.
+JOINED: Final = ("name", "phase", "qualifier", "unit", "location", "outcome", "bound")
+#: What is told apart and counted of runs; column → its name in a row.
+RUN_COLUMNS: Final = (
+    RunRow.run,
+    RunRow.serial,
+    RunRow.batch,
+    RunRow.setting["material"]["name"].as_string().label("material"),
+    RunRow.station,
+    RunRow.recipe,
+    RunRow.operator,
+    RunRow.started_at,
+    RunRow.simulated,
+)
+#: (joined words, lower limit, upper limit).
+Saying = tuple[str, float | None, float | None]
+
+
+def words() -> ColumnElement[str]:
+    """Join what is said of a value in the database: each column takes its time."""
+    first, *others = (getattr(MeasurementRow, name) for name in JOINED)
+    return reduce(lambda joined, one: joined.concat(BETWEEN).concat(one), others, first)
+
+
+def facts(run: Row[*tuple[Any, ...]], analysis: str, outcome: str, software: Sequence[Sequence[str]]) -> str:
+    """Return what is compared by as text, from a row with :data:`RUN_COLUMNS` and the run's analysis."""
+    of_run = run.run, run.serial, run.batch, run.material, run.station, run.recipe, run.operator
+    when = run.started_at.astimezone(UTC).isoformat()
+    return canonical([*of_run, when, run.simulated, analysis, outcome, software])
+
+
+def contents(
+    known: Sequence[str],
+    place: NDArray[np.int32],
+    said: NDArray[np.int32],
+    value: NDArray[np.float64],
+    sayings: Sequence[Saying],
+) -> Iterator[str]:
+    """Yield the digest of each analysis, hexadecimal.
+
+    Parameters
+    ----------
+    known : facts of every analysis.
+    place : (n,) which analysis a measurement is of; measurements of one in the order of their numbers.
+    said : (n,) index into ``sayings``.
+    value : (n,) NaN where there is none.
+    """
+    if (np.diff(place) < 0).any():
+        order = np.argsort(place, kind="stable")
+        place, said, value = place[order], said[order], value[order]
+    ends = np.searchsorted(place, np.arange(len(known) + 1)).tolist()
+    indices, numbers = said.astype("<i4").tobytes(), (value + 0.0).astype("<f8").tobytes()  # SQLite keeps no −0
+    texts = [f"{text}{BETWEEN}{lower!r}{BETWEEN}{upper!r}" for text, lower, upper in sayings]
+    digests: dict[bytes, bytes] = {}  # most analyses of a recipe say the same of their values
+    for one, begin, end in zip(known, ends[:-1], ends[1:], strict=True):
+        saying = indices[4 * begin : 4 * end]
+        if saying not in digests:
+            digests[saying] = _sha256("\n".join(texts[k] for k in said[begin:end])).digest()
+        total = _sha256(one)
+        total.update(digests[saying])
+        total.update(numbers[8 * begin : 8 * end])
+        yield total.hexdigest()
+
+
+def stored_figures(connection: Connection, analysis: str) -> str:
+    """Return the digest of one analysis as it is stored."""
+    a, m = AnalysisRow, MeasurementRow
+    query = select(*RUN_COLUMNS, a.outcome, a.software).join(a, a.run == RunRow.run).where(a.analysis == analysis)
+    run = connection.execute(query).one()
+    rows = select(m.value, words(), m.lower_limit, m.upper_limit).where(m.analysis == analysis).order_by(m.number)
+    found = connection.execute(rows).all()
+    value = np.array([one[0] for one in found], dtype=np.float64)
+    said = np.arange(len(found), dtype=np.int32)
+    known = facts(run, analysis, run.outcome, run.software)
+    return next(contents([known], 0 * said, said, value, [(one[1], one[2], one[3]) for one in found]))
+
+
+def _sha256(text: str) -> Any:
+    return hashlib.sha256(text.encode())

@@ -1,0 +1,26 @@
+from .codec import (
+    decoded_indenter as decoded_indenter,
+    decoded_material as decoded_material,
+    decoded_sensor_type as decoded_sensor_type,
+    encoded as encoded,
+    frame_block as frame_block,
+    frame_values as frame_values,
+    sample_block as sample_block,
+    sample_values as sample_values,
+)
+from .journal import Journal as Journal
+from .outcomes import latest_outcome as latest_outcome
+from .rows import (
+    current_state as current_state,
+    instrument_of as instrument_of,
+    instrument_values as instrument_values,
+    run_row as run_row,
+)
+from .runs import RunSummary as RunSummary
+from .sessions import (
+    IncompleteRun as IncompleteRun,
+    counts as counts,
+    incomplete_runs as incomplete_runs,
+    latest_id as latest_id,
+    runs_without_result as runs_without_result,
+)

@@ -1,0 +1,291 @@
+"""The journal: every document of a run is committed before anybody else sees it.
+
+Documents of a resumed session on the clock of the whole run.
+
+How far in time a run, or one phase of it, has been stored.
+"""
+
+import hashlib
+from collections import Counter
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, fields, replace
+from functools import singledispatchmethod
+from typing import Any
+
+from sqlalchemy import Connection, Engine, func, select, update
+from sqlalchemy.orm import InstrumentedAttribute
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import (
+    FramesTaken,
+    Indenter,
+    LoadFinished,
+    LoadRecord,
+    PhaseFinished,
+    PhaseStarted,
+    RunEnded,
+    RunEvent,
+    RunIdentity,
+    RunStarted,
+    SamplesTaken,
+    StepRetried,
+    StepStarted,
+    Unloaded,
+)
+from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.store.chain import add_links, add_rows, phase_end
+from cbsr_qa.store.changes import note_changes
+from cbsr_qa.store.engine import writing
+from cbsr_qa.store.runs.codec import encoded, frame_values, sample_values
+from cbsr_qa.store.runs.rows import begin_run, current_state, run_row
+from cbsr_qa.store.tables import (
+    FrameBlockRow,
+    LoadRow,
+    PhaseRow,
+    RunStateRow,
+    SampleBlockRow,
+    StepRow,
+    UnloadedMarkRow,
+)
+from cbsr_qa.store.types import unpacked
+from cbsr_qa.system import on_tick
+
+
+def shifted(event: RunEvent, offset_s: float) -> RunEvent:
+    """Return a document with every time in it later by an offset [s]."""
+    if not offset_s:
+        return event
+    match event:
+        case RunStarted() | StepRetried():
+            return event
+        case FramesTaken(frames=frames):
+            return replace(event, frames=_frames(frames, offset_s))
+        case SamplesTaken(samples=samples):
+            return replace(event, samples=_samples(samples, offset_s))
+        case LoadFinished(record=record):
+            return replace(event, record=_load(record, offset_s))
+        case _:
+            return replace(event, time_s=event.time_s + offset_s)
+
+
+def _frames(block: FrameBlock, offset_s: float) -> FrameBlock:
+    own = None if block.reading_time_s is None else block.reading_time_s + offset_s
+    return replace(block, time_s=block.time_s + offset_s, reading_time_s=own)
+
+
+def _samples(block: SampleBlock, offset_s: float) -> SampleBlock:
+    return replace(block, time_s=block.time_s + offset_s)
+
+
+def _load(record: LoadRecord, offset_s: float) -> LoadRecord:
+    times = {f.name: getattr(record, f.name) for f in fields(record) if f.name.endswith("_s")}
+    eased = tuple(
+        replace(one, start_s=one.start_s + offset_s, hold_start_s=one.hold_start_s + offset_s) for one in record.eased
+    )
+    later = {name: time_s + offset_s for name, time_s in times.items() if time_s is not None}
+    return replace(record, **later, eased=eased)
+
+
+#: Columns that hold a time on the run's clock [s], of tables with a phase.
+_TIMES = (
+    (FrameBlockRow, FrameBlockRow.last_s),
+    (StepRow, StepRow.time_s),
+    (LoadRow, LoadRow.rest_end_s),
+    (UnloadedMarkRow, UnloadedMarkRow.time_s),
+    (PhaseRow, PhaseRow.started_s),
+    (PhaseRow, PhaseRow.ended_s),
+)
+
+
+def last_time_s(connection: Connection, run: str, phase: int | None = None) -> float:
+    """Return the last time stored of a run, or of one phase; 0 where nothing is stored [s]."""
+    found: list[float | None] = [*_last_samples_s(connection, run, phase)]
+    for table, column in _TIMES:
+        query = select(func.max(column)).where(table.run == run)
+        if phase is not None:
+            query = query.where(table.phase == phase)
+        found.append(connection.scalar(query))
+    if phase is None:
+        found.append(connection.scalar(select(func.max(RunStateRow.time_s)).where(RunStateRow.run == run)))
+    return max((float(time_s) for time_s in found if time_s is not None), default=0.0)
+
+
+def _last_samples_s(connection: Connection, run: str, phase: int | None) -> Iterator[float]:
+    """Time of the last sample of each channel in each phase; a rest without frames stores nothing else."""
+    of_run = select(SampleBlockRow.phase, SampleBlockRow.channel, func.max(SampleBlockRow.block).label("block"))
+    of_run = of_run.where(SampleBlockRow.run == run).group_by(SampleBlockRow.phase, SampleBlockRow.channel)
+    if phase is not None:
+        of_run = of_run.where(SampleBlockRow.phase == phase)
+    last = of_run.subquery()
+    query = select(SampleBlockRow.time_s, SampleBlockRow.samples).join(
+        last, (SampleBlockRow.phase == last.c.phase) & (SampleBlockRow.block == last.c.block)
+    )
+    for packed, samples in connection.execute(query.where(SampleBlockRow.run == run)):
+        yield float(unpacked(packed, (samples,))[-1])
+
+
+class Journal:
+    """Stores the documents of one run: one transaction each, committed when the call returns.
+
+    A run that is already stored and not finished is resumed: its documents go on where the earlier session
+    stopped. The clock of a session begins at zero, so times are shifted to go on after the last stored one.
+
+    Parameters
+    ----------
+    engine : of an up-to-date database.
+    configuration : canonical JSON whose SHA-256 is the identity's digest.
+    sensor_type, material, indenter : what is tested, and with which head.
+    tell : told while the database is waited for.
+    why : why files of the run are not those of the runs before it, in the operator's words.
+    """
+
+    def __init__(
+        self,
+        engine: Engine,
+        *,
+        configuration: str,
+        sensor_type: SensorType,
+        material: Material,
+        indenter: Indenter,
+        tell: Callable[[str], None] | None = None,
+        why: str = "",
+    ) -> None:
+        self._engine = engine
+        self._why = why
+        self._tell = tell
+        self._configuration = configuration
+        self._setting = encoded(sensor_type, indenter, material)
+        self._material = material.name
+        self._run = ""
+        self._offset_s = 0.0
+        self._next: Counter[tuple[str, int]] = Counter()
+
+    def __call__(self, event: RunEvent) -> None:
+        """Commit one document.
+
+        Raises
+        ------
+        StoreError
+            If it could not be stored; nothing of it is stored then.
+        """
+        if not self._run and not isinstance(event, RunStarted):
+            raise StoreError(f"{type(event).__name__} came before the run was started")
+        with writing(self._engine, tell=self._tell) as connection:
+            self._store(shifted(event, self._offset_s), connection)
+
+    @singledispatchmethod
+    def _store(self, event: object, connection: Connection) -> None:
+        raise TypeError(f"{type(event).__name__} is not a document of a run")
+
+    @_store.register
+    def _(self, event: RunStarted, connection: Connection) -> None:
+        identity = event.identity
+        if hashlib.sha256(self._configuration.encode()).hexdigest() != identity.configuration_digest:
+            raise StoreError(f"run {identity.run}: the configuration does not fit the identity's digest")
+        stored = run_row(connection, identity.run)
+        if stored is None:
+            begin_run(connection, identity, self._configuration, self._setting)
+            note_changes(connection, identity, self._configuration, self._material, self._why)
+        elif stored.configuration_digest != identity.configuration_digest:
+            raise StoreError(
+                f"run {identity.run} was begun with another configuration",
+                remedy="resume it without changes, or begin a new run",
+            )
+        elif current_state(connection, identity.run).end == EndReason.FINISHED:
+            raise StoreError(f"run {identity.run} is finished", remedy="begin a new run")
+        else:
+            self._offset_s = on_tick(last_time_s(connection, identity.run))
+        self._run = identity.run
+        self._state(connection, EndReason.RUNNING, "", self._offset_s, (), identity)
+
+    @_store.register
+    def _(self, event: PhaseStarted, connection: Connection) -> None:
+        known = select(PhaseRow.phase).where(PhaseRow.run == self._run, PhaseRow.phase == event.index)
+        if connection.scalar(known) is None:  # a resumed phase keeps its first beginning
+            values = {"name": event.name, "sequence": event.sequence, "role": str(event.role)}
+            times = {"started_s": event.time_s, "ended_s": None}
+            row = {"run": self._run, "phase": event.index, **values, **times}
+            add_rows(connection, self._run, PhaseRow, [row])
+
+    @_store.register
+    def _(self, event: StepStarted, connection: Connection) -> None:
+        step = {"step": type(event.step).__name__, **asdict(event.step)}
+        values = {"number": event.number, "attempt": 0, "step": step, "why": "", "time_s": event.time_s}
+        self._add(connection, StepRow.entry, event.phase, values)
+
+    @_store.register
+    def _(self, event: StepRetried, connection: Connection) -> None:
+        values = {"number": event.number, "attempt": event.attempt, "step": {}, "why": event.why, "time_s": None}
+        self._add(connection, StepRow.entry, event.phase, values)
+
+    @_store.register
+    def _(self, event: FramesTaken, connection: Connection) -> None:
+        if len(event.frames):
+            self._add(connection, FrameBlockRow.block, event.phase, frame_values(event.frames))
+
+    @_store.register
+    def _(self, event: SamplesTaken, connection: Connection) -> None:
+        if len(event.samples):
+            self._add(connection, SampleBlockRow.block, event.phase, sample_values(event.samples))
+
+    @_store.register
+    def _(self, event: Unloaded, connection: Connection) -> None:
+        self._add(connection, UnloadedMarkRow.mark, event.phase, {"time_s": event.time_s})
+
+    @_store.register
+    def _(self, event: LoadFinished, connection: Connection) -> None:
+        times = asdict(event.record)
+        load = times.pop("load")
+        times["eased"] = [[one.strain, one.start_s, one.hold_start_s] for one in event.record.eased] or None
+        values = {"run": self._run, "phase": event.phase, "load_index": times.pop("index"), **load, **times}
+        add_rows(connection, self._run, LoadRow, [values])
+
+    @_store.register
+    def _(self, event: PhaseFinished, connection: Connection) -> None:
+        unended = update(PhaseRow).where(
+            PhaseRow.run == self._run, PhaseRow.phase == event.index, PhaseRow.ended_s.is_(None)
+        )
+        if connection.execute(unended.values(ended_s=event.time_s)).rowcount != 1:
+            raise StoreError(f"phase {event.index} of run {self._run} was not started, or has ended already")
+        add_links(connection, self._run, [phase_end(event.index, event.time_s)])
+
+    @_store.register
+    def _(self, event: RunEnded, connection: Connection) -> None:
+        if current_state(connection, self._run).end != EndReason.RUNNING:
+            raise StoreError(f"run {self._run} has ended already")
+        self._state(connection, event.end, event.detail, event.time_s, event.spent)
+
+    def _state(
+        self,
+        connection: Connection,
+        end: EndReason,
+        detail: str,
+        time_s: float,
+        spent: tuple[tuple[str, float], ...],
+        begun: RunIdentity | None = None,
+    ) -> None:
+        number = connection.scalar(select(func.count()).where(RunStateRow.run == self._run))
+        values = {"run": self._run, "number": number, "end": str(end), "detail": detail, "time_s": time_s}
+        who = {
+            "operator": None if begun is None else begun.operator,
+            "software": None if begun is None else [list(pair) for pair in begun.software],
+            "noted_at": None if begun is None else begun.started_at,
+        }
+        row = {**values, **who, "spent": [[kind, float(s)] for kind, s in spent]}
+        add_rows(connection, self._run, RunStateRow, [row])
+
+    def _add(
+        self, connection: Connection, column: InstrumentedAttribute[int], phase: int, values: dict[str, Any]
+    ) -> None:
+        """Insert a row with the next number of its phase."""
+        table: Any = column.class_
+        key = (table.__tablename__, phase)
+        if key not in self._next:
+            place = table.run == self._run, table.phase == phase
+            last = connection.scalar(select(func.max(column)).where(*place))
+            self._next[key] = 0 if last is None else last + 1
+        row = {"run": self._run, "phase": phase, column.key: self._next[key], **values}
+        add_rows(connection, self._run, table, [row])
+        self._next[key] += 1

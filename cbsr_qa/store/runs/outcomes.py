@@ -1,0 +1,174 @@
+"""The outcome of a run, looked up by whoever needs nothing else of the store.
+
+Earlier runs of one sensor, each checked against its chain, and the seeds they had.
+
+Whether a SQLite file is whole, seen as the next program will see it.
+"""
+
+import json
+from datetime import UTC, datetime
+from typing import Any, Final
+
+from sqlalchemy import Connection, Engine, and_, exists, func, select
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.run import EarlierRun, RunRecord
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.store.chain import check_run
+from cbsr_qa.store.engine import address, open_engine, parsed_url, reading, shown, sqlite_file
+from cbsr_qa.store.runs.runs import load_run
+from cbsr_qa.store.tables import AnalysisRow, RunRow, RunStateRow, StationCheckRow, VerdictOverrideRow
+from cbsr_qa.store.types import made_at
+
+
+def latest_outcome(url: str, run: str) -> Outcome | None:
+    """Return the outcome of a run's latest analysis; None where there is none.
+
+    Raises
+    ------
+    StoreError
+        If there is no such database, or it cannot be read.
+    """
+    parsed = parsed_url(url)
+    file = sqlite_file(parsed)
+    if file is not None and not file.exists():  # SQLite would make an empty one
+        raise StoreError(f"{shown(parsed)} is not there")
+    engine = open_engine(parsed)
+    try:
+        with reading(engine) as connection:
+            query = select(AnalysisRow.outcome).where(AnalysisRow.run == run)
+            found = connection.execute(query.order_by(AnalysisRow.analysis.desc()).limit(1)).scalar()
+    finally:
+        engine.dispose()
+    return None if found is None else Outcome(found)
+
+
+#: What is read of an earlier run.
+_READ: Final = frozenset(table.__tablename__ for table in (RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow))
+
+
+def earlier_runs(engine: Engine, serial: str, before: str = "") -> tuple[EarlierRun, ...]:
+    """Return the runs of a sensor that began before a run (empty: all), oldest first.
+
+    A run that is not what was stored is returned with what is wrong with it, and without its result.
+    """
+    run, of_check = RunRow, exists().where(StationCheckRow.golden_run == RunRow.run)
+    query = select(run.run, run.recipe, of_check).where(run.serial == serial).order_by(run.run)
+    if before:
+        query = query.where(run.run < before)
+    with reading(engine) as connection:
+        return tuple(_checked(connection, serial, *row) for row in connection.execute(query).all())
+
+
+def _checked(connection: Connection, serial: str, run: str, recipe: str, of_check: bool) -> EarlierRun:
+    try:
+        chained = bool(check_run(connection, run, _READ).links)
+        return _earlier(_row(connection, run), of_check=of_check, chained=chained)
+    except (StoreError, ValueError) as error:
+        changed = error.reason if isinstance(error, StoreError) else f"run {run}: {error}"
+        began = made_at(run) or datetime.fromtimestamp(0, UTC)
+        sensor = SensorIdentity(serial, "", "")
+        return EarlierRun(run, began, sensor, recipe, EndReason.RUNNING, None, "", of_check=of_check, changed=changed)
+
+
+def _row(connection: Connection, of: str) -> Any:
+    run, state, analysis, override = RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow
+    last_state = select(func.max(state.number)).where(state.run == run.run).correlate(run).scalar_subquery()
+    last_analysis = select(func.max(analysis.analysis)).where(analysis.run == run.run).correlate(run)
+    last_override = select(func.max(override.override_id)).where(
+        override.run == run.run, override.analysis == analysis.analysis
+    )
+    query = (
+        select(
+            *(run.run, run.started_at, run.serial, run.batch, run.sensor_type, run.recipe),
+            *(state.end, analysis.outcome, analysis.reason),
+            override.outcome.label("decided"),
+            override.operator.label("by"),
+        )
+        .join(state, and_(state.run == run.run, state.number == last_state))
+        .outerjoin(analysis, analysis.analysis == last_analysis.scalar_subquery())
+        .outerjoin(override, override.override_id == last_override.correlate(run, analysis).scalar_subquery())
+        .where(run.run == of)
+    )
+    return connection.execute(query).one()
+
+
+def seeds_of(engine: Engine, serial: str) -> tuple[int | None, ...]:
+    """Return the seeds of all runs of a sensor, oldest first; None where a configuration states none."""
+    query = select(RunRow.configuration).where(RunRow.serial == serial).order_by(RunRow.run)
+    with reading(engine) as connection:
+        return tuple(json.loads(text).get("seed") for text in connection.scalars(query))
+
+
+def _earlier(row: Any, *, of_check: bool, chained: bool) -> EarlierRun:
+    return EarlierRun(
+        run=row.run,
+        started_at=row.started_at,
+        sensor=SensorIdentity(row.serial, row.batch, row.sensor_type),
+        recipe=row.recipe,
+        end=EndReason(row.end),
+        outcome=None if row.outcome is None else Outcome(row.outcome),
+        reason=row.reason or "",
+        overridden=None if row.decided is None else (Outcome(row.decided), row.by),
+        of_check=of_check,
+        chained=chained,
+    )
+
+
+#: Up to this size indexes are compared with their tables too, which takes twice as long (2 s a GB, in the cache) [B].
+_COMPARED: Final = 2_000_000_000
+
+
+def look_afresh(engine: Engine) -> None:
+    """Close what is open: the log goes into the file, and what is read next comes from there, not from memory.
+
+    A connection keeps the pages it wrote, and goes on with them whatever becomes of the log on the disk.
+    """
+    if sqlite_file(engine.url) is not None:
+        engine.dispose()
+
+
+def whole_run(engine: Engine, run: str) -> RunRecord:
+    """Load a run afresh, as :func:`cbsr_qa.store.runs.runs.load_run`, the whole file checked (SQLite).
+
+    Raises
+    ------
+    StoreError
+        If something is damaged; it says whether the run can be saved.
+    """
+    look_afresh(engine)
+    problem = _problem(engine)
+    try:
+        record = load_run(engine, run)
+    except StoreError as error:
+        if not problem:
+            raise
+        of_file = error.reason.startswith(shown(engine.url))  # says again what the check of the file said
+        of_run = "" if of_file else f": {error.reason}"
+        raise StoreError(
+            f"{problem}, and this run with it{of_run}",
+            remedy="restore the database from a copy; what was measured after that copy is lost",
+        ) from error
+    if problem:
+        file = address(engine.url)
+        raise StoreError(
+            f"{problem}; every row and frame of this run was checked and is whole",
+            remedy=f"restore the database from a copy, or recover the file: sqlite3 {file} .recover | sqlite3 NEW",
+        )
+    return record
+
+
+def _problem(engine: Engine) -> str:
+    """Say which file has a problem, and the first one found; empty where there is none, and for other databases."""
+    file = sqlite_file(engine.url)
+    if file is None:
+        return ""
+    check = "integrity_check(1)" if file.stat().st_size <= _COMPARED else "quick_check(1)"
+    try:
+        with reading(engine) as connection:
+            said = str(connection.exec_driver_sql(f"PRAGMA {check}").scalar())
+    except StoreError as error:
+        return error.reason
+    found = " ".join(said.removeprefix("*** in database main ***").split())
+    return "" if said == "ok" else f"{shown(engine.url)} is damaged ({found})"

@@ -1,0 +1,289 @@
+"""Stored runs: loaded whole for analysis, or looked up."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import groupby
+from typing import Any
+
+from sqlalchemy import Connection, Engine, Row, select
+from sqlalchemy.orm import Session
+
+from cbsr_qa.domain import RefusedError, StoreError
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.readings import FrameBlock, SampleBlock, join_frames, join_samples
+from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.domain.run import EasedStrain, Load, LoadRecord, PhaseRecord, RunIdentity, RunRecord, RunSession
+from cbsr_qa.store.chain import IDENTITY, check_run, key_to_continue
+from cbsr_qa.store.engine import reading, stored
+from cbsr_qa.store.results import analysis_outcome
+from cbsr_qa.store.runs.codec import (
+    decoded_indenter,
+    decoded_material,
+    decoded_sensor_type,
+    frame_block,
+    sample_block,
+)
+from cbsr_qa.store.runs.journal import last_time_s
+from cbsr_qa.store.runs.rows import current_state, identity_of, run_row
+from cbsr_qa.store.runs.sessions import Span, counted_spans, sessions_of, within
+from cbsr_qa.store.tables import (
+    AnalysisRow,
+    FrameBlockRow,
+    LoadRow,
+    PhaseRow,
+    RunRow,
+    RunStateRow,
+    SampleBlockRow,
+    UnloadedMarkRow,
+)
+from cbsr_qa.system import on_tick
+
+
+@dataclass(frozen=True, slots=True)
+class RunSummary:
+    """A run in one line.
+
+    Parameters
+    ----------
+    end : RUNNING where it was cut off, or is under way.
+    outcome, reason : of its latest analysis; None and empty where it has none.
+    """
+
+    run: str
+    serial: str
+    batch: str
+    station: str
+    recipe: str
+    started_at: datetime
+    end: EndReason
+    outcome: Outcome | None
+    reason: str
+
+
+def load_run(engine: Engine, run: str) -> RunRecord:
+    """Load a run with every frame that counts, its chain and each block's digest checked.
+
+    Frames and samples of a press that was cut off and made again do not count; how many frames is said.
+
+    Raises
+    ------
+    StoreError
+        If there is no such run, or what is stored is not what was measured.
+    """
+    with reading(engine) as connection:
+        chain, row = check_run(connection, run), _known(connection, run)
+        state = current_state(connection, run)
+        states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
+        spent = _summed(pair for one in connection.scalars(states) for pair in one)
+        try:
+            sessions = sessions_of(connection, run)
+            phases, set_aside = _phases(connection, run, sessions)
+            return RunRecord(
+                identity=identity_of(connection, row),
+                sensor_type=decoded_sensor_type(row.setting),
+                material=decoded_material(row.setting),
+                indenter=decoded_indenter(row.setting),
+                phases=phases,
+                end=EndReason(state.end),
+                end_detail=state.detail,
+                station_s=last_time_s(connection, run),
+                spent=spent,
+                sessions=sessions,
+                set_aside=set_aside,
+                chain=chain,
+            )
+        except (KeyError, TypeError, ValueError, RefusedError) as error:
+            if isinstance(error, StoreError):
+                raise
+            raise StoreError(f"run {run} cannot be read: {type(error).__name__}: {error}") from error
+
+
+def identity(engine: Engine, run: str) -> RunIdentity:
+    """Return what traces a run, without its frames. StoreError if it is not there, or not what was stored."""
+    with reading(engine) as connection:
+        check_run(connection, run, IDENTITY)
+        return identity_of(connection, _known(connection, run))
+
+
+def configuration_of(engine: Engine, run: str) -> str:
+    """Return the canonical JSON a run was configured with. StoreError as for :func:`identity`."""
+    with reading(engine) as connection:
+        check_run(connection, run, IDENTITY)
+        return str(_known(connection, run).configuration)
+
+
+def check_resumable(engine: Engine, run: str) -> None:
+    """Check everything that is stored of a run that is going to be added to.
+
+    Raises
+    ------
+    StoreError
+        If there is no such run, it is not what was stored, or the key that is set is not the run's.
+    """
+    with reading(engine) as connection:
+        check_run(connection, run)
+        key_to_continue(connection, run, _known(connection, run).chain)
+
+
+def finished_loads(engine: Engine, run: str) -> frozenset[tuple[int, int]]:
+    """Return (phase, index) of every press that was held to its end: what a resumed run does not repeat."""
+    with reading(engine) as connection:
+        _known(connection, run)
+        rows = connection.execute(select(LoadRow.phase, LoadRow.load_index).where(LoadRow.run == run))
+        return frozenset((phase, load) for phase, load in rows)
+
+
+def ended_phases(engine: Engine, run: str) -> frozenset[int]:
+    """Return the phases whose last step was carried out: what a resumed run does not go through again."""
+    with reading(engine) as connection:
+        rows = connection.scalars(select(PhaseRow.phase).where(PhaseRow.run == run, PhaseRow.ended_s.is_not(None)))
+        return frozenset(rows)
+
+
+def state_of(engine: Engine, run: str) -> RunSession:
+    """Return the latest session of a run: how it stands."""
+    with reading(engine) as connection:
+        _known(connection, run)
+        return sessions_of(connection, run)[-1]
+
+
+def goes_on_at_s(engine: Engine, run: str) -> float:
+    """Return when on the run's time line a resumed session begins [s]."""
+    with reading(engine) as connection:
+        return on_tick(last_time_s(connection, run))
+
+
+def find_runs(engine: Engine, serial: str | None = None) -> tuple[RunSummary, ...]:
+    """Return runs, the latest first: of one sensor, or all."""
+    with reading(engine) as connection:
+        query = select(*RunRow.__table__.columns).order_by(RunRow.run.desc())
+        if serial is not None:
+            query = query.where(RunRow.serial == serial)
+        return tuple(_summary(connection, row) for row in connection.execute(query).all())
+
+
+def resolve(engine: Engine, run_or_serial: str) -> str:
+    """Return the run meant: itself, or the latest of a sensor.
+
+    Raises
+    ------
+    StoreError
+        If it is neither a stored run nor a tested sensor.
+    """
+    with reading(engine) as connection:
+        if run_row(connection, run_or_serial) is not None:
+            return run_or_serial
+        latest = select(RunRow.run).where(RunRow.serial == run_or_serial).order_by(RunRow.run.desc()).limit(1)
+        found = connection.scalar(latest)
+    if found is None:
+        raise StoreError(
+            f"there is no run and no sensor {run_or_serial[:64]!r} in this database",
+            remedy="cbsr-qa db status shows which database is used; --database names another",
+        )
+    return str(found)
+
+
+def _known(connection: Connection, run: str) -> Row[Any]:
+    row = run_row(connection, run)
+    if row is None:
+        raise StoreError(f"there is no run {run[:64]!r} in this database")
+    return row
+
+
+def _summary(connection: Connection, row: Row[Any]) -> RunSummary:
+    latest = select(AnalysisRow.analysis, AnalysisRow.outcome, AnalysisRow.reason).where(AnalysisRow.run == row.run)
+    found = connection.execute(latest.order_by(AnalysisRow.analysis.desc()).limit(1)).one_or_none()
+    return RunSummary(
+        run=row.run,
+        serial=row.serial,
+        batch=row.batch,
+        station=row.station,
+        recipe=row.recipe,
+        started_at=row.started_at,
+        end=EndReason(current_state(connection, row.run).end),
+        outcome=None if found is None else analysis_outcome(found),
+        reason="" if found is None else found.reason,
+    )
+
+
+def _summed(pairs: Iterable[list[Any]]) -> tuple[tuple[str, float], ...]:
+    seconds: dict[str, float] = {}
+    for kind, spent_s in pairs:
+        seconds[kind] = seconds.get(kind, 0.0) + spent_s
+    return tuple(seconds.items())
+
+
+def _phases(
+    connection: Connection, run: str, sessions: tuple[RunSession, ...]
+) -> tuple[tuple[PhaseRecord, ...], int]:
+    """Phases of a run, and how many frames of them do not count."""
+    with Session(bind=connection) as session:
+        rows = session.scalars(select(PhaseRow).where(PhaseRow.run == run).order_by(PhaseRow.phase)).all()
+        found = [_phase(connection, session, row, sessions) for row in rows]
+        return tuple(phase for phase, _ in found), sum(aside for _, aside in found)
+
+
+def _phase(
+    connection: Connection, session: Session, row: PhaseRow, sessions: tuple[RunSession, ...]
+) -> tuple[PhaseRecord, int]:
+    loads = _loads(session, row)
+    spans = counted_spans(connection, row, sessions, loads)
+    frames, aside = _frames(session, row, spans)
+    marks = select(UnloadedMarkRow.time_s).where(UnloadedMarkRow.run == row.run, UnloadedMarkRow.phase == row.phase)
+    phase = PhaseRecord(
+        index=row.phase,
+        name=row.name,
+        sequence=row.sequence,
+        started_s=row.started_s,
+        # A phase that was cut off ends with the last thing known about it.
+        ended_s=last_time_s(connection, row.run, row.phase) if row.ended_s is None else row.ended_s,
+        frames=frames,
+        samples=_samples(session, row, spans),
+        loads=tuple(load for load in loads if not load.eased),
+        loops=tuple(load for load in loads if load.eased),
+        # A resumed phase rested again: the latest mark is followed by its presses.
+        unloaded_from_s=connection.scalar(marks.order_by(UnloadedMarkRow.mark.desc()).limit(1)),
+        role=stored(Role, row.role, "phases.role", f"phase {row.phase} of run {row.run}"),
+    )
+    return phase, aside
+
+
+def _frames(session: Session, phase: PhaseRow, spans: list[Span]) -> tuple[FrameBlock | None, int]:
+    """Frames that count, and how many do not."""
+    query = select(FrameBlockRow).where(FrameBlockRow.run == phase.run, FrameBlockRow.phase == phase.phase)
+    blocks = [frame_block(row) for row in session.scalars(query.order_by(FrameBlockRow.block))]
+    counted = [within(block.time_s, spans) for block in blocks]
+    kept = [block.select(inside) for block, inside in zip(blocks, counted, strict=True) if inside.any()]
+    return join_frames(kept) if kept else None, sum(int((~inside).sum()) for inside in counted)
+
+
+def _samples(session: Session, phase: PhaseRow, spans: list[Span]) -> tuple[SampleBlock, ...]:
+    query = select(SampleBlockRow).where(SampleBlockRow.run == phase.run, SampleBlockRow.phase == phase.phase)
+    blocks = [sample_block(row) for row in session.scalars(query.order_by(SampleBlockRow.block))]
+    by_channel = groupby(sorted(blocks, key=lambda b: b.channel), key=lambda b: b.channel)  # sorting is stable
+    joined = [join_samples(list(group)) for _, group in by_channel]
+    kept = [(block, within(block.time_s, spans)) for block in joined]
+    return tuple(
+        SampleBlock(block.channel, block.unit, block.time_s[inside], block.values[inside])
+        for block, inside in kept
+        if inside.any()
+    )
+
+
+def _loads(session: Session, phase: PhaseRow) -> tuple[LoadRecord, ...]:
+    query = select(LoadRow).where(LoadRow.run == phase.run, LoadRow.phase == phase.phase)
+    return tuple(
+        LoadRecord(
+            row.load_index,
+            Load(row.label, row.x_mm, row.y_mm, row.strain, row.trial),
+            row.press_start_s,
+            row.hold_start_s,
+            row.release_start_s,
+            row.release_end_s,
+            row.rest_end_s,
+            row.clear_s,
+            tuple(EasedStrain(*(float(number) for number in one)) for one in row.eased or ()),
+        )
+        for row in session.scalars(query.order_by(LoadRow.load_index))
+    )

@@ -1,0 +1,221 @@
+"""Sessions of a run, and what of each counts: a load that was cut off and pressed again is evidence, no more.
+
+Runs that were begun and did not finish: what a power cut, a fault or an operator leaves behind.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy import Connection, Engine, Row, exists, func, select
+
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import LoadRecord, RunSession
+from cbsr_qa.store.engine import reading, stored
+from cbsr_qa.store.locks import writer_of
+from cbsr_qa.store.tables import (
+    AnalysisRow,
+    CalibrationRow,
+    ChartReferenceRow,
+    FrameBlockRow,
+    LoadRow,
+    PhaseRow,
+    RunRow,
+    RunStateRow,
+    SampleBlockRow,
+    SensorRow,
+    StationCheckRow,
+    StepRow,
+    VerdictOverrideRow,
+)
+from cbsr_qa.store.types import made_at
+
+#: (from, to) on the run's time line [s]; what is from the very beginning belongs to the session before.
+Span = tuple[float, float]
+
+
+def sessions_of(connection: Connection, run: str) -> tuple[RunSession, ...]:
+    """Return the sessions of a run in order."""
+    states = select(*RunStateRow.__table__.columns).where(RunStateRow.run == run).order_by(RunStateRow.number)
+    found: list[RunSession] = []
+    begun = None
+    for row in connection.execute(states):
+        if row.end == EndReason.RUNNING:
+            begun = row
+            found.append(_session(row, row))
+        elif begun is not None:
+            found[-1] = _session(begun, row)
+    return tuple(found)
+
+
+def counted_spans(
+    connection: Connection, phase: PhaseRow, sessions: Sequence[RunSession], loads: Sequence[LoadRecord]
+) -> list[Span]:
+    """Return the spans of time whose frames and samples count for a phase.
+
+    In the last session that worked on it everything counts. In an earlier one it is what was taken up to the end of
+    its last finished load: the press that was cut off after it was repeated, and so was the set-up of a session that
+    finished none. What a later session did to set the bench up again, after the phase had ended, does not count.
+    """
+    steps = select(StepRow.time_s).where(StepRow.run == phase.run, StepRow.phase == phase.phase, StepRow.attempt == 0)
+    times_s = np.array(connection.scalars(steps).all(), dtype=np.float64)
+    ends_s = float("inf") if phase.ended_s is None else phase.ended_s
+    starts_s = [float("-inf"), *(session.started_s for session in sessions[1:])]
+    spans = [
+        span
+        for span in zip(starts_s, [*starts_s[1:], float("inf")], strict=True)
+        if span[0] < ends_s and ((times_s >= span[0]) & (times_s < span[1])).any()
+    ]
+    counted = []
+    for from_s, to_s in spans[:-1]:
+        rested_s = [load.rest_end_s for load in loads if from_s <= load.press_start_s < to_s]
+        if rested_s:
+            counted.append((from_s, max(rested_s)))
+    return counted + [(from_s, ends_s) for from_s, _ in spans[-1:]]
+
+
+def within(time_s: NDArray[np.float64], spans: Sequence[Span]) -> NDArray[np.bool_]:
+    """Return which times (n,) lie in some spans, (n,) bool."""
+    inside = np.zeros(len(time_s), dtype=np.bool_)
+    for from_s, to_s in spans:
+        inside |= (time_s > from_s) & (time_s <= to_s)
+    return inside
+
+
+def _session(begun: Row[Any], last: Row[Any]) -> RunSession:
+    return RunSession(
+        started_s=begun.time_s,
+        ended_s=None if last is begun else last.time_s,
+        end=stored(EndReason, last.end, "run_states.end", f"run {last.run}, state {last.number},"),
+        detail=last.detail,
+        operator=begun.operator or "",
+        software=tuple((name, version) for name, version in begun.software or ()),
+        noted_at=begun.noted_at,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class IncompleteRun:
+    """A run that did not finish.
+
+    Parameters
+    ----------
+    phase : name of the phase it stands in; empty before the first.
+    next : what would be done next, in words: the press that was not finished, or the step under way.
+    end, detail : ``"running"`` where it is under way or was cut off; ``"aborted"`` or ``"broken"``, and by what.
+    writer : who writes it at this moment; empty where nobody does.
+    """
+
+    run: str
+    serial: str
+    phase: str
+    next: str
+    end: str = str(EndReason.RUNNING)
+    detail: str = ""
+    writer: str = ""
+
+
+def incomplete_runs(engine: Engine) -> tuple[IncompleteRun, ...]:
+    """Return every run whose last state is not "finished", oldest first."""
+    last = select(RunStateRow.run, func.max(RunStateRow.number).label("number")).group_by(RunStateRow.run).subquery()
+    unfinished = (
+        select(RunRow.run, RunRow.serial, RunStateRow.end, RunStateRow.detail)
+        .join(RunStateRow, RunStateRow.run == RunRow.run)
+        .join(last, (last.c.run == RunStateRow.run) & (last.c.number == RunStateRow.number))
+        .where(RunStateRow.end != str(EndReason.FINISHED))
+        .order_by(RunRow.run)
+    )
+    with reading(engine) as connection:
+        rows = connection.execute(unfinished).all()
+        found = [(row, _stands(connection, row.run)) for row in rows]
+    return tuple(
+        IncompleteRun(
+            row.run,
+            row.serial,
+            *stands,
+            stored(EndReason, row.end, "run_states.end", f"run {row.run}"),
+            row.detail,
+            writer_of(engine, row.run),
+        )
+        for row, stands in found
+    )
+
+
+def runs_without_result(engine: Engine) -> tuple[tuple[str, str], ...]:
+    """Return (run, serial) of runs that finished and were cut off before their result was stored, oldest first."""
+    finished = select(RunStateRow.run).where(RunStateRow.end == str(EndReason.FINISHED))
+    query = select(RunRow.run, RunRow.serial).where(
+        RunRow.run.in_(finished), ~exists().where(AnalysisRow.run == RunRow.run)
+    )
+    with reading(engine) as connection:
+        return tuple((run, serial) for run, serial in connection.execute(query.order_by(RunRow.run)))
+
+
+def latest_id(engine: Engine) -> str:
+    """Return the highest identifier of anything stored; empty where there is nothing."""
+    columns = (
+        RunRow.run,
+        AnalysisRow.analysis,
+        CalibrationRow.calibration,
+        StationCheckRow.check_id,
+        ChartReferenceRow.reference,
+        VerdictOverrideRow.override_id,
+    )
+    with reading(engine) as connection:
+        found = [connection.scalar(select(func.max(column))) for column in columns]
+    # By their text, of those of our kind: others (of databases that were put together by hand) say nothing of time.
+    return max((one for one in found if one is not None and made_at(one) is not None), default="")
+
+
+def counts(engine: Engine) -> dict[str, int]:
+    """Return how much is stored."""
+    counted = {
+        "sensors": select(func.count()).select_from(SensorRow),
+        "runs": select(func.count()).select_from(RunRow),
+        "frames": select(func.coalesce(func.sum(FrameBlockRow.frames), 0)),
+        "samples": select(func.coalesce(func.sum(SampleBlockRow.samples), 0)),
+        "loads": select(func.count()).select_from(LoadRow),
+    }
+    with reading(engine) as connection:
+        return {name: int(connection.scalar(query) or 0) for name, query in counted.items()}
+
+
+def _stands(connection: Connection, run: str) -> tuple[str, str]:
+    phases = select(PhaseRow.phase, PhaseRow.name).where(PhaseRow.run == run, PhaseRow.ended_s.is_(None))
+    phase = connection.execute(phases.order_by(PhaseRow.phase).limit(1)).one_or_none()
+    if phase is None:
+        return "", "the next phase"
+    steps = select(StepRow.step, StepRow.time_s).where(
+        StepRow.run == run, StepRow.phase == phase.phase, StepRow.attempt == 0
+    )
+    begun = connection.execute(steps.order_by(StepRow.entry)).all()
+    presses = [row for row in begun if row.step["step"] == "Press"]
+    if presses and not _finished(connection, run, phase.phase, presses[-1].time_s):
+        return phase.name, _words(presses[-1].step)
+    return phase.name, _words(begun[-1].step) if begun else "its first step"
+
+
+def _finished(connection: Connection, run: str, phase: int, pressed_s: float) -> bool:
+    """Whether a press that began at a time was held to its end."""
+    loads = select(func.max(LoadRow.press_start_s)).where(LoadRow.run == run, LoadRow.phase == phase)
+    last_s = connection.scalar(loads)
+    return last_s is not None and last_s >= pressed_s
+
+
+def _words(step: dict[str, Any]) -> str:
+    match step:
+        case {"step": "Press", "load": {"label": label, "x_mm": x, "y_mm": y, "strain": strain, "trial": trial}}:
+            return f"press {label} at ({x:g}, {y:g}) mm to {100 * strain:g} %, trial {trial + 1}"
+        case {"step": "Ease", "strain": strain}:
+            return f"ease to {100 * strain:g} %"
+        case {"step": "Hold", "hold_s": hold_s}:
+            return f"hold for {hold_s:g} s"
+        case {"step": "FindSurface", "x_mm": x, "y_mm": y}:
+            return f"find the surface at ({x:g}, {y:g}) mm"
+        case {"step": "AcquireFrames", "count": count}:
+            return f"take {count} frames"
+        case _:
+            kind = str(step["step"])
+            return {"Home": "home", "Release": "release", "MarkUnloaded": "mark the sheet as rested"}.get(kind, kind)

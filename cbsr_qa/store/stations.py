@@ -1,0 +1,205 @@
+"""Checks of stations: added one after the other; the latest one says how a station stands.
+
+References of control charts: added one after the other; the latest of each chart holds, unless it retires it.
+"""
+
+from collections.abc import Sequence
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import Connection, Engine, Row, RowMapping, insert, select
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import MetricKey
+from cbsr_qa.domain.run import (
+    ChartKind,
+    ChartReference,
+    ChartSettings,
+    CheckOutcome,
+    CheckResult,
+    RingReadings,
+    StationCheck,
+)
+from cbsr_qa.store.engine import reading, stored, writing
+from cbsr_qa.store.runs import frame_block, frame_values, instrument_of, instrument_values
+from cbsr_qa.store.tables import (
+    ChartReferenceRow,
+    FrameBlockRow,
+    StationCheckFramesRow,
+    StationCheckLineRow,
+    StationCheckRow,
+)
+
+_PLAIN = (
+    *("reference", "station", "recipe", "golden", "unit", "mean", "deviation", "runs", "first_run", "last_run"),
+    *("operator", "made_at", "why"),
+)
+_KEY = ("name", "phase", "qualifier", "location")
+_SETTINGS = ("subgroup", "rules", "weight", "width", "slack", "threshold")
+
+
+def save_references(engine: Engine, references: Sequence[ChartReference]) -> None:
+    """Store references of charts beside the earlier ones, in one transaction.
+
+    Raises
+    ------
+    StoreError
+        If one is stored already, its runs are not, or the database cannot be written.
+    """
+    if references:
+        with writing(engine) as connection:
+            connection.execute(insert(ChartReferenceRow), [_values(one) for one in references])
+
+
+def current_references(engine: Engine, station: str, until: str = "") -> tuple[ChartReference, ...]:
+    """Return the references that hold of a station's charts, in the order they were stored; none of retired charts.
+
+    Parameters
+    ----------
+    until : leave out those whose names sort after this one: what held when something of that name was made.
+    """
+    query = select(*ChartReferenceRow.__table__.columns).where(ChartReferenceRow.station == station)
+    if until:
+        query = query.where(ChartReferenceRow.reference <= until)
+    with reading(engine) as connection:
+        rows = connection.execute(query.order_by(ChartReferenceRow.reference)).all()
+    latest = {(one.recipe, one.golden, one.key, one.settings.kind): one for one in map(_reference, rows)}
+    holding = (one for one in latest.values() if not one.retired)
+    return tuple(sorted(holding, key=lambda one: one.reference))
+
+
+def all_references(engine: Engine, station: str = "") -> tuple[ChartReference, ...]:
+    """Return every reference the charts of a station (empty: of all stations) ever had, oldest first."""
+    query = select(*ChartReferenceRow.__table__.columns)
+    if station:
+        query = query.where(ChartReferenceRow.station == station)
+    with reading(engine) as connection:
+        return tuple(_reference(row) for row in connection.execute(query.order_by(ChartReferenceRow.reference)))
+
+
+def _values(one: ChartReference) -> dict[str, Any]:
+    settings = {name: getattr(one.settings, name) for name in _SETTINGS}
+    return {
+        **{name: getattr(one, name) for name in _PLAIN},
+        **{name: getattr(one.key, name) for name in _KEY},
+        "kind": str(one.settings.kind),
+        # Only where it is, so that rows of earlier versions of this program read alike.
+        "settings": settings | {"rules": list(one.settings.rules)} | ({"retired": True} if one.retired else {}),
+    }
+
+
+def _reference(row: Row[Any]) -> ChartReference:
+    own = row._mapping
+    settings = {name: own["settings"][name] for name in _SETTINGS}
+    kind = stored(ChartKind, own["kind"], "chart_references.kind", f"reference {own['reference']}")
+    return ChartReference(
+        **{name: own[name] for name in _PLAIN},
+        key=MetricKey(*(own[name] for name in _KEY)),
+        settings=ChartSettings(kind, **settings | {"rules": tuple(settings["rules"])}),
+        retired=bool(own["settings"].get("retired", False)),
+    )
+
+
+_LINE = ("name", "value", "unit", "allowed", "remedy", "said", "subject")
+
+
+def save_check(engine: Engine, check: StationCheck, ring: RingReadings | None) -> None:
+    """Store a check with all its lines, and the frames of its ring, in one transaction.
+
+    Raises
+    ------
+    StoreError
+        If it is stored already, its golden run is not, or the database cannot be written.
+    """
+    values = {
+        "check_id": check.check,
+        "station": check.station,
+        "operator": check.operator,
+        "checked_at": check.checked_at,
+        "sensor_type": check.sensor_type,
+        "configuration_digest": check.configuration_digest,
+        "software": [list(pair) for pair in check.software],
+        "instruments": [instrument_values(one) for one in check.instruments],
+        "outcome": str(check.outcome),
+        "golden_run": check.golden_run,
+    }
+    lines = [
+        {"check_id": check.check, "number": number, "outcome": str(line.outcome)}
+        | {name: getattr(line, name) for name in _LINE}
+        for number, line in enumerate(check.results)
+    ]
+    with writing(engine) as connection:
+        connection.execute(insert(StationCheckRow), values)
+        if lines:
+            connection.execute(insert(StationCheckLineRow), lines)
+        if ring is not None:
+            own = {"check_id": check.check, "resistances_ohm": [float(one) for one in ring.resistances_ohm]}
+            connection.execute(insert(StationCheckFramesRow), own | frame_values(ring.frames))
+
+
+def latest_check(engine: Engine, station: str, before: datetime | None = None) -> StationCheck | None:
+    """Return the latest check of a station, or None where it was never checked.
+
+    Parameters
+    ----------
+    before : leave out checks of after this moment: what was known when a run began.
+    """
+    query = select(*StationCheckRow.__table__.columns).where(StationCheckRow.station == station)
+    if before is not None:
+        query = query.where(StationCheckRow.checked_at <= before)
+    newest = query.order_by(StationCheckRow.checked_at.desc(), StationCheckRow.check_id.desc()).limit(1)
+    with reading(engine) as connection:
+        row = connection.execute(newest).one_or_none()
+        return None if row is None else _check(connection, row)
+
+
+def ring_of(engine: Engine, check: str) -> RingReadings | None:
+    """Return the frames of a check's reference ring; None where none was measured.
+
+    Raises
+    ------
+    StoreError
+        If what is stored is not what was measured.
+    """
+    query = select(*StationCheckFramesRow.__table__.columns).where(StationCheckFramesRow.check_id == check)
+    with reading(engine) as connection:
+        found = connection.execute(query).mappings().one_or_none()
+    if found is None:
+        return None
+    columns = {name: value for name, value in found.items() if name not in ("check_id", "resistances_ohm")}
+    try:
+        frames = frame_block(FrameBlockRow(run="", phase=0, block=0, **columns))
+    except StoreError as error:
+        raise StoreError(
+            f"the ring's frames of station check {check} are not what was measured: their digest does not fit",
+            remedy="restore the database from a copy",
+        ) from error
+    return RingReadings(frames, tuple(float(one) for one in found["resistances_ohm"]))
+
+
+def _check(connection: Connection, row: Row[Any]) -> StationCheck:
+    lines = select(*StationCheckLineRow.__table__.columns).where(StationCheckLineRow.check_id == row.check_id)
+    found = connection.execute(lines.order_by(StationCheckLineRow.number)).mappings()
+    return StationCheck(
+        check=row.check_id,
+        station=row.station,
+        operator=row.operator,
+        checked_at=row.checked_at,
+        sensor_type=row.sensor_type,
+        configuration_digest=row.configuration_digest,
+        software=tuple((name, version) for name, version in row.software),
+        instruments=tuple(instrument_of(one) for one in row.instruments),
+        results=tuple(
+            CheckResult(
+                outcome=stored(CheckOutcome, line["outcome"], "station_check_lines.outcome", f"check {row.check_id}"),
+                **{name: line[name] for name in _LINE},
+            )
+            for line in found
+        ),
+        golden_run=row.golden_run,
+    )
+
+
+def _outcome(line: RowMapping) -> CheckOutcome:
+    row = f"check {line['check_id']}, line {line['number']},"
+    return stored(CheckOutcome, line["outcome"], "station_check_lines.outcome", row)

@@ -1,0 +1,34 @@
+from .records import (
+    ChartReferenceRow as ChartReferenceRow,
+    ConfigurationChangeRow as ConfigurationChangeRow,
+    LinkRow as LinkRow,
+    StationCheckFramesRow as StationCheckFramesRow,
+    StationCheckLineRow as StationCheckLineRow,
+    StationCheckRow as StationCheckRow,
+    VerdictOverrideRow as VerdictOverrideRow,
+)
+from .results import (
+    AnalysisRow as AnalysisRow,
+    BaselineRow as BaselineRow,
+    CalibrationRow as CalibrationRow,
+    FitParameterRow as FitParameterRow,
+    ForceRow as ForceRow,
+    MeasurementRow as MeasurementRow,
+    OverlapBandRow as OverlapBandRow,
+    RelaxationRow as RelaxationRow,
+    SettlingRow as SettlingRow,
+    WarningRow as WarningRow,
+)
+from .runs import (
+    Base as Base,
+    FrameBlockRow as FrameBlockRow,
+    InstrumentRow as InstrumentRow,
+    LoadRow as LoadRow,
+    PhaseRow as PhaseRow,
+    RunRow as RunRow,
+    RunStateRow as RunStateRow,
+    SampleBlockRow as SampleBlockRow,
+    SensorRow as SensorRow,
+    StepRow as StepRow,
+    UnloadedMarkRow as UnloadedMarkRow,
+)

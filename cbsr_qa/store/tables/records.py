@@ -1,0 +1,149 @@
+"""The table of links: the chain of digests each run is under. Rows are added and never changed.
+
+Tables of what people changed: files of a known name, and verdicts. Rows are never changed.
+
+Table of what control charts of stations rest on. Rows are never changed: the latest of a chart holds.
+
+Tables of station checks: what was looked at, and the frames of the reference ring. Rows are never changed.
+"""
+
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import ForeignKey, Index, String
+from sqlalchemy.orm import Mapped, mapped_column
+
+from cbsr_qa.store.tables.runs import Base, Identifier
+
+
+class ConfigurationChangeRow(Base):
+    """A run used a file of a known name with another content than the latest run before it."""
+
+    __tablename__ = "configuration_changes"
+    __table_args__ = (Index(None, "kind", "name"),)
+
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
+    kind: Mapped[str] = mapped_column(String(16), primary_key=True)  #: a FileKind
+    name: Mapped[str]
+    earlier_run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))  #: the latest with the old content
+    old_sha256: Mapped[str] = mapped_column(String(64))
+    new_sha256: Mapped[str] = mapped_column(String(64))
+    differences: Mapped[list[Any]]  #: [[key, before, after], …] as JSON text; null where the key was not there
+    operator: Mapped[str]
+    noted_at: Mapped[datetime]
+    why: Mapped[str]
+
+
+class VerdictOverrideRow(Base):
+    """Somebody's decision against the verdict of an analysis; the latest of an analysis holds."""
+
+    __tablename__ = "verdict_overrides"
+    __table_args__ = (Index(None, "run"),)
+
+    override_id: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
+    analysis: Mapped[str] = mapped_column(Identifier, ForeignKey("analyses.analysis"))
+    outcome: Mapped[str] = mapped_column(String(16))
+    operator: Mapped[str]
+    why: Mapped[str]
+    noted_at: Mapped[datetime]
+
+
+class ChartReferenceRow(Base):
+    """Limits of one chart, from a reference period."""
+
+    __tablename__ = "chart_references"
+    __table_args__ = (Index(None, "station", "reference"),)
+
+    reference: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    station: Mapped[str]
+    recipe: Mapped[str]
+    golden: Mapped[str]  #: serial number of a golden sensor; empty for production runs
+    name: Mapped[str] = mapped_column(String(64))
+    phase: Mapped[str]
+    qualifier: Mapped[str]
+    location: Mapped[str]
+    unit: Mapped[str]
+    kind: Mapped[str] = mapped_column(String(16))  #: a ChartKind
+    settings: Mapped[
+        dict[str, Any]
+    ]  #: subgroup, rules, weight, width, slack, threshold; retired of a row that ends a chart
+    mean: Mapped[float]
+    deviation: Mapped[float]
+    runs: Mapped[int]
+    first_run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
+    last_run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
+    operator: Mapped[str]
+    made_at: Mapped[datetime]
+    why: Mapped[str]
+
+
+class StationCheckRow(Base):
+    """One check of a station."""
+
+    __tablename__ = "station_checks"
+    __table_args__ = (Index(None, "station", "check_id"),)
+
+    check_id: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    station: Mapped[str]
+    operator: Mapped[str]
+    checked_at: Mapped[datetime]
+    sensor_type: Mapped[str]
+    configuration_digest: Mapped[str] = mapped_column(String(64))
+    software: Mapped[list[Any]]  #: [[distribution, version], …]
+    instruments: Mapped[list[Any]]  #: those that answered, as in the table of instruments
+    outcome: Mapped[str] = mapped_column(String(16))  #: a CheckOutcome: the worst of its lines
+    golden_run: Mapped[str | None] = mapped_column(Identifier, ForeignKey("runs.run"))
+
+
+class StationCheckLineRow(Base):
+    """One line of a check."""
+
+    __tablename__ = "station_check_lines"
+
+    check_id: Mapped[str] = mapped_column(Identifier, ForeignKey("station_checks.check_id"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    subject: Mapped[str]
+    name: Mapped[str]
+    outcome: Mapped[str] = mapped_column(String(16))
+    value: Mapped[float | None]
+    unit: Mapped[str]
+    allowed: Mapped[str]
+    said: Mapped[str]
+    remedy: Mapped[str]
+
+
+class StationCheckFramesRow(Base):
+    """Frames of the reference ring, stored like those of a run."""
+
+    __tablename__ = "station_check_frames"
+
+    check_id: Mapped[str] = mapped_column(Identifier, ForeignKey("station_checks.check_id"), primary_key=True)
+    resistances_ohm: Mapped[list[Any]]  #: of the ring
+    frames: Mapped[int]
+    drives: Mapped[int]
+    measures: Mapped[int]
+    unit: Mapped[str] = mapped_column(String(16))
+    current_a: Mapped[float | None]
+    first_s: Mapped[float]
+    last_s: Mapped[float]
+    time_s: Mapped[bytes]  #: float64 (frames,)
+    voltages: Mapped[bytes]  #: float64 (frames, drives, measures)
+    flags: Mapped[bytes]  #: uint8 (frames, drives, measures)
+    reading_time_s: Mapped[bytes | None]  #: float64 (frames, drives, measures)
+    sha256: Mapped[str] = mapped_column(String(64))
+
+
+class LinkRow(Base):
+    """One link of a run's chain, stored in the transaction of the rows it covers: they are one document."""
+
+    __tablename__ = "run_links"
+    __table_args__ = (Index(None, "run", "kind", "document", unique=True),)
+
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    kind: Mapped[str] = mapped_column(String(32))  #: the table its rows are in, see links.py
+    document: Mapped[str] = mapped_column(String(64))  #: which of its rows: their common key
+    content_sha256: Mapped[str] = mapped_column(String(64))  #: of these rows
+    sha256: Mapped[str] = mapped_column(String(64))  #: of the link before, kind, document and content
+    mac: Mapped[str | None] = mapped_column(String(64))  #: HMAC-SHA256 of ``sha256``; None where no key was set

@@ -1,0 +1,242 @@
+"""Tables of what was concluded: analyses with their measurements, and calibrations with their rows.
+
+Judging a run again adds an analysis beside the earlier ones. The one cell that is ever filled in later is
+``calibrations.superseded_by``, and only while it is empty.
+"""
+
+from datetime import datetime
+from typing import Any
+
+from sqlalchemy import ForeignKey, Index, String
+from sqlalchemy.orm import Mapped, mapped_column
+
+from cbsr_qa.store.tables.runs import Base, Identifier
+
+
+class AnalysisRow(Base):
+    """One analysis of a run: the latest holds, the older ones stay."""
+
+    __tablename__ = "analyses"
+    __table_args__ = (Index(None, "run", "analysis"),)
+
+    analysis: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
+    analysed_at: Mapped[datetime]
+    software: Mapped[list[Any]]  #: [[distribution, version], …]
+    outcome: Mapped[str] = mapped_column(String(16))
+    reason: Mapped[str]
+    calibration_why: Mapped[str]  #: why there is no calibration; empty where there is one
+    noise_weighting: Mapped[str] = mapped_column(String(16))  #: as in the recipe; empty where nothing was imaged
+    weight_ratio: Mapped[float | None]  #: largest over smallest weight of a reading
+    compute_s: Mapped[list[Any]]  #: [[stage, seconds], …]
+
+
+class WarningRow(Base):
+    """A warning of an analysis, in plain words."""
+
+    __tablename__ = "warnings"
+
+    analysis: Mapped[str] = mapped_column(Identifier, ForeignKey("analyses.analysis"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    text: Mapped[str]
+
+
+class MeasurementRow(Base):
+    """A named number with its unit, its limit and its outcome; without a value ``how`` says why."""
+
+    __tablename__ = "measurements"
+    __table_args__ = (Index(None, "name"),)
+
+    analysis: Mapped[str] = mapped_column(Identifier, ForeignKey("analyses.analysis"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    name: Mapped[str] = mapped_column(String(64))
+    value: Mapped[float | None]
+    unit: Mapped[str]
+    uncertainty: Mapped[float | None]
+    phase: Mapped[str]
+    location: Mapped[str]
+    trial: Mapped[int | None]
+    qualifier: Mapped[str]
+    how: Mapped[str]
+    bound: Mapped[str] = mapped_column(String(16))  #: "exact"; "lower" where the quantity is at least the value
+    load_index: Mapped[int | None]  #: within the phase, as in loads: tells apart one label at several strains
+    strain: Mapped[float | None]  #: of that load
+    outcome: Mapped[str] = mapped_column(String(16))
+    limited: Mapped[bool]  #: whether there was a limit; the next columns are empty where not
+    lower_limit: Mapped[float | None]
+    upper_limit: Mapped[float | None]
+    marginal: Mapped[float | None]
+    limit_phase: Mapped[str | None]
+    limit_qualifier: Mapped[str | None]
+
+
+class CalibrationRow(Base):
+    """What a passed run issued for its sensor.
+
+    The HDF5 file is an export of it and its lists, with the imaging matrix and the head's templates added.
+    """
+
+    __tablename__ = "calibrations"
+    __table_args__ = (Index(None, "serial", "calibration"), Index(None, "run"))
+
+    calibration: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
+    analysis: Mapped[str] = mapped_column(Identifier, ForeignKey("analyses.analysis"))
+    serial: Mapped[str] = mapped_column(String(64), ForeignKey("sensors.serial"))
+    issued_at: Mapped[datetime]
+    superseded_by: Mapped[str | None] = mapped_column(Identifier, ForeignKey("calibrations.calibration"))
+    response: Mapped[str] = mapped_column(String(16))
+    current_a: Mapped[float]
+    scale: Mapped[float]
+    noise_floor: Mapped[float]
+    mask: Mapped[float]
+    measured_noise_figure: Mapped[float | None]  #: of this sensor with its own matrix
+    method: Mapped[str]  #: of the imaging matrix
+    regularisation: Mapped[float]
+    regularisation_name: Mapped[str]  #: what ``regularisation`` is, e.g. "λ"
+    regularisation_criterion: Mapped[str]  #: what it was chosen by; empty where nobody said
+    regularisation_how: Mapped[str]
+    noise_figure: Mapped[float]  #: of the matrix on the nominal model
+    drives: Mapped[int]
+    measures: Mapped[int]
+    reference: Mapped[bytes]  #: float64 little-endian (drives, measures) [V]
+    used: Mapped[bytes]  #: uint8 (drives, measures), readings that are imaged
+    reference_sha256: Mapped[str] = mapped_column(String(64))
+    no_force: Mapped[str]  #: why there is no force model; empty where there is one, or nobody said
+    overlap_threshold: Mapped[float]
+    size_ratio_low: Mapped[float | None]
+    size_ratio_high: Mapped[float | None]
+    stress_covariance: Mapped[float | None]  #: of α and β against stress [1/kPa]
+    strain_covariance: Mapped[float | None]  #: of α and β against strain
+    force_low_n: Mapped[float | None]
+    force_high_n: Mapped[float | None]
+    strain_low: Mapped[float]
+    strain_high: Mapped[float]
+    temperature_low_c: Mapped[float | None]
+    temperature_high_c: Mapped[float | None]
+    radius_mm: Mapped[float]
+    reduced: Mapped[list[Any]]  #: reasons why the range is smaller than intended
+    assumed: Mapped[list[Any]]  #: names of what was not measured on this sensor
+    simulated: Mapped[list[Any]]
+    setting: Mapped[dict[str, Any]]  #: sensor type and indenter, see codec.py
+    content_sha256: Mapped[str] = mapped_column(String(64))  #: of the issued file's content, as the file states it
+    record_sha256: Mapped[str] = mapped_column(String(64))  #: the same without what is prepared again: the matrix
+
+
+class ForceRow(Base):
+    """How readings become newtons: what was learned of the sensor, on the lattice of the head's templates.
+
+    The templates themselves follow from sensor type, head, reference and merging.
+    """
+
+    __tablename__ = "calibration_forces"
+
+    calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"), primary_key=True)
+    merged: Mapped[int]  #: rows the used readings become
+    readings: Mapped[int]
+    merging: Mapped[bytes]  #: float64 little-endian (merged, readings) [1/V]
+    nodes: Mapped[int]  #: of the lattice, where a head may be
+    log_response: Mapped[bytes]  #: float64 little-endian (nodes): the map
+    log_response_stderr: Mapped[bytes]  #: float64 little-endian (nodes)
+    force_sha256: Mapped[str] = mapped_column(String(64))  #: of these three
+    scatter: Mapped[float]
+    stress_low_kpa: Mapped[float]
+    stress_high_kpa: Mapped[float]
+    threshold: Mapped[float]
+    misfit: Mapped[float]
+    residue_share: Mapped[float]
+    residue_stderr: Mapped[float]
+    residue_strength: Mapped[float]
+    steady_s: Mapped[float]
+    place_scatter_mm: Mapped[float]
+    kernels: Mapped[dict[str, Any]]  #: "loading" and "unloading" where they were learned
+
+
+class BaselineRow(Base):
+    """Baseline conductance of one place."""
+
+    __tablename__ = "calibration_baselines"
+
+    calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    location: Mapped[str]
+    x_mm: Mapped[float]
+    y_mm: Mapped[float]
+    value: Mapped[float | None]
+    stderr: Mapped[float | None]
+    loads: Mapped[int]
+    why: Mapped[str]
+
+
+class SettlingRow(Base):
+    """Settling times of one signal and direction."""
+
+    __tablename__ = "calibration_settling"
+
+    calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    signal: Mapped[str]
+    loading: Mapped[bool]
+    mean_s: Mapped[float | None]
+    deviation_s: Mapped[float | None]
+    accepted: Mapped[int]
+    censored: Mapped[int]
+    rejected: Mapped[int]
+
+
+class RelaxationRow(Base):
+    """A fitted relaxation of one signal after one press or release, and the settling time that follows from it."""
+
+    __tablename__ = "calibration_relaxations"
+
+    calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    phase: Mapped[str]
+    load_index: Mapped[int | None]  #: within the phase, as in loads
+    location: Mapped[str]
+    trial: Mapped[int]
+    strain: Mapped[float | None]
+    signal: Mapped[str]
+    unit: Mapped[str]  #: of level, amplitudes and band
+    loading: Mapped[bool]
+    status: Mapped[str] = mapped_column(String(32))  #: a FitStatus
+    level: Mapped[float]  #: a₀
+    level_stderr: Mapped[float]
+    amplitude_1: Mapped[float | None]  #: of the shorter time constant
+    amplitude_2: Mapped[float | None]
+    time_constant_1_s: Mapped[float | None]
+    time_constant_2_s: Mapped[float | None]
+    time_constant_1_stderr_s: Mapped[float | None]
+    time_constant_2_stderr_s: Mapped[float | None]
+    r_squared: Mapped[float]
+    why: Mapped[str]  #: of a fallback or a rejection
+    settling_s: Mapped[float | None]
+    settling_censored: Mapped[bool]  #: at least ``settling_s``
+    settling_band: Mapped[float]
+    settling_why: Mapped[str]
+
+
+class FitParameterRow(Base):
+    """A fit parameter, with its source and whether it was assumed rather than measured on this sensor."""
+
+    __tablename__ = "calibration_parameters"
+
+    calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"), primary_key=True)
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)  #: e.g. "against_stress.slope"
+    value: Mapped[float]
+    stderr: Mapped[float | None]
+    unit: Mapped[str]
+    source: Mapped[str]
+    assumed: Mapped[bool]
+
+
+class OverlapBandRow(Base):
+    """One band of the area-overlap scale, [lower, upper) percent."""
+
+    __tablename__ = "calibration_overlap_bands"
+
+    calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"), primary_key=True)
+    number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    name: Mapped[str]
+    lower_percent: Mapped[float]
+    upper_percent: Mapped[float]

@@ -1,0 +1,6 @@
+from .fleet_demo import (
+    ONE_STATION as ONE_STATION,
+    SAID as SAID,
+    THIRD_ON_ALL as THIRD_ON_ALL,
+    build_fleet as build_fleet,
+)

@@ -1,0 +1,5 @@
+"""Batches, materials, stations, software versions and periods compared."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

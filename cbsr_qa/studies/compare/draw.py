@@ -1,0 +1,139 @@
+"""Figures of groups compared: how sensors spread by group and station, and where on the sheet groups differ."""
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Circle
+
+from cbsr_qa.domain import Array
+from cbsr_qa.domain.results import Figure
+from cbsr_qa.report import number, unit_column
+from cbsr_qa.report.draw import (
+    CHANGE_MAP,
+    CYCLE,
+    FAINT,
+    INK,
+    QUIET,
+    bare,
+    canvas,
+    change_norm,
+    drawn,
+    light_grid,
+    name_rows,
+)
+
+#: Group, station, and one figure a sensor.
+Samples = Sequence[tuple[str, str, Array]]
+
+#: Sensors of one row that are drawn as points; more are drawn as an outline of their distribution.
+_MOST_POINTS = 150
+_BINS = 40
+_OUTLINES = "points and outlines show one figure a sensor"
+_MARK_IN = 0.34
+#: Of a group's or a station's name beside a row.
+_MOST_LETTERS = 18
+#: Left of the longest name.
+_LEAST_LEFT_IN = 0.05
+
+
+def strip_figure(label: str, unit: str, samples: Samples, groups: Sequence[str]) -> Figure:
+    """Draw sensors by group and station: one row each, the mean as a line, quartiles as a bar.
+
+    Parameters
+    ----------
+    groups : in their order, which decides the colours.
+    """
+    shown = [one for one in samples if len(one[2])]
+    return drawn(
+        lambda: _strips(unit_column(label, unit), shown, groups),
+        caption=f"{label}: a row is a group at a station, {'a point a sensor' if _few(shown) else _OUTLINES}. "
+        "Line: mean; bar: middle half of the sensors.",
+        alternative="; ".join(f"{g} on {s}: {len(v)} sensors, mean {number(float(v.mean()))}" for g, s, v in shown),
+    )
+
+
+def map_figure(label: str, unit: str, who: str, places: Sequence[tuple[str, float, float, float, bool]]) -> Figure:
+    """Draw differences where they are on the sheet.
+
+    Parameters
+    ----------
+    who : what is subtracted from what.
+    places : location, x and y [mm], difference, and whether it is more than chance.
+    """
+    return drawn(
+        lambda: _map(unit_column("difference", unit), places),
+        caption=f"{label}: {who} by place, other stations' or batches' differences taken out. Ringed: more than "
+        "chance, adjusted for the places.",
+        alternative="; ".join(f"{name}: {number(value)}" for name, _, _, value, _ in places),
+    )
+
+
+def _few(samples: Samples) -> bool:
+    return all(len(values) <= _MOST_POINTS for _, _, values in samples)
+
+
+def _strips(label: str, samples: Samples, groups: Sequence[str]) -> Canvas:
+    height = 0.55 + _MARK_IN * len(samples)
+    figure = canvas(height)
+    axes = figure.add_axes((0.22, 0.42 / height, 0.75, 1 - 0.5 / height))
+    light_grid(axes, "x")
+    for row, (group, _, values) in enumerate(samples):
+        colour = CYCLE[list(groups).index(group) % len(CYCLE)]
+        _row(axes, row, values, colour)
+    names = [f"{_short(group)}, {_short(station)}  ({len(values)})" for group, station, values in samples]
+    name_rows(axes, names, most=len(names))  # the figure is as high as they need
+    axes.set_xlabel(label)
+    box = axes.yaxis.get_tightbbox(None)
+    lacking = 0.0 if box is None else (_LEAST_LEFT_IN * figure.dpi - box.x0) / figure.bbox.width
+    if lacking > 0:
+        axes.set_position((0.22 + lacking, 0.42 / height, 0.75 - lacking, 1 - 0.5 / height))
+    return figure
+
+
+def _short(name: str) -> str:
+    """Leave out the middle of a name that is too long to stand beside a row."""
+    if len(name) <= _MOST_LETTERS:
+        return name
+    kept = _MOST_LETTERS - 1
+    return f"{name[: kept - kept // 3].rstrip()}…{name[len(name) - kept // 3 :].lstrip()}"
+
+
+def _row(axes: Axes, row: int, values: Array, colour: str) -> None:
+    if len(values) > _MOST_POINTS:
+        counts, edges = np.histogram(values, _BINS)
+        half = 0.38 * counts / counts.max()
+        axes.fill_between(
+            0.5 * (edges[1:] + edges[:-1]), row - half, row + half, color=colour, alpha=0.35, linewidth=0
+        )
+    else:
+        # Spread evenly over the row in the order of the values: the same numbers give the same picture.
+        offsets = 0.22 * np.sin(2.4 * np.arange(len(values)))
+        axes.plot(np.sort(values), row + offsets, "o", color=colour, markersize=2.6, alpha=0.6, markeredgewidth=0)
+    if len(values) == 1:  # the bar of one sensor would hide it
+        return
+    low, high = np.quantile(values, (0.25, 0.75))
+    axes.plot((low, high), (row, row), color=INK, linewidth=2.2)
+    axes.plot((values.mean(), values.mean()), (row - 0.3, row + 0.3), color=INK, linewidth=1.2)
+
+
+def _map(label: str, places: Sequence[tuple[str, float, float, float, bool]]) -> Canvas:
+    figure = canvas(2.9, 3.6)
+    axes = figure.add_axes((0.02, 0.02, 0.72, 0.96))
+    norm = change_norm(max(abs(value) for *_, value, _ in places))
+    reach = 1.35 * max(float(np.hypot(x, y)) for _, x, y, _, _ in places) or 1.0
+    axes.add_patch(Circle((0, 0), reach, fill=False, edgecolor=QUIET, linewidth=0.6))
+    for name, x, y, value, sure in places:
+        edge, width = (INK, 1.6) if sure else (FAINT, 0.5)
+        axes.plot(
+            x, y, "o", markersize=19, color=CHANGE_MAP(norm(value)), markeredgecolor=edge, markeredgewidth=width
+        )
+        axes.text(x, y - 0.17 * reach, f"{name} {number(value, 2)}", ha="center", va="center", fontsize=6, color=INK)
+    bare(axes)
+    axes.set_xlim(-1.05 * reach, 1.05 * reach)
+    axes.set_ylim(-1.05 * reach, 1.05 * reach)
+    bar = figure.colorbar(ScalarMappable(norm, CHANGE_MAP), cax=figure.add_axes((0.8, 0.15, 0.03, 0.7)))
+    bar.set_label(label)
+    return figure

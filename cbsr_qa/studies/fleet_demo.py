@@ -1,0 +1,264 @@
+"""A fleet to try comparisons on: figures are drawn from a statistical model whose truth is known, and say so.
+
+Sheets whose figures differ by a stated number of deviations cannot be ordered from a simulation of their physics, and
+160 of its runs would take half an hour. So nothing is drawn but the figures: batch + station + sensor + run + place.
+"""
+
+import copy
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime, timedelta
+from importlib.metadata import version
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.config import (
+    Configuration,
+    DocumentKind,
+    load_material,
+    load_recipe,
+    load_sensor_type,
+    load_station,
+    merge,
+    open_document,
+    var_folder,
+)
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.results import EndReason, Measurement, RunResult, decide
+from cbsr_qa.domain.run import (
+    NINE_LOCATIONS_MM,
+    InstrumentIdentity,
+    Load,
+    LoadFinished,
+    LoadRecord,
+    PhaseFinished,
+    PhaseStarted,
+    RunEnded,
+    RunEvent,
+    RunIdentity,
+    RunStarted,
+)
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.store import Repository, open_store
+
+#: Of everything that is drawn; the first there is, not chosen for what comes out.
+SEED: Final = 1
+
+#: Names of the two designs, which are those of their recipes.
+ONE_STATION: Final = "each-on-one-station"
+THIRD_ON_ALL: Final = "a-third-on-all-stations"
+
+BATCHES: Final = ("41", "42", "43")
+STATIONS: Final = ("A", "B", "C")
+_SENSORS: Final = 20  # of a batch
+_AT_HOME: Final = 12  # of them on the batch's own station: stations and batches are much confounded
+_EFFECT: Final = 1.5  # deviations between sensors: what batch 43 differs by, and station B
+
+#: Said in the database, on pages and in reports.
+SAID: Final = (
+    "figures are drawn from a statistical model of a fleet: nothing was measured, no sheet and no frame was simulated"
+)
+_PHASE: Final = "nine locations"
+_BEGAN: Final = datetime(2026, 3, 2, 7, 0, tzinfo=UTC)
+_APART: Final = timedelta(minutes=40)
+
+
+@dataclass(frozen=True, slots=True)
+class Drawn:
+    """How one metric is drawn.
+
+    Parameters
+    ----------
+    mean : of batch 41 on station A, in the unit.
+    sensor, run, place : standard deviations between sensors, between runs of a sensor, and between places of a run;
+        ``place`` is 0 for what has one value a run.
+    batch, station : what batch 43 and station B add, in deviations between sensors.
+    """
+
+    name: str
+    unit: str
+    mean: float
+    sensor: float
+    run: float
+    place: float
+    batch: float
+    station: float
+
+
+DRAWN: Final = (
+    Drawn("centre_of_mass_error", "mm", 2.65, 0.4, 0.12, 0.25, _EFFECT, _EFFECT),
+    Drawn("area_ratio", "1", 1.3, 0.15, 0.05, 0.1, 0.0, -_EFFECT),
+    Drawn("noise_floor", "1", 0.006, 0.0006, 0.0002, 0.0, 0.0, 0.0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class _Run:
+    """One run of a design, by numbers."""
+
+    recipe: str
+    batch: int
+    station: int
+    sensor: int
+
+    @property
+    def serial(self) -> str:
+        letter = "S" if self.recipe == ONE_STATION else "T"
+        return f"{letter}{BATCHES[self.batch]}-{self.sensor + 1:02d}"
+
+
+def fleet_demo_path() -> Path:
+    """Where the fleet lies: a database of its own."""
+    return var_folder() / "fleet-demo.db"
+
+
+def build_fleet(count: Callable[[int, int], None] = lambda done, of: None, *, path: Path | None = None) -> Path:
+    """Build the fleet anew.
+
+    Parameters
+    ----------
+    count : told how many runs are stored, of how many.
+    path : of the database; None for ``fleet-demo.db`` in ``var/``. An earlier fleet is replaced.
+
+    Raises
+    ------
+    RefusedError
+        If something else is at the path, which is left as it is.
+    """
+    path = path or fleet_demo_path()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _make_room(path)
+    runs = tuple(designed())
+    configurations = {(run.recipe, run.station): _configuration(run) for run in runs}
+    now = _BEGAN
+    random = np.random.default_rng(SEED)
+    sensors = {run.serial: random.standard_normal(len(DRAWN)) for run in runs}
+    with open_store(f"sqlite:///{path}", durable=False, wall=lambda: now) as store:
+        for done, run in enumerate(runs, start=1):
+            now += _APART
+            _store(
+                store, run, configurations[run.recipe, run.station], _figures(run, sensors[run.serial], random), now
+            )
+            count(done, len(runs))
+    return path
+
+
+def designed() -> Iterator[_Run]:
+    """Yield the runs of both designs in the order they are made in: batch after batch, as sensors come.
+
+    Twelve of a batch's twenty sensors are at its own station, four at each other one. In the second design every
+    third sensor is run on all stations.
+    """
+    for recipe in (ONE_STATION, THIRD_ON_ALL):
+        for batch in range(len(BATCHES)):
+            homes = [batch] * _AT_HOME + [(batch + 1 + one % 2) % len(STATIONS) for one in range(_SENSORS - _AT_HOME)]
+            for sensor in range(_SENSORS):
+                home = homes[3 * sensor % _SENSORS]
+                everywhere = recipe == THIRD_ON_ALL and sensor % 3 == 0
+                for station in range(len(STATIONS)) if everywhere else (home,):
+                    yield _Run(recipe, batch, station, sensor)
+
+
+def _make_room(path: Path) -> None:
+    """Remove an earlier fleet; refuse where anything else lies there."""
+    if not path.exists():
+        return
+    with open_store(f"sqlite:///{path}", create=False) as store:
+        strange = [run.run for run in store.find_runs() if run.recipe not in (ONE_STATION, THIRD_ON_ALL)]
+    if strange:
+        raise RefusedError(
+            f"{path} holds runs that are not of the demonstration, e.g. {strange[0]}",
+            remedy="move that file away, or set CBSR_QA_VAR to another folder",
+        )
+    for suffix in ("", "-wal", "-shm"):
+        path.with_name(path.name + suffix).unlink(missing_ok=True)
+
+
+def _figures(run: _Run, sensor: np.ndarray, random: np.random.Generator) -> dict[str, np.ndarray]:
+    """Draw the figures of one run: (places,) of each metric, or (1,)."""
+    found = {}
+    for metric, deviation in zip(DRAWN, sensor, strict=True):
+        systematic = metric.batch * (BATCHES[run.batch] == "43") + metric.station * (STATIONS[run.station] == "B")
+        level = metric.mean + metric.sensor * (systematic + deviation) + metric.run * random.standard_normal()
+        found[metric.name] = level + metric.place * random.standard_normal(9 if metric.place else 1)
+    return found
+
+
+def _configuration(run: _Run) -> Configuration:
+    """The shipped files the figures would be of, with limits on what is drawn alone."""
+    station = copy.deepcopy(dict(open_document(DocumentKind.STATION, "simulated").data))
+    station["station"]["name"] = f"station-{STATIONS[run.station]}"
+    recipe = copy.deepcopy(dict(open_document(DocumentKind.RECIPE, "nine-locations").data))
+    recipe["recipe"] = {"name": run.recipe, "calibrate_phases": []}
+    recipe["phases"] = [phase for phase in recipe["phases"] if phase["name"] == _PHASE]
+    names = [metric.name for metric in DRAWN]
+    recipe["limits"] = [
+        limit for limit in recipe["limits"] if limit["measurement"] in names and limit.get("phase", _PHASE) == _PHASE
+    ]
+    at = load_station(station)
+    sensor_type, material = load_sensor_type(at.value.sensor_type), load_material(at.value.material)
+    return merge(at, load_recipe(recipe), sensor_type, material, seed=SEED)
+
+
+def _store(
+    store: Repository, run: _Run, configuration: Configuration, figures: dict[str, np.ndarray], now: datetime
+) -> None:
+    """Store one run with its presses and its verdict, as a station would; there are no frames."""
+    identity = RunIdentity(
+        run=store.new_id(),
+        sensor=SensorIdentity(run.serial, BATCHES[run.batch], configuration.sensor_type.name),
+        station=configuration.station.name,
+        recipe=run.recipe,
+        operator="",
+        started_at=now,
+        configuration_digest=configuration.digest,
+        software=(("cbsr-qa", version("cbsr-qa")),),
+        instruments=(InstrumentIdentity("bench", "none", "statistical model", "", "", True),),
+        simulated=(SAID,),
+    )
+    journal = store.journal(
+        configuration=configuration.canonical,
+        sensor_type=configuration.sensor_type,
+        material=configuration.material,
+        indenter=configuration.station.indenter,
+    )
+    for document in _documents(identity):
+        journal(document)
+    measured = _measurements(figures, configuration)
+    result = RunResult(
+        record=store.load_run(identity.run),
+        observation=None,
+        measurements=measured,
+        verdict=decide(measured),
+        calibration=None,
+        calibration_why=SAID,
+        warnings=(SAID,),
+    )
+    store.save_result(result)
+
+
+def _documents(identity: RunIdentity) -> Iterator[RunEvent]:
+    yield RunStarted(identity)
+    yield PhaseStarted(0, _PHASE, "location-grid", 0.0, Role.GRID)
+    for number, (x_mm, y_mm) in enumerate(NINE_LOCATIONS_MM):
+        begun_s = 120.0 * number
+        load = Load(f"L{number}", x_mm, y_mm, 0.2, 0)
+        down_s, up_s = begun_s + 1.0, begun_s + 61.0
+        yield LoadFinished(0, LoadRecord(number, load, begun_s, down_s, up_s, up_s + 1.0, begun_s + 120.0))
+    yield PhaseFinished(0, 1080.0)
+    yield RunEnded(EndReason.FINISHED, "", 1080.0, ())
+
+
+def _measurements(figures: dict[str, np.ndarray], configuration: Configuration) -> tuple[Measurement, ...]:
+    limits = {limit.measurement: limit for limit in configuration.recipe.limits}
+    found = []
+    for metric in DRAWN:
+        for number, value in enumerate(figures[metric.name]):
+            one = Measurement(metric.name, float(value), metric.unit, how="drawn from a statistical model")
+            if metric.place:
+                one = replace(one, phase=_PHASE, location=f"L{number}", trial=0, load=number, strain=0.2)
+            found.append(one.judged(limits[metric.name]))
+    return tuple(found)

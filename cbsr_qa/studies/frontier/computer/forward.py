@@ -1,0 +1,215 @@
+"""Voltages of a sheet: what exactness costs in unknowns, time and memory, by size and order of the elements.
+
+What a computation costs: processor time of one core, so that what else a machine does is not counted.
+"""
+
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import lru_cache, partial
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import sparse
+from scipy.sparse.linalg import splu
+
+from cbsr_qa.config import load_sensor_type
+from cbsr_qa.domain.geometry import RoundFootprint
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, SensorType
+from cbsr_qa.eit.forward import (
+    ConcentricSheet,
+    FiniteElements,
+    ForwardModel,
+    LocalUpdate,
+    arc_transfer_impedance,
+    cover,
+)
+from cbsr_qa.eit.loads import PinnedDisc, RoundLoadModel, RoundLoads
+from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point
+
+T = TypeVar("T")
+
+_LEAST_S: Final = 2e-3  # shorter bursts are as long as the clock is coarse on some systems
+_REPEATS: Final = 7
+
+
+def timed(run: Callable[[], T]) -> tuple[T, float]:
+    """Run once and return what came of it and the processor time [s]; with several threads, the sum over them."""
+    before = time.process_time()
+    found = run()
+    return found, time.process_time() - before
+
+
+def fastest_s(run: Callable[[], object], repeats: int = _REPEATS) -> float:
+    """Processor time of one call [s]: the fastest of some bursts, each of as many calls as fill two milliseconds."""
+    calls = _calls(run)
+    return min(_burst_s(run, calls) for _ in range(repeats)) / calls
+
+
+def _calls(run: Callable[[], object]) -> int:
+    """How many calls a burst needs; the first ones also fill caches."""
+    calls = 1
+    while _burst_s(run, calls) < _LEAST_S:
+        calls *= 2
+    return calls
+
+
+def _burst_s(run: Callable[[], object], calls: int) -> float:
+    before = time.process_time()
+    for _ in range(calls):
+        run()
+    return time.process_time() - before
+
+
+Array = NDArray[np.float64]
+
+SERIES_ARCS: Final = "forward-model, electrodes on the edge"
+SERIES_PINS: Final = "forward-model, pins"
+
+#: Sizes of elements [mm] by their order, coarse to fine.
+SIZES_MM: Final[Mapping[str, Mapping[int, tuple[float, ...]]]] = {
+    "arc": {1: (6.0, 4.0, 3.0, 2.0, 1.4), 2: (10.0, 7.5, 6.0, 5.0, 4.0)},
+    "pin": {1: (6.0, 4.0, 3.0, 2.25, 1.6), 2: (12.0, 8.0, 6.0, 5.0, 3.5)},
+}
+
+_ARC_HALF_RAD: Final = 0.05  # an arc of 5 mm on a sheet of 50 mm
+_ARC_CONTACT_MM: Final = 2.5  # z γ of the arcs; 0.05 radii
+_PIN_CONTACT_MM: Final = 0.2
+_INCLUSION: Final = (0.5, 3.0)  # radius over the sheet's, and conductance over the sheet's
+_HEAD_MM, _CONTRAST = 6.5, 0.5
+_ENTRY_BYTES: Final = 12  # a double and where it stands
+
+
+def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
+    """Measure one mesh against exact voltages of the 100 mm disc.
+
+    Errors are ‖V − V_exact‖/‖V_exact‖ over the 208 readings that touch no driven electrode. With electrodes on the
+    edge (5 mm arcs) the exact solutions are Fourier series on the electrodes' Legendre polynomials, for a homogeneous
+    disc and for one with a concentric inclusion of half the radius and three times the conductance, which no edge of
+    the mesh follows. With the shipped disc's pins they are multipoles, for the unloaded disc and for loads of +50 %
+    under the 13 mm head at the nine places: there the error is that of the readings' *change*, the mean of nine.
+
+    ``compute_s`` is one new conductance: assembling, factorising and solving all 16 drives. ``memory_bytes`` counts
+    factors, matrix, element matrices and potentials of the electrodes.
+
+    Parameters
+    ----------
+    electrodes : ``"arc"`` or ``"pin"``.
+    order : of the elements.
+    size_mm : edge length far from the electrodes.
+    """
+    sensor, contact_mm = (_arc_sensor(), _ARC_CONTACT_MM) if electrodes == "arc" else (_disc(), _PIN_CONTACT_MM)
+    model, setup_s = timed(partial(_model, sensor, contact_mm, order, size_mm))
+    accuracy = _arc_errors(model) if electrodes == "arc" else _pin_errors(model)
+    return Point(
+        Clock.COMPUTER,
+        SERIES_ARCS if electrodes == "arc" else SERIES_PINS,
+        {"element_order": order, "element_size_mm": size_mm},
+        {name: Accuracy(error, None, "1") for name, error in accuracy.items()},
+        fastest_s(lambda: model.changed().voltages()),
+        None,
+        1,
+        f"{len(model.mesh.elements)} elements",
+        {
+            "setup_s": setup_s,
+            "unknowns": float(model.elements.count),
+            "memory_bytes": memory_bytes(model.elements, sensor.electrodes.count),
+        },
+    )
+
+
+def memory_bytes(elements: FiniteElements, electrodes: int) -> float:
+    """What a prepared sheet holds [bytes]: factors, matrix, element matrices, potentials of its electrodes.
+
+    The factors' entries are counted by factorising a homogeneous sheet with the order of elimination that the forward
+    model uses; that of contacts is left out, which is a part in a thousand.
+    """
+    cells, stiffness = elements.cells, elements.stiffness
+    k = cells.shape[1]
+    rows, columns = np.append(np.repeat(cells, k, axis=1), 0), np.append(np.tile(cells, k), 0)
+    values = np.append(stiffness, 1.0)  # the last holds a node: potentials have a free constant
+    matrix = sparse.csc_matrix((values, (rows, columns)), shape=(elements.count,) * 2)
+    options = {"SymmetricMode": True, "Equil": False}
+    factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, relax=1, panel_size=1, options=options)
+    sparse_bytes = _ENTRY_BYTES * (factors.nnz + matrix.nnz)
+    return float(sparse_bytes + stiffness.nbytes + 8 * elements.count * electrodes)
+
+
+def _model(sensor: SensorType, contact_mm: float, order: int, size_mm: float) -> ForwardModel:
+    mesh = sheet_mesh(sensor, size_mm=size_mm, order=order)
+    contacts = np.full(sensor.electrodes.count, contact_mm)
+    return ForwardModel(mesh, sensor.pattern, np.ones(len(mesh.elements)), contacts, order=order)
+
+
+def _arc_errors(model: ForwardModel) -> dict[str, float]:
+    share, contrast = _INCLUSION
+    covered = cover(model.elements, RoundFootprint(0.0, 0.0, share * _disc().radius_mm))
+    included = model.changed_on(covered.elements, covered.change(model.conductance, contrast - 1))
+    return {
+        "voltage_error": _error(model, model.readings(_exact_arcs(0.0))),
+        "voltage_error_inclusion": _error(included, model.readings(_exact_arcs(share))),
+    }
+
+
+def _pin_errors(model: ForwardModel) -> dict[str, float]:
+    local, used = LocalUpdate(model), model.pattern.usable()
+    reference, errors = model.voltages(), []
+    for (x_mm, y_mm), exact in zip(NINE_LOCATIONS_MM, _exact_loads(), strict=True):
+        covered = cover(model.elements, RoundFootprint(x_mm, y_mm, _HEAD_MM))
+        pressed = local.voltages(covered.elements, covered.change(model.conductance, _CONTRAST))
+        errors.append(np.linalg.norm((pressed - reference)[used] - exact) / np.linalg.norm(exact))
+    return {
+        "voltage_error": _error(model, model.readings(_exact_pins())),
+        "load_signal_error": float(np.mean(errors)),
+    }
+
+
+def _error(model: ForwardModel, exact: Array) -> float:
+    used = model.pattern.usable()
+    return float(np.linalg.norm((model.voltages() - exact)[used]) / np.linalg.norm(exact[used]))
+
+
+@lru_cache(maxsize=1)
+def _disc() -> SensorType:
+    return load_sensor_type("disc-100mm").value
+
+
+@lru_cache(maxsize=1)
+def _arc_sensor() -> SensorType:
+    """The shipped disc, with electrodes on its edge instead of pins."""
+    return replace(_disc(), electrodes=_arcs())
+
+
+def _arcs() -> ElectrodeLayout:
+    radius_mm = _disc().radius_mm
+    return ElectrodeLayout(16, ElectrodeKind.ARC, radius_mm, 2 * _ARC_HALF_RAD * radius_mm, 0.0, True)
+
+
+@lru_cache(maxsize=2)
+def _exact_arcs(inclusion: float) -> Array:
+    radius_mm = _disc().radius_mm
+    sheet = ConcentricSheet(radius_mm, 1.0, inclusion * radius_mm, _INCLUSION[1])
+    angles = _arcs().angles_rad()
+    return arc_transfer_impedance(sheet, angles, _ARC_HALF_RAD, _ARC_CONTACT_MM, modes=30, harmonics=60_000)
+
+
+@lru_cache(maxsize=1)
+def _pinned() -> PinnedDisc:
+    return PinnedDisc(_disc().radius_mm, _disc().electrodes, _PIN_CONTACT_MM)
+
+
+@lru_cache(maxsize=1)
+def _exact_pins() -> Array:
+    return _pinned().transfer_impedance()
+
+
+@lru_cache(maxsize=1)
+def _exact_loads() -> Array:
+    """Changes of the used readings under each of the nine loads alone, (9, m)."""
+    pattern, count = _disc().pattern, len(NINE_LOCATIONS_MM)
+    loads = RoundLoads.of_contrast(np.array(NINE_LOCATIONS_MM), np.full(count, _HEAD_MM), np.full(count, _CONTRAST))
+    used: Array = RoundLoadModel(_pinned(), pattern).readings(loads).change[:, pattern.usable()]
+    return used

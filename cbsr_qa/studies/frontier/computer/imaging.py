@@ -1,0 +1,285 @@
+"""Applying an imaging matrix: what single precision and large blocks of frames cost in digits and save in time.
+
+Reconstructions, how much they smooth, and the density of the image's mesh against where they put loads.
+"""
+
+import inspect
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
+from functools import lru_cache, partial
+from typing import Any, Final, get_type_hints
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import CbsrError, NumericsError
+from cbsr_qa.domain.results import ImagingProblem, LinearReconstruction, PreparedReconstruction, linear
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.eit.inverse import image_jacobian, imaging_problem, nominal_model
+from cbsr_qa.eit.mesh import image_mesh
+from cbsr_qa.plugin import Kind, Reconstruction, discover
+from cbsr_qa.studies.frontier.computer.forward import fastest_s, timed
+from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
+from cbsr_qa.studies.frontier.point import Accuracy, Clock, Knob, Point
+
+SERIES_METHODS: Final = "reconstruction"
+SERIES_MESHES: Final = "image mesh"  # and the method's name
+
+#: λ over a method's own choice; for a count of components, the count over its own.
+FACTORS: Final[Mapping[str, tuple[float, ...]]] = {
+    "hyperparameter": (0.03, 0.1, 0.3, 3.0, 10.0, 30.0),
+    "components": (0.25, 0.5, 0.75, 1.5, 2.0),
+}
+IMAGE_SIZES_MM: Final = (8.0, 6.0, 5.0, 4.0, 3.0, 2.5, 2.0)
+USUAL_IMAGE_SIZE_MM: Final = 3.0
+
+_SLOW_SEEDS: Final = 2  # of methods that are not one matrix: a frame takes them a thousand times as long
+
+_DIGITS: Final = 4096
+_CHOOSING: Final = frozenset({"noise_figure", "choose"})
+
+Options = tuple[tuple[str, Knob], ...]
+Prepare = Callable[[ImagingProblem], PreparedReconstruction]
+
+
+@dataclass(frozen=True, slots=True)
+class MethodSetting:
+    """A registered reconstruction with options.
+
+    Parameters
+    ----------
+    name : of the plugin.
+    options : that differ from its defaults.
+    smoothing : name of the option by which λ, or what stands for it, is given; empty where there is none.
+    """
+
+    name: str
+    options: Options = ()
+    smoothing: str = ""
+
+
+#: What the shipped recipes image with.
+RECIPES_METHOD: Final = MethodSetting(
+    "gauss-newton-noser", (("noise_figure", 1.0), ("exponent", 0.25)), "hyperparameter"
+)
+
+
+def registered_methods() -> Iterator[MethodSetting]:
+    """Registered reconstructions that image single frames as differences, with what they are given λ by.
+
+    Those that want the frames beside a frame, or a sensor's own readings, are left out, and those that say when they
+    are made that something they need is not installed. A method is tried with other λ than its own only where its
+    ``prepare`` declares to return one matrix (:class:`~cbsr_qa.domain.results.LinearReconstruction`): images
+    of the others take so long that a sweep of λ would be minutes.
+    """
+    plugins = discover()
+    for name in plugins.names(Kind.RECONSTRUCTION):
+        factory = plugins.factory(Kind.RECONSTRUCTION, name)
+        if getattr(factory, "sequences", False) or getattr(factory, "absolute", False):
+            continue
+        try:
+            factory()
+        except CbsrError:
+            continue
+        yield MethodSetting(name, (), _smoothing_of(factory))
+
+
+def _smoothing_of(factory: Callable[..., Any]) -> str:
+    if get_type_hints(getattr(factory, "prepare", None) or object).get("return") is not LinearReconstruction:
+        return ""
+    known = inspect.signature(factory).parameters
+    return next((option for option in FACTORS if option in known), "")
+
+
+def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
+    """Measure one method with one λ on the base scene's nine loads.
+
+    ``compute_s`` is the image of one frame, ``setup_s`` preparing the method for a problem that is there already.
+    A setting that the method refuses is a point without figures, with the reason as its note.
+
+    Parameters
+    ----------
+    factor : λ, or the number of components, over the method's own choice; 1 for the choice itself.
+    seeds : simulated sensors; methods that are not one matrix get two.
+    """
+    knobs: dict[str, Knob] = {"method": method.name, **dict(method.options), "smoothing_over_own": factor}
+    problem = imaging_problem(base_scene_readings(seeds).sensor_type, image_size_mm=USUAL_IMAGE_SIZE_MM)
+
+    def ready() -> Prepare:
+        if factor == 1.0:
+            return made(method).prepare
+        return partial(_smoothed, method, _own_choice(method) * factor)
+
+    return _imaged(SERIES_METHODS, knobs, problem, ready, seeds, {})
+
+
+def mesh_point(method: MethodSetting, image_size_mm: float, seeds: int) -> Point:
+    """Measure one density of the image's mesh.
+
+    ``setup_s`` is everything from the voltages' model on: the mesh, its Jacobian, and preparing the method with its
+    own choice of λ.
+    """
+    readings = base_scene_readings(seeds)
+    knobs: dict[str, Knob] = {"method": method.name, **dict(method.options), "image_size_mm": image_size_mm}
+    problem = imaging_problem(readings.sensor_type, image_size_mm=image_size_mm)
+    _, jacobian_s = timed(partial(_linearise, readings.sensor_type, image_size_mm))
+    series = f"{SERIES_MESHES}, {method.name}"
+    return _imaged(series, knobs, problem, lambda: made(method).prepare, seeds, {"setup_s": jacobian_s})
+
+
+def _imaged(
+    series: str,
+    knobs: Mapping[str, Knob],
+    problem: ImagingProblem,
+    ready: Callable[[], Prepare],
+    seeds: int,
+    costs: Mapping[str, float],
+) -> Point:
+    unknowns = {"unknowns": float(len(problem.mesh.elements))}
+    try:
+        prepared, setup_s = timed(partial(ready(), _unseen(problem, knobs)))
+        seeds = seeds if isinstance(prepared, LinearReconstruction) else min(seeds, _SLOW_SEEDS)
+        readings = base_scene_readings(seeds)
+        accuracy = figures_of_merit(prepared, readings)
+    except CbsrError as refusal:
+        return Point(Clock.COMPUTER, series, knobs, {}, None, None, seeds, refusal.reason, {**unknowns, **costs})
+    frame, choice = sensor_changes(readings, 0, prepared)[1][:1], prepared.choice
+    note = f"{choice.name} {choice.value:.3g}, noise figure {choice.noise_figure:.2f}"
+    costs = {**unknowns, **costs, "setup_s": setup_s + costs.get("setup_s", 0.0)}
+    if isinstance(prepared, LinearReconstruction):
+        costs["memory_bytes"] = float(prepared.matrix.nbytes)
+    frame_s = fastest_s(lambda: prepared.images(frame), _repeats(prepared))
+    return Point(Clock.COMPUTER, series, knobs, accuracy, frame_s, None, seeds, note, costs)
+
+
+def _unseen(problem: ImagingProblem, knobs: Mapping[str, Knob]) -> ImagingProblem:
+    """The same problem but for the last digits of a reading, so that no method finds what it kept of another setting.
+
+    Which digits follows from the setting alone: figures are the same in every process.
+    """
+    reference = problem.reference.copy()
+    reference[0] *= 1 + (1 + crc32(repr(knobs).encode()) % _DIGITS) * np.finfo(np.float64).eps
+    return replace(problem, reference=reference)
+
+
+def _repeats(prepared: PreparedReconstruction) -> int:
+    return 7 if isinstance(prepared, LinearReconstruction) else 1
+
+
+def _linearise(sensor_type: SensorType, image_size_mm: float) -> None:
+    """What a problem is made of, anew: the image's mesh, and its Jacobian for one reading of each reciprocal pair."""
+    group, _ = sensor_type.pattern.reading_groups()
+    drive, measure = np.unravel_index(np.unique(group, return_index=True)[1], group.shape)
+    mesh = image_mesh(sensor_type, size_mm=image_size_mm)
+    image_jacobian(nominal_model(sensor_type).model, mesh, drive, measure)
+
+
+def made(method: MethodSetting, **instead: float) -> Reconstruction:
+    """The method with its options; one that is given instead takes the place of those by which λ is chosen."""
+    options = {name: value for name, value in method.options if not (instead and name in _CHOOSING)}
+    made: Reconstruction = discover().factory(Kind.RECONSTRUCTION, method.name)(**options, **instead)
+    return made
+
+
+@lru_cache(maxsize=64)
+def _own_choice(method: MethodSetting) -> float:
+    """λ, or what stands for it, that a method chooses on the sensor type's nominal problem."""
+    problem = imaging_problem(base_scene_readings(1).sensor_type, image_size_mm=USUAL_IMAGE_SIZE_MM)
+    return made(method).prepare(problem).choice.value
+
+
+def _smoothed(method: MethodSetting, value: float, problem: ImagingProblem) -> PreparedReconstruction:
+    """The method with a given λ, or number of components."""
+    if method.smoothing != "components":
+        return made(method, **{method.smoothing: value}).prepare(problem)
+    whole = max(1, round(value))
+    try:
+        return made(method, components=whole).prepare(problem)
+    except NumericsError:  # two components that belong together: there is a count beside it that parts no pair
+        return made(method, components=whole + 1).prepare(problem)
+
+
+Array = NDArray[np.float64]
+Floats = NDArray[np.floating[Any]]
+
+SERIES: Final = "applying the matrix"
+PRECISIONS: Final = ("float32", "float64")
+BATCHES: Final = (1, 16, 256, 4096)
+
+
+def precision_point(precision: str, batch: int) -> Point:
+    """Measure the matrix of the shipped recipes on blocks of simulated changes.
+
+    ``compute_s`` is the time of one frame of a block, rounding of the readings to the precision included. The error
+    is the largest ‖x − x₀‖/‖x₀‖ of nine loads' images, made in blocks of this size, with x₀ computed in the longest
+    floating-point numbers of the machine.
+
+    Parameters
+    ----------
+    precision : ``"float32"`` or ``"float64"``, of matrix, readings and sums.
+    batch : frames in a block.
+    """
+    matrix, changes = _matrix(), _changes()
+    block = np.resize(changes, (batch, changes.shape[1]))
+    apply = applied(matrix, precision)
+    exact = changes.astype(np.longdouble) @ matrix.astype(np.longdouble).T
+    parts = [changes[first : first + batch] for first in range(0, len(changes), batch)]
+    images = [apply(np.resize(part, (batch, changes.shape[1])))[: len(part)] for part in parts]
+    size = np.dtype(precision).itemsize
+    return Point(
+        Clock.COMPUTER,
+        SERIES,
+        {"precision": precision, "batch": batch},
+        {"image_error": Accuracy(relative_error(np.concatenate(images), exact), None, "1")},
+        fastest_s(lambda: apply(block)) / batch,
+        None,
+        1,
+        f"{matrix.shape[1]} readings to {matrix.shape[0]} elements",
+        {
+            "unknowns": float(matrix.shape[0]),
+            "memory_bytes": float(size * (matrix.size + batch * sum(matrix.shape))),
+        },
+    )
+
+
+def applied(matrix: Array, precision: str) -> Callable[[Array], Floats]:
+    """Return what images blocks of changes (n, m) in a precision: (n, e)."""
+    kept = np.ascontiguousarray(matrix.T, dtype=precision)
+
+    def apply(block: Array) -> Floats:
+        images: Floats = block.astype(precision, copy=False) @ kept
+        return images
+
+    return apply
+
+
+def relative_error(images: Floats, exact: Floats) -> float:
+    """Largest ‖x − x₀‖/‖x₀‖ of images (n, e)."""
+    apart, size = (np.sqrt((part**2).sum(axis=1)) for part in (images - exact, exact))
+    return float((apart / size).max())
+
+
+def error_bound(matrix: Array, changes: Array, precision: str) -> float:
+    """Bound of :func:`relative_error`, whatever the order of summation (Higham 2002, section 3.5).
+
+    Each product of a sum of m carries at most m roundings, and one each of matrix and reading in single precision:
+    ‖x − x₀‖ ≤ γ ‖|R| |y|‖ with γ = k u/(1 − k u), k = m + 2 and u half the precision's machine epsilon.
+    """
+    roundings = (matrix.shape[1] + 2) * float(np.finfo(precision).eps) / 2
+    most = np.linalg.norm(np.abs(changes) @ np.abs(matrix).T, axis=1) / np.linalg.norm(changes @ matrix.T, axis=1)
+    return float(roundings / (1 - roundings) * most.max())
+
+
+@lru_cache(maxsize=1)
+def _matrix() -> Array:
+    problem = imaging_problem(base_scene_readings(1).sensor_type, image_size_mm=USUAL_IMAGE_SIZE_MM)
+    return linear(made(RECIPES_METHOD).prepare(problem)).matrix
+
+
+@lru_cache(maxsize=1)
+def _changes() -> Array:
+    """Changes of the nine loads of a simulated sensor, (9, m)."""
+    readings = base_scene_readings(1)
+    problem = imaging_problem(readings.sensor_type, image_size_mm=USUAL_IMAGE_SIZE_MM)
+    return sensor_changes(readings, 0, made(RECIPES_METHOD).prepare(problem))[1]

@@ -1,0 +1,164 @@
+"""The sweeps of the computer's clock: tasks that can be measured in any order and any process."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+import scipy
+
+import cbsr_qa
+from cbsr_qa.plugin import Kind, discover
+from cbsr_qa.studies.frontier.computer.forward import SERIES_ARCS, SERIES_PINS, SIZES_MM, forward_point
+from cbsr_qa.studies.frontier.computer.imaging import (
+    BATCHES,
+    FACTORS,
+    IMAGE_SIZES_MM,
+    PRECISIONS,
+    RECIPES_METHOD,
+    SERIES as SERIES_PRECISION,
+    SERIES_MESHES,
+    SERIES_METHODS,
+    MethodSetting,
+    mesh_point,
+    method_point,
+    precision_point,
+    registered_methods,
+)
+from cbsr_qa.studies.frontier.point import Knob, Point, Task
+from cbsr_qa.studies.frontier.recommend import undominated_within_errors
+
+SEEDS: Final = 8
+QUICK_SEEDS: Final = 3
+
+_VERSION: Final = 1  # of what is measured: points of another are not comparable
+_QUICK_SIZES_MM: Final[Mapping[str, Mapping[int, tuple[float, ...]]]] = {
+    "arc": {1: (3.0,), 2: (10.0, 7.5)},
+    "pin": {1: (3.0,), 2: (12.0, 8.0)},
+}
+_LAPLACE: Final = MethodSetting("gauss-newton-laplace", (), "hyperparameter")
+_GREIT: Final = MethodSetting("greit", (), "hyperparameter")
+#: Settings of image and mesh that the quick sweep tries.
+_QUICK_METHODS: Final = ((RECIPES_METHOD, 0.3), (RECIPES_METHOD, 1.0), (RECIPES_METHOD, 3.0), (_LAPLACE, 1.0))
+_QUICK_MESHES: Final = ((RECIPES_METHOD, 6.0), (RECIPES_METHOD, 3.0), (_GREIT, 6.0))
+_GREIT_SIZES_MM: Final = (8.0, 6.0, 5.0, 4.0, 3.0)  # its training takes seconds on finer ones
+_QUICK_BATCHES: Final = (1, 256)
+
+
+def computer_tasks(*, quick: bool = False, methods: Sequence[MethodSetting] | None = None) -> list[Task]:
+    """Return every point of the computer's clock, still to be measured.
+
+    Parameters
+    ----------
+    quick : a few points of each series, in seconds instead of minutes.
+    methods : reconstructions to try; by default all that are registered and image single frames, and the shipped
+        recipes' own. Those given are tried by a quick sweep as well, with their own choice of λ.
+    """
+    return [
+        *_forward(_QUICK_SIZES_MM if quick else SIZES_MM),
+        *_precision(_QUICK_BATCHES if quick else BATCHES),
+        *_methods(quick, methods),
+        *_meshes(quick),
+    ]
+
+
+def measured(
+    tasks: Sequence[Task], tell: Callable[[int, int, str], None] = lambda done, of, what: None
+) -> Iterator[Point]:
+    """Measure tasks one after the other in this process.
+
+    Parameters
+    ----------
+    tell : told before each how many of how many are done, and what comes next.
+    """
+    for done, task in enumerate(tasks):
+        tell(done, len(tasks), task.what)
+        yield task.run()
+    tell(len(tasks), len(tasks), "done")
+
+
+def worth_their_time(points: Sequence[Point]) -> tuple[bool, ...]:
+    """Tell of every point whether it is undominated within errors among those of its series.
+
+    Settings that are one matrix of the same size do the same arithmetic: what the clock says of them apart is chance,
+    and each costs the least that was measured. A setting that was refused is not worth anything.
+    """
+    costs = _shared_costs(points)
+    flags = [False] * len(points)
+    for series in {point.series for point in points}:
+        members = [at for at, point in enumerate(points) if point.series == series and at in costs]
+        priced = [replace(points[at], compute_s=costs[at]) for at in members]
+        kept = undominated_within_errors(priced, lambda point: point.compute_s)
+        for at, on in zip(members, kept, strict=True):
+            flags[at] = on
+    return tuple(flags)
+
+
+def _forward(sizes_mm: Mapping[str, Mapping[int, tuple[float, ...]]]) -> Iterator[Task]:
+    for electrodes, by_order in sizes_mm.items():
+        series = SERIES_ARCS if electrodes == "arc" else SERIES_PINS
+        for order, sizes in by_order.items():
+            for size in sizes:
+                knobs: dict[str, Knob] = {"element_order": order, "element_size_mm": size}
+                yield _task(series, knobs, partial(forward_point, electrodes, order, size))
+
+
+def _precision(batches: Sequence[int]) -> Iterator[Task]:
+    for precision in PRECISIONS:
+        for batch in batches:
+            run = partial(precision_point, precision, batch)
+            yield _task(SERIES_PRECISION, {"precision": precision, "batch": batch}, run)
+
+
+def _methods(quick: bool, methods: Sequence[MethodSetting] | None) -> Iterator[Task]:
+    settings = list(_QUICK_METHODS) if quick and methods is None else []
+    if methods is None:
+        methods = () if quick else (*registered_methods(), RECIPES_METHOD)
+    seeds = QUICK_SEEDS if quick else SEEDS
+    for method in methods:
+        factors = () if quick else FACTORS.get(method.smoothing, ())
+        settings += [(method, factor) for factor in sorted((1.0, *factors))]
+    for method, factor in settings:
+        knobs = {"method": method.name, **dict(method.options), "smoothing_over_own": factor}
+        run = partial(method_point, method, factor, seeds)
+        yield _task(SERIES_METHODS, knobs, run, seeds=seeds, plugin=_distribution(method))
+
+
+def _meshes(quick: bool) -> Iterator[Task]:
+    every = [(RECIPES_METHOD, size) for size in IMAGE_SIZES_MM] + [(_GREIT, size) for size in _GREIT_SIZES_MM]
+    seeds = QUICK_SEEDS if quick else SEEDS
+    for method, size in _QUICK_MESHES if quick else every:
+        knobs = {"method": method.name, **dict(method.options), "image_size_mm": size}
+        run = partial(mesh_point, method, size, seeds)
+        yield _task(f"{SERIES_MESHES}, {method.name}", knobs, run, seeds=seeds, plugin=_distribution(method))
+
+
+def _task(series: str, knobs: Mapping[str, Knob], run: Callable[[], Point], **more: Any) -> Task:
+    said = ", ".join(f"{name}={value}" for name, value in knobs.items())
+    versions = {"cbsr-qa": cbsr_qa.__version__, "numpy": np.__version__, "scipy": scipy.__version__}
+    known = ", ".join(f"{name}={value}" for name, value in {"sweep": _VERSION, **versions, **more}.items())
+    return Task(f"computer; {series}; {said}; {known}", f"{series}: {said}", run)
+
+
+def _distribution(method: MethodSetting) -> str:
+    """Distribution and version that a method comes from."""
+    found = (one for one in discover().registrations(Kind.RECONSTRUCTION) if one.name == method.name)
+    return next((f"{one.distribution} {one.version}" for one in found), "")
+
+
+def _shared_costs(points: Sequence[Point]) -> dict[int, float]:
+    """Time of every point that has one, by its place [s]."""
+    costs, least = {}, dict[tuple[str, float], float]()
+    for at, point in enumerate(points):
+        if point.compute_s is not None and point.accuracy:
+            costs[at] = point.compute_s
+            if size := _matrix_bytes(point):
+                key = (point.series, size)
+                least[key] = min(least.get(key, point.compute_s), point.compute_s)
+    return {at: least.get((points[at].series, _matrix_bytes(points[at])), cost) for at, cost in costs.items()}
+
+
+def _matrix_bytes(point: Point) -> float:
+    """Size of the one matrix an image is made with; 0 for anything else."""
+    return point.costs.get("memory_bytes", 0.0) if point.series == SERIES_METHODS else 0.0

@@ -1,0 +1,244 @@
+"""The setting to take: the cheapest that is accurate enough, or the most accurate there is time for.
+
+Which settings are worth their time: those that no other setting dominates.
+"""
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Final, TypeVar
+
+from cbsr_qa.domain import NumericsError, RefusedError
+from cbsr_qa.studies.frontier.point import Accuracy, Point
+from cbsr_qa.studies.frontier.setting import Setting
+
+P = TypeVar("P")
+
+
+def undominated(
+    points: Sequence[P], cost: Callable[[P], float | None], error: Callable[[P], Sequence[float]]
+) -> tuple[bool, ...]:
+    """Tell of every point whether no other dominates it, numbers taken as exact.
+
+    A point is dominated by another that costs no more and has no larger error, one of the two strictly. Equal points
+    do not dominate each other.
+
+    Parameters
+    ----------
+    points : n of them.
+    cost : of a point, finite.
+    error : of a point: one number or several, as many for each point, less is better.
+
+    Returns
+    -------
+    n truth values; at least one is true where n > 0.
+
+    Raises
+    ------
+    NumericsError
+        If a point has no cost, a number is not finite, or points have different numbers of errors.
+    """
+    costs, errors = _costs(points, cost), [tuple(error(point)) for point in points]
+    if len({len(one) for one in errors}) > 1 or not all(math.isfinite(value) for one in errors for value in one):
+        raise NumericsError(
+            "settings can be compared only where each has the same errors, as finite numbers",
+            remedy="compare the settings of one series, without those that have no figure",
+        )
+
+    def dominates(one: int, other: int) -> bool:
+        return _exactly((costs[one], *errors[one]), (costs[other], *errors[other]))
+
+    return tuple(not any(dominates(one, other) for one in range(len(points))) for other in range(len(points)))
+
+
+def undominated_within_errors(
+    points: Sequence[Point], cost: Callable[[Point], float | None], names: Sequence[str] | None = None
+) -> tuple[bool, ...]:
+    """Tell of every point whether it buys accuracy that can be told from chance.
+
+    The rule: a setting is dominated where a *kept* setting
+
+    - is cheaper and in no accuracy worse by more than their joint standard error √(s₁² + s₂²), or
+    - costs no more and is in no accuracy worse, one of the two strictly, numbers taken as exact.
+
+    Among settings of the same cost differences within their errors are no reason to drop one. A setting of which
+    another does not state an accuracy is not dominated by it. Standard errors that are None count as zero.
+
+    Kept means not dominated itself: without that a row of settings, each as good as the next within its error, would
+    be dropped up to the cheapest, though the last is far better than the first. No circle of settings can dominate
+    each other, since each step is cheaper, or as cheap and better; which are kept is therefore determined by the
+    points alone, at least one is, and to leave a dominated setting out changes nothing. A point that this rule keeps
+    and :func:`undominated` does not may exist, and the other way round: the exact rule drops no setting for being
+    only as good as a cheaper one within its errors.
+
+    Parameters
+    ----------
+    cost : of a point, finite.
+    names : of the accuracies to look at; by default all that the points state.
+
+    Raises
+    ------
+    NumericsError
+        If a point has no cost, or it is not finite.
+    """
+    costs = _costs(points, cost)
+    stated = [_chosen(point, names) for point in points]
+    kept: list[int] = []
+    for index in sorted(range(len(points)), key=lambda at: _rank(costs[at], stated[at])):
+        dominated = any(_dominates(costs[other], stated[other], costs[index], stated[index]) for other in kept)
+        if not dominated:
+            kept.append(index)
+    chosen = set(kept)
+    return tuple(index in chosen for index in range(len(points)))
+
+
+def joint_stderr(one: Accuracy, other: Accuracy) -> float:
+    """Standard error of the difference of two figures from different random numbers."""
+    return math.hypot(one.stderr or 0.0, other.stderr or 0.0)
+
+
+def _costs(points: Sequence[P], cost: Callable[[P], float | None]) -> list[float]:
+    found = []
+    for number, point in enumerate(points):
+        price = cost(point)
+        if price is None or not math.isfinite(price):
+            raise NumericsError(
+                f"setting {number} of {len(points)} costs {price}", remedy="compare only settings whose cost is known"
+            )
+        found.append(price)
+    return found
+
+
+def _chosen(point: Point, names: Sequence[str] | None) -> dict[str, Accuracy]:
+    return {name: figure for name, figure in point.accuracy.items() if names is None or name in names}
+
+
+def _rank(cost: float, stated: Mapping[str, Accuracy]) -> tuple[float, int, list[tuple[str, float]]]:
+    """Sort key by which whoever may dominate comes first: cheaper, stating more, smaller errors."""
+    return cost, -len(stated), sorted((name, figure.shortfall) for name, figure in stated.items())
+
+
+def _dominates(cost: float, stated: Mapping[str, Accuracy], others: float, other: Mapping[str, Accuracy]) -> bool:
+    if not other.keys() <= stated.keys():
+        return False
+    if cost < others:
+        return all(
+            stated[name].shortfall <= figure.shortfall + joint_stderr(stated[name], figure)
+            for name, figure in other.items()
+        )
+    shared = sorted(other)
+    mine, theirs = ((a, *(of[name].shortfall for name in shared)) for a, of in ((cost, stated), (others, other)))
+    return _exactly(mine, theirs)
+
+
+def _exactly(one: tuple[float, ...], other: tuple[float, ...]) -> bool:
+    """Whether no number of one is larger and some number is smaller."""
+    return all(a <= b for a, b in zip(one, other, strict=True)) and one != other
+
+
+#: Without a wish: at most so long, and at most so much worse than the paper's campaign.
+USUAL_BUDGET_S: Final = 25 * 60.0
+USUAL_ROOM: Final = 1.2
+_FORCE: Final = "force_error"
+
+
+@dataclass(frozen=True, slots=True)
+class Wish:
+    """What somebody wants; both may be given.
+
+    Parameters
+    ----------
+    force_error_N : at most.
+    budget_s : at most.
+    """
+
+    force_error_N: float | None = None
+    budget_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Recommended:
+    """The setting to take.
+
+    Parameters
+    ----------
+    why : in words, with the numbers it was chosen by.
+    """
+
+    setting: Setting
+    point: Point
+    why: str
+
+
+def recommend(tried: Sequence[tuple[Setting, Point]], wish: Wish, *, paper: Point | None) -> Recommended:
+    """Choose a setting.
+
+    With a wished accuracy the cheapest setting whose force error, with its standard error added, meets it. With a
+    budget alone the most accurate within it. Without either: within 25 minutes the most accurate, which must come
+    within 20 % of the paper's campaign where that was tried.
+
+    Raises
+    ------
+    RefusedError
+        If no setting that was tried meets the wish; names the nearest.
+    """
+    usable = [
+        (setting, point) for setting, point in tried if _FORCE in point.accuracy and point.station_s is not None
+    ]
+    if wish.force_error_N is None:
+        return _most_accurate(usable, wish.budget_s or USUAL_BUDGET_S, None if wish.budget_s else paper)
+    within = [one for one in usable if wish.budget_s is None or _seconds(one) <= wish.budget_s]
+    enough = [one for one in within if _surely_N(one) <= wish.force_error_N]
+    if not enough:
+        raise _none(usable, wish)
+    best = min(enough, key=_seconds)
+    room = "" if wish.budget_s is None else f" that take at most {wish.budget_s / 60:g} min"
+    why = f"the cheapest of {len(within)}{room} whose force error, with its standard error, is at most"
+    return Recommended(*best, f"{why} {wish.force_error_N:g} N")
+
+
+def _most_accurate(usable: Sequence[tuple[Setting, Point]], budget_s: float, paper: Point | None) -> Recommended:
+    within = [one for one in usable if _seconds(one) <= budget_s]
+    if not within:
+        raise _none(usable, Wish(budget_s=budget_s))
+    best = min(within, key=_surely_N)
+    why = f"the most accurate of {len(within)} that take at most {budget_s / 60:g} min"
+    if paper is not None and _FORCE in paper.accuracy:
+        share = best[1].accuracy[_FORCE].value / paper.accuracy[_FORCE].value
+        met = "within" if share <= USUAL_ROOM else "not within"
+        why += (
+            f"; its force error is {share:.2f} times that of the paper's campaign, {met} the {USUAL_ROOM:g} asked for"
+        )
+    return Recommended(*best, why)
+
+
+def _none(usable: Sequence[tuple[Setting, Point]], wish: Wish) -> RefusedError:
+    if not usable:
+        return RefusedError("no setting that was tried has a force error", remedy="run the sweep without --quick")
+    time = f"at most {wish.budget_s / 60:g} min" if wish.budget_s is not None else ""
+    asked = f"takes {time}"
+    if wish.force_error_N is not None:
+        force = f"has a force error, with its standard error, of at most {wish.force_error_N:g} N"
+        asked = f"{force} in {time}" if time else force
+    best, quickest = min(usable, key=_surely_N), min(usable, key=_seconds)
+    return RefusedError(
+        f"none of the {len(usable)} settings that were tried {asked}",
+        remedy=f"the most accurate has {_said(best)}, the quickest {_said(quickest)}",
+    )
+
+
+def _said(one: tuple[Setting, Point]) -> str:
+    force = one[1].accuracy[_FORCE]
+    spread = "" if force.stderr is None else f" ± {force.stderr:.3f}"
+    return f"{force.value:.3f}{spread} N in {_seconds(one) / 60:.0f} min"
+
+
+def _seconds(one: tuple[Setting, Point]) -> float:
+    assert one[1].station_s is not None
+    return one[1].station_s
+
+
+def _surely_N(one: tuple[Setting, Point]) -> float:
+    """Force error with its standard error added: what luck may have made small counts less."""
+    force = one[1].accuracy[_FORCE]
+    return force.value + (force.stderr or 0.0)

@@ -1,0 +1,276 @@
+"""Settings tried on several simulated sensors, as points of the frontier.
+
+Simulated sensors the frontier's settings are tried on, and what a setting costs the station.
+"""
+
+import copy
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from functools import lru_cache
+from typing import Any, Final
+
+import numpy as np
+
+from cbsr_qa.analysis.run import observe_run
+from cbsr_qa.config import (
+    Configuration,
+    DocumentKind,
+    load_material,
+    load_recipe,
+    load_sensor_type,
+    load_station,
+    merge,
+    open_document,
+)
+from cbsr_qa.domain import NumericsError, StoreError
+from cbsr_qa.domain.plan import AcquireFrames, AnalysisSettings, Hold, Press, Role, SheetDesign, Step
+from cbsr_qa.domain.results import EndReason, RunObservation
+from cbsr_qa.domain.run import RunIdentity, RunRecord
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.plugin import Kind, Reconstruction, Sequence as LoadSequence, SequenceContext, discover, made
+from cbsr_qa.station import MemoryJournal, dry_run, execute, open_station, plan_of, station_clock
+from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point
+from cbsr_qa.studies.frontier.recommend import undominated_within_errors
+from cbsr_qa.studies.frontier.setting import GRID, HELD_OUT, Setting
+from cbsr_qa.studies.frontier.station import Bench, Tried
+from cbsr_qa.studies.frontier.trial import UNITS
+
+#: What is uneven or slow about a simulated sensor, beside the scene ``base``: its response by 20 % over 20 mm, and a
+#: residue of 3 % that fades in five minutes.
+SHEET: Final = (
+    {"name": "uneven-response", "deviation": 0.2, "correlation_mm": 20.0},
+    {"name": "residue", "share": 0.03, "decay_s": 300.0},
+)
+MATERIAL: Final = "cbsr-8wt"
+#: Shipped recipe whose imaging, metrics and limits the settings take over.
+BASE: Final = "campaign"
+_FRAMES_BEFORE: Final = 4
+
+
+@dataclass(frozen=True, eq=False)
+class SimulatedSensor:
+    """A sensor that went through a recipe.
+
+    Parameters
+    ----------
+    record : the run.
+    design : the sheet it was simulated with: the truth.
+    """
+
+    record: RunRecord
+    design: SheetDesign
+
+
+def station_seconds(recipe: Mapping[str, Any], frame_period_s: float = 2.5) -> float:
+    """Time a recipe occupies the simulated station, by a dry run: rests, travel and surface finding included [s]."""
+    configuration = _configuration(recipe, 1, frame_period_s)
+    return dry_run(plan_of(configuration, discover()), frame_period_s).duration_s
+
+
+def simulated_sensor(
+    recipe: Mapping[str, Any], seed: int, frame_period_s: float = 2.5, whole_holds: bool = True
+) -> SimulatedSensor:
+    """Put one sensor through a recipe at the simulated station, kept in memory.
+
+    Of rests, and of held-out loads, only the last frames are taken: nothing of the frontier looks at the others, and
+    all times stay the same.
+
+    Parameters
+    ----------
+    frame_period_s : of a frame; the noise of a reading falls with its square root from that of the shipped 2.5 s,
+        as white noise does.
+    whole_holds : False takes only the last frames of the grid's holds too.
+
+    Raises
+    ------
+    NumericsError
+        If the run did not finish; says why.
+    """
+    plugins = discover()
+    configuration = _configuration(recipe, seed, frame_period_s)
+    plan = plan_of(configuration, plugins)
+    sparse_holds = {HELD_OUT} if whole_holds else {HELD_OUT, GRID}
+    sparse = replace(
+        plan,
+        phases=tuple(
+            replace(phase, sequence=_Sparse(phase.sequence, frame_period_s, phase.name not in sparse_holds))
+            for phase in plan.phases
+        ),
+    )
+    clock = station_clock(configuration)
+    bench = open_station(configuration, plugins, clock)
+    try:
+        identity = RunIdentity(
+            "frontier", SensorIdentity(f"SIMULATED-{seed}", "", configuration.sensor_type.name), "simulated",
+            configuration.recipe.name, "", datetime(2026, 1, 1, tzinfo=UTC), configuration.digest, (),
+            bench.identities(),
+        )  # fmt: skip
+        journal = MemoryJournal(sparse)
+        ended = execute(sparse, identity, bench, clock, [journal])
+        if ended.end is not EndReason.FINISHED:
+            raise NumericsError(f"the simulated run was {ended.end}: {ended.detail}")
+        design: SheetDesign = bench.frame_source.world.sheet.design  # type: ignore[attr-defined]
+        return SimulatedSensor(journal.record(identity, ended), design)
+    finally:
+        bench.close()
+
+
+def observed(record: RunRecord, analysis: AnalysisSettings) -> RunObservation:
+    """Look at a run as ``cbsr-qa run`` does, without what is fitted to single loads over time."""
+    return observe_run(record, _reconstruction(), analysis, over_time=False)
+
+
+@lru_cache(maxsize=1)
+def _reconstruction() -> Reconstruction:
+    recipe = load_recipe(BASE).value
+    found: Reconstruction = made(discover(), Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+    return found
+
+
+class _Sparse:
+    """A sequence of whose rests only the last frames are taken, the times of all else unchanged."""
+
+    def __init__(self, sequence: LoadSequence, frame_s: float, whole_holds: bool) -> None:
+        self._sequence, self._frame_s, self._whole_holds = sequence, frame_s, whole_holds
+        self.role = getattr(sequence, "role", Role.OTHER)
+
+    def steps(self, context: SequenceContext) -> Iterator[Step]:
+        """Yield the steps of the sequence."""
+        whole, kept_s = False, _FRAMES_BEFORE * self._frame_s
+        for step in self._sequence.steps(context):
+            if isinstance(step, Hold) and step.acquire and not whole and step.hold_s > kept_s:
+                yield Hold(step.hold_s - kept_s, acquire=False)
+                yield AcquireFrames(_FRAMES_BEFORE)
+            else:
+                yield step
+            whole = self._whole_holds and isinstance(step, Press)
+
+
+def _configuration(recipe: Mapping[str, Any], seed: int, frame_period_s: float) -> Configuration:
+    station, scene, data = (
+        copy.deepcopy(dict(open_document(kind, name).data))
+        for kind, name in (
+            (DocumentKind.STATION, "simulated"),
+            (DocumentKind.SCENE, "base"),
+            (DocumentKind.MATERIAL, MATERIAL),
+        )
+    )
+    scene["effects"] = [*scene["effects"], *(dict(effect) for effect in SHEET)]
+    usual_s = scene["scene"]["frame_period_s"]
+    scene["scene"]["frame_period_s"] = frame_period_s
+    data["material"]["relative_noise"]["value"] *= (usual_s / frame_period_s) ** 0.5
+    station["instruments"]["bench"]["scene"] = scene
+    at = load_station(station)
+    return merge(
+        at, load_recipe(dict(recipe)), load_sensor_type(at.value.sensor_type), load_material(data), seed=seed
+    )
+
+
+def the_bench() -> Bench:
+    """Return the simulated station for the sweeps."""
+    base = open_document(DocumentKind.RECIPE, BASE).data
+    return Bench(simulated_sensor, observed, station_seconds, analysis_of, base)
+
+
+def analysis_of(recipe: Mapping[str, Any]) -> AnalysisSettings:
+    """Return the settings of a recipe document."""
+    return load_recipe(dict(recipe)).value.analysis
+
+
+#: What settings are compared by.
+DECIDES: Final = ("force_error",)
+
+
+def document_of(tried: Tried) -> dict[str, Any]:
+    """Return a trial as plain numbers and text."""
+    return {
+        "series": tried.series,
+        "setting": asdict(tried.setting),
+        "seed": tried.seed,
+        "errors": dict(tried.errors),
+        "why": tried.why,
+    }
+
+
+def tried_of(document: Mapping[str, Any]) -> Tried:
+    """Return the trial of a document.
+
+    Raises
+    ------
+    StoreError
+        If something is missing in it, of another type, or no finite number.
+    """
+    try:
+        setting = dict(document["setting"])
+        setting["strains_percent"] = tuple(float(percent) for percent in setting["strains_percent"])
+        errors = {str(name): float(value) for name, value in document["errors"].items()}
+        series, why = str(document["series"]), str(document["why"])
+        if not all(map(math.isfinite, errors.values())):
+            raise ValueError("an error is no finite number")
+        return Tried(series, Setting(**setting), int(document["seed"]), errors, why)
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise StoreError(
+            f"a stored trial of the frontier cannot be read ({type(error).__name__}: {error})",
+            remedy="begin again with --fresh; what was kept is simulated again",
+        ) from error
+
+
+def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float]) -> list[tuple[Setting, Point]]:
+    """Put the trials of each setting together.
+
+    Figures are root mean squares over the sensors; their standard error is that of the mean square, to first order.
+
+    Parameters
+    ----------
+    seconds : of the station that a setting takes.
+    """
+    groups: dict[tuple[str, Setting], list[Tried]] = {}
+    for tried in trials:
+        groups.setdefault((tried.series, tried.setting), []).append(tried)
+    return [
+        (setting, _point(series, setting, group, seconds(setting))) for (series, setting), group in groups.items()
+    ]
+
+
+def worth_the_station(points: Sequence[Point]) -> tuple[bool, ...]:
+    """Tell of every point whether no other of any series is as good for less of the station's time.
+
+    Settings that some sensors refused are not worth anything.
+    """
+    members = [at for at, point in enumerate(points) if all(name in point.accuracy for name in DECIDES)]
+    kept = undominated_within_errors([points[at] for at in members], lambda point: point.station_s, DECIDES)
+    flags = [False] * len(points)
+    for at, on in zip(members, kept, strict=True):
+        flags[at] = on
+    return tuple(flags)
+
+
+def _point(series: str, setting: Setting, group: Sequence[Tried], station_s: float) -> Point:
+    refused = [tried for tried in group if tried.why]
+    note = f"refused on {len(refused)} of {len(group)} sensors: {refused[0].why}" if refused else ""
+    names = [name for name in UNITS if not refused and any(name in tried.errors for tried in group)]
+    missing = {name: sum(name not in tried.errors for tried in group) for name in names}
+    told = [name for name in names if missing[name] == 0]
+    left_out = [
+        f"{name.replace('_', ' ')} not told on {missing[name]} of {len(group)}" for name in names if missing[name]
+    ]
+    return Point(
+        Clock.STATION,
+        series,
+        setting.knobs,
+        {name: _accuracy([tried.errors[name] for tried in group], UNITS[name]) for name in told},
+        None,
+        station_s,
+        len(group),
+        "; ".join(filter(None, [note, *left_out])),
+    )
+
+
+def _accuracy(errors: Sequence[float], unit: str) -> Accuracy:
+    squares = np.square(errors)
+    value = math.sqrt(float(squares.mean()))
+    if len(squares) < 2 or value == 0:
+        return Accuracy(value, None, unit)
+    return Accuracy(value, float(squares.std(ddof=1)) / math.sqrt(len(squares)) / (2 * value), unit)

@@ -1,0 +1,175 @@
+"""A way to calibrate a sensor on the station: what is pressed, for how long, how it is looked at."""
+
+import copy
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.studies.frontier.point import Knob
+
+#: Names of the phases of every recipe of the frontier.
+START, GRID, CHECK, HELD_OUT = "noise figure", "calibration places", "random loads", "held-out loads"
+#: Ways to choose places, see :class:`Setting`.
+SUNFLOWER, FARTHEST, LEAST_SURE = "sunflower", "farthest first", "least sure first"
+#: The paper presses to 40 mm from the centre; so does every grid here.
+RADIUS_MM: Final = 40.0
+#: Whole turns between neighbours of a sunflower's seeds.
+_GOLDEN: Final = 2 - (1 + 5**0.5) / 2
+_LONG_S: Final = 60.0
+_USUAL_FRAME_S: Final = 2.5
+#: Least rest around the random loads: they teach how the sensor relaxes, and what an earlier press leaves would be
+#: taught with it.
+_CHECK_REST_S: Final = 30.0
+#: Random loads that a scatter of forces can be judged by.
+_MANY: Final = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Setting:
+    """One way to calibrate.
+
+    Parameters
+    ----------
+    places : how many; nine are the paper's, others a sunflower over the disc of 40 mm.
+    strains_percent, trials : at each place.
+    hold_s, rest_s : of each press.
+    predicted : whether short holds are predicted to where the long ones end (transient compensation).
+    steady_frames : averaged at the end of each hold.
+    first_rest_s : before anything is pressed.
+    checks : random loads held for a minute: they say how the sensor relaxes, and what its force is worth.
+    frame_period_s : of one frame; its noise falls with the square root (NPLC of the source meter).
+    choice : how the places are chosen: ``"sunflower"``, as in a recipe; or of thirty ``"farthest first"`` or
+        ``"least sure first"``, which takes a look at the loads before the next one is chosen.
+    """
+
+    places: int
+    strains_percent: tuple[float, ...] = (25.0,)
+    trials: int = 1
+    hold_s: float = _LONG_S
+    rest_s: float = 60.0
+    predicted: bool = False
+    steady_frames: int = 4
+    first_rest_s: float = 240.0
+    checks: int = 2
+    frame_period_s: float = _USUAL_FRAME_S
+    choice: str = SUNFLOWER
+
+    @property
+    def knobs(self) -> dict[str, Knob]:
+        """What was set, for tables and documents."""
+        return {
+            "places": self.places,
+            "strains": len(self.strains_percent),
+            "trials": self.trials,
+            "hold_s": self.hold_s,
+            "rest_s": self.rest_s,
+            "transients": "predicted" if self.predicted else "averaged",
+            "frames": self.steady_frames,
+            "frame_s": self.frame_period_s,
+            "choice": self.choice,
+        }
+
+    @property
+    def is_recipe(self) -> bool:
+        """Whether a recipe says all of it: frame times are the source meter's, and no recipe chooses as it goes."""
+        return self.choice == SUNFLOWER and self.frame_period_s == _USUAL_FRAME_S
+
+    def locations_mm(self) -> tuple[tuple[float, float], ...]:
+        """Return where it presses."""
+        return NINE_LOCATIONS_MM if self.places == len(NINE_LOCATIONS_MM) else sunflower_mm(self.places)
+
+    def recipe(self, base: Mapping[str, Any], name: str) -> dict[str, Any]:
+        """Return a recipe document.
+
+        Parameters
+        ----------
+        base : the shipped recipe ``campaign``: its imaging, metrics and limits are taken over.
+        name : of the recipe.
+        """
+        recipe = copy.deepcopy(dict(base))
+        recipe["recipe"] = {"name": name, "calibrate_phases": [GRID]}
+        recipe["phases"] = self._phases()
+        recipe["limits"] = [limit for limit in recipe["limits"] if self._measures(limit)]
+        recipe["analysis"] = {
+            **recipe["analysis"],
+            "transients": "predicted" if self.predicted else "averaged",
+            "steady_frames": self.steady_frames,
+        }
+        return recipe
+
+    def _measures(self, limit: Mapping[str, Any]) -> bool:
+        """Whether a sensor calibrated so can meet a limit of the base at all: what needs more presses is left out."""
+        needs = {
+            "repeatability": self.trials > 1,
+            "nonlinearity": len(self.strains_percent) > 2,
+            "force_error_sd": self.checks >= _MANY,
+            "force_error_bias": self.checks >= _MANY,
+            "force_coverage_68": self.checks >= _MANY,
+            "common_settling_time": "unloading" not in limit.get("qualifier", "") or self.rest_s >= _LONG_S,
+        }
+        return needs.get(limit["measurement"], True)
+
+    def _phases(self) -> list[dict[str, Any]]:
+        start = {
+            "name": START,
+            "sequence": "noise-figure",
+            "rest_s": self.first_rest_s,
+            "frames": 20,
+            "strain_percent": 20.0,
+            "hold_s": _LONG_S,
+            "trials": 1,
+            "recovery_s": min(self.rest_s, 30.0),
+        }
+        grid = {
+            "name": GRID,
+            "sequence": "location-grid",
+            "label": "C",
+            "locations_mm": [list(place) for place in self.locations_mm()],
+            "strains_percent": list(self.strains_percent),
+            "trials": self.trials,
+            "hold_s": self.hold_s,
+            "rest_s": self.rest_s,
+            "initial_rest_s": 0.0,
+            "find_surface": True,
+        }
+        check = {
+            "name": CHECK,
+            "sequence": "random-loads",
+            "count": self.checks,
+            "radius_mm": [0.0, RADIUS_MM],
+            "strain_percent": [15.0, 30.0],
+            "hold_s": _LONG_S,
+            "rest_s": max(self.rest_s, _CHECK_REST_S),
+            "initial_rest_s": max(_CHECK_REST_S - self.rest_s, 0.0),
+        }
+        return [start, grid, check] if self.checks else [start, grid]
+
+
+def held_out_phase(count: int) -> dict[str, Any]:
+    """Return the phase of the random loads that simulated sensors are tested on, pressed as in the paper."""
+    return {
+        "name": HELD_OUT,
+        "sequence": "random-loads",
+        "stream": "held-out",
+        "count": count,
+        "radius_mm": [0.0, RADIUS_MM],
+        "strain_percent": [5.0, 30.0],
+        "hold_s": _LONG_S,
+        "rest_s": 60.0,
+        "initial_rest_s": 0.0,
+    }
+
+
+def sunflower_mm(count: int) -> tuple[tuple[float, float], ...]:
+    """Places spread evenly over the disc of 40 mm: the k-th at radius 40 mm √((k + ½)/n) and k golden angles.
+
+    Each lies across the sheet from the one before it, so that what is left of one load is far from the next.
+    """
+    number = np.arange(count)
+    radius = RADIUS_MM * np.sqrt((number + 0.5) / count)
+    turn = 2 * np.pi * _GOLDEN * number
+    places = np.round(np.column_stack([radius * np.cos(turn), radius * np.sin(turn)]), 1)
+    return tuple((float(x), float(y)) for x, y in places + 0.0)

@@ -1,0 +1,250 @@
+"""The sweeps of the station's clock: which ways to calibrate are tried, and what comes out of each.
+
+Long runs are simulated once a seed; cheaper ways that press a part of what they press, or hold for a part of the
+time, are taken from their stored frames. What is no such part (shorter rests, other frame times) is simulated by
+itself.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Final, Protocol
+
+import numpy as np
+
+from cbsr_qa.analysis.run import farthest_first
+from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain.plan import AnalysisSettings, SheetDesign
+from cbsr_qa.domain.results import RunObservation
+from cbsr_qa.domain.run import LoadRecord, RunRecord
+from cbsr_qa.studies.frontier.setting import FARTHEST, GRID, HELD_OUT, LEAST_SURE, SUNFLOWER, Setting, held_out_phase
+from cbsr_qa.studies.frontier.trial import errors_of, grid_places, least_sure_first, only
+
+#: Random loads a simulated sensor is tested on, which no setting has seen.
+TEST_LOADS: Final = 30
+
+SEEDS: Final = tuple(range(2001, 2005))
+QUICK_SEEDS: Final = (2001,)
+
+#: The paper's campaign: nine locations, six strains, three trials, a minute on and a minute off.
+PAPER: Final = Setting(9, (5.0, 10.0, 15.0, 20.0, 25.0, 30.0), 3)
+#: Thirty places at one strain, held as long; fewer where it is to be quick.
+EVEN: Final = Setting(30)
+QUICK_EVEN: Final = Setting(16)
+
+
+class SimulatedRun(Protocol):
+    """A simulated sensor that went through a recipe."""
+
+    @property
+    def record(self) -> RunRecord:
+        """The run."""
+        ...
+
+    @property
+    def design(self) -> SheetDesign:
+        """The truth about its sheet."""
+        ...
+
+
+@dataclass(frozen=True, slots=True)
+class Bench:
+    """What the application brings: the simulated station. All can be pickled.
+
+    Parameters
+    ----------
+    simulate : puts a sensor of a seed through a recipe with frames of some length, of all frames of its holds or only
+        the last ones.
+    observe : looks at a run with some settings.
+    seconds : of the station that a recipe takes.
+    analysis : settings of a recipe document.
+    base : recipe whose imaging, metrics and limits every setting takes over.
+    """
+
+    simulate: Callable[[Mapping[str, Any], int, float, bool], SimulatedRun]
+    observe: Callable[[RunRecord, AnalysisSettings], RunObservation]
+    seconds: Callable[[Mapping[str, Any], float], float]
+    analysis: Callable[[Mapping[str, Any]], AnalysisSettings]
+    base: Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Tried:
+    """A setting on one sensor.
+
+    Parameters
+    ----------
+    series : of the sweep.
+    errors : by name, see :func:`~cbsr_qa.studies.frontier.trial.errors_of`; empty where nothing could be learned.
+    why : that is; empty otherwise.
+    """
+
+    series: str
+    setting: Setting
+    seed: int
+    errors: Mapping[str, float]
+    why: str = ""
+
+
+def subsets_of_paper(*, quick: bool) -> list[tuple[str, Setting]]:
+    """Ways that are part of the paper's campaign, it being the first."""
+    strains = (PAPER.strains_percent, (10.0, 20.0, 30.0), (20.0,))
+    trials = (3, 1)
+    every = [
+        ("strains and trials", replace(PAPER, strains_percent=some, trials=count))
+        for count in trials
+        for some in strains
+    ]
+    return [every[0], every[-1]] if quick else every
+
+
+def subsets_of_even(*, quick: bool) -> list[tuple[str, Setting]]:
+    """Ways that are part of thirty places held for a minute, that being the first; of fewer where it is quick."""
+    if quick:
+        short = [replace(QUICK_EVEN, hold_s=15.0, predicted=predicted) for predicted in (False, True)]
+        return [("hold", setting) for setting in (QUICK_EVEN, *short)]
+    holds = [
+        ("hold", replace(EVEN, hold_s=hold_s, predicted=predicted))
+        for hold_s in (30.0, 20.0, 15.0, 10.0)
+        for predicted in (False, True)
+    ]
+    frames = [("frames averaged", replace(EVEN, steady_frames=count)) for count in (1, 2, 8)]
+    return [("hold", EVEN), *holds, ("frames averaged", EVEN), *frames]
+
+
+def choices_of_even() -> list[tuple[str, Setting]]:
+    """Ways to choose fewer places of the thirty."""
+    return [
+        ("choice of places", replace(EVEN, places=count, choice=choice))
+        for count in (9, 12, 18)
+        for choice in (FARTHEST, LEAST_SURE)
+    ]
+
+
+def simulated_alone(*, quick: bool) -> list[tuple[str, Setting]]:
+    """Ways with rests or frames of another length; one of them is in several series, and simulated once."""
+    short = Setting(16, hold_s=15.0, rest_s=5.0, predicted=True)
+    rests = [("rest", replace(short, rest_s=rest_s)) for rest_s in (5.0, 15.0, 30.0)]
+    places = [("places", replace(short, places=count)) for count in (9, 12, 16, 20, 26)]
+    hold = [("places", replace(short, places=19, hold_s=10.0))]
+    averaging = [("frame time", replace(short, frame_period_s=period_s)) for period_s in (1.25, 2.5, 5.0)]
+    return [rests[0]] if quick else [*rests, *places, *hold, *averaging]
+
+
+def tried_on_paper(bench: Bench, seed: int, *, quick: bool) -> list[Tried]:
+    """Simulate the paper's campaign on one sensor, and try it and its parts."""
+    run = _Simulated(bench, PAPER, seed, whole_holds=False)
+    return [
+        run.tried(series, setting, run.strains_and_trials(setting))
+        for series, setting in subsets_of_paper(quick=quick)
+    ]
+
+
+def tried_on_even(bench: Bench, seed: int, *, quick: bool) -> list[Tried]:
+    """Simulate thirty places (16 where it is quick) on one sensor, and try them and shorter holds."""
+    run = _Simulated(bench, QUICK_EVEN if quick else EVEN, seed)
+    found = [run.tried(series, setting) for series, setting in subsets_of_even(quick=quick)]
+    chosen = [] if quick else choices_of_even()
+    return found + [run.tried(series, setting) for series, setting in chosen]
+
+
+def tried_alone(bench: Bench, seed: int, series: Sequence[str], setting: Setting) -> list[Tried]:
+    """Simulate one way on one sensor, and say so in every series it belongs to."""
+    tried = _Simulated(bench, setting, seed).tried(series[0], setting)
+    return [replace(tried, series=name) for name in series]
+
+
+class _Simulated:
+    """One sensor that went through a setting's recipe and, besides, thirty random loads held for a minute."""
+
+    def __init__(self, bench: Bench, setting: Setting, seed: int, *, whole_holds: bool = True) -> None:
+        self._bench, self._setting, self._seed = bench, setting, seed
+        recipe = setting.recipe(bench.base, "frontier")
+        recipe["phases"].append(held_out_phase(TEST_LOADS))
+        self._sensor = bench.simulate(recipe, seed, setting.frame_period_s, whole_holds)
+        run = bench.observe(self._sensor.record, bench.analysis(recipe))
+        own = only(run, lambda load: load.phase != HELD_OUT)
+        self._seen = {(setting.hold_s, setting.steady_frames): own}
+        self._held_out = only(run, lambda load: load.phase == HELD_OUT)
+
+    def strains_and_trials(self, setting: Setting) -> Callable[[LoadRecord], bool]:
+        """Which loads of the grid are those of a setting with fewer strains or trials."""
+        strains = [percent / 100 for percent in setting.strains_percent]
+        return lambda one: one.load.trial < setting.trials and bool(np.isclose(one.load.strain, strains).any())
+
+    def _chosen(self, setting: Setting) -> Callable[[LoadRecord], bool]:
+        """Which loads of the grid a setting with fewer places would have pressed."""
+        run = self._observed(setting)
+        if setting.choice == LEAST_SURE:
+            numbers = set(least_sure_first(run, setting.places))
+        else:
+            numbers = set(farthest_first(grid_places(run), setting.places))
+        return lambda one: one.index in numbers
+
+    def tried(self, series: str, setting: Setting, wanted: Callable[[LoadRecord], bool] = lambda one: True) -> Tried:
+        """Try a setting that is this one, or a part of it."""
+        try:
+            chosen = wanted if setting.choice == SUNFLOWER else self._chosen(setting)
+            own = only(self._observed(setting), lambda load: load.phase != GRID or chosen(load.record))
+            errors = errors_of(own, self._held_out, self._sensor.design)
+        except CbsrError as refusal:
+            return Tried(series, setting, self._seed, {}, refusal.reason)
+        return Tried(series, setting, self._seed, errors)
+
+    def _observed(self, setting: Setting) -> RunObservation:
+        """The loads of the run as a setting would have held and averaged them."""
+        key = (setting.hold_s, setting.steady_frames)
+        analysis = self._bench.analysis(setting.recipe(self._bench.base, "frontier"))
+        if key not in self._seen:
+            run = self._bench.observe(shortened(self._sensor.record, setting.hold_s), analysis)
+            self._seen[key] = only(run, lambda load: load.phase != HELD_OUT)
+        return replace(self._seen[key], settings=analysis)
+
+
+def shortened(record: RunRecord, hold_s: float) -> RunRecord:
+    """Return a run whose grid was held for a shorter time: as it was up to then, and left out afterwards."""
+
+    def one(load: LoadRecord) -> LoadRecord:
+        early_s = load.release_start_s - (load.hold_start_s + hold_s)
+        if early_s <= 0:
+            return load
+        return replace(
+            load,
+            release_start_s=load.release_start_s - early_s,
+            release_end_s=load.release_end_s - early_s,
+            clear_s=None if load.clear_s is None else load.clear_s - early_s,
+        )
+
+    phases = tuple(
+        replace(phase, loads=tuple(map(one, phase.loads))) if phase.name == GRID else phase for phase in record.phases
+    )
+    return replace(record, phases=phases)
+
+
+def station_work(bench: Bench, *, quick: bool) -> Iterator[tuple[str, str, Callable[[], list[Tried]]]]:
+    """Yield what is to be simulated: a key that says so, the same in words, and what does it; longest first."""
+    seeds: Sequence[int] = QUICK_SEEDS if quick else SEEDS
+    mode = "quick" if quick else "full"
+    for seed in seeds:
+        if not quick:
+            yield (
+                f"paper/{mode}/{seed}",
+                f"the paper's campaign, sensor {seed}",
+                partial(tried_on_paper, bench, seed, quick=quick),
+            )
+        yield (
+            f"even/{mode}/{seed}",
+            f"places held for a minute, sensor {seed}",
+            partial(tried_on_even, bench, seed, quick=quick),
+        )
+    alone: dict[Setting, list[str]] = {}
+    for series, setting in simulated_alone(quick=quick):
+        alone.setdefault(setting, []).append(series)
+    for setting, names in alone.items():
+        what = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
+        for seed in seeds:
+            yield (
+                f"alone/{'+'.join(names)}/{what}/{seed}",
+                f"{names[0]}: {setting.places} places, sensor {seed}",
+                partial(tried_alone, bench, seed, tuple(names), setting),
+            )

@@ -1,0 +1,193 @@
+"""Which place to press next: where the map learned so far is least sure, or farthest from all that were pressed.
+
+What is asked: does it pay to look at the loads before the next one is chosen? Both ways choose among the places of a
+run that pressed them all.
+
+One simulated sensor calibrated one way: how far its map, gauge factor, settling time and forces are off.
+"""
+
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import brentq
+
+from cbsr_qa.analysis.run import RunForce, farthest_first, force_tests, gauge_factor, hold_traces, learned_from
+from cbsr_qa.calibration.fits import TimedValues, common_settling_time, fit_common_relaxation
+from cbsr_qa.calibration.force import LearnedForce
+from cbsr_qa.calibration.runtime import interpolated
+from cbsr_qa.calibration.sheet import sheet_places
+from cbsr_qa.domain import CbsrError
+from cbsr_qa.domain.plan import SheetDesign
+from cbsr_qa.domain.results import LoadObservation, RunObservation
+from cbsr_qa.domain.sensor import Relaxation
+from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM
+
+Array = NDArray[np.float64]
+
+#: Share of the steady change within which a hold counts as settled (paper, 4.3).
+_TOLERANCE: Final = 0.15
+#: Rings and spokes of the mean response under a head.
+_RINGS, _SPOKES = 6, 12
+
+#: Figures of a trial and their units; each is an error against truth, in both directions.
+UNITS: Final = {
+    "force_error": "N",
+    "force_error_found": "N",
+    "map_error": "1",
+    "gauge_factor_error": "1",
+    "settling_error": "1",
+}
+
+
+def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign) -> dict[str, float]:
+    """Calibrate with a run and return its errors; figures that cannot be told are absent.
+
+    Parameters
+    ----------
+    run : with the loads of a setting, and no others.
+    held_out : the same sensor's loads that the setting has not seen, held for a minute.
+    design : of the simulated sheet: the truth.
+
+    Returns
+    -------
+    ``force_error`` and ``force_error_found`` [N]: root mean square over the held-out loads, with the place known and
+    estimated; ``map_error`` [1]: root mean square within 40 mm of the map against the true response under the head,
+    both over their means; ``gauge_factor_error`` and ``settling_error`` [1]: relative, with their sign.
+
+    Raises
+    ------
+    CbsrError
+        If no force model can be learned.
+    """
+    found = learned_from(run)
+    assert found.learned is not None
+    errors = _forces(found.learned, held_out)
+    errors["map_error"] = _map_error(found.learned, design, run.record.indenter.radius_mm)
+    traces = hold_traces(run, long_holds(run))
+    with suppress(CbsrError):
+        errors["gauge_factor_error"] = _gauge_factor(run, found, design, traces)
+    with suppress(CbsrError):
+        errors["settling_error"] = _settling(run, traces)
+    return {name: value for name, value in errors.items() if np.isfinite(value)}
+
+
+def only(run: RunObservation, wanted: Callable[[LoadObservation], bool]) -> RunObservation:
+    """Return a run with some of its loads."""
+    return replace(run, loads=tuple(load for load in run.loads if wanted(load)))
+
+
+def long_holds(run: RunObservation) -> list[LoadObservation]:
+    """Loads that say how the sensor relaxes: all that were held longest."""
+    held = [load.record.release_start_s - load.record.hold_start_s for load in run.loads]
+    return [load for load, seconds in zip(run.loads, held, strict=True) if seconds >= 0.9 * max(held)]
+
+
+def _forces(learned: LearnedForce, held_out: RunObservation) -> dict[str, float]:
+    tests = force_tests(held_out, learned)
+    known = [test.known_N - test.measured_N for test in tests]
+    found = [test.found_N - test.measured_N for test in tests if test.found_N is not None]
+    errors = {"force_error": known, "force_error_found": found}
+    return {name: float(np.sqrt(np.mean(np.square(one)))) for name, one in errors.items() if one}
+
+
+def _map_error(learned: LearnedForce, design: SheetDesign, radius_mm: float) -> float:
+    places = sheet_places(learned.model)
+    places = places[np.hypot(*places.T) <= RADIUS_MM]
+    mapped = np.exp(interpolated(learned.model, learned.model.log_response, places))
+    truth = true_response(design, places, radius_mm)
+    return float(np.sqrt(np.mean((mapped / mapped.mean() / (truth / truth.mean()) - 1) ** 2)))
+
+
+def true_response(design: SheetDesign, places_mm: Array, radius_mm: float) -> Array:
+    """Mean response (n,) of a simulated sheet under a round head at places (n, 2)."""
+    reach = radius_mm * np.sqrt((np.arange(_RINGS) + 0.5) / _RINGS)
+    turn = np.arange(_SPOKES) * 2 * np.pi / _SPOKES
+    about = np.stack([np.outer(reach, np.cos(turn)), np.outer(reach, np.sin(turn))], axis=-1).reshape(-1, 2)
+    mean: Array = np.mean([design.response_at(places_mm + step) for step in about], axis=0)
+    return mean
+
+
+def _gauge_factor(run: RunObservation, found: RunForce, design: SheetDesign, traces: Sequence[TimedValues]) -> float:
+    assert found.learned is not None
+    value, _ = gauge_factor(run, found, traces=traces)
+    places = sheet_places(found.learned.model)
+    mean = float(true_response(design, places, run.record.indenter.radius_mm).mean())
+    return value.value / (run.record.material.against_strain.slope.value * mean) - 1
+
+
+def _settling(run: RunObservation, traces: Sequence[TimedValues]) -> float:
+    window_s = max(float(times[-1]) for times, _ in traces)
+    settled, _ = common_settling_time(fit_common_relaxation(traces), window_s=window_s, tolerance=_TOLERANCE)
+    if settled.value_s is None or settled.censored:
+        return float("nan")
+    return settled.value_s / true_settling_s(run.record.material.loading_relaxation) - 1
+
+
+def true_settling_s(relaxation: Relaxation) -> float:
+    """When what is still to come of a step falls to 15 % of the steady change [s]."""
+
+    def left(time_s: float) -> float:
+        terms = zip(relaxation.weights, relaxation.time_constants_s, strict=True)
+        return abs(sum(float(weight * np.exp(-time_s / tau)) for weight, tau in terms)) - _TOLERANCE
+
+    return float(brentq(left, 0.0, 100 * max(relaxation.time_constants_s)))
+
+
+#: Places that are pressed before anything can be said of a map, and how many are then chosen at a time.
+FIRST: Final = 6
+_AT_A_TIME: Final = 3
+#: Places chosen together are at least so far apart: one press says much of its neighbourhood.
+_APART_MM: Final = 15.0
+
+
+def least_sure_first(run: RunObservation, count: int) -> list[int]:
+    """Choose places of a run's grid, each where the map learned from those before it is least sure.
+
+    Returns
+    -------
+    Numbers of the grid's loads, in the order in which they would be pressed.
+
+    Raises
+    ------
+    CbsrError
+        If no map can be learned from the first ones.
+    """
+    grid = [load for load in run.loads if load.phase == GRID]
+    places = _places(grid)
+    chosen = farthest_first(places, min(FIRST, count))
+    while len(chosen) < count:
+        some = {id(grid[k]) for k in chosen}
+        found = learned_from(only(run, _wanted(some)))
+        assert found.learned is not None
+        _, variance = found.learned.response.predict(places)
+        chosen += _next(places, variance, chosen, min(_AT_A_TIME, count - len(chosen)))
+    return chosen
+
+
+def _wanted(some: set[int]) -> Callable[[LoadObservation], bool]:
+    return lambda load: load.phase != GRID or id(load) in some
+
+
+def _next(places: Array, variance: Array, chosen: Sequence[int], count: int) -> list[int]:
+    """The least sure places, apart from each other; fewer apart where there are no others."""
+    picked: list[int] = []
+    for apart_mm in (_APART_MM, 0.0):
+        for k in np.argsort(-variance).tolist():
+            taken = k in chosen or k in picked
+            near = any(np.hypot(*(places[k] - places[one])) < apart_mm for one in picked)
+            if len(picked) < count and not taken and not near:
+                picked.append(k)
+    return picked
+
+
+def _places(loads: Sequence[LoadObservation]) -> Array:
+    return np.array([(load.record.load.x_mm, load.record.load.y_mm) for load in loads]).reshape(-1, 2)
+
+
+def grid_places(run: RunObservation) -> Array:
+    """Places (n, 2) of the grid's loads, in order."""
+    return _places([load for load in run.loads if load.phase == GRID])

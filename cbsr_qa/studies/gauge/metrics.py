@@ -1,0 +1,131 @@
+"""The metrics of a gauge study: those it names, in the units it names them in, with the tolerance it states."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+
+from cbsr_qa.config import echo
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.results import MetricKey, RunFigure, RunLine
+from cbsr_qa.store import Repository
+from cbsr_qa.studies.figure_series import Series, named, series_of
+from cbsr_qa.studies.gauge.request import GaugeRequest, MetricWanted
+
+
+@dataclass(frozen=True, slots=True)
+class Toleranced:
+    """One metric over the runs of a study, with its tolerance.
+
+    Parameters
+    ----------
+    series : its limits are those of the study where it states some, else those of the latest run's recipe.
+    tolerance : width [the metric's unit]; None where there is none.
+    of : whose tolerance it is, ``"study"`` or ``"recipe"``; empty where there is none.
+    """
+
+    series: Series
+    tolerance: float | None
+    of: str
+
+
+def wanted_metrics(store: Repository, request: GaugeRequest, lines: Sequence[RunLine]) -> list[Toleranced]:
+    """Return what a study is of, one series a metric.
+
+    Raises
+    ------
+    RefusedError
+        If no run measured a metric that is named (with the nearest one), it is not in the unit that is stated, it is
+        not of locations where these are asked for, or nothing was measured.
+    """
+    figures = store.run_figures(lines, request.names, by_location=request.by_location)
+    if not figures and request.names:
+        figures = store.run_figures(lines)
+    _check_known(request, {figure.key for figure in figures})
+    figures = _of_locations(request, figures)
+    found = [one for series in series_of(lines, figures, request.names) for one in _toleranced(request, series)]
+    if not found:
+        raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
+    _check_references(request, lines, found)
+    return found
+
+
+def _check_known(request: GaugeRequest, known: set[MetricKey]) -> None:
+    names = sorted({key.name for key in known})
+    for index, one in enumerate(request.metrics):
+        if not known or any(one.means(key) for key in known):
+            continue
+        if one.name not in names:
+            near = get_close_matches(one.name, names, n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise RefusedError(
+                f"{request.at('metrics', index, 'name')}no run of these measured {echo(one.name, 64)}",
+                remedy=f"{hint}measured: {', '.join(names)}",
+            )
+        own = [key for key in sorted(known) if key.name == one.name]
+        variants = dict.fromkeys(f"phase {key.phase!r}, qualifier {key.qualifier!r}" for key in own)
+        raise RefusedError(
+            f"{request.at('metrics', index, 'name')}no run of these measured {one.name} of "
+            f"{f'phase {echo(one.phase)} and ' if one.phase else ''}qualifier {echo(one.qualifier or '')}",
+            remedy=f"measured: {'; '.join(variants)}",
+        )
+
+
+def _of_locations(request: GaugeRequest, figures: tuple[RunFigure, ...]) -> tuple[RunFigure, ...]:
+    if not request.by_location or not figures:
+        return figures
+    found = tuple(figure for figure in figures if figure.key.location)
+    if not found:
+        raise RefusedError(
+            f"{request.at('study', 'by_location')}these metrics are not of locations",
+            remedy="leave out --by-location (by_location in the study), or name a metric of locations",
+        )
+    return found
+
+
+def _toleranced(request: GaugeRequest, series: Series) -> Iterator[Toleranced]:
+    """A series with the tolerance of the study or its own; nothing where it is a variant nobody named."""
+    if not request.metrics:
+        yield _with_limits(series, MetricWanted(series.key.name))
+        return
+    for index, one in enumerate(request.metrics):
+        if not one.means(series.key):
+            continue
+        if one.unit and one.unit != series.unit:
+            raise _other_unit(request.at("metrics", index, "unit"), one.unit, series)
+        yield _with_limits(series, one)
+        return
+
+
+def _with_limits(series: Series, wanted: MetricWanted) -> Toleranced:
+    if wanted.width is not None:
+        return Toleranced(replace(series, lower=wanted.lower, upper=wanted.upper), wanted.width, "study")
+    own = series.tolerance
+    # Limits that meet leave no width to take a share of.
+    return Toleranced(series, own, "recipe") if own else Toleranced(series, None, "")
+
+
+def _other_unit(at: str, unit: str, series: Series) -> RefusedError:
+    return RefusedError(
+        f"{at}the unit is {echo(unit)}, but {series.key.label} was measured in {series.unit}",
+        remedy=f"state the numbers in {series.unit}; nothing is converted",
+    )
+
+
+def _check_references(request: GaugeRequest, lines: Sequence[RunLine], metrics: Sequence[Toleranced]) -> None:
+    measured, serials = {one.series.key.name for one in metrics}, {line.serial for line in lines}
+    for index, reference in enumerate(request.references):
+        if reference.metric not in measured:
+            raise RefusedError(
+                f"{request.at('reference', index, 'metric')}there is a reference value of {echo(reference.metric)}, "
+                "which is not studied",
+                remedy=f"studied: {', '.join(sorted(measured))}; name others as metrics",
+            )
+        if reference.serial not in serials:
+            raise RefusedError(
+                f"{request.at('reference', index, 'serial')}there is a reference value of sensor "
+                f"{echo(reference.serial, 64)}, which has no run in this study",
+                remedy=f"sensors: {named(sorted(serials))}",
+            )
+        for one in metrics:
+            if one.series.key.name == reference.metric and reference.unit not in ("", one.series.unit):
+                raise _other_unit(request.at("reference", index, "unit"), reference.unit, one.series)

@@ -1,0 +1,219 @@
+"""Reference values of golden sensors: as options or a file, and a gauge held against them."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from math import isfinite
+from pathlib import Path
+from typing import Annotated
+
+from pydantic import Field
+
+from cbsr_qa.config import DocumentKind, FileModel, Table, echo, open_document, validated
+from cbsr_qa.domain import NumericsError, RefusedError
+from cbsr_qa.domain.results import RunLine
+from cbsr_qa.stats import Referenced
+from cbsr_qa.stats.gauge import Linearity, Stability, bias, linearity, stability
+from cbsr_qa.studies.figure_series import Series, clock_notes
+
+_GIVEN = re.compile(
+    r"(?P<serial>.+)\.(?P<metric>[a-z][a-z0-9_]*)=(?P<value>[^±\s]+?)\s*"
+    r"(?:(?:±|\+/?-)\s*(?P<u>[^±\s]+))?(?:\s+(?P<unit>\S{1,16}))?"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ReferenceValue:
+    """What a sensor truly is, from elsewhere.
+
+    Parameters
+    ----------
+    value, uncertainty : in ``unit``; one standard deviation, 0 where none was stated.
+    unit : must be the metric's; empty where an option left it out, which means the metric's (sentences name it).
+    """
+
+    serial: str
+    metric: str
+    value: float
+    uncertainty: float = 0.0
+    unit: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BiasLine:
+    """Bias of one appraiser at one reference; ``bias`` None where ``why`` says why."""
+
+    reference: ReferenceValue
+    appraiser: str
+    count: int
+    bias: Referenced | None
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LinearityLine:
+    """How the bias of one appraiser depends on the value; None where ``why`` says why."""
+
+    appraiser: str
+    linearity: Linearity | None
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StabilityLine:
+    """What readings of one reference on one appraiser did over time; None where ``why`` says why."""
+
+    reference: ReferenceValue
+    appraiser: str
+    stability: Stability | None
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class AgainstReferences:
+    """One metric against reference values.
+
+    Parameters
+    ----------
+    unit : of the metric, and of its reference values.
+    linearity : of each appraiser over all references.
+    """
+
+    unit: str
+    biases: tuple[BiasLine, ...]
+    linearity: tuple[LinearityLine, ...]
+    stability: tuple[StabilityLine, ...]
+
+
+_Name = Annotated[str, Field(min_length=1, max_length=64)]
+
+
+class ReferenceTable(Table):
+    """``[[reference]]``: the value of one metric of one golden sensor, in the metric's unit."""
+
+    serial: _Name
+    metric: _Name
+    unit: Annotated[str, Field(min_length=1, max_length=16)]
+    value: float
+    uncertainty: Annotated[float, Field(ge=0)] = 0.0
+
+    def to_domain(self) -> ReferenceValue:
+        """Return the reference value."""
+        return ReferenceValue(self.serial, self.metric, self.value, self.uncertainty, self.unit)
+
+
+class _ReferenceFile(FileModel[tuple[ReferenceValue, ...]]):
+    """A file of reference values."""
+
+    reference: Annotated[list[ReferenceTable], Field(min_length=1)]
+
+    def to_domain(self) -> tuple[ReferenceValue, ...]:
+        return tuple(one.to_domain() for one in self.reference)
+
+
+def references_of(given: Sequence[str]) -> tuple[ReferenceValue, ...]:
+    """Read reference values: ``SERIAL.METRIC=VALUE±U UNIT``, or names of TOML files.
+
+    Raises
+    ------
+    RefusedError
+        If one cannot be read, or one sensor has two values of one metric.
+    """
+    found: list[ReferenceValue] = []
+    for text in given:
+        found += _of_file(text) if text.endswith(".toml") else [_of_text(text)]
+    keys = [(one.serial, one.metric) for one in found]
+    for key in keys:
+        if keys.count(key) > 1:
+            raise RefusedError(
+                f"sensor {key[0]} has {keys.count(key)} reference values of {key[1]}", remedy="give one"
+            )
+    return tuple(found)
+
+
+def _of_file(name: str) -> tuple[ReferenceValue, ...]:
+    return validated(_ReferenceFile, open_document(DocumentKind.REFERENCES, Path(name)))
+
+
+def _of_text(text: str) -> ReferenceValue:
+    remedy = (
+        "write 'SERIAL.METRIC=VALUE±UNCERTAINTY UNIT', e.g. 'G-01.force_gain=10.6±0.02 N/V', or name a .toml file"
+    )
+    found = _GIVEN.fullmatch(text.strip())
+    if found is None:
+        raise RefusedError(f"--reference {echo(text)} cannot be read", remedy=remedy)
+    try:
+        value, uncertainty = float(found["value"]), float(found["u"] or 0)
+    except ValueError as error:
+        raise RefusedError(f"--reference {echo(text)}: {error}", remedy=remedy) from error
+    if not (isfinite(value) and isfinite(uncertainty) and uncertainty >= 0):
+        raise RefusedError(
+            f"--reference {echo(text)}: allowed are finite values, uncertainties from 0", remedy=remedy
+        )
+    return ReferenceValue(found["serial"], found["metric"], value, uncertainty, found["unit"] or "")
+
+
+def against_references(
+    series: Series, appraisers: Sequence[str], references: Sequence[ReferenceValue]
+) -> AgainstReferences | None:
+    """Hold one metric's runs against the reference values there are of it.
+
+    Parameters
+    ----------
+    appraisers : of each run of the series.
+
+    Returns
+    -------
+    None where there is no reference value of this metric.
+    """
+    own = [one for one in references if one.metric == series.key.name]
+    if not own:
+        return None
+    rows = list(zip(series.lines, series.values, appraisers, strict=True))
+    biases, stabilities = [], []
+    for reference in own:
+        of = [(line, value, who) for line, value, who in rows if line.serial == reference.serial]
+        for who in sorted({who for _, _, who in of}):
+            lines, values = zip(*((line, value) for line, value, by in of if by == who), strict=True)
+            biases.append(_bias(reference, who, values))
+            stabilities.append(_stability(reference, who, lines, values))
+        if not of:
+            biases.append(BiasLine(reference, "", 0, None, "no run of these is of that sensor"))
+    measured = sorted({who for line, _, who in rows if line.serial in {one.serial for one in own}})
+    lines = tuple(_linearity(own, [row for row in rows if row[2] == who], who) for who in measured)
+    return AgainstReferences(series.unit, tuple(biases), lines, tuple(stabilities))
+
+
+def _bias(reference: ReferenceValue, who: str, values: Sequence[float]) -> BiasLine:
+    try:
+        found = bias(values, reference.value, uncertainty=reference.uncertainty)
+    except NumericsError as error:
+        return BiasLine(reference, who, len(values), None, error.reason)
+    return BiasLine(reference, who, len(values), found)
+
+
+def _stability(
+    reference: ReferenceValue, who: str, lines: Sequence[RunLine], values: Sequence[float]
+) -> StabilityLine:
+    wrong = clock_notes(lines)
+    if wrong:
+        return StabilityLine(reference, who, None, f"no drift can be told: {wrong[0]}")
+    days = [(line.started_at - lines[0].started_at) / timedelta(days=1) for line in lines]
+    try:
+        return StabilityLine(reference, who, stability(days, values, reference.value))
+    except NumericsError as error:
+        return StabilityLine(reference, who, None, error.reason)
+
+
+def _linearity(
+    references: Sequence[ReferenceValue], rows: Sequence[tuple[RunLine, float, str]], who: str
+) -> LinearityLine:
+    """Fit one appraiser's readings: pooled with others', differences between stations would be taken for scatter."""
+    readings = {one: [value for line, value, _ in rows if line.serial == one.serial] for one in references}
+    pairs = [(one.value, value) for one, values in readings.items() for value in values]
+    known = [(len(values), one.value, one.uncertainty) for one, values in readings.items() if values]
+    try:
+        return LinearityLine(who, linearity([one for one, _ in pairs], [value for _, value in pairs], known=known))
+    except NumericsError as error:
+        return LinearityLine(who, None, f"{error.reason}; {error.remedy}" if error.remedy else error.reason)

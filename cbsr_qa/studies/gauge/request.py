@@ -1,0 +1,299 @@
+"""A study's file: which sensors, stations, metrics, tolerances and days a gauge study is of.
+
+What a gauge study is asked for: by options, or by a study's file, whose lines refusals then name.
+"""
+
+import hashlib
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from cbsr_qa.config import (
+    DocumentKind,
+    FileModel,
+    KeyPath,
+    Problem,
+    Table,
+    dotted,
+    echo,
+    line_of,
+    open_document,
+    validated,
+)
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.results import MetricKey, RunLine
+from cbsr_qa.studies.gauge.references import ReferenceTable, ReferenceValue
+
+#: What may be an appraiser.
+APPRAISERS = ("station", "operator")
+
+
+@dataclass(frozen=True, slots=True)
+class StudySource:
+    """The file a study was read from.
+
+    Parameters
+    ----------
+    name : what the study calls itself.
+    file : its path as it was given.
+    sha256 : of the file's text.
+    text : to find lines in.
+    """
+
+    name: str
+    file: str
+    sha256: str
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class MetricWanted:
+    """One metric of a study.
+
+    Parameters
+    ----------
+    phase : empty for any.
+    qualifier : exactly this one; None for any.
+    unit : the metric must be in; empty where no number here is in it.
+    lower, upper, tolerance : limits, or their width alone; all None for those of the recipe.
+    """
+
+    name: str
+    phase: str = ""
+    qualifier: str | None = None
+    unit: str = ""
+    lower: float | None = None
+    upper: float | None = None
+    tolerance: float | None = None
+
+    def means(self, key: MetricKey) -> bool:
+        """Whether a figure is of this metric."""
+        fits = self.phase in ("", key.phase) and self.qualifier in (None, key.qualifier)
+        return self.name == key.name and fits
+
+    @property
+    def width(self) -> float | None:
+        """The tolerance that is stated here; None where the recipe's is taken."""
+        if self.lower is not None and self.upper is not None:
+            return self.upper - self.lower
+        return self.tolerance
+
+
+@dataclass(frozen=True, slots=True)
+class GaugeRequest:
+    """What a study is of.
+
+    Parameters
+    ----------
+    serials, recipe : which runs; at least one of them.
+    stations, operators : only their runs; none for any.
+    since, until : first and last day the runs began on, UTC.
+    metrics : none for those the recipe limits.
+    by_location : one study a location instead of one of the mean over all.
+    appraiser : ``"station"`` or ``"operator"``.
+    largest_balanced : of a crossing that is not whole, take the largest part that is.
+    references : what golden sensors truly are.
+    source : the file this was read from; None for options.
+    """
+
+    serials: tuple[str, ...] = ()
+    recipe: str | None = None
+    stations: tuple[str, ...] = ()
+    operators: tuple[str, ...] = ()
+    since: date | None = None
+    until: date | None = None
+    metrics: tuple[MetricWanted, ...] = ()
+    by_location: bool = False
+    appraiser: str = "station"
+    largest_balanced: bool = False
+    references: tuple[ReferenceValue, ...] = ()
+    confidence: float = 0.95
+    source: StudySource | None = None
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the metrics, each once."""
+        return tuple(dict.fromkeys(one.name for one in self.metrics))
+
+    def at(self, *path: str | int) -> str:
+        """Where a refusal is about a key of the study's file, its line and the key; empty for options."""
+        if self.source is None:
+            return ""
+        line = line_of(self.source.text, path)
+        return f"{self.source.file}{f' line {line}' if line else ''}: {dotted(path)}: "
+
+    def takes(self, line: RunLine) -> bool:
+        """Whether a run is of the period, the stations and the operators."""
+        in_period = (self.since is None or line.day >= self.since) and (self.until is None or line.day <= self.until)
+        at_station = not self.stations or line.station in self.stations
+        return in_period and at_station and (not self.operators or line.operator in self.operators)
+
+    def check(self) -> None:
+        """Refuse what cannot be meant, before anything is read.
+
+        Raises
+        ------
+        RefusedError
+            If nothing says which runs, the appraiser or the confidence is none, or the period ends before it begins.
+        """
+        if self.appraiser not in APPRAISERS:
+            raise RefusedError(f"--appraiser is {echo(self.appraiser)}", remedy=f"allowed: {', '.join(APPRAISERS)}")
+        if not 0.5 < self.confidence < 1:
+            raise RefusedError(
+                f"a confidence of {100 * self.confidence:g} % is none",
+                remedy="allowed: above 50 and below 100 %; give per cent, 95 for 95 %",
+            )
+        if not self.serials and self.recipe is None:
+            raise RefusedError(
+                "no study is named", remedy="name a study's file, or choose runs by --serials S1,S2,… or --recipe R"
+            )
+        if self.since and self.until and self.since > self.until:
+            raise RefusedError(
+                f"no day is after {self.since} and before {self.until}", remedy="swap --since and --until"
+            )
+
+
+_Name = Annotated[str, Field(min_length=1, max_length=64)]
+_Names = Annotated[list[_Name], Field(min_length=1)]
+
+
+class StudyTable(Table):
+    """``[study]``: which runs, and how they are looked at."""
+
+    name: _Name
+    recipe: _Name | None = None
+    serials: _Names | None = None
+    stations: _Names | None = None
+    operators: _Names | None = None
+    since: date | None = None
+    until: date | None = None
+    appraiser: Literal["station", "operator"] = "station"
+    by_location: bool = False
+    largest_balanced: bool = False
+    confidence_percent: float = 95.0
+
+    def problems(self) -> Iterator[Problem]:
+        """Yield what does not fit together within the table."""
+        if not self.name.isprintable():
+            yield Problem(("study", "name"), "has characters that cannot be printed; give one line")
+        if self.recipe is None and self.serials is None:
+            yield Problem(("study",), "has neither recipe nor serials; give one of them, or both")
+        if not 50 < self.confidence_percent < 100:
+            what = f"is {self.confidence_percent:g}; allowed: above 50 and below 100, in per cent (95 for 95 %)"
+            yield Problem(("study", "confidence_percent"), what)
+        if self.since and self.until and self.since > self.until:
+            yield Problem(("study", "since"), f"is {self.since}, after until = {self.until}")
+        for key in ("serials", "stations", "operators"):
+            names = getattr(self, key) or []
+            for name, count in Counter(names).items():
+                if count > 1:
+                    yield Problem(("study", key), f"has {name!r} {count} times; give it once")
+
+
+class MetricTable(Table):
+    """``[[metrics]]``: one metric, with the tolerance its gauge is held against; the recipe's where none is given."""
+
+    name: _Name
+    phase: Annotated[str, Field(max_length=64)] = ""
+    qualifier: Annotated[str, Field(max_length=64)] = ""
+    unit: Annotated[str, Field(min_length=1, max_length=16)] | None = None
+    lower: float | None = None
+    upper: float | None = None
+    tolerance: Annotated[float, Field(gt=0)] | None = None
+
+    def problems(self, where: KeyPath) -> Iterator[Problem]:
+        """Yield what does not fit together within the table."""
+        numbers = [key for key in ("lower", "upper", "tolerance") if getattr(self, key) is not None]
+        if numbers and self.unit is None:
+            yield Problem((*where, "unit"), f"is missing: {' and '.join(numbers)} of {self.name} must have one")
+        if (self.lower is None) != (self.upper is None):
+            other = "upper" if self.upper is None else "lower"
+            what = f"has no {other}; a tolerance is from lower to upper, or give its width as tolerance"
+            yield Problem((*where, numbers[0]), what)
+        if self.tolerance is not None and len(numbers) > 1:
+            yield Problem((*where, "tolerance"), "is given beside lower or upper; give the one or the others")
+        if self.lower is not None and self.upper is not None and self.lower >= self.upper:
+            yield Problem((*where, "lower"), f"is {self.lower:g}, not below upper = {self.upper:g}")
+
+    def overlaps(self, other: "MetricTable") -> bool:
+        """Whether one figure may be of both."""
+        same = (self.name, self.qualifier) == (other.name, other.qualifier)
+        return same and (self.phase == other.phase or not self.phase or not other.phase)
+
+    def to_domain(self) -> MetricWanted:
+        """Return the metric."""
+        return MetricWanted(
+            self.name, self.phase, self.qualifier, self.unit or "", self.lower, self.upper, self.tolerance
+        )
+
+
+class StudyFile(FileModel[GaugeRequest]):
+    """A study's file."""
+
+    study: StudyTable
+    metrics: Annotated[list[MetricTable], Field(min_length=1)] | None = None
+    reference: Annotated[list[ReferenceTable], Field(min_length=1)] | None = None
+
+    def problems(self) -> Iterator[Problem]:
+        """What is named must be studied, and only once."""
+        yield from self.study.problems()
+        metrics: Sequence[MetricTable] = self.metrics or ()
+        for index, metric in enumerate(metrics):
+            yield from metric.problems(("metrics", index))
+            if any(metric.overlaps(other) for other in metrics[:index]):
+                yield Problem(("metrics", index, "name"), f"is {metric.name!r}, which is studied already")
+        yield from self._reference_problems()
+
+    def _reference_problems(self) -> Iterator[Problem]:
+        serials, seen = self.study.serials, set()
+        names = [metric.name for metric in self.metrics or ()]
+        for index, one in enumerate(self.reference or ()):
+            where = ("reference", index)
+            if serials is not None and one.serial not in serials:
+                what = f"is {one.serial!r}, which is none of study.serials: {', '.join(serials)}"
+                yield Problem((*where, "serial"), what)
+            if names and one.metric not in names:
+                what = f"is {one.metric!r}, which is none of the metrics: {', '.join(names)}"
+                yield Problem((*where, "metric"), what)
+            if (one.serial, one.metric) in seen:
+                yield Problem((*where, "serial"), f"is {one.serial!r}, which has a value of {one.metric} already")
+            seen.add((one.serial, one.metric))
+
+    def to_domain(self) -> GaugeRequest:
+        """Return what is asked for; per cent become a fraction."""
+        study = self.study
+        return GaugeRequest(
+            serials=tuple(study.serials or ()),
+            recipe=study.recipe,
+            stations=tuple(study.stations or ()),
+            operators=tuple(study.operators or ()),
+            since=study.since,
+            until=study.until,
+            metrics=tuple(metric.to_domain() for metric in self.metrics or ()),
+            by_location=study.by_location,
+            appraiser=study.appraiser,
+            largest_balanced=study.largest_balanced,
+            references=tuple(one.to_domain() for one in self.reference or ()),
+            confidence=study.confidence_percent / 100,
+            source=StudySource(study.name, "", "", ""),
+        )
+
+
+def read_study(path: Path) -> GaugeRequest:
+    """Read a study's file.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file, it is not TOML, or it says what is not allowed: every problem with its line.
+    """
+    document = open_document(DocumentKind.GAUGE_STUDY, path)
+    request = validated(StudyFile, document)
+    assert request.source is not None
+    digest = hashlib.sha256(document.text.encode()).hexdigest()
+    return replace(request, source=StudySource(request.source.name, document.label, digest, document.text))

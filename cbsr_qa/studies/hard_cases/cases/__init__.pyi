@@ -1,0 +1,1 @@
+from .forward_loads import loaded as loaded

@@ -1,0 +1,321 @@
+"""Hard cases of what a calibration rests on: lines, maps of the response, registrations, loads in the readings."""
+
+from functools import partial
+from typing import Final
+
+import mpmath
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.fits import fit_quasi_static, learn_kernel
+from cbsr_qa.calibration.runtime import Matches
+from cbsr_qa.calibration.sheet import ResponseMap, learn_response, predicted_change, seat_of, sheet_gauge_factor
+from cbsr_qa.domain import CalibrationError, NumericsError
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic
+from cbsr_qa.eit.imaging import register
+from cbsr_qa.studies.hard_cases.case import Answer, HardCase, conditioned_bound
+from cbsr_qa.studies.hard_cases.exact import (
+    exact_line,
+    exact_map,
+    largest_relative_error,
+    line_condition,
+    map_condition,
+    relative_error,
+)
+
+Array = NDArray[np.float64]
+
+_AREA: Final = "calibration"
+_STRAINS: Final[Array] = np.array([0.05, 0.10, 0.15, 0.20, 0.25, 0.30])
+NINE: Final[Array] = np.array(NINE_LOCATIONS_MM)
+_SEED: Final = 20261121
+_LEAST_VARIANCE: Final = 1e-12  # of a load in a map of the response
+_PROCESSES: Final = 12  # of a map, that are held against truth: fifty digits take their time
+
+
+def line(x: Array, change: Array, stderr: Array | None = None) -> Answer:
+    """Slope of a line through loads at six strains, against weighted least squares in fifty digits."""
+    fit = fit_quasi_static(
+        _STRAINS.tolist(), x.tolist(), change.tolist(), None if stderr is None else stderr.tolist()
+    )
+    slope, _ = exact_line(x, change, np.ones_like(x) if stderr is None else stderr)
+    condition = line_condition(x, change, np.ones_like(x) if stderr is None else stderr)
+    return Answer(relative_error(fit.slope, slope), conditioned_bound(condition), condition)
+
+
+def no_change() -> Answer:
+    """Slope and intercept of a material that does not answer at all."""
+    fit = fit_quasi_static(_STRAINS.tolist(), _STRAINS.tolist(), [0.0] * 6)
+    wrong = abs(fit.slope) + abs(fit.intercept)
+    return Answer(wrong if np.isfinite(fit.covariance).all() else 1.0, 0.0, unit="relative conductance change")
+
+
+def error_far_out() -> Answer:
+    """Standard error of a line 1e5 spreads away from where it was fitted, back at its middle."""
+    middle, spread = 1e5, 1.0
+    x = middle + spread * (_STRAINS - _STRAINS.mean()) / _STRAINS.std()
+    fit = fit_quasi_static(_STRAINS.tolist(), x.tolist(), (0.001 * x).tolist(), [0.01] * 6)
+    _, error = predicted_change(fit.as_parameters("case"), middle)
+    condition = 2 * (middle / spread) ** 2  # of the terms that cancel to their sum
+    return Answer(relative_error(error, mpmath.mpf(0.01) / mpmath.sqrt(6)), conditioned_bound(condition), condition)
+
+
+def response(places_mm: Array, log_response: Array, variance: Array) -> Answer:
+    """Response predicted between loads by some of the processes, and how they are weighed against each other."""
+    wanted = np.array([[3.0, -4.0], [45.0, 0.0]])
+    learned = learn_response(places_mm, log_response, variance, radius_mm=50.0)
+    some = np.linspace(0, len(learned.weights) - 1, _PROCESSES).astype(int)
+    chosen = learned.weights[some] / learned.weights[some].sum()
+    found = ResponseMap(learned.places_mm, tuple(learned.members[k] for k in some), chosen)
+    mean, spread = found.predict(wanted)
+    exact_mean, exact_spread = exact_map(found, places_mm, log_response, variance, wanted)
+    error = max(largest_relative_error(mean, exact_mean), largest_relative_error(spread, exact_spread))
+    condition = map_condition(found, places_mm, variance)
+    return Answer(
+        error,
+        conditioned_bound(condition),
+        condition,
+        note=f"{_PROCESSES} of {len(learned.weights)} processes compared",
+    )
+
+
+def alike_loads(count: int) -> Answer:
+    """Mean of a map of many loads without noise in a nanometre, all of the same response."""
+    places = 1e-6 * np.random.default_rng(_SEED).standard_normal((count, 2))
+    mean, variance = learn_response(places, np.full(count, 0.3), np.zeros(count), radius_mm=50.0).predict(places[:3])
+    error = largest_relative_error(mean, [mpmath.mpf(0.3)] * 3) if (variance >= 0).all() else 1.0
+    condition = 1 / _LEAST_VARIANCE
+    return Answer(error, conditioned_bound(condition), condition)
+
+
+def far_registration() -> Answer:
+    """Turn, scale and residuals of places ten kilometres away from the origin."""
+    first = 1e7
+    turn = 1.02 * np.exp(0.1j)
+    p = NINE[:, 0] + 1j * NINE[:, 1]
+    q = turn * p
+    near = np.column_stack([p.real, p.imag]) + first
+    far = np.column_stack([q.real, q.imag]) - 3 * first
+    found = register(near, far)
+    error = max(relative_error(found.scale, mpmath.mpf("1.02")), abs(np.radians(found.rotation_deg) - 0.1))
+    condition = 3 * first / float(np.abs(p).max())
+    return Answer(float(error), conditioned_bound(condition), condition)
+
+
+def collinear_registration() -> Answer:
+    """Turn and scale of places in a line."""
+    row = NINE[[0, 1, 2]]
+    found = register(row, np.column_stack([-row[:, 1], row[:, 0]]) * 0.9)
+    error = max(relative_error(found.scale, mpmath.mpf("0.9")), abs(found.rotation_deg / 90 - 1))
+    return Answer(float(error), conditioned_bound(1.0), 1.0)
+
+
+def registration(nominal_mm: Array, seen_mm: Array) -> Answer:
+    """Scale of a registration that says nothing."""
+    return Answer(register(nominal_mm, seen_mm).scale, 0.0)
+
+
+def kernel(unit: float, sizes: tuple[float, ...], *, releases: bool = False) -> Answer:
+    """Weights and time constants learned from exact holds (or releases) of these sizes, in this unit."""
+    time_s: Array = 2.5 * np.arange(25.0)
+    relaxing = 0.3 * np.exp(-time_s / 5) + 0.2 * np.exp(-time_s / 30)
+    traces = [(time_s, unit * (size * relaxing + (0.01 if releases else size))) for size in sizes]
+    found = learn_kernel(traces, released=[unit * size for size in sizes] if releases else None)
+    values = [*found.weights, *found.time_constants_s]
+    error = largest_relative_error(values, [0.3, 0.2, 5.0, 30.0]) if len(values) == 4 else 1.0
+    return Answer(error, 1e-9, note="exact but for a prior and a noise of 1e-6 of a load")
+
+
+def seat(seen_mm: Array, shift_mm: float) -> Answer:
+    """How far a sheet is said to lie off its place."""
+    nothing = np.zeros(len(seen_mm))
+    covariance = np.tile(np.diag([1e-4, 1e-2, 1e-2]), (len(seen_mm), 1, 1))
+    found = seat_of(NINE, Matches(seen_mm, nothing + 0.1, covariance, nothing, nothing), nothing + 1)
+    moved = float(np.abs(found.places_mm(NINE) - NINE - shift_mm).max())
+    return Answer(moved if np.isfinite(found.shift_stderr_mm) else 1.0, conditioned_bound(60.0), 60.0, unit="mm")
+
+
+def gauge_factor() -> Answer:
+    """Gauge factor from loads at whose strain the line α ε + β is zero."""
+    nothing = QuasiStatic(Parameter(0.6, 0.01, "case"), Parameter(-0.06, 0.01, "case"), 0.0)
+    places, strain = NINE, np.full(9, 0.1)
+    found = sheet_gauge_factor(
+        places, np.full(9, 0.05), np.full(9, 1e-4), strain, nothing, radius_mm=50.0, sheet_mm=places
+    )
+    return Answer(found.value, 0.0)
+
+
+def _response_case(name: str, hard: str, places_mm: Array, variance: Array) -> HardCase:
+    values = 0.1 * np.sin(places_mm[:, 0] / 20) + 0.05 * np.cos(places_mm[:, 1] / 15)
+    truth = "the same mixture of Gaussian processes in fifty digits, load by load"
+    return HardCase(name, _AREA, hard, truth, partial(response, places_mm, values, variance))
+
+
+_LINES: Final = (
+    HardCase(
+        "stresses-of-1e6-with-a-tiny-spread",
+        _AREA,
+        "A line through stresses that differ by a hundred-millionth of themselves: sums of squares keep none of it.",
+        "weighted least squares of the same numbers in fifty digits",
+        partial(line, 1e6 + 0.1 * _STRAINS, 0.6 * _STRAINS),
+    ),
+    HardCase(
+        "weights-twenty-four-powers-of-ten-apart",
+        _AREA,
+        "One strain is known 1e12 times better than the others.",
+        "weighted least squares of the same numbers in fifty digits",
+        partial(
+            line, 100 * _STRAINS, 0.6 * _STRAINS + 0.01 * np.cos(40 * _STRAINS), np.array([1, 1, 1e-12, 1, 1, 1])
+        ),
+    ),
+    HardCase(
+        "material-that-does-not-answer",
+        _AREA,
+        "Changes that are zero at every load: no scatter and no size to take an error from.",
+        "slope and intercept zero, with an error that is a number",
+        no_change,
+    ),
+    HardCase(
+        "error-of-a-line-far-from-zero",
+        _AREA,
+        "The error in the middle of the loads, from those of slope and intercept 1e5 spreads away, which cancel.",
+        "σ/√n, that of a mean of six",
+        error_far_out,
+    ),
+    HardCase(
+        "one-strain",
+        _AREA,
+        "Loads at a single strain hold a slope or an intercept, not both.",
+        "refusal",
+        lambda: Answer(fit_quasi_static([0.1] * 3, [10.0, 10.1, 9.9], [0.06, 0.061, 0.059]).slope, 0.0),
+        NumericsError,
+    ),
+    HardCase(
+        "collinear-design",
+        _AREA,
+        "Six strains, all at one stress: the two columns of the line are parallel.",
+        "refusal",
+        lambda: Answer(fit_quasi_static(_STRAINS.tolist(), [0.1 * 3] * 6, _STRAINS.tolist()).slope, 0.0),
+        NumericsError,
+    ),
+    HardCase(
+        "line-at-its-zero",
+        _AREA,
+        "α ε + β is zero where the loads are: their response is a division by nothing.",
+        "refusal",
+        gauge_factor,
+        CalibrationError,
+    ),
+)
+
+_MAPS: Final = (
+    _response_case(
+        "loads-a-picometre-apart",
+        "Places that differ by 1e-9 mm, without noise: rows of the covariance that are equal to twenty digits.",
+        np.vstack([NINE[:4], NINE[:3] + 1e-9]),
+        np.zeros(7),
+    ),
+    _response_case(
+        "loads-in-a-tenth-of-a-millimetre",
+        "All loads within a thousandth of the shortest length: the covariance has one direction and rounding.",
+        NINE[:7] / 300,
+        np.zeros(7),
+    ),
+    _response_case(
+        "loads-known-a-million-times-better",
+        "Loads whose variances differ by 1e12.",
+        NINE[:7],
+        10.0 ** np.linspace(-14, -2, 7),
+    ),
+    HardCase(
+        "a-hundred-loads-in-a-nanometre",
+        _AREA,
+        "A covariance of a hundred loads that all are one, without noise.",
+        "their common value",
+        partial(alike_loads, 100),
+    ),
+    HardCase(
+        "map-with-nan",
+        _AREA,
+        "A load whose response is no number.",
+        "refusal",
+        lambda: Answer(learn_response(NINE, np.full(9, np.nan), np.zeros(9), radius_mm=50.0).scatter, 0.0),
+        CalibrationError,
+    ),
+)
+
+_REGISTRATIONS: Final = (
+    HardCase(
+        "registration-far-from-the-origin",
+        _AREA,
+        "Places that are counted from ten kilometres away, on two sides.",
+        "the turn and scale they were made with",
+        far_registration,
+    ),
+    HardCase(
+        "registration-of-places-in-a-line",
+        _AREA,
+        "Places in a line say where the sheet lies along it and across, and nothing of a mirror image.",
+        "the turn and scale they were made with",
+        collinear_registration,
+    ),
+    HardCase(
+        "seat-of-a-mirror-image",
+        _AREA,
+        "Loads found in the order of a mirror image: no rigid motion of the sheet explains them.",
+        "the sheet is left where it is",
+        partial(seat, NINE * [1.0, -1.0], 0.0),
+    ),
+    HardCase(
+        "seat-without-scatter",
+        _AREA,
+        "Loads all found exactly a millimetre off: a standard error of zero to divide by.",
+        "a millimetre along both axes",
+        partial(seat, NINE + 1.0, 1.0),
+    ),
+    HardCase(
+        "registration-of-one-place",
+        _AREA,
+        "Nine loads at one place, which rounds to places that differ.",
+        "refusal",
+        partial(registration, np.full((9, 2), 1e9 + 0.1), NINE),
+        NumericsError,
+    ),
+    HardCase(
+        "registration-of-a-mirror-image",
+        _AREA,
+        "A sheet that lies upside down: least squares find a scale near zero, and no place is where it seems.",
+        "refusal",
+        partial(registration, NINE, NINE * [1.0, -1.0]),
+        NumericsError,
+    ),
+)
+
+_KERNEL: Final = "the kernel the traces were made from"
+
+_KERNELS: Final = (
+    HardCase(
+        "kernel-of-values-of-1e100",
+        _AREA,
+        "Relaxations in a unit that makes their numbers huge: covariances of 1e200, determinants that are none.",
+        _KERNEL,
+        partial(kernel, 1e100, (0.9, 1.0, 1.1)),
+    ),
+    HardCase(
+        "kernel-of-loads-a-million-apart",
+        _AREA,
+        "Loads of which one is a million times as large as another.",
+        _KERNEL,
+        partial(kernel, 1.0, (1e-3, 1.0, 1e3)),
+    ),
+    HardCase(
+        "kernel-of-releases-of-both-signs",
+        _AREA,
+        "Releases whose changes sum to zero: nothing to divide their mean relaxation by.",
+        _KERNEL,
+        partial(kernel, 1.0, (1.0, -1.0, 2.0, -2.0), releases=True),
+    ),
+)
+
+CASES: Final[tuple[HardCase, ...]] = (*_LINES, *_MAPS, *_REGISTRATIONS, *_KERNELS)

@@ -1,0 +1,108 @@
+"""Hard cases of the forward model against continuous truth: Fourier series of a disc, and limits of its contacts."""
+
+from collections.abc import Callable
+from functools import lru_cache, partial
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain.sensor import CircleArcs, Mesh, adjacent_pattern
+from cbsr_qa.eit.forward import ConcentricSheet, ForwardModel, arc_transfer_impedance
+from cbsr_qa.studies.hard_cases.case import Answer, HardCase
+from cbsr_qa.studies.hard_cases.sheets import reading_condition, relative_error, ring_mesh
+
+Array = NDArray[np.float64]
+
+_AREA: Final = "forward model"
+_ELECTRODES: Final = 8
+_INSIDE: Final = 0.5  # the inclusion's radius over the sheet's: rings of the mesh lie on it
+_MESHES: Final = (1, 2)  # steps between electrodes' ends, and rings: the second mesh halves the first one's edges
+_CONTACT: Final = 0.2  # z γ over the radius
+_CONVERGES: Final = 3.0  # of the error is left at most where edges are halved: second order but for a logarithm
+
+
+@lru_cache(maxsize=2)
+def _disc(fineness: int) -> ForwardModel:
+    """Unit disc of second order, its rim and the inclusion's outline true arcs; made once per process."""
+    spokes, rings = 32 * fineness, 8 * fineness
+    mesh = ring_mesh(np.arange(1, rings + 1) / rings, spokes, _ELECTRODES, spokes // (4 * _ELECTRODES) or 1)
+    around = np.arange(spokes)
+    arcs = []
+    for ring in (rings // 2, rings):
+        first = 1 + (ring - 1) * spokes
+        edges = np.column_stack([first + around, first + (around + 1) % spokes]).astype(np.int64)
+        arcs.append(CircleArcs(edges, (0.0, 0.0), ring / rings))
+    bent = Mesh(mesh.nodes_mm, mesh.elements, mesh.electrode_edges, tuple(arcs))
+    pattern, count = adjacent_pattern(_ELECTRODES), len(mesh.elements)
+    return ForwardModel(bent, pattern, np.ones(count), np.full(_ELECTRODES, _CONTACT), order=2)
+
+
+def _angles(model: ForwardModel) -> tuple[Array, float]:
+    """Middles of the electrodes, and half their width [rad]."""
+    ends = [
+        np.unwrap(np.arctan2(*model.mesh.nodes_mm[edges].reshape(-1, 2).T[::-1]))
+        for edges in model.mesh.electrode_edges
+    ]
+    middles = np.array([(end.min() + end.max()) / 2 for end in ends])
+    return middles, float(np.ptp(ends[0])) / 2
+
+
+def with_inclusion(contrast: float) -> Answer:
+    """A concentric inclusion against its Fourier series, on a mesh whose edges are half those of another."""
+    errors = []
+    for fineness in _MESHES:
+        plain = _disc(fineness)
+        inside = np.hypot(*plain.mesh.centroids_mm.T) < _INSIDE
+        model = plain.changed(conductance=np.where(inside, contrast, 1.0))
+        sheet = ConcentricSheet(1.0, 1.0, _INSIDE, contrast)
+        angles, half_width = _angles(model)
+        exact = arc_transfer_impedance(sheet, angles, half_width, _CONTACT, modes=12, harmonics=20_000)
+        errors.append(relative_error(model.voltages(), model.readings(exact), model.pattern))
+    return _converged(errors, reading_condition(model))
+
+
+def uniform_current() -> Answer:
+    """Contacts next to open let current in evenly: the gap model's series, which has no contact impedance."""
+    errors = []
+    for fineness in _MESHES:
+        model = _disc(fineness).changed(contact_impedance=np.full(_ELECTRODES, 1e7))
+        angles, half_width = _angles(model)
+        sheet = ConcentricSheet(1.0, 1.0)
+        exact = arc_transfer_impedance(sheet, angles, half_width, 0.0, modes=1, harmonics=20_000)
+        errors.append(relative_error(model.voltages(), model.readings(exact), model.pattern))
+    return _converged(errors, reading_condition(model))
+
+
+def _converged(errors: list[float], condition: float) -> Answer:
+    coarse, fine = errors
+    note = f"the bound is the mesh's: a third of the {coarse:.1e} that a mesh of twice the edge length leaves"
+    return Answer(fine, coarse / _CONVERGES, condition, note=note)
+
+
+def _case(name: str, hard: str, truth: str, run: Callable[[], Answer]) -> HardCase:
+    return HardCase(name, _AREA, hard, truth, run)
+
+
+_SERIES: Final = "Fourier series of the disc with Legendre polynomials on its electrodes"
+
+CASES: Final[tuple[HardCase, ...]] = (
+    _case(
+        "disc-with-inclusion-of-1e8",
+        "A round load that conducts a hundred million times better: next to a short in the middle of the sheet.",
+        _SERIES,
+        partial(with_inclusion, 1e8),
+    ),
+    _case(
+        "disc-with-inclusion-of-1e-8",
+        "A round load that conducts a hundred millionth: next to a hole in the middle of the sheet.",
+        _SERIES,
+        partial(with_inclusion, 1e-8),
+    ),
+    _case(
+        "contacts-next-to-open-on-a-disc",
+        "Contacts ten million times poorer than the sheet, against the limit in which they let current in evenly.",
+        "Fourier series of the gap model",
+        uniform_current,
+    ),
+)

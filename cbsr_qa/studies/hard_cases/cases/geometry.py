@@ -1,0 +1,194 @@
+"""Hard cases of areas and distances: needles, circles that touch, rims that all but coincide."""
+
+from functools import partial
+from typing import Final
+
+import mpmath
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.geometry import PolygonFootprint, RoundFootprint, circle_overlap_mm2, overlap_mm2
+from cbsr_qa.domain.results import Image
+from cbsr_qa.domain.sensor import Mesh
+from cbsr_qa.eit.imaging import Raster, contour_regions, find_regions
+from cbsr_qa.studies.hard_cases.case import Answer, HardCase, conditioned_bound
+from cbsr_qa.studies.hard_cases.exact import (
+    DIGITS,
+    circle_overlap,
+    largest_relative_error,
+    polygon_area,
+    relative_error,
+)
+
+Array = NDArray[np.float64]
+
+_AREA: Final = "imaging"
+_RADIUS_MM: Final = 6.5
+
+
+def needle(width_mm: float, first_mm: float) -> Answer:
+    """Area and centre of a needle 100 mm long, so far from the origin."""
+    corners = first_mm + np.array([[0.0, 0.0], [80.0, 60.0], [80.0 - 0.6 * width_mm, 60.0 + 0.8 * width_mm]])
+    head = PolygonFootprint(corners)
+    exact = polygon_area(corners)
+    middle = corners.mean(axis=0)  # of a triangle
+    # Of the rounding of places, over the width.
+    condition = float(np.abs(corners).max() / (2 * exact / 100))
+    error = max(relative_error(head.area_mm2, exact), largest_relative_error(head.centre_mm, middle.tolist()))
+    return Answer(error, conditioned_bound(condition), condition)
+
+
+def circle(corners: Array, centre: tuple[float, float]) -> Answer:
+    """Area of a triangle inside the indenter's circle, as a share of the smaller of the two."""
+    found = float(circle_overlap_mm2(corners[None], centre, _RADIUS_MM)[0])
+    exact = circle_overlap(corners, centre, _RADIUS_MM)
+    with mpmath.workdps(DIGITS):
+        smaller = min(polygon_area(corners), mpmath.pi * mpmath.mpf(_RADIUS_MM) ** 2)
+        error = float(abs(mpmath.mpf(found) - exact) / smaller)
+        # A shift of all places by their rounding moves at most the whole outline's strip in or out.
+        outline = np.hypot(*(np.roll(corners, -1, axis=0) - corners).T).sum()
+        reach = float(np.abs(corners - np.array(centre)).max())
+        condition = float(min(outline, 2 * np.pi * _RADIUS_MM) * reach / smaller)
+    return Answer(error, conditioned_bound(condition), condition)
+
+
+def rim_at_the_indenter(corners: int) -> Answer:
+    """Mean squared distance of a polygon's sides from the circle through its corners."""
+    half = np.pi / corners
+    angle = 2 * half * np.arange(corners)
+    rim = _RADIUS_MM * np.column_stack([np.cos(angle), np.sin(angle)])
+    found = RoundFootprint(0.0, 0.0, _RADIUS_MM).squared_distance_mm3(rim, np.roll(rim, -1, axis=0)).sum()
+    with mpmath.workdps(DIGITS):
+        r, turn = mpmath.mpf(_RADIUS_MM), mpmath.pi / corners
+        height, reach = r * mpmath.cos(turn), r * mpmath.sin(turn)
+        # ∫ (√(u² + h²) − r)² du along one side, whose ends are on the circle.
+        bent = reach * r + height**2 * mpmath.asinh(reach / height)
+        truth = corners * 2 * (reach**3 / 3 + (height**2 + r**2) * reach - r * bent)
+        condition = float(2 * r / (r - height))  # of the distance from the circle
+    return Answer(relative_error(float(found), truth), conditioned_bound(condition), condition)
+
+
+def needle_mesh() -> Answer:
+    """Area and centre of a contour over elements a millionth as wide as long: what a plane cuts off."""
+    columns, width = 40, 1e-6
+    x = np.repeat(np.linspace(0.0, 1.0, columns + 1), 2)
+    nodes = np.column_stack([x, np.tile([0.0, width], columns + 1)])
+    lower = 2 * np.arange(columns)
+    elements = np.concatenate(
+        [np.column_stack([lower, lower + 2, lower + 3]), np.column_stack([lower, lower + 3, lower + 1])]
+    )
+    mesh = Mesh(nodes, elements)
+    (region,) = contour_regions(Image(mesh, mesh.centroids_mm[:, 0] + 0.25), 0.5)
+    start, end = region.rim_mm()
+    one, other = start - start[0], end - start[0]
+    outlined = float((one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]).sum()) / 2
+    condition = 1 / width
+    return Answer(relative_error(outlined, region.area_mm2), conditioned_bound(condition), condition)
+
+
+def corner_pixel() -> Answer:
+    """Outline of one pixel in the corner of a raster, closed beyond its edge: that of a pixel in the middle."""
+    areas = []
+    for row, column in ((0, 0), (4, 4), (0, 8), (8, 0), (8, 8)):
+        values = np.zeros((9, 9))
+        values[row, column] = 1.0
+        areas += [region.area_mm2 for region in find_regions(Raster(values, 1.0, (0.0, 0.0)), 0.85)]
+    return Answer(largest_relative_error(areas, [mpmath.mpf("0.045")] * 5), conditioned_bound(8 / 0.15), 8 / 0.15)
+
+
+def flat_polygon() -> Answer:
+    """Area of a head whose corners all lie in a line."""
+    corners = np.array([[0.0, 0.0], [1.0, 0.1], [2.0, 0.2], [1.0, 0.1]])
+    return Answer(float(overlap_mm2(PolygonFootprint(corners), np.zeros((1, 3, 2)))[0]), 0.0)
+
+
+def _triangle(x: float, y: float = 0.0, *, long: float = 3.0) -> Array:
+    """A tip at (x, y) that points to the left."""
+    return np.array([[x, y], [x + long, y - long / 2], [x + long, y + long / 2]])
+
+
+_CIRCLE: Final = "the same area by Green's theorem in fifty digits"
+
+CASES: Final[tuple[HardCase, ...]] = (
+    HardCase(
+        "needle-of-a-nanometre",
+        _AREA,
+        "A head 100 mm long and a millionth of a millimetre wide.",
+        "area and centre of the triangle in fifty digits",
+        partial(needle, 1e-6, 0.0),
+    ),
+    HardCase(
+        "needle-far-from-the-origin",
+        _AREA,
+        "The same a kilometre away, a thousandth wide: products of places are 1e13 times its area.",
+        "area and centre of the triangle in fifty digits",
+        partial(needle, 1e-3, 1e6),
+    ),
+    HardCase(
+        "side-tangent-to-the-circle",
+        _AREA,
+        "A side that touches the circle: whether it passes through is a square root of rounding.",
+        _CIRCLE,
+        partial(circle, np.array([[-9.0, _RADIUS_MM], [9.0, _RADIUS_MM], [0.0, 12.0]]), (0.0, 0.0)),
+    ),
+    HardCase(
+        "side-within-1e-8-of-the-circle",
+        _AREA,
+        "A side that cuts a segment of 1e-8 mm off the circle.",
+        _CIRCLE,
+        partial(circle, np.array([[-9.0, _RADIUS_MM - 1e-8], [9.0, _RADIUS_MM - 1e-8], [0.0, 12.0]]), (0.0, 0.0)),
+    ),
+    HardCase(
+        "tip-within-1e-8-of-the-circle",
+        _AREA,
+        "A corner that reaches 1e-8 mm into the circle.",
+        _CIRCLE,
+        partial(circle, _triangle(_RADIUS_MM - 1e-8), (0.0, 0.0)),
+    ),
+    HardCase(
+        "corner-at-the-centre",
+        _AREA,
+        "A corner 1e-12 mm from the centre, from which sectors are counted: its direction is rounding.",
+        _CIRCLE,
+        partial(circle, _triangle(1e-12, 1e-12), (0.0, 0.0)),
+    ),
+    HardCase(
+        "circle-within-a-huge-triangle",
+        _AREA,
+        "A triangle of a kilometre round a circle of 13 mm.",
+        _CIRCLE,
+        partial(circle, 1e6 * np.array([[-1.0, -1.0], [1.0, -1.0], [0.0, 1.0]]), (0.0, 0.0)),
+    ),
+    HardCase(
+        "circle-far-from-the-origin",
+        _AREA,
+        "Circle and triangle a kilometre from the origin.",
+        _CIRCLE,
+        partial(circle, 1e6 + _triangle(2.0), (1e6 + 1.0, 1e6 - 1.0)),
+    ),
+    HardCase(
+        "rim-at-the-indenter",
+        _AREA,
+        "The outline of a blob that is the indenter's to a millionth: its deviation is a difference of cubes.",
+        "the integral along a side in closed form and fifty digits",
+        partial(rim_at_the_indenter, 5000),
+    ),
+    HardCase(
+        "contour-over-needles",
+        _AREA,
+        "Elements a millionth as wide as long.",
+        "area by Green's theorem along the outline = sum of the pieces",
+        needle_mesh,
+    ),
+    HardCase(
+        "pixels-in-the-corners",
+        _AREA,
+        "A pixel in the corner of a raster, where its outline needs neighbours that are not there.",
+        "area of the diamond round one pixel, wherever it is",
+        corner_pixel,
+    ),
+    HardCase(
+        "head-without-area", _AREA, "A head whose corners lie in a line.", "refusal", flat_polygon, NumericsError
+    ),
+)

@@ -1,0 +1,275 @@
+"""Hard cases of loads in the readings, and of forces from them: symmetric places, electrodes, extreme sizes."""
+
+from functools import lru_cache, partial
+from typing import Any, Final
+
+import mpmath
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.runtime import ForceInverse, Matches, TemplateFilter, map_tables
+from cbsr_qa.config import load_sensor_type
+from cbsr_qa.domain import CalibrationError, NumericsError
+from cbsr_qa.domain.results import ForceModel, Lattice, LoadEstimate
+from cbsr_qa.domain.sensor import Parameter, QuasiStatic
+from cbsr_qa.eit.estimate import LoadEstimator, MergedReadings, load_model, merged_readings
+from cbsr_qa.eit.loads import RoundLoadModel, RoundLoads
+from cbsr_qa.studies.hard_cases.case import Answer, HardCase, conditioned_bound
+from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
+
+Array = NDArray[np.float64]
+
+_AREA: Final = "calibration"
+_RADIUS_MM: Final = 6.5
+_NOISE: Final = 2.4e-5  # of a reading at unit conductance, as the simulated 8 wt% sensor has it
+_LINE: Final = QuasiStatic(Parameter(4.5e-3, 1e-4, "case"), Parameter(-1.1e-3, 1e-4, "case"), 0.0)
+_SIDE: Final = 13  # of the lattice of the made-up templates
+
+
+@lru_cache
+def disc() -> tuple[RoundLoadModel, MergedReadings]:
+    """Model and readings of the 100 mm disc."""
+    sensor_type = load_sensor_type("disc-100mm").value
+    pattern = sensor_type.pattern
+    return load_model(sensor_type), merged_readings(pattern, pattern.usable(), np.full(pattern.shape, _NOISE**2))
+
+
+def changes_of(x_mm: float, y_mm: float, contrast: float = 0.1) -> Array:
+    """Changes (1, m) of the used readings under one head."""
+    model, readings = disc()
+    load = RoundLoads.of_contrast(np.array([[x_mm, y_mm]]), np.array([_RADIUS_MM]), np.array([contrast]))
+    changes: Array = model.readings(load).change[:, readings.used]
+    return changes
+
+
+def estimated(changes: Array) -> LoadEstimate:
+    """Estimate one load of known size."""
+    model, readings = disc()
+    return LoadEstimator(model, readings, expected_radius_mm=_RADIUS_MM, known=True).estimate(changes)[0]
+
+
+def located(x_mm: float) -> Answer:
+    """Where a head without noise is found, on the sheet's axis."""
+    changes = changes_of(x_mm, 0.0)
+    found = estimated(changes)
+    if found.place_mm is None or found.place_covariance_mm2 is None:
+        return Answer(float("inf"), 0.0)
+    error = float(np.hypot(found.place_mm[0] - x_mm, found.place_mm[1]))
+    # The place moves by its standard error per unit of a row, and rows round by their size.
+    rows = disc()[1].of_data(changes)
+    condition = float(np.sqrt(np.trace(found.place_covariance_mm2)) * np.linalg.norm(rows))
+    return Answer(error, conditioned_bound(condition), condition, unit="mm")
+
+
+def nothing_found(changes: Array, said: str) -> Answer:
+    """Loads found in a frame that holds none, or another reason given than there is."""
+    found = estimated(changes)
+    right = found.place_mm is None and said in found.why
+    return Answer(0.0 if right else 1.0, 0.0, unit="wrong statements", note=found.why)
+
+
+def merged(decades: float) -> Answer:
+    """Variance of rows of merged readings whose noise differs by so many powers of ten: one each."""
+    pattern = load_sensor_type("disc-100mm").value.pattern
+    variance = 10.0 ** np.linspace(-decades, 0, pattern.shape[0] * pattern.shape[1]).reshape(pattern.shape)
+    readings = merged_readings(pattern, pattern.usable(), variance)
+    found = (readings.merging**2 * variance[readings.used]).sum(axis=1)
+    return Answer(largest_relative_error(found, [mpmath.mpf(1)] * len(found)), conditioned_bound(1.0), 1.0)
+
+
+def force_model(log_response: float, log_size: float = 0.0) -> ForceModel:
+    """Build an even sheet whose templates turn with place, (cos, sin) of x and y over 8 mm."""
+    lattice = Lattice(-6.0, -6.0, 1.0, _SIDE, _SIDE)
+    x, y = lattice.places_mm().T / 8
+    count = _SIDE**2
+    templates = np.column_stack([np.cos(x), np.sin(x), np.cos(y), np.sin(y)]) / np.sqrt(2)
+    flat, turn = np.zeros(count), np.full(count, 1 / 128)
+    return ForceModel(
+        lattice,
+        np.arange(count).reshape(_SIDE, _SIDE),
+        np.eye(4),
+        templates,
+        np.full(count, log_size),
+        np.zeros((count, 4)),
+        np.column_stack([flat, flat, turn, flat, turn]),
+        np.ones(count, dtype=np.bool_),
+        np.full(count, log_response),
+        np.full(count, 0.01),
+        0.01,
+        (5.0, 40.0),
+        6.0,
+        0.1,
+        0.0,
+        0.0,
+    )
+
+
+def newtons(strength: float, log_response: float) -> tuple[float, float]:
+    """Force and standard error [N] of a strength at the middle of an even sheet."""
+    model = force_model(log_response)
+    inverse = ForceInverse(model, _LINE, 132.7, map_tables(model))
+    nothing = np.zeros(1)
+    match = Matches(np.zeros((1, 2)), np.array([strength]), 1e-6 * np.eye(3)[None], nothing, nothing)
+    force, stderr = inverse.force(match)
+    return float(force[0]), float(stderr[0])
+
+
+def force_of(strength: float, log_response: float) -> Answer:
+    """Force against σ = (κ/S − β)/α, F = σ A in fifty digits."""
+    found, stderr = newtons(strength, log_response)
+    with mpmath.workdps(DIGITS):
+        a, area = mpmath.mpf(strength), mpmath.mpf(132.7) / 1000
+        seen = 2 * a / (2 - a) * mpmath.exp(-mpmath.mpf(log_response))
+        beta, alpha = mpmath.mpf(_LINE.intercept.value), mpmath.mpf(_LINE.slope.value)
+        truth = (seen - beta) / alpha * area
+        condition = float((abs(seen) * (1 + abs(log_response) + 2 / (2 - a)) + abs(beta)) / abs(seen - beta))
+    error = relative_error(found, truth) if np.isfinite(stderr) and stderr > 0 else 1.0
+    return Answer(error, conditioned_bound(condition), condition)
+
+
+def impossible_strengths() -> Answer:
+    """Strengths of 2 and above, which no contrast has: forces that are numbers, and never below those of less."""
+    forces = np.array([newtons(strength, 0.0) for strength in (1.0, 1.9, 2.0, 2.5, 1e12)])
+    wrong = int((~np.isfinite(forces)).sum()) + int((np.diff(forces[:, 0]) < 0).sum())
+    return Answer(float(wrong), 0.0, unit="wrong statements")
+
+
+def scaled_matches(size: float) -> Answer:
+    """Place and strength of frames so many times a standard error in size, against those of ordinary ones."""
+    model = force_model(0.0)
+    finder = TemplateFilter(model)
+    places = np.array([[0.0, 0.0], [1.3, -2.2], [-2.4, 0.7]])
+    rows = finder.template(places)
+    usual, other = finder.search(rows), finder.search(size * rows)
+    away = np.abs(usual.place_mm - other.place_mm).max() / 8
+    error = max(float(away), largest_relative_error(other.strength / size, usual.strength.tolist()))
+    return Answer(error, conditioned_bound(1.0), 1.0)
+
+
+def sized_templates(log_size: float) -> Answer:
+    """Strength of a head whose templates are this large."""
+    finder = TemplateFilter(force_model(0.0, log_size))
+    place = np.array([2.0, -1.0])
+    found = finder.at(0.1 * finder.template(place[None]), place)
+    condition = 1 + abs(log_size)
+    return Answer(relative_error(float(found.strength[0]), mpmath.mpf(0.1)), conditioned_bound(condition), condition)
+
+
+def nowhere() -> Answer:
+    """Templates of a sheet on which a head fits nowhere."""
+    model: Any = force_model(0.0)
+    object.__setattr__(model, "fits", np.zeros(_SIDE**2, dtype=np.bool_))
+    return Answer(float(len(TemplateFilter(model).templates)), 0.0)
+
+
+_FIFTY: Final = "the formula in fifty digits"
+
+CASES: Final[tuple[HardCase, ...]] = (
+    HardCase(
+        "load-at-the-exact-centre",
+        _AREA,
+        "A head in the middle of the sheet, where all mirror images fall together.",
+        "the place it was pressed at",
+        partial(located, 0.0),
+    ),
+    HardCase(
+        "load-a-picometre-off-the-centre",
+        _AREA,
+        "A head 1e-9 mm off the middle.",
+        "the place it was pressed at",
+        partial(located, 1e-9),
+    ),
+    HardCase(
+        "load-on-an-electrode",
+        _AREA,
+        "A head whose centre is on a pin, where the field has a pole instead of a power series.",
+        "refusal",
+        lambda: Answer(float(np.abs(changes_of(47.9, 0.0)).max()), 0.0),
+        NumericsError,
+    ),
+    HardCase(
+        "frame-without-any-change",
+        _AREA,
+        "A frame without any change: every place explains it as well as every other.",
+        "no load",
+        lambda: nothing_found(0 * changes_of(0.0, 0.0), "no load stands out"),
+    ),
+    HardCase(
+        "changes-no-load-makes",
+        _AREA,
+        "Readings that change a million times as much as under any load.",
+        "no load, and not for want of changes",
+        lambda: nothing_found(1e6 * changes_of(10.0, 0.0), "not as one round load"),
+    ),
+    HardCase(
+        "noise-twelve-powers-of-ten-apart",
+        _AREA,
+        "Readings whose noise differs by 1e12, merged with their reciprocal ones.",
+        "rows have a variance of one",
+        partial(merged, 24.0),
+    ),
+    HardCase(
+        "frames-of-1e-12-standard-errors",
+        _AREA,
+        "Frames a millionth of a millionth of their noise, which still are those of a head.",
+        "place and strength at the usual size",
+        partial(scaled_matches, 2.0**-40),
+    ),
+    HardCase(
+        "frames-of-1e12-standard-errors",
+        _AREA,
+        "Frames a millionth of a million times their noise.",
+        "place and strength at the usual size",
+        partial(scaled_matches, 2.0**40),
+    ),
+    HardCase(
+        "templates-of-1e-12",
+        _AREA,
+        "A sensor that answers with a millionth of a millionth of a standard error.",
+        "the strength that was pressed",
+        partial(sized_templates, -12 * float(np.log(10))),
+    ),
+    HardCase(
+        "templates-of-1e12",
+        _AREA,
+        "A sensor that answers with 1e12 standard errors.",
+        "the strength that was pressed",
+        partial(sized_templates, 12 * float(np.log(10))),
+    ),
+    HardCase(
+        "nowhere-to-press",
+        _AREA,
+        "A sheet on which the head fits nowhere: there is nothing to search.",
+        "refusal",
+        nowhere,
+        CalibrationError,
+    ),
+    HardCase(
+        "force-of-no-change",
+        _AREA,
+        "A strength of zero: what is left is the line's intercept.",
+        _FIFTY,
+        partial(force_of, 0.0, 0.0),
+    ),
+    HardCase(
+        "force-where-the-response-is-1e-13",
+        _AREA,
+        "A place that answers with 1e-13 of what it should: a division by next to nothing.",
+        _FIFTY,
+        partial(force_of, 0.05, -30.0),
+    ),
+    HardCase(
+        "force-where-the-response-is-1e13",
+        _AREA,
+        "A place that answers 1e13 times as strongly as it should.",
+        _FIFTY,
+        partial(force_of, 0.05, 30.0),
+    ),
+    HardCase(
+        "strengths-no-contrast-has",
+        _AREA,
+        "κ = 2a/(2 − a) has a pole at a strength of 2, and is negative beyond.",
+        "stronger is never less, and always a number",
+        impossible_strengths,
+    ),
+)

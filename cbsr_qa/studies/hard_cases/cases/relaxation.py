@@ -1,0 +1,315 @@
+"""Hard cases of relaxation fits: time constants that are alike, lost, too slow, or in other units."""
+
+from functools import partial
+from typing import Any, Final
+
+import mpmath
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.fits import (
+    fit_common_relaxation,
+    fit_relaxation,
+    predict_steady,
+    restricted_mean,
+    settling_time,
+)
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import FitStatus, RelaxationFit, RelaxationKernel
+from cbsr_qa.studies.hard_cases.case import EPSILON, Answer, HardCase, conditioned_bound
+from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
+
+Array = NDArray[np.float64]
+
+_AREA: Final = "relaxation"
+_TIME_S: Final[Array] = 2.5 * np.arange(25.0)  # a minute at the rig's frame rate
+_WINDOW_S: Final = 60.0
+
+
+def curve(offset: float, amplitudes: tuple[float, ...], taus_s: tuple[float, ...], time_s: Array = _TIME_S) -> Array:
+    """G(t) = a₀ + Σ a e^(−t/τ), (n,)."""
+    values: Array = offset + np.exp(-time_s[:, None] / np.array(taus_s)) @ np.array(amplitudes)
+    return values
+
+
+def fit_condition(offset: float, amplitudes: tuple[float, ...], taus_s: tuple[float, ...]) -> float:
+    """Largest relative change of a parameter per relative change of the values, of the linearised problem."""
+    parts = np.exp(-_TIME_S[:, None] / np.array(taus_s))
+    design = np.column_stack([np.ones_like(_TIME_S), parts, parts * _TIME_S[:, None] / np.array(taus_s) * amplitudes])
+    size = np.abs([offset, *amplitudes, *np.ones(len(taus_s))])
+    rows = np.linalg.norm(np.linalg.pinv(design), axis=1) / size
+    return float(rows.max() * np.linalg.norm(curve(offset, amplitudes, taus_s)))
+
+
+def recovered(
+    offset: float,
+    amplitudes: tuple[float, ...],
+    taus_s: tuple[float, ...],
+    *,
+    unit: float = 1.0,
+    second: float = 1.0,
+    single: bool = False,
+) -> Answer:
+    """Largest relative error of offset, amplitudes and time constants of a fit of exact values.
+
+    Parameters
+    ----------
+    unit : what the values are multiplied by.
+    second : how many units of time a second has.
+    single : whether the values are rounded to single precision first.
+    """
+    values = curve(offset, amplitudes, taus_s)
+    given = (values * unit).astype(np.float32) if single else values * unit
+    fit = fit_relaxation(_TIME_S * second, np.asarray(given))
+    found = [fit.offset / unit, *np.array(fit.amplitudes) / unit, *np.array(fit.time_constants_s) / second]
+    truth = [offset, *amplitudes, *taus_s]
+    error = largest_relative_error(found, truth) if len(found) == len(truth) else 1.0
+    condition = fit_condition(offset, amplitudes, taus_s)
+    rounding = float(np.finfo(np.float32).eps) / EPSILON if single else 1.0
+    return Answer(error, conditioned_bound(condition * rounding), condition, note=str(fit.status))
+
+
+def merged() -> Answer:
+    """Steady level and settling time of two time constants that differ by 1e-8: one is kept."""
+    taus_s = (20.0, 20.0 * (1 + 1e-8))
+    fit = fit_relaxation(_TIME_S, curve(1.0, (0.3, 0.2), taus_s))
+    settled = settling_time(fit, window_s=_WINDOW_S).value_s
+    # Both exponentials are that of the mean time constant to 1e-17.
+    truth = _mp(20) * (1 + _mp("0.4e-8")) * mpmath.log(_mp(1) / _mp("0.3"))
+    condition = fit_condition(1.0, (0.5,), (20.0,))
+    error = max(relative_error(fit.offset, _mp(1)), relative_error(settled or 0.0, truth))
+    return Answer(error, conditioned_bound(condition), condition, note=fit.why)
+
+
+def slower_than_the_trace() -> Answer:
+    """Settling of a trace whose time constant is seventeen times its length: not before its end."""
+    fit = fit_relaxation(_TIME_S, curve(1.0, (0.2,), (1000.0,)))
+    settled = settling_time(fit, window_s=_WINDOW_S)
+    wrong = 0.0 if fit.status is FitStatus.DRIFTING and settled.censored else 1.0
+    return Answer(wrong, 0.0, unit="wrong statements", note=settled.why)
+
+
+def constant_trace(level: float) -> Answer:
+    """Level of a trace that does not relax at all."""
+    fit = fit_relaxation(_TIME_S, np.full(len(_TIME_S), level))
+    flat = fit.status is FitStatus.FLAT and settling_time(fit, window_s=_WINDOW_S).value_s == 0.0
+    return Answer(relative_error(fit.offset, _mp(level)) + (not flat), conditioned_bound(1.0), 1.0)
+
+
+def settled(amplitudes: tuple[float, float], taus_s: tuple[float, float]) -> Answer:
+    """Settling time of a known curve, against the root of the same curve in fifty digits."""
+    fit = RelaxationFit(FitStatus.TWO, 1.0, amplitudes, taus_s, 0.0, (0.0, 0.0), 1.0, "")
+    found = settling_time(fit, window_s=_WINDOW_S).value_s or 0.0
+    with mpmath.workdps(DIGITS):
+
+        def beyond(time_s: Any) -> Any:
+            return abs(_deviation(amplitudes, taus_s, time_s)) - mpmath.mpf(0.15)
+
+        # The last crossing: looked for from the end of the window, and not from where it was found.
+        late = next(k for k in range(int(4 * _WINDOW_S), 0, -1) if beyond(mpmath.mpf(k - 1) / 4) > 0)
+        truth = mpmath.findroot(beyond, (mpmath.mpf(late - 1) / 4, mpmath.mpf(late) / 4), solver="anderson")
+        slope = abs(mpmath.diff(beyond, truth))
+        of_parts = sum(
+            abs(a) * mpmath.exp(-truth / tau) * (1 + truth / tau) for a, tau in zip(amplitudes, taus_s, strict=True)
+        )
+        condition = float(of_parts / (slope * truth))
+    return Answer(relative_error(found, truth), conditioned_bound(condition), condition)
+
+
+def never_settled() -> Answer:
+    """Settling of a curve that is still outside its band at the end."""
+    fit = RelaxationFit(FitStatus.TWO, 1.0, (1.0, 0.5), (1.0, 2000.0), 0.0, (0.0, 0.0), 1.0, "")
+    found = settling_time(fit, window_s=_WINDOW_S)
+    return Answer(
+        0.0 if found.censored and found.value_s == _WINDOW_S else 1.0, 0.0, unit="wrong statements", note=found.why
+    )
+
+
+def spread_of_times() -> Answer:
+    """Deviation of settling times that agree to a ten-millionth."""
+    times = [30.0, 30.0 + 3e-7, 30.0 - 3e-7, 30.0 + 1e-7]
+    _, deviation = restricted_mean(times, [False] * 4)
+    with mpmath.workdps(DIGITS):
+        exact = [mpmath.mpf(time) for time in times]
+        mean = mpmath.fsum(exact) / 4
+        truth = mpmath.sqrt(mpmath.fsum((time - mean) ** 2 for time in exact) / 4)
+    condition = 30.0 / float(truth)
+    return Answer(relative_error(deviation, truth), conditioned_bound(condition), condition)
+
+
+def sizes_far_apart() -> Answer:
+    """Time constants shared by loads whose relaxations are a million times as large as others'."""
+    sizes = (1e-3, 1.0, 1e3)
+    common = fit_common_relaxation([(_TIME_S, size * curve(1.0, (0.3, 0.2), (5.0, 30.0))) for size in sizes])
+    found = [*common.fit.time_constants_s, *(common.scales / (0.5 * np.array(sizes)))]
+    error = largest_relative_error(found, [5, 30, 1, 1, 1]) if len(found) == 5 else 1.0
+    condition = fit_condition(1.0, (0.3, 0.2), (5.0, 30.0))
+    return Answer(error, conditioned_bound(condition), condition)
+
+
+def steady_without_noise(noise: float) -> Answer:
+    """Steady state predicted from the frames of a hold whose noise is this share of it."""
+    taus_s, weights = np.array([5.0, 30.0]), np.array([0.3, 0.2])
+    kernel = RelaxationKernel(True, weights, taus_s, np.eye(4) * 1e-4, 0.1 * weights, 8.0, 9)
+    time_s: Array = 2.5 * np.arange(1.0, 25.0)
+    found = predict_steady(time_s, curve(1.0, (0.3, 0.2), (5.0, 30.0), time_s), noise, kernel)
+    parts = np.exp(-time_s[:, None] / taus_s)
+    design = np.column_stack([1 + parts @ weights, 0.01 * parts, 0.01 * weights * parts * time_s[:, None] / taus_s])
+    condition = float(np.linalg.norm(np.linalg.pinv(design)[0]) * np.linalg.norm(design[:, 0]))
+    return Answer(relative_error(float(found.values[0]), _mp(1)), conditioned_bound(condition), condition)
+
+
+def _deviation(amplitudes: tuple[float, float], taus_s: tuple[float, float], time_s: Any) -> Any:
+    return sum(
+        mpmath.mpf(a) * mpmath.exp(-time_s / mpmath.mpf(tau)) for a, tau in zip(amplitudes, taus_s, strict=True)
+    )
+
+
+def _mp(value: float | str) -> Any:
+    with mpmath.workdps(DIGITS):
+        return mpmath.mpf(value)
+
+
+def _fit_of(values: Array, time_s: Array = _TIME_S) -> Answer:
+    fit = fit_relaxation(time_s, values)
+    return Answer(abs(fit.offset), 0.0)
+
+
+def _recovered(name: str, hard: str, run: Any) -> HardCase:
+    return HardCase(name, _AREA, hard, "the parameters the trace was made from", run)
+
+
+CASES: Final[tuple[HardCase, ...]] = (
+    _recovered(
+        "time-constants-a-factor-apart",
+        "Two exponentials of 8 and 20 s in 25 frames look like one: their sum hardly says how it is shared.",
+        partial(recovered, 1.0, (0.3, 0.2), (8.0, 20.0)),
+    ),
+    _recovered(
+        "small-exponential-beside-a-large-one",
+        "An exponential of a two-thousandth of the other's size has to be found beside it.",
+        partial(recovered, 1.0, (1e-4, 0.2), (5.0, 30.0)),
+    ),
+    _recovered(
+        "zero-amplitude",
+        "A second exponential that is not there leaves its time constant undetermined.",
+        partial(recovered, 1.0, (0.3,), (9.0,)),
+    ),
+    _recovered(
+        "non-monotone-relaxation",
+        "Two exponentials of opposite signs overshoot.",
+        partial(recovered, 1.0, (-0.3, 0.2), (5.0, 30.0)),
+    ),
+    _recovered(
+        "relaxation-on-an-offset-of-1e6",
+        "A relaxation that is a millionth of the level it happens on: six digits are gone before the fit begins.",
+        partial(recovered, 1e6, (0.3, 0.2), (5.0, 30.0)),
+    ),
+    _recovered(
+        "values-of-1e-9",
+        "A trace in a unit that makes its numbers tiny: tolerances that are no shares would call it flat.",
+        partial(recovered, 1.0, (0.3, 0.2), (5.0, 30.0), unit=1e-9),
+    ),
+    _recovered(
+        "values-of-1e9",
+        "A trace in a unit that makes its numbers huge.",
+        partial(recovered, 1.0, (0.3, 0.2), (5.0, 30.0), unit=1e9),
+    ),
+    _recovered(
+        "times-in-milliseconds",
+        "A time axis in milliseconds: time constants of thousands.",
+        partial(recovered, 1.0, (0.3, 0.2), (5.0, 30.0), second=1e3),
+    ),
+    _recovered(
+        "single-precision-trace",
+        "A trace of 24-bit numbers; condition number times the rounding of single precision is what it is held to.",
+        partial(recovered, 1.0, (0.3, 0.2), (5.0, 30.0), single=True),
+    ),
+    HardCase(
+        "time-constants-alike",
+        _AREA,
+        "Two time constants that differ by 1e-8 make the exponentials linearly dependent.",
+        "the exponential of their mean, settled where 0.5 e^(−t/τ) = 0.15",
+        merged,
+    ),
+    HardCase(
+        "trace-shorter-than-its-time-constant",
+        _AREA,
+        "Of an exponential of 1000 s a minute shows a straight line, and nothing of where it ends.",
+        "it settles later than the trace",
+        slower_than_the_trace,
+    ),
+    HardCase(
+        "constant-trace",
+        _AREA,
+        "A trace without any variance to explain, at a level that rounds.",
+        "that level, settled at once",
+        partial(constant_trace, 0.1),
+    ),
+    HardCase(
+        "settling-of-equal-time-constants",
+        _AREA,
+        "Opposite exponentials with the same time constant: where they cancel is a division by zero.",
+        "root of the same curve in fifty digits",
+        partial(settled, (1.0, -0.5), (20.0, 20.0)),
+    ),
+    HardCase(
+        "settling-of-cancelling-exponentials",
+        _AREA,
+        "Amplitudes of ±400 000 whose time constants differ by a millionth leave a curve of size 1.",
+        "root of the same curve in fifty digits",
+        partial(settled, (-4e5, 4e5 + 0.5), (20.0, 20.0 * (1 + 1e-6))),
+    ),
+    HardCase(
+        "never-settled",
+        _AREA,
+        "A curve that is outside its band at the end of the trace.",
+        "it settles later than the trace",
+        never_settled,
+    ),
+    HardCase(
+        "settling-times-that-agree",
+        _AREA,
+        "The deviation of times that agree to 1e-8 is a small difference of large squares.",
+        "the same deviation in fifty digits",
+        spread_of_times,
+    ),
+    HardCase(
+        "loads-of-sizes-a-million-apart",
+        _AREA,
+        "Loads that share their time constants, but one is a million times as large as another.",
+        "the parameters the traces were made from",
+        sizes_far_apart,
+    ),
+    HardCase(
+        "steady-state-without-noise",
+        _AREA,
+        "Frames with a noise of 1e-12 beside a prior of 10 %: weights 1e22 apart in one system of equations.",
+        "the steady state of the curve, which the kernel describes exactly",
+        partial(steady_without_noise, 1e-12),
+    ),
+    HardCase(
+        "epoch-times",
+        _AREA,
+        "A time axis in seconds since 1970 leaves nothing of any exponential from the end of the ramp.",
+        "refusal",
+        partial(_fit_of, curve(1.0, (0.3, 0.2), (5.0, 30.0)), _TIME_S + 1.7e9),
+        NumericsError,
+    ),
+    HardCase(
+        "values-whose-squares-underflow",
+        _AREA,
+        "Sums of squares of values of 1e-200 are zero.",
+        "refusal",
+        partial(_fit_of, 1e-200 * curve(1.0, (0.3, 0.2), (5.0, 30.0))),
+        NumericsError,
+    ),
+    HardCase(
+        "trace-with-nan",
+        _AREA,
+        "A value that is no number spoils every sum it is in.",
+        "refusal",
+        partial(_fit_of, np.where(_TIME_S == 10, np.nan, 1.0)),
+        NumericsError,
+    ),
+)

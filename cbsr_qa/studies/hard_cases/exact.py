@@ -1,0 +1,313 @@
+"""Truth in fifty digits: numbers and figures worked out with mpmath from the very doubles a case was given.
+
+Images of linear problems in fifty digits, on sensors of any size: truth for what squares condition numbers.
+
+The dual system of the usual sensor has 104 readings and 2025 elements; twenty million products are too many for
+mpmath. Products of matrices are therefore split into slices of 21 bits, whose products and sums are exact in doubles
+(Ozaki et al. 2012), and only the small system is solved in fifty digits.
+
+Least squares and Gaussian processes in fifty digits, by their textbook formulas.
+"""
+
+from collections.abc import Iterable, Sequence
+from typing import Any, Final
+
+import mpmath
+import numpy as np
+from mpmath import mp
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.sheet import ResponseMap
+
+#: Digits that truth is worked out with.
+DIGITS = 50
+
+
+def relative_error(found: float, truth: Any) -> float:  # an mpmath number
+    """Difference of a number from the truth over the truth's size; over 1 where the truth is zero."""
+    with mpmath.workdps(DIGITS):
+        size = abs(truth)
+        return float(abs(mpmath.mpf(float(found)) - truth) / (size if size else 1))
+
+
+def largest_relative_error(found: Iterable[float], truth: Iterable[Any]) -> float:
+    """Largest relative error of several numbers, each against its own truth."""
+    return max(relative_error(one, other) for one, other in zip(found, truth, strict=True))
+
+
+def polygon_area(corners: NDArray[np.float64]) -> Any:  # an mpmath number
+    """Area of a counterclockwise polygon (q, 2)."""
+    with mpmath.workdps(DIGITS):
+        points = [(mpmath.mpf(float(x)), mpmath.mpf(float(y))) for x, y in corners]
+        following = points[1:] + points[:1]
+        return (
+            sum((x0 * y1 - y0 * x1 for (x0, y0), (x1, y1) in zip(points, following, strict=True)), mpmath.mpf(0)) / 2
+        )
+
+
+def circle_overlap(corners: NDArray[np.float64], centre: Sequence[float], radius: float) -> Any:
+    """Area of a counterclockwise polygon (q, 2) inside a circle, by Green's theorem along its sides."""
+    with mpmath.workdps(DIGITS):
+        middle = mpmath.mpc(float(centre[0]), float(centre[1]))
+        points = [mpmath.mpc(float(x), float(y)) - middle for x, y in corners]
+        r = mpmath.mpf(float(radius))
+        following = points[1:] + points[:1]
+        return sum((_under_side(a, b, r) for a, b in zip(points, following, strict=True)), mpmath.mpf(0))
+
+
+def _under_side(start: Any, end: Any, radius: Any) -> Any:
+    """Signed area between the origin and a directed side, as far as it is inside a circle about the origin."""
+    along = end - start
+    length2 = abs(along) ** 2
+    middle = -mpmath.re(start * mpmath.conj(along)) / length2
+    under = radius**2 - mpmath.im(mpmath.conj(start) * along) ** 2 / length2
+    half = mpmath.sqrt(under / length2) if under > 0 else mpmath.mpf(0)
+    first, last = (min(max(one, mpmath.mpf(0)), mpmath.mpf(1)) for one in (middle - half, middle + half))
+    enters, leaves = start + first * along, start + last * along
+    turned = _angle(start, enters) if first > 0 else mpmath.mpf(0)
+    turned += _angle(leaves, end) if last < 1 else mpmath.mpf(0)
+    return (radius**2 * turned + mpmath.im(mpmath.conj(enters) * leaves)) / 2
+
+
+def _angle(one: Any, other: Any) -> Any:
+    return mpmath.arg(mpmath.conj(one) * other)
+
+
+Array = NDArray[np.float64]
+#: In extended precision, 64 bits of mantissa.
+Long = NDArray[np.longdouble]
+
+_DIGITS: Final = 50
+_BITS: Final = 21
+_SLICES: Final = 5  # 105 bits below the largest entry of a row
+_SUMMED: Final = 2048  # products of 42 bits each add up within 53 bits
+
+
+def exact_image(jacobian: Array, weights: Array, hyperparameter: float, variance: Array, readings: Array) -> Array:
+    """Image (JᵀWJ + λ²R)⁻¹ JᵀWy with diagonal R, by its dual form in fifty digits.
+
+    Parameters
+    ----------
+    jacobian : (m, e). weights : (e,) diagonal of R. variance : (m,) diagonal of W⁻¹. readings : (m,) y.
+
+    Returns
+    -------
+    (e,) float64, right to some 1e-19 times κ, the condition number of W^½JR^−½ with λ among its singular values.
+    """
+    root = np.sqrt(weights.astype(np.longdouble))
+    scaled = jacobian.astype(np.longdouble) / root
+    with mp.workdps(_DIGITS):
+        system = exact_gram(scaled)
+        for row, own in enumerate(variance.tolist()):
+            system[row][row] += mp.mpf(hyperparameter) ** 2 * mp.mpf(own)
+        coefficients = _solved(system, [mp.mpf(float(value)) for value in readings])
+        split = [_in_parts(value) for value in coefficients]
+    parts = np.array(split, dtype=np.longdouble)  # (m, 3), each a double of what the ones before leave
+    image: Array = ((scaled.T @ parts).sum(axis=1) / root).astype(np.float64)
+    return image
+
+
+def exact_gram(rows: Long) -> list[list[Any]]:
+    """A Aᵀ of rows (m, e), entries in fifty digits: exact but for what lies 105 bits below a row's largest."""
+    exponents = np.frexp(np.abs(rows).max(axis=1))[1]
+    slices, rest = [], np.ldexp(rows, -exponents[:, None])
+    for number in range(1, _SLICES + 1):
+        part = np.round(np.ldexp(rest, number * _BITS))
+        rest = rest - np.ldexp(part, -number * _BITS)
+        slices.append(part.astype(np.float64))
+    whole = [0] * (len(rows) * len(rows))  # A Aᵀ without its rows' exponents, in units of 2^−21(slices + 1)
+    for total in range(_SLICES):  # slices i and j weigh 2^−21(i + j + 2)
+        summed = np.zeros((len(rows), len(rows)), dtype=np.int64)
+        for first in range(0, rows.shape[1], _SUMMED):
+            here = slice(first, first + _SUMMED)
+            for i in range(total + 1):
+                summed += (slices[i][:, here] @ slices[total - i][:, here].T).astype(np.int64)
+        shift = (_SLICES - 1 - total) * _BITS
+        whole = [above + (here << shift) for above, here in zip(whole, summed.ravel().tolist(), strict=True)]
+    powers = (exponents[:, None] + exponents - (_SLICES + 1) * _BITS).ravel().tolist()
+    flat = [mp.ldexp(mp.mpf(value), power) for value, power in zip(whole, powers, strict=True)]
+    return [flat[row * len(rows) : (row + 1) * len(rows)] for row in range(len(rows))]
+
+
+def _solved(lower: list[list[Any]], right: list[Any]) -> list[Any]:
+    """Solve a symmetric system of which the lower triangle is given, by Cholesky factors."""
+    count = len(lower)
+    for j in range(count):
+        own = lower[j]
+        own[j] = mp.sqrt(own[j] - mp.fdot(own[:j], own[:j]))
+        for i in range(j + 1, count):
+            lower[i][j] = (lower[i][j] - mp.fdot(lower[i][:j], own[:j])) / own[j]
+    found = list(right)
+    for i in range(count):
+        found[i] = (found[i] - mp.fdot(lower[i][:i], found[:i])) / lower[i][i]
+    for i in reversed(range(count)):
+        above = [lower[k][i] for k in range(i + 1, count)]
+        found[i] = (found[i] - mp.fdot(above, found[i + 1 :])) / lower[i][i]
+    return found
+
+
+def _in_parts(value: Any) -> tuple[float, float, float]:
+    high = float(value)
+    middle = float(value - high)
+    return high, middle, float(value - high - middle)
+
+
+#: Of the model of a response: variance of every load beside its own, and scales of the priors.
+_LEAST_VARIANCE: Final = 1e-12
+_USUAL_DEVIATION: Final = 0.2
+_USUAL_SCATTER: Final = 0.02
+
+
+def exact_line(x: Array, y: Array, stderr: Array) -> tuple[Any, Any]:
+    """Slope and intercept of weighted least squares."""
+    with mpmath.workdps(DIGITS):
+        points = [
+            (mpmath.mpf(float(a)), mpmath.mpf(float(b)), 1 / mpmath.mpf(float(s)) ** 2)
+            for a, b, s in zip(x, y, stderr, strict=True)
+        ]
+        total = mpmath.fsum(w for _, _, w in points)
+        x_mean = mpmath.fsum(w * a for a, _, w in points) / total
+        y_mean = mpmath.fsum(w * b for _, b, w in points) / total
+        size = mpmath.fsum(w * (a - x_mean) ** 2 for a, _, w in points)
+        slope = mpmath.fsum(w * (a - x_mean) * (b - y_mean) for a, b, w in points) / size
+        return slope, y_mean - slope * x_mean
+
+
+def line_condition(x: Array, y: Array, stderr: Array) -> float:
+    """Σ |x ∂s/∂x| + Σ |y ∂s/∂y| over |s|: what small relative changes of every place and value make of a slope s."""
+    slope, intercept = exact_line(x, y, stderr)
+    with mpmath.workdps(DIGITS):
+        weight = [1 / mpmath.mpf(float(one)) ** 2 for one in stderr]
+        places, values = ([mpmath.mpf(float(one)) for one in some] for some in (x, y))
+        middle = mpmath.fsum(w * a for w, a in zip(weight, places, strict=True)) / mpmath.fsum(weight)
+        size = mpmath.fsum(w * (a - middle) ** 2 for w, a in zip(weight, places, strict=True))
+        moved = mpmath.fsum(
+            w * (abs(a * (b - intercept - slope * a - slope * (a - middle))) + abs(b * (a - middle)))
+            for w, a, b in zip(weight, places, values, strict=True)
+        )
+        return float(moved / size / abs(slope))
+
+
+def map_condition(learned: ResponseMap, places_mm: Array, variance: Array) -> float:
+    """Largest condition number of the loads' covariances, over the processes of a map."""
+    found = []
+    for one in learned.members:
+        with mpmath.workdps(DIGITS):
+            alike = np.array(_correlations(places_mm, places_mm, one.smooth, one.length_mm), dtype=np.float64)
+        noise = variance + one.scatter**2 + _LEAST_VARIANCE
+        found.append(float(np.linalg.cond(one.deviation**2 * alike + np.diag(noise))))
+    return max(found)
+
+
+def exact_map(
+    learned: ResponseMap, places_mm: Array, values: Array, variance: Array, wanted_mm: Array
+) -> tuple[list[Any], list[Any]]:
+    """Mean and variance at places (w, 2) of the mixture of Gaussian processes with an unknown mean.
+
+    Rasmussen & Williams 2006, equations 2.25, 2.26, 2.42 and 2.45, on all loads by themselves.
+
+    Parameters
+    ----------
+    learned : says which processes were kept; nothing else is taken from it.
+    places_mm, values, variance : (n, 2), (n,), (n,) of the loads.
+    """
+    with mpmath.workdps(DIGITS):
+        y = [mpmath.mpf(float(value)) for value in values]
+        kinds = {(one.smooth, one.length_mm) for one in learned.members}
+        alike = {kind: _correlations(places_mm, np.vstack([places_mm, wanted_mm]), *kind) for kind in kinds}
+        found = []
+        for one in learned.members:
+            noise = [mpmath.mpf(float(v)) + mpmath.mpf(one.scatter) ** 2 + _LEAST_VARIANCE for v in variance]
+            found.append(_process(alike[one.smooth, one.length_mm], mpmath.mpf(one.deviation), noise, y))
+        scores = [
+            score
+            + mpmath.log(one.deviation)
+            - mpmath.log1p((mpmath.mpf(one.deviation) / _USUAL_DEVIATION) ** 2)
+            - mpmath.mpf(one.scatter) / _USUAL_SCATTER
+            for one, (score, _, _) in zip(learned.members, found, strict=True)
+        ]
+        top = max(scores)
+        weights = [mpmath.exp(score - top) for score in scores]
+        return _mixed([weight / mpmath.fsum(weights) for weight in weights], found)
+
+
+def _mixed(weights: list[Any], found: Sequence[tuple[Any, list[Any], list[Any]]]) -> tuple[list[Any], list[Any]]:
+    means, variances = [], []
+    for place in range(len(found[0][1])):
+        mean = mpmath.fsum(w * one[1][place] for w, one in zip(weights, found, strict=True))
+        parts = (w * (one[2][place] + (one[1][place] - mean) ** 2) for w, one in zip(weights, found, strict=True))
+        means.append(mean)
+        variances.append(mpmath.fsum(parts))
+    return means, variances
+
+
+def _process(
+    alike: list[list[Any]], deviation: Any, noise: list[Any], y: list[Any]
+) -> tuple[Any, list[Any], list[Any]]:
+    """Logarithm of the marginal likelihood, and means and variances at the wanted places, of one process."""
+    count, square = len(y), deviation**2
+    covariance = [[square * alike[i][j] + (noise[i] if i == j else 0) for j in range(count)] for i in range(count)]
+    root = _root(covariance)
+    ones, seen = (_forward(root, right) for right in ([mpmath.mpf(1)] * count, y))
+    information = _inner(ones, ones)
+    level = _inner(ones, seen) / information
+    left = [b - level * a for a, b in zip(ones, seen, strict=True)]
+    logarithms = mpmath.fsum(mpmath.log(root[i][i]) for i in range(count)) + mpmath.log(information) / 2
+    means, variances = [], []
+    for place in range(count, len(alike[0])):
+        towards = _forward(root, [square * alike[i][place] for i in range(count)])
+        means.append(level + _inner(towards, left))
+        free = 1 - _inner(ones, towards)
+        variances.append(square - _inner(towards, towards) + free**2 / information)
+    return -_inner(left, left) / 2 - logarithms, means, variances
+
+
+def _correlations(one: Array, other: Array, smooth: bool, length_mm: float) -> list[list[Any]]:
+    """Gaussian or Matérn 5/2 correlations of places."""
+    length = mpmath.mpf(length_mm)
+    rows = []
+    for x, y in one.tolist():
+        apart = [mpmath.hypot(mpmath.mpf(x) - u, mpmath.mpf(y) - v) / length for u, v in other.tolist()]
+        far = [mpmath.sqrt(5) * r for r in apart]
+        matern = [(1 + f + f**2 / 3) * mpmath.exp(-f) for f in far]
+        rows.append([mpmath.exp(-(r**2) / 2) for r in apart] if smooth else matern)
+    return rows
+
+
+def _root(matrix: list[list[Any]]) -> list[list[Any]]:
+    """Cholesky factor, by rows."""
+    root: list[list[Any]] = []
+    for i, row in enumerate(matrix):
+        new: list[Any] = []
+        for j in range(i):
+            new.append((row[j] - _inner(new, root[j][:j])) / root[j][j])
+        new.append(mpmath.sqrt(row[i] - _inner(new, new)))
+        root.append(new)
+    return root
+
+
+def _forward(root: list[list[Any]], right: list[Any]) -> list[Any]:
+    """Solve L z = b."""
+    solved: list[Any] = []
+    for row, value in zip(root, right, strict=True):
+        solved.append((value - _inner(solved, row[:-1])) / row[-1])
+    return solved
+
+
+def _inner(one: list[Any], other: list[Any]) -> Any:
+    return mpmath.fsum(a * b for a, b in zip(one, other, strict=True))
+
+
+def mean_exponential(time_s: float, tau_s: float, ramp_s: float, frame_s: float) -> tuple[Any, Any]:
+    """Value, and slope by log τ, of e^(−t/τ) after a ramp and averaged over a frame."""
+    with mpmath.workdps(DIGITS):
+        ramp, frame, at = (mpmath.mpf(float(one)) for one in (ramp_s, frame_s, time_s))
+
+        def value(log_tau: Any) -> Any:
+            tau = mpmath.exp(log_tau)
+            over_ramp = tau / ramp * (1 - mpmath.exp(-ramp / tau))
+            over_frame = tau / frame * (mpmath.exp(frame / tau / 2) - mpmath.exp(-frame / tau / 2))
+            return mpmath.exp(-at / tau) * over_ramp * over_frame
+
+        log_tau = mpmath.log(mpmath.mpf(tau_s))
+        return value(log_tau), mpmath.diff(value, log_tau)

@@ -1,0 +1,207 @@
+"""Numerically hard cases, run and held against truth: as a document or a page.
+
+All numerically hard cases, by area.
+"""
+
+import multiprocessing
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from os import cpu_count
+from pathlib import Path
+from typing import Any, Final
+
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.report import render_sections, write_report
+from cbsr_qa.studies.hard_cases.case import CaseResult, Ending, HardCase, examine
+from cbsr_qa.studies.hard_cases.cases import (
+    calibration as calibration_cases,
+    forward as forward_cases,
+    geometry as geometry_cases,
+    imaging as imaging_cases,
+    loads as load_cases,
+    readings as reading_cases,
+    reconstruction as reconstruction_cases,
+    relaxation as relaxation_cases,
+    smoothness as smoothness_cases,
+    statistics as statistics_cases,
+    time as time_cases,
+)
+from cbsr_qa.studies.hard_cases.page import stability_page, stability_sections
+from cbsr_qa.studies.sweep import begin_worker
+
+#: Every case, in order of area.
+CASES: Final[tuple[HardCase, ...]] = (
+    *forward_cases.CASES,
+    *reading_cases.CASES,
+    *reconstruction_cases.CASES,
+    *smoothness_cases.CASES,
+    *imaging_cases.CASES,
+    *geometry_cases.CASES,
+    *relaxation_cases.CASES,
+    *calibration_cases.CASES,
+    *load_cases.CASES,
+    *time_cases.CASES,
+    *statistics_cases.CASES,
+)
+
+#: Areas, in the order they are shown in.
+AREAS: Final[tuple[str, ...]] = tuple(dict.fromkeys(case.area for case in CASES))
+
+
+#: Names that fit in a message.
+_FEW: Final = 10
+
+
+def chosen_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[HardCase, ...]:
+    """Return the cases of some areas or with some names; all where neither is given.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such area or name.
+    """
+    known = [case.name for case in CASES]
+    for what, asked, there in (("area", areas, list(AREAS)), ("case", names, known)):
+        for one in asked:
+            if one not in there:
+                raise ConfigError(f"there is no {what} {one!r}", remedy=_nearest(what, one, there))
+    if not areas and not names:
+        return CASES
+    return tuple(case for case in CASES if case.area in areas or case.name in names)
+
+
+def _nearest(what: str, asked: str, there: Sequence[str]) -> str:
+    """Names that may have been meant: all of a few, of many those that look alike or hold the same word."""
+    if len(there) <= _FEW:
+        return f"there are: {', '.join(there)}"
+    near = [one for one in there if asked in one] or get_close_matches(asked, there, n=_FEW, cutoff=0.5)
+    if near:
+        return f"near are: {', '.join(near[:_FEW])}"
+    return f"cbsr-qa stability --area {AREAS[0]!r} lists the {what}s of an area; areas are: {', '.join(AREAS)}"
+
+
+def case_named(name: str) -> HardCase:
+    """Return the case of a name that :func:`chosen_cases` knows."""
+    return next(case for case in CASES if case.name == name)
+
+
+@dataclass(frozen=True, slots=True)
+class Stability:
+    """How hard cases came out.
+
+    Parameters
+    ----------
+    results : in the order of the catalogue.
+    """
+
+    results: tuple[CaseResult, ...]
+
+    @property
+    def counts(self) -> dict[Ending, int]:
+        """How many ended in which way."""
+        counted = Counter(result.outcome for result in self.results)
+        return {ending: counted[ending] for ending in Ending}
+
+    @property
+    def exit_code(self) -> int:
+        """0, or 1 where a case is broken."""
+        return 1 if self.counts[Ending.BROKEN] else 0
+
+    def document(self) -> dict[str, Any]:
+        """Return what ``--json`` prints."""
+        return {"cases": [_case_document(result) for result in self.results]}
+
+    def write(self, path: Path) -> None:
+        """Write a page that stands by itself.
+
+        Raises
+        ------
+        RefusedError
+            If its folder cannot be written to.
+        """
+        write_report(path, render_sections(stability_page(self.results), stability_sections(self.results)))
+
+
+def examine_cases(
+    *,
+    areas: Sequence[str] = (),
+    names: Sequence[str] = (),
+    progress: Callable[[int, int], None] = lambda done, of: None,
+    processes: int | None = None,
+) -> Stability:
+    """Run hard cases.
+
+    Parameters
+    ----------
+    areas, names : of the cases to run; all where neither is given.
+    progress : told how many are done, and of how many.
+    processes : how many work at once; by default two, or one where there is one core.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such area or case.
+    """
+    cases = chosen_cases(areas, names)
+    count = min(2, cpu_count() or 1, len(cases)) if processes is None else processes
+    found: dict[str, CaseResult] = {}
+    progress(0, len(cases))
+    for result in _examined([case.name for case in cases], count):
+        found[result.case.name] = result
+        progress(len(found), len(cases))
+    return Stability(tuple(found[case.name] for case in cases))
+
+
+def _examined(names: Sequence[str], processes: int) -> Iterator[CaseResult]:
+    """Results as they come. Processes are given names: functions of cases need not be picklable."""
+    if processes < 2:
+        for name in names:
+            yield examine(case_named(name))
+        return
+    with ProcessPoolExecutor(processes, multiprocessing.get_context("spawn"), begin_worker) as pool:
+        waiting = {pool.submit(_bare, name): name for name in names}
+        try:
+            for future in as_completed(waiting):
+                yield replace(future.result(), case=case_named(waiting[future]))
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)  # what has not begun never does
+            raise
+
+
+def _bare(name: str) -> CaseResult:
+    """Result of a case, without what cannot leave its process."""
+    result = examine(case_named(name))
+    return replace(result, case=replace(result.case, run=_gone, refuses=None))
+
+
+def _gone() -> Any:
+    raise AssertionError("the case has been run in another process")
+
+
+def _case_document(result: CaseResult) -> dict[str, Any]:
+    case, answer = result.case, result.answer
+    return {
+        "name": case.name,
+        "area": case.area,
+        "hard": case.hard,
+        "truth": case.truth,
+        "outcome": str(result.outcome),
+        "error": _number(answer.error if answer else None),
+        "bound": _number(answer.bound if answer else None),
+        "unit": answer.unit if answer else None,
+        "condition": _number(answer.condition if answer else None),
+        "reason": result.reason or None,
+        "remedy": result.remedy or None,
+        "note": (answer.note or None) if answer else None,
+        "seconds": round(result.seconds, 3),
+    }
+
+
+def _number(value: float | None) -> float | None:
+    """Return a number, or None where there is none: JSON knows no NaN."""
+    if value is None or not abs(value) < float("inf"):
+        return None
+    return float(value)

@@ -1,0 +1,305 @@
+"""Golden lots: stored runs of sensors known to be good, chosen by the user and checked to belong together."""
+
+import hashlib
+import json
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, date
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final
+
+from cbsr_qa.config import canonical_json, echo, validate_serial
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.results import EndReason, Outcome
+from cbsr_qa.store import Repository
+from cbsr_qa.store.results import StoredAnalysis
+from cbsr_qa.store.runs import RunSummary
+
+#: Names that are listed in a message before the rest is only counted.
+_MOST_NAMED = 6
+#: Tables of a recipe that change what is judged or shown, but no number.
+_NOT_MEASURING = ("limits", "limits_version", "report")
+_GOOD = (Outcome.PASS, Outcome.MARGINAL, Outcome.NOT_JUDGED)
+
+
+@dataclass(frozen=True, slots=True)
+class LotChoice:
+    """Which stored runs are the golden lot; what is given must all hold.
+
+    Parameters
+    ----------
+    serials : sensors; none for any.
+    batch, recipe : names as stored with the runs; None for any.
+    since, until : first and last day the run began on, UTC.
+    without : sensors that are left out, by name.
+    include_failed : take runs that failed, or in which something could not be measured.
+    allow_mixed : take runs of several recipes or software versions.
+    """
+
+    serials: tuple[str, ...] = ()
+    batch: str | None = None
+    recipe: str | None = None
+    since: date | None = None
+    until: date | None = None
+    without: tuple[str, ...] = ()
+    include_failed: bool = False
+    allow_mixed: bool = False
+
+    def holds(self, run: RunSummary) -> bool:
+        """Whether a run was chosen."""
+        day = run.started_at.astimezone(UTC).date()
+        return (
+            (not self.serials or run.serial in self.serials)
+            and self.batch in (None, run.batch)
+            and self.recipe in (None, run.recipe)
+            and (self.since is None or day >= self.since)
+            and (self.until is None or day <= self.until)
+        )
+
+    def words(self) -> str:
+        """Return the choice as a reader would say it."""
+        said = [f"batch {self.batch}"] if self.batch is not None else []
+        said += [f"recipe {self.recipe}"] if self.recipe is not None else []
+        said += [f"since {self.since}"] if self.since else []
+        said += [f"until {self.until}"] if self.until else []
+        return ", ".join([*said, *(["named sensors"] if self.serials else [])])
+
+
+@dataclass(frozen=True, slots=True)
+class LotRun:
+    """One run of the lot with its latest analysis."""
+
+    summary: RunSummary
+    analysis: StoredAnalysis
+
+
+@dataclass(frozen=True, slots=True)
+class Lot:
+    """A golden lot.
+
+    Parameters
+    ----------
+    words : how it was chosen.
+    sensors : serial → its runs, oldest first; sensors by serial.
+    left_out : sensors left out by name.
+    mixed, not_good : what was accepted although it is not alike, or not good; in words.
+    simulated : what was simulated; empty for real benches.
+    """
+
+    words: str
+    sensors: Mapping[str, tuple[LotRun, ...]]
+    left_out: tuple[str, ...]
+    mixed: tuple[str, ...]
+    not_good: tuple[str, ...]
+    simulated: tuple[str, ...]
+
+    @property
+    def runs(self) -> tuple[LotRun, ...]:
+        """Every run of every sensor."""
+        return tuple(run for runs in self.sensors.values() for run in runs)
+
+    def stations(self) -> tuple[str, ...]:
+        """Names of the stations, sorted."""
+        return tuple(sorted({run.summary.station for run in self.runs}))
+
+    def data_sha256(self) -> str:
+        """SHA-256 of every measurement of the lot, whatever order it is read in."""
+        rows = sorted(canonical_json(row) for run in self.runs for row in _data_rows(run))
+        return hashlib.sha256("\n".join(rows).encode()).hexdigest()
+
+
+def _data_rows(run: LotRun) -> Iterable[list[Any]]:
+    for m in run.analysis.measurements:
+        where = [m.phase, m.location, m.trial, m.load, m.qualifier]
+        yield [run.summary.serial, run.summary.run, m.name, m.unit, *where, m.value, m.uncertainty, str(m.bound)]
+
+
+#: More than a list of serial numbers has.
+_LARGEST_BYTES: Final = 2**24
+
+
+def read_serials(path: Path) -> tuple[str, ...]:
+    """Read serial numbers, one a line; ``#`` begins a comment.
+
+    Raises
+    ------
+    RefusedError
+        If the file cannot be read, holds none, or a line is no serial number (with its number).
+    """
+    try:
+        if path.is_char_device() or path.is_block_device() or path.stat().st_size > _LARGEST_BYTES:
+            raise RefusedError(f"{path} is no list of serial numbers", remedy="write one serial number a line")
+        lines = path.read_text(encoding="utf-8-sig").splitlines()
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or "it is not text in UTF-8"
+        raise RefusedError(f"serial numbers cannot be read from {path}: {why}") from error
+    serials = []
+    for number, line in enumerate(lines, start=1):
+        if not (serial := line.partition("#")[0].strip()):
+            continue
+        try:
+            serials.append(validate_serial(serial))
+        except RefusedError as error:
+            raise RefusedError(f"{path} line {number}: {error.reason}", remedy=error.remedy) from error
+    if not serials:
+        raise RefusedError(f"{path} names no sensor", remedy="write one serial number a line")
+    return tuple(dict.fromkeys(serials))
+
+
+def gather(store: Repository, choice: LotChoice) -> Lot:
+    """Gather the runs of a lot and check that they belong together.
+
+    Raises
+    ------
+    RefusedError
+        If nothing was chosen or nothing fits, a sensor is not stored, a run is not good, or runs are not alike.
+    """
+    if not choice.words():
+        raise RefusedError(
+            "no golden lot is named",
+            remedy="choose runs of sensors known to be good: --serial, --serials FILE, --batch, --recipe, --since",
+        )
+    stored = store.find_runs()
+    _check_known("sensor", (*choice.serials, *choice.without), {run.serial for run in stored})
+    chosen = [run for run in reversed(stored) if choice.holds(run)]
+    if not chosen:
+        raise _nothing_fits(choice, stored)
+    kept = [run for run in chosen if run.serial not in choice.without]
+    not_good = _not_good(kept, choice)
+    runs = [LotRun(run, store.analyses(run.run)[0]) for run in kept if _analysed(run)]
+    if not runs:
+        raise RefusedError("no run of the lot has measurements", remedy="choose runs that were finished and analysed")
+    mixed = _mixed(store, runs, choice)
+    return Lot(
+        words=choice.words(),
+        sensors={
+            serial: tuple(run for run in runs if run.summary.serial == serial)
+            for serial in sorted({run.summary.serial for run in runs})
+        },
+        left_out=tuple(sorted({run.serial for run in chosen} & set(choice.without))),
+        mixed=mixed,
+        not_good=not_good,
+        simulated=_simulated(store, runs),
+    )
+
+
+def _simulated(store: Repository, runs: Sequence[LotRun]) -> tuple[str, ...]:
+    """Say what was simulated, each thing once: seeds differ from run to run."""
+    words = {said for run in runs for said in store.identity(run.summary.run).simulated}
+    return tuple(sorted({re.sub(r", seed \d+$", "", said) for said in words}))
+
+
+def _analysed(run: RunSummary) -> bool:
+    return run.end is EndReason.FINISHED and run.outcome is not None
+
+
+def _check_known(noun: str, names: Iterable[str], known: set[str]) -> None:
+    for name in names:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            raise RefusedError(
+                f"there is no {noun} {echo(name, 64)} in this database",
+                remedy=f"did you mean {near[0]!r}?" if near else "cbsr-qa db status shows which database is used",
+            )
+
+
+def _nothing_fits(choice: LotChoice, stored: Sequence[RunSummary]) -> RefusedError:
+    """Say that nothing fits, with the nearest name where one is unknown."""
+    for noun, name, known in (
+        ("batch", choice.batch, {run.batch for run in stored}),
+        ("recipe", choice.recipe, {run.recipe for run in stored}),
+    ):
+        if name is not None and name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]!r}?" if near else f"stored: {_named(sorted(known)) or 'no runs at all'}"
+            return RefusedError(f"no stored run is of {noun} {echo(name, 64)}", remedy=hint)
+    return RefusedError(
+        f"no stored run fits the golden lot ({choice.words()})",
+        remedy="each of the choices fits some runs, or there are none yet, but no run fits all",
+    )
+
+
+def _not_good(runs: Sequence[RunSummary], choice: LotChoice) -> tuple[str, ...]:
+    bad = [run for run in runs if not (_analysed(run) and run.outcome in _GOOD)]
+    said = tuple(f"{run.serial} ({_fate(run)})" for run in bad)
+    if bad and not choice.include_failed:
+        raise RefusedError(
+            f"{len(bad)} of the {len(runs)} runs of the lot are not good: {_named(said)}",
+            remedy="leave those sensors out by --without, choose other days, or take them in by --include-failed",
+        )
+    return said
+
+
+def _fate(run: RunSummary) -> str:
+    if run.end is not EndReason.FINISHED:
+        return str(run.end)
+    return "never analysed" if run.outcome is None else f"{run.outcome}: {run.reason}"
+
+
+def _mixed(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tuple[str, ...]:
+    """Say in what the runs differ that changes numbers; refuse it unless it was asked for."""
+    recipes = _shared_by((run, _recipe_words(run, store.configuration(run.summary.run))) for run in runs)
+    software = _shared_by((run, _software_words(run, runs)) for run in runs)
+    found = tuple(
+        f"{noun}: {'; '.join(f'{what} ({_named(serials)})' for what, serials in groups.items())}"
+        for noun, groups in (("recipes", recipes), ("software versions", software))
+        if len(groups) > 1
+    )
+    if found and not choice.allow_mixed:
+        raise RefusedError(
+            f"the lot mixes {' and '.join(found)}",
+            remedy="narrow it by --recipe, --since, --until or --without, or take it as it is by --allow-mixed",
+        )
+    return found
+
+
+def _shared_by(pairs: Iterable[tuple[LotRun, str]]) -> dict[str, list[str]]:
+    groups: dict[str, list[str]] = {}
+    for run, words in pairs:
+        serials = groups.setdefault(words, [])
+        if run.summary.serial not in serials:
+            serials.append(run.summary.serial)
+    return groups
+
+
+def _recipe_words(run: LotRun, configuration: str) -> str:
+    """Name a recipe with the digest of all that decides its numbers."""
+    return f"{run.summary.recipe} {measuring_digest(configuration)[:8]}"
+
+
+def measuring_digest(configuration: str) -> str:
+    """SHA-256 of all that decides a run's numbers: not of its limits, nor of the seed of a simulation.
+
+    Parameters
+    ----------
+    configuration : canonical JSON, as stored with a run.
+    """
+    content = json.loads(configuration)
+    recipe = _table(content, "recipe")
+    measuring = {
+        "recipe": {key: value for key, value in recipe.items() if key not in _NOT_MEASURING},
+        "sensor_type": _table(content, "sensor_type"),
+        "material": _table(content, "material"),
+        "indenter": _table(_table(content, "station"), "indenter"),
+    }
+    return hashlib.sha256(canonical_json(measuring).encode()).hexdigest()
+
+
+def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+    found = content.get(key, {})
+    return found if isinstance(found, Mapping) else {}
+
+
+def _software_words(run: LotRun, runs: Sequence[LotRun]) -> str:
+    """Name the versions a run was analysed with, of what is not the same for all."""
+    common = set(runs[0].analysis.software).intersection(*(other.analysis.software for other in runs))
+    own = [f"{name} {version}" for name, version in run.analysis.software if (name, version) not in common]
+    return ", ".join(own) or "no other"
+
+
+def _named(names: Sequence[str]) -> str:
+    """List names; of very many the first ones."""
+    rest = len(names) - _MOST_NAMED
+    return ", ".join(names[:_MOST_NAMED]) + (f" and {rest} more" if rest > 0 else "")

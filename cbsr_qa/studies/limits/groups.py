@@ -1,0 +1,117 @@
+"""A lot's measurements by what one limit judges: the same name, phase and qualifier, every location and trial."""
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from difflib import get_close_matches
+
+from cbsr_qa.config import echo
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.results import Bound, Limit, Measurement
+from cbsr_qa.studies.limits.golden_lot import Lot, LotRun
+
+#: What one limit judges: measurement, phase, qualifier.
+Key = tuple[str, str, str]
+Taken = Mapping[Key, tuple[Measurement, ...]]
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """What one limit judges, in every run of a lot.
+
+    Parameters
+    ----------
+    sensors : serial → one tuple of measurements per run.
+    present : the limit it had in the latest run; None where it had none.
+    """
+
+    name: str
+    unit: str
+    phase: str
+    qualifier: str
+    sensors: Mapping[str, tuple[tuple[Measurement, ...], ...]]
+    present: Limit | None
+
+    @property
+    def label(self) -> str:
+        """Name with phase and qualifier, as a reader would say it."""
+        detail = ", ".join(part for part in (self.phase, self.qualifier) if part)
+        return f"{self.name} ({detail})" if detail else self.name
+
+    @property
+    def values(self) -> int:
+        """How many values a run has; of runs that differ, the most."""
+        return max(len(run) for runs in self.sensors.values() for run in runs)
+
+    def why_not(self) -> str:
+        """Say why no statistics can be made of it; empty where they can."""
+        for serial, runs in self.sensors.items():
+            for run in runs:
+                nothing = [m for m in run if m.value is None]
+                if nothing:
+                    why = nothing[0].how or "no reason given"
+                    return f"{serial} has no value in {len(nothing)} of {len(run)}: {why}"
+        lower = [serial for serial, runs in self.sensors.items() if any(_censored(run) for run in runs)]
+        if lower:
+            return f"of {', '.join(lower)} only lower bounds are known (≥): hold longer, so that it is measured"
+        counts = {len(run): serial for serial, runs in self.sensors.items() for run in runs}
+        if len(counts) > 1:
+            said = " and ".join(f"{count} (such as {serial})" for count, serial in sorted(counts.items()))
+            return f"runs have different numbers of values: {said}"
+        return ""
+
+
+def _censored(run: Iterable[Measurement]) -> bool:
+    return any(m.bound is Bound.LOWER for m in run)
+
+
+def groups_of(lot: Lot, names: Sequence[str], everything: bool) -> tuple[Group, ...]:
+    """Group a lot's measurements.
+
+    Parameters
+    ----------
+    names : measurements wanted; none for those the lot's recipe limits, or all where it limits none.
+    everything : take all.
+
+    Raises
+    ------
+    RefusedError
+        If nobody measured a name (with the nearest one), or one measurement has several units.
+    """
+    runs = {serial: tuple(_by_key(run) for run in members) for serial, members in lot.sensors.items()}
+    latest = _by_key(max(lot.runs, key=lambda run: run.summary.started_at))
+    keys = dict.fromkeys((*latest, *(key for members in runs.values() for run in members for key in run)))
+    known = sorted({name for name, _, _ in keys})
+    for name in names:
+        if name not in known:
+            near = get_close_matches(name, known, n=1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise RefusedError(
+                f"no run of the lot measured {echo(name, 64)}", remedy=f"{hint}measured: {', '.join(known)}"
+            )
+    groups = [_group(key, runs, latest) for key in keys if not names or key[0] in names]
+    limited = [group for group in groups if group.present is not None]
+    return tuple(groups if names or everything or not limited else limited)
+
+
+def _by_key(run: LotRun) -> Taken:
+    taken: dict[Key, tuple[Measurement, ...]] = {}
+    for m in run.analysis.measurements:
+        key = (m.name, m.phase, m.qualifier)
+        taken[key] = (*taken.get(key, ()), m)
+    return taken
+
+
+def _group(key: Key, lot: Mapping[str, tuple[Taken, ...]], latest: Taken) -> Group:
+    sensors = {serial: tuple(run.get(key, ()) for run in runs) for serial, runs in lot.items()}
+    units: dict[str, str] = {}
+    for serial, runs in sensors.items():
+        for measurement in (m for run in runs for m in run):
+            units.setdefault(measurement.unit, serial)
+    if len(units) > 1:
+        said = " and ".join(f"{unit} ({serial})" for unit, serial in units.items())
+        raise RefusedError(
+            f"{key[0]} is in {said}: values of different units make no lot",
+            remedy="leave the sensors of one unit out by --without, or analyse all with one version",
+        )
+    limits = [m.limit for m in latest.get(key, ()) if m.limit is not None]
+    return Group(key[0], next(iter(units)), key[1], key[2], sensors, limits[0] if limits else None)

@@ -1,0 +1,286 @@
+"""What a simulated run comes to, in the few figures that a publication's tables need."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run import ForceTest, RunForce
+from cbsr_qa.calibration.fits import restricted_mean
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.results import Characterisation, FittedLine, LoadObservation, Measurement, RunObservation
+from cbsr_qa.eit.inverse import changes
+from cbsr_qa.studies.reproduce.compare import Ours
+
+Array = NDArray[np.float64]
+
+#: Frames of a noise floor (paper 3.2.1).
+_FLOOR_FRAMES: Final = 8
+#: Strain of Tables 3 and 4.
+_TABLE_STRAIN: Final = 0.2
+#: (mean, deviation) of error [mm], overlap [%], deviation [mm²], and the number of frames.
+Spatial = tuple[tuple[Ours, Ours, Ours], int]
+_METRICS: Final = ("centre_of_mass_error", "area_overlap", "shape_deviation")
+
+
+@dataclass(frozen=True, slots=True)
+class ForcePress:
+    """Force of one press, by the load cell and by one response for the whole sheet [N]."""
+
+    place: str
+    strain: float
+    trial: int
+    measured_N: float
+    global_N: float
+    mapped_N: float
+
+
+@dataclass(frozen=True, slots=True)
+class SettlingOf:
+    """Settling of one strain (None: all traces fitted together) after loading or unloading."""
+
+    strain: float | None
+    loading: bool
+    ours: Ours
+
+
+@dataclass(frozen=True, slots=True)
+class SheetFigures:
+    """Figures of one simulated sheet.
+
+    Parameters
+    ----------
+    resistance, modulus, noise_figure, noise_floor, noise : R_int [kΩ], E [kPa], NF, relative floor, relative σ_n.
+    by_mask : percentage mask → figures over all held frames at 20 % strain.
+    by_place : location → the same with the main mask.
+    random : place of the list → error and deviation over trials, steady images.
+    settlings : of the conductance under the load, by strain.
+    presses : left out of what estimates them, and pressed alone.
+    stress_slope_per_kPa, head_mm2 : what a detection limit follows with.
+    """
+
+    sheet: str
+    resistance: Ours
+    modulus: Ours
+    noise_figure: Ours
+    noise_floor: Ours
+    noise: Ours
+    by_mask: tuple[tuple[float, Spatial], ...]
+    by_place: tuple[tuple[str, Spatial], ...]
+    random: tuple[tuple[Ours, Ours], ...]
+    size_ratio: tuple[tuple[float, float], ...]
+    settlings: tuple[SettlingOf, ...]
+    presses: tuple[ForcePress, ...]
+    stress_slope_per_kPa: float
+    head_mm2: float
+    station_s: float
+    compute_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class StripFigures:
+    """Figures of one simulated strip: gauge factors under the head and between the pins, E [kPa], settling."""
+
+    local_gauge_factor: Ours
+    gauge_factor: Ours
+    modulus: Ours
+    settlings: tuple[SettlingOf, ...]
+    station_s: float
+    compute_s: float
+
+
+def sheet_figures(
+    run: RunObservation,
+    measurements: Sequence[Measurement],
+    force: RunForce,
+    sheet: str,
+    station_s: float,
+    compute_s: float,
+) -> SheetFigures:
+    """Reduce an analysed run."""
+    resistance = _run_figure(measurements, "interelectrode_resistance", "", sheet, "deviation between pairs", 1e-3)
+    slope = run.record.material.against_stress.slope.value
+    return SheetFigures(
+        sheet=sheet,
+        resistance=resistance,
+        modulus=_run_figure(measurements, "apparent_modulus", "slope", sheet, "deviation between locations"),
+        noise_figure=_run_figure(measurements, "noise_figure", "", sheet, "standard error"),
+        noise_floor=_noise_floor(run, sheet),
+        noise=_run_figure(measurements, "conductance_noise", "per element", sheet, "standard error"),
+        by_mask=tuple((mask, _spatial(run, mask, sheet)) for mask in run.settings.masks),
+        by_place=tuple((place, _spatial(run, run.main_mask, sheet, place)) for place in _places(run)),
+        random=_random(run, measurements, sheet),
+        size_ratio=tuple((mask, _size_ratio(run, mask)) for mask in run.settings.masks),
+        settlings=tuple(_settlings(run, measurements, sheet)),
+        presses=tuple(_press(test) for test in force.tests),
+        stress_slope_per_kPa=slope,
+        head_mm2=run.record.indenter.area_mm2,
+        station_s=station_s,
+        compute_s=compute_s,
+    )
+
+
+def strip_figures(found: Characterisation, station_s: float, compute_s: float) -> StripFigures:
+    """Reduce a characterisation."""
+    modulus = found.modulus_kPa
+    settlings = tuple(
+        SettlingOf(
+            one.strain,
+            one.loading,
+            Ours(
+                "strip",
+                one.settling.value_s,
+                one.stderr_s,
+                one.settling.why or "standard error",
+                one.traces,
+                one.settling.censored,
+            ),
+        )
+        for one in found.settlings
+        if one.signal == "conductance"
+    )
+    return StripFigures(
+        local_gauge_factor=_slope(found.local_against_strain, "under the head"),
+        gauge_factor=_slope(found.against_strain, "between the pins"),
+        modulus=Ours("strip", None, of="no stress")
+        if modulus is None
+        else Ours("strip", modulus.value, modulus.stderr, "standard error"),
+        settlings=settlings,
+        station_s=station_s,
+        compute_s=compute_s,
+    )
+
+
+def _slope(fitted: FittedLine, where: str) -> Ours:
+    if fitted.line is None:
+        return Ours("strip", None, of=fitted.why)
+    return Ours("strip", fitted.line.slope.value, fitted.line.slope.stderr, f"standard error; {where}")
+
+
+def _run_figure(
+    measurements: Iterable[Measurement], name: str, qualifier: str, sheet: str, of: str, scale: float = 1.0
+) -> Ours:
+    """Take the measurement of the whole run; that of one location has a location."""
+    for one in measurements:
+        if (one.name, one.qualifier, one.location) == (name, qualifier, ""):
+            if one.value is None:
+                return Ours(sheet, None, of=one.how)
+            uncertainty = None if one.uncertainty is None else scale * one.uncertainty
+            return Ours(sheet, scale * one.value, uncertainty, of)
+    return Ours(sheet, None, of="not measured")
+
+
+def _noise_floor(run: RunObservation, sheet: str) -> Ours:
+    """Mean and deviation of the floor over disjoint sets of eight unloaded frames, each against the others' mean."""
+    frames, problem = run.unloaded.voltages, run.reconstruction.problem
+    floors = []
+    for start in range(0, len(frames) - _FLOOR_FRAMES + 1, _FLOOR_FRAMES):
+        chosen = np.zeros(len(frames), dtype=np.bool_)
+        chosen[start : start + _FLOOR_FRAMES] = True
+        readings = changes(frames[chosen], frames[~chosen].mean(axis=0), problem, run.scale)
+        floors.append(float(np.abs(run.reconstruction.images(readings)).max()))
+    if len(floors) < 2:
+        return Ours(sheet, None, of="too few unloaded frames")
+    of = f"deviation over {len(floors)} sets of {_FLOOR_FRAMES} frames"
+    return Ours(sheet, float(np.mean(floors)), float(np.std(floors, ddof=1)), of, len(floors))
+
+
+def _grid(run: RunObservation, place: str = "") -> list[LoadObservation]:
+    """Loads of the nine locations at the tables' strain."""
+    phases = {phase.name for phase in run.record.phases if phase.role is Role.GRID}
+    return [
+        load
+        for load in run.loads
+        if load.phase in phases
+        and abs(load.record.load.strain - _TABLE_STRAIN) < 1e-6
+        and place in ("", load.record.load.label)
+    ]
+
+
+def _places(run: RunObservation) -> list[str]:
+    return list(dict.fromkeys(load.record.load.label for load in _grid(run)))
+
+
+def _spatial(run: RunObservation, mask: float, sheet: str, place: str = "") -> Spatial:
+    """Mean and deviation over every frame of the holds, as the paper's Fig 10 has them."""
+    columns: list[list[Array]] = [[], [], []]
+    for load in _grid(run, place):
+        timeline = next(one for one in run.timelines if one.phase == load.phase)
+        row = timeline.masks.index(mask)
+        held = (timeline.time_s >= load.record.hold_start_s) & (timeline.time_s < load.record.release_start_s)
+        of = (timeline.error_mm, timeline.overlap_percent, timeline.deviation_mm2)
+        for column, values in zip(columns, of, strict=True):
+            column.append(values[row][held])
+    taken = [np.concatenate(column) if column else np.zeros(0) for column in columns]
+    seen = np.isfinite(taken[0])
+    if seen.sum() < 2:
+        nothing = Ours(sheet, None, of="no blob was seen")
+        return (nothing, nothing, nothing), 0
+    lost = int((~seen).sum())
+    of_words = f"deviation over {int(seen.sum())} held frames" + (f"; {lost} without a blob" if lost else "")
+    error, overlap, deviation = (
+        Ours(sheet, float(one[seen].mean()), float(one[seen].std(ddof=1)), of_words, int(seen.sum())) for one in taken
+    )
+    return (error, overlap, deviation), int(seen.sum())
+
+
+def _size_ratio(run: RunObservation, mask: float) -> float:
+    """Mean A_b/A_FA of the steady images at the tables' strain; 0 where nothing was seen."""
+    views = [(load.mask(mask), load.indenter.area_mm2) for load in _grid(run)]
+    ratios = [view.region.area_mm2 / area for view, area in views if view is not None and view.region is not None]
+    return float(np.mean(ratios)) if ratios else 0.0
+
+
+def _random(run: RunObservation, measurements: Sequence[Measurement], sheet: str) -> tuple[tuple[Ours, Ours], ...]:
+    phases = {phase.name for phase in run.record.phases if phase.role is Role.RANDOM}
+    labels = dict.fromkeys(load.record.load.label for load in run.loads if load.phase in phases)
+    rows = []
+    for label in labels:
+        of_load = [m for m in measurements if m.phase in phases and m.location == label and not m.qualifier]
+        error, _, deviation = (_over_trials([m for m in of_load if m.name == name], sheet) for name in _METRICS)
+        rows.append((error, deviation))
+    return tuple(rows)
+
+
+def _over_trials(measurements: Sequence[Measurement], sheet: str) -> Ours:
+    values = [m.value for m in measurements if m.value is not None]
+    if not values:
+        return Ours(sheet, None, of=measurements[0].how if measurements else "not pressed")
+    lost = len(measurements) - len(values)
+    of = f"deviation over {len(values)} trials" if len(values) > 1 else "one trial"
+    of += f"; {lost} not detected" if lost else ""
+    deviation = float(np.std(values, ddof=1)) if len(values) > 1 else None
+    return Ours(sheet, float(np.mean(values)), deviation, of, len(values))
+
+
+def _settlings(run: RunObservation, measurements: Sequence[Measurement], sheet: str) -> Iterable[SettlingOf]:
+    phases = {phase.name for phase in run.record.phases if phase.role is Role.GRID}
+    loads = [load for load in run.loads if load.phase in phases]
+    for loading in (True, False):
+        for strain in sorted({load.record.load.strain for load in loads}):
+            here = [load for load in loads if load.record.load.strain == strain]
+            yield SettlingOf(strain, loading, _mean_settling(here, loading, sheet))
+        qualifier = f"conductance, {'loading' if loading else 'unloading'}"
+        together = _run_figure(measurements, "common_settling_time", qualifier, sheet, "standard error")
+        yield SettlingOf(None, loading, together)
+
+
+def _mean_settling(loads: Sequence[LoadObservation], loading: bool, sheet: str) -> Ours:
+    fits = [
+        one for load in loads for one in load.relaxations if (one.signal, one.loading) == ("conductance", loading)
+    ]
+    known = [(f.settling.value_s, f.settling.censored) for f in fits if f.settling.value_s is not None]
+    counted = f"{len(known)} of {len(fits)} fits kept (R² of at least 0.85)"
+    if not known or 2 * len(known) < len(fits):
+        return Ours(sheet, None, of=counted, count=len(known))
+    late = sum(censored for _, censored in known)
+    mean_s, deviation_s = restricted_mean([time_s for time_s, _ in known], [censored for _, censored in known])
+    of = f"standard error; {counted}" + (f", {late} not settled" if late else "")
+    return Ours(sheet, mean_s, deviation_s / len(known) ** 0.5, of, len(known), late > 0)
+
+
+def _press(test: ForceTest) -> ForcePress:
+    load = test.load.record.load
+    return ForcePress(load.label, load.strain, load.trial, test.measured_N, test.global_N, test.known_N)

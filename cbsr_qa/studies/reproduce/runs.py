@@ -1,0 +1,198 @@
+"""Simulated sensors a publication is reproduced on: shipped recipes on the simulated bench, reduced to figures."""
+
+import copy
+import tempfile
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final
+
+from cbsr_qa.analysis import Conclusion, conclude
+from cbsr_qa.analysis.run import run_force
+from cbsr_qa.config import (
+    Configuration,
+    DocumentKind,
+    load_material,
+    load_recipe,
+    load_sensor_type,
+    load_station,
+    merge,
+    open_document,
+)
+from cbsr_qa.domain import NotReproducedError
+from cbsr_qa.domain.run import RunIdentity, RunRecord
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.plugin import Plugins, discover, software_versions
+from cbsr_qa.station import execute, open_station, plan_of, station_clock
+from cbsr_qa.store import open_store
+from cbsr_qa.studies.reproduce.figures import SheetFigures, StripFigures, sheet_figures, strip_figures
+from cbsr_qa.system import Stages
+
+#: Of every simulated sensor; the first there is, not chosen for what comes out.
+SEED: Final = 1
+
+#: Sheet → station, recipe, scene instead of the station's own.
+_SETTINGS: Final = {
+    "uniform": ("simulated", "paper", "base"),
+    "bench": ("simulated", "paper", "everything"),
+    "strip": ("simulated-strip", "characterisation", "strip"),
+}
+
+_Options = Mapping[str, Mapping[str, Mapping[str, Any]]]
+
+#: Sheet → phase → options of its recipe that are replaced. The bench sheet only stands beside the uniform one.
+_SHORTER: Final[_Options] = {
+    "bench": {
+        "noise figure": {"frames": 64, "trials": 1},
+        "nine locations": {"strains_percent": [10.0, 20.0, 30.0], "trials": 2},
+        "random loads": {"trials": 1},
+    },
+}
+
+#: The same where it is to be quick.
+_QUICK: Final[_Options] = {
+    "uniform": {
+        "noise figure": {"frames": 64},
+        "nine locations": {"strains_percent": [10.0, 20.0, 30.0], "trials": 2},
+        "random loads": {"trials": 1},
+    },
+    "strip": {"press cycles": {"strains_percent": [10.0, 20.0, 30.0], "cycles": 4}},
+}
+
+#: What is simulated, in words.
+FULL_WORDS: Final = (
+    "the uniform sheet (scene base) as in the paper: nine locations at six strains three times, its ten random loads "
+    "three times; the bench sheet (scene everything) at three strains twice and the random loads once; the strip "
+    "at six strains ten times"
+)
+QUICK_WORDS: Final = (
+    "quick: the uniform sheet (scene base) at three strains twice instead of six three times, the random loads once "
+    "instead of three times, four cycles at three strains on the strip instead of ten at six, and no bench sheet"
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """One simulated sensor.
+
+    Parameters
+    ----------
+    sheet : ``"uniform"``, ``"bench"`` or ``"strip"``.
+    percent : carbon black by weight, 8 or 9.
+    quick : fewer trials and strains.
+    seed : of everything that is random.
+    """
+
+    sheet: str
+    percent: int
+    quick: bool
+    seed: int = SEED
+
+    @property
+    def words(self) -> str:
+        """Name for people."""
+        return f"{self.percent} wt% {'strip' if self.sheet == 'strip' else f'{self.sheet} sheet'}"
+
+
+def all_jobs(*, quick: bool) -> tuple[Job, ...]:
+    """Every sensor the publication is reproduced on, the longest first."""
+    sheets = ("uniform", "strip") if quick else ("bench", "uniform", "strip")
+    return tuple(Job(sheet, percent, quick) for sheet in sheets for percent in (8, 9))
+
+
+def simulate(job: Job) -> SheetFigures | StripFigures:
+    """Simulate one sensor as ``cbsr-qa run`` does, in a temporary database, and reduce it to figures.
+
+    Raises
+    ------
+    NotReproducedError
+        If the run stopped or could not be analysed; names the run and says why.
+    """
+    started, plugins = time.perf_counter(), discover()
+    configuration = configuration_of(job)
+    record = _record(configuration, plugins)
+    conclusion = conclude(record, configuration.recipe, plugins, Stages())
+    return _figures(job, configuration, conclusion, record, started)
+
+
+def _figures(
+    job: Job, configuration: Configuration, conclusion: Conclusion, record: RunRecord, started: float
+) -> SheetFigures | StripFigures:
+    station_s = record.station_s
+    if conclusion.characterisation is not None:
+        return strip_figures(conclusion.characterisation, station_s, time.perf_counter() - started)
+    if conclusion.observation is None:
+        raise not_reproduced(job, conclusion.verdict.reason)
+    return sheet_figures(
+        conclusion.observation,
+        conclusion.measurements,
+        run_force(conclusion.observation),
+        job.sheet,
+        station_s,
+        time.perf_counter() - started,
+    )
+
+
+def not_reproduced(job: Job, why: str) -> NotReproducedError:
+    """Return the error that ends a reproduction, for the sensor that gave no figures."""
+    station, recipe, scene = _SETTINGS[job.sheet]
+    return NotReproducedError(
+        f"the simulated {job.words} (station {station}, recipe {recipe}, scene {scene}, seed {job.seed}) gave no "
+        f"figures: {why}",
+        remedy="nothing was written; --quick presses fewer loads and leaves the bench sheet out",
+    )
+
+
+def configuration_of(job: Job) -> Configuration:
+    """Shipped station, recipe, sensor type and material of a sensor, with its scene."""
+    station_name, recipe_name, scene = _SETTINGS[job.sheet]
+    station = copy.deepcopy(dict(open_document(DocumentKind.STATION, station_name).data))
+    station["instruments"]["bench"]["scene"] = scene
+    recipe = copy.deepcopy(dict(open_document(DocumentKind.RECIPE, recipe_name).data))
+    replaced = (_QUICK if job.quick else _SHORTER).get(job.sheet, {})
+    for phase in recipe["phases"]:
+        phase.update(replaced.get(phase["name"], {}))
+    at = load_station(station)
+    return merge(
+        at,
+        load_recipe(recipe),
+        load_sensor_type(at.value.sensor_type),
+        load_material(f"cbsr-{job.percent}wt"),
+        seed=job.seed,
+    )
+
+
+def _record(configuration: Configuration, plugins: Plugins) -> RunRecord:
+    """Run the recipe on the station; what is stored lies in a temporary folder, never in the user's database."""
+    clock = station_clock(configuration)
+    bench = open_station(configuration, plugins, clock)
+    try:
+        with (
+            tempfile.TemporaryDirectory(prefix="cbsr-qa-reproduce-") as folder,
+            open_store(f"sqlite:///{Path(folder) / 'runs.db'}", durable=False) as store,
+        ):
+            instruments = bench.identities()
+            identity = RunIdentity(
+                run=store.new_id(),
+                sensor=SensorIdentity("REPRODUCED", "", configuration.sensor_type.name),
+                station=configuration.station.name,
+                recipe=configuration.recipe.name,
+                operator="",
+                started_at=datetime(2026, 1, 1, tzinfo=UTC),
+                configuration_digest=configuration.digest,
+                software=software_versions(plugins),
+                instruments=instruments,
+                simulated=tuple(f"{one.role}: {one.model}" for one in instruments if one.simulated),
+            )
+            journal = store.journal(
+                configuration=configuration.canonical,
+                sensor_type=configuration.sensor_type,
+                material=configuration.material,
+                indenter=configuration.station.indenter,
+            )
+            execute(plan_of(configuration, plugins), identity, bench, clock, [journal])
+            return store.load_run(identity.run)
+    finally:
+        bench.close()

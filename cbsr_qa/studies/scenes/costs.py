@@ -1,0 +1,245 @@
+"""What the effects of a scene cost, measured on frames of its own recording."""
+
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from functools import partial, wraps
+from statistics import mean, median
+from typing import Any, Final
+
+import numpy as np
+
+from cbsr_qa.domain.plan import SceneLoad, ScenePlan, approach_s, press_times
+from cbsr_qa.plugin import AnyEffect
+from cbsr_qa.simulate import SAMPLE_RATE_HZ, EffectFactory, SimulatedWorld, planned_middles_s, press_loads
+from cbsr_qa.studies.scenes.setting import SceneSetup, made_world, naming
+
+#: Stages that change how much is solved: their effects cost more than the time within them.
+SOLVED_STAGES: Final = ("sheet", "times", "response", "contacts")
+_FRAMES: Final = 5  # of which the median is taken
+_REPEATS: Final = 4
+#: Time of this process alone, so that what else the computer does is no effect's cost; on Windows that is counted in
+#: steps of 15.6 ms, which is longer than a frame takes.
+_clock_s: Final = time.perf_counter if sys.platform == "win32" else time.process_time
+_STAND_IN: Final = SceneLoad(0.0, 0.0, 0.2, 0.0, 30.0)  # for scenes that are made for a station
+
+
+@dataclass(frozen=True, slots=True)
+class Costs:
+    """What was measured.
+
+    Parameters
+    ----------
+    effect_ms : of each effect that is on, a frame, with its share of what happens once a scene.
+    each_ms : the same without that share.
+    once_ms : what happens once a scene, in all: as the sheet is made, as heads move, before frames are written.
+    frame_ms : of a whole frame during a load, with its force samples.
+    compute_s : estimated, of all the recording.
+    """
+
+    effect_ms: dict[str, float]
+    each_ms: dict[str, float]
+    once_ms: dict[str, float]
+    frame_ms: float
+    compute_s: float
+
+
+class Watched:
+    """An effect factory that keeps what it makes, and counts the time within it."""
+
+    def __init__(self, effect_factory: EffectFactory) -> None:
+        self._factory = effect_factory
+        self.effects: dict[str, AnyEffect] = {}
+        self.spent_s: dict[str, float] = {}
+
+    def __call__(self, name: str) -> Callable[..., Any]:
+        """Find a factory whose effects are watched."""
+        plain = self._factory(name)
+
+        @wraps(plain, updated=())  # a chain looks at its signature
+        def make(*setting: Any, **parameters: Any) -> Any:
+            effect = plain(*setting, **parameters)
+            self.effects[name] = effect
+            self.spent_s[name] = 0.0
+            for method in ("apply", "design", "record"):
+                if hasattr(effect, method):
+                    with suppress(AttributeError):  # one with slots cannot be watched
+                        setattr(effect, method, self._timed(name, getattr(effect, method)))
+            return effect
+
+        return make
+
+    def _timed(self, name: str, method: Callable[[Any], None]) -> Callable[[Any], None]:
+        def timed(changed: Any) -> None:
+            start_s = _clock_s()
+            method(changed)
+            self.spent_s[name] += _clock_s() - start_s
+
+        return timed
+
+    def within(self, work: Callable[[], object]) -> dict[str, float]:
+        """Do something and return the time spent within each effect meanwhile [s]."""
+        before = dict(self.spent_s)
+        work()
+        return {name: spent - before.get(name, 0.0) for name, spent in self.spent_s.items()}
+
+
+def measured_costs(
+    setup: SceneSetup,
+    effect_factory: EffectFactory,
+    *,
+    progress: Callable[[int, int], None] = lambda done, of: None,
+) -> Costs:
+    """Measure on a few frames, spread over the recording, during loads.
+
+    An effect costs the time within it; what happens once a scene (the sheet, the head's movements, what is lost) is
+    shared out over its frames. One that changes how much is solved costs at least what a whole frame takes longer
+    with it than without it and those that need it.
+
+    Raises
+    ------
+    ConfigError
+        If a frame cannot be taken; names the scene's file.
+    """
+    plan = recorded_plan(setup)
+    watched = Watched(effect_factory)
+    with naming(setup.label):
+        bench = _Bench(setup, plan, watched, effect_factory)
+        each_ms, once_ms = bench.within_ms(), bench.once_ms()
+        shared_ms = {name: each_ms[name] + once_ms[name] / max(plan.frame_count, 1) for name in each_ms}
+        names = [name for name, effect in watched.effects.items() if effect.perturbs in SOLVED_STAGES]
+        for count, name in enumerate(names, start=1):
+            difference_ms = bench.difference_ms(name)
+            each_ms[name] = max(each_ms[name], difference_ms)
+            shared_ms[name] = max(shared_ms[name], difference_ms)
+            progress(count, len(names))
+        return Costs(shared_ms, each_ms, once_ms, bench.frame_ms(), bench.compute_s())
+
+
+def recorded_plan(setup: SceneSetup) -> ScenePlan:
+    """Return the scene's plan; for one that is made for a station with a recording and a load to stand in."""
+    plan = setup.plan
+    if plan.duration_s is not None:
+        return plan
+    x_mm, y_mm = setup.sensor_type.value.outline.centre_mm
+    loads = plan.loads or (replace(_STAND_IN, x_mm=x_mm, y_mm=y_mm, start_s=20.0 + approach_s(plan.motion)),)
+    thickness_mm = setup.sensor_type.value.thickness_mm
+    end_s = max(press_times(load, load.strain * thickness_mm, plan.motion).up_s for load in loads)
+    return replace(plan, loads=loads, seed=0, duration_s=end_s + plan.scene.frame_period_s)
+
+
+class _Bench:
+    """A scene's world, watched and not, with its loads pressed, and the frames that are taken of it."""
+
+    def __init__(self, setup: SceneSetup, plan: ScenePlan, watched: Watched, effect_factory: EffectFactory) -> None:
+        self._setup, self._plan, self._watched = setup, plan, watched
+        self._factory = effect_factory
+        self._once: list[dict[str, float]] = []
+        begun_s = _clock_s()
+        self._seen = self._world(plan, watched)
+        self._once.append(dict(watched.spent_s))  # while the sheet was made
+        self._once.append(watched.within(lambda: self._seen.transcript(planned_middles_s(plan))))
+        end_s = plan.frame_count * plan.scene.frame_period_s
+        self._once.append(watched.within(lambda: press_loads(self._seen, plan, end_s)))
+        self._setup_s = _clock_s() - begun_s
+        self._plain = self._world(plan, effect_factory, like=self._seen)
+        self._loaded = _loaded_frames(plan, setup.sensor_type.value.thickness_mm)
+
+    def _world(
+        self, plan: ScenePlan, factory: EffectFactory, like: SimulatedWorld | None = None, *, same_sheet: bool = True
+    ) -> SimulatedWorld:
+        sheet = like.sheet if like is not None and same_sheet else None
+        world = made_world(self._setup, factory, seed=plan.seed or 0, plan=plan, sheet=sheet)
+        if like is not None:
+            world.presses = like.presses
+        return world
+
+    def within_ms(self) -> dict[str, float]:
+        """Time within each effect a frame."""
+        frames = [self._watched.within(partial(self._taken, self._seen, index)) for index in self._loaded]
+        return {name: 1e3 * median(each[name] for each in frames) for name in self._watched.effects}
+
+    def once_ms(self) -> dict[str, float]:
+        """Time within each effect outside of frames, in all."""
+        return {name: 1e3 * sum(once.get(name, 0.0) for once in self._once) for name in self._watched.effects}
+
+    def difference_ms(self, name: str) -> float:
+        """How much longer frames take with an effect than without it and those that need it; 0 where unclear."""
+        effects = self._watched.effects
+        without = _with_dependents(name, effects)
+        kept = tuple(choice for choice in self._plan.scene.effects if choice.name not in without)
+        plan = replace(self._plan, scene=replace(self._plan.scene, effects=kept))
+        same_sheet = not any(effects[each].perturbs == "sheet" for each in without)
+        other = self._world(plan, self._factory, self._plain, same_sheet=same_sheet)
+        return 1e3 * _clear([_longer_s(self._plain, other, self._times(index)) for index in self._loaded])
+
+    def frame_ms(self) -> float:
+        """A whole frame during a load, and its force samples."""
+        return 1e3 * median(self._whole_s(index) for index in self._loaded)
+
+    def compute_s(self) -> float:
+        """All of the recording, as frames all over it take."""
+        count = self._plan.frame_count
+        spread = np.unique(np.linspace(0, count - 1, 2 * _FRAMES).astype(int)).tolist()
+        return self._setup_s + count * mean(self._whole_s(index) for index in spread)
+
+    def _times(self, index: int) -> tuple[float, int]:
+        return (index + 0.5) * self._plan.scene.frame_period_s, index
+
+    def _whole_s(self, index: int) -> float:
+        self._plain.frame(*self._times(index))  # what is kept between frames of one place is there
+        start_s = _clock_s()
+        self._taken(self._plain, index)
+        return _clock_s() - start_s
+
+    def _taken(self, world: SimulatedWorld, index: int) -> None:
+        """Take a frame, and the force samples of its time."""
+        world.frame(*self._times(index))
+        period_s = self._plan.scene.frame_period_s
+        first, last = (int(each * period_s * SAMPLE_RATE_HZ) for each in (index, index + 1))
+        for number in range(first, last):
+            world.force_N(number / SAMPLE_RATE_HZ, number)
+
+
+def _clear(differences_s: list[float]) -> float:
+    """The middle one of differences between frames, or none where they are noise.
+
+    No frame is shorter for something that is done more: what is below zero shows how large the noise is.
+    """
+    middle_s, noise_s = median(differences_s), -min(differences_s)
+    return middle_s if middle_s > 2 * noise_s else 0.0
+
+
+def _longer_s(world: SimulatedWorld, other: SimulatedWorld, at: tuple[float, int]) -> float:
+    """How much longer a frame takes in one world than in another.
+
+    Tries alternate, so that a computer that becomes slower does so for both; the shortest of each count, after one
+    that does not.
+    """
+    tries_s: dict[bool, list[float]] = {True: [], False: []}
+    for _ in range(1 + _REPEATS):
+        for ours in (True, False):
+            start_s = _clock_s()
+            (world if ours else other).frame(*at)
+            tries_s[ours].append(_clock_s() - start_s)
+    return min(tries_s[True][1:]) - min(tries_s[False][1:])
+
+
+def _with_dependents(name: str, effects: dict[str, AnyEffect]) -> set[str]:
+    """An effect and all that need it, also through others; those come after it."""
+    found = {name}
+    for other, effect in effects.items():
+        if found & set(effect.needs):
+            found.add(other)
+    return found
+
+
+def _loaded_frames(plan: ScenePlan, thickness_mm: float) -> Sequence[int]:
+    """A few frames in the middle of holds, else spread over the recording."""
+    times = [press_times(load, load.strain * thickness_mm, plan.motion) for load in plan.loads]
+    middles = sorted((each.down_s + each.lifts_s) / 2 for each in times)
+    frames: Iterable[int] = (int(middle / plan.scene.frame_period_s) for middle in middles)
+    found = sorted({min(frame, plan.frame_count - 1) for frame in frames}) or range(plan.frame_count)
+    return [found[int(k)] for k in np.unique(np.linspace(0, len(found) - 1, _FRAMES).astype(int))]

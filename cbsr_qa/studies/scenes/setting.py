@@ -1,0 +1,130 @@
+"""What the commands about scenes share: the files of a scene, and the world they make."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from cbsr_qa.config import Loaded, check_plan, load_material, load_scene_plan, load_sensor_type
+from cbsr_qa.domain import CbsrError, ConfigError
+from cbsr_qa.domain.plan import ScenePlan
+from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.plugin import Kind, Plugins
+from cbsr_qa.simulate import EffectFactory, SimulatedSheet, SimulatedWorld
+
+#: What a scene is explained with that leaves its sensor to a station.
+USUAL_SENSOR_TYPE, USUAL_MATERIAL = "disc-100mm", "cbsr-8wt"
+
+#: What a scene that is to be recorded may lack → what it does not say then, and the lines to add.
+_LACKING = {
+    "sensor": ("what is simulated", f'[sensor]\nsensor_type = "{USUAL_SENSOR_TYPE}"\nmaterial = "{USUAL_MATERIAL}"'),
+    "recording": ("for how long", "[recording]\nseed = 7\nduration_s = 60.0"),
+}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SceneSetup:
+    """A scene with the files it names.
+
+    Parameters
+    ----------
+    loaded : the scene's plan and document.
+    sensor_type, material : what is simulated.
+    """
+
+    loaded: Loaded[ScenePlan]
+    sensor_type: Loaded[SensorType]
+    material: Loaded[Material]
+
+    @property
+    def plan(self) -> ScenePlan:
+        """All the file says."""
+        return self.loaded.value
+
+    @property
+    def label(self) -> str:
+        """How messages name the scene."""
+        return self.loaded.document.label
+
+
+def set_up(scene: str, *, recorded: bool) -> SceneSetup:
+    """Open a scene's files and check its loads.
+
+    Parameters
+    ----------
+    scene : path or shipped name.
+    recorded : whether it must say what is simulated and recorded; otherwise the usual sensor stands in.
+
+    Raises
+    ------
+    ConfigError
+        If a file is missing or wrong, a load cannot be pressed, or the scene does not say what is recorded.
+    """
+    loaded = load_scene_plan(scene)
+    if recorded:
+        _check_complete(loaded)
+    plan, near = loaded.value, loaded.folder
+    with naming(loaded.document.label):
+        sensor_type = load_sensor_type(plan.sensor_type or USUAL_SENSOR_TYPE, near=near)
+        material = load_material(plan.material or USUAL_MATERIAL, near=near)
+    check_plan(loaded, sensor_type.value)
+    return SceneSetup(loaded, sensor_type, material)
+
+
+def _check_complete(loaded: Loaded[ScenePlan]) -> None:
+    given = {"sensor": loaded.value.sensor_type is not None, "recording": loaded.value.duration_s is not None}
+    lacking = [table for table, there in given.items() if not there]
+    if lacking:
+        named = " and no ".join(f"[{table}]" for table in lacking)
+        unsaid = " and ".join(_LACKING[table][0] for table in lacking)
+        lines = "\n".join(_LACKING[table][1] for table in lacking)
+        raise ConfigError(
+            f"{loaded.document.label} has no {named}: it does not say {unsaid}",
+            remedy=f"add lines like these, before or behind its other tables:\n{lines}",
+        )
+
+
+def made_world(
+    setup: SceneSetup,
+    effect_factory: EffectFactory,
+    *,
+    seed: int,
+    plan: ScenePlan | None = None,
+    sheet: SimulatedSheet | None = None,
+) -> SimulatedWorld:
+    """Make a scene's world.
+
+    Parameters
+    ----------
+    plan : instead of the setup's own.
+    sheet : see :class:`~cbsr_qa.simulate.SimulatedWorld`.
+
+    Raises
+    ------
+    ConfigError
+        If its effects do not fit together; names the scene's file.
+    """
+    chosen = setup.plan if plan is None else plan
+    with naming(setup.label):
+        return SimulatedWorld(
+            chosen.scene,
+            setup.sensor_type.value,
+            setup.material.value,
+            chosen.indenter,
+            seed=seed,
+            effect_factory=effect_factory,
+            sheet=sheet,
+        )
+
+
+def effects_of(plugins: Plugins) -> EffectFactory:
+    """Return what finds an effect's factory by name; only what is asked for is imported."""
+    return lambda name: plugins.factory(Kind.EFFECT, name)
+
+
+@contextmanager
+def naming(label: str) -> Iterator[None]:
+    """Put the name of the scene's file before every refusal."""
+    try:
+        yield
+    except CbsrError as error:
+        raise ConfigError(f"{label}: {error.reason}", remedy=error.remedy) from error

@@ -1,0 +1,185 @@
+"""Long sweeps: pieces of work on every core, each kept as soon as it is done: a sweep resumes where it stopped."""
+
+import json
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import closing
+from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
+from pathlib import Path
+from typing import Any, Final
+
+from cbsr_qa.domain import StoreError
+
+#: Told how many pieces of how many are done, and which was the last.
+Tell = Callable[[int, int, str], None]
+Documents = list[dict[str, Any]]
+
+_START: Final = b'{"key": "'
+_BEGIN_AGAIN: Final = "move it away, or begin again with --fresh, which removes it"
+
+
+@dataclass(frozen=True, slots=True)
+class Work:
+    """A piece of a sweep.
+
+    Parameters
+    ----------
+    key : says what is worked out and with what; the same in every process and every sweep.
+    what : the same for people.
+    run : gives documents of plain numbers and text; can be pickled.
+    """
+
+    key: str
+    what: str
+    run: Callable[[], Documents]
+
+
+class Kept:
+    """Finished pieces of work in a file, a line of JSON each.
+
+    A line that was cut off while it was written ends the file; it is written over by the next piece.
+
+    Parameters
+    ----------
+    path : of the file; None keeps nothing.
+
+    Raises
+    ------
+    StoreError
+        If the file is there and is none of ours, or cannot be read.
+    """
+
+    def __init__(self, path: Path | None) -> None:
+        self._path = path
+        self._cut_at: int | None = None  #: where a line that was cut off begins
+        self.found: dict[str, Documents] = {}
+        if path is not None and path.exists():
+            self._read(path)
+
+    def _read(self, path: Path) -> None:
+        try:
+            text = path.read_bytes()
+        except OSError as error:
+            raise StoreError(f"{path} cannot be read: {error.strerror or error}", remedy=_BEGIN_AGAIN) from error
+        *lines, last = text.split(b"\n")
+        for number, line in enumerate(lines, 1):
+            self._take(path, number, line)
+        if last[: len(_START)] != _START[: len(last)]:
+            self._take(path, len(lines) + 1, last)  # not cut off: somebody else's, which is refused
+        elif last:
+            self._cut_at = len(text) - len(last)
+
+    def _take(self, path: Path, number: int, line: bytes) -> None:
+        try:
+            entry = json.loads(line)
+            key, documents = str(entry["key"]), [dict(one) for one in entry["documents"]]
+        except (ValueError, KeyError, TypeError) as error:
+            raise StoreError(
+                f"{path}: line {number} is no finished piece of a sweep ({type(error).__name__})", remedy=_BEGIN_AGAIN
+            ) from error
+        self.found[key] = documents
+
+    def keep(self, key: str, documents: Documents) -> None:
+        """Keep a finished piece, in its file before anything else is done.
+
+        Raises
+        ------
+        StoreError
+            If the file cannot be written to.
+        """
+        if self._path is not None:
+            line = json.dumps({"key": key, "documents": documents}, allow_nan=False).encode() + b"\n"
+            try:
+                with self._path.open("ab") as file:
+                    if self._cut_at is not None:
+                        file.truncate(self._cut_at)
+                    file.write(line)
+            except OSError as error:
+                raise StoreError(f"{self._path} cannot be written: {error.strerror or error}") from error
+            self._cut_at = None
+        self.found[key] = documents
+
+
+def worked_out(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: int) -> Mapping[str, Documents]:
+    """Work everything out that is not kept yet, the pieces in order handed to whichever process is free.
+
+    What comes out does not depend on the number of processes. Where a piece raises, none is begun any more, those
+    that have begun are finished and kept, and its error is raised. Ctrl-C ends at once; what is finished is kept.
+
+    Parameters
+    ----------
+    processes : at once; 1 works in this one, and what a piece raises is raised at once.
+
+    Returns
+    -------
+    Documents by key.
+    """
+    left = [piece for piece in work if piece.key not in kept.found]
+    done = len(work) - len(left)
+    tell(done, len(work), "begun" if done == 0 else "resumed")
+    with closing(_finished(left, processes)) as finished:
+        for piece, documents in finished:
+            kept.keep(piece.key, documents)
+            done += 1
+            tell(done, len(work), piece.what)
+    return {piece.key: kept.found[piece.key] for piece in work}
+
+
+def _finished(work: Sequence[Work], processes: int) -> Generator[tuple[Work, Documents], None, None]:
+    if processes <= 1 or len(work) <= 1:
+        for piece in work:
+            yield piece, piece.run()
+        return
+    # Spawned: threads of numerical libraries do not survive a fork.
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(processes, mp_context=context, initializer=_begin_deaf) as pool:
+        others = multiprocessing.active_children()
+        futures = {pool.submit(piece.run): piece for piece in work}
+        failed: BaseException | None = None
+        try:
+            for future in as_completed(futures):
+                if future.cancelled():
+                    continue
+                if (error := future.exception()) is None:
+                    yield futures[future], future.result()
+                elif failed is None:
+                    failed = error
+                    for other in futures:
+                        other.cancel()  # what has begun is finished, and kept
+        except BaseException:
+            _stop(set(multiprocessing.active_children()) - set(others))
+            raise
+    if failed is not None:
+        raise failed
+
+
+def _begin_deaf() -> None:
+    """Leave Ctrl-C to the process that hands out the work: it stops the others."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    begin_worker()
+
+
+def begin_worker() -> None:
+    """Let a process of a pool end with its parent, which, killed, cannot stop it.
+
+    Without this it would go on with all that was handed out.
+    """
+    threading.Thread(target=_end_with, args=(os.getppid(),), daemon=True).start()
+
+
+def _end_with(parent: int) -> None:
+    never = threading.Event()
+    while os.getppid() == parent:
+        never.wait(1.0)
+    os._exit(1)
+
+
+def _stop(workers: Iterable[BaseProcess]) -> None:
+    """End processes in the middle of a piece, which may take minutes more."""
+    for worker in workers:
+        worker.terminate()

@@ -1,0 +1,5 @@
+"""What the operating system gives: clocks, files that appear whole, locks, limited child processes."""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

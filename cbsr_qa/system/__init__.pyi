@@ -1,0 +1,17 @@
+from .clock import (
+    TICK_S as TICK_S,
+    Clock as Clock,
+    RealClock as RealClock,
+    Stages as Stages,
+    VirtualClock as VirtualClock,
+    in_ticks as in_ticks,
+    on_tick as on_tick,
+)
+from .files import (
+    FileLock as FileLock,
+    HeldError as HeldError,
+    csv_text as csv_text,
+    holder as holder,
+    written_whole as written_whole,
+)
+from .untrusted import CONTAINED as CONTAINED, largest_content as largest_content, read_untrusted as read_untrusted

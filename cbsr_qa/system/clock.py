@@ -1,0 +1,125 @@
+"""Time, real and virtual. No other module sleeps or asks for the time.
+
+Both clocks tell multiples of one tick, a power of two: sums and differences of such times are exact in double
+precision for two and a half centuries, so that what rests on differences of times is the same, bit for bit, at
+whatever time of a run it happens (decision 0019).
+
+Stages of a computation: told to whoever waits, and timed for the report.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from datetime import UTC, datetime, timedelta
+from typing import Final, Protocol
+
+#: What times are multiples of [s]; 0.95 µs.
+TICK_S: Final = 2.0**-20
+
+
+def in_ticks(duration_s: float) -> float:
+    """Return the multiple of a tick nearest to a duration, at least one tick if it is above zero [s]."""
+    ticks = round(duration_s / TICK_S)
+    return TICK_S * (1 if ticks == 0 and duration_s > 0 else ticks)
+
+
+def on_tick(time_s: float) -> float:
+    """Return the first multiple of a tick that is not before a time [s]."""
+    return TICK_S * math.ceil(time_s / TICK_S)
+
+
+class Clock(Protocol):
+    """The station's time."""
+
+    def now(self) -> float:
+        """Seconds since the clock was made, in whole ticks; never steps back [s]."""
+        ...
+
+    def wall(self) -> datetime:
+        """Date and time of day with zone, for people; may be set back by anybody."""
+        ...
+
+    def sleep(self, duration_s: float) -> None:
+        """Let this much of the station's time pass, at least a tick if it is above zero [s]."""
+        ...
+
+
+class RealClock:
+    """The computer's monotonic clock."""
+
+    def __init__(self) -> None:
+        self._start = time.monotonic()
+
+    def now(self) -> float:
+        """Whole ticks that have passed since this clock was made [s]."""
+        return TICK_S * math.floor((time.monotonic() - self._start) / TICK_S)
+
+    def wall(self) -> datetime:
+        """Date and time of day, UTC."""
+        return datetime.now(UTC)
+
+    def sleep(self, duration_s: float) -> None:
+        """Wait, at least a tick [s]; a negative duration is ignored."""
+        if duration_s > 0:
+            time.sleep(max(duration_s, TICK_S))
+
+
+class VirtualClock:
+    """Time that passes only when somebody sleeps: hours of station time cost no waiting.
+
+    Parameters
+    ----------
+    start : the wall time at second 0; by default now.
+    """
+
+    def __init__(self, start: datetime | None = None) -> None:
+        self._start = start or datetime.now(UTC)
+        self._now = 0.0
+
+    def now(self) -> float:
+        """Seconds slept so far [s]."""
+        return self._now
+
+    def wall(self) -> datetime:
+        """Wall time of the start plus the seconds slept so far."""
+        return self._start + timedelta(seconds=self._now)
+
+    def sleep(self, duration_s: float) -> None:
+        """Advance at once by the nearest number of ticks, at least one [s]; a negative duration is ignored."""
+        self._now += in_ticks(max(duration_s, 0.0))
+
+
+#: Told the name of each stage as it begins.
+Listener = Callable[[str], None]
+
+
+class Stages:
+    """Names and times what the computer is busy with.
+
+    Parameters
+    ----------
+    listener : told each stage's name as it begins.
+    """
+
+    def __init__(self, listener: Listener = lambda stage: None) -> None:
+        self._listener = listener
+        self._spent: dict[str, float] = {}
+
+    @contextmanager
+    def stage(self, name: str) -> Iterator[None]:
+        """Count the time inside towards a stage."""
+        self._listener(name)
+        before = time.perf_counter()
+        try:
+            yield
+        finally:
+            self._spent[name] = self._spent.get(name, 0.0) + time.perf_counter() - before
+
+    def table(self) -> tuple[tuple[str, float], ...]:
+        """Seconds by stage, in the order they first began."""
+        return tuple(self._spent.items())
+
+    def total_s(self) -> float:
+        """Seconds of all stages [s]."""
+        return sum(self._spent.values())

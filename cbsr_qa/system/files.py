@@ -1,0 +1,219 @@
+"""Files that appear whole or not at all, and tables that spreadsheets open safely.
+
+A lock of one process: a locked file that says who holds it, and goes when it is released.
+"""
+
+import csv
+import errno
+import io
+import os
+import secrets
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO, Final
+
+if sys.platform == "win32":  # untested
+    import msvcrt
+
+    def _lock(file: int) -> None:
+        os.lseek(file, _FAR, os.SEEK_SET)  # beyond what is written in it, which others may read
+        msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
+
+    def _unlock(file: int) -> None:
+        os.lseek(file, _FAR, os.SEEK_SET)
+        msvcrt.locking(file, msvcrt.LK_UNLCK, 1)
+
+else:
+    import fcntl
+
+    def _lock(file: int) -> None:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+
+    def _unlock(file: int) -> None:
+        fcntl.flock(file, fcntl.LOCK_UN)
+
+
+_FAR: Final = 1 << 20
+_LONGEST: Final = 4096  # of what a file says about its holder [bytes]
+_TRIES: Final = 1000  # to lock a file that others remove; some file systems answer "no such file" for ever
+
+
+class HeldError(Exception):
+    """Another process, or this one, holds the lock; ``who`` is what its file says, empty in its first moments."""
+
+    def __init__(self, who: bytes) -> None:
+        super().__init__(who)
+        self.who = who
+
+
+class FileLock:
+    """Holds a file's lock until it is released or the process ends, however it ends.
+
+    The kernel keeps the lock, so the file of a process that was killed keeps nobody out: the next holder takes it
+    over and removes it. A file that belongs to another user may stay where only its owner may remove it.
+
+    Parameters
+    ----------
+    path : of the file; its folder exists.
+    who : the holder, for whoever is refused.
+    shared : let other users lock the file too.
+
+    Raises
+    ------
+    HeldError
+        If it is held.
+    OSError
+        If the file cannot be made, or ``who`` not be written in it.
+    """
+
+    def __init__(self, path: Path, who: bytes, *, shared: bool = False) -> None:
+        self._path = path
+        self._file: int | None = None
+        for _ in range(_TRIES):
+            self._file = _locked(path, shared=shared)
+            if self._file is not None:
+                break
+        else:
+            raise OSError(errno.ENOENT, "a file that is made there is gone at once", str(path))
+        try:
+            os.ftruncate(self._file, 0)
+            os.lseek(self._file, 0, os.SEEK_SET)
+            os.write(self._file, who)
+        except OSError:
+            self.release()
+            raise
+
+    def release(self) -> None:
+        """Remove the file and let others have the lock; may be called more than once."""
+        file, self._file = self._file, None
+        if file is None:
+            return
+        try:
+            with suppress(OSError):
+                os.ftruncate(file, 0)
+            with suppress(OSError):
+                self._path.unlink()
+            # Said explicitly: a copy of the descriptor in a forked worker would hold the lock on.
+            with suppress(OSError):
+                _unlock(file)
+        finally:
+            os.close(file)
+
+
+def holder(path: Path) -> bytes | None:
+    """Return what the holder's file says; None where nobody holds the lock.
+
+    The file of a process that was killed is removed, if this user may remove it. Nothing is written, so a full disk
+    does not matter.
+    """
+    try:
+        file = os.open(path, os.O_RDONLY | _SAFE)
+    except OSError:  # there is none, or none that this user may look at
+        return None
+    try:
+        _lock(file)
+        if _is(file, path):
+            path.unlink()
+    except BlockingIOError:
+        return _said(file)
+    except OSError:
+        return None
+    finally:
+        os.close(file)
+    return None
+
+
+#: A lock in a folder for all users may be somebody's link to a file of this user.
+_SAFE: Final = getattr(os, "O_NOFOLLOW", 0)
+
+
+def _locked(path: Path, *, shared: bool) -> int | None:
+    """Open and lock the file; None where its holder removed it between the two."""
+    try:
+        file = _opened(path, shared=shared)
+    except FileNotFoundError:
+        if not path.parent.is_dir():
+            raise
+        return None
+    try:
+        _lock(file)
+    except OSError as error:
+        who = _said(file)
+        os.close(file)
+        raise HeldError(who) from error
+    if _is(file, path):
+        return file
+    os.close(file)
+    return None
+
+
+def _opened(path: Path, *, shared: bool) -> int:
+    # In two steps: Linux refuses to "create" a file that is there already and is another user's.
+    try:
+        file = os.open(path, os.O_RDWR | os.O_CREAT | os.O_EXCL, 0o666)
+    except FileExistsError:
+        return os.open(path, os.O_RDWR | _SAFE)
+    if shared:
+        os.chmod(file, 0o666)  # noqa: PTH101 - of the descriptor: the path may be another's file by now
+    return file
+
+
+def _said(file: int) -> bytes:
+    os.lseek(file, 0, os.SEEK_SET)
+    return os.read(file, _LONGEST).strip()
+
+
+def _is(file: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(file), path.stat(follow_symlinks=False))
+    except OSError:
+        return False
+
+
+#: What spreadsheets take for the beginning of a formula.
+_FORMULA: Final = ("=", "+", "-", "@", "\t", "\r")
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[BinaryIO]:
+    """Write to a temporary file in the same folder; it replaces ``path`` when the block ends without an error.
+
+    The mode is 0666 less the umask, which the kernel applies as it creates the
+    file: asking for the umask means setting it, for all threads at once.
+
+    Raises
+    ------
+    OSError
+        If anything cannot be written; ``path`` is then as it was, and the temporary file is gone.
+    """
+    temporary = path.parent / f".{secrets.token_hex(8)}.partial"
+    try:
+        with temporary.open("xb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        temporary.replace(path)
+    finally:
+        with suppress(OSError):
+            temporary.unlink()
+
+
+def csv_text(rows: Iterable[Iterable[str | float | None]]) -> str:
+    """Write rows as CSV: text in UTF-8, numbers to their last digit, nothing for None.
+
+    An apostrophe goes before text that begins with ``= + - @``, a tab or a carriage return: spreadsheets would work
+    it out as a formula (OWASP, CSV injection). Numbers stay as they are. Halves of characters, which names of files
+    may hold, are escaped.
+    """
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(map(_cell, row) for row in rows)
+    return text.getvalue()
+
+
+def _cell(value: str | float | None) -> str | float | None:
+    if not isinstance(value, str):
+        return value
+    shown = value.encode("utf-8", "backslashreplace").decode()
+    return f"'{shown}" if shown.startswith(_FORMULA) else shown

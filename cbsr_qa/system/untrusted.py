@@ -1,0 +1,331 @@
+"""Reading files of unknown origin in a child process that can neither crash, hang nor fill the memory of its parent.
+
+Libraries that parse files (HDF5 above all) crash, loop or ask for gigabytes when a byte of a file is changed. So what
+reads a file is called in a forked child, whose memory, time and open files are limited; its result comes back as
+plain data: dataclasses and enumerations of :mod:`cbsr_qa.domain`, numpy arrays, numbers and texts, and nothing else.
+A child that dies is a refusal that names the file.
+
+Only on Linux. Elsewhere the function is called directly, and the bounds that readers put on sizes are all there is:
+Windows cannot fork, and on macOS a fork after the system's libraries have started threads is not safe.
+"""
+
+import codecs
+import contextlib
+import errno
+import faulthandler
+import gc
+import io
+import os
+import pickle
+import re
+import select
+import signal
+import struct
+import sys
+import time
+import warnings
+from collections.abc import Callable
+from dataclasses import dataclass, is_dataclass
+from enum import Enum
+from pathlib import Path
+from typing import Any, Final, TypeVar, cast
+
+from cbsr_qa.domain import RefusedError, errors
+
+Result = TypeVar("Result")
+
+#: Whether there are children here.
+CONTAINED: Final = sys.platform == "linux"
+_MEGABYTE: Final = 2**20
+#: Seconds of processor time; a megabyte of text takes 1 to 2 s. What packed files hold is bounded by their size too.
+_SECONDS: Final = 8.0
+_SECONDS_PER_MB: Final = 10.0
+#: Seconds on the clock for each of processor time: others may need the computer at the same time.
+_CLOCK: Final = 6.0
+#: Bytes that a file of any size may hold unpacked, and for each byte of it.
+_CONTENT: Final = 16 * _MEGABYTE
+_CONTENT_PER_BYTE: Final = 20
+#: Memory beyond what the program itself has, plus this many times the file's size, or half of the computer's.
+_MEMORY: Final = 2**30
+_MEMORY_PER_BYTE: Final = 16
+#: Files a reader has open at once: its own. Links of an HDF5 file would need a second one.
+_OPEN_FILES: Final = 1
+_COPY: Final = "the file is damaged: copy it again from where it was recorded or issued"
+_BUSY: Final = "the computer may be busy: try again when it is idle; if it fails again, the file is damaged"
+#: Characters without a space, and of a whole message, that are repeated from a file.
+_LONGEST_WORD: Final = 200
+_LONGEST_REASON: Final = 2000
+#: Python imports these from files when text of theirs is first met, and a child opens none beside its own.
+_CODECS: Final = ("ascii", "latin-1", "utf-8", "utf-8-sig", "utf-16", "utf-16-le", "utf-16-be", "utf-32", "cp1252")
+
+#: What numpy needs besides dataclasses to put arrays and numbers together again.
+_NUMPY: Final = {
+    ("numpy", "dtype"),
+    ("numpy", "ndarray"),
+    ("numpy._core.numeric", "_frombuffer"),
+    ("numpy.core.numeric", "_frombuffer"),
+    ("numpy._core.multiarray", "_reconstruct"),
+    ("numpy.core.multiarray", "_reconstruct"),
+    ("numpy._core.multiarray", "scalar"),
+    ("numpy.core.multiarray", "scalar"),
+}
+_LENGTH: Final = struct.Struct("<Q")
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """What the reading of one file may take.
+
+    Parameters
+    ----------
+    seconds : of processor time.
+    memory_bytes : beyond what the program itself has.
+    """
+
+    seconds: float
+    memory_bytes: int
+
+    @property
+    def clock_s(self) -> float:
+        """On the clock."""
+        return _CLOCK * self.seconds
+
+    @classmethod
+    def of(cls, size_bytes: int) -> "Limits":
+        """Limits of a file of a size; large files may take more of both."""
+        half = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
+        memory_bytes = _MEMORY + min(_MEMORY_PER_BYTE * size_bytes, half)
+        return cls(_SECONDS + _SECONDS_PER_MB * size_bytes / _MEGABYTE, memory_bytes)
+
+
+def largest_content(size_bytes: int) -> int:
+    """Bytes a file of a size may hold unpacked, eight for each number: measured ones hardly pack, made-up ones do."""
+    return max(_CONTENT, _CONTENT_PER_BYTE * size_bytes)
+
+
+def read_untrusted(path: Path, read: Callable[[], Result], *, refusal: type[RefusedError]) -> Result:
+    """Call a function that reads a file in a child process, and return its result.
+
+    Parameters
+    ----------
+    path : of the file; the limits depend on its size, and refusals name it.
+    read : reads it. While it has the file open it can open no other, and it can write none.
+    refusal : what is raised where the child dies.
+
+    Raises
+    ------
+    RefusedError
+        Of the kind ``refusal`` where reading crashes, hangs or takes too much memory; otherwise whatever error of
+        :mod:`cbsr_qa.domain.errors` the function raises.
+    RuntimeError
+        If the function raises anything else: a defect of the reader, not of the file.
+    """
+    if not CONTAINED:
+        try:
+            return read()
+        except RefusedError as error:
+            problems = tuple(getattr(error, "problems", ()))
+            raise _refused(type(error).__name__, error.reason, error.remedy, problems) from error
+    for codec in _CODECS:
+        codecs.lookup(codec)
+    limits = Limits.of(_size(path))
+    deadline = time.monotonic() + limits.clock_s
+    incoming, outgoing = os.pipe()
+    with os.fdopen(incoming, "rb", buffering=0) as pipe:
+        child = _forked(read, outgoing, limits)
+        os.close(outgoing)
+        try:
+            told = _told(pipe, deadline, limits)
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(child, signal.SIGKILL)  # it has said all, or says nothing any more
+            _, status = os.waitpid(child, 0)
+    if told is None:
+        late = time.monotonic() >= deadline
+        raise refusal(_why(path, limits, status, late=late), remedy=_BUSY if late else _COPY)
+    return cast(Result, _result(path, told, limits, refusal))
+
+
+def shortened(reason: str) -> str:
+    """Return what is said of a file, what it repeats of the file cut: a name or unit may be a megabyte."""
+    cut = re.sub(rf"\S{{{_LONGEST_WORD},}}", lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", reason)
+    return cut if len(cut) <= _LONGEST_REASON else f"{cut[:_LONGEST_REASON]}… ({len(cut)} characters)"
+
+
+def _size(path: Path) -> int:
+    try:
+        return path.stat().st_size
+    except OSError:
+        return 0  # the reader says what is wrong with it
+
+
+def _forked(read: Callable[[], Any], outgoing: int, limits: Limits) -> int:
+    with warnings.catch_warnings():
+        # Newer Pythons warn of threads that hold locks. Readers take none that another thread of ours could hold.
+        warnings.simplefilter("ignore", DeprecationWarning)
+        child = os.fork()
+    if child:
+        return child
+    try:
+        outgoing = _confined(outgoing, limits)
+        with os.fdopen(outgoing, "wb", closefd=False) as pipe:
+            for part in _message(read, limits):
+                pipe.write(_LENGTH.pack(memoryview(part).nbytes))
+                pipe.write(part)
+    finally:
+        os._exit(0)
+
+
+def _confined(outgoing: int, limits: Limits) -> int:
+    """Give up in the child what reading does not need; returns the pipe's new number."""
+    import resource
+
+    gc.disable()  # finalisers of what the parent holds are the parent's
+    faulthandler.disable()
+    for each in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(each, signal.SIG_DFL)
+    nothing = os.open(os.devnull, os.O_RDWR)
+    for standard in range(3):
+        os.dup2(nothing, standard)
+    os.dup2(outgoing, 3)
+    os.closerange(4, max(resource.getrlimit(resource.RLIMIT_NOFILE)[0], 2**16))
+    pages = int(Path("/proc/self/statm").read_text().split()[0])
+    lowered = {
+        resource.RLIMIT_AS: pages * resource.getpagesize() + limits.memory_bytes,
+        resource.RLIMIT_CPU: int(limits.seconds) + 1,
+        resource.RLIMIT_NOFILE: 4 + _OPEN_FILES,
+        resource.RLIMIT_FSIZE: 0,
+        resource.RLIMIT_CORE: 0,
+        resource.RLIMIT_NPROC: 0,
+    }
+    for what, most in lowered.items():
+        allowed = resource.getrlimit(what)[1]
+        least = most if allowed == resource.RLIM_INFINITY else min(most, allowed)
+        # A second later the kernel kills without saying why.
+        resource.setrlimit(what, (least, allowed if what == resource.RLIMIT_CPU else least))
+    return 3
+
+
+def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:
+    """Say what came of reading: a pickled head, and the arrays' bytes."""
+    arrays: list[pickle.PickleBuffer] = []
+    try:
+        told: tuple[Any, ...] = ("read", read())
+    except MemoryError:
+        told = ("memory",)
+    except Exception as error:  # noqa: BLE001 - the parent says it
+        told = _failed(error)
+    try:
+        head = pickle.dumps(told, protocol=5, buffer_callback=arrays.append)
+        return [head, *(array.raw() for array in arrays)]
+    except MemoryError:
+        return [pickle.dumps(("memory",))]
+    except Exception as error:  # noqa: BLE001 - a format may return anything
+        return [pickle.dumps(("strange", str(error)))]
+
+
+def _failed(error: Exception) -> tuple[Any, ...]:
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno == errno.EMFILE:
+            return "second", None if cause.filename is None else str(cause.filename)
+        cause = cause.__cause__ or cause.__context__
+    if isinstance(error, RefusedError):
+        problems = tuple(getattr(error, "problems", ()))
+        return "refused", type(error).__name__, error.reason, error.remedy, problems
+    return "broken", f"{type(error).__name__}: {error}"
+
+
+def _told(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] | None:
+    """All parts a child sends before it ends; None where it is late, or stops amid one."""
+    parts: list[bytearray] = []
+    left = limits.memory_bytes
+    while length := _received(pipe, _LENGTH.size, deadline):
+        (count,) = _LENGTH.unpack(length)
+        if count > left:
+            return None
+        left -= count
+        part = _received(pipe, count, deadline)
+        if part is None:
+            return None
+        parts.append(part)
+    return parts if length is not None and parts else None
+
+
+def _received(pipe: io.FileIO, count: int, deadline: float) -> bytearray | None:
+    """So many bytes; none where the other side has ended, None where it is late or ends amid them."""
+    data = bytearray(count)
+    view, got = memoryview(data), 0
+    while got < count:
+        ready, _, _ = select.select([pipe], [], [], max(deadline - time.monotonic(), 0))
+        more = pipe.readinto(view[got:]) if ready else None
+        if not more:
+            return bytearray() if more == 0 and got == 0 and count == _LENGTH.size else None
+        got += more
+    return data
+
+
+def _why(path: Path, limits: Limits, status: int, *, late: bool) -> str:
+    if late:
+        return f"reading {path.name} took more than {limits.clock_s:.0f} s, the limit for a file of its size"
+    if os.WIFSIGNALED(status) and os.WTERMSIG(status) == signal.SIGXCPU:
+        return (
+            f"reading {path.name} took more than {limits.seconds:.0f} s of processor time, the limit for a file of"
+            " its size"
+        )
+    if os.WIFSIGNALED(status) and os.WTERMSIG(status) != signal.SIGKILL:
+        name = signal.Signals(os.WTERMSIG(status)).name
+        return f"the library that reads {path.name} crashed ({name})"
+    return f"the process that was reading {path.name} ended before it was done"
+
+
+def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[RefusedError]) -> Any:
+    try:
+        kind, *told = _Plain(io.BytesIO(parts[0]), buffers=parts[1:]).load()
+    except pickle.UnpicklingError as error:
+        kind, told = "strange", [str(error)]
+    if kind == "read":
+        return told[0]
+    if kind == "refused":
+        raise _refused(*told)
+    if kind == "memory":
+        raise refusal(
+            f"reading {path.name} needs more than {limits.memory_bytes / 2**30:.1f} GiB of memory, the limit for a"
+            " file of its size",
+            remedy=_COPY,
+        )
+    if kind == "second":
+        other = "another file" if told[0] is None else f"the file {shortened(told[0])}"
+        raise refusal(
+            f"reading {path.name} opens {other} beside it, which no recording and no calibration needs",
+            remedy="the file is damaged or leads to other files; a format's plugin imports its modules beforehand",
+        )
+    if kind == "strange":
+        raise refusal(
+            f"{path.name}: its format's plugin returned something other than a recording: {told[0]}",
+            remedy="plugins return dataclasses of cbsr_qa.domain, numpy arrays, numbers and texts",
+        )
+    raise RuntimeError(f"reading {path.name}: {told[0]}")
+
+
+def _refused(kind: str, reason: str, remedy: str, problems: tuple[Any, ...]) -> RefusedError:
+    """The error a child raised; one of a plugin's own kind becomes the kind all are of."""
+    named, reason = getattr(errors, kind, RefusedError), shortened(reason)
+    if named is errors.RecordingError:
+        return errors.RecordingError(reason, remedy=remedy, problems=problems)
+    return cast(RefusedError, named(reason, remedy=remedy))
+
+
+class _Plain(pickle.Unpickler):
+    """Reads plain data alone: a child that a file has taken over cannot make its parent call anything else."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        if (module, name) in _NUMPY:
+            return super().find_class(module, name)
+        if (module, name) in (("pathlib", "PosixPath"), ("pathlib._local", "PosixPath")):
+            return Path
+        if module.startswith("cbsr_qa.domain.") and "." not in name:
+            found = super().find_class(module, name)
+            if isinstance(found, type) and (is_dataclass(found) or issubclass(found, Enum)):
+                return found
+        raise pickle.UnpicklingError(f"a {module}.{name}")

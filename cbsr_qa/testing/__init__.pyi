@@ -1,0 +1,27 @@
+from .bench import (
+    FixedSequence as FixedSequence,
+    Script as Script,
+    ScriptedApplicator as ScriptedApplicator,
+    ScriptedFrames as ScriptedFrames,
+    ScriptedInstrument as ScriptedInstrument,
+    ScriptedLoadCell as ScriptedLoadCell,
+    example_identity as example_identity,
+    example_plan as example_plan,
+    raising as raising,
+    scripted_bench as scripted_bench,
+)
+from .instruments import check_closing as check_closing, check_sampler as check_sampler
+from .metrics import check_metric as check_metric
+from .numerics import (
+    assert_adjoint as assert_adjoint,
+    assert_expected_order as assert_expected_order,
+    convergence_order as convergence_order,
+)
+from .reconstructions import (
+    Tolerances as Tolerances,
+    check_reconstruction as check_reconstruction,
+    compare_elsewhere as compare_elsewhere,
+    elsewhere_readings as elsewhere_readings,
+)
+from .scanning import check_self_test as check_self_test
+from .targets import example_problem as example_problem, images_elsewhere as images_elsewhere

@@ -1,0 +1,261 @@
+"""A board that prints its log into the readings.
+
+What a converter acts on.
+
+Readings in steps of a converter.
+
+A converter that ends.
+
+A constant on every reading.
+
+Each reading keeps a share of the one before.
+
+Readings of a frame are taken one after the other.
+
+Rows of a frame that never arrive.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import ConfigError, RefusedError
+from cbsr_qa.domain.plan import Dump, Moment, SceneSetting, Transcript
+from cbsr_qa.domain.readings import ReadingFlag
+from cbsr_qa.simulate import RandomStream, number, whole
+from cbsr_qa.system import TICK_S
+
+#: Effects on readings before they are converted.
+BEFORE_CONVERSION: Final = (
+    "voltmeter-input",
+    "measurement-noise",
+    "electrode-noise",
+    "johnson-noise",
+    "mains-hum",
+    "reading-memory",
+    "reading-offset",
+)
+
+
+class Quantisation:
+    """Every reading is rounded to the nearest step of a converter.
+
+    A step is 2 × range / 2^bits.
+
+    Parameters
+    ----------
+    range_V : of the converter, to both sides.
+    bits : of the converter.
+    """
+
+    needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = BEFORE_CONVERSION
+    perturbs = "voltages"
+
+    def __init__(self, setting: SceneSetting, *, range_V: float, bits: int) -> None:
+        self._step_V = 2 * number("range_V", range_V, above=True) / 2 ** whole("bits", bits, least=4, most=32)
+
+    def apply(self, moment: Moment) -> None:
+        """Round."""
+        if moment.voltages is not None:
+            moment.voltages = self._step_V * np.round(moment.voltages / self._step_V)
+
+
+class ConverterSaturation:
+    """Readings beyond the converter's range are its end, and flagged as saturated.
+
+    Parameters
+    ----------
+    range_V : to both sides.
+    """
+
+    needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = BEFORE_CONVERSION
+    perturbs = "voltages"
+
+    def __init__(self, setting: SceneSetting, *, range_V: float) -> None:
+        self._range_V = number("range_V", range_V, above=True)
+
+    def apply(self, moment: Moment) -> None:
+        """Clip and flag."""
+        if moment.voltages is not None and moment.flags is not None:
+            beyond = np.abs(moment.voltages) >= self._range_V
+            moment.voltages = np.clip(moment.voltages, -self._range_V, self._range_V)
+            moment.flags |= np.where(beyond, np.uint8(ReadingFlag.SATURATED), np.uint8(0))
+
+
+class ReadingOffset:
+    """The converter's zero is off: a constant is on every reading.
+
+    Parameters
+    ----------
+    offset_V : added to every reading.
+    """
+
+    needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ("voltmeter-input",)
+    perturbs = "voltages"
+
+    def __init__(self, setting: SceneSetting, *, offset_V: float) -> None:
+        self._offset_V = number("offset_V", offset_V, least=-1e3, most=1e3)
+
+    def apply(self, moment: Moment) -> None:
+        """Add it."""
+        if moment.voltages is not None:
+            moment.voltages = moment.voltages + self._offset_V
+
+
+class ReadingMemory:
+    """Each reading keeps a share of the one before it, as of a multiplexer and converter that do not settle.
+
+    s[n] = (1 − m) x[n] + m s[n−1]. A frame begins with the memory of its own last reading, as if the one before had
+    been the same: frames do not depend on each other. Where no reading differs by more than d from that of the frame
+    before, reading n (from 0) is wrong by m^(n + 1) d at most.
+
+    Parameters
+    ----------
+    share : m; recordings of the authors' board show 0.11 to 0.14.
+    inner : which pair steps faster, ``"measure"`` or ``"drive"``. Where ``time-skew`` is on its order holds, which
+        this may only repeat; by default that, or ``"measure"`` where all readings are taken at once.
+    """
+
+    needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ("voltmeter-input",)
+    perturbs = "voltages"
+
+    def __init__(self, setting: SceneSetting, *, share: float, inner: str | None = None) -> None:
+        if inner is not None and inner not in ("measure", "drive"):
+            raise ConfigError(f"inner is {inner!r}", remedy="it is 'measure' or 'drive'")
+        self._share = number("share", share, most=0.9)
+        self._inner = inner
+        self._shares: NDArray[np.float64] | None = None
+
+    def apply(self, moment: Moment) -> None:
+        """Mix the readings in their order."""
+        if moment.voltages is None:
+            return
+        turned = self._order(moment) == "drive"
+        frame = moment.voltages.T if turned else moment.voltages
+        mixed = (self._mixed(frame.size) @ frame.ravel()).reshape(frame.shape)
+        moment.voltages = mixed.T if turned else mixed
+
+    def _order(self, moment: Moment) -> str:
+        """Which pair steps faster."""
+        at_s = moment.reading_offsets_s
+        if at_s is None or min(at_s.shape) < 2:
+            return self._inner or "measure"
+        told = "drive" if at_s[1, 0] < at_s[0, 1] else "measure"
+        if self._inner not in (told, None) and at_s[1, 0] != at_s[0, 1]:
+            raise RefusedError(
+                f"reading-memory has inner = {self._inner!r}, while time-skew steps the {told!r} pair faster",
+                remedy="give both the same inner, or leave it out of reading-memory",
+            )
+        return told if at_s[1, 0] != at_s[0, 1] else self._inner or "measure"
+
+    def _mixed(self, count: int) -> NDArray[np.float64]:
+        """Shares of the readings x in the readings s, (n, n): the inverse of 1 − m (one back, the first the last)."""
+        if self._shares is None or len(self._shares) != count:
+            kept, back = self._share, np.subtract.outer(np.arange(count), np.arange(count)) % count
+            self._shares = (1 - kept) * kept**back / (1 - kept**count)
+        return self._shares
+
+
+class TimeSkew:
+    """The readings of a frame are taken one after the other instead of all at once.
+
+    Reading n of N at (n + ½)/N of the part of the frame that is spent reading, about its middle.
+
+    Parameters
+    ----------
+    share : of the frame's period that is spent reading.
+    inner : which pair steps faster, ``"measure"`` (row by row) or ``"drive"`` (the rig's command multiplexer).
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "times"
+
+    def __init__(self, setting: SceneSetting, *, share: float = 1.0, inner: str = "measure") -> None:
+        if inner not in ("measure", "drive"):
+            raise ConfigError(f"inner is {inner!r}", remedy="it is 'measure' or 'drive'")
+        drives, measures = setting.sensor_type.pattern.shape
+        count = np.arange(drives * measures, dtype=np.float64)
+        order = count.reshape(drives, measures) if inner == "measure" else count.reshape(measures, drives).T
+        spent_s = number("share", share, most=1.0) * setting.frame_period_s
+        # In the clock's ticks: whatever rests on differences of times is then the same at any time of a run.
+        self._offsets_s = TICK_S * np.rint(((order + 0.5) / order.size - 0.5) * spent_s / TICK_S)
+
+    def apply(self, moment: Moment) -> None:
+        """Give every reading its time."""
+        moment.reading_offsets_s = self._offsets_s
+
+
+class FrameLoss:
+    """Every frame, with the same probability, loses a run of rows from a random one on; its other rows arrive.
+
+    Where the run begins and how long it is are uniform; the end of the frame cuts it.
+
+    Parameters
+    ----------
+    share : of the frames that lose rows, 0 to 1.
+    most_rows : longest run, 1 to the rows of a frame. The lab's recordings miss one to four rows of a broken frame.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "recording"
+
+    def __init__(self, setting: SceneSetting, *, share: float, most_rows: int = 4) -> None:
+        self._rows = setting.sensor_type.pattern.shape[0]
+        self._share = number("share", share, most=1.0)
+        self._most_rows = whole("most_rows", most_rows, least=1, most=self._rows)
+        self._stream = RandomStream(setting.seed, "frame-loss")
+
+    def record(self, transcript: Transcript) -> None:
+        """Mark the rows as lost."""
+        for frame in range(len(transcript.lost)):
+            numbers = self._stream.generator(frame)
+            if numbers.random() < self._share:
+                first = int(numbers.integers(self._rows))
+                transcript.lost[frame, first : first + 1 + int(numbers.integers(self._most_rows))] = True
+
+
+class WatchdogDump:
+    """At regular times the board's watchdog prints a log, and the board reads on when it is printed.
+
+    A dump stands before the first row that would be read after its time, rows being spread evenly over their frame.
+    When the first one comes is drawn once per seed.
+
+    Parameters
+    ----------
+    period_s : from one dump to the next on the board's own clock; by its log the lab's board prints one every
+        5.000 s.
+    pause_ms : how long printing takes, up to 10 000 ms and less than the period. Frames of the lab with a dump in
+        them take 70 to 80 ms longer.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "recording"
+
+    def __init__(self, setting: SceneSetting, *, period_s: float = 5.0, pause_ms: float = 75.0) -> None:
+        self._period_s = number("period_s", period_s, least=0.1, most=1e6)
+        self._pause_s = number("pause_ms", pause_ms, most=10_000.0) / 1000
+        if self._pause_s >= self._period_s:
+            raise ConfigError(
+                f"pause_ms is {pause_ms!r}, which is not over before the next dump after {period_s:g} s",
+                remedy="take a shorter pause_ms, or a longer period_s",
+            )
+        self._frame_s = setting.frame_period_s
+        self._first_s = self._period_s * float(RandomStream(setting.seed, "watchdog-dump").generator(0).uniform())
+
+    def record(self, transcript: Transcript) -> None:
+        """Add the dumps, one after the other."""
+        frames, rows = transcript.lost.shape
+        if not frames:
+            return
+        since_s = transcript.time_s - transcript.time_s[0]
+        planned_s = (since_s[:, None] + np.arange(rows) / rows * self._frame_s).ravel()
+        late_s, due_s = 0.0, self._first_s
+        while (place := int(np.searchsorted(planned_s, due_s - late_s))) < frames * rows:
+            frame, row = divmod(place, rows)
+            transcript.dumps.append(Dump(frame, row, self._pause_s))
+            late_s, due_s = late_s + self._pause_s, due_s + self._period_s

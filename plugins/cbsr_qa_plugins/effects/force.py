@@ -1,0 +1,116 @@
+"""A load cell that ends.
+
+Elastic stress under the head.
+
+A thin sheet under a wide head is stiffer than its material.
+
+Stress relaxation of the sheet: a generalised Maxwell body with two terms.
+
+Noise of the load cell.
+"""
+
+from cbsr_qa.domain.plan import Moment, SceneSetting
+from cbsr_qa.simulate import RandomStream, Transients, number
+
+
+class ElasticStress:
+    """The sheet resists the head with a stress in proportion to the strain, by the material's relaxed modulus.
+
+    σ = E ε: uniaxial compression, no confinement under the head.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "stress"
+
+    def __init__(self, setting: SceneSetting) -> None:
+        self._modulus_kPa = setting.material.modulus_kPa.value
+
+    def apply(self, moment: Moment) -> None:
+        """Add the elastic stress of every press."""
+        for index, press in enumerate(moment.presses):
+            moment.stress_kPa[index] += self._modulus_kPa * press.strain_at(moment.time_s)
+
+
+class Confinement:
+    """A thin sheet that cannot bulge under a wide head is stiffer: all stress is larger by a factor.
+
+    1 + 2 S² with S = r/(2 t) for a bonded layer (Gent & Lindley 1959): 2.3 for 13 mm on 4 mm.
+
+    Parameters
+    ----------
+    factor : in its place.
+    """
+
+    needs: tuple[str, ...] = ("elastic-stress",)
+    after: tuple[str, ...] = ("stress-relaxation",)
+    perturbs = "stress"
+
+    def __init__(self, setting: SceneSetting, *, factor: float | None = None) -> None:
+        shape = setting.indenter.radius_mm / (2 * setting.sensor_type.thickness_mm)
+        self._factor = 1 + 2 * shape**2 if factor is None else number("factor", factor, above=True)
+
+    def apply(self, moment: Moment) -> None:
+        """Stiffen."""
+        moment.stress_kPa = [self._factor * stress for stress in moment.stress_kPa]
+
+
+class StressRelaxation:
+    """The stress under a held head relaxes by two exponentials: a generalised Maxwell body.
+
+    σ(t) = E ∫ (1 + w₁ e^(−(t−s)/τ₁) + w₂ e^(−(t−s)/τ₂)) ε̇(s) ds (paper Eq 3 over its steady state). The elastic
+    effect is the 1 of the kernel; this effect adds the rest. Right after a release the sheet would pull on a head
+    that stuck to it; the head does not stick, so the world reads no negative stress.
+    """
+
+    needs: tuple[str, ...] = ("elastic-stress",)
+    perturbs = "stress"
+
+    def __init__(self, setting: SceneSetting) -> None:
+        self._modulus_kPa = setting.material.modulus_kPa.value
+        kernel = setting.material.stress_relaxation
+        self._transients = Transients(kernel, kernel)
+
+    def apply(self, moment: Moment) -> None:
+        """Add what has not yet relaxed of every press."""
+        for index, press in enumerate(moment.presses):
+            moment.stress_kPa[index] += self._modulus_kPa * self._transients.of(press, moment.time_s)
+
+
+class LoadCellNoise:
+    """Independent Gaussian noise on every force sample.
+
+    Parameters
+    ----------
+    rms_N : standard deviation [N].
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "force"
+
+    def __init__(self, setting: SceneSetting, *, rms_N: float) -> None:
+        self._rms_N = number("rms_N", rms_N)
+        self._stream = RandomStream(setting.seed, "load-cell-noise")
+
+    def apply(self, moment: Moment) -> None:
+        """Add the sample's noise."""
+        moment.force_N += self._rms_N * float(self._stream.normal(moment.index))
+
+
+class LoadCellSaturation:
+    """Forces beyond the cell's limit read as the limit (the rig's ends at 749 g, 7.35 N).
+
+    Parameters
+    ----------
+    limit_N : to both sides.
+    """
+
+    needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ("load-cell-noise",)
+    perturbs = "force"
+
+    def __init__(self, setting: SceneSetting, *, limit_N: float) -> None:
+        self._limit_N = number("limit_N", limit_N, above=True)
+
+    def apply(self, moment: Moment) -> None:
+        """Clip."""
+        moment.force_N = min(max(moment.force_N, -self._limit_N), self._limit_N)

@@ -1,0 +1,248 @@
+"""Electrodes that are not quite where they should be.
+
+What a head is for effects that make it of smaller and larger outlines of the same shape.
+
+A head whose edge is not sharp.
+
+A head that does not press evenly.
+
+An applicator that does not get quite where it is told.
+
+Play in the applicator's drives.
+
+A sheet that does not lie where the station takes it to be.
+
+How the sheet lies on the station: not quite level, not quite at its nominal height.
+"""
+
+import math
+
+import numpy as np
+
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.plan import HeadRing, Moment, SceneSetting, SheetDesign
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.simulate import RandomStream, number
+
+_ROUNDING = 1e-9  # of the square of the head's reach
+
+
+def check_nested(indenter: Indenter) -> None:
+    """Refuse a head whose smaller outlines do not lie within the larger ones: one that its axis does not see whole.
+
+    Raises
+    ------
+    ConfigError
+        Naming the edge.
+    """
+    if not indenter.outline_mm:
+        return
+    corners = np.array(indenter.outline_mm)
+    x_mm, y_mm = corners.T
+    next_x_mm, next_y_mm = np.roll(corners, -1, axis=0).T
+    seen_mm2 = x_mm * next_y_mm - y_mm * next_x_mm  # twice the area that an edge spans with the axis
+    worst = int(seen_mm2.argmin())
+    if seen_mm2[worst] < -_ROUNDING * indenter.reach_mm**2:
+        raise ConfigError(
+            f"the head's edge after its corner ({x_mm[worst]:g}, {y_mm[worst]:g}) mm is seen from behind by its axis:"
+            " smaller outlines of its shape do not lie within larger ones",
+            remedy="take an axis from which straight lines to all of the outline lie within the head",
+        )
+
+
+_RINGS = 8
+
+
+class HeadEdge:
+    """The strain falls from full to none over a band about the head's edge, linearly; what presses in all is kept.
+
+    Made of eight nested heads of equal weight, whose sizes are the middles of eight parts of the band. The band of a
+    head that is not round is so wide where its edge is as far from the axis as that of the disc of equal area.
+
+    Parameters
+    ----------
+    width_mm : of the band.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "sheet"
+
+    def __init__(self, setting: SceneSetting, *, width_mm: float) -> None:
+        check_nested(setting.indenter)
+        radius_mm = setting.indenter.radius_mm
+        self._share = number("width_mm", width_mm, most=1.9 * radius_mm) / radius_mm
+
+    def design(self, design: SheetDesign) -> None:
+        """Put the nested heads in the place of each ring."""
+        sizes = 1 + self._share * ((np.arange(_RINGS) + 0.5) / _RINGS - 0.5)
+        weight = 1 / float((sizes**2).sum())
+        design.rings = tuple(
+            HeadRing(ring.size * float(size), ring.weight * weight) for ring in design.rings for size in sizes
+        )
+
+
+_RINGS_PRESSURE_PROFILE = 10
+
+
+class PressureProfile:
+    """The head presses unevenly: the response follows a pressure that depends on the distance from its axis.
+
+    1 on average. ``punch``: p = ½ (1 − ρ²)^(−½), of a rigid punch on an elastic half-space (Boussinesq);
+    ``parabola``: p = 2 (1 − ρ²), of a domed one. In ten annuli of equal width with the exact mean pressure of each.
+
+    Parameters
+    ----------
+    shape : ``"punch"`` or ``"parabola"``.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "sheet"
+
+    def __init__(self, setting: SceneSetting, *, shape: str) -> None:
+        if shape not in ("punch", "parabola"):
+            raise ConfigError(f"shape is {shape!r}", remedy="it is 'punch' or 'parabola'")
+        check_nested(setting.indenter)
+        self._shape = shape
+
+    def design(self, design: SheetDesign) -> None:
+        """Put annuli in the place of each ring."""
+        edges = np.linspace(0, 1, _RINGS_PRESSURE_PROFILE + 1)
+        inside = 1 - np.sqrt(1 - edges**2) if self._shape == "punch" else 2 * edges**2 - edges**4
+        pressure = np.diff(inside) / np.diff(edges**2)
+        weights = pressure - np.append(pressure[1:], 0.0)  # of whole heads: each holds all within it
+        design.rings = tuple(
+            HeadRing(ring.size * float(size), ring.weight * float(weight))
+            for ring in design.rings
+            for size, weight in zip(edges[1:], weights, strict=True)
+        )
+
+
+class ApplicatorPositionError:
+    """The head gets beside its target by Gaussian errors of place and depth, fresh with every movement.
+
+    Parameters
+    ----------
+    error_mm : standard deviation along x and along y.
+    depth_error_mm : of the depth.
+    """
+
+    needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ("misplaced-sheet",)
+    perturbs = "position"
+
+    def __init__(self, setting: SceneSetting, *, error_mm: float, depth_error_mm: float = 0.0) -> None:
+        self._error_mm = number("error_mm", error_mm, most=5.0)
+        self._depth_error_mm = number("depth_error_mm", depth_error_mm, most=1.0)
+        self._stream = RandomStream(setting.seed, "applicator-position-error")
+
+    def apply(self, moment: Moment) -> None:
+        """Put the head beside its target."""
+        x, y, depth = self._stream.normal(moment.index, (3,))
+        moment.place_mm = (
+            moment.place_mm[0] + self._error_mm * float(x),
+            moment.place_mm[1] + self._error_mm * float(y),
+        )
+        moment.depth_mm += self._depth_error_mm * float(depth)
+
+
+class Backlash:
+    """Every axis has play: it follows what it is told only when its play is used up, on the side it came from.
+
+    The play operator (Visintin 1994): the axis stays where it is as long as that is within half of its play from
+    where it is told to be; else it stops half of its play short of it.
+
+    Parameters
+    ----------
+    play_mm : along x and along y.
+    depth_play_mm : of the depth.
+    """
+
+    needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ("misplaced-sheet",)
+    perturbs = "position"
+
+    def __init__(self, setting: SceneSetting, *, play_mm: float, depth_play_mm: float = 0.0) -> None:
+        self._play_mm = number("play_mm", play_mm, most=5.0)
+        self._depth_play_mm = number("depth_play_mm", depth_play_mm, most=1.0)
+
+    def apply(self, moment: Moment) -> None:
+        """Hold the head back."""
+        (x, y), (from_x, from_y) = moment.place_mm, moment.from_mm
+        moment.place_mm = (_played(x, from_x, self._play_mm), _played(y, from_y, self._play_mm))
+        moment.depth_mm = _played(moment.depth_mm, moment.from_depth_mm, self._depth_play_mm)
+
+
+def _played(to_mm: float, from_mm: float, play_mm: float) -> float:
+    return min(max(from_mm, to_mm - play_mm / 2), to_mm + play_mm / 2)
+
+
+class MisplacedSheet:
+    """The disc lies beside its place on the station, and turned: all loads are off alike.
+
+    What the station calls (x, y) is R(−θ) ((x, y) − (x₀, y₀)) on the sheet.
+
+    Parameters
+    ----------
+    x_mm, y_mm : where on the station the sheet's centre lies.
+    rotation_deg : θ, how far it is turned, counterclockwise.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "position"
+
+    def __init__(
+        self, setting: SceneSetting, *, x_mm: float = 0.0, y_mm: float = 0.0, rotation_deg: float = 0.0
+    ) -> None:
+        self._x_mm = number("x_mm", x_mm, least=-20.0, most=20.0)
+        self._y_mm = number("y_mm", y_mm, least=-20.0, most=20.0)
+        turn = math.radians(number("rotation_deg", rotation_deg, least=-180.0, most=180.0))
+        self._cos, self._sin = math.cos(turn), math.sin(turn)
+
+    def apply(self, moment: Moment) -> None:
+        """Say where on the sheet the head is told to go."""
+        x, y = moment.place_mm[0] - self._x_mm, moment.place_mm[1] - self._y_mm
+        moment.place_mm = (self._cos * x + self._sin * y, self._cos * y - self._sin * x)
+
+
+class SheetSeat:
+    """The sheet lies off nominal in level and tilt: Gaussian, independent, drawn once per seed, fixed for the run.
+
+    Parameters
+    ----------
+    error_mm : standard deviation of the level, and of what the tilt adds at the sheet's edge along x and along y.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "geometry"
+
+    def __init__(self, setting: SceneSetting, *, error_mm: float) -> None:
+        deviation_mm = number("error_mm", error_mm)
+        level, along_x, along_y = deviation_mm * RandomStream(setting.seed, "sheet-seat").normal(0, (3,))
+        radius_mm = setting.sensor_type.radius_mm
+        self._level_mm = float(level)
+        self._slope = float(along_x) / radius_mm, float(along_y) / radius_mm
+
+    def apply(self, moment: Moment) -> None:
+        """Lower (or raise) the surface under the head."""
+        x_mm, y_mm = moment.place_mm
+        moment.surface_mm += self._level_mm + self._slope[0] * x_mm + self._slope[1] * y_mm
+
+
+class PinPositionError:
+    """Every electrode is off by a Gaussian error along x and along y, independent, drawn once per seed.
+
+    Parameters
+    ----------
+    error_mm : standard deviation along each axis.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "sheet"
+
+    def __init__(self, setting: SceneSetting, *, error_mm: float) -> None:
+        self._error_mm = number("error_mm", error_mm, most=5.0)
+        self._stream = RandomStream(setting.seed, "pin-position-error")
+
+    def design(self, design: SheetDesign) -> None:
+        """Move the electrodes."""
+        design.shift_mm = design.shift_mm + self._error_mm * self._stream.normal(0, design.shift_mm.shape)

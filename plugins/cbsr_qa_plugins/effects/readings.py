@@ -1,0 +1,235 @@
+"""A voltmeter that is not ideal.
+
+Noise of the voltage readings.
+
+An electrode that is noisier than the others.
+
+Thermal noise of the sheet itself.
+
+The mains, as far as the integration time lets it through.
+
+A current source whose voltage ends.
+"""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.constants import Boltzmann, zero_Celsius
+
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.plan import Moment, SceneSetting
+from cbsr_qa.domain.readings import ReadingFlag
+from cbsr_qa.simulate import RandomStream, number, parameters
+
+#: What the materials' noise is stated at: the rig's script reads at 0.01 power line cycles. The paper prints none.
+REFERENCE_NPLC: Final = 0.01
+
+
+class MeasurementNoise:
+    """Independent Gaussian noise on all readings, alike on each, less where a reading is averaged for longer.
+
+    White noise averaged over a rectangular window of N power line cycles falls as √(1/N); what averaging does not
+    take away adds to it in quadrature: rms² = floor² + (stated² − floor²) N₀/N. At N₀ it is the noise that
+    was stated, floor and all.
+
+    Departure from real converters: the floor is drawn afresh with every reading, so that means over frames beat it.
+
+    Parameters
+    ----------
+    relative_noise : rms of one reading over the mean magnitude of the used readings of the unloaded sheet; by
+        default the material's.
+    nplc : N, power line cycles a reading is averaged over; the rig reads at 0.01.
+    measured_at_nplc : N₀, at which ``relative_noise`` holds.
+    relative_floor : what averaging does not take away, in the same unit; at most ``relative_noise``.
+    """
+
+    needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ("voltmeter-input",)
+    perturbs = "voltages"
+
+    def __init__(
+        self,
+        setting: SceneSetting,
+        *,
+        relative_noise: float | None = None,
+        nplc: float = REFERENCE_NPLC,
+        measured_at_nplc: float = REFERENCE_NPLC,
+        relative_floor: float = 0.0,
+    ) -> None:
+        stated = setting.material.relative_noise.value if relative_noise is None else relative_noise
+        stated = number("relative_noise", stated, most=1e6)
+        longer = number("nplc", nplc, above=True, most=25.0)
+        longer /= number("measured_at_nplc", measured_at_nplc, above=True, most=25.0)
+        floor = number("relative_floor", relative_floor)
+        if floor > stated:
+            raise ConfigError(
+                f"relative_floor is {floor:g}, more than the noise it is part of",
+                remedy=f"it is at most relative_noise, {stated:g}",
+            )
+        self._relative = float(np.sqrt(floor**2 + (stated - floor) * (stated + floor) / longer))
+        self._stream = RandomStream(setting.seed, "measurement-noise")
+
+    def apply(self, moment: Moment) -> None:
+        """Add the frame's noise."""
+        if moment.voltages is not None:
+            rms_V = self._relative * moment.reading_scale_V
+            moment.voltages = moment.voltages + rms_V * self._stream.normal(moment.index, moment.voltages.shape)
+
+
+class ElectrodeNoise:
+    """Independent Gaussian noise on every reading that uses an electrode, to drive, to measure or both.
+
+    It adds to that of other effects. Readings that use the electrode twice have no more of it than the others.
+
+    Parameters
+    ----------
+    electrode : its number.
+    relative_noise : rms on one reading over the mean magnitude of the used readings of the unloaded sheet, as of
+        ``measurement-noise``.
+    """
+
+    needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ("voltmeter-input",)
+    perturbs = "voltages"
+
+    def __init__(self, setting: SceneSetting, *, electrode: int, relative_noise: float) -> None:
+        which = parameters.electrode("electrode", electrode, setting.sensor_type.electrodes.count)
+        pattern = setting.sensor_type.pattern
+        drives, measures = (np.array([which in pair for pair in pairs]) for pairs in (pattern.drive, pattern.measure))
+        self._relative = number("relative_noise", relative_noise) * (drives[:, None] | measures)
+        self._stream = RandomStream(setting.seed, "electrode-noise")
+
+    def apply(self, moment: Moment) -> None:
+        """Add the frame's noise."""
+        if moment.voltages is not None:
+            rms_V = self._relative * moment.reading_scale_V
+            moment.voltages = moment.voltages + rms_V * self._stream.normal(moment.index, moment.voltages.shape)
+
+
+class JohnsonNoise:
+    """Thermal noise of the resistance that each measured pair sees as it is read, independent between readings.
+
+    √(4 k T R Δf) (Nyquist 1928). Readings average over N power line cycles, Δf = 1/(2 T_int) of a rectangular window.
+
+    Parameters
+    ----------
+    nplc : N; the rig reads at 0.01.
+    mains_Hz : of the mains.
+    temperature_C : of the sheet.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "voltages"
+
+    def __init__(
+        self, setting: SceneSetting, *, nplc: float = 0.01, mains_Hz: float = 50.0, temperature_C: float = 23.0
+    ) -> None:
+        integration_s = number("nplc", nplc, above=True, most=25.0) / number("mains_Hz", mains_Hz, above=True)
+        kelvin = zero_Celsius + number("temperature_C", temperature_C, least=-zero_Celsius, most=300.0)
+        self._per_ohm = 4 * Boltzmann * kelvin / (2 * integration_s)
+        self._stream = RandomStream(setting.seed, "johnson-noise")
+
+    def apply(self, moment: Moment) -> None:
+        """Add the frame's noise."""
+        if moment.voltages is not None and moment.measure_ohm is not None:
+            drawn = self._stream.normal(moment.index, moment.voltages.shape)
+            moment.voltages = moment.voltages + np.sqrt(self._per_ohm * moment.measure_ohm) * drawn
+
+
+class MainsHum:
+    """A sine of the mains' frequency on all readings, averaged over each reading's integration.
+
+    A sinc(N) sin(2π f t + φ) for N power line cycles: nothing is left at whole cycles, nearly all at 0.01. The phase
+    is drawn once per seed.
+
+    Parameters
+    ----------
+    amplitude_V : A.
+    nplc : N, integration time in cycles of the mains; the rig reads at 0.01.
+    mains_Hz : f.
+    """
+
+    needs: tuple[str, ...] = ("time-skew",)
+    perturbs = "voltages"
+
+    def __init__(
+        self, setting: SceneSetting, *, amplitude_V: float, nplc: float = 0.01, mains_Hz: float = 50.0
+    ) -> None:
+        cycles = number("nplc", nplc, above=True, most=25.0)
+        self._amplitude_V = number("amplitude_V", amplitude_V) * float(np.sinc(cycles))
+        self._rate_rad_s = 2 * np.pi * number("mains_Hz", mains_Hz, above=True, most=1e3)
+        self._phase = float(RandomStream(setting.seed, "mains-hum").generator(0).uniform(0, 2 * np.pi))
+
+    def apply(self, moment: Moment) -> None:
+        """Add the hum of each reading's own time."""
+        if moment.voltages is not None and moment.reading_offsets_s is not None:
+            turned = self._rate_rad_s * (moment.run_s + moment.reading_offsets_s) + self._phase
+            moment.voltages = moment.voltages + self._amplitude_V * np.sin(turned)
+
+
+class SourceCompliance:
+    """A driven pair that asks for more than the source's voltage limit gets what the limit drives, and is flagged.
+
+    I = V_limit/R.
+
+    Parameters
+    ----------
+    limit_V : of the source; the rig's is 20 to 22 V.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "source"
+
+    def __init__(self, setting: SceneSetting, *, limit_V: float = 20.0) -> None:
+        self._limit_V = number("limit_V", limit_V, above=True)
+
+    def apply(self, moment: Moment) -> None:
+        """Lower the current of those pairs."""
+        if moment.current_A is None or moment.drive_ohm is None or moment.flags is None:
+            return
+        limited = moment.current_A * moment.drive_ohm > self._limit_V
+        moment.current_A = np.divide(self._limit_V, moment.drive_ohm, out=moment.current_A.copy(), where=limited)
+        moment.flags |= np.where(limited, np.uint8(ReadingFlag.COMPLIANCE), np.uint8(0))
+
+
+Array = NDArray[np.float64]
+
+
+class VoltmeterInput:
+    """The voltmeter loads what it measures: its input has a finite resistance, and a bias current flows out of it.
+
+    U = (U₀ + i R) R_in/(R_in + R) of a pair that unloaded shows U₀ behind the resistance R (Thévenin): that between
+    its electrodes as the reading is taken, or with the driven pair held at the source's limit, R − R_md²/R_dd. Hardly
+    seen on a sheet; a pair with an open lead, whose R is far beyond R_in, reads i R_in whatever is driven.
+
+    Parameters
+    ----------
+    input_ohm : R_in between the terminals; 10 GΩ is chosen by us.
+    bias_A : i.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "voltages"
+
+    def __init__(self, setting: SceneSetting, *, input_ohm: float = 1e10, bias_A: float = 0.0) -> None:
+        self._input_ohm = number("input_ohm", input_ohm, above=True, most=1e15)
+        self._bias_A = number("bias_A", bias_A, least=-1e-3, most=1e-3)
+
+    def apply(self, moment: Moment) -> None:
+        """Load every pair."""
+        if moment.voltages is None or moment.measure_ohm is None:
+            return
+        ohm = _behind(moment, moment.voltages, moment.measure_ohm)
+        moment.voltages = (moment.voltages + self._bias_A * ohm) * (self._input_ohm / (self._input_ohm + ohm))
+
+
+def _behind(moment: Moment, voltages: Array, measure_ohm: Array) -> Array:
+    """Resistance behind each reading while its pair is driven, (drives, measures)."""
+    if moment.current_A is None or moment.drive_ohm is None:
+        return measure_ohm
+    limited = (moment.current_A < moment.setting.current_A) & (moment.drive_ohm > 0)
+    mutual_ohm = voltages / moment.current_A  # nothing but the source has come before
+    behind = measure_ohm - np.divide(mutual_ohm**2, moment.drive_ohm, out=np.zeros_like(voltages), where=limited)
+    never_negative: Array = np.maximum(behind, 0.0)
+    return never_negative

@@ -1,0 +1,313 @@
+"""The room warms and cools.
+
+Smooth random factors by place: what is uneven about a sheet.
+
+Uneven conductance of the sheet.
+
+Uneven response of the sheet.
+
+Uneven thickness of the sheet.
+
+Quasi-static piezoresistivity: the sheet's conductance follows the strain under the head.
+
+Relaxation of the conductance after each press and each release.
+
+What a load leaves behind.
+
+The conductance jumps the wrong way when the head lifts.
+
+The way back is not the way there.
+"""
+
+import math
+from typing import ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.geometry import SheetOutline
+from cbsr_qa.domain.plan import Moment, SceneSetting, SheetDesign, SheetField, SimulatedPress
+from cbsr_qa.domain.sensor import Relaxation
+from cbsr_qa.simulate import RandomStream, Transients, number, quasi_static
+
+Array = NDArray[np.float64]
+
+_LATTICE: Final = 41  # places a side
+_WAVES: Final = 400  # their sum is Gaussian to a kurtosis of 3 − 1.5/400
+
+
+def smooth_factor(stream: RandomStream, *, deviation: float, correlation_mm: float, over_mm: Array) -> SheetField:
+    """A positive random factor, one on average over some places.
+
+    The logarithm is a Gaussian field with the covariance s² exp(−d²/2ℓ²), made of waves of random directions, lengths
+    and phases (random Fourier features; Rahimi & Recht 2007): a function of place alone, whatever the mesh.
+
+    Parameters
+    ----------
+    stream : its numbers of index 0 are used.
+    deviation : standard deviation of the factor over its mean, before it is divided by what is alike over all places.
+    correlation_mm : ℓ.
+    over_mm : (n, 2) places, evenly spread over the sheet, whose mean factor is one.
+    """
+    random = stream.generator(0)
+    waves = random.standard_normal((_WAVES, 2)) / correlation_mm
+    phases = random.uniform(0, 2 * np.pi, _WAVES)
+    spread = float(np.sqrt(np.log1p(deviation**2)))  # of the logarithm, for that deviation of the factor
+
+    def raw(places_mm: Array) -> Array:
+        field = np.sqrt(2 / _WAVES) * np.cos(places_mm @ waves.T + phases).sum(axis=1)
+        factor: Array = np.exp(spread * field)
+        return factor
+
+    mean = float(raw(over_mm).mean())
+    return lambda places_mm: raw(places_mm) / mean
+
+
+def places_on(outline: SheetOutline) -> Array:
+    """Places on a square lattice over a sheet, (n, 2) [mm]."""
+    low_x, high_x, low_y, high_y = outline.extent_mm
+    x, y = (np.linspace(low, high, _LATTICE) for low, high in ((low_x, high_x), (low_y, high_y)))
+    places = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    on_sheet: Array = places[outline.clearance_mm(places) >= 0]
+    return on_sheet
+
+
+class UnevenSheet:
+    """An effect that makes one quantity of the sheet uneven: a smooth random factor, one on average over it.
+
+    Drawn once a seed. Subclasses say which quantity.
+
+    Parameters
+    ----------
+    deviation : standard deviation of the factor over its mean, as if the sheet went on for ever. What is alike
+        all over the sheet is divided out: of 0.1 on a disc of 100 mm 0.088 are left at 20 mm, 0.052 at 60 mm.
+    correlation_mm : length over which it stays alike (of a Gaussian covariance).
+    """
+
+    #: ``conductance``, ``response`` or ``thickness``
+    quantity: ClassVar[str]
+    needs: tuple[str, ...] = ()
+    perturbs = "sheet"
+
+    def __init__(self, setting: SceneSetting, *, deviation: float, correlation_mm: float) -> None:
+        self._deviation = number("deviation", deviation, most=1.0)
+        self._correlation_mm = number("correlation_mm", correlation_mm, above=True)
+        self._stream = RandomStream(setting.seed, f"uneven-{self.quantity}")
+
+    def design(self, design: SheetDesign) -> None:
+        """Add the factor to the sheet."""
+        factors: list[SheetField] = getattr(design, self.quantity)
+        factors.append(
+            smooth_factor(
+                self._stream,
+                deviation=self._deviation,
+                correlation_mm=self._correlation_mm,
+                over_mm=places_on(design.sensor_type.outline),
+            )
+        )
+
+
+class UnevenConductance(UnevenSheet):
+    """The material's own conductance is uneven: it carries more current where it conducts better.
+
+    The mean inter-electrode resistance stays the material's.
+    """
+
+    quantity = "conductance"
+
+
+class UnevenResponse(UnevenSheet):
+    """The response to strain is uneven: the same strain changes the conductance more here than there."""
+
+    quantity = "response"
+
+
+class UnevenThickness(UnevenSheet):
+    """The thickness is uneven: a thicker place conducts better, and the same depth is less strain there."""
+
+    quantity = "thickness"
+
+
+class Piezoresistivity:
+    """The sheet's conductance under the head follows the strain along the material's quasi-static line.
+
+    Δρ/ρ₀ = α_ε ε + β_ε (paper Eq 2), with the material's α_ε and β_ε. The paper fits the line to held loads; β_ε is
+    the line's value where nothing presses, which cannot be. Here it fades in over the first contact
+    (:data:`cbsr_qa.simulate.CONTACT_STRAIN`) and goes with it.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "response"
+    memory_s = 0.0
+
+    def __init__(self, setting: SceneSetting) -> None:
+        self._line = setting.material.against_strain
+
+    def apply(self, moment: Moment) -> None:
+        """Add the quasi-static change of every press."""
+        for index, press in enumerate(moment.presses):
+            moment.response[index] += quasi_static(self._line, press.strain_at(moment.time_s))
+
+
+class ConductanceRelaxation:
+    """The conductance change nears its held value by two exponentials after every press and every release.
+
+    Paper Eq 3, superposed over all ramps. Every ramp of the quasi-static change q(t) is answered with K(t) = 1 + w₁
+    e^(−t/τ₁) + w₂ e^(−t/τ₂), by the material's loading kernel where the head presses harder and by its unloading
+    kernel where it lifts: Δρ/ρ₀(t) = Σ over ramps ∫ K(t − s) q̇(s) ds. Piezoresistivity is the 1 of K; this effect
+    adds the rest. Negative weights creep towards the steady state. After a release they leave a residue that fades,
+    which later loads meet (paper 4.2).
+
+    Departure from linear viscoelasticity: two kernels, since the paper finds unloading slower than loading.
+    """
+
+    needs: tuple[str, ...] = ("piezoresistivity",)
+    perturbs = "response"
+
+    def __init__(self, setting: SceneSetting) -> None:
+        material = setting.material
+        self._transients = Transients(
+            material.loading_relaxation, material.unloading_relaxation, material.against_strain
+        )
+        self.memory_s = self._transients.memory_s
+
+    def apply(self, moment: Moment) -> None:
+        """Add what has not yet relaxed of every press."""
+        for index, press in enumerate(moment.presses):
+            moment.response[index] += self._transients.of(press, moment.time_s)
+
+
+class Residue:
+    """A share of every change stays when it is released, and fades slowly.
+
+    Residues of earlier loads (paper 4.2), beside the relaxation of the material itself: ramps that lift are answered
+    with −share e^(−t/τ) more.
+
+    Parameters
+    ----------
+    share : of the released change.
+    decay_s : τ, minutes and more.
+    """
+
+    needs: tuple[str, ...] = ("piezoresistivity",)
+    perturbs = "response"
+
+    def __init__(self, setting: SceneSetting, *, share: float, decay_s: float) -> None:
+        decay_s = number("decay_s", decay_s, above=True)
+        kernel = Relaxation((-number("share", share, most=1.0), 0.0), (decay_s, decay_s), "scene")
+        self._transients = Transients(None, kernel, setting.material.against_strain)
+        self.memory_s = self._transients.memory_s
+
+    def apply(self, moment: Moment) -> None:
+        """Add what is left of every press."""
+        for index, press in enumerate(moment.presses):
+            moment.response[index] += self._transients.of(press, moment.time_s)
+
+
+class UnloadingSpike:
+    """A release first raises the change by some share of what it will take away, and that fades.
+
+    Paper 3.1.2. At the moment of a release the material's unloading kernel keeps −Σ w of what is released
+    (`conductance-relaxation`). Every ramp that lifts is also answered with −(1 + size + Σ w) e^(−t/τ): at once the
+    change is `size` of the ramp beyond where it was, and comes back to the material's own curve with τ. The paper
+    prints neither: both are to be chosen.
+
+    Parameters
+    ----------
+    size : of the spike over the change that is released.
+    decay_s : τ.
+    """
+
+    needs: tuple[str, ...] = ("piezoresistivity", "conductance-relaxation")
+    perturbs = "response"
+
+    def __init__(self, setting: SceneSetting, *, size: float, decay_s: float) -> None:
+        decay_s = number("decay_s", decay_s, above=True)
+        kept = -sum(setting.material.unloading_relaxation.weights)
+        kernel = Relaxation((kept - 1 - number("size", size, most=2.0), 0.0), (decay_s, decay_s), "scene")
+        self._transients = Transients(None, kernel, setting.material.against_strain)
+        self.memory_s = self._transients.memory_s
+
+    def apply(self, moment: Moment) -> None:
+        """Add the spikes of every press that is being lifted, or was."""
+        for index, press in enumerate(moment.presses):
+            moment.response[index] += self._transients.of(press, moment.time_s)
+
+
+class Hysteresis:
+    """Once a press has begun to lift, the response follows a higher curve until it is as deep again as it was.
+
+    On the way back from the deepest strain ε_m of the press the change at a strain ε is larger by
+    4 width α ε_m x (1 − x), x = ε/ε_m: rate-independent, closed at both ends, widest half-way.
+
+    Parameters
+    ----------
+    width : of the loop over the change at its tip.
+    """
+
+    needs: tuple[str, ...] = ("piezoresistivity",)
+    perturbs = "response"
+    memory_s = 0.0
+
+    def __init__(self, setting: SceneSetting, *, width: float) -> None:
+        self._slope = setting.material.against_strain.slope.value
+        self._width = number("width", width, most=0.5)
+
+    def apply(self, moment: Moment) -> None:
+        """Add what the way back is higher by, of every press."""
+        for index, press in enumerate(moment.presses):
+            strain = press.strain_at(moment.time_s)
+            if strain > 0:  # closed at the loop's lower end
+                deepest = _deepest_so_far(press, moment.time_s)
+                share = min(strain / deepest, 1.0)
+                moment.response[index] += 4 * self._width * self._slope * deepest * share * (1 - share)
+
+
+def _deepest_so_far(press: SimulatedPress, time_s: float) -> float:
+    """Largest strain up to a time: at the end of a ramp, or now."""
+    ends = [step.start_s + step.ramp_s for step in press.steps]
+    return max([press.strain_at(end) for end in ends if end <= time_s] + [press.strain_at(time_s)])
+
+
+class TemperatureDrift:
+    """The room warms steadily and swings, and sheet and contacts conduct better or worse with it.
+
+    By 1 + c ΔT, ΔT(t) = rate t + swing sin(2π t/period).
+
+    Parameters
+    ----------
+    coefficient_per_K : c.
+    rate_K_per_h : of the warming.
+    swing_K, period_s : of what comes and goes, such as air conditioning.
+    """
+
+    needs: tuple[str, ...] = ()
+    perturbs = "impedance"
+
+    def __init__(
+        self,
+        setting: SceneSetting,
+        *,
+        coefficient_per_K: float,
+        rate_K_per_h: float = 0.0,
+        swing_K: float = 0.0,
+        period_s: float = 1200.0,
+    ) -> None:
+        self._coefficient = number("coefficient_per_K", coefficient_per_K, least=-0.05, most=0.05)
+        self._rate_K_per_s = number("rate_K_per_h", rate_K_per_h, least=-20.0, most=20.0) / 3600
+        self._swing_K = number("swing_K", swing_K, most=10.0)
+        self._period_s = number("period_s", period_s, above=True)
+
+    def apply(self, moment: Moment) -> None:
+        """Scale what the electrodes see."""
+        if moment.impedance_ohm is not None:
+            warmer_K = self._rate_K_per_s * moment.run_s
+            warmer_K += self._swing_K * math.sin(2 * math.pi * moment.run_s / self._period_s)
+            factor = 1 + self._coefficient * warmer_K
+            if factor <= 0:
+                raise RefusedError(
+                    f"temperature-drift leaves no conductance at {moment.run_s:g} s, {warmer_K:g} K from the start",
+                    remedy="take a smaller coefficient_per_K, rate_K_per_h or swing_K",
+                )
+            moment.impedance_ohm = moment.impedance_ohm / factor

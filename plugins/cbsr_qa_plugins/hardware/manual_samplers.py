@@ -1,0 +1,290 @@
+"""A thermometer that an operator reads.
+
+What instruments share that an operator works by hand: questions that are asked again until the answer is one.
+
+A load cell or scale that an operator reads.
+"""
+
+import math
+import re
+from collections.abc import Callable, Mapping
+from typing import Final, Protocol, runtime_checkable
+
+import numpy as np
+
+from cbsr_qa.domain import ConfigError, InstrumentError
+from cbsr_qa.domain.readings import SampleBlock
+from cbsr_qa.domain.run import InstrumentIdentity
+from cbsr_qa.plugin import Instrument, StationContext
+from cbsr_qa_plugins.hardware._options import InstrumentTable
+
+#: After so many answers that are none, somebody else should look.
+_MOST_ASKED: Final = 5
+_NUMBER: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
+
+
+@runtime_checkable
+class HandMoved(Instrument, Protocol):
+    """A head that is moved by hand, as a load cell that is read by hand needs to know it."""
+
+    @property
+    def orders(self) -> int:
+        """How often it was told to go anywhere."""
+        ...
+
+    @property
+    def down(self) -> bool:
+        """Whether it is in the sheet, by all that was told."""
+        ...
+
+
+def hand_moved(peers: Mapping[str, Instrument], what: str) -> HandMoved:
+    """Return the bench's head, which must be one that is moved by hand.
+
+    Parameters
+    ----------
+    what : is read by hand, for the message.
+
+    Raises
+    ------
+    ConfigError
+        If the head moves by itself: it would press on, unwatched, while somebody looks for a display.
+    """
+    head = peers.get("force_applicator")
+    if not isinstance(head, HandMoved):
+        raise ConfigError(
+            f"{what} that is read by an operator is for a head that is moved by hand",
+            remedy="a head that moves by itself needs instruments that sample by themselves",
+        )
+    return head
+
+
+class Operator:
+    """Asks the operator, and takes no nonsense for an answer.
+
+    Raises
+    ------
+    ConfigError
+        If nobody is there to be asked.
+    """
+
+    def __init__(self, context: StationContext, driver: str) -> None:
+        if context.ask is None:
+            raise ConfigError(
+                f"instrument {context.role!r} ({driver}) is worked by hand, and nobody is there to be asked",
+                remedy="start the run at a terminal, or use a driver that needs no operator",
+            )
+        self._role = context.role
+        self._ask: Callable[[str], str] = context.ask
+
+    def told(self, text: str) -> None:
+        """Ask for something to be done; any answer says that it is."""
+        self._ask(f"{self._role}: {text}. Press Enter when done.")
+
+    def number(self, text: str, unit: str, *, least: float, most: float, default: float | None = None) -> float:
+        """Ask for a number until there is one within bounds.
+
+        Parameters
+        ----------
+        text : what is asked for.
+        unit : the answer's; it may be typed behind the number.
+        least, most : bounds of what can be.
+        default : what an empty answer means; None where it means nothing.
+
+        Raises
+        ------
+        InstrumentError
+            If no answer was one.
+        """
+        question = f"{self._role}: {text} [{unit}]:"
+        for _ in range(_MOST_ASKED):
+            said = self._ask(question).strip()
+            if not said and default is not None:
+                return default
+            value = _parsed(said, unit)
+            if value is not None and least <= value <= most:
+                return value
+            wrong = f"{said!r} is no number" if value is None else f"{value:g} {unit} is not within its bounds"
+            question = f"{self._role}: {wrong}. {text}, from {least:g} to {most:g} [{unit}]:"
+        raise InstrumentError(
+            self._role, "the operator", f"{_MOST_ASKED} answers were no number of {unit} within {least:g} to {most:g}"
+        )
+
+
+def _parsed(said: str, unit: str) -> float | None:
+    """Return the number of an answer such as ``1.5`` or ``1.5 mm``; None where it is none, or not a finite one."""
+    text = said.removesuffix(unit).strip()
+    if not _NUMBER.fullmatch(text):
+        return None
+    value = float(text)
+    return value if math.isfinite(value) else None
+
+
+_DRIVER: Final = "manual-load-cell"
+_KEYS: Final = ("label", "number", "unit", "capacity", "tare")
+_GRAVITY: Final = 9.80665  # standard gravity [m/s²]
+_NEWTONS: Final[Mapping[str, float]] = {"N": 1.0, "g": 1e-3 * _GRAVITY, "kg": _GRAVITY}
+#: How long a reading counts where the station says nothing [s].
+_COUNTS_S: Final = 2.0
+
+
+def open_load_cell(context: StationContext) -> "ManualLoadCell":
+    """Open a load cell that is read by an operator.
+
+    Options of its table: ``label`` and ``number``, for the record; ``unit`` it shows (``"N"``, ``"g"`` or ``"kg"``,
+    compression positive); ``capacity`` in that unit (no reading can be larger); ``tare`` (whether what it shows with
+    the head up is asked for once and taken off; default true).
+
+    Raises
+    ------
+    ConfigError
+        If an option is missing or wrong, or there is no operator to be asked.
+    """
+    return ManualLoadCell(context)
+
+
+class ManualLoadCell:
+    """Asks for a reading whenever one is due, and samples nothing in between.
+
+    One is due once the head was told to go anywhere, and, while the head is down, as soon as half the time has passed
+    for which the station lets a force count (``stale_s``). The station's rule on stale force holds as for any load
+    cell: a station that is worked by hand allows a minute or two, and in a longer hold the force is read again.
+    """
+
+    channel = "force"
+    unit = "N"
+
+    def __init__(self, context: StationContext) -> None:
+        table = InstrumentTable(context, _DRIVER, _KEYS)
+        self._role, self._clock = context.role, context.clock
+        self._operator = Operator(context, _DRIVER)
+        self._model = table.text("label", "load cell read by hand")
+        self._serial = table.text("number") if table.has("number") else ""
+        self._shown = table.choice("unit", tuple(_NEWTONS))
+        self._most = table.number("capacity", at_least=1e-6)
+        self._tare: float | None = None if table.flag("tare", True) else 0.0
+        self._again_s = (context.safety.stale_s if context.safety is not None else _COUNTS_S) / 2
+        self._head: HandMoved | None = None
+        self._orders = -1
+        self._last: tuple[float, float] | None = None
+
+    # --- instrument ---
+
+    def identity(self) -> InstrumentIdentity:
+        """Say what the table says: it cannot be asked."""
+        return InstrumentIdentity(self._role, _DRIVER, self._model, self._serial, "", simulated=False)
+
+    def safe_state(self) -> None:
+        """Do nothing: a load cell harms nobody."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def link(self, peers: Mapping[str, Instrument]) -> None:
+        """Be given the head.
+
+        Raises
+        ------
+        ConfigError
+            If the head moves by itself: it would press on while somebody looks for the display.
+        """
+        self._head = hand_moved(peers, "a load cell")
+
+    # --- sampler ---
+
+    def samples_since(self, time_s: float) -> SampleBlock:
+        """Return the last reading if it is younger than a time, after asking for one that is due."""
+        if self._due():
+            self._read()
+        new = [one for one in (self._last,) if one is not None and one[0] > time_s]
+        times, values = np.array(new, dtype=np.float64).reshape(-1, 2).T
+        return SampleBlock(self.channel, self.unit, times, values)
+
+    def _due(self) -> bool:
+        if self._head is None or self._last is None or self._head.orders != self._orders:
+            return True
+        return self._head.down and self._clock.now() - self._last[0] > self._again_s
+
+    def _read(self) -> None:
+        """Ask for the tare if it is not known yet, then for a reading."""
+        down = self._head is not None and self._head.down
+        orders = -1 if self._head is None else self._head.orders
+        if self._tare is None and not down:
+            self._tare = self._asked("with the head up and nothing on it, read the load cell (its tare)")
+            shown = self._tare
+        else:
+            shown = self._asked(f"read the load cell, the head is {'down' if down else 'up'}")
+        newtons = (shown - (self._tare or 0.0)) * _NEWTONS[self._shown]
+        # Orders given meanwhile would make this reading one of another depth; none can be, it is asked in one thread.
+        self._last, self._orders = (self._clock.now(), newtons), orders
+
+    def _asked(self, text: str) -> float:
+        return self._operator.number(f"{text}, compression positive", self._shown, least=-self._most, most=self._most)
+
+
+_DRIVER_MANUAL_THERMOMETER: Final = "manual-thermometer"
+_KEYS_MANUAL_THERMOMETER: Final = ("label", "number", "every_min")
+#: A limited temperature may be five minutes old; a question takes its time.
+_LIMITED_MIN, _UNLIMITED_MIN = 3.0, 30.0
+_COLDEST_C, _HOTTEST_C = -40.0, 100.0
+
+
+def open_thermometer(context: StationContext) -> "ManualThermometer":
+    """Open a thermometer that is read by an operator; it samples ``temperature`` [°C].
+
+    Options of its table: ``label`` and ``number``, for the record; ``every_min`` (how often it is asked for; by
+    default every 3 minutes where the station limits the temperature, else every 30).
+
+    Raises
+    ------
+    ConfigError
+        If an option is wrong, or there is no operator to be asked.
+    """
+    return ManualThermometer(context)
+
+
+class ManualThermometer:
+    """Asks for a reading whenever the last one has become too old."""
+
+    channel = "temperature"
+    unit = "°C"
+
+    def __init__(self, context: StationContext) -> None:
+        table = InstrumentTable(context, _DRIVER_MANUAL_THERMOMETER, _KEYS_MANUAL_THERMOMETER)
+        self._role, self._clock = context.role, context.clock
+        self._operator = Operator(context, _DRIVER_MANUAL_THERMOMETER)
+        self._label = table.text("label", "thermometer read by hand")
+        self._number = table.text("number") if table.has("number") else ""
+        limited = context.safety is not None and context.safety.temperature_C is not None
+        every_min = table.number("every_min", _LIMITED_MIN if limited else _UNLIMITED_MIN, at_least=0.1)
+        self._every_s = 60.0 * every_min
+        self._last: tuple[float, float] | None = None
+
+    # --- instrument ---
+
+    def identity(self) -> InstrumentIdentity:
+        """Say what the table says: it cannot be asked."""
+        return InstrumentIdentity(
+            self._role, _DRIVER_MANUAL_THERMOMETER, self._label, self._number, "", simulated=False
+        )
+
+    def safe_state(self) -> None:
+        """Do nothing: a thermometer harms nobody."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def link(self, peers: Mapping[str, Instrument]) -> None:
+        """See that the head is one that waits for the operator as well; ConfigError where it moves by itself."""
+        hand_moved(peers, "a thermometer")
+
+    # --- sampler ---
+
+    def samples_since(self, time_s: float) -> SampleBlock:
+        """Return the last reading if it is younger than a time, after asking for one that is due."""
+        if self._last is None or self._clock.now() - self._last[0] >= self._every_s:
+            celsius = self._operator.number("read the thermometer", self.unit, least=_COLDEST_C, most=_HOTTEST_C)
+            self._last = (self._clock.now(), celsius)
+        new = [one for one in (self._last,) if one[0] > time_s]
+        times, values = np.array(new, dtype=np.float64).reshape(-1, 2).T
+        return SampleBlock(self.channel, self.unit, times, values)

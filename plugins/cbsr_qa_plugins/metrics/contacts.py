@@ -1,0 +1,139 @@
+"""Resistance between the electrodes of each driven pair, contacts included.
+
+Reciprocity: exchanging drive and measure pair must not change a reading.
+"""
+
+from typing import Any, ClassVar
+
+import numpy as np
+
+from cbsr_qa.analysis.run import reciprocity_errors
+from cbsr_qa.domain.readings import ReadingFlag, VoltageUnit
+from cbsr_qa.domain.results import Measurement, RunObservation
+from cbsr_qa_plugins.metrics._shared import flag, refuse_unknown
+
+
+class ReciprocityError:
+    """``reciprocity_error`` [1] of the reference frame: rms |V_ij − V_ji| over rms |V| of the imaged readings.
+
+    Of patterns that drive other pairs than they measure the readings that are still reciprocal to each other are
+    taken, see :meth:`cbsr_qa.domain.sensor.DrivePattern.reciprocal_pairs`.
+
+    Multiplexers that keep a share of the previous reading break reciprocity too: a large value is a reason to look,
+    not yet an electrode fault. With qualifier ``"worst"`` the largest |V_ij − V_ji| over the same rms; with the
+    option ``every = true`` each pair's is a measurement of its own, ``"drive 3, measure 7"``.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"reciprocity_error": "1"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("reciprocity", options, ("every",))
+        self._every = flag("reciprocity", options, "every")
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; patterns without reciprocal readings have no value."""
+        pairs, errors = reciprocity_errors(run.reference, run.record.sensor_type.pattern, run.usable)
+        if not errors.size:
+            why = "no imaged reading has a reciprocal one, or all are zero"
+            return tuple(Measurement("reciprocity_error", None, "1", qualifier=q, how=why) for q in ("", "worst"))
+        together = f"rms over {errors.size} pairs of readings of the reference frame"
+        names = [_name(int(first), run) for first in pairs[:, 0]]
+        worst = int(errors.argmax())
+        found = [
+            Measurement("reciprocity_error", float(np.sqrt(np.mean(errors**2))), "1", how=together),
+            Measurement("reciprocity_error", float(errors[worst]), "1", qualifier="worst", how=names[worst]),
+        ]
+        if self._every:
+            found += [
+                Measurement(
+                    "reciprocity_error", float(error), "1", qualifier=name, how="against its reciprocal reading"
+                )
+                for name, error in zip(names, errors, strict=True)
+            ]
+        return tuple(found)
+
+
+def _name(reading: int, run: RunObservation) -> str:
+    drive, measure = divmod(reading, run.usable.shape[1])
+    return f"drive {drive}, measure {measure}"
+
+
+class ContactResistance:
+    """``contact_resistance`` [Ω] V_kk / I of each driven pair, and what they say together.
+
+    Together: ``interelectrode_resistance`` [Ω], their median with their deviation (the paper's R_int), and
+    ``contact_resistance_ratio`` [1], largest over median, whose ``how`` names the worst pair. The readings are the
+    reference frame's that are driven and measured by one pair. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {
+        "contact_resistance": "Ω",
+        "interelectrode_resistance": "Ω",
+        "contact_resistance_ratio": "1",
+    }
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("contact-resistance", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; a pair at the source's limit, or frames without volts and current, give no value."""
+        why = _why_not(run)
+        if why:
+            return _together([], why)
+        current_A = run.unloaded.current_A
+        assert current_A is not None
+        pairs = [_pair(run, drive, measure, name, current_A) for drive, measure, name in _driven(run)]
+        return (*pairs, *_together(pairs, "no pair has a reading that can be used"))
+
+
+def _why_not(run: RunObservation) -> str:
+    if run.unloaded.unit is not VoltageUnit.VOLT:
+        return f"frames are in {run.unloaded.unit}, not in volts"
+    if not run.unloaded.current_A:
+        return "the drive current is not known"
+    if not _driven(run):
+        return "no driven pair is measured itself by this pattern"
+    return ""
+
+
+def _driven(run: RunObservation) -> list[tuple[int, int, str]]:
+    """Row, column and name of every reading that is driven and measured by one pair."""
+    pattern = run.record.sensor_type.pattern
+    column = {pair: index for index, pair in enumerate(pattern.measure)}
+    return [(row, column[p], f"pair {p[0]}-{p[1]}") for row, p in enumerate(pattern.drive) if p in column]
+
+
+def _pair(run: RunObservation, drive: int, measure: int, name: str, current_A: float) -> Measurement:
+    spoilt = ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE | ReadingFlag.MISSING
+    flags = run.unloaded.flags[:, drive, measure]
+    if (flags & np.uint8(spoilt)).any():
+        seen = ReadingFlag(int(np.bitwise_or.reduce(flags)) & spoilt)
+        how = f"the reading is marked {str(seen.name).lower()}: the contact's resistance is not known"
+        return Measurement("contact_resistance", None, "Ω", qualifier=name, how=how)
+    readings = run.unloaded.voltages[:, drive, measure] / current_A
+    value = abs(float(run.reference[drive, measure])) / abs(current_A)
+    scatter = float(readings.std(ddof=1)) / len(readings) ** 0.5 if len(readings) > 1 else None
+    return Measurement(
+        "contact_resistance", value, "Ω", scatter, qualifier=name, how="two-wire: sheet, both contacts and leads"
+    )
+
+
+def _together(pairs: list[Measurement], why: str) -> tuple[Measurement, Measurement]:
+    known = [(pair.value, pair.qualifier) for pair in pairs if pair.value is not None]
+    if not known:
+        return (
+            Measurement("interelectrode_resistance", None, "Ω", how=why),
+            Measurement("contact_resistance_ratio", None, "1", how=why),
+        )
+    values = np.array([value for value, _ in known])
+    middle, (largest, worst) = float(np.median(values)), max(known)
+    deviation = float(values.std(ddof=1)) if len(values) > 1 else None
+    lost = len(pairs) - len(known)
+    how = f"median of {len(known)} pairs, with their deviation" + (f"; {lost} without value" if lost else "")
+    together = Measurement("interelectrode_resistance", middle, "Ω", deviation, how=how)
+    if lost or middle == 0:
+        reason = f"{lost} of {len(pairs)} pairs have no value" if lost else "the median pair reads zero volts"
+        return together, Measurement("contact_resistance_ratio", None, "1", how=reason)
+    return together, Measurement(
+        "contact_resistance_ratio", largest / middle, "1", how=f"largest: {worst}, {largest / 1e3:.4g} kΩ"
+    )

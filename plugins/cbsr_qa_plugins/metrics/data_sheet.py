@@ -1,0 +1,324 @@
+"""What the last cycle of preconditioning still changed.
+
+How closely presses of the same place and strain agree.
+
+How far the sensed change leaves a straight line against stress.
+
+How the sensed signal goes on changing under a head that stands still.
+
+What is left of a load once it is gone.
+
+How far the output on the way down lies from that on the way up, at the same stress.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from cbsr_qa.calibration.fits import (
+    FROM_S,
+    SIGNAL,
+    STRESS,
+    LoopCurve,
+    change_between,
+    creep,
+    creep_at_constant_stress,
+    held_alike,
+    hysteresis,
+    last_cycles,
+    last_stresses,
+    loop_curve,
+    zero_return,
+)
+from cbsr_qa.calibration.sheet import (
+    FEWEST_POINTS,
+    Characteristic,
+    Estimate,
+    best_straight_line,
+    characteristics,
+    data_sheet_loads,
+    mean_characteristic,
+    pooled_deviation,
+    repeatability,
+    repeated_changes,
+    terminal_line,
+    why_no_force,
+)
+from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
+from cbsr_qa_plugins.metrics._shared import counted, percent, refuse_unknown, refused
+
+
+class Repeatability:
+    """``repeatability`` [% of span]: standard deviation of the sensed change within phase, place and strain, pooled.
+
+    ISO 5725-2's repeatability standard deviation in the unit ISA-51.1 and IEC 61298-2 give repeatability in. Over all
+    strains, and by strain where there are several. The span is each place's mean sensed change at the highest strain.
+    It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"repeatability": "%"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("repeatability", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Pool the scatter of the trials."""
+        loads = data_sheet_loads(run)
+        try:
+            overall = repeatability(loads, run.main_mask)
+        except NumericsError as error:
+            return (refused("repeatability", "%", error),)
+        highest = max(load.record.load.strain for load in loads)
+        cells = repeated_changes(loads, run.main_mask)
+        found = [_one(overall, highest, sum(map(len, cells.values())))]
+        if len(cells) > 1:
+            for strain, members in cells.items():
+                qualifier = f"{100 * strain:g} % strain"
+                found.append(_one(pooled_deviation(members), highest, len(members), qualifier))
+        return tuple(found)
+
+
+def _one(scatter: Estimate, highest: float, cells: int, qualifier: str = "") -> Measurement:
+    again = counted(cells, "place and strain", "places and strains")
+    how = (
+        f"of the place's span, its mean change at {100 * highest:g} % strain; {again} pressed again,"
+        f" {counted(scatter.degrees, 'degree')} of freedom"
+    )
+    return percent("repeatability", scatter, how, qualifier=qualifier)
+
+
+_LINES = (("", "best straight line", best_straight_line), ("terminal-based", "line between the ends", terminal_line))
+
+
+class Nonlinearity:
+    """``nonlinearity`` [% of span]: largest deviation of the change against stress from a straight line.
+
+    From the best straight line (independent linearity, ISA-51.1 and IEC 61298-2), and with the qualifier
+    ``terminal-based`` from the line between the lowest and the highest strain. Of the mean over the locations that
+    were pressed at the most strains, and of each of them. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"nonlinearity": "%"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("nonlinearity", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Draw the lines of the mean and of each location."""
+        loads = data_sheet_loads(run)
+        curves = characteristics(loads, run.main_mask)
+        try:
+            scatter: float | None = repeatability(loads, run.main_mask).value
+        except NumericsError:
+            scatter = None
+        try:
+            mean = mean_characteristic(curves)
+            if mean.stress_kPa is None:
+                raise NumericsError(f"no stress to draw the change against: {why_no_force(loads)}")
+            found = [_of(mean, scatter, line) for line in range(len(_LINES))]
+        except NumericsError as error:
+            return (refused("nonlinearity", "%", error),)
+        each = [c for c in curves if len(c.strain) >= FEWEST_POINTS and c.stress_kPa is not None and c.span > 0]
+        return (*found, *(_of(curve, scatter, 0) for curve in each))
+
+
+def _of(curve: Characteristic, scatter: float | None, line: int) -> Measurement:
+    assert curve.stress_kPa is not None
+    qualifier, words, draw = _LINES[line]
+    errors = None if scatter is None else (scatter / np.sqrt(curve.loads)).tolist()
+    drawn = draw(curve.stress_kPa.tolist(), (curve.change / curve.span).tolist(), errors)
+    presses = counted(int(curve.loads.sum()), "press", "presses")
+    how = (
+        f"from the {words} through {len(curve.strain)} strains from {100 * curve.strain[0]:g} to"
+        f" {100 * curve.strain[-1]:g} %, of the change at the highest; {presses}"
+    )
+    location = "" if curve.location == "mean" else curve.location
+    return percent(
+        "nonlinearity", Estimate(drawn.largest, drawn.stderr, 0), how, qualifier=qualifier, location=location
+    )
+
+
+_KINDS = ("", SIGNAL, STRESS)
+
+
+class Creep:
+    """``creep`` [% of the end value]: change of the signal from a stated time after the ramp to the end of the hold.
+
+    ISA-51.1's change of output at constant input over a stated time. The head holds the strain, so the stress relaxes
+    meanwhile: without a qualifier that has been taken out. The qualifiers ``conductance`` and ``stress`` are the
+    creep of each as it was seen.
+
+    Parameters
+    ----------
+    from_s : the stated time; default 5.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"creep": "%"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("creep", options, ("from_s",))
+        value = options.get("from_s", FROM_S)
+        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < 3600:
+            raise ConfigError(f"metric 'creep': from_s is {value!r}", remedy="allowed: a number from 0 to 3600")
+        self._from_s = float(value)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Put the holds of the commonest length together."""
+        try:
+            loads, hold_s = held_alike(data_sheet_loads(run), _hold_s)
+        except NumericsError as error:
+            return (refused("creep", "%", error),)
+        how = f"from {self._from_s:g} s after the ramp to the end of {hold_s:g} s; {counted(len(loads), 'hold')}"
+        return tuple(self._one(kind, loads, run.settings.steady_frames, how) for kind in _KINDS)
+
+    def _one(self, kind: str, loads: tuple[LoadObservation, ...], frames: int, how: str) -> Measurement:
+        try:
+            found = self._estimate(kind, loads, frames)
+        except NumericsError as error:
+            return refused("creep", "%", error, qualifier=kind)
+        words = how if kind else f"conductance, the stress's own change taken out, {how}"
+        return percent("creep", found, words, qualifier=kind)
+
+    def _estimate(self, kind: str, loads: tuple[LoadObservation, ...], frames: int) -> Estimate:
+        if kind:
+            return creep(loads, kind, from_s=self._from_s, frames=frames)
+        return creep_at_constant_stress(loads, from_s=self._from_s, frames=frames)
+
+
+def _hold_s(load: LoadObservation) -> float:
+    return load.record.release_start_s - load.record.hold_start_s
+
+
+class ZeroReturn:
+    """``zero_return`` [% of the loaded change]: what is left of the conductance change at the end of the rest.
+
+    ISO 376's zero error, read at the end of the rest instead of after 30 s and taken relative to each press's own
+    change. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"zero_return": "%"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("zero-return", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Put the rests of the commonest length together."""
+        try:
+            loads, rest_s = held_alike(data_sheet_loads(run), _rest_s)
+            found = zero_return(loads, frames=run.settings.steady_frames)
+        except NumericsError as error:
+            return (refused("zero_return", "%", error),)
+        presses = counted(len(loads), "press", "presses")
+        how = f"last frames of {rest_s:g} s of rest over the last ones of the hold; {presses}"
+        return (percent("zero_return", found, how),)
+
+
+def _rest_s(load: LoadObservation) -> float:
+    return load.record.rest_end_s - load.record.unloaded_s
+
+
+#: Qualifier of the figure that creep is in.
+_READ: Final = "as read"
+_NO_LOOP: Final = NumericsError(
+    "no strain was reached from below and from above without lifting the head between",
+    remedy='give the recipe a phase with sequence = "hysteresis-loop"',
+)
+
+
+class Hysteresis:
+    """``hysteresis`` [% of span]: greatest difference of output between falling and rising stress (ISA-37.1).
+
+    Of the mean over the places that were pressed in loops, and of each place where there are several. What had not
+    relaxed is fitted and taken out; with the qualifier ``as read`` it is not: the same of the last frames of each
+    hold, in which creep passes for hysteresis. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"hysteresis": "%"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("hysteresis", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Compare the branches of all loops."""
+        if not run.loops:
+            return (refused("hysteresis", "%", _NO_LOOP),)
+        return (*_measured(run, relaxed=True), *_measured(run, relaxed=False))
+
+
+def _measured(run: RunObservation, *, relaxed: bool) -> list[Measurement]:
+    qualifier = "" if relaxed else _READ
+    last_s = run.settings.steady_frames * run.frame_period_s
+    try:
+        curves = [loop_curve(loop, relaxed=relaxed, last_s=last_s) for loop in run.loops]
+        found = [_one_hysteresis(curves, relaxed, qualifier)]
+    except NumericsError as error:
+        return [refused("hysteresis", "%", error, qualifier=qualifier)]
+    if len(curves) > 1:
+        found += [_one_hysteresis([curve], relaxed, qualifier, curve.location) for curve in curves]
+    return found
+
+
+def _one_hysteresis(curves: Sequence[LoopCurve], relaxed: bool, qualifier: str, location: str = "") -> Measurement:
+    found, first = hysteresis(curves), curves[0]
+    side = "above" if found.higher else "below"
+    creep = "what had not relaxed fitted and taken out" if relaxed else "creep included"
+    how = (
+        f"way down {side} way up at equal stress, most at {100 * found.strain:g} % strain, of the output at"
+        f" {100 * first.strain[first.peak]:g} %; {creep}, holds of {first.hold_s:.0f} s;"
+        f" {counted(sum(curve.cycles for curve in curves), 'loop')}"
+    )
+    return percent("hysteresis", found.estimate, how, qualifier=qualifier, location=location)
+
+
+_NAME = "preconditioning_change"
+
+
+class PreconditioningChange:
+    """``preconditioning_change`` [%]: change between the last two cycles, over the last; ``preconditioning_cycles``.
+
+    Of the conductance change at the end of the hold, counted from just before the press, and with the qualifier
+    ``stress`` of the stress: of all locations together and of each. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {_NAME: "%", "preconditioning_cycles": "1"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("preconditioning-change", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Compare the last two cycles of every location."""
+        phases = {phase.name for phase in run.record.phases if phase.role is Role.PRECONDITIONING}
+        loads = [load for load in run.loads if load.phase in phases]
+        if not loads:
+            none = NumericsError(
+                "the recipe has no preconditioning", remedy="begin it with the sequence preconditioning"
+            )
+            return (refused(_NAME, "%", none),)
+        cycles = 1 + max(load.record.load.trial for load in loads)
+        strain = max(load.record.load.strain for load in loads)
+        frames = run.settings.steady_frames
+        how = f"cycle {cycles - 1} to cycle {cycles} at {100 * strain:g} % strain"
+        count = Measurement("preconditioning_cycles", float(cycles), "1", how="cycles of each location, as planned")
+        return (
+            count,
+            *_of_preconditioning_change(last_cycles(loads, frames=frames), "", how),
+            *_of_preconditioning_change(last_stresses(loads), "stress", how),
+        )
+
+
+def _of_preconditioning_change(
+    levels: Mapping[str, tuple[float, float]], qualifier: str, how: str
+) -> tuple[Measurement, ...]:
+    try:
+        change = change_between(levels.values())
+    except NumericsError as error:
+        return (refused(_NAME, "%", error, qualifier=qualifier),)
+    each = [
+        Measurement(_NAME, 100 * (after - before) / after, "%", location=place, qualifier=qualifier, how=how)
+        for place, (before, after) in levels.items()
+        if after > 0
+    ]
+    return (percent(_NAME, change, f"{how}; {counted(len(levels), 'location')}", qualifier=qualifier), *each)

@@ -1,0 +1,286 @@
+"""Whether a sensor still does what its stored calibration says.
+
+How well the sensor tells force: errors of loads it was not learned from, its map, what it can detect.
+"""
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from cbsr_qa.analysis import Recheck, recheck
+from cbsr_qa.analysis.run import (
+    HELD_OUT,
+    TRIAL_LEFT_OUT,
+    ForceErrors,
+    ForceTest,
+    RunForce,
+    calibrated_radius_mm,
+    detectable_forces,
+    errors_of,
+    gauge_factor,
+    global_errors,
+    map_quality,
+    places_mm,
+    run_force,
+    tests_of,
+)
+from cbsr_qa.calibration.file import read_contained
+from cbsr_qa.calibration.force import LearnedForce
+from cbsr_qa.calibration.runtime import Calibration
+from cbsr_qa.calibration.sheet import Estimate
+from cbsr_qa.config import calibrations_folder
+from cbsr_qa.domain import CbsrError, ConfigError
+from cbsr_qa.domain.results import Measurement, RunObservation
+from cbsr_qa_plugins.metrics._shared import refuse_unknown
+
+KNOWN: Final = "place known"
+ESTIMATED: Final = "place estimated"
+CENTRE: Final = "centre"
+WORST: Final = "worst place"
+SHEET: Final = "sheet"
+#: Standard errors either way, and the share of a normal distribution within them.
+_LEVELS: Final = (("force_coverage_68", 1.0, 0.6827), ("force_coverage_95", 1.96, 0.95))
+
+
+class ForceError:
+    """``force_error_sd`` and ``force_error_bias`` [N] over loads the sensor's force was not learned from.
+
+    Qualifiers say whether the place was given (``place known``) or found from the same readings (``place
+    estimated``); with ``, trial left out`` added the loads are those of each trial of the calibration in turn, else
+    those held out (of phases that press all over the sheet, where a run has any). ``force_error_global_sd`` [N] is
+    the same with one response for the whole sheet (paper: one ρ̄₀). ``force_coverage_68`` and ``force_coverage_95``
+    [%]: held-out loads within the stated intervals, from 30 loads on.
+
+    ``response_uniformity`` [%]: spread of the sheet's response over the calibrated area; ``response_uncertainty``
+    [%]: root mean square standard error of the map there. ``minimum_detectable_force`` [N] of one frame at the
+    ``centre`` and the ``worst place`` of that area. ``gauge_factor`` [1] of the ``sheet``: mean over the sheet of its
+    local change per strain, at steady state. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {
+        "force_error_sd": "N",
+        "force_error_bias": "N",
+        "force_error_global_sd": "N",
+        "force_coverage_68": "%",
+        "force_coverage_95": "%",
+        "response_uniformity": "%",
+        "response_uncertainty": "%",
+        "minimum_detectable_force": "N",
+        "gauge_factor": "1",
+    }
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("force-error", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; without a force model nothing has a value, and ``how`` says why."""
+        found = run_force(run)
+        if found.learned is None:
+            return tuple(_without(name, qualifier, found.why) for name, qualifier in _everything())
+        return (
+            *_errors(tests_of(run, found, HELD_OUT), "", "no load was held out: every phase calibrates"),
+            *_errors(
+                tests_of(run, found, TRIAL_LEFT_OUT),
+                f", {TRIAL_LEFT_OUT}",
+                "no place of the calibration was pressed in two trials",
+            ),
+            *_map(found, found.learned),
+            *_detectable(run, found, found.learned),
+            _gauge(run, found),
+        )
+
+
+def _everything() -> Iterator[tuple[str, str]]:
+    for name in ForceError.measures:
+        if name == "minimum_detectable_force":
+            yield from ((name, CENTRE), (name, WORST))
+        elif name == "gauge_factor":
+            yield name, SHEET
+        elif name == "force_error_global_sd":
+            yield name, KNOWN
+        elif name.startswith("force_"):
+            yield from ((name, KNOWN), (name, ESTIMATED))
+        else:
+            yield name, ""
+
+
+def _errors(tests: tuple[ForceTest, ...], after: str, none: str) -> Iterator[Measurement]:
+    if after and not tests:
+        yield _without("force_error_sd", f"{KNOWN}{after}", none)  # once is enough
+        return
+    for qualifier, errors in (
+        (f"{KNOWN}{after}", errors_of(tests, known=True)),
+        (f"{ESTIMATED}{after}", errors_of(tests, known=False)),
+    ):
+        how = _counted(errors) if tests else none
+        yield _of("force_error_sd", qualifier, errors.deviation, how, none=not tests)
+        yield _of("force_error_bias", qualifier, errors.bias, how, none=not tests)
+        for name, reach, nominal in _LEVELS if not after else ():
+            said = f"{how}; ± is what chance gives an honest interval of as many"
+            share = partial(errors.coverage, reach, nominal)
+            yield _of(name, qualifier, share, said, 100.0, none=not tests)
+    flat = global_errors(tests)
+    how = (
+        f"{_counted(flat)}; one response for the whole sheet, the mean of the calibration's loads" if tests else none
+    )
+    yield _of("force_error_global_sd", f"{KNOWN}{after}", flat.deviation, how, none=not tests)
+
+
+def _counted(errors: ForceErrors) -> str:
+    phases = list(dict.fromkeys(test.load.phase for test in errors.tests))
+    missed = f", {errors.missed} not detected" if errors.missed else ""
+    forces = [test.measured_N for test in errors.tests]
+    over = f", {min(forces):.2g} to {max(forces):.2g} N" if forces else ""
+    return f"{len(errors.tests)} loads of {', '.join(phases) or 'no phase'}{missed}{over}"
+
+
+def _map(found: RunForce, learned: LearnedForce) -> Iterator[Measurement]:
+    radius_mm = calibrated_radius_mm(found)
+    quality = map_quality(learned, radius_mm)
+    used = [load for load, why in zip(found.used, learned.refused, strict=True) if not why]
+    places = len(np.unique(places_mm(used), axis=0))
+    how = f"within {radius_mm:.1f} mm of the centre, from {len(used)} loads at {places} places"
+    # As of one value a place; of one place nothing is known.
+    stderr = quality.spread / (2 * (places - 1)) ** 0.5 if places > 1 else None
+    error = None if stderr is None else 100 * stderr
+    yield Measurement("response_uniformity", 100 * quality.spread, "%", error, how=f"spread of the map {how}")
+    x_mm, y_mm = quality.least_sure_mm
+    where = f"most, {100 * quality.stderr.max():.2g} %, at ({x_mm:.0f}, {y_mm:.0f}) mm".replace("-", "−")
+    yield Measurement("response_uncertainty", 100 * quality.rms_error, "%", how=f"root mean square {how}; {where}")
+
+
+def _detectable(run: RunObservation, found: RunForce, learned: LearnedForce) -> Iterator[Measurement]:
+    name = "minimum_detectable_force"
+    quality = map_quality(learned, calibrated_radius_mm(found))
+    try:
+        forces = detectable_forces(learned, run.record.indenter, np.vstack([[0.0, 0.0], quality.places_mm]))
+    except CbsrError as error:
+        yield from (_without(name, qualifier, error.reason) for qualifier in (CENTRE, WORST))
+        return
+    for qualifier, least in ((CENTRE, forces[0]), (WORST, max(forces, key=lambda one: one.force_N))):
+        x_mm, y_mm = least.place_mm
+        how = f"one frame at ({x_mm:.0f}, {y_mm:.0f}) mm, at {learned.model.threshold:.2g} times its noise"
+        how = f"{how}: found in half of all frames, noise in one of 10 000".replace("-", "−")
+        yield Measurement(name, least.force_N, "N", least.stderr_N or None, qualifier=qualifier, how=how)
+
+
+def _gauge(run: RunObservation, found: RunForce) -> Measurement:
+    try:
+        value, share = gauge_factor(run, found)
+    except CbsrError as error:
+        return _without("gauge_factor", SHEET, error.reason)
+    how = (
+        "mean over the sheet of contrast under the head against nominal strain; steady state"
+        f" {share.value:.3f} of the end of the hold, by the relaxation all loads share"
+    )
+    return Measurement("gauge_factor", value.value, "1", value.stderr, qualifier=SHEET, how=how)
+
+
+def _of(
+    name: str, qualifier: str, estimate: Callable[[], Estimate], how: str, factor: float = 1.0, *, none: bool
+) -> Measurement:
+    """Make a measurement of an estimate, or say why there is none."""
+    if none:
+        return _without(name, qualifier, how)
+    try:
+        value = estimate()
+    except CbsrError as error:
+        return _without(name, qualifier, error.reason)
+    stderr = None if value.stderr is None else factor * value.stderr
+    unit = ForceError.measures[name]
+    return Measurement(name, factor * value.value, unit, stderr, qualifier=qualifier, how=how)
+
+
+def _without(name: str, qualifier: str, why: str) -> Measurement:
+    return Measurement(name, None, ForceError.measures[name], qualifier=qualifier, how=why)
+
+
+class CalibrationCheck:
+    """A run's loads against the calibration of the same sensor.
+
+    ``sensitivity_change`` [%]: of estimated over measured force, all loads together; ``calibrated_force_error`` [N]
+    of every load; ``reference_change`` [%] of the unloaded readings, root mean square; ``noise_ratio`` [1] of a
+    reading's noise now over that of the calibration.
+
+    Parameters
+    ----------
+    calibration : a calibration file; by default the latest of the sensor's serial in the calibrations folder.
+    """
+
+    measures: ClassVar[dict[str, str]] = {
+        "sensitivity_change": "%",
+        "calibrated_force_error": "N",
+        "reference_change": "%",
+        "noise_ratio": "1",
+    }
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("calibration-check", options, ("calibration",))
+        given = options.get("calibration")
+        if given is not None and not (isinstance(given, str) and given):
+            raise ConfigError(
+                f"metric 'calibration-check': calibration is {given!r}", remedy="it is the path of a calibration file"
+            )
+        self._path = None if given is None else Path(given)
+        # Before anything moves: five minutes at the station are not spent on a file that is not there.
+        if self._path is not None and not self._path.is_file():
+            raise ConfigError(
+                f"metric 'calibration-check': there is no file {given}",
+                remedy="it is the path of a calibration file, from the folder the run is started in",
+            )
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; without a calibration that fits, everything is without value and says why."""
+        try:
+            path = self._path or _latest(run.record.identity.sensor.serial)
+            found = recheck(run, Calibration(read_contained(path)))
+        except CbsrError as error:
+            return tuple(Measurement(name, None, unit, how=error.reason) for name, unit in self.measures.items())
+        return _measurements(found, f"against {path.name}")
+
+
+def _latest(serial: str) -> Path:
+    """The newest calibration file of a sensor: runs are named by when they began."""
+    folder = calibrations_folder()
+    files = sorted(file for file in folder.glob("*.h5") if file.name.rpartition("-")[0].startswith(f"{serial}-"))
+    exact = [file for file in files if _serial(file) == serial]
+    if not exact:
+        raise ConfigError(
+            f"there is no calibration of sensor {serial} in {folder}",
+            remedy="calibrate it first, or name a file: calibration-check = { calibration = … }",
+        )
+    return exact[-1]
+
+
+def _serial(file: Path) -> str:
+    """Serial in the name of a calibration file, ``<serial>-<run>.h5``; a run is a UUID of 36 characters."""
+    return file.stem[:-37]
+
+
+def _measurements(found: Recheck, how: str) -> tuple[Measurement, ...]:
+    of_loads = tuple(
+        Measurement(
+            "calibrated_force_error",
+            one.estimated_N - one.measured_N,
+            "N",
+            one.stderr_N,
+            phase=one.load.phase,
+            location=one.load.record.load.label,
+            trial=one.load.record.load.trial,
+            load=one.load.record.index,
+            strain=one.load.record.load.strain,
+            how=f"{how}: {one.estimated_N:.3g} N where the load cell has {one.measured_N:.3g} N",
+        )
+        for one in found.loads
+    )
+    change, stderr = 100 * (found.sensitivity - 1), 100 * found.sensitivity_stderr
+    of = f"{how}, {len(found.loads)} loads"
+    return (
+        Measurement("sensitivity_change", change, "%", stderr, how=of),
+        *of_loads,
+        Measurement("reference_change", 100 * found.reference_change, "%", how=how),
+        Measurement("noise_ratio", found.noise_ratio, "1", how=how),
+    )

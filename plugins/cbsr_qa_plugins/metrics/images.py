@@ -1,0 +1,247 @@
+"""Whether the area of a region says anything about the size of what presses, with this run's reconstruction.
+
+The five figures of merit of GREIT (Adler et al. 2009) on every load's image.
+
+Which loads were seen as loads: missed and merged ones, and regions where nothing pressed.
+
+How far apart two equal loads must be to be seen as two, with this run's reconstruction.
+
+How the grid of places as a whole is seen shifted, turned and scaled, and what errors are left without that.
+"""
+
+from dataclasses import astuple
+from typing import Any, ClassVar, Final
+
+import numpy as np
+
+from cbsr_qa.analysis.run import SizeResponse, size_response_of
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.results import Bound, Image, LoadObservation, Measurement, RunObservation
+from cbsr_qa.domain.sensor import Response
+from cbsr_qa.eit.imaging import GreitFigures, Registration, TwoTouch, greit_figures, register, two_touch_resolution
+from cbsr_qa_plugins.metrics._shared import at_load, masks_of, refuse_unknown
+
+_NAMES: Final = ("amplitude_response", "position_error", "resolution", "shape_deformation", "ringing")
+
+
+class GreitFiguresOfMerit:
+    """AR, PE [mm], RES, SD and RNG [1] of each load's steady image, nothing subtracted from it.
+
+    The amplitude response is against the head's area times the change that the material file expects at the load's
+    strain. The set q is what reaches a quarter of the maximum. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {name: "mm" if name == "position_error" else "1" for name in _NAMES}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("greit-figures", options)
+
+    def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; an image without a positive element has no figures."""
+        sign = -1.0 if load.response is Response.DECREASE else 1.0
+        place, expected = load.record.load, _expected(load, run)
+        target = load.indenter.at(place.x_mm, place.y_mm)
+        found = greit_figures(
+            Image(load.image.mesh, sign * load.image.values), target, contrast=expected if expected > 0 else None
+        )
+        return tuple(
+            at_load(load, name, value, unit, how=_how(name, found, expected))
+            for (name, unit), value in zip(
+                self.measures.items(), (None,) * len(_NAMES) if found is None else astuple(found), strict=True
+            )
+        )
+
+
+def _expected(load: LoadObservation, run: RunObservation) -> float:
+    """Size of the relative change that the material file expects under the head."""
+    known = run.record.material.against_strain
+    return abs(known.slope.value * load.record.load.strain + known.intercept.value)
+
+
+def _how(name: str, found: GreitFigures | None, expected: float) -> str:
+    if found is None:
+        return "not detected: no element of the image has the sign of the response"
+    if name == "amplitude_response":
+        return f"against {100 * expected:.3g} % over the head's area" if expected > 0 else "no change is expected"
+    if name == "ringing" and found.ringing is None:
+        return "the image's quarter amplitude set has nothing at its centre"
+    return "of the set above a quarter of the maximum"
+
+
+class LoadAssignment:
+    """``false_regions`` [1] of each load and mask; ``missed_loads`` and ``merged_loads`` [1] of the run.
+
+    A false region is one more than the loads that were held. Of several loads held at once each has the region that
+    is assigned to it, a head's diameter away at most; one without is merged where it shares another's, else missed.
+    The run's figures are of the main mask. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"false_regions": "1", "missed_loads": "1", "merged_loads": "1"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("load-assignment", options)
+
+    def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
+        """Count under each mask."""
+        return tuple(
+            at_load(
+                load,
+                "false_regions",
+                float(max(view.regions - load.together, 0)),
+                "1",
+                qualifier=qualifier,
+                how=f"{view.regions} regions, {load.together} held; this one {view.fate}",
+            )
+            for view, qualifier in masks_of(load, run)
+        )
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Count over all loads; a run without a load has no count."""
+        views = [load.mask(run.main_mask) for load in run.loads]
+        fates = [view.fate for view in views if view is not None]
+        how = f"of {len(fates)} loads, at the {100 * run.main_mask:g} % mask" if fates else "nothing was pressed"
+        return tuple(
+            Measurement(f"{fate}_loads", float(fates.count(fate)) if fates else None, "1", how=how)
+            for fate in ("missed", "merged")
+        )
+
+
+#: Highest mask that is tried: at the maximum itself there is nothing to count.
+_HIGHEST: Final = 0.99
+
+
+class TwoTouchResolution:
+    """``two_touch_resolution`` [mm]: smallest distance of two equal loads from which on two regions are seen.
+
+    Without qualifier for contours at the run's main mask, with ``"watershed"`` for peaks parted along the valley
+    between them. Of the linearised model, without noise, along a line through the sheet's centre; the readings that
+    were imaged are the run's. Where two are not seen up to 0.8 of the sheet's radius, that is a lower bound. It has
+    no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"two_touch_resolution": "mm"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("two-touch-resolution", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure both ways."""
+        mask = min(run.main_mask, _HIGHEST)
+        found = (
+            ("", f"contours at {100 * mask:g} %", mask),
+            ("watershed", "valleys 5 % deep under the 25 % mask", None),
+        )
+        return tuple(
+            _measurement(two_touch_resolution(run.reconstruction, run.record.indenter, mask=fraction), qualifier, how)
+            for qualifier, how, fraction in found
+        )
+
+
+def _measurement(found: TwoTouch, qualifier: str, how: str) -> Measurement:
+    name, words = "two_touch_resolution", f"{how}; steps of {found.step_mm:g} mm up to {found.tried_mm:g} mm"
+    if found.separation_mm is None:
+        return Measurement(
+            name, found.tried_mm, "mm", qualifier=qualifier, how=f"{words}: never two", bound=Bound.LOWER
+        )
+    return Measurement(name, found.separation_mm, "mm", qualifier=qualifier, how=words)
+
+
+_HOW = "centre of mass, less what all places share"
+_WHOLE = {"registration_shift": "mm", "registration_rotation": "°", "registration_scale": "1"}
+
+
+class RegistrationOfPlaces:
+    """``registration_shift`` [mm], ``registration_rotation`` [°] and ``registration_scale`` of the places of a grid.
+
+    A disc that is seated askew, or a station whose axes are off, moves all places alike; what is left of each load's
+    centre-of-mass error without that is ``registered_centre_of_mass_error`` [mm]. The first three belong to the
+    station, the last to the sensor. Of the loads of all phases that press a grid, under the main mask. It has no
+    options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {**_WHOLE, "registered_centre_of_mass_error": "mm"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("registration", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Register the loads that were seen."""
+        grids = {phase.name for phase in run.record.phases if phase.role is Role.GRID}
+        loads = [load for load in run.loads if load.phase in grids]
+        seen = [(load, place) for load in loads if (place := _seen(load, run))]
+        nominal = np.array([(load.record.load.x_mm, load.record.load.y_mm) for load, _ in seen]).reshape(-1, 2)
+        try:
+            found = register(nominal, np.array([place for _, place in seen]).reshape(-1, 2))
+        except NumericsError as error:
+            why = f"not registered: {error.reason}"
+            names = _WHOLE if loads else self.measures  # what nothing is left of is still a number that is lacking
+            none = tuple(Measurement(name, None, unit, how=why) for name, unit in names.items())
+            return (*none, *(_left(load, None, why) for load in loads))
+        errors = {id(load): float(error) for (load, _), error in zip(seen, found.errors_mm, strict=True)}
+        each = (_left(load, errors.get(id(load)), _HOW if id(load) in errors else "not detected") for load in loads)
+        return (*_whole(found, len(seen)), *each)
+
+
+def _seen(load: LoadObservation, run: RunObservation) -> tuple[float, float] | None:
+    view = load.mask(run.main_mask)
+    if view is None or view.region is None:
+        return None
+    x_mm, y_mm = view.region.centre_mm()
+    return float(x_mm), float(y_mm)
+
+
+def _whole(found: Registration, count: int) -> tuple[Measurement, ...]:
+    x_mm, y_mm = found.shift_mm
+    how = f"of {count} presses; the origin is seen at ({x_mm:.2f}, {y_mm:.2f}) mm"
+    values = (
+        (float(np.hypot(x_mm, y_mm)), found.shift_stderr_mm),
+        (found.rotation_deg, found.rotation_stderr_deg),
+        (found.scale, found.scale_stderr),
+    )
+    return tuple(
+        Measurement(name, value, unit, uncertainty=stderr, how=how)
+        for (name, unit), (value, stderr) in zip(_WHOLE.items(), values, strict=True)
+    )
+
+
+def _left(load: LoadObservation, error_mm: float | None, how: str) -> Measurement:
+    return at_load(load, "registered_centre_of_mass_error", error_mm, "mm", how=how)
+
+
+class SizeResponseMetric:
+    """``size_response`` [1]: slope of a region's log area over the target's, 1 in proportion, 0 flat.
+
+    One for the centre and one for 0.6 radii out, with round targets of 8/13, 1 and 20/13 of the head's diameter, at
+    the run's main mask, without noise; ``region_area`` [mm²] of each target beside it, with its diameter in the
+    qualifier. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"size_response": "1", "region_area": "mm²"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("size-response", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; where no target fits the sheet there is no value."""
+        try:
+            found = size_response_of(run)
+        except NumericsError as error:
+            return (Measurement("size_response", None, "1", how=error.reason),)
+        measured = []
+        for one in found:
+            measured.append(
+                Measurement("size_response", one.slope, "1", qualifier=one.place, how=_how_size_response(one, run))
+            )
+            for diameter, area in zip(one.diameters_mm, one.areas_mm2, strict=True):
+                qualifier = f"{one.place}, target of {diameter:.3g} mm"
+                why = "" if area is not None else "not detected: the target leaves no region"
+                measured.append(Measurement("region_area", area, "mm²", qualifier=qualifier, how=why))
+        return tuple(measured)
+
+
+def _how_size_response(found: SizeResponse, run: RunObservation) -> str:
+    if found.slope is None:
+        return "not detected: targets leave no region"
+    flat = "flat: targets of every size leave nearly the same region; " if found.flat else ""
+    return f"{flat}mask {100 * run.main_mask:g} %, linearised model without noise"

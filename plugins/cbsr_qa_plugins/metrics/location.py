@@ -1,0 +1,193 @@
+"""Place, size and strength of every load estimated from the readings, beside the metrics of its image.
+
+E_CoM: how far the sensed region's centre of mass is from the indenter's centre (paper Eq 4).
+
+A_OL: mutual overlap of sensed region and indenter (paper Eq 5), with the band it falls into.
+
+SD: mean squared distance of the sensed region's outline from the indenter's (paper Eq 6).
+"""
+
+from math import hypot
+from typing import Any, ClassVar
+
+from cbsr_qa.analysis.run import EstimatedLoad, estimated_loads
+from cbsr_qa.domain.plan import AnalysisSettings
+from cbsr_qa.domain.results import (
+    Blob,
+    Estimated,
+    LoadEstimate,
+    LoadObservation,
+    MaskView,
+    Measurement,
+    Region,
+    RunObservation,
+)
+from cbsr_qa.eit.imaging import area_overlap_percent, centre_of_mass_error_mm, overlap_grade, shape_deviation_mm2
+from cbsr_qa_plugins.metrics._shared import at_load, masks_of, refuse_unknown, why_not
+
+
+class CentreOfMassError:
+    """``centre_of_mass_error`` [mm] of every load, for every percentage mask.
+
+    It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"centre_of_mass_error": "mm"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("centre-of-mass-error", options)
+
+    def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure the sensed blob under each mask; without a blob there is no value."""
+        place = load.record.load
+        pressed = load.indenter.at(place.x_mm, place.y_mm)
+        return tuple(
+            at_load(
+                load,
+                "centre_of_mass_error",
+                None if view.region is None else centre_of_mass_error_mm(view.region, pressed),
+                "mm",
+                qualifier=qualifier,
+                how=why_not(view) if view.region is None else "area- and value-weighted centre of mass",
+            )
+            for view, qualifier in masks_of(load, run)
+        )
+
+
+class AreaOverlap:
+    """``area_overlap`` [%] and ``area_ratio`` A_b/A_FA of every load, for every percentage mask.
+
+    Both ``how`` begin with the band, e.g. ``"good; A_b/A_FA 1.02; exact clipping"``. Clipping, bands and the
+    sizes for which they count are the recipe's analysis settings; there are no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"area_overlap": "%", "area_ratio": "1"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("area-overlap", options)
+
+    def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure the sensed blob under each mask; without a blob there is no value."""
+        measured: list[Measurement] = []
+        for view, qualifier in masks_of(load, run):
+            overlap, ratio, how = _measure(view, load, run.settings)
+            measured.append(at_load(load, "area_overlap", overlap, "%", qualifier=qualifier, how=how))
+            measured.append(at_load(load, "area_ratio", ratio, "1", qualifier=qualifier, how=how))
+        return tuple(measured)
+
+
+def _measure(
+    view: MaskView, load: LoadObservation, settings: AnalysisSettings
+) -> tuple[float | None, float | None, str]:
+    if view.region is None:
+        return None, None, why_not(view)
+    place, region = load.record.load, view.region
+    overlap = area_overlap_percent(region, load.indenter.at(place.x_mm, place.y_mm), settings.clipping)
+    ratio = region.area_mm2 / load.indenter.area_mm2
+    grade = overlap_grade(overlap, ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio)
+    return overlap, ratio, f"{grade}; A_b/A_FA {ratio:.2f}; {_clipped(region, settings)}"
+
+
+def _clipped(region: Region, settings: AnalysisSettings) -> str:
+    return f"{settings.clipping} clipping of {'elements' if isinstance(region, Blob) else 'a contour'}"
+
+
+class ShapeDeviation:
+    """``shape_deviation`` [mm²] of every load, for every percentage mask.
+
+    Never to be judged alone: a speck on the indenter's rim deviates by 0.2 mm² at an E_CoM of 6.5 mm.
+    The mean runs over the outline's length or its nodes, as the recipe's analysis settings say; there are no
+    options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"shape_deviation": "mm²"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("shape-deviation", options)
+
+    def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure the sensed blob under each mask; without a blob there is no value."""
+        place, mode = load.record.load, run.settings.perimeter
+        pressed = load.indenter.at(place.x_mm, place.y_mm)
+        measured: list[Measurement] = []
+        for view, qualifier in masks_of(load, run):
+            value, how = None, why_not(view)
+            if view.region is not None:
+                value = shape_deviation_mm2(view.region, pressed, mode)
+                how = f"mean over the outline's {mode}"
+            measured.append(at_load(load, "shape_deviation", value, "mm²", qualifier=qualifier, how=how))
+        return tuple(measured)
+
+
+class LoadEstimates:
+    """Estimates of every load by maximum likelihood on its readings, each with its standard error.
+
+    ``estimated_place_error`` [mm] (distance from the indenter's centre; its uncertainty is the place's standard error
+    along one axis), ``estimated_contrast`` [1] and ``detectability`` [1] with the indenter's radius given;
+    ``estimated_radius`` [mm] and ``estimated_area_contrast`` [mm²] without. What the readings do not determine has no
+    value, and ``how`` says what is missing. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {
+        "estimated_place_error": "mm",
+        "estimated_contrast": "1",
+        "estimated_radius": "mm",
+        "estimated_area_contrast": "mm²",
+        "detectability": "1",
+    }
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("load-estimate", options)
+
+    def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; loads held together with others are not estimated."""
+        chosen = run.settings.reference
+        own = any(load is one for one in run.loads)  # else it is a load's alternate, against the other reference
+        other = "load" if chosen == "run" else "run"
+        found = estimated_loads(run, chosen if own else other)[(load.phase, load.record.index)]
+        placed = found.indenter or found.size
+        if placed is None:
+            return tuple(at_load(load, name, None, unit, how=found.why) for name, unit in self.measures.items())
+        return (_place_error(load, placed), *_strength(load, found, placed), _seen(load, placed))
+
+
+def _place_error(load: LoadObservation, placed: LoadEstimate) -> Measurement:
+    name, unit = "estimated_place_error", "mm"
+    if placed.place_mm is None:
+        return at_load(load, name, None, unit, how=placed.why)
+    x_mm, y_mm = placed.place_mm
+    wanted = load.record.load
+    error = hypot(x_mm - wanted.x_mm, y_mm - wanted.y_mm)
+    where = f"{x_mm:.2f}, {y_mm:.2f}".replace("-", "−")
+    how = f"seen at ({where}) mm; {_fit(placed)}"
+    return at_load(load, name, error, unit, uncertainty=placed.place_stderr_mm, how=how)
+
+
+def _strength(load: LoadObservation, found: EstimatedLoad, placed: LoadEstimate) -> tuple[Measurement, ...]:
+    size = found.size or placed
+    no_contrast = placed.why or "the head is not round: only area × contrast is estimated"
+    return (
+        _estimated(load, "estimated_contrast", "1", placed.contrast, "indenter's radius given", no_contrast),
+        _estimated(load, "estimated_radius", "mm", size.radius_mm, "radius unknown", size.no_radius or size.why),
+        _estimated(
+            load, "estimated_area_contrast", "mm²", size.area_contrast_mm2,
+            "radius unknown; contrast against the mean of both conductances", size.why,
+        ),
+    )  # fmt: skip
+
+
+def _estimated(
+    load: LoadObservation, name: str, unit: str, found: Estimated | None, how: str, why: str
+) -> Measurement:
+    if found is None:
+        return at_load(load, name, None, unit, how=why)
+    return at_load(load, name, found.value, unit, uncertainty=found.stderr, how=how)
+
+
+def _seen(load: LoadObservation, placed: LoadEstimate) -> Measurement:
+    return at_load(load, "detectability", placed.detectability, "1", uncertainty=1.0, how=_fit(placed))
+
+
+def _fit(placed: LoadEstimate) -> str:
+    widened = f", covariance × {placed.inflation:.2g} for it" if placed.inflation > 1 else ""
+    return f"{placed.finding}; residuals {placed.misfit:.2f} of the noise{widened}"

@@ -1,0 +1,162 @@
+"""The force that was applied while the steady image was taken.
+
+How evenly the sheet responds from place to place.
+
+How stiff the sheet is under the head.
+"""
+
+from collections.abc import Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+
+from cbsr_qa.calibration.sheet import (
+    Estimate,
+    data_sheet_loads,
+    place_responses,
+    relative_spread,
+    scatter_of_presses,
+    slope,
+    why_no_force,
+)
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
+from cbsr_qa_plugins.metrics._shared import at_load, counted, percent, refuse_unknown, refused
+
+#: With this qualifier the spread is that of ρ̄₀ as it is, imaging included.
+AS_IMAGED = "baseline conductance"
+
+
+class Uniformity:
+    """``uniformity`` [%]: standard deviation of the response over the locations, over its mean.
+
+    Without a qualifier the response of a location is its ρ₀ (Eq 7) over what the linearised model of an even sheet
+    images there; with ``baseline conductance`` it is ρ₀ itself, which differs from place to place on an even sheet
+    too. At the strain at which the most locations were pressed. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"uniformity": "%"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("uniformity", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Spread the locations."""
+        try:
+            places, strain = place_responses(run, data_sheet_loads(run))
+            own = relative_spread([place.response for place in places])
+            imaged = relative_spread([place.baseline for place in places])
+        except NumericsError as error:
+            return (refused("uniformity", "%", error),)
+        presses = sum(len(place.responses) for place in places)
+        how = f"{len(places)} locations at {100 * strain:g} % strain, {counted(presses, 'press', 'presses')}"
+        scatter = scatter_of_presses(places)
+        alone = "" if scatter is None else f"; the scatter of presses alone would make {100 * scatter:.1f} %"
+        return (
+            percent("uniformity", own, f"ρ₀ over what an even sheet images there; {how}{alone}"),
+            percent("uniformity", imaged, f"ρ₀ as imaged; {how}", qualifier=AS_IMAGED),
+        )
+
+
+_NAME, _UNIT, _SLOPE = "apparent_modulus", "kPa", "slope"
+
+
+class ApparentModulus:
+    """``apparent_modulus`` [kPa] of each location and of the run: relaxed stress under the head over nominal strain.
+
+    With the qualifier ``slope`` it is the slope of stress against strain by least squares, which an error of the
+    contact height does not touch; it needs two strains. Apparent: a flat head on a thin sheet is stiffer than the
+    material (confinement), and the strain is that which was asked for. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {_NAME: _UNIT}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("apparent-modulus", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure every location, then put them together."""
+        places: dict[str, list[tuple[float, float]]] = {}
+        for load in data_sheet_loads(run):
+            if load.stress_kPa is not None:
+                places.setdefault(load.record.load.label, []).append(_point(load, load.stress_kPa))
+        if not places:
+            why_not = NumericsError(f"nothing to divide by the strain: {why_no_force(data_sheet_loads(run))}")
+            return (refused(_NAME, _UNIT, why_not),)
+        ratios = {place: _ratio(points) for place, points in places.items()}
+        slopes = {place: found for place, points in places.items() if (found := _slope(points)) is not None}
+        each = [
+            _one(found, counted(len(places[place]), "press", "presses"), "", place) for place, found in ratios.items()
+        ]
+        each += [
+            _one(found, counted(len(places[place]), "press", "presses"), _SLOPE, place)
+            for place, found in slopes.items()
+        ]
+        whole = _one(_mean(ratios), _spread(ratios), "")
+        if not slopes:
+            why = NumericsError(
+                "no location was pressed at two strains", remedy="give the recipe two strains or more"
+            )
+            return (whole, refused(_NAME, _UNIT, why, qualifier=_SLOPE), *each)
+        return (whole, _one(_mean(slopes), _spread(slopes), _SLOPE), *each)
+
+
+def _point(load: LoadObservation, stress_kPa: float) -> tuple[float, float]:
+    return load.record.load.strain, stress_kPa
+
+
+def _ratio(points: Sequence[tuple[float, float]]) -> Estimate:
+    values = np.array([stress / strain for strain, stress in points])
+    return _mean_of(values)
+
+
+def _slope(points: Sequence[tuple[float, float]]) -> Estimate | None:
+    strain, stress = zip(*points, strict=True)
+    try:
+        return slope(strain, stress)
+    except NumericsError:
+        return None
+
+
+def _mean(places: dict[str, Estimate]) -> Estimate:
+    return _mean_of(np.array([found.value for found in places.values()]))
+
+
+def _mean_of(values: np.ndarray) -> Estimate:
+    count = len(values)
+    stderr = float(values.std(ddof=1) / np.sqrt(count)) if count > 1 else None
+    return Estimate(float(values.mean()), stderr, count - 1)
+
+
+def _spread(places: dict[str, Estimate]) -> str:
+    values = [found.value for found in places.values()]
+    if len(values) < 2:
+        return "one location"
+    return f"{len(values)} locations, standard deviation between them {np.std(values, ddof=1):.3g} kPa"
+
+
+def _one(found: Estimate, how: str, qualifier: str, location: str = "") -> Measurement:
+    words = "slope of relaxed stress against strain" if qualifier else "relaxed stress over nominal strain"
+    return Measurement(
+        _NAME,
+        found.value,
+        _UNIT,
+        uncertainty=found.stderr,
+        location=location,
+        qualifier=qualifier,
+        how=f"{words}; {how}",
+    )
+
+
+class AppliedForce:
+    """``force`` [N] of each load: the load cell's mean over the steady frames. It has no options."""
+
+    measures: ClassVar[dict[str, str]] = {"force": "N"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("applied-force", options)
+
+    def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; without a load cell there is no value."""
+        how = "no force was recorded" if load.force_N is None else f"mean over {load.steady_frames} steady frames"
+        return (at_load(load, "force", load.force_N, "N", uncertainty=load.force_stderr_N, how=how),)

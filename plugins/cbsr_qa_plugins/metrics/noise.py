@@ -1,0 +1,239 @@
+"""Signal-to-noise ratio of the single readings, and the drift of all of them together.
+
+NF: how much of the readings' signal-to-noise ratio the image loses, with this sensor's own noise and signal.
+
+Noise of the unloaded images: the floor that masks subtract, and σ_n over time.
+"""
+
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run import FEWEST_FRAMES, signal_to_noise_dB
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.results import LoadObservation, Measurement, RunObservation
+from cbsr_qa.eit.inverse import changes
+from cbsr_qa_plugins.metrics._shared import flag, refuse_unknown
+
+#: Frames that leave a scatter worth the name.
+_FEWEST_FRAMES: Final = 4
+
+
+class NoiseFigure:
+    """``noise_figure`` [1] of the run, Adler et al. 2009 form: NF = SNR_v / SNR_x.
+
+    The matrix is the run's; noise is the covariance of its rested, unloaded frames, slow drift taken out; the
+    signal is the change measured under the presses at the sheet's centre (of the phases made for noise, where
+    there are any), or else the model's response to a small central target. ``how`` names which. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"noise_figure": "1"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("noise-figure", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; without noise there is no value."""
+        scatter = _noise(run)
+        if scatter is None:
+            return (_refused(f"fewer than {_FEWEST_FRAMES} unloaded frames to take the noise from"),)
+        if not scatter.any():
+            return (_refused("the unloaded frames do not differ: there is no noise to propagate"),)
+        signals, phase, source = _signals(run)
+        figures = np.array([_figure(run, scatter, signal) for signal in signals])
+        between = float(figures.std(ddof=1)) if len(figures) > 1 else 0.0
+        uncertainty = float(np.hypot(between / np.sqrt(len(figures)), _jackknife(run, scatter, signals[0])))
+        how = f"Adler et al. 2009 form; measured covariance of {len(scatter)} unloaded frames; signal: {source}"
+        return (Measurement("noise_figure", float(figures.mean()), "1", uncertainty, phase=phase, how=how),)
+
+
+def _refused(why: str) -> Measurement:
+    return Measurement("noise_figure", None, "1", how=why)
+
+
+def _noise(run: RunObservation) -> NDArray[np.float64] | None:
+    """Scatter of the used readings about a straight line in time, (k, m), scaled to its degrees of freedom."""
+    frames = run.unloaded
+    if len(frames) < _FEWEST_FRAMES:
+        return None
+    readings = changes(frames.voltages, run.reference, run.reconstruction.problem, run.scale)
+    line = np.column_stack([np.ones(len(frames)), frames.time_s - frames.time_s.mean()])
+    q, _ = np.linalg.qr(line)
+    left: NDArray[np.float64] = readings - q @ (q.T @ readings)
+    # Rounding of frames that are all alike is no noise.
+    if np.abs(left).max() <= 1e-12 * np.abs(run.reconstruction.problem.reference).max():
+        return np.zeros_like(left)
+    left *= np.sqrt(len(frames) / (len(frames) - 2))
+    return left
+
+
+def _signals(run: RunObservation) -> tuple[list[NDArray[np.float64]], str, str]:
+    """Signals y (m,), the phase they are from, and in words what they are."""
+    centre = [load for load in run.loads if np.hypot(load.record.load.x_mm, load.record.load.y_mm) < 0.5]
+    noise_phases = {phase.name for phase in run.record.phases if phase.role is Role.NOISE}
+    chosen = [load for load in centre if load.phase in noise_phases] or centre
+    measured = [signal for load in chosen if (signal := _measured_change(load, run)) is not None]
+    if measured:
+        where = {load.phase for load in chosen}
+        phase = where.pop() if len(where) == 1 else ""
+        return measured, phase, f"measured change of {len(measured)} presses at the centre"
+    problem = run.reconstruction.problem
+    distance = np.hypot(*problem.mesh.centroids_mm.T)
+    target = distance <= max(run.record.indenter.radius_mm, float(distance.min()))
+    return [problem.jacobian @ target.astype(np.float64)], "", "the model's response to a central target"
+
+
+def _measured_change(load: LoadObservation, run: RunObservation) -> NDArray[np.float64] | None:
+    frames = run.record.phase(load.phase).frames
+    if frames is None or load.steady_frames < 1:
+        return None
+    held = frames.between(load.record.hold_start_s, load.record.release_start_s)
+    if not len(held):
+        return None
+    steady = held.select(slice(-load.steady_frames, None)).voltages
+    readings = changes(steady, run.reference, run.reconstruction.problem, run.scale)
+    change: NDArray[np.float64] = readings.mean(axis=0)
+    return change if change.any() else None
+
+
+def _figure(run: RunObservation, scatter: NDArray[np.float64], signal: NDArray[np.float64]) -> float:
+    reading_noise, image_noise = _energies(run, scatter)
+    return _gain(run, signal) * float(np.sqrt(image_noise.mean() / reading_noise.mean()))
+
+
+def _jackknife(run: RunObservation, scatter: NDArray[np.float64], signal: NDArray[np.float64]) -> float:
+    """Standard error of the figure from leaving out one noise frame at a time."""
+    reading_noise, image_noise = _energies(run, scatter)
+    without = (image_noise.sum() - image_noise) / (reading_noise.sum() - reading_noise)
+    figures = _gain(run, signal) * np.sqrt(without)
+    count = len(figures)
+    return float(np.sqrt((count - 1) / count * ((figures - figures.mean()) ** 2).sum()))
+
+
+def _energies(run: RunObservation, scatter: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean square of each noise frame, of its readings and of its area-weighted image."""
+    areas = run.reconstruction.problem.mesh.areas_mm2
+    images = run.reconstruction.images(scatter) * areas
+    reading_noise: NDArray[np.float64] = (scatter**2).mean(axis=1)
+    image_noise: NDArray[np.float64] = (images**2).mean(axis=1)
+    return reading_noise, image_noise
+
+
+def _gain(run: RunObservation, signal: NDArray[np.float64]) -> float:
+    """mean|y| over mean|A x|."""
+    areas = run.reconstruction.problem.mesh.areas_mm2
+    image = run.reconstruction.images(signal[None])[0] * areas
+    return float(np.abs(signal).mean() / np.abs(image).mean())
+
+
+class ImageNoise:
+    """``noise_floor`` and ``conductance_noise`` σ_n of the run, both relative conductance changes [1].
+
+    σ_n is the standard deviation over time of the unloaded images: without qualifier of their area-weighted mean,
+    with ``"per element"`` the rms of the single elements'. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"noise_floor": "1", "conductance_noise": "1"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("image-noise", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; σ_n needs two unloaded frames."""
+        frames = len(run.noise_images)
+        floor = Measurement(
+            "noise_floor", run.noise_floor, "1", how=f"largest |value| of any element in {frames} unloaded images"
+        )
+        return (floor, *_over_time(run))
+
+
+def _over_time(run: RunObservation) -> tuple[Measurement, Measurement]:
+    name, count = "conductance_noise", len(run.unloaded)
+    if count < 2:
+        why = f"{count} unloaded frames do not show a deviation over time; two are needed"
+        return Measurement(name, None, "1", how=why), Measurement(name, None, "1", qualifier="per element", how=why)
+    problem = run.reconstruction.problem
+    images = run.reconstruction.images(changes(run.unloaded.voltages, run.reference, problem, run.scale))
+    weights = problem.mesh.areas_mm2 / problem.mesh.areas_mm2.sum()
+    total = float((images @ weights).std(ddof=1))
+    single = float(np.sqrt(images.var(axis=0, ddof=1) @ weights))
+    # Relative standard error of a standard deviation of normal noise.
+    relative = 1 / np.sqrt(2 * (count - 1))
+    how = f"standard deviation over {count} unloaded frames"
+    return (
+        Measurement(name, total, "1", total * relative, how=f"{how} of the area-weighted mean image"),
+        Measurement(name, single, "1", single * relative, qualifier="per element", how=f"{how}, rms over the area"),
+    )
+
+
+class ChannelNoise:
+    """``channel_snr`` [dB], median and worst over the imaged readings, and ``drift`` [%/min] of the unloaded sheet.
+
+    A reading's ratio is its mean's size over its rms deviation from a straight line in time, so that drift counts
+    once, as drift. Drift is the slope of the frames' common scale against the reference. With the option
+    ``every = true`` each imaged reading's ratio is a measurement of its own, ``"drive 3, measure 7"``.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"channel_snr": "dB", "drift": "%/min"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("channel-noise", options, ("every",))
+        self._every = flag("channel-noise", options, "every")
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; fewer than three unloaded frames, or frames that are all alike, give no ratio."""
+        ratio_dB = signal_to_noise_dB(run.unloaded)
+        if ratio_dB is None:
+            why = f"{len(run.unloaded)} unloaded frames are too few; {FEWEST_FRAMES} are needed"
+            return (*_no_ratio(why), Measurement("drift", None, "%/min", how=why))
+        every = _each(ratio_dB, run) if self._every else ()
+        return (*_together(ratio_dB, run), *every, _drift(run))
+
+
+def _together(ratio_dB: NDArray[np.float64], run: RunObservation) -> tuple[Measurement, ...]:
+    heard = np.isfinite(ratio_dB) & run.usable
+    if not heard.any():
+        return _no_ratio("the unloaded frames do not differ: there is no noise to compare with")
+    drive, measure = np.argwhere(heard)[int(ratio_dB[heard].argmin())]
+    silent = int(run.usable.sum() - heard.sum())
+    how = f"{int(heard.sum())} imaged readings, {len(run.unloaded)} frames"
+    how += f"; {silent} without noise or level" if silent else ""
+    where = f"drive pair {drive}, measure pair {measure}"
+    return (
+        Measurement("channel_snr", float(np.median(ratio_dB[heard])), "dB", qualifier="median", how=how),
+        Measurement("channel_snr", float(ratio_dB[heard].min()), "dB", qualifier="worst", how=where),
+    )
+
+
+def _each(ratio_dB: NDArray[np.float64], run: RunObservation) -> tuple[Measurement, ...]:
+    how = f"{len(run.unloaded)} frames"
+    return tuple(
+        Measurement(
+            "channel_snr",
+            float(ratio_dB[drive, measure]) if np.isfinite(ratio_dB[drive, measure]) else None,
+            "dB",
+            qualifier=f"drive {drive}, measure {measure}",
+            how=how if np.isfinite(ratio_dB[drive, measure]) else "it has no noise, or no level",
+        )
+        for drive, measure in np.argwhere(run.usable).tolist()
+    )
+
+
+def _no_ratio(why: str) -> tuple[Measurement, ...]:
+    return tuple(Measurement("channel_snr", None, "dB", qualifier=q, how=why) for q in ("median", "worst"))
+
+
+def _drift(run: RunObservation) -> Measurement:
+    reference = run.reference[run.usable]
+    scale = run.unloaded.voltages[:, run.usable] @ reference / (reference @ reference)
+    time_min = (run.unloaded.time_s - run.unloaded.time_s.mean()) / 60
+    spread = float(time_min @ time_min)
+    if spread == 0:
+        return Measurement("drift", None, "%/min", how="the unloaded frames carry one and the same time")
+    slope = float(time_min @ scale) / spread
+    left = scale - scale.mean() - slope * time_min
+    stderr = float(np.sqrt(left @ left / (len(scale) - 2) / spread))
+    return Measurement(
+        "drift", 100 * slope, "%/min", 100 * stderr, how="slope of the unloaded frames' scale against the reference"
+    )

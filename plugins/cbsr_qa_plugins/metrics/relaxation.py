@@ -1,0 +1,331 @@
+"""Whether a sheet relaxes as a strip of its material did: the 1D against the 2D test.
+
+Settling times of every fitted relaxation, their means over the run, and the one all loads have in common.
+
+How many presses a minute can be told apart and measured, by how long the sheet takes to settle.
+
+What is said of two relaxations that were compared.
+
+Whether the blobs relax as the whole image does.
+"""
+
+from collections.abc import Iterator
+from typing import Any, ClassVar, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.analysis.run import DirectedAgreement, image_against_blobs, sheet_against_strip
+from cbsr_qa.calibration.fits import (
+    SHAPE_MARGIN,
+    TIME_MARGIN,
+    Agreement,
+    TimedValues,
+    common_settling_time,
+    event_rate_per_min,
+    fit_common_relaxation,
+    relaxation_start,
+    restricted_mean,
+)
+from cbsr_qa.domain.results import (
+    Bound,
+    LoadObservation,
+    Measurement,
+    RelaxationFit,
+    RelaxationObservation,
+    RunObservation,
+)
+from cbsr_qa.report import plural
+from cbsr_qa_plugins.metrics._shared import at_load, refuse_unknown
+
+#: Fewest points of a trace that are fitted.
+_FEWEST = 5
+
+#: A load with one of its relaxations.
+_Member = tuple[LoadObservation, RelaxationObservation]
+
+
+class SettlingTimes:
+    """``settling_time`` [s] of each load; ``mean_settling_time`` and ``common_settling_time`` [s] of the run.
+
+    Qualifiers say which signal and direction, e.g. ``"conductance, loading"``. A relaxation that has not settled
+    within its window is a lower bound, its window, and so is a mean with one in it. A mean needs a time, settled or
+    not, from at least half of the loads: without the rejected ones it would be a choice of the quick.
+
+    The mean of single loads is short where a trace of two settling times does not carry a second exponential (24 s
+    for 29 s in simulation). The common one is of a single fit to all traces, which share their time constants, and
+    has no such bias where they carry both. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {
+        "settling_time": "s",
+        "mean_settling_time": "s",
+        "common_settling_time": "s",
+    }
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("settling-time", options)
+
+    def measure_load(self, load: LoadObservation, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure each relaxation of a load."""
+        return tuple(_of_load(load, seen) for seen in load.relaxations)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Put the loads together, by signal and direction."""
+        groups: dict[str, list[_Member]] = {}
+        for load in run.tested:
+            for seen in load.relaxations:
+                groups.setdefault(_qualifier(seen), []).append((load, seen))
+        means = [_mean(qualifier, [seen for _, seen in members]) for qualifier, members in groups.items()]
+        return (*means, *(_common(qualifier, members, run) for qualifier, members in groups.items()))
+
+
+def _qualifier(seen: RelaxationObservation) -> str:
+    return f"{seen.signal}, {'loading' if seen.loading else 'unloading'}"
+
+
+def _of_load(load: LoadObservation, seen: RelaxationObservation) -> Measurement:
+    settling, fit = seen.settling, seen.fit
+    how = settling.why or f"{fit.status}, R² {fit.r_squared:.3f}"
+    bound = _bound(settling.censored)
+    return at_load(load, "settling_time", settling.value_s, "s", qualifier=_qualifier(seen), how=how, bound=bound)
+
+
+def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
+    name = "mean_settling_time"
+    timed = [(m.settling.value_s, m.settling.censored) for m in members if m.settling.value_s is not None]
+    late = sum(censored for _, censored in timed)
+    how = _counts(len(timed) - late, late, len(members) - len(timed))
+    if 2 * len(timed) < len(members):
+        why = f"{how}: fewer than half of the loads say anything, and their mean would be one of the quick"
+        return Measurement(name, None, "s", qualifier=qualifier, how=why)
+    mean_s, deviation_s = restricted_mean([time for time, _ in timed], [censored for _, censored in timed])
+    how += f"; standard deviation {deviation_s:.3g} s"
+    how += "; a lower bound (Kaplan–Meier)" if late else ""
+    how += "; one exponential a load is biased to short times" if _one_exponential(members) else ""
+    stderr_s = deviation_s / len(timed) ** 0.5 if len(timed) > 1 else None
+    return Measurement(name, mean_s, "s", stderr_s, qualifier=qualifier, how=how, bound=_bound(late > 0))
+
+
+def _counts(settled: int, late: int, rejected: int) -> str:
+    words = [f"{settled} of {settled + late + rejected} settled"]
+    words += [f"{late} later than {'its window' if late == 1 else 'their windows'}"] if late else []
+    words += [f"{rejected} rejected"] if rejected else []
+    return ", ".join(words)
+
+
+def _one_exponential(members: list[RelaxationObservation]) -> bool:
+    kept = [len(m.fit.time_constants_s) for m in members if m.settling.value_s is not None]
+    return 2 * kept.count(1) > len(kept)
+
+
+def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Measurement:
+    told = [member for member in members if len(member[1].trace.values) >= _FEWEST]
+    starts = [0 if seen.loading else relaxation_start(seen.trace.values) for _, seen in told]
+    traces = [(s.trace.time_s[start:], s.trace.values[start:]) for (_, s), start in zip(told, starts, strict=True)]
+    common = fit_common_relaxation(traces)
+    settling, stderr_s = common_settling_time(
+        common,
+        window_s=max((_window_s(seen.trace.time_s) for _, seen in told), default=1.0),
+        tolerance=run.settings.settling_tolerance,
+        band=run.settings.settling_band,
+        loaded_change=_loaded_change(told),
+        start_s=_earliest_s(traces, starts),
+    )
+    how = f"{_in_words(common.fit)}; {common.traces} traces fitted together"
+    how += f"; {settling.why}" if settling.why and settling.why != common.fit.why else ""
+    return Measurement(
+        "common_settling_time",
+        settling.value_s,
+        "s",
+        stderr_s,
+        qualifier=qualifier,
+        how=how,
+        bound=_bound(settling.censored),
+    )
+
+
+def _earliest_s(traces: list[TimedValues], starts: list[int]) -> float:
+    """Where the first fit behind a spike begins; 0 where any trace has no spike."""
+    return min(float(time_s[0]) for time_s, _ in traces) if starts and all(starts) else 0.0
+
+
+def _loaded_change(members: list[_Member]) -> float | None:
+    """Mean change at the end of the holds of unloadings; None for loadings."""
+    if not members or members[0][1].loading:
+        return None
+    held = [seen for load, one in members for seen in load.relaxations if seen.loading and seen.signal == one.signal]
+    ends = [float(np.median(seen.trace.values[-4:])) for seen in held if len(seen.trace.values)]
+    return sum(ends) / len(ends) if ends else 0.0
+
+
+def _in_words(fit: RelaxationFit) -> str:
+    pairs = zip(fit.time_constants_s, fit.time_constant_stderr_s, strict=True)
+    constants = " and ".join(f"{tau:.3g} ± {stderr:.2g} s" for tau, stderr in pairs)
+    return f"{fit.status}, {constants}" if constants else fit.why
+
+
+def _window_s(time_s: NDArray[np.float64]) -> float:
+    """Length of the observed window: half a frame beyond the last frame's middle."""
+    return float(time_s[-1] + np.median(np.diff(time_s)) / 2)
+
+
+def _bound(late: bool) -> Bound:
+    return Bound.LOWER if late else Bound.EXACT
+
+
+#: Qualifier, and how much of the settling times of loading and unloading is waited for.
+_WAYS: Final = (
+    ("waiting", 1.5, 1.5),  # paper, 4.3.2
+    ("compensated", 0.3, 1.5),  # the steady state is predicted; what a release leaves still has to fade
+)
+
+
+class EventRate:
+    """``usable_event_rate`` [1/min] at one place, from the settling times that all loads of a run have in common.
+
+    ``waiting``: 1.5 settling times are waited for after every press and every release, as the paper does.
+    ``compensated``: 0.3 of one after a press, whose steady state is predicted, and 1.5 after a release. Where a time
+    is only known to be longer than its window, the rate is at most what is said, and has no value. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"usable_event_rate": "1/min"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("event-rate", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Measure; without both settling times there is no value."""
+        common = {m.qualifier: m for m in SettlingTimes().measure_run(run) if m.name == "common_settling_time"}
+        times = [common.get(f"conductance, {direction}") for direction in ("loading", "unloading")]
+        return tuple(_rate(times, *way) for way in _WAYS)
+
+
+def _rate(times: list[Measurement | None], qualifier: str, held: float, rested: float) -> Measurement:
+    loading, unloading = times
+    why = _why_not(loading, "loading") or _why_not(unloading, "unloading")
+    if why or loading is None or unloading is None or loading.value is None or unloading.value is None:
+        return Measurement("usable_event_rate", None, "1/min", qualifier=qualifier, how=why)
+    if loading.value + unloading.value <= 0:
+        why = "the sheet settles within a frame: frames limit the rate, not the material"
+        return Measurement("usable_event_rate", None, "1/min", qualifier=qualifier, how=why)
+    rate = event_rate_per_min(loading.value, unloading.value, held=held, rested=rested)
+    spread_s = ((held * (loading.uncertainty or 0.0)) ** 2 + (rested * (unloading.uncertainty or 0.0)) ** 2) ** 0.5
+    how = f"{held:g} of {loading.value:.3g} s held, {rested:g} of {unloading.value:.3g} s rested"
+    # d(60/P) = 60/P² dP
+    return Measurement("usable_event_rate", rate, "1/min", rate**2 / 60 * spread_s, qualifier=qualifier, how=how)
+
+
+def _why_not(time: Measurement | None, direction: str) -> str:
+    if time is None:
+        return f"no relaxation of {direction} was seen"
+    if time.value is None:
+        return f"no settling time of {direction}: {time.how}"
+    return f"{direction} settles later than its window of {time.value:.3g} s" if time.bound is Bound.LOWER else ""
+
+
+_WORDS = {
+    Agreement.EQUIVALENT: "equivalent within",
+    Agreement.DIFFERENT: "different by more than",
+    Agreement.UNDECIDED: "undecided at a margin of",
+}
+
+
+def said_of_shape(one: DirectedAgreement) -> str:
+    """Whether the curves are equivalent, and where they differ most; or why they were not compared."""
+    found = one.found
+    if found.why:
+        return _not_compared(one)
+    said = f"{_WORDS[found.shape]} {SHAPE_MARGIN:g} of the change: at most {found.shape_reach:.2g} apart"
+    return f"{said}, most at {found.at_s:.3g} s; {plural(one.loads, 'load')}"
+
+
+def said_of_time(one: DirectedAgreement) -> str:
+    """Whether the settling times are equivalent; or why they were not compared."""
+    found = one.found
+    if found.why:
+        return _not_compared(one)
+    if found.time_ratio is None:
+        return "one of them has no settling time within its window"
+    return f"{_WORDS[found.time]} {TIME_MARGIN:.0%} of the settling time; {plural(one.loads, 'load')}"
+
+
+def _not_compared(one: DirectedAgreement) -> str:
+    about = (
+        f" (the first is of the {one.first})" if "the first" in one.found.why or "the second" in one.found.why else ""
+    )
+    return f"not compared: {one.found.why}{about}"
+
+
+class BlobAndImageRelaxation:
+    """``relaxation_shape_difference`` [1] and ``relaxation_time_ratio`` [1]: image against blobs, press and release.
+
+    The mean of the whole image is there without a mask and without a blob: if it relaxes otherwise than the blobs,
+    the mask moves, or something else than the loads does. Both are fitted over all loads that show both. The first is
+    the difference of the curves over the steady change (after a release over the released one) where it may be
+    largest, the second that of the settling times. ``how`` says whether that is equivalent within 0.1 of the change
+    and within 20 % of the time, which is tested, or different, or undecided. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {"relaxation_shape_difference": "1", "relaxation_time_ratio": "1"}
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("relaxation-agreement", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Compare loadings and unloadings."""
+        taken = []
+        for one in image_against_blobs(run):
+            found, qualifier = one.found, f"image against conductance, {one.direction}"
+            shape, time = said_of_shape(one), said_of_time(one)
+            taken += [
+                Measurement(
+                    "relaxation_shape_difference", found.shape_difference, "1", found.shape_stderr,
+                    qualifier=qualifier, how=shape,
+                ),
+                Measurement(
+                    "relaxation_time_ratio", found.time_ratio, "1", found.time_ratio_stderr,
+                    qualifier=qualifier, how=time,
+                ),
+            ]  # fmt: skip
+        return tuple(taken)
+
+
+class SheetAndStripRelaxation:
+    """How a sheet's loads creep and fade, against a strip of its material, after presses and after releases.
+
+    ``strip_relaxation_difference`` [1]: the curves' difference, sheet less strip, over the steady (the released)
+    change where it may be largest. ``strip_relaxation_time_ratio`` [1]: of the settling times, sheet over strip.
+    ``strip_relaxation_difference_bound`` and ``strip_relaxation_time_bound`` [1]: the largest difference, and the
+    largest ratio either way, that the data leave open at 5 %. A limit on these two is a test of equivalence, which no
+    amount of noise passes: 0.1 and 1.2 are the margins that ``how`` states.
+
+    The strip's relaxation is that of the material file the run was given (``cbsr-qa run --material``); without one
+    nothing has a value, and ``how`` says why. It has no options.
+    """
+
+    measures: ClassVar[dict[str, str]] = {
+        "strip_relaxation_difference": "1",
+        "strip_relaxation_difference_bound": "1",
+        "strip_relaxation_time_ratio": "1",
+        "strip_relaxation_time_bound": "1",
+    }
+
+    def __init__(self, **options: Any) -> None:
+        refuse_unknown("relaxation-against-strip", options)
+
+    def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
+        """Compare loadings and unloadings."""
+        return tuple(taken for one in sheet_against_strip(run) for taken in _measured(one))
+
+
+def _measured(one: DirectedAgreement) -> Iterator[Measurement]:
+    found = one.found
+    shape, time = said_of_shape(one), said_of_time(one)
+    for name, value, stderr, how in (
+        ("strip_relaxation_difference", found.shape_difference, found.shape_stderr, shape),
+        ("strip_relaxation_difference_bound", found.shape_reach, None, shape),
+        ("strip_relaxation_time_ratio", found.time_ratio, found.time_ratio_stderr, time),
+        ("strip_relaxation_time_bound", found.time_reach, None, time),
+    ):
+        yield Measurement(name, value, "1", stderr, qualifier=one.direction, how=how)

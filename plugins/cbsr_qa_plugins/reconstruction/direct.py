@@ -1,0 +1,212 @@
+"""GREIT, trained on targets as wide as the indenter.
+
+Linear back-projection, the historic baseline.
+
+Truncated singular value decomposition.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cbsr_qa.domain import ConfigError, NumericsError
+from cbsr_qa.domain.results import (
+    ImagingProblem,
+    LinearReconstruction,
+    ParameterAnswer,
+    ParameterChoice,
+    ParameterCurve,
+)
+from cbsr_qa.eit.inverse import Truncation, check_hyperparameter, number, optional_number, optional_whole, shown
+from cbsr_qa.eit.inverse.choice import (
+    Criterion,
+    Regularisation,
+    central_signal,
+    noise_figure,
+    noise_figure as noise_figure_of,
+)
+from cbsr_qa.eit.inverse.greit import TargetDesign, greit_matrix, hyperparameter_for
+
+_NAME = "linear-back-projection"
+_LEAST_READING = 1e-6  # of the largest: a reading that the model says is zero has no relative change
+
+
+class LinearBackProjection:
+    """Every element takes the readings' relative changes, weighted by how much it makes of them (Kotre 1989).
+
+    x_e = Σ S_me (y_m/v_m) / √ΣS_me² with S_me = J_me/v_m and v the reference readings: the transposed sensitivity
+    in the place of its inverse, the successor of the back-projection along equipotentials of Barber & Brown 1984.
+    Kotre divides by Σ|S_me|, which near electrodes that are left out answers a load with the wrong sign.
+    Nothing is inverted, so nothing is regularised: images are blurred, and their amplitude is not that of the change.
+    It has no options, and does not weigh readings by their noise.
+    """
+
+    weighs_noise = False
+
+    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
+        """Prepare the imaging matrix; NumericsError if an element is felt by no reading."""
+        reference = problem.reference
+        known = np.abs(reference) > _LEAST_READING * np.abs(reference).max()
+        relative = np.where(known, 1 / np.where(known, reference, 1.0), 0.0)
+        sensitivity = relative[:, None] * problem.jacobian
+        felt = np.sqrt(np.einsum("me,me->e", sensitivity, sensitivity))
+        if not (felt > 0).all():
+            raise NumericsError(
+                f"{int((felt <= 0).sum())} image elements are felt by no reading that is left",
+                remedy="mend the masked channels",
+            )
+        matrix = (relative[:, None] * sensitivity).T / felt[:, None]
+        areas, variance = problem.mesh.areas_mm2, problem.noise_variance
+        figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
+        choice = ParameterChoice(
+            0.0, "nothing is regularised, and nothing chosen", figure, "no parameter", criterion="none"
+        )
+        return LinearReconstruction(_NAME, problem, matrix, choice)
+
+
+_NAME_TRUNCATED_SVD = "truncated-svd"
+
+
+class TruncatedSvd:
+    """x = Σ vₖ uₖᵀW^½ y / σₖ over the k largest singular values of W^½J, in the L² norm of the sheet (Hansen 1987).
+
+    Parameters
+    ----------
+    choose, noise_figure : how k is chosen, see :class:`~cbsr_qa.eit.inverse.choice.Regularisation`. A noise
+        figure is a bound: the most components that stay within it.
+    components : k itself; excludes the others. Pairs of equal singular values are kept or dropped together.
+
+    A count does not carry over to other readings as λ does: with bad channels, or readings weighted by their noise,
+    the k of the nominal sensor type would take in components that are all noise. There the most components are kept
+    that stay within the noise figure asked for, or within that of k on the nominal problem.
+    """
+
+    def __init__(
+        self, *, choose: str | None = None, noise_figure: float | None = None, components: int | None = None
+    ) -> None:
+        given = optional_whole(_NAME_TRUNCATED_SVD, "components", components)
+        self._regularisation = Regularisation.of(
+            _NAME_TRUNCATED_SVD, choose=choose, noise_figure=noise_figure, given=given, given_as="components"
+        )
+
+    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
+        """Prepare the imaging matrix.
+
+        Raises
+        ------
+        NumericsError
+            If k cannot be chosen, is out of range, or would split a pair; or no k keeps within the noise figure.
+        """
+        value, how, curve = self._regularisation.choose(problem, Truncation)
+        truncation, kept = Truncation(problem), int(value)
+        bound = self._bound_elsewhere(problem, value, curve)
+        if bound is not None:
+            kept = truncation.within(bound)
+        matrix = truncation.matrix(kept)
+        areas, variance = problem.mesh.areas_mm2, problem.noise_variance
+        figure = noise_figure_of(matrix, central_signal(problem), areas, noise_variance=variance)
+        if bound is not None:
+            how += (
+                f"; {int(value)} components there, chosen again on {_readings(problem)}: the most within noise figure"
+            )
+            how += f" {bound:.2f} are {kept}, with {figure:.2f}"
+        choice = ParameterChoice(float(kept), how, figure, "components kept", curve, self._regularisation.decided_by)
+        return LinearReconstruction(_NAME_TRUNCATED_SVD, problem, matrix, choice)
+
+    def _bound_elsewhere(self, problem: ImagingProblem, value: float, curve: ParameterCurve | None) -> float | None:
+        """Noise figure to keep within where k was chosen on other readings than the problem's; None where not."""
+        criterion, nominal = self._regularisation.criterion, problem.nominal
+        if criterion is None or nominal is None or curve is None:
+            return None
+        if problem.noise_variance is None and np.array_equal(problem.used, nominal.used):
+            return None
+        if criterion is Criterion.NOISE_FIGURE:
+            return self._regularisation.noise_figure
+        return None if problem.sample is not None else curve.noise_figure_at(value)
+
+
+def _readings(problem: ImagingProblem) -> str:
+    weighted = "" if problem.noise_variance is None else ", weighted by their noise"
+    return f"the {len(problem.reference)} readings in use{weighted}"
+
+
+_NAME_GREIT = "greit"
+_NOISE_FIGURE = 0.5  # of the method's authors
+
+
+class Greit:
+    """R = D Yᵀ (Y Yᵀ + λ² Σ)⁻¹ from training targets Y and their desired images D (Adler et al. 2009).
+
+    Departs from the original: each row weighs targets near its place in full and others little, all desired images
+    have one blur, and rows are shaped until masked images lie where their targets do and are as large.
+
+    Parameters
+    ----------
+    noise_figure : target (Adler et al. 2009, equal noise on all readings); by default 0.5, the authors' choice. λ is
+        chosen on the nominal sensor type; where the readings' noise is known, on the problem itself with its weights.
+    hyperparameter : λ itself, noise over signal of a reading; excludes ``noise_figure``.
+    indenter_diameter_mm : of the head [mm], at least 1.5 edges of the image's elements; by default 0.13 of the
+        sheet's diameter, the 13 mm of the 100 mm disc.
+    target_diameters_mm : of the training targets [mm], from a tenth of the head to half of the sheet; by default
+        8/13, 1 and 20/13 of the head.
+    """
+
+    def __init__(
+        self,
+        *,
+        noise_figure: float | None = None,
+        hyperparameter: float | None = None,
+        indenter_diameter_mm: float | None = None,
+        target_diameters_mm: Sequence[float] | None = None,
+    ) -> None:
+        noise_figure = optional_number(_NAME_GREIT, "noise_figure", noise_figure)
+        self._given = optional_number(_NAME_GREIT, "hyperparameter", hyperparameter)
+        if noise_figure is not None and self._given is not None:
+            raise NumericsError(
+                "greit takes noise_figure or hyperparameter, not both", remedy="leave one of them out"
+            )
+        if self._given is not None:
+            check_hyperparameter(self._given)
+        self._noise_figure = _NOISE_FIGURE if noise_figure is None else noise_figure
+        self._head_mm = optional_number(_NAME_GREIT, "indenter_diameter_mm", indenter_diameter_mm)
+        self._targets_mm = _diameters(target_diameters_mm)
+
+    def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
+        """Prepare the imaging matrix.
+
+        Raises
+        ------
+        NumericsError
+            If the noise figure cannot be reached, λ is too small to determine the image, a target does not fit the
+            sheet, no reading feels it, or the image's elements do not resolve the head.
+        """
+        design = TargetDesign.of(problem, self._head_mm, self._targets_mm)
+        value: float | None
+        value, how, curve = self._given, "hyperparameter given", None
+        if value is None:
+            value, how, curve = self._chosen(problem, design)
+        made = greit_matrix(problem, design, value)
+        criterion = "noise-figure" if self._given is None else "given"
+        choice = ParameterChoice(value, how, made.noise_figure, curve=curve, criterion=criterion)
+        return LinearReconstruction(_NAME_GREIT, problem, made.values, choice)
+
+    def _chosen(self, problem: ImagingProblem, design: TargetDesign) -> tuple[float, str, ParameterCurve]:
+        """Choose λ for the noise figure; returns it with how it was chosen, and the few λ that were tried."""
+        weighted = problem.noise_variance is not None
+        base = problem if weighted else problem.nominal or problem
+        where = "its own readings, weighted by their noise" if weighted else "the nominal model"
+        how = f"noise figure {self._noise_figure:.2f} (Adler et al. 2009) on {where}"
+        found = hyperparameter_for(base, design, self._noise_figure)
+        answers = (ParameterAnswer("noise-figure", found.value, how),)
+        curve = ParameterCurve(found.searched, found.noise_figures, answers, self._noise_figure)
+        return found.value, how, curve
+
+
+def _diameters(given: object) -> tuple[float, ...] | None:
+    if given is None:
+        return None
+    if not isinstance(given, list | tuple) or not given:
+        raise ConfigError(
+            f"{_NAME_GREIT}: target_diameters_mm is {shown(given)}", remedy="allowed: a list of numbers"
+        )
+    return tuple(number(_NAME_GREIT, "target_diameters_mm", value) for value in given)

@@ -1,0 +1,208 @@
+"""Random loads on a polar plot, with the error each was seen with.
+
+Loads estimated from their readings, beside where their images show them.
+
+Every load's image with the indenter over the blob.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from math import atan2, degrees, hypot
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.analysis.run import EstimatedLoad, estimated_loads
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import (
+    Cell,
+    LoadEstimate,
+    LoadFinding,
+    LoadObservation,
+    Paragraph,
+    RunObservation,
+    RunResult,
+    Section,
+    Table,
+)
+from cbsr_qa.report import (
+    Measured,
+    loads_of,
+    number,
+    observed,
+    plural,
+    seen_loads,
+    spread_text,
+    text_table,
+    value_cell,
+    with_uncertainty,
+)
+from cbsr_qa.report.draw import PlacedLoad, error_scale, estimates_figure, load_images_figure, random_loads_figure
+
+#: A longer table is folded.
+_MOST_ROWS: Final = 60
+_COLUMNS = (
+    "Load", "Strain [%]", "Image [mm]", "Readings [mm]", "Contrast c [%]", "Radius [mm]", "A·c [mm²]", "d′",
+)  # fmt: skip
+
+
+class LoadEstimates:
+    """Section of the estimates with their 68 % regions; only where the recipe measures them."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where no load was estimated."""
+        run = observed(result)
+        if run is None or not isinstance(result, RunResult):
+            return None
+        loads = (*loads_of(run, Role.GRID), *loads_of(run, Role.RANDOM))
+        measured = Measured(result.measurements)
+        loads = tuple(load for load in loads if measured.of_load("detectability", load) is not None)
+        if not loads:
+            return None
+        found = estimated_loads(run, run.settings.reference)
+        pairs = [(load, found[(load.phase, load.record.index)]) for load in loads]
+        placed = [_placed(load, estimate, run) for load, estimate in pairs]
+        words = _in_words(pairs, placed)
+        scale = error_scale(placed)
+        longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
+        figure = estimates_figure(
+            placed,
+            run.record.sensor_type,
+            caption="Where loads are by their readings (dot with its 68 % ellipse, the indenter's radius given) and"
+            f" by their images (cross: centre of mass), errors and ellipses {longer}. Dashed: the indenter. Right:"
+            " sizes of both errors, the bar is one standard error; a red tick was refused.",
+            alternative=words,
+        )
+        return Section("Load estimates", (Paragraph(words), figure, _table(pairs, measured)))
+
+
+def _chosen(estimate: EstimatedLoad) -> LoadEstimate | None:
+    return estimate.indenter or estimate.size
+
+
+def _placed(load: LoadObservation, estimate: EstimatedLoad, run: RunObservation) -> PlacedLoad:
+    view, chosen = load.mask(run.main_mask), _chosen(estimate)
+    region = None if view is None else view.region
+    wanted = load.record.load
+    place = None if chosen is None or chosen.place_mm is None else np.array(chosen.place_mm)
+    return PlacedLoad(
+        wanted.label,
+        load.indenter.at(wanted.x_mm, wanted.y_mm),
+        None if region is None else np.asarray(region.centre_mm()),
+        place,
+        None if chosen is None else chosen.place_covariance_mm2,
+    )
+
+
+def _in_words(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], placed: Sequence[PlacedLoad]) -> str:
+    errors = [float(np.hypot(*p.estimated_error)) for p in placed if p.estimated_error is not None]
+    if not errors:
+        why = next((e.why or (c.why if (c := _chosen(e)) else "") for _, e in pairs), "")
+        return f"none of {plural(len(pairs), 'load')} could be placed by its readings: {why}."
+    imaged = [float(np.hypot(*p.imaged_error)) for p in placed if p.imaged_error is not None]
+    rms, of_image = (np.sqrt(np.mean(np.square(values))) if values else None for values in (errors, imaged))
+    covered = sum(p.covered for p in placed)
+    words = f"{plural(len(errors), 'load')} placed to {number(float(rms or 0), 2)} mm (root mean square)"
+    words += f", by their images to {number(float(of_image), 2)} mm" if of_image is not None else ""
+    words += f"; {covered} of {len(errors)} lie in their 68 % ellipse."
+    refused = [c for _, e in pairs if (c := _chosen(e)) is not None and c.finding is not LoadFinding.LOCATED]
+    counts = {finding: sum(c.finding is finding for c in refused) for finding in LoadFinding}
+    words += "".join(f" {plural(count, 'load')} {finding}." for finding, count in counts.items() if count)
+    wrong = [c.misfit for _, e in pairs if (c := _chosen(e)) is not None and c.inflation > 1]
+    if wrong:
+        words += (
+            f" In {plural(len(wrong), 'load')} the readings contradict a round load on an even sheet (residuals up to"
+            f" {number(max(wrong), 2)} of the noise); their uncertainties are widened accordingly."
+        )
+    return words
+
+
+def _table(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], measured: Measured) -> Table:
+    rows: list[list[str | Cell]] = []
+    for load, estimate in pairs:
+        chosen, size = _chosen(estimate), estimate.size
+        row: list[str | Cell] = [load.record.load.label, f"{100 * load.record.load.strain:.3g}"]
+        row.append(value_cell(measured.of_load("centre_of_mass_error", load)))
+        error = measured.of_load("estimated_place_error", load)
+        refused = chosen is None or chosen.finding is not LoadFinding.LOCATED
+        row.append(Cell(str(chosen.finding) if chosen else "not estimated") if refused else value_cell(error))
+        contrast = None if chosen is None else chosen.contrast
+        row.append("–" if contrast is None else with_uncertainty(100 * contrast.value, 100 * contrast.stderr))
+        radius = None if size is None else size.radius_mm
+        row.append("–" if radius is None else with_uncertainty(radius.value, radius.stderr))
+        area = None if size is None else size.area_contrast_mm2
+        row.append("–" if area is None else with_uncertainty(area.value, area.stderr))
+        row.append("–" if chosen is None else f"{chosen.detectability:.0f}")
+        rows.append(row)
+    caption = (
+        "Errors of place by the image (E_CoM) and by the readings, ± one standard error along an axis. Contrast with"
+        " the head's radius given; radius and area × contrast A·c (against the mean of both conductances) without."
+        " A dash for the radius: the readings do not determine it at this place and strength. d′: detectability."
+    )
+    table = text_table(caption, _COLUMNS, rows, tuple(range(1, len(_COLUMNS))))
+    return replace(table, folded=len(rows) > _MOST_ROWS)
+
+
+#: More images than this are not printed; they are in the store.
+_MOST: Final = 48
+
+
+class LoadImages:
+    """Section of small pictures, one a press."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where nothing was pressed."""
+        run = observed(result)
+        if run is None or not run.loads or not isinstance(result, RunResult):
+            return None
+        # First trials come first where there are too many: they cover every place and strain.
+        chosen = sorted(run.loads, key=lambda load: load.record.load.trial)[:_MOST]
+        printed = [load for load in run.loads if any(load is kept for kept in chosen)]
+        seen = seen_loads(printed, run, Measured(result.measurements))
+        lost = sum(load.error_mm is None for load in seen)
+        conducts = "more" if run.response.value == "increase" else "less"
+        figure = load_images_figure(
+            seen,
+            run.record.sensor_type,
+            caption="Steady image of each press, as reconstructed (no noise floor subtracted), all on one scale."
+            f" Orange: the indenter. Black: outline of the sensed blob at the {100 * run.main_mask:g} % mask.",
+            alternative=f"{plural(len(seen), 'image')}, {plural(lost, 'load')} not detected.",
+        )
+        words = f"Pressed places conduct {conducts} ({run.response_how})."
+        left = len(run.loads) - len(printed)
+        if left:
+            words += f" {plural(left, 'press is', 'presses are')} not printed here; every frame is in the store."
+        return Section("Images", (Paragraph(words), figure))
+
+
+class RandomLoads:
+    """Section of the loads that were drawn at random (paper: Fig 11, Table 5)."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where none were pressed."""
+        run = observed(result)
+        loads = loads_of(run, Role.RANDOM) if run else ()
+        if run is None or not loads or not isinstance(result, RunResult):
+            return None
+        measured = Measured(result.measurements)
+        seen = seen_loads(loads, run, measured)
+        mean = spread_text([load.error_mm for load in seen if load.error_mm is not None], "mm")
+        figure = random_loads_figure(
+            seen,
+            run.record.sensor_type,
+            caption="Random loads, true to place; discs grow with strain. Crosses: where the centre of mass was"
+            " seen. Right: error against strain; a weak press is harder to place.",
+            alternative=f"{len(seen)} random loads; error {mean} mm (mean ± standard deviation).",
+        )
+        rows: list[list[str | Cell]] = []
+        for load in loads:
+            wanted = load.record.load
+            polar = f"{hypot(wanted.x_mm, wanted.y_mm):.1f}, {degrees(atan2(wanted.y_mm, wanted.x_mm)) % 360:.0f}°"
+            force = "–" if load.force_N is None else with_uncertainty(load.force_N, load.force_stderr_N)
+            error = value_cell(measured.of_load("centre_of_mass_error", load))
+            overlap = value_cell(measured.of_load("area_overlap", load))
+            rows.append([wanted.label, polar, f"{100 * wanted.strain:.1f}", force, error, overlap])
+        columns = ("Load", "r [mm], θ", "Strain [%]", "Force [N]", "E_CoM [mm]", "A_OL [%]")
+        table = text_table(f"Random loads: error {mean} mm over all.", columns, rows, (1, 2, 3, 4, 5))
+        return Section("Random loads", (figure, table))

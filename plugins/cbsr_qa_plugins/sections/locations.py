@@ -1,0 +1,244 @@
+"""The percentage masks side by side: table of means, and metrics against time with the force behind.
+
+The grid of locations: where each load was seen, table and map.
+"""
+
+from collections.abc import Sequence
+from statistics import fmean
+
+from cbsr_qa.domain.plan import Role
+from cbsr_qa.domain.readings import RecordingResult
+from cbsr_qa.domain.results import (
+    Block,
+    Cell,
+    Figure,
+    LoadObservation,
+    MetricTimeline,
+    Paragraph,
+    RunObservation,
+    RunResult,
+    Section,
+    Table,
+    worst,
+)
+from cbsr_qa.report import (
+    SPATIAL,
+    Measured,
+    by_label,
+    loads_of,
+    mask_qualifier,
+    number,
+    observed,
+    plural,
+    seen_loads,
+    spread_text,
+    text_table,
+    unit_column,
+    value_cell,
+    with_uncertainty,
+)
+from cbsr_qa.report.draw import Held, arrow_scale, location_map_figure, mask_timeline_figure
+
+#: Standard errors from which on a shift, a turn or a scale of all locations is more than scatter. In 5 % of the runs
+#: of nine presses in which there is none one of them is beyond it.
+_CLEAR = 3.0
+
+
+class NineLocations:
+    """Section of the loads of the phases that press a grid of places."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where no grid was pressed."""
+        run = observed(result)
+        loads = loads_of(run, Role.GRID) if run else ()
+        if run is None or not loads or not isinstance(result, RunResult):
+            return None
+        measured = Measured(result.measurements)
+        words = Paragraph(
+            f"{plural(len(loads), 'press', 'presses')} at {plural(len(by_label(loads)), 'location')};"
+            f" {_in_words(loads, measured)}"
+        )
+        blocks: list[Block] = [
+            words,
+            *_registration(result, measured.values("registered_centre_of_mass_error", loads)),
+        ]
+        phases = list(dict.fromkeys(load.phase for load in loads))
+        for phase in phases:
+            members = [load for load in loads if load.phase == phase]
+            blocks.append(_figure(members, run, measured, f"Phase {phase}. " if len(phases) > 1 else ""))
+            blocks += _by_strain(members, measured)
+            blocks.append(_table(members, result, measured))
+        return Section("Locations", tuple(blocks))
+
+
+def _figure(loads: Sequence[LoadObservation], run: RunObservation, measured: Measured, phase: str) -> Figure:
+    seen = seen_loads(loads, run, measured)
+    scale = arrow_scale(seen)
+    cross = "was not detected" if _placed(loads, measured) else "was not measured"
+    longer = f"drawn {scale} times longer" if scale > 1 else "drawn to scale"
+    return location_map_figure(
+        seen,
+        run.record.sensor_type,
+        caption=f"{phase}Where the loads were and where they were seen (mask {100 * run.main_mask:g} %). Dashed: the"
+        f" indenter. Blue: outline of the sensed blob. Arrows: error from the indenter's centre to the blob's"
+        f" centre of mass, {longer}. Right: every press; a diamond is outside its limit, a cross"
+        f" {cross}.",
+        alternative=_in_words(loads, measured),
+    )
+
+
+def _by_strain(loads: Sequence[LoadObservation], measured: Measured) -> list[Block]:
+    """One row a strain over all locations; nothing where there is one strain."""
+    strains = sorted({round(load.record.load.strain, 9) for load in loads})
+    if len(strains) < 2:
+        return []
+    rows: list[list[str]] = []
+    for strain in strains:
+        members = [load for load in loads if round(load.record.load.strain, 9) == strain]
+        values = [measured.values(name, members) for name, _, _ in SPATIAL]
+        spreads = [spread_text(found, unit) for found, (_, _, unit) in zip(values, SPATIAL, strict=True)]
+        rows.append([f"{100 * strain:g}", *spreads, _force(members), f"{len(values[0])} of {len(members)}"])
+    columns = ("Strain [%]", *(unit_column(name, unit) for _, name, unit in SPATIAL), "Force [N]", "Loads seen")
+    caption = "Each strain: mean ± standard deviation over all locations and trials."
+    return [text_table(caption, columns, rows, tuple(range(len(columns))))]
+
+
+def _placed(loads: Sequence[LoadObservation], measured: Measured) -> bool:
+    """Whether the recipe measures where presses are seen; where it does, one that is not seen says why."""
+    return any(measured.of_load("centre_of_mass_error", load) is not None for load in loads)
+
+
+def _in_words(loads: Sequence[LoadObservation], measured: Measured) -> str:
+    errors = measured.values("centre_of_mass_error", loads)
+    if not _placed(loads, measured):
+        return "the recipe does not measure how far from the presses they are seen."
+    if not errors:
+        return "none of the presses was seen in the image."
+    largest = max(errors)
+    lost = len(loads) - len(errors)
+    unseen = "" if not lost else f" {plural(lost, 'press was', 'presses were')} not detected."
+    return f"mean error {number(fmean(errors), 2)} mm, largest {number(largest, 2)} mm.{unseen}"
+
+
+def _registration(result: RunResult, left_mm: Sequence[float]) -> tuple[Paragraph, ...]:
+    """What all places share, and what is left without it; nothing where it was not measured."""
+    whole = {m.name: m for m in result.measurements if m.name.startswith("registration_")}
+    shift, rotation, scale = (whole.get(f"registration_{part}") for part in ("shift", "rotation", "scale"))
+    if shift is None or rotation is None or scale is None or not left_mm:
+        return ()
+    if shift.value is None or rotation.value is None or scale.value is None:
+        return ()
+    moved = (
+        f"shifted by {with_uncertainty(shift.value, shift.uncertainty)} mm, turned by"
+        f" {with_uncertainty(rotation.value, rotation.uncertainty)}° and scaled by"
+        f" {with_uncertainty(scale.value, scale.uncertainty)}"
+    )
+    parts = ((shift, 0.0), (rotation, 0.0), (scale, 1.0))
+    clear = any(abs((m.value or 0.0) - none) > _CLEAR * (m.uncertainty or 0.0) for m, none in parts)
+    whose = "the station's part" if clear else "no more than their own scatter explains"
+    left = f"mean error {number(fmean(left_mm), 2)} mm, largest {number(max(left_mm), 2)} mm"
+    return (Paragraph(f"All locations together are seen {moved}: {whose}. Without it: {left}."),)
+
+
+def _table(loads: Sequence[LoadObservation], result: RunResult, measured: Measured) -> Table:
+    baseline = {b.location: b for b in result.calibration.baseline} if result.calibration else {}
+    places = by_label(loads)
+    several = any(len(members) > 1 for members in places.values())
+    columns = ["Location", "x, y [mm]", *(["Presses"] if several else [])]
+    numeric = [*range(1, len(columns) + 2), len(columns) + 3, len(columns) + 4]
+    columns += ["E_CoM [mm]", "A_OL [%]", "Band", "SD [mm²]", "Force [N]"]
+    if baseline:
+        numeric.append(len(columns))
+        columns.append("ρ̄₀")
+    rows = []
+    for label, members in places.items():
+        place = members[0].record.load
+        row = [Cell(label), Cell(f"{place.x_mm:g}, {place.y_mm:g}".replace("-", "−"))]
+        row += [Cell(str(len(members)))] if several else []
+        error, overlap, deviation = (_cell(name, members, measured) for name, _, _ in SPATIAL)
+        row += [error, overlap, Cell(_bands(members, measured)), deviation, Cell(_force(members))]
+        if baseline:
+            known = baseline.get(label)
+            value = None if known is None else known.value
+            stderr = None if known is None else known.stderr
+            row.append(Cell("–" if value is None else with_uncertainty(value, stderr)))
+        rows.append(tuple(row))
+    caption = (
+        "Each location: error of the centre of mass, mutual overlap with its band, deviation of the outline, force."
+        " Over several presses: mean ± standard deviation; a single press stands without one."
+    )
+    return Table(caption, tuple(columns), tuple(rows), tuple(numeric))
+
+
+def _cell(name: str, members: Sequence[LoadObservation], measured: Measured) -> Cell:
+    if len(members) == 1:
+        return value_cell(measured.of_load(name, members[0]))
+    found = [measured.of_load(name, load) for load in members]
+    outcomes = [m.outcome for m in found if m is not None and m.limit is not None]
+    return Cell(spread_text(measured.values(name, members)), worst(outcomes) if outcomes else None)
+
+
+def _bands(members: Sequence[LoadObservation], measured: Measured) -> str:
+    """Return the bands the overlap metric names at the head of its ``how``, with counts where they differ."""
+    found = [measured.of_load("area_overlap", load) for load in members]
+    names = [m.how.partition(";")[0] for m in found if m is not None and m.value is not None]
+    counts = {name: names.count(name) for name in dict.fromkeys(names)}
+    if len(counts) == 1:
+        return next(iter(counts))
+    return ", ".join(f"{count} × {name}" for name, count in counts.items()) or "–"
+
+
+def _force(members: Sequence[LoadObservation]) -> str:
+    forces = [load.force_N for load in members if load.force_N is not None]
+    if len(forces) == 1 and len(members) == 1:
+        return with_uncertainty(forces[0], members[0].force_stderr_N)
+    return spread_text(forces)
+
+
+class MaskComparison:
+    """Section that compares the masks on the grid of locations (paper: Table 3, Figs 10 and E.23)."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None where no grid was pressed or one mask was used."""
+        run = observed(result)
+        if run is None or not isinstance(result, RunResult) or len(run.settings.masks) < 2:
+            return None
+        if not loads_of(run, Role.GRID):
+            return None
+        blocks: list[Block] = [_table_mask_comparison(result, run)]
+        blocks += [_figure_mask_comparison(timeline, run) for timeline in run.timelines]
+        return Section("Masks compared", tuple(blocks))
+
+
+def held_loads(run: RunObservation, phase: str) -> list[Held]:
+    """Return when each load of a phase was held."""
+    loads = [load.record for load in run.loads if load.phase == phase]
+    return [Held(record.load.label, record.hold_start_s, record.release_start_s) for record in loads]
+
+
+def _table_mask_comparison(result: RunResult, run: RunObservation) -> Table:
+    loads, measured = loads_of(run, Role.GRID), Measured(result.measurements)
+    rows = []
+    for fraction in run.settings.masks:
+        qualifier = mask_qualifier(run, fraction)
+        values = [measured.values(name, loads, qualifier) for name, _, _ in SPATIAL]
+        spreads = [spread_text(found, unit) for found, (_, _, unit) in zip(values, SPATIAL, strict=True)]
+        decides = "" if qualifier else " (decides)"
+        rows.append([f"{100 * fraction:g} %{decides}", *spreads, f"{len(values[0])} of {len(loads)}"])
+    columns = ["Mask", *(unit_column(name, unit) for _, name, unit in SPATIAL), "Loads seen"]
+    caption = (
+        "Mean ± standard deviation over all locations and trials of the steady images, for each percentage mask. A"
+        " higher mask cuts the blob closer to its peak."
+    )
+    return text_table(caption, columns, rows, (1, 2, 3, 4))
+
+
+def _figure_mask_comparison(timeline: MetricTimeline, run: RunObservation) -> Figure:
+    behind = " The force is drawn behind in light orange." if timeline.force is not None else ""
+    return mask_timeline_figure(
+        timeline,
+        held_loads(run, timeline.phase),
+        caption=f"Phase {timeline.phase}: spatial metrics of every frame taken while a load was held, for each"
+        f" mask.{behind} A line that is missing for a hold means that no blob was seen.",
+        alternative=f"Three panels against time, one line for each of {len(timeline.masks)} masks.",
+    )

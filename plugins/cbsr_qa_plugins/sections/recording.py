@@ -1,0 +1,268 @@
+"""Rows of a recording that were not used, by line, and what else is worth knowing about the file.
+
+Channels and noise of a recording.
+
+Presses found in a recording: when, where, which way, how clearly.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from cbsr_qa.analysis.recording import nominal_disc
+from cbsr_qa.domain.geometry import Disc
+from cbsr_qa.domain.readings import LoadEvent, RecordingResult, ScanKind
+from cbsr_qa.domain.results import Block, Figure, Paragraph, RunResult, Section, Table, Trace
+from cbsr_qa.report import fixed, number, plural, text_table
+from cbsr_qa.report.draw import (
+    ChannelMark,
+    ImagePanel,
+    Marker,
+    Span,
+    channel_map_figure,
+    image_figure,
+    sheet_radius,
+    timeline_figure,
+)
+
+
+class RecordingChannels:
+    """Section of saturated and stuck channels, reading memory, noise and its steps."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None for runs."""
+        if not isinstance(result, RecordingResult):
+            return None
+        blocks: list[Block] = [_facts(result), _map(result)]
+        if result.noise.steps:
+            blocks.append(_steps(result))
+        return Section("Channels and noise", tuple(blocks))
+
+
+def _facts(result: RecordingResult) -> Table:
+    channels, noise = result.channels, result.noise
+    unit = "counts" if noise.unit == "count" else noise.unit
+    rows = [
+        ["Readings imaged", str(channels.used)],
+        ["Saturated", plural(len(channels.saturated), "channel") if channels.saturated else "none"],
+        ["Stuck", plural(len(channels.stuck), "channel") if channels.stuck else "none"],
+    ]
+    if channels.suspect_electrodes:
+        rows.append(["Electrodes with a suspect contact", ", ".join(map(str, channels.suspect_electrodes))])
+    if channels.snr_db is not None:
+        rows.append(["Level over noise, median", f"{fixed(channels.snr_db, 1)} dB"])
+    if channels.reciprocity_error is not None:
+        rows.append(["Reciprocity error, as recorded", fixed(channels.reciprocity_error, 3)])
+    if channels.reading_memory is not None:
+        done = "taken out" if channels.memory_corrected else "not taken out"
+        rows.append(["Share of the previous reading in each", f"{fixed(100 * channels.reading_memory, 1)} %, {done}"])
+    if channels.reciprocity_error_corrected is not None:
+        rows.append(["Reciprocity error without that share", fixed(channels.reciprocity_error_corrected, 3)])
+    if noise.rms is not None and noise.quiet_s is not None:
+        stretch = f"{fixed(noise.quiet_s[0], 1)} to {fixed(noise.quiet_s[1], 1)} s"
+        rows.append([f"Noise of one reading ({stretch})", f"{number(noise.rms)} {unit} rms"])
+    if noise.drift_per_min is not None:
+        rows.append(["Drift", f"{number(noise.drift_per_min)} {unit}/min"])
+    if noise.outliers:
+        rows.append(["Readings beyond six times the noise", f"{fixed(100 * noise.outliers, 2)} %"])
+    return text_table("Channels and noise.", ("Quantity", "Value"), rows, (1,))
+
+
+def _map(result: RecordingResult) -> Figure:
+    recording, channels = result.recording, result.channels
+    level = np.median(recording.frames.voltages, axis=0)
+    one_row = recording.scan is ScanKind.DRIVEN_PAIRS
+
+    def at(pairs: tuple[tuple[int, int], ...]) -> tuple[tuple[int, int], ...]:
+        return tuple((0, measure) for _, measure in pairs) if one_row else pairs
+
+    saturated, stuck = len(channels.saturated), len(channels.stuck)
+    return channel_map_figure(
+        level,
+        label="median level",
+        unit=recording.frames.unit.value,
+        marks=(
+            ChannelMark(at(channels.saturated), "x", "saturated"),
+            ChannelMark(at(channels.stuck), "o", "stuck"),
+        ),
+        caption=f"Level of each channel. Saturated: {saturated or 'none'}; stuck: {stuck or 'none'}.",
+        alternative=f"Map of {level.shape[0]} by {level.shape[1]} channels; {saturated} saturated, {stuck} stuck.",
+    )
+
+
+def _steps(result: RecordingResult) -> Table:
+    rows = [
+        [fixed(step.time_s, 3), "level" if step.what == "level" else "noise", number(step.before), number(step.after)]
+        for step in result.noise.steps
+    ]
+    caption = "Steps of level or noise that most channels share; the noise above is that of the longest stretch."
+    return text_table(caption, ("Time [s]", "What", "Before", "After"), rows, (0, 2, 3))
+
+
+_MOST_IMAGES = 12
+
+
+class RecordingEvents:
+    """Section of the events of a recording, with the image of each."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None for runs."""
+        if not isinstance(result, RecordingResult):
+            return None
+        blocks: list[Block] = []
+        if result.events:
+            still = result.frame_rate_hz is None
+            blocks += [_table(result.events, still=still), *_moving(result.events)]
+            blocks += [_images(result), _imaging(result), _imaged(result.events)]
+        else:
+            blocks.append(Paragraph(f"No event: {result.events_why}.", "note"))
+        if timeline := _timeline(result):
+            blocks.append(timeline)
+        return Section("Events", tuple(blocks))
+
+
+def _name(rank: int) -> str:
+    return f"E{rank + 1}"
+
+
+def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
+    named = any(event.x_mm is not None for event in events)
+    columns = ["Event", "Start [s]", "Peak [s]", "End [s]", "Electrode", "r/R", "The place", "SNR"]
+    columns += ["x [mm]", "y [mm]"] if named else []
+    forced = any(event.force_N is not None for event in events)
+    columns += ["Force [N]"] if forced else []
+    beside = any(event.fate for event in events)
+    columns += ["Beside others"] if beside else []
+    rows = []
+    for rank, event in enumerate(events):
+        times = ["–"] * 3 if still else [fixed(t, 1) for t in (event.start_s, event.peak_s, event.end_s)]
+        row = [_name(rank), *times, fixed(event.electrode, 2), fixed(event.r_over_R, 2)]
+        row += ["conducts more" if event.sign > 0 else "conducts less", fixed(event.snr, 1)]
+        if named:
+            row += ["–" if at is None else fixed(at, 1) for at in (event.x_mm, event.y_mm)]
+        if forced:
+            row.append("–" if event.force_N is None else fixed(event.force_N, 2))
+        if beside:
+            row.append(event.fate or "–")
+        rows.append(row)
+    numeric = tuple(k for k, column in enumerate(columns) if column not in ("Event", "The place", "Beside others"))
+    caption = (
+        "Events, found without being told where or when. Electrode: direction as a fractional electrode number."
+        " SNR: change over the noise of such changes in this recording."
+        + (" Beside others held at its peak: whether the image shows it as a region of its own." if beside else "")
+    )
+    return text_table(caption, columns, rows, numeric)
+
+
+def _moving(events: Sequence[LoadEvent]) -> list[Block]:
+    said = [f"{_name(rank)} moves: {event.motion.words}" for rank, event in enumerate(events) if event.motion]
+    return [Paragraph(f"{'. '.join(said)}. The table gives where it is clearest.")] if said else []
+
+
+def _imaging(result: RecordingResult) -> Table:
+    rows = []
+    if (imaging := result.imaging) is not None:
+        options = ", ".join(f"{name} = {value!r}" for name, value in imaging.reconstruction.options.items())
+        rows += [["Reconstruction", imaging.reconstruction.name], ["Its options", options or "as by default"]]
+        if (chosen := imaging.choice) is not None:
+            rows.append(
+                [f"Parameter: {chosen.name}", f"{number(chosen.value)}, by {chosen.criterion or 'its author'}"]
+            )
+            rows.append(["Why", chosen.how])
+            rows.append(["Noise figure", number(chosen.noise_figure)])
+    rows.append(["Used for", "these images; events, places and SNR are found in the readings, without images"])
+    return text_table("How the images were made.", ("Choice", "Value"), rows)
+
+
+def _imaged(events: Sequence[LoadEvent]) -> Table:
+    rows = []
+    for rank, event in enumerate(events):
+        seen = event.imaged
+        shown = ["–"] * 4
+        if seen is not None:
+            shown = [fixed(seen.electrode, 2), fixed(seen.r_over_R, 2)]
+            shown += [fixed(100 * seen.largest, 2), fixed(100 * seen.area_share, 1)]
+        rows.append([_name(rank), *shown])
+    columns = ("Event", "Electrode", "r/R", "Largest change [%]", "Area above half of it [% of the sheet]")
+    caption = (
+        "Where the images show the events: centre of mass of the region that belongs to the place of the best fit."
+        " A dash: the image shows no region there."
+    )
+    if any(event.imaged is not None and event.imaged.largest < -1 for event in events):
+        caption += (
+            " No sheet conducts less than nothing: a change below −100 % says that the change is too large for the"
+            " method, or the scale of the readings is not known; places hold, amplitudes do not."
+        )
+    return text_table(caption, columns, rows, (1, 2, 3, 4))
+
+
+def _images(result: RecordingResult) -> Figure:
+    events, named = result.events, result.sensor_type
+    shown = events[:_MOST_IMAGES]
+    sensor = named or nominal_disc(result.recording.layout, result.recording.frames.voltages.shape[1])
+    # Images of a sensor nobody named may be in any unit.
+    sheet = Disc(sheet_radius(shown[0].image.mesh)) if named is None else named.outline
+    panels = []
+    for rank, event in enumerate(shown):
+        place = Marker(event.x_over_R * sheet.radius_mm, event.y_over_R * sheet.radius_mm)
+        moves = event.motion is not None
+        track = np.array([at[1:] for at in event.track]) * sheet.radius_mm if moves else None
+        note = f"{'clearest at ' if moves else ''}electrode {event.electrode:.1f}, r/R {event.r_over_R:.2f}"
+        panels.append(ImagePanel(_name(rank), event.image, (place,), note, track))
+    left = "" if len(shown) == len(events) else f" The first {len(shown)} of {len(events)}."
+    moved = (
+        " Line: the way of what moves, from the ring to the dot." if any(p.track is not None for p in panels) else ""
+    )
+    scale = " Each image has its own colour scale, below it." if len(panels) > 1 else ""
+    return image_figure(
+        panels,
+        sheet=sheet,
+        electrodes=sensor.electrodes,
+        shared_scale=False,
+        caption="Change each event made against the frames just before it (or against the reference). Marked: the"
+        f" place of the best fit of a small load, which the blur of the image does not move.{moved}{scale}{left}",
+        alternative="; ".join(f"{panel.title}: {panel.note}" for panel in panels),
+    )
+
+
+def _timeline(result: RecordingResult) -> Figure | None:
+    recording = result.recording
+    block = recording.frames
+    if result.frame_rate_hz is None or len(block) < 2 or result.channels.not_connected:
+        return None
+    first = np.median(block.voltages[: max(2, min(8, len(block) // 4))], axis=0)
+    changed = np.sqrt(np.mean((block.voltages - first) ** 2, axis=(1, 2)))
+    traces = [Trace("change", block.unit.value, block.time_s, changed)]
+    traces += [Trace("force", s.unit, s.time_s, s.values) for s in recording.samples if s.channel == "force"]
+    spans = [Span(e.start_s, e.end_s, _name(rank), e.peak_s) for rank, e in enumerate(result.events)]
+    what = "one row a frame" if recording.scan is ScanKind.DRIVEN_PAIRS else "all readings"
+    told = plural(len(spans), "event") if spans else "no event"
+    return timeline_figure(
+        traces,
+        spans,
+        caption=f"Rms change of {what} since the first frames, and force where it was recorded. Shaded: {told}.",
+        alternative=f"Traces over {block.time_s[-1] - block.time_s[0]:.0f} s with {told}.",
+    )
+
+
+_MOST_ROWS = 200
+
+
+class RecordingRows:
+    """Section of rejected rows and notes."""
+
+    def render(self, result: RunResult | RecordingResult) -> Section | None:
+        """Return the section; None for runs, and for files about which nothing needs to be said."""
+        if not isinstance(result, RecordingResult):
+            return None
+        recording = result.recording
+        blocks: list[Block] = [Paragraph(f"{note[:1].upper()}{note[1:]}.", "note") for note in recording.notes]
+        shown = sorted(recording.problems, key=lambda p: (not p.rejected, p.line))[:_MOST_ROWS]
+        if shown:
+            left = len(recording.problems) - len(shown)
+            cost = f", {plural(recording.frames_dropped, 'frame')} dropped" if recording.frames_dropped else ""
+            caption = f"{plural(recording.rows_rejected, 'row')} rejected{cost}; the rest is noted."
+            caption += f" {left} more are not shown." if left else ""
+            rows = [[str(p.line), "rejected" if p.rejected else "noted", p.what] for p in shown]
+            blocks.append(text_table(caption, ("Line", "What became of it", "Why"), rows, (0,)))
+        return Section("Rows of the file", tuple(blocks)) if blocks else None

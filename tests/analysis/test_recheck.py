@@ -1,0 +1,135 @@
+"""A fielded sensor against its calibration: as it was, weaker than it was, and where it cannot be told."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_runs import simulated_run
+
+from cbsr_qa.analysis.evaluate import Conclusion, calibrated
+from cbsr_qa.analysis.run import observe_run, run_force
+from cbsr_qa.analysis.verification import recheck
+from cbsr_qa.app.run import RunRequest, plan_run
+from cbsr_qa.calibration.file import write_calibration
+from cbsr_qa.calibration.runtime import Calibration
+from cbsr_qa.config import load_recipe
+from cbsr_qa.domain import CalibrationError, ConfigError
+from cbsr_qa.domain.results import Outcome, Verdict
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.plugin import Kind, discover
+from cbsr_qa_plugins.metrics.force import CalibrationCheck
+
+PLACES = ((0.0, 0.0), (25.0, 10.0), (-20.0, 18.0), (-8.0, -28.0))
+
+
+def observed(record, *phases):
+    recipe = load_recipe("nine-locations").value
+    made = discover().factory(Kind.RECONSTRUCTION, recipe.reconstruction.name)(**recipe.reconstruction.options)
+    return observe_run(record, made, replace(recipe.analysis, calibrate_phases=phases)), recipe
+
+
+@pytest.fixture(scope="module")
+def calibration():
+    run, recipe = observed(simulated_run(NINE_LOCATIONS_MM, seed=3), "grid")
+    conclusion = Conclusion(run, (), Verdict(Outcome.PASS, "a test"), ())
+    issued, why = calibrated(
+        conclusion,
+        replace(recipe, calibrate_phases=("grid",)),
+        calibration="c",
+        issued_at="2026-01-02T00:00:00+00:00",
+    )
+    assert issued is not None, why
+    assert run_force(run).learned is not None
+    return Calibration(issued)
+
+
+@pytest.fixture(scope="module")
+def checked():
+    """The same sensor in five minutes; a weaker one as well."""
+    return {
+        gauge: observed(simulated_run(PLACES, hold_s=15.0, rest_s=10.0, gauge=gauge, seed=8))[0]
+        for gauge in (1.0, 0.8)
+    }
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("gauge", [1.0, 0.8])
+def test_sensitivity_is_found_from_holds_of_fifteen_seconds(calibration, checked, gauge):
+    found = recheck(checked[gauge], calibration)
+    assert len(found.loads) == len(PLACES)
+    assert abs(found.sensitivity / gauge - 1) < 0.05
+    assert abs(found.sensitivity - gauge) < 4 * found.sensitivity_stderr
+    assert found.sensitivity_stderr < 0.03
+    assert found.noise_ratio == pytest.approx(1, abs=0.25)
+    assert found.reference_change < 0.01
+
+
+@pytest.mark.slow
+def test_a_sheet_that_conducts_more_is_said_to_and_weighs_as_before(calibration, checked):
+    run = checked[1.0]
+    louder = replace(
+        run,
+        reference=run.reference * 1.001,
+        unloaded=replace(run.unloaded, voltages=run.unloaded.voltages * 1.001),
+    )
+    assert recheck(louder, calibration).reference_change == pytest.approx(1e-3, rel=0.5)
+
+
+class TestRefused:
+    def test_another_sensor(self, calibration, checked):
+        run = checked[1.0]
+        identity = replace(run.record.identity, sensor=SensorIdentity("T", "", "disc-100mm"))
+        other = replace(run, record=replace(run.record, identity=identity))
+        with pytest.raises(CalibrationError, match="is of sensor S, the run of T"):
+            recheck(other, calibration)
+
+    def test_a_reading_that_is_gone(self, calibration, checked):
+        run = checked[1.0]
+        usable = run.usable.copy()
+        usable[tuple(np.argwhere(usable)[0])] = False
+        with pytest.raises(CalibrationError, match="1 readings that the calibration needs cannot be used"):
+            recheck(replace(run, usable=usable), calibration)
+
+    def test_no_force(self, calibration, checked):
+        run = checked[1.0]
+        loads = tuple(replace(load, force_N=None) for load in run.loads)
+        with pytest.raises(CalibrationError, match="no load of the run was pressed alone"):
+            recheck(replace(run, loads=loads), calibration)
+
+
+class TestMetric:
+    def test_the_latest_file_of_the_serial_is_taken(self, calibration, checked, tmp_path, monkeypatch):
+        monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path))
+        run = "01a1ffeb-2239-72b2-8e32-52b0c09ce1b"
+        for name in (f"S-{run}c", f"S-1-{run}d"):
+            write_calibration(tmp_path / "calibrations" / f"{name}.h5", calibration.issued)
+        found = {m.name: m for m in CalibrationCheck().measure_run(checked[0.8])}
+        assert found["sensitivity_change"].value == pytest.approx(-20, abs=4)
+        assert f"S-{run}c.h5" in found["sensitivity_change"].how
+        assert set(found) == set(CalibrationCheck.measures)
+
+    def test_without_a_file_nothing_has_a_value(self, checked, tmp_path, monkeypatch):
+        monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path))
+        for found in CalibrationCheck().measure_run(checked[1.0]):
+            assert found.value is None
+            assert "there is no calibration of sensor S" in found.how
+
+    def test_a_file_that_is_none(self, checked, tmp_path):
+        path = tmp_path / "broken.h5"
+        path.write_bytes(b"no calibration")
+        found = CalibrationCheck(calibration=str(path)).measure_run(checked[1.0])
+        assert all(one.value is None and "broken.h5" in one.how for one in found)
+
+    def test_options_are_refused(self):
+        with pytest.raises(ConfigError, match=r"there is no file nowhere\.h5"):
+            CalibrationCheck(calibration="nowhere.h5")
+        with pytest.raises(ConfigError, match="calibration is 3"):
+            CalibrationCheck(calibration=3)
+        with pytest.raises(ConfigError, match="did you mean 'calibration'"):
+            CalibrationCheck(calibrations="x")
+
+
+def test_the_recipe_takes_five_minutes():
+    dry = plan_run(RunRequest("simulated", "re-verification", "S")).dry
+    assert dry.duration_s < 300

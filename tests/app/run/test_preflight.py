@@ -1,0 +1,81 @@
+"""What is refused before anything moves: too few unloaded frames, an instrument whose calibration is overdue."""
+
+from dataclasses import replace
+from datetime import date
+
+import pytest
+
+from cbsr_qa.app.run.preflight import check_unloaded, refuse_overdue
+from cbsr_qa.app.run.run import RunRequest, plan_run
+from cbsr_qa.config import load_recipe, load_station
+from cbsr_qa.domain import ConfigError, RefusedError
+from cbsr_qa.domain.plan import AcquireFrames, MarkUnloaded, Press
+from cbsr_qa.domain.run import Load
+from cbsr_qa.testing import example_plan
+
+_RECIPE = load_recipe("nine-locations").value
+
+
+def _plan(frames):
+    return example_plan(
+        (MarkUnloaded(), AcquireFrames(frames), Press(Load("L0", 0.0, 0.0, 0.2, 0)), AcquireFrames(50))
+    )
+
+
+def _recipe(**changes):
+    return replace(_RECIPE, analysis=replace(_RECIPE.analysis, **changes))
+
+
+@pytest.mark.parametrize(
+    ("frames", "settings", "said"),
+    [
+        (8, {}, "takes 8 unloaded frames, but analysis.noise_floor_frames and the reference need 9"),
+        (8, {"noise_weighting": "measured"}, "noise_floor_frames and the reference need 9"),
+        (5, {"noise_weighting": "measured", "noise_floor_frames": 2}, 'noise_weighting = "measured" needs 6'),
+    ],
+)
+def test_too_few_unloaded_frames_are_refused_with_what_needs_them(frames, settings, said):
+    with pytest.raises(ConfigError, match=said) as refused:
+        check_unloaded(_plan(frames), _recipe(**settings))
+    assert "take more unloaded frames" in refused.value.remedy
+    assert ("noise_weighting" in refused.value.remedy) == ("needs 6" in said)
+
+
+@pytest.mark.parametrize(
+    ("frames", "settings"),
+    [
+        (9, {"noise_weighting": "measured"}),
+        (6, {"noise_weighting": "measured", "noise_floor_frames": 2}),
+        (3, {"noise_floor_frames": 2}),
+    ],
+)
+def test_as_many_as_are_needed_are_enough(frames, settings):
+    check_unloaded(_plan(frames), _recipe(**settings))
+
+
+def _due(policy, day):
+    station = load_station("simulated").value
+    late = replace(station.instruments[0], calibration_due=day)
+    return replace(station, overdue=policy, instruments=(late,))
+
+
+def test_a_station_that_refuses_to_run_overdue_names_the_role_and_the_date():
+    with pytest.raises(
+        RefusedError, match=r"calibration of bench \(simulated-bench\) was due on 2026-03-31"
+    ) as refused:
+        refuse_overdue(_due("refuse", "2026-03-31"), date(2026, 4, 1))
+    assert "calibration_due" in refused.value.remedy
+
+
+@pytest.mark.parametrize(("policy", "day"), [("refuse", "2026-04-01"), ("refuse", None), ("warn", "2026-03-31")])
+def test_the_day_itself_is_in_time_and_a_station_that_warns_runs(policy, day):
+    refuse_overdue(_due(policy, day), date(2026, 4, 1))
+
+
+def test_a_run_is_refused_by_the_station_files_policy(tmp_path):
+    content = load_station("simulated").document.text.replace("[indenter]", 'overdue = "refuse"\n\n[indenter]', 1)
+    station = tmp_path / "late.toml"
+    station.write_text(f"{content}\ncalibration_due = 2020-01-31\n")
+    with pytest.raises(RefusedError, match="was due on 2020-01-31"):
+        plan_run(RunRequest(str(station), "nine-locations", "S-1", seed=1))
+    assert list(tmp_path.iterdir()) == [station]

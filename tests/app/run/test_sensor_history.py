@@ -1,0 +1,172 @@
+"""Earlier runs of a sensor: counted as tries, told in words, and read from the store as they stood before a run."""
+
+import json
+import sqlite3
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import pytest
+from report_samples import sample_run
+from stored_lots import judged, store_run
+
+from cbsr_qa.app.run.outputs import RunOutcome
+from cbsr_qa.cli import run as cli
+from cbsr_qa.domain.results import EndReason, Measurement, Outcome, Verdict
+from cbsr_qa.domain.run import EarlierRun, SensorHistory, StationCheck
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.report import run_page
+from cbsr_qa.store import open_store
+
+SENSOR = SensorIdentity("S-7", "42", "disc-100mm")
+
+
+def earlier(day, outcome=Outcome.PASS, reason="all 3 limits are met", end=EndReason.FINISHED, **more):
+    began = datetime(2026, 11, day, 8, tzinfo=UTC)
+    made = EarlierRun(f"run-{day}", began, SENSOR, "nine-locations", end, outcome, reason)
+    return replace(made, **more)
+
+
+FAIL = earlier(20, Outcome.FAIL, "centre of mass error is 8.2 mm (allowed: at most 6.5 mm)")
+STOPPED = earlier(21, None, "", EndReason.ABORTED)
+CHECKS = tuple(earlier(day, recipe="golden-check", of_check=True) for day in (3, 4))
+
+
+@pytest.mark.parametrize(
+    ("runs", "said"),
+    [
+        ((), ""),
+        ((FAIL,), "second try of this recipe; earlier: 2026-11-20 fail (centre of mass error is 8.2 mm)"),
+        (
+            (FAIL, STOPPED),
+            "third try of this recipe; earlier: 2026-11-20 fail (centre of mass error is 8.2 mm), 2026-11-21 aborted",
+        ),
+        (
+            (replace(FAIL, overridden=(Outcome.PASS, "Zoë")),),
+            "second try of this recipe; earlier: 2026-11-20 fail (centre of mass error is 8.2 mm),"
+            " overridden to pass by Zoë",
+        ),
+        (
+            (earlier(2, recipe="re-verification"), earlier(3, None, "", EndReason.RUNNING)),
+            "second try of this recipe; earlier: 2026-11-03 cut off or still under way;"
+            " 1 run of other recipes, the latest (re-verification) 2026-11-02 pass",
+        ),
+        (CHECKS, "2 runs in checks of stations, the latest 2026-11-04 pass"),
+        (
+            tuple(earlier(day) for day in range(1, 8)),
+            "eighth try of this recipe; earlier: 2026-11-03 pass, 2026-11-04 pass, 2026-11-05 pass,"
+            " 2026-11-06 pass, 2026-11-07 pass, and 2 before",
+        ),
+    ],
+)
+def test_the_number_of_the_try_and_what_came_before_are_told(runs, said):
+    assert SensorHistory(SENSOR, "nine-locations", runs).words == said
+
+
+@pytest.mark.parametrize(
+    ("tries", "ordinal"), [(0, "first"), (9, "tenth"), (10, "11th"), (21, "22nd"), (112, "113th")]
+)
+def test_tries_are_numbered_as_people_do(tries, ordinal):
+    assert SensorHistory(SENSOR, "nine-locations", tries * (FAIL,)).ordinal == ordinal
+
+
+@pytest.mark.parametrize(
+    ("sensor", "said"),
+    [
+        (SENSOR, ()),
+        (replace(SENSOR, batch=""), ()),
+        (replace(SENSOR, batch="41"), ("batch '41' now; its run of 2026-11-21 says '42'",)),
+        (replace(SENSOR, sensor_type="elbow"), ("type 'elbow' now; its run of 2026-11-21 says 'disc-100mm'",)),
+    ],
+)
+def test_another_batch_or_type_than_earlier_runs_state_is_told_once(sensor, said):
+    nobody = replace(STOPPED, sensor=replace(SENSOR, batch=""), run="run-22")
+    found = SensorHistory(sensor, "nine-locations", (FAIL, STOPPED, nobody)).differences
+    assert [one.split(": ")[1] for one in found] == list(said)
+    assert all(one.startswith("sensor S-7: ") and "two sensors have this serial number" in one for one in found)
+
+
+def test_several_other_batches_are_one_warning():
+    runs = tuple(earlier(day, sensor=replace(SENSOR, batch=str(day))) for day in (3, 4))
+    (said,) = SensorHistory(SENSOR, "nine-locations", runs).differences
+    assert "batch '42' now; its run of 2026-11-03 says '3', its run of 2026-11-04 says '4': one is" in said
+
+
+def test_the_store_tells_a_run_of_those_before_it_alone(database_url):
+    with open_store(database_url) as store:
+        bad, good = (judged((Measurement("drift", drift, "%/min"),)) for drift in (0.9, 0.1))
+        first = store_run(store, "S-7", bad, batch="41", recipe="nine-locations")
+        stopped = store_run(store, "S-7", good, batch="42", recipe="nine-locations", end=EndReason.ABORTED)
+        golden = store_run(store, "S-7", good, batch="", recipe="golden-check")
+        at = datetime(2026, 11, 22, tzinfo=UTC)
+        store.save_station_check(StationCheck(store.new_id(), "b", "", at, "t", 64 * "a", (), (), (), golden))
+        last = store_run(store, "S-7", good, batch="42", recipe="nine-locations")
+        store_run(store, "S-8", bad, recipe="nine-locations")
+        for outcome in (Outcome.PASS, Outcome.FAIL):
+            store.override_verdict(first, outcome, operator="Zoë", why="so")
+        found = store.sensor_history(SENSOR, "nine-locations", last)
+        assert [one.run for one in found.earlier] == [first, stopped, golden]
+        assert [(one.outcome, one.end, one.of_check) for one in found.earlier] == [
+            (Outcome.FAIL, EndReason.FINISHED, False),
+            (None, EndReason.ABORTED, False),
+            (Outcome.PASS, EndReason.FINISHED, True),
+        ]
+        assert found.earlier[0].overridden == (Outcome.FAIL, "Zoë")
+        assert "drift" in found.earlier[0].reason
+        assert (found.ordinal, found.document()["try"]) == ("third", 3)
+        assert len(found.differences) == 1
+        assert store.sensor_history(SENSOR, "nine-locations", first).words == ""
+        assert len(store.sensor_history(SENSOR, "nine-locations").earlier) == 4
+
+
+EDITED = {
+    "verdict": ("update analyses set outcome = 'pass'", "analyses"),
+    "word": ("update analyses set outcome = 'good'", "analyses"),
+    "date": ("update runs set started_at = 'today'", "runs"),
+    "end": ("update run_states set end = 'aborted' where number = 0", "run_states"),
+    "override": ("update verdict_overrides set outcome = 'pass'", "verdict_overrides"),
+    "link": ("delete from run_links where kind = 'analyses'", "analyses"),
+}
+
+
+@pytest.mark.parametrize(("statement", "table"), EDITED.values(), ids=EDITED)
+def test_an_earlier_run_that_was_changed_is_named_and_stops_nothing(tmp_path, statement, table):
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store:
+        run = store_run(store, "S-7", judged((Measurement("drift", 0.9, "%/min"),)), recipe="nine-locations")
+        store.override_verdict(run, Outcome.FAIL, operator="Zoë", why="so")
+        with sqlite3.connect(tmp_path / "runs.db") as database:
+            assert database.execute(statement).rowcount >= 1
+        found = store.sensor_history(SENSOR, "nine-locations")
+    assert "changed since it was stored (run " + run in found.words
+    assert table in found.earlier[0].changed
+    assert (found.earlier[0].outcome, found.ordinal, len(found.warnings)) == (None, "second", 1)
+    told = found.document()["earlier_runs"][0]
+    assert (told["end"], told["outcome"], table in told["changed"]) == (None, None, True)
+
+
+def test_an_earlier_run_without_a_chain_is_told_apart(tmp_path):
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store:
+        store_run(store, "S-7", judged((Measurement("drift", 0.9, "%/min"),)), recipe="nine-locations")
+        with sqlite3.connect(tmp_path / "runs.db") as database:
+            database.executescript("delete from run_links; update runs set chain = null")
+        assert store.sensor_history(SENSOR, "nine-locations").words.endswith(" (no chain)")
+
+
+def test_last_lines_document_and_page_one_tell_the_history(capsys):
+    result = replace(sample_run(), sensor_history=SensorHistory(SENSOR, "nine-locations", (FAIL, STOPPED)))
+    words = result.sensor_history.words
+    outcome = RunOutcome(result, None, None, (), 1.0, 7)
+    told = json.loads(json.dumps(outcome.document()))["sensor_history"]
+    assert (told["try"], [one["outcome"] for one in told["earlier_runs"]]) == (3, ["fail", None])
+    cli._show(outcome)
+    assert f"sensor       {words}" in capsys.readouterr().out.splitlines()
+    assert dict(run_page(result).identity)["Earlier runs"] == words
+
+
+def test_a_first_run_says_nothing_of_earlier_ones(capsys):
+    result = replace(sample_run(), sensor_history=SensorHistory(SENSOR, "nine-locations"))
+    cli._show(RunOutcome(result, None, None, (), 1.0, 7))
+    assert "sensor  " not in capsys.readouterr().out
+    assert dict(run_page(result).identity)["Earlier runs"] == "none of this sensor in the database"
+    assert replace(result, verdict=Verdict(Outcome.PASS, "")).sensor_history.document() == {
+        "try": 1, "earlier_runs": []
+    }  # fmt: skip

@@ -1,0 +1,228 @@
+"""The calibration file: exact round trip, its digest, and what is not written."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from calibration_samples import (
+    assert_same,
+    edited,
+    old_calibration,
+    plain_digest,
+    sample_calibration,
+    sparse_calibration,
+)
+
+from cbsr_qa.calibration.file.digests import stamped
+from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration, write_calibration
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.sensor import Mesh
+
+
+@pytest.fixture
+def issued(tmp_path: Path) -> Path:
+    path = tmp_path / "calibrations" / "S-001.h5"
+    write_calibration(path, sample_calibration())
+    return path
+
+
+@pytest.mark.parametrize("make", [sample_calibration, sparse_calibration, old_calibration])
+def test_every_field_comes_back_exactly(tmp_path, make):
+    path = tmp_path / "sensor.h5"
+    write_calibration(path, make())
+    assert_same(read_calibration(path), stamped(make()), "calibration")
+
+
+def _with_choice(method, **changes):
+    sample = sample_calibration()
+    choice = replace(sample.reconstruction.choice, **changes)
+    return replace(sample, reconstruction=replace(sample.reconstruction, method=method, choice=choice))
+
+
+@pytest.mark.parametrize(
+    ("method", "called"),
+    [("gauss-newton-noser", "λ"), ("truncated-svd", "components kept"), ("pyeit-jac", "pyEIT's lamb")],
+)
+def test_a_file_of_before_is_read_with_the_name_its_method_implied(tmp_path, method, called):
+    """A file with two datasets fewer, whose digest is worked out as anybody would."""
+    path = tmp_path / "old.h5"
+    write_calibration(path, _with_choice(method))
+    with edited(path) as file:
+        del file["reconstruction/regularisation_name"], file["reconstruction/regularisation_criterion"]
+    stated = plain_digest(path)
+    with edited(path) as file:
+        file.attrs["digest"] = stated
+    old = read_calibration(path)
+    assert (old.reconstruction.choice.name, old.reconstruction.choice.criterion) == (called, "")
+    assert (old.reconstruction.choice.value, old.reconstruction.choice.how) == (0.03, "chosen for a test")
+    assert write_calibration(tmp_path / "again.h5", old) == stated
+
+
+@pytest.mark.parametrize(("name", "criterion"), [("λ", "gcv"), ("μ", ""), ("λ", "")])
+def test_name_and_criterion_come_back_whichever_is_there(tmp_path, name, criterion):
+    made = _with_choice("gauss-newton-noser", name=name, criterion=criterion)
+    write_calibration(tmp_path / "x.h5", made)
+    assert_same(read_calibration(tmp_path / "x.h5"), stamped(made), "calibration")
+
+
+def test_every_dataset_states_its_units(issued):
+    units: dict[str, str] = {}
+    with h5py.File(issued) as file:
+        file.visititems(
+            lambda name, item: (
+                units.__setitem__(name, item.attrs["units"]) if isinstance(item, h5py.Dataset) else None
+            )
+        )
+    assert units["reference/voltages"] == "V"
+    assert units["mesh/nodes"] == "mm"
+    assert units["quasi_static/against_stress/slope"] == "1/kPa"
+    assert units["validity/force"] == "N"
+    assert units["relaxation/conductance/amplitudes"] == "1"
+    assert units["relaxation/stress/amplitudes"] == units["relaxation/stress/settling_band"] == "kPa"
+    of_volts = {"1/V", "A.Ohm", "A.Ohm/V", "V", "V/(A.Ohm)"}
+    known = of_volts | {"1", "1/kPa", "1/mm", "1/mm^2", "A", "N", "deg", "degC", "kPa", "mm", "s", "%"}
+    assert set(units.values()) <= known | {"flag", "index", "text"}
+
+
+def test_the_digest_can_be_recomputed_with_h5py_and_hashlib(issued):
+    with h5py.File(issued) as file:
+        stated = file.attrs["digest"]
+    assert plain_digest(issued) == stated == verify_calibration(issued).digest
+
+
+def test_the_digest_does_not_depend_on_the_order_of_writing(issued, tmp_path):
+    copy = tmp_path / "copy.h5"
+    with h5py.File(issued) as source, h5py.File(copy, "w", libver="latest", track_order=True) as target:
+        for name, value in source.attrs.items():
+            target.attrs[name] = value
+        for name in reversed(list(source)):
+            source.copy(name, target)
+    assert copy.read_bytes() != issued.read_bytes()
+    assert verify_calibration(copy).digest == verify_calibration(issued).digest
+
+
+def test_the_same_calibration_gives_the_same_bytes(issued, tmp_path):
+    again = tmp_path / "again.h5"
+    write_calibration(again, sample_calibration())
+    assert again.read_bytes() == issued.read_bytes()
+
+
+def test_negative_zero_is_written_as_zero(tmp_path):
+    """SQLite has only one zero; what is put together again from its rows must have the same digest."""
+    sample = sample_calibration()
+    first, second = sample.baseline
+    negative = replace(sample, scale=-0.0, baseline=(first, replace(second, y_mm=-0.0)))
+    positive = replace(sample, scale=0.0)
+    assert stamped(negative).digest == stamped(positive).digest
+    write_calibration(tmp_path / "x.h5", negative)
+    assert not np.signbit(read_calibration(tmp_path / "x.h5").scale)
+
+
+def _with_large_arrays():
+    """Like a real one in size: a Jacobian and a matrix of a hundred thousand numbers each."""
+    sample = sample_calibration()
+    problem = sample.reconstruction.problem
+    count = 4000
+    corners = np.arange(count)[:, None] + np.arange(3)
+    angle = np.linspace(0.0, 40.0, count + 2)
+    nodes = np.column_stack([angle * np.cos(angle), angle * np.sin(angle)])
+    smooth = np.sin(np.arange(len(problem.reference))[:, None] + angle[:count] / 9)
+    grown = replace(problem, mesh=Mesh(nodes, corners), jacobian=smooth)
+    return replace(sample, reconstruction=replace(sample.reconstruction, problem=grown, matrix=smooth.T.copy()))
+
+
+def test_large_arrays_are_compressed_and_come_back_to_the_bit(tmp_path):
+    path, large = tmp_path / "large.h5", _with_large_arrays()
+    assert write_calibration(path, large) == stamped(large).digest == plain_digest(path)
+    with h5py.File(path) as file:
+        stored = {name: file[f"reconstruction/{name}"] for name in ("matrix", "jacobian")}
+        assert {dataset.compression for dataset in stored.values()} == {"gzip"}
+        assert all(dataset.id.get_storage_size() < dataset.nbytes for dataset in stored.values())
+        assert file["identity/serial"].compression is None
+    assert_same(read_calibration(path), stamped(large), "calibration")
+
+
+def test_matrix_and_jacobian_in_single_precision_come_back_to_the_bit_and_take_less_room(tmp_path):
+    double, path = _with_large_arrays(), tmp_path / "single.h5"
+    single = replace(double, reconstruction=double.reconstruction.in_single_precision())
+    write_calibration(tmp_path / "double.h5", double)
+    assert write_calibration(path, single) == stamped(single).digest == plain_digest(path)
+    assert_same(read_calibration(path), stamped(single), "calibration")
+    assert verify_calibration(path).schema_version == 3
+    assert verify_calibration(tmp_path / "double.h5").schema_version == 2
+    assert path.stat().st_size < 0.6 * (tmp_path / "double.h5").stat().st_size
+    # What is not prepared again is the same record, however the rest is kept.
+    assert stamped(single).record_digest == stamped(double).record_digest
+    for name in ("matrix", "jacobian"):
+        one, other = (
+            made.reconstruction.matrix if name == "matrix" else made.reconstruction.problem.jacobian
+            for made in (single, double)
+        )
+        assert np.linalg.norm(one - other) < 6e-8 * np.linalg.norm(other)
+
+
+def test_reciprocal_rows_of_the_jacobian_are_kept_once(tmp_path):
+    large = _with_large_arrays()
+    problem = large.reconstruction.problem
+    random = np.random.default_rng(3).standard_normal(problem.jacobian.shape)
+    alike = random.copy()
+    alike[len(alike) // 2 :] = alike[: len(alike) - len(alike) // 2]
+    sizes = []
+    for name, jacobian in (("random", random), ("alike", alike)):
+        made = replace(large.reconstruction, problem=replace(problem, jacobian=jacobian)).in_single_precision()
+        write_calibration(tmp_path / f"{name}.h5", replace(large, reconstruction=made))
+        with h5py.File(tmp_path / f"{name}.h5") as file:
+            sizes.append(file["reconstruction/jacobian"].id.get_storage_size())
+    assert sizes[1] < 0.6 * sizes[0]
+
+
+def test_a_matrix_worked_out_on_another_computer_changes_the_digest_but_not_that_of_the_record():
+    sample = sample_calibration()
+    rounded = replace(sample.reconstruction, matrix=np.nextafter(sample.reconstruction.matrix, np.inf))
+    here, there = stamped(sample), stamped(replace(sample, reconstruction=rounded))
+    assert here.record_digest == there.record_digest
+    assert here.digest != there.digest
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"scale": 1.0},
+        {"relaxations": ()},
+        {"noise_figure": None},
+        {"against_stress": replace(sample_calibration().against_stress, covariance=None)},
+        {"size_ratio": (0.5, 2.0)},
+    ],
+)
+def test_a_calibration_changed_after_it_was_issued_is_not_written(tmp_path, change):
+    issued = stamped(sample_calibration())
+    with pytest.raises(CalibrationError, match="not what was issued"):
+        write_calibration(tmp_path / "x.h5", replace(issued, **change))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_signal_with_two_units_is_refused(tmp_path):
+    sample = sample_calibration()
+    mixed = (*sample.relaxations[:2], replace(sample.relaxations[2], unit="V"))
+    with pytest.raises(CalibrationError, match="conductance have several units: 1, V"):
+        write_calibration(tmp_path / "x.h5", replace(sample, relaxations=mixed))
+
+
+@pytest.mark.parametrize("signal", ["", "a/b", "../up"])
+def test_a_signal_that_cannot_name_a_group_is_refused(tmp_path, signal):
+    sample = sample_calibration()
+    with pytest.raises(CalibrationError, match="letters, digits"):
+        write_calibration(
+            tmp_path / "x.h5", replace(sample, relaxations=(replace(sample.relaxations[0], signal=signal),))
+        )
+
+
+def test_a_number_read_with_plain_h5py_is_the_number(issued):
+    with h5py.File(issued) as file:
+        assert file["baseline_conductance/location"].asstr()[()].tolist() == ["L0", "L1"]
+        value = file["baseline_conductance/value"][()]
+        assert value[0] == 0.31
+        assert np.isnan(value[1])
+        assert file["identity/serial"].asstr()[()] == "S-001 ü"

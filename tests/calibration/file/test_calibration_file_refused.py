@@ -1,0 +1,303 @@
+"""The calibration file: refusal of everything unsound, and nothing half-written."""
+
+import os
+import subprocess
+import sys
+import textwrap
+from dataclasses import replace
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from calibration_samples import (
+    edited,
+    plain_digest,
+    sample_calibration,
+    sample_sensor_type,
+)
+
+from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration, write_calibration
+from cbsr_qa.domain import CalibrationError
+
+
+@pytest.fixture
+def issued(tmp_path: Path) -> Path:
+    path = tmp_path / "calibrations" / "S-001.h5"
+    write_calibration(path, sample_calibration())
+    return path
+
+
+# --- what is refused ---------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("share", [0.0, 0.1, 0.5, 0.9, 0.999])
+def test_a_truncated_file_is_refused(issued, share):
+    whole = issued.read_bytes()
+    issued.write_bytes(whole[: int(share * len(whole))])
+    with pytest.raises(CalibrationError, match=rf"{issued.name}.*(truncated|changed)"):
+        read_calibration(issued)
+
+
+@pytest.mark.parametrize(
+    ("path", "value"),
+    [
+        ("baseline_conductance/value", [0.32, np.nan]),
+        ("identity/serial", "S-002"),
+        ("validity/force", [0.0, 99.0]),
+        ("sensor_type/electrodes/counterclockwise", True),
+        ("settling/accepted", [9, 0]),
+    ],
+)
+def test_an_edited_value_is_refused(issued, path, value):
+    with edited(issued) as file:
+        file[path][...] = value
+    with pytest.raises(CalibrationError, match="changed after it was issued"):
+        read_calibration(issued)
+
+
+def test_changed_units_are_refused(issued):
+    with edited(issued) as file:
+        file["validity/force"].attrs["units"] = "kN"
+    with pytest.raises(CalibrationError, match="changed after it was issued"):
+        verify_calibration(issued)
+
+
+def test_an_added_or_removed_dataset_is_refused(issued):
+    with edited(issued) as file:
+        file.create_dataset("extra", data=1.0).attrs["units"] = "1"
+    with pytest.raises(CalibrationError, match="changed after it was issued"):
+        verify_calibration(issued)
+    with edited(issued) as file:
+        del file["extra"]
+    verify_calibration(issued)
+    with edited(issued) as file:
+        del file["image/mask"]
+    with pytest.raises(CalibrationError, match="changed after it was issued"):
+        verify_calibration(issued)
+
+
+def test_a_missing_digest_is_refused(issued):
+    with edited(issued) as file:
+        del file.attrs["digest"]
+    with pytest.raises(CalibrationError, match="states no SHA-256"):
+        verify_calibration(issued)
+
+
+def test_a_future_version_is_refused_by_name(issued):
+    with edited(issued) as file:
+        file.attrs["schema_version"] = np.int64(7)
+    with pytest.raises(CalibrationError, match="version 7; this program knows versions up to 3"):
+        read_calibration(issued)
+
+
+@pytest.mark.parametrize("version", [np.int64(0), np.float64(1.0), "1"])
+def test_a_version_that_never_was_is_refused(issued, version):
+    with edited(issued) as file:
+        file.attrs["schema_version"] = version
+    with pytest.raises(CalibrationError, match="version"):
+        read_calibration(issued)
+
+
+def test_another_hdf5_file_and_no_hdf5_file_are_refused(tmp_path):
+    other = tmp_path / "other.h5"
+    with h5py.File(other, "w") as file:
+        file["x"] = 1.0
+    with pytest.raises(CalibrationError, match="not a calibration"):
+        read_calibration(other)
+    text = tmp_path / "notes.txt"
+    text.write_text("no HDF5 at all")
+    with pytest.raises(CalibrationError, match="not a whole HDF5 file"):
+        read_calibration(text)
+    text.write_text('{"format": "cbsr-calibration"}')
+    with pytest.raises(CalibrationError, match=r"JSON, not HDF5.*\n.*calibration export X\.json --output X\.h5"):
+        read_calibration(text)
+    with pytest.raises(CalibrationError, match="no such file"):
+        read_calibration(tmp_path / "absent.h5")
+    with pytest.raises(CalibrationError, match="a folder or a device"):
+        read_calibration(tmp_path)
+
+
+@pytest.mark.parametrize("stated", [np.array([1, 2]), np.array(["cbsr-qa calibration"] * 2, dtype=object), 3.0])
+def test_a_format_that_is_no_word_is_not_a_calibrations(issued, stated):
+    with edited(issued) as file:
+        file.attrs["format"] = stated
+    with pytest.raises(CalibrationError, match="not a calibration"):
+        read_calibration(issued)
+
+
+def test_what_is_stated_instead_of_a_digest_is_not_printed(issued):
+    with edited(issued) as file:
+        file.attrs["digest"] = "\x1b[31mred"
+    with pytest.raises(CalibrationError, match="states no SHA-256"):
+        read_calibration(issued)
+
+
+def test_names_within_names_come_to_an_end(issued):
+    with edited(issued) as file:
+        inner = file.create_group("b0")
+        for depth in range(1, 4):
+            outer = file.create_group(f"b{depth}")
+            for number in range(60):
+                outer[f"x{number}"] = inner
+            inner = outer
+    with pytest.raises(CalibrationError, match="more than 10000 names"):
+        read_calibration(issued)
+
+
+@pytest.mark.parametrize("shape", [(1, 2), (2**26,)])
+def test_texts_are_lists_and_not_millions(issued, shape):
+    with edited(issued) as file:
+        del file["assumed"]
+        texts = file.create_dataset("assumed", shape, dtype=h5py.string_dtype(), chunks=True)
+        texts.attrs["units"] = "text"
+    with pytest.raises(CalibrationError, match="assumed holds texts of the shape"):
+        read_calibration(issued)
+
+
+def test_control_characters_in_a_name_do_not_reach_the_terminal(issued):
+    with edited(issued) as file:
+        file["force/\x1b[2J"] = np.complex128(1)
+        file["force/\x1b[2J"].attrs["units"] = "1"
+    with pytest.raises(CalibrationError) as caught:
+        read_calibration(issued)
+    assert "\x1b" not in caught.value.reason
+
+
+def test_a_name_no_file_can_have_is_refused(tmp_path):
+    with pytest.raises(CalibrationError, match="cannot be read: File name too long"):
+        read_calibration(tmp_path / ("x" * 300))
+
+
+def _forge(path: Path) -> None:
+    """State the digest that the content now has, as somebody would who knows how."""
+    digest = plain_digest(path)
+    with edited(path) as file:
+        file.attrs["digest"] = digest
+
+
+def test_content_that_contradicts_itself_is_refused_even_with_a_fitting_digest(issued):
+    with edited(issued) as file:
+        del file["baseline_conductance/x"]
+        file.create_dataset("baseline_conductance/x", data=np.zeros(3)).attrs["units"] = "mm"
+    _forge(issued)
+    with pytest.raises(CalibrationError, match="contradicts itself"):
+        read_calibration(issued)
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "said"),
+    [
+        ("image/mask", None, "image/mask is missing"),
+        ("image/mask", "0.85", "image/mask does not hold float64 numbers"),
+        ("identity/serial", 3.0, "identity/serial is not a text"),
+        ("image/noise_floor", [1.0, 2.0], "shape"),
+        ("image/response", "sideways", "sideways"),
+        ("validity/force", [1.0, 2.0, 3.0], "instead of two"),
+        ("mesh/electrode_edge_counts", [1, 1], "the counts say 2"),
+        ("reconstruction/matrix", [[1.0]], "does not fit"),
+        ("relaxation/stress/number", [0], "not 0, 1, 2"),
+        ("area_overlap/size_ratio", [1.0], "instead of two"),
+    ],
+)
+def test_content_of_the_wrong_kind_is_named_even_with_a_fitting_digest(issued, path, value, said):
+    with edited(issued) as file:
+        del file[path]
+        if value is not None:
+            file.create_dataset(path, data=value).attrs["units"] = "1"
+    _forge(issued)
+    with pytest.raises(CalibrationError, match=said):
+        read_calibration(issued)
+
+
+def test_links_out_of_the_file_are_not_followed(issued, tmp_path):
+    secret = tmp_path / "secret.h5"
+    with h5py.File(secret, "w") as file:
+        file["x"] = 1.0
+    with edited(issued) as file:
+        del file["image/mask"]
+        file["image/mask"] = h5py.ExternalLink(str(secret), "/x")
+    with pytest.raises(CalibrationError, match="image/mask is a link"):
+        read_calibration(issued)
+
+
+def test_circular_groups_end(issued):
+    with edited(issued) as file:
+        file["image/again"] = file["image"]
+    with pytest.raises(CalibrationError, match="is a link"):
+        read_calibration(issued)
+
+
+def test_a_dataset_of_another_type_or_of_absurd_size_is_refused(issued):
+    with edited(issued) as file:
+        file.create_dataset("huge", shape=(10**12,), dtype="f8", chunks=(1000,)).attrs["units"] = "1"
+    with pytest.raises(CalibrationError, match="too large"):
+        read_calibration(issued)
+    with edited(issued) as file:
+        del file["huge"]
+        file.create_dataset("odd", data=np.zeros(2, dtype="f2")).attrs["units"] = "1"
+    with pytest.raises(CalibrationError, match="odd is of the type float16"):
+        read_calibration(issued)
+
+
+def test_a_matrix_prepared_for_another_sensor_type_is_not_written(tmp_path):
+    mixed = replace(sample_calibration(), sensor_type=replace(sample_sensor_type(), name="disc-other"))
+    with pytest.raises(CalibrationError, match=r"'disc-test'.*'disc-other'"):
+        write_calibration(tmp_path / "mixed.h5", mixed)
+    assert list(tmp_path.iterdir()) == []
+
+
+# --- nothing half-written ------------------------------------------------------------------------------------
+
+
+def test_a_failed_write_leaves_the_old_file_and_nothing_else(issued, monkeypatch):
+    before = issued.read_bytes()
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(CalibrationError, match="No space left on device"):
+        write_calibration(issued, sample_calibration())
+    assert issued.read_bytes() == before
+    assert list(issued.parent.iterdir()) == [issued]
+
+
+def test_a_folder_that_is_a_file_is_refused(tmp_path):
+    (tmp_path / "calibrations").write_text("in the way")
+    with pytest.raises(CalibrationError, match="cannot be written"):
+        write_calibration(tmp_path / "calibrations" / "x.h5", sample_calibration())
+
+
+def test_a_text_that_hdf5_cannot_hold_is_refused(tmp_path):
+    with pytest.raises(CalibrationError, match="cannot be written"):
+        write_calibration(tmp_path / "x.h5", replace(sample_calibration(), run="a\0b"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_disk_without_room_for_it_is_said_and_leaves_nothing(tmp_path):
+    """In a process of its own, whose files may not grow: HDF5 used to crash it where it could not close its file."""
+    code = """
+    import resource, sys
+    from pathlib import Path
+    from calibration_samples import sample_calibration
+    from cbsr_qa.calibration.file.hdf5 import write_calibration
+    from cbsr_qa.domain.errors import CalibrationError
+    calibration = sample_calibration()
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+    try:
+        write_calibration(Path(sys.argv[1]), calibration)
+    except CalibrationError as error:
+        sys.stdout.write(error.reason)
+    """
+    done = subprocess.run(
+        [sys.executable, "-c", textwrap.dedent(code), str(tmp_path / "c.h5")],
+        check=False,
+        capture_output=True,
+        text=True,
+        timeout=120,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(filter(None, sys.path))},
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "c.h5 cannot be written: File too large" in done.stdout
+    assert list(tmp_path.iterdir()) == []

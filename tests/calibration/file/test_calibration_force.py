@@ -1,0 +1,262 @@
+"""The force model in a calibration: its way through file and database, and refusal of what cannot be worked with."""
+
+import dataclasses
+import hashlib
+import sqlite3
+from dataclasses import replace
+
+import h5py
+import numpy as np
+import pytest
+from calibration_samples import (
+    assert_same,
+    edited,
+    old_calibration,
+    sample_calibration,
+    sample_force,
+    sparse_calibration,
+)
+from stored_runs import calibration, journalled, short_run
+
+from cbsr_qa.calibration.file.digests import PREPARED, stamped
+from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration, write_calibration
+from cbsr_qa.domain import CalibrationError, StoreError
+from cbsr_qa.domain.results import ForceModel, Outcome, RunResult, Verdict
+from cbsr_qa.store import open_store
+
+
+@pytest.fixture
+def issued(tmp_path):
+    path = tmp_path / "sensor.h5"
+    write_calibration(path, sample_calibration())
+    return path
+
+
+def test_the_sample_says_something_in_every_field():
+    """What a new field defaults to would come back even if no file held it."""
+    model = sample_force(18)
+    defaults = {f.name: f.default for f in dataclasses.fields(ForceModel) if f.default is not dataclasses.MISSING}
+    assert defaults
+    assert not [name for name, default in defaults.items() if getattr(model, name) == default]
+
+
+def _digest_as_documented(path):
+    with h5py.File(path) as file:
+        names = []
+        file.visititems(lambda name, item: names.append(name) if isinstance(item, h5py.Dataset) else None)
+        digest = hashlib.sha256(f"cbsr-qa calibration\t{file.attrs['schema_version']}\n".encode())
+        for name in sorted(names):
+            dataset = file[name]
+            if h5py.check_string_dtype(dataset.dtype):
+                kind, texts = "text", np.atleast_1d(dataset[()])
+                data = b"".join(b"%d\n%s" % (len(text), text) for text in texts)
+            else:
+                kind, data = dataset.dtype.str[1:], np.ascontiguousarray(dataset[()]).tobytes()
+            shape = "x".join(str(length) for length in dataset.shape)
+            digest.update(f"{name}\t{dataset.attrs['units']}\t{kind}\t{shape}\n".encode())
+            digest.update(data)
+    return digest.hexdigest()
+
+
+def _forged(path, changes):
+    """Change datasets of a file as somebody would who knows how, its digest included."""
+    with edited(path) as file:
+        for name, value in changes.items():
+            units, kind = "1", None
+            if name in file:
+                units, kind = file[name].attrs["units"], file[name].dtype
+                del file[name]
+            if value is not None:
+                text = isinstance(value, str)
+                file.create_dataset(name, data=value if text else np.asarray(value, dtype=kind)).attrs["units"] = (
+                    units
+                )
+    stated = _digest_as_documented(path)
+    with edited(path) as file:
+        file.attrs["digest"] = stated
+
+
+def test_a_file_of_before_there_were_force_models_is_read_and_written_as_it_was(tmp_path):
+    path = tmp_path / "old.h5"
+    write_calibration(path, old_calibration())
+    with h5py.File(path) as file:
+        assert file.attrs["schema_version"] == 1
+        assert "force" not in file
+    old = read_calibration(path)
+    assert (old.force, old.no_force) == (None, "")
+    assert verify_calibration(path).schema_version == 1
+    again = tmp_path / "again.h5"
+    assert write_calibration(again, old) == old.digest
+    assert again.read_bytes() == path.read_bytes()
+
+
+def test_a_calibration_without_a_model_says_why(tmp_path):
+    write_calibration(tmp_path / "x.h5", sparse_calibration())
+    back = read_calibration(tmp_path / "x.h5")
+    assert back.force is None
+    assert back.no_force.startswith("2 of 9 loads")
+    assert verify_calibration(tmp_path / "x.h5").schema_version == 2
+
+
+def test_a_version_that_does_not_fit_the_content_is_refused(issued):
+    with edited(issued) as file:
+        file.attrs["schema_version"] = np.int64(1)
+    _forged(issued, {})
+    with pytest.raises(CalibrationError, match="schema version 1, but what it holds is that of version 2"):
+        read_calibration(issued)
+
+
+_HUGE = 10**6
+_NODE = sample_force(18).node
+_HOSTILE = {
+    "node out of range": ({"force/node": np.full((7, 8), 51)}, "does not name each of 52 templates once"),
+    "node below": ({"force/node": np.full((7, 8), -2)}, "does not name each"),
+    "node named twice": ({"force/node": np.where(_NODE == 3, 4, _NODE)}, "does not name each"),
+    "node of another shape": ({"force/node": np.zeros((8, 7))}, r"force/node of \(8, 7\)"),
+    "no rows": ({"force/lattice/rows": 0}, "2 to 10000 are allowed"),
+    "huge lattice": ({"force/lattice/columns": _HUGE, "force/lattice/rows": _HUGE}, "2 to 10000 are allowed"),
+    "negative spacing": ({"force/lattice/spacing": -10.0}, "not positive"),
+    "spacing NaN": ({"force/lattice/spacing": np.nan}, "force/lattice/spacing is nan; a finite number is expected"),
+    "template NaN": ({"force/templates": np.full((52, 7), np.nan)}, "force/templates holds what is not a finite"),
+    "templates long": ({"force/templates": np.ones((52, 7))}, "not of the length one"),
+    "templates flat": ({"force/templates": np.ones(52)}, "force/templates has the shape"),
+    "fewer templates": ({"force/templates": np.ones((9, 7)) / np.sqrt(7)}, "does not fit 9 templates"),
+    "map too short": ({"force/log_response": np.zeros(5)}, r"force/log_response of \(5,\) does not fit"),
+    "map infinite": ({"force/log_response": np.full(52, np.inf)}, "force/log_response holds"),
+    "error negative": ({"force/log_response_stderr": np.full(52, -1.0)}, "log_response_stderr is negative"),
+    "merging of others": ({"force/merging": np.ones((7, 5))}, "force/merging is for 5 readings, 18 are used"),
+    "merging of fewer": ({"force/merging": np.ones((6, 18))}, "does not make the 7 rows"),
+    "merging NaN": ({"force/merging": np.full((7, 18), np.nan)}, "force/merging holds"),
+    "gradient in one axis": ({"force/log_size_gradient": np.zeros((52, 1))}, r"log_size_gradient \(52, 1\)"),
+    "nowhere": ({"force/fits": np.zeros(52)}, "allows a head nowhere"),
+    "threshold zero": ({"force/threshold": 0.0}, "out of range"),
+    "scatter negative": ({"force/scatter": -0.1}, "force/scatter is negative"),
+    "stress upside down": ({"force/stress": [9.0, 1.0]}, "out of range"),
+    "missing map": ({"force/log_response": None}, "force/log_response is missing"),
+    "missing reason": ({"force/none": None}, "force/none is missing"),
+    "kernel of other shape": ({"force/loading/weights": [0.1, 0.2]}, "force/loading"),
+    "kernel that grows": ({"force/loading/time_constants": [-1.0]}, "not positive and rising"),
+    "slope zero": ({"quasi_static/against_stress/slope": 0.0}, "no force can be worked out from"),
+    "current zero": ({"reference/current": 0.0}, "reference/current"),
+    "reference NaN": ({"reference/voltages": np.full((6, 6), np.nan)}, "a used reading that is not a finite number"),
+    "scale infinite": ({"reference/scale": np.inf}, "reference/scale is inf; a finite number is expected"),
+    "radius without end": ({"validity/force": [1.0, np.inf]}, "validity/force holds a number that is infinite"),
+    "band without end": ({"area_overlap/lower": [0.0, np.inf]}, "area_overlap/lower holds a number that is infinite"),
+    "mean without end": ({"settling/mean": [np.inf, np.nan]}, "settling/mean holds a number that is infinite"),
+    "size no exponential takes": ({"force/log_size": np.full(52, 99.0)}, "force/log_size holds 99; 50 is allowed"),
+    "merging of no sensor": ({"force/merging": np.full((7, 18), 1e200)}, "force/merging holds 1e.200"),
+    "nowhere to turn": ({"force/turning": np.zeros((52, 3))}, "force/turning is not positive definite"),
+    "one place": ({"baseline_conductance/x": 1.0}, "baseline_conductance/x is one number where several"),
+    "one count": ({"settling/accepted": 1}, "settling/accepted is one number where several"),
+    "table of loads": ({"relaxation/stress/load": [[0]]}, "the content contradicts itself"),
+    "reference of others": ({"reference/voltages": np.ones((5, 6))}, "not those of 6 drive and 6 measure pairs"),
+}
+
+
+@pytest.mark.parametrize("what", _HOSTILE)
+def test_what_cannot_be_worked_with_is_refused_by_name_even_with_a_fitting_digest(issued, what):
+    changes, said = _HOSTILE[what]
+    _forged(issued, changes)
+    with pytest.raises(CalibrationError, match=said) as caught:
+        read_calibration(issued)
+    assert "sensor.h5" in caught.value.reason
+
+
+def test_many_arrays_that_claim_too_much_together_are_refused_before_they_are_read(issued, monkeypatch):
+    monkeypatch.setattr("cbsr_qa.calibration.file.hdf5_content.largest_content", lambda size_bytes: 2**20)
+    assert read_calibration(issued).force is not None
+    with edited(issued) as file:
+        for number in range(3):
+            shape = (2**19 // 8,)
+            file.create_dataset(f"fill{number}", shape=shape, dtype="f8", chunks=(1000,)).attrs["units"] = "1"
+    with pytest.raises(CalibrationError, match=r"fill1 of the shape \(65536,\) is empty or too large"):
+        read_calibration(issued)
+
+
+def test_templates_prepared_on_another_computer_change_the_digest_but_not_that_of_the_record():
+    sample = sample_calibration()
+    there = replace(sample.force, log_size=np.nextafter(sample.force.log_size, np.inf))
+    shifted = replace(sample.force, log_size=sample.force.log_size + 1e-6)
+    issued = stamped(sample)
+    assert stamped(replace(sample, force=there)).digest == issued.digest  # rounding is not seen
+    assert stamped(replace(sample, force=shifted)).digest != issued.digest
+    assert stamped(replace(sample, force=shifted)).record_digest == issued.record_digest
+    learned = replace(sample.force, log_response=sample.force.log_response + 1e-6)
+    assert stamped(replace(sample, force=learned)).record_digest != issued.record_digest
+    assert not any("force/log_response".startswith(path) for path in PREPARED)
+
+
+# --- the database --------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def stored(tmp_path):
+    """A database with one run and a calibration that has a force model."""
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as repository:
+        run = repository.new_id()
+        journalled(repository, short_run(run))
+        made = calibration(repository.new_id(), run)
+        readings = int(made.reconstruction.problem.used.sum())
+        made = stamped(replace(made, force=sample_force(readings), digest="", record_digest=""))
+        result = RunResult(repository.load_run(run), None, (), Verdict(Outcome.PASS, "why"), made, "")
+        repository.save_result(result)
+        yield repository, made
+
+
+def _prepares(made):
+    """What prepares templates, told what it was asked for."""
+    asked = []
+
+    def prepare(*about):
+        asked.append(about)
+        empty = np.zeros(len(made.force.log_response))
+        return replace(made.force, log_response=empty, log_response_stderr=empty, scatter=0.0, loading=None)
+
+    return prepare, asked
+
+
+def test_a_force_model_comes_back_from_the_database_as_it_was_issued(stored, tmp_path):
+    repository, made = stored
+    prepare, asked = _prepares(made)
+    back = repository.load_calibration(made.calibration, made.reconstruction, prepare)
+    assert_same(back, made, "calibration")
+    assert write_calibration(tmp_path / "again.h5", back) == made.digest
+    ((sensor_type, used, merging, reference, head),) = asked
+    assert (sensor_type, head) == (made.sensor_type, made.indenter)
+    for one, other in (
+        (used, made.reconstruction.problem.used),
+        (merging, made.force.merging),
+        (reference, made.reference),
+    ):
+        np.testing.assert_array_equal(one, other)
+
+
+def test_a_force_model_without_its_templates_is_not_loaded(stored):
+    repository, made = stored
+    with pytest.raises(StoreError, match="whose templates nobody prepares"):
+        repository.load_calibration(made.calibration, made.reconstruction)
+    prepare, _ = _prepares(replace(made, force=replace(made.force, templates=made.force.templates[:50])))
+    with pytest.raises(StoreError, match="a map of 52 places; this version prepares templates for 50"):
+        repository.load_calibration(made.calibration, made.reconstruction, prepare)
+
+
+def test_a_map_changed_in_the_database_is_not_loaded_and_a_number_not_exported(stored, tmp_path):
+    repository, made = stored
+    prepare, _ = _prepares(made)
+    with sqlite3.connect(tmp_path / "runs.db") as other:
+        other.execute("update calibration_forces set scatter = 0.5")
+    with pytest.raises(StoreError, match=r"calibration_forces .* was changed"):
+        repository.load_calibration(made.calibration, made.reconstruction, prepare)
+    with sqlite3.connect(tmp_path / "runs.db") as other:  # as of a run from before chains
+        other.execute("delete from run_links")
+        other.execute("update runs set chain = null")
+    with pytest.raises(CalibrationError, match="not what was issued"):
+        write_calibration(
+            tmp_path / "x.h5", repository.load_calibration(made.calibration, made.reconstruction, prepare)
+        )
+    with sqlite3.connect(tmp_path / "runs.db") as other:
+        other.execute("update calibration_forces set log_response = log_response_stderr")
+    with pytest.raises(StoreError, match="its force model is not what was stored"):
+        repository.load_calibration(made.calibration, made.reconstruction, prepare)
+    with pytest.raises(StoreError, match="its force model is not what was stored"):
+        repository.check_calibration(made.calibration)

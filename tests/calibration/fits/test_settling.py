@@ -1,0 +1,184 @@
+"""Settling times against closed forms, and means with censoring."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from cbsr_qa.calibration.fits.settling import restricted_mean, settling_time
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.results import FitStatus, RelaxationFit
+
+
+def _fit(offset, amplitudes=(), taus=(), status=None):
+    kinds = {0: FitStatus.FLAT, 1: FitStatus.ONE, 2: FitStatus.TWO}
+    errors = tuple(0.1 for _ in taus)
+    return RelaxationFit(status or kinds[len(taus)], offset, amplitudes, taus, 0.01, errors, 0.99, "said")
+
+
+@given(st.floats(0.2, 5), st.floats(1, 12), st.floats(0.01, 0.19))
+def test_one_exponential_settles_after_tau_times_the_logarithm(amplitude, tau, tolerance):
+    found = settling_time(_fit(1.0, (-amplitude,), (tau,)), window_s=600.0, tolerance=tolerance)
+    assert found.value_s == pytest.approx(tau * np.log(amplitude / tolerance), rel=1e-9)
+    assert not found.censored
+    assert found.band == pytest.approx(tolerance)
+
+
+def test_the_material_file_settles_in_thirty_seconds():
+    # 23.1 s · ln(0.55 / 0.15) = 30 s: the fast part is gone by then.
+    found = settling_time(_fit(1.0, (-0.20, -0.55), (2.5, 23.1)), window_s=60.0)
+    assert found.value_s == pytest.approx(30.0, abs=0.05)
+
+
+def test_the_band_is_of_the_change_not_of_the_level():
+    shifted = settling_time(_fit(101.0, (-0.5,), (10.0,)), window_s=60.0, baseline=100.0)
+    assert shifted.value_s == pytest.approx(10 * np.log(0.5 / 0.15))
+    assert settling_time(_fit(101.0, (-0.5,), (10.0,)), window_s=60.0).value_s == 0.0
+
+
+def test_the_step_band_is_of_the_relaxing_part():
+    found = settling_time(_fit(1.0, (-0.5,), (10.0,)), window_s=60.0, band="step")
+    assert found.value_s == pytest.approx(10 * np.log(1 / 0.15))
+
+
+def test_unloading_takes_the_band_of_the_loaded_change():
+    found = settling_time(_fit(0.0, (0.62,), (25.4,)), window_s=60.0, loaded_change=1.0)
+    assert found.value_s == pytest.approx(25.4 * np.log(0.62 / 0.15))
+    assert found.value_s == pytest.approx(36.0, abs=0.1)
+
+
+def test_a_sign_change_does_not_hide_the_last_excursion():
+    fit = _fit(1.0, (1.0, -0.8), (3.0, 20.0))
+    found = settling_time(fit, window_s=100.0)
+    time_s = np.linspace(0, 100, 200001)
+    away = np.abs(1.0 * np.exp(-time_s / 3) - 0.8 * np.exp(-time_s / 20))
+    assert found.value_s == pytest.approx(time_s[away > 0.15][-1], abs=1e-3)
+
+
+@pytest.mark.parametrize("gap", [0.0, 1e-15, 1e-9, 1e-6])
+def test_opposite_exponentials_that_are_alike(gap):
+    """0.5 e^(−t/τ) whatever way it is shared out, to the rounding of the shares."""
+    fit = _fit(1.0, (1.0, -0.5), (20.0, 20.0 * (1 + gap)))
+    found = settling_time(fit, window_s=100.0).value_s
+    assert found == pytest.approx(20.0 * np.log(0.5 / 0.15), rel=1e-12 + 2 * gap)
+
+
+def test_an_early_excursion_before_a_small_late_one():
+    # The late undershoot stays inside the band; the last exit is on the first, falling branch.
+    fit = _fit(1.0, (1.0, -0.15), (3.0, 20.0))
+    found = settling_time(fit, window_s=100.0)
+    time_s = np.linspace(0, 100, 200001)
+    away = np.abs(np.exp(-time_s / 3) - 0.15 * np.exp(-time_s / 20))
+    assert found.value_s == pytest.approx(time_s[away > 0.15][-1], abs=1e-3)
+    assert found.value_s < 6
+
+
+@given(st.floats(-2, 2), st.floats(-2, 2), st.floats(0.5, 10), st.floats(1.2, 20))
+def test_the_answer_is_that_of_a_dense_search(one, other, fast, ratio):
+    fit = _fit(1.0, (one, other), (fast, fast * ratio))
+    found = settling_time(fit, window_s=60.0)
+    time_s = np.linspace(0, 60, 6001)
+    outside = np.abs(one * np.exp(-time_s / fast) + other * np.exp(-time_s / (fast * ratio))) > 0.15
+    assert found.censored == outside[-1]
+    # The true last exit lies between the last point seen outside and the next one.
+    last_s = float(time_s[outside][-1]) if outside.any() else 0.0
+    assert found.value_s is not None
+    assert last_s - 1e-6 <= found.value_s <= last_s + 0.0101
+
+
+def test_a_trace_that_does_not_settle_in_its_window_is_censored():
+    found = settling_time(_fit(1.0, (-0.9,), (60.0,)), window_s=60.0)
+    assert found.censored
+    assert found.value_s == 60.0
+    assert "not settled within 60 s" in found.why
+
+
+def test_a_trace_inside_the_band_settles_at_zero():
+    assert settling_time(_fit(1.0, (-0.1,), (30.0,)), window_s=60.0).value_s == 0.0
+    assert settling_time(_fit(1.0), window_s=60.0).value_s == 0.0
+
+
+def test_a_drifting_trace_is_later_than_its_window():
+    drifting = replace(_fit(0.4), status=FitStatus.DRIFTING)
+    found = settling_time(drifting, window_s=60.0)
+    assert (found.value_s, found.censored, found.why) == (60.0, True, "said")
+
+
+@pytest.mark.parametrize(
+    "fit",
+    [_fit(0.45), _fit(0.3, (0.5,), (12.0,)), _fit(-0.3, (1.0,), (12.0,))],
+    ids=["flat", "fast, ends above", "fast, ends below"],
+)
+def test_an_unloading_that_has_not_come_back_has_not_settled(fit):
+    found = settling_time(fit, window_s=60.0, loaded_change=1.0)
+    assert found.censored
+    assert found.value_s == 60.0
+    assert "of the change under load is left" in found.why
+    # The same curve about another level before the load has settled.
+    assert not settling_time(fit, window_s=60.0, loaded_change=1.0, baseline=fit.offset).censored
+
+
+def test_behind_a_spike_nothing_settles_earlier_than_the_fit_begins():
+    assert settling_time(_fit(0.0, (0.1,), (30.0,)), window_s=60.0, loaded_change=1.0, start_s=7.5).value_s == 7.5
+    late = settling_time(_fit(0.0, (0.6,), (20.0,)), window_s=60.0, loaded_change=1.0, start_s=7.5)
+    assert late.value_s == pytest.approx(20 * np.log(0.6 / 0.15))
+
+
+def test_a_rejected_fit_and_a_missing_band_have_no_number():
+    rejected = settling_time(_fit(1.0, (1.0,), (5.0,), FitStatus.REJECTED), window_s=60.0)
+    assert rejected.value_s is None
+    assert "said" in rejected.why
+    nothing = settling_time(_fit(0.0, (1.0,), (5.0,)), window_s=60.0)
+    assert nothing.value_s is None
+    assert "no steady change" in nothing.why
+
+
+def test_impossible_settings_are_refused():
+    with pytest.raises(NumericsError, match="'steady' or 'step'"):
+        settling_time(_fit(1.0), window_s=60.0, band="peak")
+    with pytest.raises(NumericsError, match="positive"):
+        settling_time(_fit(1.0), window_s=0.0)
+    with pytest.raises(NumericsError, match="positive"):
+        settling_time(_fit(1.0), window_s=60.0, tolerance=0.0)
+
+
+# --- means with censoring ------------------------------------------------------------------------------------
+
+
+@given(st.lists(st.floats(0, 100), min_size=1, max_size=20))
+def test_without_censoring_it_is_the_plain_mean_and_deviation(times):
+    mean, deviation = restricted_mean(times, [False] * len(times))
+    assert mean == pytest.approx(np.mean(times), abs=1e-9)
+    assert deviation == pytest.approx(np.std(times), abs=1e-5)
+
+
+def test_times_that_agree_to_a_hundred_millionth_have_their_deviation():
+    mean, deviation = restricted_mean([30.0 + 3e-7, 30.0 - 3e-7], [False, False])
+    assert mean == pytest.approx(30.0, rel=1e-15)
+    assert deviation == pytest.approx(3e-7, rel=1e-7)
+
+
+def test_censored_at_one_window_count_as_the_window():
+    mean, _ = restricted_mean([20.0, 30.0, 60.0, 60.0], [False, False, True, True])
+    assert mean == pytest.approx((20 + 30 + 60 + 60) / 4)
+
+
+def test_kaplan_and_meier_by_hand():
+    # At 30 one of three left settles: S = 1, 3/4 is not touched by the one lost at 20.
+    mean, _ = restricted_mean([10.0, 20.0, 30.0, 40.0], [False, True, False, False])
+    assert mean == pytest.approx(10 + 20 * 0.75 + 10 * 0.375)
+
+
+@given(st.lists(st.tuples(st.floats(0, 100), st.booleans()), min_size=1, max_size=12))
+def test_calling_a_time_censored_never_shortens_the_mean(pairs):
+    times = [time for time, _ in pairs]
+    plain, _ = restricted_mean(times, [False] * len(times))
+    marked, deviation = restricted_mean(times, [mark for _, mark in pairs])
+    assert marked >= plain - 1e-9
+    assert deviation >= 0
+
+
+def test_no_time_has_no_mean():
+    with pytest.raises(NumericsError, match="no mean"):
+        restricted_mean([], [])

@@ -1,0 +1,59 @@
+"""A sheet that returns far more slowly than it is watched must never be reported as a quick one."""
+
+from dataclasses import replace
+
+import pytest
+import simulated_runs
+
+from cbsr_qa.analysis import judge
+from cbsr_qa.analysis.run import observe_run
+from cbsr_qa.config import load_material, load_recipe
+from cbsr_qa.domain.results import Bound, Outcome
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.plugin import Kind, discover
+from cbsr_qa_plugins.metrics.relaxation import SettlingTimes
+
+_WINDOW_S = 55.0  # of a rest of 60 s, but for the head's way up
+
+
+def _measured(monkeypatch, unloading_s):
+    """Means and common settling times of nine presses whose return has this slow time constant."""
+    loaded = load_material("cbsr-8wt")
+    kernel = replace(loaded.value.unloading_relaxation, time_constants_s=(2.5, unloading_s))
+    slow = replace(loaded, value=replace(loaded.value, unloading_relaxation=kernel))
+    monkeypatch.setattr(simulated_runs, "load_material", lambda _: slow)
+    recipe = load_recipe("nine-locations").value
+    factory = discover().factory(Kind.RECONSTRUCTION, recipe.reconstruction.name)
+    run = simulated_runs.simulated_run(NINE_LOCATIONS_MM)
+    observation = observe_run(run, factory(**recipe.reconstruction.options), recipe.analysis)
+    metric = SettlingTimes()
+    each = [m for load in observation.loads for m in metric.measure_load(load, observation)]
+    shipped = [limit for limit in recipe.limits if limit.measurement == "common_settling_time"]
+    assert {limit.qualifier for limit in shipped} == {"conductance, loading", "conductance, unloading"}
+    limits = [replace(limit, measurement=f"{name}_settling_time") for limit in shipped for name in ("common", "mean")]
+    return each, judge(metric.measure_run(observation), limits)
+
+
+def _one(measured, name, qualifier):
+    return next(m for m in measured if (m.name, m.qualifier) == (name, qualifier))
+
+
+def test_a_slow_return_is_a_lower_bound_and_never_passes(monkeypatch):
+    each, measured = _measured(monkeypatch, 120.0)
+    unloading = [m for m in each if m.qualifier == "conductance, unloading"]
+    # 62 % of the change under load fade with 120 s: two fifths are left after a minute.
+    assert not [m for m in unloading if m.bound is Bound.EXACT and m.value is not None]
+    for name in ("mean_settling_time", "common_settling_time"):
+        found = _one(measured, name, "conductance, unloading")
+        assert found.outcome not in (Outcome.PASS, Outcome.MARGINAL)
+        assert found.value is None or (found.bound is Bound.LOWER and found.value > _WINDOW_S)
+
+
+@pytest.mark.parametrize("name", ["mean_settling_time", "common_settling_time"])
+def test_the_materials_own_return_settles(monkeypatch, name):
+    _, measured = _measured(monkeypatch, 25.4)
+    found = _one(measured, name, "conductance, unloading")
+    assert found.bound is Bound.EXACT
+    assert found.outcome is Outcome.PASS
+    # 25.4 s · ln(0.62 / 0.15) = 36 s, counted from when the head was on its way up already.
+    assert 28.0 < found.value < 40.0

@@ -1,0 +1,108 @@
+"""Runs the installed command as a user would."""
+
+import json
+import multiprocessing
+import os
+import subprocess
+import sys
+import tempfile
+from functools import lru_cache
+from multiprocessing import forkserver
+from pathlib import Path
+
+import pytest
+
+PROGRAM = Path(sys.executable).with_name("cbsr-qa")
+
+
+#: Numerical libraries are held to one thread, as the program does before it loads them.
+_ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+@lru_cache(maxsize=1)
+def _forks():
+    """A server whose forks have everything loaded: two to four seconds less for every command."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["warm"])
+    # The server looks for the module on this path alone, and says nothing where it is not.
+    environment = {**_ONE_THREAD, "PYTHONPATH": str(Path(__file__).parent)}
+    with pytest.MonkeyPatch.context() as patch:
+        for name, value in environment.items():
+            patch.setenv(name, value)
+        forkserver.ensure_running()
+    return context
+
+
+def cbsr_qa(folder, *arguments, check=True, fresh=False, limit_s=300, **environment):
+    """Run one command in a folder; by default it must succeed.
+
+    In a fork of a process that has loaded everything; ``fresh`` starts the installed program itself.
+    """
+    environment = {"CBSR_QA_VAR": "var", **environment}
+    run = _fresh if fresh else _forked
+    done = run(folder, [str(argument) for argument in arguments], environment, limit_s)
+    if check and done.returncode:
+        raise AssertionError(f"{arguments} ended with {done.returncode}:\n{done.stdout}\n{done.stderr}")
+    return done
+
+
+def _fresh(folder, arguments, environment, limit_s):
+    return subprocess.run(
+        [str(PROGRAM), *arguments],
+        cwd=folder,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=limit_s,
+    )
+
+
+def _forked(folder, arguments, environment, limit_s):
+    import warm
+
+    with tempfile.TemporaryDirectory() as written:
+        out, err = Path(written) / "out", Path(written) / "err"
+        out.touch()
+        err.touch()
+        process = _forks().Process(target=warm.run, args=(Path(folder), arguments, environment, out, err))
+        process.start()
+        process.join(timeout=limit_s)
+        assert process.exitcode is not None, f"{arguments} has not ended after {limit_s} s"
+        return subprocess.CompletedProcess(arguments, process.exitcode, out.read_text(), err.read_text())
+
+
+def document(done):
+    """Return the one JSON document a command printed, refusing NaN."""
+
+    def refuse(constant):
+        raise AssertionError(f"{constant} in a JSON document")
+
+    return json.loads(done.stdout, parse_constant=refuse)
+
+
+#: Metrics that are quickly worked out, for runs whose measurements are not the point.
+QUICK = ("centre-of-mass-error", "noise-figure", "channel-noise")
+
+
+def short_recipe(folder, name="short.toml", *, metrics=None, **replacements):
+    """Write the shipped recipe with its first phase alone, one trial and short times; returns the file's name.
+
+    With all of its metrics, or with those that are named.
+    """
+    from cbsr_qa.config import DocumentKind, open_document
+
+    shipped = open_document(DocumentKind.RECIPE, "nine-locations").text
+    head, rest = shipped.split("[[phases]]", 1)
+    first = rest.split("[[phases]]", 1)[0]
+    tail = rest[rest.index("[reconstruction]") : rest.index("[[limits]]")]
+    head = head.replace('"nine locations"', '"noise figure"')
+    if metrics is not None:
+        tail = tail[: tail.index("[metrics]")] + "[metrics]\n" + "".join(f"{one} = {{}}\n" for one in metrics)
+    limit = '\n[[limits]]\nmeasurement = "centre_of_mass_error"\nunit = "mm"\nupper = 6.5\n'
+    text = head + "[[phases]]" + first.replace("trials = 3", "trials = 1") + tail + limit
+    for old, new in replacements.items():
+        assert old in text, old
+        text = text.replace(old, new)
+    (folder / name).write_text(text)
+    return name

@@ -1,0 +1,201 @@
+"""Runs that are killed at a random moment, resumed, and compared with one that was left alone.
+
+A run is a fork of a process that has loaded everything. It writes the digest of every block of frames to a file once
+the journal has committed it. The process that measures, not its parent, is killed with SIGKILL a random moment after
+a number of documents.
+"""
+
+import os
+import signal
+import sqlite3
+import threading
+from dataclasses import dataclass
+from pathlib import Path
+
+import command
+import numpy as np
+
+from cbsr_qa.store import open_store
+from cbsr_qa.store.runs import Journal
+
+#: A run of seven loads in two phases, analysed with what is quick to work out.
+RECIPE = """
+[recipe]
+name = "short"
+calibrate_phases = ["four places"]
+
+[[phases]]
+name = "noise figure"
+sequence = "noise-figure"
+rest_s = 30.0
+frames = 16
+strain_percent = 20.0
+hold_s = 20.3
+trials = 2
+recovery_s = 15.0
+
+[[phases]]
+name = "four places"
+sequence = "location-grid"
+strains_percent = [20.0]
+locations_mm = [[0.0, 0.0], [20.0, 0.0], [16.0, 9.0], [-20.0, -10.0]]
+hold_s = 20.0
+rest_s = 15.7
+initial_rest_s = 30.0
+"""
+METRICS = ("centre-of-mass-error", "area-overlap", "noise-figure", "channel-noise", "applied-force", "zero-return",
+           "repeatability", "load-assignment", "contact-resistance", "creep")  # fmt: skip
+#: Effects of the shipped scene without those that remember earlier presses.
+STILL = ("sheet-seat", "piezoresistivity", "elastic-stress", "measurement-noise", "load-cell-noise")
+
+
+def write_files(folder, *, memory=False):
+    """Write station, scene and recipe of a quick run; with memory the scene relaxes as the shipped one."""
+    from cbsr_qa.config import DocumentKind, open_document
+
+    scene, *effects = open_document(DocumentKind.SCENE, "base").text.split("[[effects]]")
+    kept = [one for one in effects if memory or any(f'"{name}"' in one for name in STILL)]
+    scene = scene.replace("sheet_mesh_size_mm = 6.0", "sheet_mesh_size_mm = 9.0").replace('"base"', '"quick"')
+    (folder / "quick.toml").write_text("[[effects]]".join([scene, *kept]))
+    station = open_document(DocumentKind.STATION, "simulated").text
+    (folder / "station.toml").write_text(station.replace('scene = "base"', 'scene = "quick.toml"'))
+    shipped = open_document(DocumentKind.RECIPE, "nine-locations").text
+    middle = shipped[shipped.index("[reconstruction]") : shipped.index("[metrics]")]
+    metrics = "[metrics]\n" + "".join(f"{name} = {{}}\n" for name in METRICS)
+    limit = '\n[[limits]]\nmeasurement = "centre_of_mass_error"\nunit = "mm"\nupper = 6.5\n'
+    (folder / "recipe.toml").write_text(RECIPE + middle + metrics + limit)
+
+
+BEGIN = ("run", "--station", "station.toml", "--recipe", "recipe.toml", "--seed", "5", "--json")
+
+
+def killed(folder, arguments, *, documents, after_s):
+    """Run a command in a fork that is killed some time after so many documents; returns whether it was."""
+    import warm
+
+    out = [Path(folder) / name for name in ("out", "err")]
+    process = command._forks().Process(
+        target=_with_a_killer, args=(warm.__name__, str(folder), list(arguments), out, documents, after_s)
+    )
+    process.start()
+    process.join(timeout=300)
+    assert process.exitcode is not None, "it has not ended after 300 s"
+    said = out[1].read_text()
+    if process.exitcode == 3 and "the process of the run was killed by SIGKILL" in said:
+        return True
+    assert process.exitcode in (0, 1), (process.exitcode, said)
+    return False
+
+
+def _with_a_killer(warm, folder, arguments, out, documents, after_s):
+    import importlib
+
+    count = 0
+    stored = Journal.__call__
+    told = os.open(f"{folder}/committed", os.O_WRONLY | os.O_CREAT | os.O_APPEND)
+
+    def counted(self, event):
+        nonlocal count
+        stored(self, event)
+        count += 1
+        if type(event).__name__ == "FramesTaken":
+            os.write(told, event.frames.voltages.tobytes()[:8] + event.frames.time_s.tobytes()[:8])
+        if count == documents:
+            threading.Timer(after_s, os.kill, (os.getpid(), signal.SIGKILL)).start()
+
+    Journal.__call__ = counted
+    importlib.import_module(warm).run(Path(folder), arguments, {"CBSR_QA_VAR": "var"}, *out)
+
+
+@dataclass(frozen=True)
+class Came:
+    """What came of a run: its record, and measurements and verdict as they are stored."""
+
+    record: object
+    measurements: list
+    verdict: tuple
+
+
+def came_of(folder, run, file="var/cbsr-qa.db"):
+    """Load a run with its latest result."""
+    path = Path(folder) / file
+    with open_store(f"sqlite:///{path}", create=False) as store:
+        record = store.load_run(run)
+    with sqlite3.connect(path) as database:
+        latest = database.execute("select max(analysis) from analyses where run = ?", (run,)).fetchone()
+        columns = "name, qualifier, phase, location, trial, value, uncertainty, outcome"
+        measured = f"select {columns} from measurements where analysis = ? order by number"
+        verdict = "select outcome, reason from analyses where analysis = ?"
+        return Came(
+            record, database.execute(measured, latest).fetchall(), database.execute(verdict, latest).fetchone()
+        )
+
+
+def latest_run(folder, serial):
+    """Return the latest run of a sensor, or None where none was stored."""
+    path = Path(folder) / "var" / "cbsr-qa.db"
+    if not path.exists():
+        return None
+    with sqlite3.connect(path) as database:
+        if not database.execute("select 1 from sqlite_master where name = 'runs'").fetchall():
+            return None
+        return database.execute("select max(run) from runs where serial = ?", (serial,)).fetchone()[0]
+
+
+def frames_of_loads(record):
+    """Yield (phase, load, its frames and samples) with times from the press on."""
+    for phase in record.phases:
+        for load in phase.loads:
+            frames = phase.frames.between(load.press_start_s, load.rest_end_s)
+            force = phase.channel("force").between(np.nextafter(load.press_start_s, np.inf), load.rest_end_s)
+            times = frames.time_s - load.press_start_s, force.time_s - load.press_start_s
+            before = phase.frames.between(phase.started_s, load.press_start_s).voltages[-4:]
+            yield (phase.name, load.index, load.load), (frames.voltages, *times, force.values, before)
+
+
+def assert_same(one, other):
+    """Frames, force and times of every load, measurements and verdict are the same in every bit."""
+    for (place, arrays), (other_place, others) in zip(
+        frames_of_loads(one.record), frames_of_loads(other.record), strict=True
+    ):
+        assert place == other_place
+        for array, again in zip(arrays, others, strict=True):
+            np.testing.assert_array_equal(array, again, err_msg=str(place))
+    assert one.measurements == other.measurements
+    assert one.verdict == other.verdict
+
+
+def assert_nothing_lost(folder, run):
+    """Every block of frames that was said to be committed is stored, each once."""
+    written = (Path(folder) / "committed").read_bytes()
+    said = [written[at : at + 8] for at in range(0, len(written), 16)]
+    with sqlite3.connect(Path(folder) / "var" / "cbsr-qa.db") as database:
+        rows = database.execute("select voltages, sha256 from frame_blocks where run = ?", (run,)).fetchall()
+        loads = database.execute("select phase, load_index from loads where run = ?", (run,)).fetchall()
+    stored = [voltages[:8] for voltages, _ in rows]
+    assert len(stored) - len(said) in (0, 1, 2, 3), (len(stored), len(said))  # a kill between commit and saying so
+    for one in set(said):
+        assert stored.count(one) >= said.count(one)
+    assert len({digest for _, digest in rows}) == len(rows)  # times are part of it
+    assert len(set(loads)) == len(loads)
+
+
+def trial(folder, serial, whole, random, *, kills=2):
+    """Kill a run some times at random moments, resume it each time, and compare it with the whole one."""
+    (Path(folder) / "committed").unlink(missing_ok=True)
+    arguments, run = (*BEGIN, "--serial", serial), None
+    for _ in range(kills):
+        documents = random.randrange(1, 260 if run is None else 160)
+        if not killed(folder, arguments, documents=documents, after_s=random.uniform(0.0, 0.02)):
+            break
+        run = latest_run(folder, serial)
+        if run is not None:
+            arguments = ("run", "--resume", run, "--json")
+    else:
+        if not killed(folder, arguments, documents=-1, after_s=0.0):
+            run = run or latest_run(folder, serial)
+    run = latest_run(folder, serial)
+    came = came_of(folder, run)
+    assert_nothing_lost(folder, run)
+    assert_same(whole, came)
+    return came

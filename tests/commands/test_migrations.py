@@ -1,0 +1,283 @@
+"""Migrations, up and down with data in every table, on SQLite and on PostgreSQL."""
+
+import datetime as dt
+from contextlib import closing
+
+import pytest
+import sqlalchemy as sa
+from alembic.autogenerate import compare_metadata
+from alembic.config import Config
+from alembic.migration import MigrationContext
+from alembic.script import ScriptDirectory
+
+from cbsr_qa.domain import StoreError
+from cbsr_qa.store import open_engine, parsed_url, reading, schema, writing
+from cbsr_qa.store.tables import (
+    AnalysisRow,
+    Base,
+    records as change_tables,
+    records as chart_tables,
+    records as check_tables,
+    records as link_tables,
+)
+
+CHECKS = {
+    table.__tablename__
+    for table in (check_tables.StationCheckRow, check_tables.StationCheckLineRow, check_tables.StationCheckFramesRow)
+}
+
+CHANGES = {table.__tablename__ for table in (change_tables.ConfigurationChangeRow, change_tables.VerdictOverrideRow)}
+
+LINKS = link_tables.LinkRow.__tablename__
+
+
+@pytest.fixture
+def engine(database_url):
+    engine = open_engine(parsed_url(database_url))
+    yield engine
+    engine.dispose()
+
+
+def sample(column):
+    """A value of a column's type; keys are alike in every table, so that references hold."""
+    kind = column.type
+    if isinstance(kind, sa.JSON):
+        return {"Δρ": [1, 2.5, None]}
+    if isinstance(kind, sa.DateTime):
+        return dt.datetime(2026, 11, 21, 8, 30, 0, 123456)
+    if isinstance(kind, sa.LargeBinary):
+        return bytes(range(256))
+    if isinstance(kind, sa.Boolean):
+        return True
+    if isinstance(kind, sa.Float):
+        return 0.1 + 0.2
+    return 7 if isinstance(kind, sa.Integer) else "x"
+
+
+def reflected(engine):
+    metadata = sa.MetaData()
+    metadata.reflect(engine)
+    return [table for table in metadata.sorted_tables if table.name != schema.VERSION_TABLE]
+
+
+def fill(engine, names):
+    with writing(engine) as connection:
+        for table in reflected(engine):
+            if table.name in names:
+                connection.execute(table.insert(), {column.name: sample(column) for column in table.columns})
+
+
+def content(engine):
+    """Every row of every table; JSON is read as such on both databases."""
+    with reading(engine) as connection:
+        return {table.name: [tuple(row) for row in connection.execute(table.select())] for table in reflected(engine)}
+
+
+def table_names(engine):
+    return {table.name for table in reflected(engine)}
+
+
+@pytest.mark.filterwarnings("ignore:Cannot correctly sort tables:sqlalchemy.exc.SAWarning")
+def test_data_survive_every_step_up_and_down(engine):
+    schema.upgrade(engine, "0001")
+    measured = table_names(engine)
+    fill(engine, measured)
+    before = content(engine)
+    assert all(len(rows) == 1 for rows in before.values())
+
+    schema.upgrade(engine, "0002")
+    concluded = table_names(engine) - measured
+    assert concluded
+    assert content(engine) == before | {name: [] for name in concluded}
+    fill(engine, concluded)
+    full = content(engine)
+    assert all(len(rows) == 1 for rows in full.values())
+
+    schema.upgrade(engine, "0003")
+    schema.downgrade(engine, "0002")
+    assert content(engine) == full
+
+    schema.downgrade(engine, "0001")
+    assert content(engine) == before
+    schema.upgrade(engine)
+    concluded |= {"calibration_forces", *CHECKS, *CHANGES, chart_tables.ChartReferenceRow.__tablename__}
+    concluded.add(LINKS)
+    # Eased, notes; chain; operator, software and time of a session.
+    later = {
+        name: [(*row, *[None] * columns) for row in before[name]]
+        for name, columns in (("loads", 1), ("instruments", 1), ("runs", 1), ("run_states", 3))
+    }
+    assert content(engine) == before | later | {name: [] for name in concluded}
+
+    schema.downgrade(engine, "base")
+    assert table_names(engine) == set()
+    assert schema.found_version(engine).age is schema.Age.EMPTY
+    schema.upgrade(engine)
+    assert table_names(engine) == measured | concluded
+
+
+CALLED = {"truncated-svd": "components kept", "pyeit-greit": "pyEIT's lamb", "gauss-newton-noser": "λ", "x": "λ"}
+
+
+def test_the_parameter_of_an_old_calibration_is_named_as_its_method_did(engine):
+    schema.upgrade(engine, "0002")
+    fill(engine, table_names(engine))
+    tables = {table.name: table for table in reflected(engine)}
+    row = {column.name: sample(column) for column in tables["calibrations"].columns}
+    with writing(engine) as connection:
+        for method in CALLED:
+            if method != "x":  # the row that is there already
+                connection.execute(tables["calibrations"].insert(), row | {"calibration": method, "method": method})
+    before = sorted(content(engine)["calibrations"], key=repr)
+
+    schema.upgrade(engine, "0003")
+    with reading(engine) as connection:
+        found = connection.execute(
+            sa.text("SELECT method, regularisation_name, regularisation_criterion FROM calibrations")
+        )
+        assert {method: (name, criterion) for method, name, criterion in found} == {
+            method: (name, "") for method, name in CALLED.items()
+        }
+    schema.downgrade(engine, "0002")
+    assert sorted(content(engine)["calibrations"], key=repr) == before
+
+
+def test_an_analysis_of_before_had_equal_weights(engine):
+    schema.upgrade(engine, "0003")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0004")
+    with reading(engine) as connection:
+        found = connection.execute(sa.text("SELECT noise_weighting, weight_ratio FROM analyses")).all()
+    assert [tuple(row) for row in found] == [("equal", None)]
+    schema.downgrade(engine, "0003")
+    assert content(engine) == before
+
+
+def test_a_calibration_of_before_says_nothing_of_force_and_one_of_now_is_lost_on_the_way_back(engine):
+    schema.upgrade(engine, "0004")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0005")
+    with reading(engine) as connection:
+        assert connection.execute(sa.text("SELECT no_force FROM calibrations")).all() == [("",)]
+    fill(engine, {"calibration_forces"})
+    full = content(engine)
+    assert len(full["calibration_forces"]) == 1
+    assert {name: full[name] for name in before if name != "calibrations"} == {
+        name: rows for name, rows in before.items() if name != "calibrations"
+    }
+    schema.downgrade(engine, "0004")
+    assert content(engine) == before
+
+
+def test_a_press_of_before_was_never_eased(engine):
+    schema.upgrade(engine, "0005")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0006")
+    with reading(engine) as connection:
+        assert connection.execute(sa.text("SELECT eased FROM loads")).all() == [(None,)]
+    schema.downgrade(engine, "0005")
+    assert content(engine) == before
+
+
+def test_nothing_was_noted_of_an_instrument_of_before_and_checks_are_lost_on_the_way_back(engine):
+    schema.upgrade(engine, "0006")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0007")
+    with reading(engine) as connection:
+        assert connection.execute(sa.text("SELECT notes FROM instruments")).all() == [(None,)]
+    fill(engine, CHECKS)
+    full = content(engine)
+    assert {name: len(full[name]) for name in CHECKS} == dict.fromkeys(CHECKS, 1)
+    schema.downgrade(engine, "0006")
+    assert content(engine) == before
+    schema.upgrade(engine)
+    assert {name: content(engine)[name] for name in CHECKS} == {name: [] for name in CHECKS}
+
+
+def test_nothing_was_noted_of_changes_before_and_what_was_is_lost_on_the_way_back(engine):
+    schema.upgrade(engine, "0008")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0009")
+    assert {name: content(engine)[name] for name in CHANGES} == {name: [] for name in CHANGES}
+    fill(engine, CHANGES)
+    full = content(engine)
+    assert {name: len(full[name]) for name in CHANGES} == dict.fromkeys(CHANGES, 1)
+    assert {name: full[name] for name in before} == before
+    schema.downgrade(engine, "0008")
+    assert content(engine) == before
+
+
+def test_runs_of_before_are_unchained_and_chains_are_lost_on_the_way_back(engine):
+    schema.upgrade(engine, "0010")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0011")
+    assert content(engine)[LINKS] == []
+    with reading(engine) as connection:
+        assert connection.execute(sa.text("SELECT chain FROM runs")).all() == [(None,)]
+    fill(engine, {LINKS})
+    assert len(content(engine)[LINKS]) == 1
+    schema.downgrade(engine, "0010")
+    assert content(engine) == before
+
+
+def test_the_migrations_make_what_the_program_uses(engine):
+    schema.upgrade(engine)
+    assert AnalysisRow.metadata is Base.metadata
+    with reading(engine) as connection:
+        assert compare_metadata(MigrationContext.configure(connection), Base.metadata) == []
+
+
+def test_a_difference_would_be_found(engine):
+    schema.upgrade(engine)
+    with writing(engine) as connection:
+        connection.exec_driver_sql("ALTER TABLE sensors ADD COLUMN colour TEXT")
+    with reading(engine) as connection:
+        (difference,) = compare_metadata(MigrationContext.configure(connection), Base.metadata)
+    assert difference[0] == "remove_column"
+
+
+def test_upgrading_twice_changes_nothing(engine):
+    schema.upgrade(engine)
+    assert schema.upgrade(engine).age is schema.Age.CURRENT
+
+
+def test_a_migration_that_fails_half_way_leaves_no_trace(engine):
+    schema.upgrade(engine, "0001")
+    with writing(engine) as connection:
+        connection.exec_driver_sql("CREATE TABLE calibration_settling (in_the_way INTEGER)")
+    before = table_names(engine)
+    with pytest.raises(StoreError, match="calibration_settling"):
+        schema.upgrade(engine)
+    assert table_names(engine) == before
+    assert schema.found_version(engine).revision == "0001"
+
+
+def test_the_programs_list_of_revisions_is_the_scripts():
+    config = Config()
+    config.set_main_option("script_location", "cbsr_qa._migrations:")
+    scripts = ScriptDirectory.from_config(config)
+    walked = [script.revision for script in scripts.walk_revisions()]
+    assert tuple(reversed(walked)) == schema.REVISIONS
+    assert scripts.get_heads() == [schema.HEAD]
+
+
+def test_references_between_tables_hold(engine):
+    """A measurement of no analysis is refused by the database itself, on SQLite too."""
+    schema.upgrade(engine)
+    with closing(engine.raw_connection()) as raw, pytest.raises(Exception, match=r"(?i)foreign key"):
+        raw.cursor().execute("INSERT INTO warnings (analysis, number, text) VALUES ('none', 0, 'x')")
+
+
+def test_sqlite_is_set_up_to_lose_nothing_that_was_committed(tmp_path):
+    engine = open_engine(parsed_url(f"sqlite:///{tmp_path / 'runs.db'}"))
+    schema.upgrade(engine)
+    with reading(engine) as connection:
+        found = {p: connection.exec_driver_sql(f"PRAGMA {p}").scalar() for p in ("journal_mode", "synchronous")}
+    engine.dispose()
+    assert found == {"journal_mode": "wal", "synchronous": 2}  # 2 is FULL

@@ -1,0 +1,332 @@
+"""``cbsr-qa run --resume``: a run that was interrupted is the run it would have been."""
+
+import hashlib
+import random
+import shlex
+import shutil
+import signal
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from command import cbsr_qa, document
+from killing import BEGIN, assert_same, came_of, killed, latest_run, trial, write_files
+from pages import HOW_TO, commands, typed
+
+from cbsr_qa.app.run import RunRequest, run_sensor, session
+from cbsr_qa.domain import UnconcludedError
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    """A folder with a run that was left alone."""
+    folder = tmp_path_factory.mktemp("whole")
+    write_files(folder)
+    run = document(cbsr_qa(folder, *BEGIN, "--serial", "whole"))
+    return folder, came_of(folder, run["run"])
+
+
+@pytest.fixture(scope="module")
+def left_behind(tmp_path_factory):
+    """A folder as a run left it that was killed in its second phase; nobody opens its database."""
+    folder = tmp_path_factory.mktemp("killed")
+    write_files(folder)
+    assert killed(folder, [*BEGIN, "--serial", "S-1", "--operator", "Kim"], documents=200, after_s=0.0)
+    return folder
+
+
+@pytest.fixture
+def cut_off(left_behind, tmp_path):
+    """A folder with a run that was killed in its second phase."""
+    shutil.copytree(left_behind, tmp_path, dirs_exist_ok=True)
+    return tmp_path, latest_run(tmp_path, "S-1")
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_a_run_that_is_killed_twice_and_resumed_is_the_same_in_every_bit(whole, tmp_path, seed):
+    write_files(tmp_path)
+    came = trial(tmp_path, "S-1", whole[1], random.Random(seed))
+    assert len(came.record.sessions) == 3
+
+
+def test_a_run_that_was_cut_off_is_listed_resumed_and_then_refused(cut_off, whole):
+    folder, run = cut_off
+    (listed,) = document(cbsr_qa(folder, "db", "status", "--json"))["incomplete"]
+    assert (listed["run"], listed["serial"], listed["phase"], listed["state"]) == (
+        run,
+        "S-1",
+        "four places",
+        "cut off",
+    )
+    assert "press" in listed["next"]
+    assert "at (" in listed["next"]
+    assert f"incomplete  run {run} of S-1: cut off in 'four places'" in cbsr_qa(folder, "db", "status").stdout
+    resumed = document(cbsr_qa(folder, "run", "--resume", run, "--operator", "Jo", "--json"))
+    assert (resumed["run"], resumed["serial"], resumed["end"], resumed["resume"]) == (run, "S-1", "finished", None)
+    came = came_of(folder, run)
+    assert_same(whole[1], came)
+    first, second = came.record.sessions
+    assert (first.operator, first.ended_s, second.operator, str(second.end)) == ("Kim", None, "Jo", "finished")
+    assert document(cbsr_qa(folder, "db", "status", "--json"))["incomplete"] == []
+    report = (folder / resumed["report"]).read_text(encoding="utf-8")
+    assert "cut off" in report
+    assert "resumed by Jo" in report
+    again = cbsr_qa(folder, "run", "--resume", run, "--json", check=False)
+    assert again.returncode == 2
+    assert "is finished" in document(again)["refused"]["reason"]
+    assert not list((folder / "var").glob("*.lock"))
+
+
+def unchained(database):
+    """Make runs as they were before chains."""
+    database.execute("delete from run_links")
+    database.execute("update runs set chain = null")
+
+
+def configured(database, configuration):
+    """Have runs begun with a configuration."""
+    digest = hashlib.sha256(configuration.encode()).hexdigest()
+    database.execute("update runs set configuration = ?, configuration_digest = ?", (configuration, digest))
+
+
+def without_result(file, run):
+    """Make a database as it was before a run's result was stored: the newest rows and links gone."""
+    with sqlite3.connect(file) as database:
+        tables = [
+            name for (name,) in database.execute("select name from sqlite_master where name like 'calibration%'")
+        ]
+        for table in ("measurements", "warnings", "analyses", *(t for t in tables if not t.startswith("sqlite_"))):
+            database.execute(f"delete from {table}")
+        first = "select min(number) from run_links where kind = 'analyses'"
+        database.execute(f"delete from run_links where run = ? and number >= ({first})", (run,))
+
+
+def test_a_run_killed_while_its_result_was_worked_out_is_concluded(cut_off):
+    folder, run = cut_off
+    cbsr_qa(folder, "run", "--resume", run)
+    without_result(folder / "var" / "cbsr-qa.db", run)
+    with sqlite3.connect(folder / "var" / "cbsr-qa.db") as database:
+        (frames,) = database.execute("select count(*) from frame_blocks").fetchone()
+    status = document(cbsr_qa(folder, "db", "status", "--json"))
+    assert status["without_result"] == [{"run": run, "serial": "S-1"}]
+    resumed = document(cbsr_qa(folder, "run", "--resume", run, "--json"))
+    assert (resumed["end"], resumed["outcome"]) == ("finished", "pass")
+    with sqlite3.connect(folder / "var" / "cbsr-qa.db") as database:
+        assert database.execute("select count(*) from frame_blocks").fetchone() == (frames,)
+
+
+@pytest.mark.parametrize("chained", [True, False], ids=["chained", "unchained"])
+def test_a_report_over_measurements_that_were_changed_is_refused(whole, tmp_path, chained):
+    shutil.copytree(whole[0], tmp_path, dirs_exist_ok=True)
+    for report in (tmp_path / "var" / "reports").iterdir():
+        report.unlink()
+    with sqlite3.connect(tmp_path / "var" / "cbsr-qa.db") as database:
+        if not chained:
+            unchained(database)
+    said = cbsr_qa(tmp_path, "report", "whole").stdout
+    assert ("chained, not signed" if chained else "or the chain was removed") in said
+    with sqlite3.connect(tmp_path / "var" / "cbsr-qa.db") as database:
+        database.execute("update measurements set outcome = 'fail' where limited")
+    before = {path: path.read_bytes() for path in (tmp_path / "var" / "reports").iterdir()}
+    for command in (("report", "whole"), ("verdict", "override", latest_run(tmp_path, "whole"), "--outcome", "pass",
+                                          "--by", "Kim", "--why", "so")):  # fmt: skip
+        refused = cbsr_qa(tmp_path, *command, "--json", check=False)
+        assert refused.returncode == 2
+        expected = "measurements (analysis" if chained else "states fail; its value"
+        assert expected in document(refused)["refused"]["reason"]
+    assert before == {path: path.read_bytes() for path in (tmp_path / "var" / "reports").iterdir()}
+
+
+@pytest.mark.parametrize("measured", [True, False], ids=["not concluded", "cut off"])
+@pytest.mark.parametrize("chained", [True, False], ids=["chained", "unchained"])
+def test_a_run_whose_limit_was_loosened_is_not_resumed(cut_off, whole, tmp_path_factory, measured, chained):
+    folder, run = cut_off
+    if measured:
+        folder = tmp_path_factory.mktemp("loosened")
+        shutil.copytree(whole[0], folder, dirs_exist_ok=True)
+        shutil.rmtree(folder / "var" / "calibrations")
+        run = latest_run(folder, "whole")
+        without_result(folder / "var" / "cbsr-qa.db", run)
+    with sqlite3.connect(folder / "var" / "cbsr-qa.db") as database:
+        looser = "update runs set configuration = replace(configuration, '\"upper\":6.5', '\"upper\":66.5')"
+        database.execute(looser)
+        assert database.execute("select count(*) from runs where configuration like '%66.5%'").fetchone() == (1,)
+        if not chained:
+            unchained(database)
+    refused = cbsr_qa(folder, "run", "--resume", run, "--json", check=False)
+    assert refused.returncode == 2
+    assert "its configuration is not the one it was begun with" in document(refused)["refused"]["reason"]
+    assert not list((folder / "var").glob("calibrations/*"))
+
+
+@pytest.mark.parametrize(
+    ("at", "again", "stop", "database"),
+    [
+        ("conclude", "cbsr-qa run --resume", signal.SIGINT, None),
+        ("conclude", "cbsr-qa run --resume", signal.SIGTERM, "of another line.db"),
+        ("write_outputs", "cbsr-qa report", signal.SIGQUIT, "of another line.db"),
+    ],
+)
+def test_a_signal_while_the_result_is_worked_out_says_how_to_have_it(
+    tmp_path, monkeypatch, at, again, stop, database
+):
+    write_files(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("CBSR_QA_VAR", "var")
+
+    def stopped(*_, **__):
+        signal.raise_signal(stop)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(session, at, stopped)
+        with pytest.raises(UnconcludedError, match="all that was measured is stored") as ended:
+            run_sensor(RunRequest("station.toml", "recipe.toml", "S-1", seed=5, database=database))
+    assert ended.value.exit_code == 3
+    assert f"stopped by signal {stop.name} while" in ended.value.reason
+    run = ended.value.document()["aborted"]["run"]
+    command = f"{again} {run}" + ("" if database is None else f" --database '{database}'")
+    assert ended.value.remedy == f"this goes on: {command}"
+    done = document(cbsr_qa(tmp_path, *shlex.split(command)[1:], "--json"))
+    assert Path(tmp_path / done["report"]).exists()
+    assert len(came_of(tmp_path, run, database or "var/cbsr-qa.db").record.sessions) == 1
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--station", "simulated"], "--station cannot be given with --resume"),
+        (["--seed", "1", "--dry-run"], "--seed, --dry-run cannot be given with --resume"),
+        (["--serial", ""], "--serial cannot be given with --resume"),
+    ],
+)
+def test_a_run_is_resumed_as_it_was_begun(tmp_path, more, said):
+    done = cbsr_qa(tmp_path, "run", "--resume", "x", *more, "--json", check=False)
+    assert done.returncode == 2
+    assert said in document(done)["refused"]["reason"]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_unknown_run_is_refused_and_nothing_is_made(tmp_path):
+    done = cbsr_qa(tmp_path, "run", "--resume", "no-such-run", "--json", check=False)
+    assert done.returncode == 2
+    refused = document(done)["refused"]
+    assert "does not exist or is empty" in refused["reason"]
+    assert "with the same --database" in refused["remedy"]
+    cbsr_qa(tmp_path, "db", "upgrade")
+    refused = document(cbsr_qa(tmp_path, "run", "--resume", "no-such-run", "--json", check=False))["refused"]
+    assert "there is no run 'no-such-run' in this database" in refused["reason"]
+    assert "cbsr-qa db status" in refused["remedy"]
+    assert "with the same --database" in refused["remedy"]
+    assert [path.name for path in (tmp_path / "var").iterdir()] == ["cbsr-qa.db"]
+
+
+def test_a_new_run_still_needs_station_recipe_and_serial(tmp_path):
+    done = cbsr_qa(tmp_path, "run", "--station", "simulated", "--serial", "A", check=False)
+    assert done.returncode == 2
+    assert "--recipe" in done.stderr
+
+
+def test_a_missing_plugin_is_refused_and_other_software_is_said(cut_off):
+    folder, run = cut_off
+    path = folder / "var" / "cbsr-qa.db"
+    with sqlite3.connect(path) as database:
+        (configuration,) = database.execute("select configuration from runs").fetchone()
+        other = configuration.replace("location-grid", "location-grit")
+        unchained(database)
+        configured(database, other)
+        database.execute("""update runs set software = '[["cbsr-qa", "0.0.1"], ["numpy", "1.0"]]'""")
+    refused = cbsr_qa(folder, "run", "--resume", run, "--json", check=False)
+    assert refused.returncode == 2
+    assert "location-grit" in document(refused)["refused"]["reason"]
+    with sqlite3.connect(path) as database:
+        assert database.execute("select count(*) from run_states").fetchone() == (1,)
+        configured(database, configuration)
+    resumed = document(cbsr_qa(folder, "run", "--resume", run, "--json"))
+    (warning,) = [one for one in resumed["warnings"] if "other software" in one]
+    assert any("or the chain was removed" in one for one in resumed["warnings"])
+    assert "or the chain was removed" in (folder / resumed["report"]).read_text(encoding="utf-8")
+    assert "cbsr-qa 0.0.1 →" in warning
+    assert "numpy 1.0 →" in warning
+
+
+def test_an_aborted_run_is_told_apart_and_resumed(tmp_path, whole):
+    """SIGTERM in the middle: the run ends in order, and goes on."""
+    write_files(tmp_path)
+    script = """
+import os, signal, sys
+from cbsr_qa.store.runs.journal import Journal
+stored, count = Journal.__call__, 0
+def counted(self, event):
+    global count
+    stored(self, event)
+    count += 1
+    if count == 90:
+        os.kill(os.getpid(), signal.SIGTERM)
+Journal.__call__ = counted
+from cbsr_qa.cli.main import guarded
+sys.exit(guarded(sys.argv[1:]))
+"""
+    import subprocess
+    import sys
+
+    done = subprocess.run(
+        [sys.executable, "-c", script, *BEGIN, "--serial", "S-1"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    aborted = document(done)
+    assert (done.returncode, aborted["end"]) == (3, "aborted")
+    assert aborted["resume"] == f"cbsr-qa run --resume {aborted['run']}"
+    status = document(cbsr_qa(tmp_path, "db", "status", "--json"))
+    assert status["incomplete"] == []
+    assert [(one["run"], one["end"]) for one in status["stopped"]] == [(aborted["run"], "aborted")]
+    cbsr_qa(tmp_path, "run", "--resume", aborted["run"])
+    came = came_of(tmp_path, aborted["run"])
+    assert_same(whole[1], came)
+    assert [str(session.end) for session in came.record.sessions] == ["aborted", "finished"]
+
+
+def test_with_memory_effects_a_resumed_run_agrees_within_noise(tmp_path):
+    """The mean steady frame of each load: the difference of two is noise of √2 σ/√4 a reading, and residues of
+    earlier presses, which rests of other lengths leave different. The bound: 5 of these σ on any of 256 readings of
+    six loads would be met by noise in one of 900 trials; relaxed residues may add as much again."""
+    write_files(tmp_path, memory=True)
+    runs = []
+    for serial, cut in (("A", None), ("B", 170)):
+        arguments = [*BEGIN, "--serial", serial]
+        if cut is None:
+            cbsr_qa(tmp_path, *arguments)
+        else:
+            assert killed(tmp_path, arguments, documents=cut, after_s=0.0)
+            cbsr_qa(tmp_path, "run", "--resume", latest_run(tmp_path, serial))
+        runs.append(came_of(tmp_path, latest_run(tmp_path, serial)).record)
+    sigma = np.std(runs[0].phases[0].frames.between(0.0, runs[0].phases[0].loads[0].press_start_s).voltages, axis=0)
+    for phase, other in zip(*(run.phases for run in runs), strict=True):
+        for load, again in zip(phase.loads, other.loads, strict=True):
+            steady = [
+                of.frames.between(one.hold_start_s, one.release_start_s).voltages[-4:].mean(axis=0)
+                for of, one in ((phase, load), (other, again))
+            ]
+            assert np.abs(steady[0] - steady[1]).max() < 2 * 5 * np.sqrt(2 / 4) * sigma.mean()
+
+
+def test_the_page_on_what_to_do_runs_as_printed(cut_off):
+    folder, run = cut_off
+    lines = commands(HOW_TO / "what-to-do-when-it-stops.md")
+    assert len(lines) == 3
+    said = [typed(folder, line.replace("RUN", run)).stdout for line in lines]
+    assert f"incomplete  run {run} of S-1: cut off" in said[0]
+    assert "cbsr-qa run --resume RUN" in said[0]
+    assert said[1].startswith("PASS")
+
+
+def test_a_second_program_is_told_who_writes_the_run(cut_off):
+    from cbsr_qa.store import open_store
+
+    folder, run = cut_off
+    with open_store(f"sqlite:///{folder / 'var' / 'cbsr-qa.db'}") as store, store.writing_alone(run, "Alex"):
+        done = cbsr_qa(folder, "run", "--resume", run, "--json", check=False)
+        status = document(cbsr_qa(folder, "db", "status", "--json"))
+    assert done.returncode == 2
+    assert "is being written by Alex on" in document(done)["refused"]["reason"]
+    assert status["incomplete"][0]["state"].startswith("under way: Alex on")

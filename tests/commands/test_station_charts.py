@@ -1,0 +1,50 @@
+"""A run updates its station's charts, its report and its warnings say which signals, and so does the report again."""
+
+import json
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import pytest
+from command import cbsr_qa
+
+from cbsr_qa.domain.results import MetricKey
+from cbsr_qa.domain.run import ChartReference, ChartSettings
+from cbsr_qa.store import open_store
+
+RUN = ("run", "--station", "simulated", "--recipe", "golden-check")
+
+
+@pytest.mark.slow
+def test_a_station_that_is_out_of_control_says_so_on_its_reports(tmp_path):
+    cbsr_qa(tmp_path, *RUN, "--serial", "G-1", "--json")
+    with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:
+        (before,) = store.find_runs()
+        measured = next(m for m in store.analyses(before.run)[0].measurements if m.name == "noise_floor")
+        of = MetricKey(measured.name, measured.phase, measured.qualifier)
+        reference = ChartReference(
+            *(store.new_id(), before.station, before.recipe, "", of, measured.unit, ChartSettings()),
+            *(measured.value / 2, measured.value / 100, 30, before.run, before.run),
+            *("Zoë", datetime.now(UTC), "too low by half"),
+        )
+        well = replace(
+            reference, reference=store.new_id(), key=replace(of, name="unknown_metric"), mean=1.0, deviation=1.0
+        )
+        store.save_chart_references([reference, well])
+    cbsr_qa(tmp_path, *RUN, "--serial", "G-2", "--json")
+    with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:
+        latest = store.find_runs()[0]
+        warnings = store.analyses(latest.run)[0].warnings
+    said = f"noise_floor, chart i-mr, signals since run {latest.run}"
+    assert any("station simulated is out of control" in words and said in words for words in warnings)
+    (page,) = (tmp_path / "var" / "reports").glob("G-2-*.html")
+    assert "The station is out of control: 1 of 2 control charts of station simulated signal." in page.read_text()
+    (first,) = (tmp_path / "var" / "reports").glob("G-1-*.html")
+    assert "out of control" not in first.read_text()
+    page.unlink()
+    cbsr_qa(tmp_path, "report", "G-2")
+    assert "The station is out of control: 1 of 2 control charts" in page.read_text()
+    cbsr_qa(tmp_path, "report", "G-1")  # as it was known then
+    assert "out of control" not in first.read_text()
+    done = cbsr_qa(tmp_path, "charts", "--station", "simulated", "--metric", "noise_floor", "--json", check=False)
+    assert done.returncode == 1
+    assert json.loads(done.stdout)["charts"][0]["signal"]["since_run"] == latest.run

@@ -1,0 +1,194 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.sensor import DrivePattern, Mesh
+from cbsr_qa.eit.forward.closed_forms import ConcentricSheet, arc_transfer_impedance, pin_transfer_impedance
+from cbsr_qa.eit.forward.coverage import disc_coverage
+from cbsr_qa.eit.forward.model import ForwardModel
+from cbsr_qa.testing import assert_adjoint, assert_expected_order
+
+SIZES = (0.056, 0.04, 0.028)  # in this range every edge length scales with the size
+
+
+@pytest.fixture(scope="module")
+def model(pin_sensor, model_of) -> ForwardModel:
+    return model_of(pin_sensor(), size_mm=5.0, contact=0.3)
+
+
+def relative_error(found: np.ndarray, exact: np.ndarray) -> float:
+    return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+
+
+# The current density is singular at an arc's ends, more so the smaller z: grading at the ends brings back most of the
+# second order that a uniform mesh loses (1 at z = 0.001, 1.5 at z = 0.1).
+@pytest.mark.parametrize(
+    ("contact", "order", "finest_error"), [(0.1, 1.9, 2e-3), (0.05, 1.9, 2e-3), (0.001, 1.8, 6e-3)]
+)
+def test_arcs_converge_to_the_exact_solution(arc_sensor, model_of, contact, order, finest_error):
+    sensor = arc_sensor()
+    sheet = ConcentricSheet(1.0, 1.0)
+    angles = sensor.electrodes.angles_rad()
+    exact = arc_transfer_impedance(sheet, angles, 0.05, contact, modes=20, harmonics=50_000)
+    errors = [
+        relative_error(model_of(sensor, size_mm=size, contact=contact).transfer_impedance, exact) for size in SIZES
+    ]
+    assert_expected_order(errors, SIZES, order, 0.3)
+    assert errors[-1] < finest_error
+
+
+@pytest.mark.parametrize("contact", [0.01, 0.5])
+def test_pins_converge_to_the_exact_solution(pin_sensor, model_of, contact):
+    sensor = pin_sensor()
+    exact = pin_transfer_impedance(50.0, 1.0, sensor.electrodes, contact)
+    sizes = (2.8, 2.0, 1.4)  # from where there are more edges round a pin than the least
+    errors = [
+        relative_error(model_of(sensor, size_mm=size, contact=contact).transfer_impedance, exact) for size in sizes
+    ]
+    assert_expected_order(errors, sizes, 2.0, 0.3)
+    assert errors[-1] < 5e-3
+
+
+def test_a_concentric_inclusion_is_seen_as_it_is(arc_sensor, model_of):
+    sensor = arc_sensor()
+    sheet = ConcentricSheet(1.0, 1.0, 0.5, 3.0)
+    exact = arc_transfer_impedance(sheet, sensor.electrodes.angles_rad(), 0.05, 0.05, modes=12, harmonics=20_000)
+    usable = sensor.pattern.usable()
+    errors = []
+    for size in SIZES:
+        plain = model_of(sensor, size_mm=size)  # its mesh does not follow the inclusion
+        elements, fraction = disc_coverage(plain.mesh, 0.0, 0.0, 0.5)
+        conductance = plain.conductance.copy()
+        conductance[elements] += 2.0 * fraction
+        model = ForwardModel(plain.mesh, sensor.pattern, conductance, plain.contact_impedance)
+        errors.append(relative_error(model.voltages()[usable], model.readings(exact)[usable]))
+    assert errors[-1] < 1.5e-3
+    assert errors[-1] < 0.6 * errors[0]
+
+
+def test_uniform_current_limit_matches_the_gap_series(arc_sensor, model_of):
+    sensor = arc_sensor()
+    angles = sensor.electrodes.angles_rad()
+    gap = arc_transfer_impedance(ConcentricSheet(1.0, 1.0), angles, 0.05, 0.0, modes=1, harmonics=20_000)
+    model = model_of(sensor, size_mm=0.05, contact=1e3)
+    usable = sensor.pattern.usable()
+    assert relative_error(model.voltages()[usable], model.readings(gap)[usable]) < 2e-3
+
+
+def test_readings_are_reciprocal_to_rounding(model):
+    voltages = model.voltages()
+    assert np.abs(voltages - voltages.T).max() < 1e-13 * np.abs(voltages).max()
+
+
+def test_the_solve_is_its_own_adjoint(model):
+    size = len(model.electrode_fields)
+    assert_adjoint(model.solve, model.solve, (size, 2), (size, 2), tolerance=1e-11)
+
+
+def test_electrode_potentials_sum_to_zero(model):
+    assert np.abs(model.transfer_impedance.sum(axis=0)).max() < 1e-12 * np.abs(model.transfer_impedance).max()
+
+
+def test_driven_current_reaches_the_sheet(model):
+    fields = model.electrode_fields
+    stiffness = model.conductance[:, None, None] * model.stiffness
+    nodal = np.zeros((len(model.mesh.nodes_mm), 16))
+    np.add.at(nodal, model.mesh.elements, stiffness @ fields[model.mesh.elements])
+    for number, edges in enumerate(model.mesh.electrode_edges):
+        injected = nodal[np.unique(edges)].sum(axis=0)
+        expected = np.eye(16)[number] - 1 / 16
+        assert np.allclose(injected, expected, atol=1e-10)
+    inner = np.setdiff1d(np.arange(len(nodal)), np.concatenate([e.ravel() for e in model.mesh.electrode_edges]))
+    assert np.abs(nodal[inner]).max() < 1e-10
+
+
+@given(factor=st.floats(1e-6, 1e6))
+@settings(max_examples=15, deadline=None)
+def test_voltages_scale_with_resistance(model, factor):
+    scaled = ForwardModel(model.mesh, model.pattern, factor * model.conductance, model.contact_impedance / factor)
+    assert np.allclose(scaled.voltages() * factor, model.voltages(), rtol=1e-9, atol=0)
+
+
+@given(factor=st.floats(1e-3, 1e3))
+@settings(max_examples=15, deadline=None)
+def test_a_sheet_is_as_good_enlarged(model, factor):
+    mesh = Mesh(factor * model.mesh.nodes_mm, model.mesh.elements, model.mesh.electrode_edges)
+    enlarged = ForwardModel(mesh, model.pattern, model.conductance, factor * model.contact_impedance)
+    assert np.allclose(enlarged.voltages(), model.voltages(), rtol=1e-9, atol=0)
+
+
+def test_turning_by_one_electrode_changes_nothing(model, pin_sensor):
+    voltages = model.voltages()
+    usable = model.pattern.usable()
+    for steps in (1, 5, 8):
+        turned = np.roll(voltages, (steps, steps), axis=(0, 1))
+        assert relative_error(turned[usable], voltages[usable]) < 5e-3
+
+
+def test_counting_clockwise_mirrors_the_sheet(pin_sensor, model_of):
+    one = model_of(pin_sensor(), size_mm=4.0).voltages()
+    other = model_of(pin_sensor(counterclockwise=False), size_mm=4.0).voltages()
+    usable = pin_sensor().pattern.usable()
+    assert relative_error(other[usable], one[usable]) < 5e-3
+
+
+def test_any_pattern_is_a_combination_of_electrode_potentials(model):
+    opposite = DrivePattern(16, tuple((k, k + 8) for k in range(8)), ((0, 5), (3, 2), (15, 1)))
+    other = ForwardModel(model.mesh, opposite, model.conductance, model.contact_impedance)
+    adjacent = model.voltages()
+    chained = adjacent[0:8, 0:5].sum()  # 0→8 driven, 0→5 measured, as sums of neighbours
+    assert other.voltages().shape == (8, 3)
+    assert other.voltages()[0, 0] == pytest.approx(chained, rel=1e-10)
+
+
+@pytest.mark.parametrize("contrast", [1e-8, 1e8])
+def test_extreme_contrast_stays_reciprocal_and_monotone(model, contrast):
+    conductance = np.where(np.hypot(*model.mesh.centroids_mm.T) < 20, contrast, 1.0)
+    extreme = ForwardModel(model.mesh, model.pattern, conductance, model.contact_impedance)
+    impedance = extreme.transfer_impedance
+    assert np.abs(impedance - impedance.T).max() < 1e-6 * np.abs(impedance).max()
+    change = np.diag(extreme.voltages()) - np.diag(model.voltages())
+    assert (np.sign(change) == (1 if contrast < 1 else -1)).all()
+    assert (np.linalg.eigvalsh((impedance + impedance.T) / 2)[1:] > 0).all()
+
+
+@pytest.mark.parametrize("contact", [1e-8, 1e8])
+def test_extreme_contacts_leave_the_other_readings_alone(model, contact):
+    extreme = ForwardModel(model.mesh, model.pattern, model.conductance, np.full(16, contact)).voltages()
+    usable = model.pattern.usable()
+    assert relative_error(extreme[usable], model.voltages()[usable]) < 2e-2
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
+def test_impossible_values_are_refused_by_name(model, wrong):
+    conductance = model.conductance.copy()
+    conductance[3] = wrong
+    with pytest.raises(NumericsError, match=r"conductance 3 is .* positive finite"):
+        ForwardModel(model.mesh, model.pattern, conductance, model.contact_impedance)
+    contact = model.contact_impedance.copy()
+    contact[7] = wrong
+    with pytest.raises(NumericsError, match=r"contact impedance 7 is .* positive finite"):
+        ForwardModel(model.mesh, model.pattern, model.conductance, contact)
+
+
+def test_values_of_the_wrong_shape_are_refused(model):
+    with pytest.raises(NumericsError, match="conductance has shape"):
+        ForwardModel(model.mesh, model.pattern, model.conductance[:-1], model.contact_impedance)
+
+
+def test_a_mesh_in_pieces_is_refused(model):
+    count = len(model.mesh.nodes_mm)
+    nodes = np.vstack([model.mesh.nodes_mm, [[200, 0], [201, 0], [200, 1]]])
+    elements = np.vstack([model.mesh.elements, [[count, count + 1, count + 2]]])
+    mesh = Mesh(nodes, elements, model.mesh.electrode_edges)
+    with pytest.raises(NumericsError, match="2 pieces"):
+        ForwardModel(mesh, model.pattern, np.ones(len(elements)), model.contact_impedance)
+
+
+def test_electrodes_without_edges_are_refused(model):
+    none = np.zeros((0, 2), dtype=np.int64)
+    bare = Mesh(model.mesh.nodes_mm, model.mesh.elements, (*model.mesh.electrode_edges[:-1], none))
+    for mesh, remedy in ((bare, "electrode 15"), (Mesh(bare.nodes_mm, bare.elements), "carries 0 electrodes")):
+        with pytest.raises(NumericsError, match=remedy):
+            ForwardModel(mesh, model.pattern, model.conductance, model.contact_impedance)

@@ -1,0 +1,254 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.geometry import RoundFootprint
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.eit.forward.coverage import cover, disc_coverage
+from cbsr_qa.eit.forward.inverse import InverseEntries
+from cbsr_qa.eit.forward.local import LocalUpdate
+from cbsr_qa.eit.forward.model import ForwardModel
+
+
+@pytest.fixture(scope="module", params=[1, 2])
+def model(request, pin_sensor, model_of) -> ForwardModel:
+    plain = model_of(pin_sensor(), size_mm=4.0 * request.param, conductance=2e-4, contact=500.0)
+    if request.param == 1:
+        return plain
+    return ForwardModel(plain.mesh, plain.pattern, plain.conductance, plain.contact_impedance, order=2)
+
+
+@pytest.fixture(scope="module")
+def update(model) -> LocalUpdate:
+    return LocalUpdate(model)
+
+
+def refactorised(model: ForwardModel, elements, change) -> np.ndarray:
+    return model.changed_on(elements, change).voltages()
+
+
+def worst(found: np.ndarray, exact: np.ndarray) -> float:
+    """Largest relative error of any single reading."""
+    return float(np.abs(found / exact - 1).max())
+
+
+@given(
+    x=st.floats(-45, 45),
+    y=st.floats(-45, 45),
+    radius=st.floats(3, 15),
+    log_factor=st.floats(-3, 3),
+)
+@settings(max_examples=25, deadline=None)
+def test_equals_full_refactorisation(model, update, x, y, radius, log_factor):
+    elements, fraction = disc_coverage(model.mesh, x, y, radius)
+    change = model.conductance[elements] * fraction * np.expm1(log_factor)
+    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+@given(x=st.floats(-45, 45), y=st.floats(-45, 45), radius=st.floats(3, 15), log_factor=st.floats(-3, 3))
+@settings(max_examples=15, deadline=None)
+def test_a_load_that_cuts_elements_equals_full_refactorisation(model, update, x, y, radius, log_factor):
+    load = cover(model.elements, RoundFootprint(x, y, radius))
+    change = load.change(model.conductance, np.expm1(log_factor))
+    found = update.voltages(load.elements, change)
+    assert worst(found, refactorised(model, load.elements, change)) < 1e-10
+
+
+def test_loads_that_cut_the_same_elements_equal_full_refactorisation(model, update):
+    loads = [cover(model.elements, RoundFootprint(x, y, 6.5)) for x, y in ((0, 0), (11, 3), (-25, 10))]
+    elements = np.concatenate([load.elements for load in loads])
+    change = np.concatenate([load.change(model.conductance, 0.3) for load in loads])
+    found = update.voltages(elements, change)
+    assert worst(found, refactorised(model, elements, change)) < 1e-10
+    even = np.concatenate([0.3 * model.conductance[load.elements] * load.share for load in loads])
+    assert not np.allclose(found, update.voltages(elements, even), rtol=1e-5)
+
+
+def test_changes_of_a_sheet_that_differs_by_direction_equal_full_refactorisation(model):
+    points = model.elements.weights_mm2.shape[1]
+    matrices = model.conductance[:, None, None, None] * np.tile(np.diag([1.0, 0.5]), (points, 1, 1))
+    layered = model.changed(conductance=matrices)
+    elements, fraction = disc_coverage(model.mesh, 10.0, -8.0, 6.5)
+    change = 1e-4 * fraction
+    found = LocalUpdate(layered).voltages(elements, change)
+    assert worst(found, layered.changed_on(elements, change).voltages()) < 1e-10
+
+
+def test_nine_presses_at_once_equal_full_refactorisation(model, update):
+    presses = [disc_coverage(model.mesh, x, y, 6.5)[0] for x, y in NINE_LOCATIONS_MM]
+    elements = np.concatenate(presses)
+    change = np.concatenate([model.conductance[p] * (0.1 + 0.05 * k) for k, p in enumerate(presses)])
+    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+def test_a_press_over_an_electrode_equals_full_refactorisation(model, update):
+    elements = disc_coverage(model.mesh, 48.0, 0.0, 4.0)[0]
+    change = 0.7 * model.conductance[elements]
+    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+def test_changes_of_an_element_named_twice_add_up(model, update):
+    elements, change = np.array([10, 200, 10]), np.array([1e-4, 5e-5, -5e-5])
+    once = update.voltages(np.array([10, 200]), np.array([5e-5, 5e-5]))
+    assert np.allclose(update.voltages(elements, change), once, rtol=1e-14)
+
+
+def test_no_change_gives_the_unchanged_voltages(model, update):
+    none = update.voltages(np.array([], dtype=np.int64), np.array([]))
+    assert np.array_equal(none, model.voltages())
+    assert np.array_equal(update.voltages(np.array([4, 5]), np.zeros(2)), model.voltages())
+
+
+def test_the_order_of_elements_does_not_matter(update):
+    elements, change = np.array([700, 30, 301]), np.array([1e-4, 2e-5, -1e-4])
+    order = np.array([2, 0, 1])
+    assert np.array_equal(update.voltages(elements, change), update.voltages(elements[order], change[order]))
+
+
+def test_further_frames_solve_nothing_anew(model, monkeypatch):
+    solves = []
+    original = ForwardModel.solve
+    monkeypatch.setattr(ForwardModel, "solve", lambda self, load: solves.append(load.shape) or original(self, load))
+    update = LocalUpdate(model)
+    one = disc_coverage(model.mesh, 0.0, 0.0, 6.5)[0]
+    other = disc_coverage(model.mesh, 20.0, 0.0, 6.5)[0]
+    for elements in (one, other):
+        update.voltages(elements, 0.2 * model.conductance[elements])
+    solves.clear()
+    for scale in (0.1, 0.3):
+        for elements in (one, other, np.concatenate([one, other])):
+            update.voltages(elements, scale * model.conductance[elements])
+    assert solves == []
+
+
+def test_overlapping_presses_equal_full_refactorisation(model, update):
+    presses = [disc_coverage(model.mesh, x, y, 9.0)[0] for x, y in ((0, 0), (9, 2), (-4, 11), (-30, -20))]
+    elements = np.concatenate(presses)
+    change = np.concatenate([model.conductance[p] * (0.3 - 0.1 * k) for k, p in enumerate(presses)])
+    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+def test_a_change_of_the_whole_sheet_equals_full_refactorisation(model):
+    elements = np.arange(len(model.mesh.elements))
+    change = model.conductance * np.random.default_rng(3).uniform(-0.5, 2.0, len(elements))
+    assert worst(LocalUpdate(model).voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+def heads(model, count: int) -> list[np.ndarray]:
+    places = np.random.default_rng(7).uniform(-28, 28, (count, 2))
+    return [disc_coverage(model.mesh, x, y, 6.5)[0] for x, y in places]
+
+
+def test_memory_is_bounded_and_what_was_forgotten_comes_back_exactly(model):
+    bounded, unbounded = LocalUpdate(model, kept_bytes=300_000), LocalUpdate(model)
+    entries = bounded._inverse = InverseEntries(model, most=64)
+    for elements in heads(model, 40) * 2:
+        change = 0.2 * model.conductance[elements]
+        np.testing.assert_allclose(
+            bounded.voltages(elements, change), unbounded.voltages(elements, change), rtol=1e-11, atol=0
+        )
+        assert entries.nbytes <= 64 * 64 * 8
+        assert bounded.nbytes <= 300_000 + entries.nbytes
+    assert unbounded.nbytes > 2 * bounded.nbytes
+
+
+def test_a_set_larger_than_the_bounds_is_served_all_the_same(model):
+    update = LocalUpdate(model, kept_bytes=1)
+    update._inverse = InverseEntries(model, most=8)
+    elements = np.unique(np.concatenate(heads(model, 5)))
+    change = 0.2 * model.conductance[elements]
+    assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
+
+
+def test_entries_of_the_inverse_are_those_of_whole_columns(model):
+    inverse = InverseEntries(model)
+    for seed in range(4):
+        nodes = np.random.default_rng(seed).choice(model.elements.count, 150, replace=False)
+        columns = model.solve(np.eye(model.elements.count)[:, nodes])
+        np.testing.assert_allclose(inverse.between(nodes), columns[nodes], rtol=0, atol=1e-12 * abs(columns).max())
+
+
+def test_nodes_one_by_one_are_copied_a_few_times_in_all(model):
+    inverse = InverseEntries(model)
+    sizes = {(inverse.between(np.array([node])).size, inverse.nbytes)[1] for node in range(200)}
+    assert len(sizes) <= 9  # 1, 2, 4 … 256 squared
+
+
+def test_first_order_term_is_the_jacobian(model, update):
+    elements, fraction = disc_coverage(model.mesh, 12.0, -7.0, 6.5)
+    direction = model.conductance[elements] * fraction
+    linear = model.jacobian()[:, :, elements] @ direction
+    step = 1e-5
+    difference = update.voltages(elements, step * direction) - update.voltages(elements, -step * direction)
+    assert np.allclose(difference / (2 * step), linear, rtol=1e-5, atol=1e-8 * np.abs(linear).max())
+
+
+@pytest.mark.parametrize(
+    ("elements", "change", "reason"),
+    [
+        ([5], [-1.0], "positive finite"),
+        ([5, 5], [-1.5e-4, -1.5e-4], "positive finite"),
+        ([5], [np.nan], "positive finite"),
+        ([-1], [1e-5], "not one of 0 to"),
+        ([10**7], [1e-5], "not one of 0 to"),
+        ([1, 2], [1e-5], "do not fit"),
+        ([5], np.zeros((1, 7, 2, 2)), "do not fit"),
+        ([], [1e-5], "do not fit"),
+    ],
+)
+def test_impossible_changes_are_refused(update, elements, change, reason):
+    with pytest.raises(NumericsError, match=reason):
+        update.voltages(np.array(elements, dtype=np.int64), np.array(change))
+
+
+def test_changes_that_conduct_backwards_in_one_direction_are_refused(model, update):
+    points = model.elements.weights_mm2.shape[1]
+    change = np.zeros((1, points, 2, 2))
+    change[0, -1, 1, 1] = -2.1e-4
+    with pytest.raises(NumericsError, match="in every direction"):
+        update.voltages(np.array([5]), change)
+
+
+@given(seed=st.integers(0, 2**32 - 1), spread=st.floats(0.01, 6), loads=st.integers(0, 2))
+@settings(max_examples=20, deadline=None)
+def test_changed_contacts_equal_full_refactorisation(model, update, seed, spread, loads):
+    """Contacts up to e⁶ times better and worse at once, with loads beside them and one over a pin."""
+    random = np.random.default_rng(seed)
+    contacts = model.contact_impedance * np.exp(spread * random.uniform(-1, 1, len(model.contact_impedance)))
+    found = [disc_coverage(model.mesh, x, y, 6.5) for x, y in ((20.0, -12.0), (43.0, 2.0))[:loads]]
+    elements = np.concatenate([np.zeros(0, dtype=np.int64), *(load[0] for load in found)])
+    change = 0.4 * np.concatenate([np.zeros(0), *(model.conductance[load[0]] * load[1] for load in found)])
+    exact = model.changed(contact_impedance=contacts).changed_on(elements, change).voltages()
+    assert worst(update.voltages(elements, change, contacts), exact) < 1e-9
+    assert np.array_equal(
+        update.voltages(elements, change, model.contact_impedance), update.voltages(elements, change)
+    )
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, np.nan, np.inf])
+def test_a_contact_impedance_that_is_none_is_refused_by_number(model, update, wrong):
+    contacts = model.contact_impedance.copy()
+    contacts[5] = wrong
+    with pytest.raises(NumericsError, match="contact impedance 5"):
+        update.voltages(np.zeros(0, dtype=np.int64), np.zeros(0), contacts)
+    with pytest.raises(NumericsError, match="shape"):
+        update.voltages(np.zeros(0, dtype=np.int64), np.zeros(0), contacts[:3])
+
+
+@pytest.mark.parametrize("before", [1e-8, 1e-6, 1e-4, 2.1e-3, 1e-2, 1.0, 1e4])
+@pytest.mark.parametrize("after", [1e-5, 1e-3, 0.5, 1e3, 1e6])
+def test_any_contact_becomes_any_other(pin_sensor, model_of, before, after):
+    """Also those so good that a change of theirs drowns in rounding: they are factorised again.
+
+    To 1e-9, or what factorising itself loses on contacts that good.
+    """
+    model = model_of(pin_sensor(), size_mm=8.0, contact=before)
+    contacts = np.full(16, after)
+    load, fraction = disc_coverage(model.mesh, 20.0, -12.0, 6.5)
+    exact = model.changed(contact_impedance=contacts).changed_on(load, 0.4 * fraction).voltages()
+    found = LocalUpdate(model).voltages(load, 0.4 * fraction, contacts)
+    used = model.pattern.usable()
+    bound = max(1e-9, 1e-14 / after)
+    assert worst(found[used], exact[used]) < bound
+    assert np.abs(found - exact).max() < bound * np.abs(exact).max()

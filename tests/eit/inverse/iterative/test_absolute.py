@@ -1,0 +1,255 @@
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from disc_meshes import square_mesh
+
+from cbsr_qa.domain import ConfigError, NumericsError, RefusedError
+from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.eit.forward import ForwardModel
+from cbsr_qa.eit.inverse.iterative.absolute import Linearised, matern
+from cbsr_qa.eit.inverse.iterative.sheet_model import SheetModel
+from cbsr_qa.eit.inverse.problem import imaging_problem, target_signal
+from cbsr_qa.eit.inverse.scaling import scale_of
+from cbsr_qa.eit.mesh import sheet_mesh
+from cbsr_qa.testing import assert_expected_order
+from cbsr_qa_plugins.reconstruction.iterative import AbsoluteGaussNewton
+
+_EVERY = np.ones((16, 16), dtype=bool)
+_UNIT = 3.7  # of the simulated voltages
+
+
+def uneven(places_mm: np.ndarray) -> np.ndarray:
+    """ln γ of a sheet that is about 15 % uneven."""
+    x, y = places_mm.T / 50
+    waves = 0.3 * np.sin(2.2 * x + 0.4) * np.cos(1.7 * y - 0.3)
+    return waves + 0.25 * np.exp(-((x + 0.3) ** 2 + (y - 0.4) ** 2) / 0.08)
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """An uneven sensor, simulated on another and finer mesh than any that images it."""
+
+    sensor_type: SensorType
+    model: ForwardModel
+    frame: np.ndarray
+
+    def problem(self, used: np.ndarray | None = None) -> ImagingProblem:
+        problem = imaging_problem(self.sensor_type, used=used, image_size_mm=6.0)
+        return replace(problem, measured=self.frame[problem.used] / self.scale(problem))
+
+    def scale(self, problem: ImagingProblem) -> float:
+        return scale_of(self.frame, problem)
+
+
+@pytest.fixture(scope="module")
+def sensor(pin_sensor) -> Sensor:
+    mesh = sheet_mesh(pin_sensor(), size_mm=3.3, order=2)
+    contacts = np.exp(np.random.default_rng(3).uniform(np.log(0.2), np.log(2.0), 16))
+    model = ForwardModel(mesh, pin_sensor().pattern, np.exp(uneven(mesh.centroids_mm)), contacts, order=2)
+    clean = model.voltages()
+    noise = (
+        1e-3
+        * np.abs(clean[pin_sensor().pattern.usable()]).mean()
+        * np.random.default_rng(4).standard_normal((16, 16))
+    )
+    return Sensor(pin_sensor(), model, _UNIT * (clean + noise))
+
+
+@pytest.fixture(scope="module")
+def problem(pin_sensor) -> ImagingProblem:
+    return imaging_problem(pin_sensor(), image_size_mm=6.0)
+
+
+def nothing(problem: ImagingProblem) -> np.ndarray:
+    return np.zeros((1, len(problem.reference)))
+
+
+@pytest.mark.parametrize(("used", "allowed"), [(None, 0.03), (_EVERY, 0.04)], ids=["208", "256"])
+def test_an_uneven_sheet_is_found(sensor, used, allowed):
+    problem = sensor.problem(used)
+    prepared = AbsoluteGaussNewton().prepare(problem)
+    true = uneven(problem.mesh.centroids_mm) + np.log(sensor.scale(problem) / _UNIT)
+    found = np.log(prepared.absolute(nothing(problem))[0])
+    areas = problem.mesh.areas_mm2 / problem.mesh.areas_mm2.sum()
+    assert np.sqrt(areas @ (true - areas @ true) ** 2) > 0.13
+    assert np.sqrt(areas @ (found - true) ** 2) < allowed
+    assert prepared.reference.unexplained < 1e-3
+    assert 0.1 < prepared.reference.residual < 1.5
+
+
+def test_contacts_are_found_from_every_reading_with_their_error(sensor):
+    problem = sensor.problem(_EVERY)
+    prepared = AbsoluteGaussNewton().prepare(problem)
+    true = sensor.model.contact_impedance * _UNIT / sensor.scale(problem)
+    wrong = np.log(prepared.contact_impedance() / true)
+    assert np.sqrt(np.mean(wrong**2)) < 0.06
+    assert (np.abs(wrong) < 3 * prepared.reference.log_contact_error).all()
+    assert prepared.reference.log_contact_error.max() < 0.4
+    assert np.corrcoef(np.log(prepared.contact_impedance()), np.log(true))[0, 1] > 0.99
+
+
+def test_contacts_no_reading_tells_are_refused(sensor, problem):
+    prepared = AbsoluteGaussNewton().prepare(sensor.problem())
+    assert prepared.reference.log_contact_error.min() > 0.9
+    with pytest.raises(NumericsError, match="contact impedance of electrodes 0, 1, 2"):
+        prepared.contact_impedance()
+    with pytest.raises(NumericsError, match="contact impedance of electrodes"):
+        AbsoluteGaussNewton().prepare(imaging_problem(problem.sensor_type, used=_EVERY)).contact_impedance()
+
+
+def test_images_do_not_depend_on_the_unit(sensor):
+    problem = sensor.problem()
+    changes = target_signal(problem, x_mm=15, y_mm=10, radius_mm=6.5, contrast=0.3)[None]
+    found = []
+    for factor in (1.0, 1e-6, 250.0):
+        prepared = AbsoluteGaussNewton().prepare(replace(problem, measured=factor * problem.measured))
+        found.append((prepared.images(factor * changes), factor * prepared.absolute(factor * changes)))
+    for image, absolute in found[1:]:
+        assert np.abs(image - found[0][0]).max() < 1e-7 * np.abs(found[0][0]).max()
+        assert np.allclose(absolute, found[0][1], rtol=1e-7)
+
+
+def test_derivatives_are_those_of_the_readings(problem):
+    """Central differences come closer with the square of the step, for conductances and contacts at once."""
+    model = SheetModel(imaging_problem(problem.sensor_type, used=_EVERY, image_size_mm=8.0), 0.15)
+    random = np.random.default_rng(2)
+    state = model.nominal.moved(0.3 * random.standard_normal(len(model.nominal.unknowns)))
+    direction = random.standard_normal(len(state.unknowns))
+    slope = model.at(state).jacobian() @ direction
+    steps, errors = (0.1, 0.05, 0.025), []
+    for step in steps:
+        ahead, behind = (model.at(state.moved(sign * step * direction)).readings() for sign in (1, -1))
+        errors.append(float(np.linalg.norm((ahead - behind) / (2 * step) - slope)))
+    assert_expected_order(errors, steps, 2.0, 0.05)
+
+
+def test_small_changes_are_imaged_by_the_first_step(problem):
+    """The rest of the iteration is of second order in the change."""
+    prepared = AbsoluteGaussNewton(noise_dB=120).prepare(problem)
+    changes = target_signal(problem, x_mm=12, y_mm=-20, radius_mm=6.5, contrast=1e-3)
+    step = prepared.before_load.matrix()[: len(problem.mesh.elements)] @ prepared.model.fold.fold(changes[None])[0]
+    sizes, errors = (16.0, 8.0, 4.0), []
+    for size in sizes:
+        errors.append(np.abs(prepared.images(size * changes[None])[0] / size - step).max())
+    assert_expected_order(errors, sizes, 1.0, 0.15)
+
+
+def test_strong_loads_keep_their_amplitude_where_a_step_saturates(sensor):
+    problem = sensor.problem()
+    covered = np.hypot(*(sensor.model.mesh.centroids_mm - [10.0, 5.0]).T) < 8
+    pressed = sensor.model.changed(conductance=sensor.model.conductance * np.where(covered, 4.0, 1.0))
+    change = _UNIT * (pressed.voltages() - sensor.model.voltages())[problem.used] / sensor.scale(problem)
+    prepared = AbsoluteGaussNewton(load_spread=0.5, load_length=0.2).prepare(problem)
+    image = prepared.images(change[None])[0]
+    step = prepared.before_load.matrix()[: len(image)] @ prepared.model.fold.fold(change[None])[0]
+    inside = np.hypot(*(problem.mesh.centroids_mm - [10.0, 5.0]).T) < 5
+    assert 1.5 < image[inside].mean() < 3.0  # true: 3
+    assert step[inside].mean() < 0.6 * image[inside].mean()
+
+
+def test_every_frame_stands_for_itself(problem):
+    prepared = AbsoluteGaussNewton().prepare(problem)
+    one = target_signal(problem, x_mm=12, y_mm=-20, radius_mm=6.5, contrast=0.2)
+    images = prepared.images(np.stack([one, 0 * one, -one]))
+    assert not images[1].any()
+    assert np.array_equal(images[0], prepared.images(one[None])[0])
+    assert images[0].max() > 0 > images[2].min()
+    assert prepared.images(np.zeros((0, 208))).shape == (0, images.shape[1])
+
+
+@pytest.mark.parametrize(
+    ("spoil", "reason"),
+    [
+        (lambda frame: np.roll(frame, 3, axis=1), "nothing in common|explains the reference|did not converge"),
+        (lambda frame: -frame, "turned in polarity"),
+        (lambda frame: 0 * frame, "nothing in common"),
+        (lambda frame: np.random.default_rng(1).standard_normal(frame.shape), "nothing in common|explains|converge"),
+    ],
+    ids=["order", "polarity", "zero", "noise"],
+)
+def test_readings_of_no_such_sheet_are_refused(problem, sensor, spoil, reason):
+    measured = spoil(sensor.frame)[problem.used]
+    with pytest.raises(NumericsError, match=reason) as refused:
+        AbsoluteGaussNewton(mesh_size=0.15).prepare(replace(problem, measured=measured))
+    assert refused.value.remedy
+
+
+def test_a_frame_no_sheet_explains_is_refused(problem):
+    prepared = AbsoluteGaussNewton(mesh_size=0.15).prepare(problem)
+    one = target_signal(problem, x_mm=12, y_mm=-20, radius_mm=6.5, contrast=0.2)
+    with pytest.raises(NumericsError, match=r"explains frame 1|did not converge"):
+        prepared.images(np.stack([one, np.roll(problem.reference, 31) - problem.reference]))
+
+
+def test_readings_that_are_no_numbers_are_refused(problem):
+    with pytest.raises(RefusedError, match="not a finite number"):
+        AbsoluteGaussNewton().prepare(replace(problem, measured=np.full(208, np.nan)))
+
+
+def test_too_few_iterations_are_an_error_not_an_image(sensor):
+    with pytest.raises(NumericsError, match="did not converge: after 1 steps steps ran out") as refused:
+        AbsoluteGaussNewton(iterations=1).prepare(sensor.problem())
+    assert "noise_dB" in refused.value.remedy
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"noise_dB": -1.0},
+        {"spread": 0.0},
+        {"length": float("nan")},
+        {"load_spread": float("inf")},
+        {"noise_figure": 0.0},
+        {"noise_figure": 1e-4},
+        {"contact_spread": -1.0},
+        {"mesh_size": 0.5},
+        {"mesh_size": 1e-6},
+        {"mesh_size": 0.0299},
+        {"load_spread": 1e-300},
+        {"length": 1e-310},
+        {"iterations": 1001},
+        {"iterations": 0},
+    ],
+)
+def test_impossible_options_are_refused(problem, options):
+    with pytest.raises(NumericsError, match=r"must be (above 0|\S+ to)|cannot be reached") as refused:
+        AbsoluteGaussNewton(**options).prepare(problem)
+    assert refused.value.remedy
+
+
+@pytest.mark.parametrize(
+    "name", ["noise_dB", "spread", "length", "load_length", "contact_spread", "mesh_size", "iterations"]
+)
+def test_numbers_that_are_needed_cannot_be_left_empty(name):
+    with pytest.raises(ConfigError, match=f"{name} is None"):
+        AbsoluteGaussNewton(**{name: None})
+
+
+def test_what_is_beyond_numbers_is_refused_never_imaged(problem):
+    prepared = AbsoluteGaussNewton(mesh_size=0.15).prepare(problem)
+    one = target_signal(problem, x_mm=12, y_mm=-20, radius_mm=6.5, contrast=0.2)
+    with pytest.raises(NumericsError, match=r"cannot be computed: readings of up to .*e\+29") as refused:
+        prepared.images(1e300 * one[None])
+    assert "units" in refused.value.remedy
+    extreme = replace(problem, noise_variance=np.where(np.arange(208) % 2, 1e-300, 1e300), nominal=problem)
+    with pytest.raises(NumericsError, match="absolute image") as refused:
+        AbsoluteGaussNewton(mesh_size=0.15).prepare(extreme).images(one[None])
+    assert refused.value.remedy
+    before = prepared.before_load
+    for variance in (np.inf, -1.0):
+        with pytest.raises(NumericsError, match=r"noise variances of .* leave no finite numbers"):
+            Linearised(before.solved, prepared.load, np.full(len(before.variance), variance))
+
+
+def test_options_that_contradict_or_are_no_numbers_are_refused():
+    with pytest.raises(NumericsError, match="not both"):
+        AbsoluteGaussNewton(noise_figure=1.0, load_spread=0.1)
+    with pytest.raises(ConfigError, match=r"iterations is 2\.5"):
+        AbsoluteGaussNewton(iterations=2.5)
+
+
+def test_meshes_whose_covariance_does_not_fit_are_refused():
+    with pytest.raises(NumericsError, match="dense covariance; 10082 elements"):
+        matern(square_mesh(71), 0.1)

@@ -1,0 +1,236 @@
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+from cbsr_qa.domain import NumericsError, RefusedError
+from cbsr_qa.domain.results import ImagingProblem
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.eit.inverse.dual import dual_matrix
+from cbsr_qa.eit.inverse.priors import noser
+from cbsr_qa.eit.inverse.problem import imaging_problem, target_signal
+from cbsr_qa.eit.inverse.scaling import agreement, changes, scale_doubts, scale_of
+from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
+
+
+@pytest.fixture(scope="module")
+def problem(pin_sensor) -> ImagingProblem:
+    return imaging_problem(pin_sensor())
+
+
+def brightest_centre(problem: ImagingProblem, image: np.ndarray, fraction: float = 0.85) -> np.ndarray:
+    """Centre of mass of what survives the percentage mask (here always one patch)."""
+    weights = np.where(image >= fraction * image.max(), image, 0) * problem.mesh.areas_mm2
+    return weights @ problem.mesh.centroids_mm / weights.sum()
+
+
+def frame_of(problem: ImagingProblem, readings: np.ndarray) -> np.ndarray:
+    frame = np.zeros(problem.used.shape)
+    frame[problem.used] = readings
+    return frame
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+def test_dual_form_equals_the_textbook_form(pin_sensor, weighted):
+    problem = imaging_problem(pin_sensor(), image_size_mm=8.0)
+    jacobian, prior = problem.jacobian, noser(problem.jacobian, 0.5)
+    variance = np.random.default_rng(8).uniform(0.5, 2.0, len(jacobian)) if weighted else np.ones(len(jacobian))
+    weight = 1 / variance
+    normal = jacobian.T @ (weight[:, None] * jacobian) + 0.3**2 * np.diag(prior)
+    primal = np.linalg.solve(normal, jacobian.T * weight)
+    dual = dual_matrix(jacobian, prior, 0.3, variance if weighted else None)
+    assert np.abs(dual - primal).max() < 1e-10 * np.abs(primal).max()
+
+
+def test_nine_places_are_found_at_60_dB(problem):
+    """Exponent 0.25 balances centre and rim; the images of 0.5 lean towards the sheet's middle."""
+    random = np.random.default_rng(11)
+    errors = {}
+    for exponent in (0.25, 0.5):
+        prepared = GaussNewtonNoser(exponent=exponent).prepare(problem)
+        errors[exponent] = []
+        for place in NINE_LOCATIONS_MM:
+            signal = target_signal(problem, x_mm=place[0], y_mm=place[1], radius_mm=6.5, contrast=0.5)
+            noise = 1e-3 * np.abs(problem.reference) * random.standard_normal((8, len(signal)))
+            for image in prepared.images(signal + noise):
+                errors[exponent].append(np.hypot(*(brightest_centre(problem, image) - place)))
+    assert np.mean(errors[0.25]) < 0.6
+    assert np.mean(errors[0.5]) < 2.0
+    assert np.max(errors[0.5]) < 3.6
+
+
+@given(contrast=st.floats(0.005, 0.02))
+@settings(max_examples=8, deadline=None)
+def test_opposite_contrasts_give_opposite_images(problem, contrast):
+    prepared = GaussNewtonNoser().prepare(problem)
+    more, less = (
+        prepared.images(target_signal(problem, x_mm=9, y_mm=4, radius_mm=6.5, contrast=sign * contrast)[None])[0]
+        for sign in (1, -1)
+    )
+    assert more.max() > 0 > less.min()
+    assert np.abs(more + less).max() < 2 * contrast * np.abs(more).max()
+
+
+def test_turning_the_load_by_electrodes_turns_the_image(problem):
+    prepared = GaussNewtonNoser().prepare(problem)
+    signal = target_signal(problem, x_mm=25, y_mm=5, radius_mm=6.5, contrast=0.2)
+    there = brightest_centre(problem, prepared.images(signal[None])[0], 0.5) @ np.array([1, 1j])
+    for steps in (1, 6, 13):
+        turned = np.roll(frame_of(problem, signal), (steps, steps), axis=(0, 1))[problem.used]
+        found = brightest_centre(problem, prepared.images(turned[None])[0], 0.5) @ np.array([1, 1j])
+        assert abs(found - there * np.exp(2j * np.pi * steps / 16)) < 0.4
+
+
+def test_masked_electrodes_are_left_out_and_still_give_an_image(pin_sensor):
+    sensor = pin_sensor()
+    dead = (3, 4, 9)
+    touches = np.array(
+        [[set(d) & set(dead) or set(m) & set(dead) for m in sensor.pattern.measure] for d in sensor.pattern.drive],
+        dtype=bool,
+    )
+    used = sensor.pattern.usable() & ~touches
+    problem = imaging_problem(sensor, used=used)
+    assert problem.jacobian.shape[0] == used.sum() < 130
+    full = imaging_problem(sensor)
+    rows = used[full.used]
+    assert np.array_equal(problem.jacobian, full.jacobian[rows])
+    prepared = GaussNewtonNoser(exponent=0.25).prepare(problem)
+    signal = target_signal(problem, x_mm=-15, y_mm=-15, radius_mm=6.5, contrast=0.3)
+    assert np.hypot(*(brightest_centre(problem, prepared.images(signal[None])[0]) + 15)) < 3.0
+
+
+def test_noisy_channels_weigh_less(problem):
+    variance = np.ones(problem.used.shape)
+    variance[5] = 1e6
+    noisy = imaging_problem(problem.sensor_type, noise_variance=variance)
+    plain = GaussNewtonNoser(hyperparameter=0.05).prepare(problem).matrix
+    weighted = GaussNewtonNoser(hyperparameter=0.05).prepare(noisy).matrix
+    of_drive = np.argwhere(problem.used)[:, 0] == 5
+    assert np.abs(weighted[:, of_drive]).max() < 1e-3 * np.abs(plain[:, of_drive]).max()
+
+
+def test_chosen_noise_figure_is_recorded(problem):
+    prepared = GaussNewtonNoser(noise_figure=1.2).prepare(problem)
+    assert prepared.choice.noise_figure == pytest.approx(1.2, rel=1e-8)
+    assert "noise figure 1.20" in prepared.choice.how
+    again = GaussNewtonNoser(hyperparameter=prepared.choice.value).prepare(problem)
+    assert np.array_equal(again.matrix, prepared.matrix)
+    assert again.choice.how == "hyperparameter given"
+
+
+def test_a_large_hyperparameter_blanks_the_image(problem):
+    signal = target_signal(problem, x_mm=0, y_mm=0, radius_mm=6.5, contrast=0.5)
+    amplitude = [
+        np.abs(GaussNewtonNoser(hyperparameter=value).prepare(problem).images(signal[None])).max()
+        for value in (1e-2, 1, 1e4)
+    ]
+    assert amplitude[0] > amplitude[1] > 1e3 * amplitude[2]
+
+
+def test_no_regularisation_at_all_explains_every_reading(problem):
+    """λ = 0 is the image of least norm that explains the readings, to the digits their condition number leaves."""
+    matrix = GaussNewtonNoser(hyperparameter=0.0).prepare(problem).matrix
+    readings = problem.jacobian @ np.random.default_rng(4).standard_normal(len(problem.mesh.elements))
+    assert np.abs(problem.jacobian @ (matrix @ readings) - readings).max() < 1e-9 * np.abs(readings).max()
+
+
+def test_readings_that_do_not_determine_an_image_need_regularisation(problem):
+    twice = np.vstack([problem.jacobian, problem.jacobian[:3]])
+    with pytest.raises(NumericsError, match="too small"):
+        dual_matrix(twice, noser(twice, 0.5), 0.0)
+    assert np.isfinite(dual_matrix(twice, noser(twice, 0.5), 1e-3)).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"hyperparameter": -1.0}, "zero or above"),
+        ({"hyperparameter": float("nan")}, "zero or above"),
+        ({"noise_figure": 1e-4}, "cannot be reached"),
+        ({"exponent": 1.5}, "not in 0 … 1"),
+        ({"noise_figure": 1.0, "hyperparameter": 1.0}, "not both"),
+    ],
+)
+def test_impossible_options_are_refused(problem, options, reason):
+    with pytest.raises(NumericsError, match=reason):
+        GaussNewtonNoser(**options).prepare(problem)
+
+
+def test_impossible_problems_are_refused(pin_sensor):
+    sensor = pin_sensor()
+    few = np.zeros(sensor.pattern.shape, dtype=bool)
+    few[0, 2:9] = True
+    with pytest.raises(NumericsError, match="only 7 independent readings are left to image from, with 201 masked"):
+        imaging_problem(sensor, used=few)
+    with pytest.raises(NumericsError, match="does not fit frames"):
+        imaging_problem(sensor, used=np.ones((16, 13), dtype=bool))
+    for wrong, reason in (
+        (np.zeros((16, 16)), "variance of reading .drive 0, measure 2. is 0.0 .* positive finite"),
+        (np.full(208, np.nan), "positive finite"),
+        (np.ones(207), r"shape \(207,\) are not one for each of 208"),
+    ):
+        with pytest.raises(NumericsError, match=reason) as refused:
+            imaging_problem(sensor, noise_variance=wrong)
+        assert refused.value.remedy
+
+
+@given(factor=st.floats(1e-6, 1e6), sign=st.sampled_from([-1, 1]))
+@settings(max_examples=20, deadline=None)
+def test_images_do_not_depend_on_the_unit_of_the_voltages(problem, factor, sign):
+    reference = frame_of(problem, problem.reference)
+    frames = reference + frame_of(problem, 1e-3 * problem.reference[::-1])[None]
+    scale = scale_of(sign * factor * reference, problem)
+    assert scale == pytest.approx(sign * factor, rel=1e-12)
+    found = changes(sign * factor * frames, sign * factor * reference, problem, scale)
+    assert np.allclose(found, changes(frames, reference, problem, 1.0), rtol=1e-6, atol=1e-12)
+
+
+def test_agreement_tells_polarity_and_order(problem):
+    reference = frame_of(problem, problem.reference)
+    assert agreement(3 * reference, problem) == pytest.approx(1)
+    assert agreement(-reference, problem) == pytest.approx(-1)
+    assert agreement(np.roll(reference, 5, axis=1), problem) < 0.7
+    assert agreement(0 * reference, problem) == 0
+
+
+def test_references_that_scale_to_nothing_are_refused(problem):
+    with pytest.raises(NumericsError, match="nothing in common"):
+        scale_of(np.zeros(problem.used.shape), problem)
+    orthogonal = np.arange(len(problem.reference), dtype=float)
+    orthogonal -= problem.reference * (orthogonal @ problem.reference) / (problem.reference @ problem.reference)
+    with pytest.raises(NumericsError, match="nothing in common"):
+        scale_of(frame_of(problem, orthogonal), problem)
+
+
+def test_readings_that_are_no_numbers_are_refused_by_place(problem):
+    reference = frame_of(problem, problem.reference)
+    frames = np.stack([reference, reference])
+    frames[0, 0, 0] = np.nan  # touches a driven electrode: not used, not looked at
+    assert np.isfinite(changes(frames, reference, problem, 1.0)).all()
+    frames[1, 4, 9] = np.inf
+    with pytest.raises(NumericsError, match=r"drive 4, measure 9\) of frame 1"):
+        changes(frames, reference, problem, 1.0)
+    for scale in (0.0, float("nan")):
+        with pytest.raises(NumericsError, match="scale of the sensor"):
+            changes(np.stack([reference]), reference, problem, scale)
+    with pytest.raises(NumericsError, match="do not fit frames"):
+        changes(reference[None, :, :15], reference, problem, 1.0)
+
+
+def test_images_refuse_readings_that_do_not_fit(problem):
+    prepared = GaussNewtonNoser().prepare(problem)
+    with pytest.raises(RefusedError, match="do not fit"):
+        prepared.images(np.zeros((2, 207)))
+    assert not prepared.images(np.zeros((2, 208))).any()
+
+
+@given(
+    unit=st.floats(-9, 9), seed=st.integers(0, 2**32 - 1), offset=st.floats(20, 1e6), sign=st.sampled_from([-1, 1])
+)
+@settings(max_examples=20, deadline=None)
+def test_a_reference_on_an_offset_has_a_doubtful_scale(problem, unit, seed, offset, sign):
+    frame = np.zeros(problem.used.shape)
+    frame[problem.used] = 10**unit * problem.reference
+    uneven = frame * np.exp(0.2 * np.random.default_rng(seed).standard_normal(frame.shape))
+    assert scale_doubts(uneven, problem) == ()
+    (doubt,) = scale_doubts(uneven + sign * offset * np.abs(frame[problem.used]).mean(), problem)
+    assert "offset" in doubt

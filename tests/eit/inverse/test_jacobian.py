@@ -1,0 +1,128 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cbsr_qa.domain.sensor import DrivePattern
+from cbsr_qa.eit.forward import ForwardModel, disc_coverage
+from cbsr_qa.eit.inverse.overlap import overlap_fractions
+from cbsr_qa.eit.inverse.problem import image_jacobian, imaging_problem, nominal_model, target_signal
+from cbsr_qa.eit.mesh import image_mesh, sheet_mesh
+from cbsr_qa.testing import assert_adjoint, assert_expected_order
+
+
+@pytest.fixture(scope="module")
+def uneven(pin_sensor, model_of) -> ForwardModel:
+    """A sheet with a seeded, uneven conductance: symmetry hides no mistakes."""
+    plain = model_of(pin_sensor(count=8), size_mm=8.0)
+    random = np.random.default_rng(5)
+    conductance = np.exp(random.normal(0, 0.5, len(plain.mesh.elements)))
+    return ForwardModel(plain.mesh, plain.pattern, conductance, random.uniform(0.1, 1, 8))
+
+
+def test_adjoint_fields_give_the_derivative(uneven):
+    random = np.random.default_rng(6)
+    direction = uneven.conductance * random.normal(0, 1, len(uneven.conductance))
+    linear = uneven.jacobian() @ direction
+    steps = (0.08, 0.04, 0.02)
+    errors = []
+    for step in steps:
+        ahead, behind = (
+            ForwardModel(
+                uneven.mesh,
+                uneven.pattern,
+                uneven.conductance + sign * step * direction / 8,
+                uneven.contact_impedance,
+            ).voltages()
+            for sign in (1, -1)
+        )
+        errors.append(float(np.abs((ahead - behind) / (2 * step / 8) - linear).max()))
+    assert_expected_order(errors, steps, 2.0, 0.05)
+    assert errors[-1] < 1e-4 * np.abs(linear).max()
+
+
+def test_single_elements_one_by_one(uneven):
+    jacobian = uneven.jacobian()
+    for element in np.random.default_rng(7).choice(len(uneven.conductance), 5, replace=False):
+        step = 1e-4 * uneven.conductance[element]
+        changed = []
+        for sign in (1, -1):
+            conductance = uneven.conductance.copy()
+            conductance[element] += sign * step
+            changed.append(
+                ForwardModel(uneven.mesh, uneven.pattern, conductance, uneven.contact_impedance).voltages()
+            )
+        difference = (changed[0] - changed[1]) / (2 * step)
+        assert np.allclose(difference, jacobian[:, :, element], atol=1e-5 * np.abs(jacobian[:, :, element]).max())
+
+
+def test_more_conductance_anywhere_lowers_every_driving_point_reading(uneven):
+    own = uneven.jacobian()[np.arange(8), np.arange(8)]
+    assert (own <= 0).all()
+
+
+def test_sensitivities_sum_to_the_scaling_law(uneven):
+    """V(aγ, z/a) = V/a, so Σ γ ∂V/∂γ − Σ z ∂V/∂z = −V; contacts enter the driven readings alone."""
+    total = uneven.jacobian() @ uneven.conductance
+    factor = 1e-4
+    contacts = (
+        ForwardModel(
+            uneven.mesh, uneven.pattern, uneven.conductance, uneven.contact_impedance * (1 + sign)
+        ).voltages()
+        for sign in (factor, -factor)
+    )
+    by_contact = (next(contacts) - next(contacts)) / (2 * factor)
+    voltages = uneven.voltages()
+    assert np.allclose(total - by_contact, -voltages, atol=1e-7 * np.abs(voltages).max())
+
+
+def test_image_jacobian_of_linear_elements_is_the_forward_one_through_the_overlap(pin_sensor, model_of):
+    """Their fields are constant on each element: cutting it by area is exact."""
+    sensor = pin_sensor(count=8)
+    model, mesh = model_of(sensor, size_mm=6.0), image_mesh(sensor, size_mm=7.0)
+    drive, measure = np.nonzero(sensor.pattern.usable())
+    share = overlap_fractions(model.mesh, mesh)
+    sensitivity = model.jacobian()[drive, measure]
+    found = image_jacobian(model, mesh, drive, measure)
+    assert_adjoint(
+        lambda image: found @ image,
+        lambda readings: share.T @ (sensitivity.T @ readings),
+        (len(mesh.elements),),
+        drive.shape,
+    )
+
+
+def test_image_jacobian_of_quadratic_elements_converges_with_second_order(pin_sensor):
+    sensor = pin_sensor(count=8)
+    drive, measure = np.nonzero(sensor.pattern.usable())
+    mesh, sizes = image_mesh(sensor, size_mm=8.0), (12.0, 6.0, 3.0)
+    found = []
+    for size_mm in sizes:
+        fine = sheet_mesh(sensor, size_mm=size_mm)
+        model = ForwardModel(fine, sensor.pattern, np.ones(len(fine.elements)), np.full(8, 0.5), order=2)
+        found.append(image_jacobian(model, mesh, drive, measure))
+    inner = np.hypot(*mesh.centroids_mm.T) < 35  # behind the pins the edge's polygons and the pins' own size rule
+    errors = [np.linalg.norm((each - found[-1])[:, inner]) for each in found[:-1]]
+    assert errors[1] < errors[0] * (sizes[1] / sizes[0]) ** 1.7
+    assert errors[1] < 0.01 * np.linalg.norm(found[-1][:, inner])
+
+
+def test_nominal_jacobian_has_the_signs_and_the_symmetry_of_its_readings(pin_sensor):
+    sensor = pin_sensor()
+    skipping = tuple((k, (k + 3) % 16) for k in range(16))
+    turned = tuple(pair[::-1] if k % 2 else pair for k, pair in enumerate(skipping))
+    pattern = DrivePattern(16, skipping, turned)
+    problem = imaging_problem(replace(sensor, pattern=pattern), image_size_mm=8.0)
+    model = nominal_model(problem.sensor_type).model
+    drive, measure = np.nonzero(problem.used)
+    expected = image_jacobian(model, problem.mesh, drive, measure)
+    assert np.abs(problem.jacobian - expected).max() < 1e-10 * np.abs(expected).max()
+
+
+def test_image_jacobian_predicts_a_simulated_target(pin_sensor):
+    problem = imaging_problem(pin_sensor(), image_size_mm=3.0)
+    for x_mm, y_mm in ((0.0, 0.0), (30.0, 0.0), (-15.0, 15.0)):
+        elements, fraction = disc_coverage(problem.mesh, x_mm, y_mm, 6.5)
+        predicted = problem.jacobian[:, elements] @ fraction * 1e-3
+        simulated = target_signal(problem, x_mm=x_mm, y_mm=y_mm, radius_mm=6.5, contrast=1e-3)
+        assert np.linalg.norm(predicted - simulated) < 0.008 * np.linalg.norm(simulated)

@@ -1,0 +1,149 @@
+"""Readings left out, noisy, or measured: what an imaging problem takes, and how much is lost without them."""
+
+import numpy as np
+import pytest
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.domain.sensor import SensorType
+from cbsr_qa.eit.inverse.problem import imaging_problem, masked_electrodes
+from cbsr_qa.eit.inverse.uncertainty import image_variance, masking_effect
+from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonLaplace
+
+
+@pytest.fixture(scope="module")
+def sensor(pin_sensor) -> SensorType:
+    return pin_sensor()
+
+
+def without(sensor: SensorType, *dead: int) -> np.ndarray:
+    pattern = sensor.pattern
+    touches = [[bool({*d, *m} & set(dead)) for m in pattern.measure] for d in pattern.drive]
+    return pattern.usable() & ~np.array(touches)
+
+
+@pytest.mark.parametrize("dead", [(), (3,), (3, 4, 9)])
+def test_masked_electrodes_are_those_no_reading_is_left_of(sensor, dead):
+    assert masked_electrodes(sensor.pattern, without(sensor, *dead)) == dead
+
+
+def test_an_electrode_with_one_reading_left_is_not_masked(sensor):
+    used = without(sensor, 5)
+    used[5, 9] = True
+    assert masked_electrodes(sensor.pattern, used) == ()
+
+
+def test_four_masked_electrodes_are_too_many(sensor):
+    assert imaging_problem(sensor, used=without(sensor, 0, 1, 8), image_size_mm=6.0).reference.size > 16
+    with pytest.raises(NumericsError, match="electrodes 0, 1, 8, 12 are masked, 4 of 16; at most 3") as refused:
+        imaging_problem(sensor, used=without(sensor, 0, 1, 8, 12), image_size_mm=6.0)
+    assert "contacts" in refused.value.remedy
+
+
+def test_nothing_left_out_has_no_effect(sensor):
+    assert masking_effect(imaging_problem(sensor, image_size_mm=6.0)) is None
+    weighted = imaging_problem(sensor, noise_variance=np.full(208, 2.0), image_size_mm=6.0)
+    assert masking_effect(weighted) is None
+
+
+def test_the_effect_is_the_ratio_of_cramer_rao_bounds(sensor):
+    """At the worst place, with derivatives by finite differences and the inverse of the whole information matrix."""
+    problem = imaging_problem(sensor, used=without(sensor, 2, 7), image_size_mm=4.0)
+    effect = masking_effect(problem)
+    worst = np.array([effect.worst_x_mm, effect.worst_y_mm])
+
+    def signal(jacobian, at):
+        away = problem.mesh.centroids_mm - at
+        return jacobian @ np.exp(-(away**2).sum(axis=1) / (2 * 3.25**2))
+
+    bounds = []
+    for jacobian in (problem.jacobian, problem.nominal.jacobian):
+        step = 1e-4
+        slopes = [
+            (signal(jacobian, worst + shift) - signal(jacobian, worst - shift)) / (2 * step)
+            for shift in step * np.eye(2)
+        ]
+        derivatives = np.column_stack([signal(jacobian, worst), *slopes])
+        covariance = np.linalg.inv(derivatives.T @ derivatives)
+        bounds.append(np.sqrt(covariance[1, 1] + covariance[2, 2]))
+    assert effect.worst == pytest.approx(bounds[0] / bounds[1], rel=1e-4)
+    assert effect.electrodes == (2, 7)
+    assert (effect.left, effect.of) == (int(problem.used.sum()), 208)
+
+
+def test_the_more_is_left_out_the_less_is_known(sensor):
+    steps = [(3,), (3, 10), (3, 10, 6)]
+    effects = [masking_effect(imaging_problem(sensor, used=without(sensor, *d), image_size_mm=6.0)) for d in steps]
+    typical = [1.0, *(effect.typical for effect in effects)]
+    assert (np.diff(typical) > 0).all()
+    assert all(effect.worst > effect.typical for effect in effects)
+    # What is lost is lost where the electrode was.
+    here = sensor.electrodes.positions_mm()[3]
+    at = np.array([effects[0].worst_x_mm, effects[0].worst_y_mm])
+    assert at @ here > 0.9 * np.linalg.norm(at) * np.linalg.norm(here)
+
+
+def test_the_effect_is_said_in_words(sensor):
+    effect = masking_effect(imaging_problem(sensor, used=without(sensor, 3, 4, 9), image_size_mm=6.0))
+    assert effect.words().startswith("images are made without electrodes 3, 4 and 9, from ")
+    used = sensor.pattern.usable()
+    used[0, 5] = False
+    single = masking_effect(imaging_problem(sensor, used=used, image_size_mm=6.0))
+    assert "without some readings, from 207 of 208 readings" in single.words()
+    assert 1 <= single.typical < 1.05
+
+
+def test_variance_of_an_image_is_that_of_its_samples():
+    random = np.random.default_rng(0)
+    matrix, root = random.standard_normal((9, 6)), random.standard_normal((6, 6))
+    covariance = root @ root.T
+    whole = np.diag(matrix @ covariance @ matrix.T)
+    assert np.allclose(image_variance(matrix, covariance), whole, rtol=1e-12)
+    assert np.allclose(image_variance(matrix, np.diag(covariance)), matrix**2 @ np.diag(covariance), rtol=1e-12)
+    assert np.allclose(image_variance(matrix), (matrix**2).sum(axis=1), rtol=1e-12)
+    draws = random.standard_normal((40000, 6)) @ root.T @ matrix.T
+    assert np.allclose(draws.var(axis=0), whole, rtol=0.05)
+
+
+@pytest.mark.parametrize("wrong", [np.ones(5), np.eye(5), -np.ones(6), np.full(6, np.nan), np.ones((2, 6))])
+def test_covariances_that_are_none_are_refused(wrong):
+    with pytest.raises(NumericsError, match="covariance of shape"):
+        image_variance(np.ones((3, 6)), wrong)
+
+
+def test_the_unit_of_variances_does_not_matter(sensor):
+    """λ is the type's: weighing by measured noise must not change how much is smoothed with it."""
+    variance = np.random.default_rng(2).uniform(0.5, 3.0, 208)
+    one, other = (imaging_problem(sensor, noise_variance=f * variance, image_size_mm=6.0) for f in (1.0, 1e-12))
+    assert np.allclose(one.noise_variance, other.noise_variance, rtol=1e-12)
+    alike = imaging_problem(sensor, noise_variance=np.full(208, 7.0), image_size_mm=6.0)
+    plain = imaging_problem(sensor, image_size_mm=6.0)
+    matrices = [GaussNewtonLaplace().prepare(problem).matrix for problem in (alike, plain)]
+    assert np.allclose(*matrices, rtol=1e-9, atol=1e-12 * np.abs(matrices[1]).max())
+
+
+def test_measured_frames_come_whole_or_as_used_readings(sensor):
+    used = without(sensor, 3)
+    frames = np.random.default_rng(4).standard_normal((3, 16, 16))
+    whole = imaging_problem(sensor, used=used, sample=frames, measured=frames[0], image_size_mm=6.0)
+    chosen = imaging_problem(sensor, used=used, sample=frames[:, used], measured=frames[0][used], image_size_mm=6.0)
+    for problem in (whole, chosen):
+        assert np.array_equal(problem.sample, frames[:, used])
+        assert np.array_equal(problem.measured, frames[0, used])
+        assert problem.nominal is not None
+        assert problem.nominal.sample is None
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"sample": np.ones((2, 207))}, "sample of shape"),
+        ({"sample": np.ones(208)}, "sample of shape"),
+        ({"sample": np.ones((0, 208))}, "sample of shape"),
+        ({"sample": np.full((1, 208), np.inf)}, "sample holds a reading that is not a finite number"),
+        ({"measured": np.ones((1, 208))}, "measured frame of shape"),
+        ({"measured": np.full(208, np.nan)}, "measured frame holds a reading that is not a finite"),
+    ],
+)
+def test_measured_frames_that_are_none_are_refused(sensor, options, reason):
+    with pytest.raises(NumericsError, match=reason):
+        imaging_problem(sensor, image_size_mm=6.0, **options)

@@ -1,0 +1,97 @@
+"""One program at a time has an instrument."""
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from cbsr_qa.domain import InstrumentError
+from cbsr_qa.plugin.links import locks
+from cbsr_qa.plugin.links.locks import AddressLock
+
+ADDRESS = "TCPIP::192.0.2.7::5025::SOCKET"
+HOLD = f"""
+import sys
+from cbsr_qa.plugin.links.locks import AddressLock
+lock = AddressLock("source_meter", {ADDRESS!r})
+print("held", flush=True)
+sys.stdin.read()
+"""
+
+
+@pytest.fixture(autouse=True)
+def own_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    monkeypatch.setattr(locks.tempfile, "tempdir", None)
+    yield
+    locks.tempfile.tempdir = None
+
+
+@pytest.fixture
+def second_program():
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, "run", "--station", "night"],
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    ) as program:
+        assert program.stdout.readline() == "held\n"
+        yield program
+        program.kill()
+
+
+def test_a_second_program_is_refused_by_name(second_program):
+    with pytest.raises(InstrumentError) as refused:
+        AddressLock("meter", ADDRESS)
+    said = str(refused.value)
+    assert said.startswith(f"meter at {ADDRESS}: it is in use by process {second_program.pid} ")
+    assert "run --station night" in said
+    assert "as source_meter since 20" in said
+    assert not refused.value.retryable
+
+
+def test_a_program_that_was_killed_keeps_nobody_out(second_program):
+    os.kill(second_program.pid, signal.SIGKILL)
+    second_program.wait()
+    AddressLock("meter", ADDRESS).release()
+
+
+def test_an_instrument_of_the_same_program_is_refused_until_the_other_is_released():
+    first = AddressLock("one", ADDRESS)
+    with pytest.raises(InstrumentError, match=rf"in use by process {os.getpid()} .* as one since"):
+        AddressLock("two", ADDRESS.lower() + " ")
+    first.release()
+    first.release()
+    AddressLock("two", ADDRESS).release()
+
+
+def test_a_link_to_a_device_is_the_device(tmp_path):
+    device, link = tmp_path / "ttyUSB0", tmp_path / "by-id"
+    device.touch()
+    link.symlink_to(device)
+    first = AddressLock("one", str(device))
+    with pytest.raises(InstrumentError, match="in use"):
+        AddressLock("two", str(link))
+    first.release()
+
+
+def test_a_lock_that_a_forked_worker_inherited_is_released_with_the_owner_s():
+    first = AddressLock("one", ADDRESS)
+    worker = os.fork()
+    if worker == 0:
+        signal.pause()
+    try:
+        first.release()
+        AddressLock("two", ADDRESS).release()
+    finally:
+        os.kill(worker, signal.SIGKILL)
+        os.waitpid(worker, 0)
+
+
+def test_a_place_that_cannot_be_written_is_named(tmp_path):
+    (tmp_path / "cbsr-qa-locks").write_text("in the way")
+    with pytest.raises(InstrumentError, match="cannot be locked against a second program") as refused:
+        AddressLock("one", ADDRESS)
+    assert str(tmp_path) in refused.value.remedy

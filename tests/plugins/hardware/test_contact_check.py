@@ -1,0 +1,117 @@
+"""Contacts told from the driven pairs, in words."""
+
+import numpy as np
+import pytest
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.sensor import DrivePattern, adjacent_pattern, named_pairs
+from cbsr_qa_plugins.hardware._contact_check import ContactState, contact_faults
+from cbsr_qa_plugins.hardware._esp32 import scan_order
+
+RING = adjacent_pattern(16)
+INF = np.inf
+
+
+def ohm(pattern=RING, **of_pair):
+    """18 kΩ, but for pairs like p6_7."""
+    value = np.full(len(pattern.drive), 18.1e3)
+    for name, found in of_pair.items():
+        value[pattern.drive.index(tuple(map(int, name[1:].split("_"))))] = found
+    return value
+
+
+def found(values, pattern=RING):
+    return [(fault.state, fault.pins) for fault in contact_faults(pattern, values)]
+
+
+def test_good_contacts_have_no_faults():
+    assert contact_faults(RING, np.random.default_rng(1).uniform(12e3, 27e3, 16)) == ()
+
+
+def test_an_open_pin_is_named_with_both_its_pairs():
+    (fault,) = contact_faults(RING, ohm(p6_7=1.2e6, p7_8=INF))
+    assert fault.pins == (7,)
+    assert fault.words() == (
+        "pin 7 open: pairs 6-7 and 7-8 read 1.2 MΩ and more than the source can drive, the median pair 18.1 kΩ"
+    )
+
+
+def test_what_both_its_pairs_read_is_said_once():
+    (fault,) = contact_faults(RING, ohm(p6_7=INF, p7_8=INF))
+    assert fault.words() == (
+        "pin 7 open: pairs 6-7 and 7-8 read more than the source can drive, the median pair 18.1 kΩ"
+    )
+
+
+def test_the_first_pin_is_a_neighbour_of_the_last():
+    assert found(ohm(p15_0=INF, p0_1=INF)) == [(ContactState.OPEN, (0,))]
+
+
+def test_two_open_pins_beside_each_other():
+    assert found(ohm(p5_6=INF, p6_7=INF, p7_8=INF)) == [(ContactState.OPEN, (6,)), (ContactState.OPEN, (7,))]
+
+
+def test_two_open_pins_with_one_between_them():
+    assert found(ohm(p5_6=INF, p6_7=INF, p7_8=INF, p8_9=INF)) == [
+        (ContactState.OPEN, (6,)), (ContactState.OPEN, (8,))
+    ]  # fmt: skip
+
+
+def test_a_poor_contact_is_no_open_one():
+    assert found(ohm(p6_7=40e3, p7_8=45e3)) == [(ContactState.POOR, (7,))]
+
+
+def test_a_pair_alone_names_both_its_pins():
+    (fault,) = contact_faults(RING, ohm(p6_7=200e3))
+    assert fault.words() == "pins 6 or 7 open: pair 6-7 reads 200 kΩ, the median pair 18.1 kΩ"
+
+
+def test_pins_that_touch():
+    (fault,) = contact_faults(RING, ohm(p6_7=12.0, p5_6=15e3))
+    assert fault.words() == "pins 6 and 7 touch: pair 6-7 reads 12 Ω, the median pair 18.1 kΩ"
+
+
+def test_open_ones_come_first():
+    assert [state for state, _ in found(ohm(p0_1=1.0, p6_7=INF, p7_8=INF, p10_11=40e3, p11_12=40e3))] == list(
+        ContactState
+    )
+
+
+def test_pins_that_pairs_cannot_tell_apart_are_named_together():
+    opposite = DrivePattern(16, named_pairs("opposite", 16), named_pairs("adjacent", 16))
+    assert found(ohm(opposite, p2_10=INF), opposite) == [(ContactState.OPEN, (2, 10))]
+
+
+def test_no_sensor_at_all_is_every_pin():
+    faults = contact_faults(RING, np.full(16, INF))
+    assert {fault.state for fault in faults} == {ContactState.OPEN}
+    assert {pair for fault in faults for pair in fault.pairs} == set(RING.drive)
+    assert "median" not in faults[0].words()
+
+
+def test_the_order_of_a_firmware_in_which_the_current_pair_is_inner():
+    order = scan_order(RING, inner="current")
+    assert order[:2] == ((0, 0), (1, 0))
+    assert order[16] == (0, 1)
+    assert len(set(order)) == 256
+
+
+def test_the_order_of_a_firmware_in_which_the_voltage_pair_is_inner():
+    assert scan_order(RING, inner="voltage")[:17] == (*((0, m) for m in range(16)), (1, 0))
+
+
+def test_a_firmware_that_skips_electrodes():
+    skipping = DrivePattern(16, named_pairs("skip-2", 16), named_pairs("adjacent", 16))
+    assert set(scan_order(skipping, inner="current", current_skip=2)) == {
+        (d, m) for d in range(16) for m in range(16)
+    }
+    with pytest.raises(
+        RefusedError, match=r"drive pairs 0-1, 1-2 and so on; pair 0-1 is not among the sensor type's"
+    ):
+        scan_order(skipping, inner="current")
+
+
+def test_pairs_of_the_sensor_that_the_firmware_lacks():
+    both_ways = DrivePattern(16, (*RING.drive, (1, 0)), RING.measure)
+    with pytest.raises(RefusedError, match=r"pair 1-0 is of the sensor type, not among its own"):
+        scan_order(both_ways, inner="current")

@@ -1,0 +1,76 @@
+"""Report sections of recordings: they show what the result says, and nothing for runs."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from board_files import BoardFile, counts
+
+from cbsr_qa.analysis.recording import analyse_recording
+from cbsr_qa.domain.readings import ReadOptions
+from cbsr_qa.domain.results import Figure, Paragraph, Table
+from cbsr_qa.report import render_recording
+from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
+from cbsr_qa_plugins.recordings.ert_board_csv import ErtBoardCsv
+from cbsr_qa_plugins.sections.recording import RecordingChannels, RecordingEvents, RecordingRows
+
+SECTIONS = [RecordingEvents(), RecordingChannels(), RecordingRows()]
+
+
+@pytest.fixture(scope="module")
+def result(tmp_path_factory):
+    """Sixteen frames of unrelated counts with a cut row and a dump: no image, one rejected row, one noted dump."""
+    file = BoardFile().header().frames(counts(8)).log().frames(counts(9)[:8]).mark()
+    file.lines[40] = file.lines[40][:60]
+    path = file.save(tmp_path_factory.mktemp("board"))
+    return analyse_recording(ErtBoardCsv().read(path, ReadOptions()), GaussNewtonNoser())
+
+
+def texts(section):
+    for block in section.blocks:
+        if isinstance(block, Paragraph):
+            yield block.text
+        elif isinstance(block, Table):
+            yield from (cell.text for row in block.rows for cell in row)
+            yield block.caption
+        elif isinstance(block, Figure):
+            yield block.caption
+
+
+def test_no_event_is_said_with_its_reason(result):
+    said = " ".join(texts(SECTIONS[0].render(result)))
+    assert result.events_why in said
+    assert "not reciprocal" in said
+
+
+def test_channels_say_noise_and_reciprocity(result):
+    said = list(texts(SECTIONS[1].render(result)))
+    assert f"{result.channels.reciprocity_error:.3f}" in said
+    assert np.isfinite(result.noise.rms)
+
+
+@pytest.mark.parametrize(
+    ("saturated", "said"),
+    [((), "Saturated: none; stuck: none."), (((0, 0), (1, 1)), "Saturated: 2; stuck: none.")],
+)
+def test_the_map_counts_what_is_marked_on_it(result, saturated, said):
+    marked = replace(result, channels=replace(result.channels, saturated=saturated, stuck=()))
+    (figure,) = [block for block in SECTIONS[1].render(marked).blocks if isinstance(block, Figure)]
+    assert figure.caption == f"Level of each channel. {said}"
+
+
+def test_rejected_rows_come_first_with_line_and_reason(result):
+    (table,) = [block for block in SECTIONS[2].render(result).blocks if isinstance(block, Table)]
+    assert [cell.text for cell in table.rows[0]][:2] == ["41", "rejected"]
+    assert "watchdog" in table.rows[-1][2].text
+    assert "1 row rejected, 1 frame dropped" in table.caption
+
+
+def test_the_report_holds_all_three_sections(result):
+    html = render_recording(result, SECTIONS)
+    for title in ("Events", "Channels and noise", "Rows of the file"):
+        assert title in html
+
+
+def test_runs_have_no_such_sections():
+    assert all(section.render(object()) is None for section in SECTIONS)

@@ -1,0 +1,189 @@
+"""Sections of a run: what they show is what was measured, and they are silent where there is nothing to show."""
+
+import importlib
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from recording_samples import sample_recording
+from report_samples import ended_early, sample_run, without_blobs
+from section_texts import tables, texts
+
+from cbsr_qa.analysis.run import signal_to_noise_dB
+from cbsr_qa.domain.results import Figure, FitStatus, Paragraph, Table
+from cbsr_qa.plugin import Kind
+from cbsr_qa.report import alike
+from cbsr_qa.report.draw import checked_svg
+from cbsr_qa_plugins.registry import BUILT_IN
+from cbsr_qa_plugins.sections.data_sheet import BaselineConductanceMap
+from cbsr_qa_plugins.sections.loads import LoadImages
+from cbsr_qa_plugins.sections.noise_and_contacts import NoiseAndContacts
+from cbsr_qa_plugins.sections.relaxation import RelaxationFits
+from cbsr_qa_plugins.sections.time_and_accuracy import TimeAndAccuracy
+from cbsr_qa_plugins.sections.traceability import Traceability
+
+OF_A_RUN = {
+    name: target
+    for kind, name, target in BUILT_IN
+    if kind is Kind.SECTION and not name.startswith(("recording", "characterisation"))
+}
+
+
+@pytest.fixture(scope="module")
+def result():
+    return sample_run(size_mm=6.0)
+
+
+def made(name):
+    module, _, factory = OF_A_RUN[name].partition(":")
+    return getattr(importlib.import_module(f"cbsr_qa_plugins.{module}"), factory)()
+
+
+@pytest.mark.parametrize("name", OF_A_RUN)
+def test_every_section_has_content_that_can_be_shown(name, result):
+    section = made(name).render(result)
+    assert section.blocks
+    for block in section.blocks:
+        if isinstance(block, Figure):
+            checked_svg(block.svg)
+            assert block.caption
+            assert block.alternative
+        if isinstance(block, Table):
+            assert block.rows
+            assert all(len(row) == len(block.columns) for row in block.rows)
+            assert max(block.numeric, default=0) < len(block.columns)
+
+
+@pytest.mark.parametrize("name", OF_A_RUN)
+def test_a_recording_is_none_of_their_business(name):
+    assert made(name).render(sample_recording(1)) is None
+
+
+@pytest.mark.parametrize("name", OF_A_RUN)
+def test_a_run_that_was_not_analysed_gets_only_what_it_has(name, result):
+    section = made(name).render(ended_early(result))
+    assert (section is None) == (name not in ("station-check", "traceability"))
+
+
+@pytest.mark.parametrize("name", OF_A_RUN)
+def test_a_run_in_which_nothing_was_seen_is_reported_too(name, result):
+    section = made(name).render(without_blobs(result))
+    words = " ".join(cell.text for table in tables(section) for row in table.rows for cell in row)
+    assert "nan" not in words.lower()
+
+
+def test_not_settled_is_a_bound_and_never_a_number(result):
+    loads = list(result.observation.loads)
+    first = loads[0].relaxations[0]
+    late = replace(first, settling=replace(first.settling, value_s=60.0, censored=True))
+    loads[0] = replace(loads[0], relaxations=(late, *loads[0].relaxations[1:]))
+    section = RelaxationFits().render(replace(result, observation=replace(result.observation, loads=tuple(loads))))
+    row = next(row for row in texts(tables(section)[1]) if row[5] == "1")
+    assert row[3].startswith("≥ ")
+
+
+def test_rejected_fits_are_counted_by_reason(result):
+    loads = []
+    for k, load in enumerate(result.observation.loads):
+        worst = load.relaxations[0]
+        why = f"R² {0.4 + k / 100:.3f} is below 0.85" if k != 7 else "the data do not determine a time constant"
+        fit = replace(worst.fit, status=FitStatus.REJECTED, r_squared=0.4 + k / 100, why=why)
+        bad = replace(worst, fit=fit, settling=replace(worst.settling, value_s=None))
+        loads.append(replace(load, relaxations=(bad, *load.relaxations[1:])))
+    observation = replace(result.observation, loads=tuple(loads))
+    section = RelaxationFits().render(replace(result, observation=observation))
+    (told,) = [block.text for block in section.blocks if isinstance(block, Paragraph)]
+    assert told == (
+        "23 fits were rejected: 22 with R² below 0.85 (0.40 to 0.62), 1 because the data do not determine a time"
+        " constant."
+    )
+    by_strain = [row for row in texts(tables(section)[1]) if row[:2] == ["conductance", "press"]]
+    assert {row[3] for row in by_strain} == {"–"}
+
+
+def test_reasons_that_differ_in_numbers_only_are_alike():
+    assert alike("R² 0.612 is below 0.85") == alike("R² 0.4 is below 0.9")
+    assert alike("too few points: 3") != alike("R² 0.4 is below 0.9")
+
+
+def test_the_baseline_section_says_what_was_assumed_and_reduced(result):
+    section = BaselineConductanceMap().render(result)
+    words = [block.text for block in section.blocks if isinstance(block, Paragraph)]
+    assert any("α and β against stress" in text and "not measured" in text for text in words)
+    assert any("only one strain" in text for text in words)
+    assert BaselineConductanceMap().render(replace(result, calibration=None)) is None
+
+
+def test_a_baseline_without_any_value_is_said_without_a_figure(result):
+    empty = tuple(replace(place, value=None, stderr=None, why="no blob") for place in result.calibration.baseline)
+    section = BaselineConductanceMap().render(
+        replace(result, calibration=replace(result.calibration, baseline=empty))
+    )
+    assert not [block for block in section.blocks if isinstance(block, Figure)]
+    assert {row[4] for row in texts(tables(section)[0])} == {"no blob"}
+
+
+def test_signal_to_noise_is_level_over_deviation_from_a_line(result):
+    unloaded = result.observation.unloaded
+    one = unloaded.voltages[:, 3, 7]
+    left = one - np.polyval(np.polyfit(unloaded.time_s, one, 1), unloaded.time_s)
+    expected = 20 * np.log10(abs(one.mean()) / np.sqrt(left @ left / (len(one) - 2)))
+    assert signal_to_noise_dB(unloaded)[3, 7] == pytest.approx(expected)
+    drift = one[:1] * 1e-3 * (unloaded.time_s - unloaded.time_s.mean())
+    drifting = replace(unloaded, voltages=unloaded.voltages + drift[:, None, None])
+    assert signal_to_noise_dB(drifting)[3, 7] == pytest.approx(expected, abs=1e-6)
+    assert signal_to_noise_dB(unloaded.select(slice(0, 2))) is None
+
+
+def test_a_reading_that_never_changes_has_no_finite_ratio(result):
+    run = result.observation
+    frozen = run.unloaded.voltages.copy()
+    frozen[:, 0, 5] = 1.0
+    ratio = signal_to_noise_dB(replace(run.unloaded, voltages=frozen))
+    assert np.isinf(ratio[0, 5])
+
+
+def test_the_worst_contact_is_named(result):
+    bad = [replace(m, value=95e3) if m.qualifier == "pair 7-8" else m for m in result.measurements]
+    section = NoiseAndContacts().render(replace(result, measurements=tuple(bad)))
+    captions = " ".join(block.caption for block in section.blocks if isinstance(block, Figure))
+    assert re.search(r"pair 7.8 with 95.0.kΩ", captions)
+
+
+def test_time_adds_up(result):
+    section = TimeAndAccuracy().render(result)
+    (table,) = tables(section)
+    assert [row[2] for row in texts(table)] == ["3", "9", "10", "1"]
+    assert "55 min" in section.blocks[0].text
+
+
+def test_only_so_many_images_are_printed_and_the_rest_is_said(result):
+    many = tuple(
+        replace(load) for load in (*result.observation.loads, *result.observation.loads, *result.observation.loads)
+    )
+    section = LoadImages().render(replace(result, observation=replace(result.observation, loads=many)))
+    assert section.blocks[0].text.endswith("21 presses are not printed here; every frame is in the store.")
+
+
+@pytest.mark.parametrize(("name", "criterion"), [("λ", "gcv"), ("components kept", "noise-figure"), ("μ", "")])
+def test_the_regularisation_parameter_stands_under_its_own_name(result, name, criterion):
+    run = result.observation
+    choice = replace(run.reconstruction.choice, name=name, criterion=criterion)
+    seen = replace(run, reconstruction=replace(run.reconstruction, choice=choice))
+    rows = dict(texts(tables(Traceability().render(replace(result, observation=seen)))[2]))
+    assert rows["Regularisation parameter"] == f"{name} = 0.0123"
+    said = criterion or "criterion not stated"
+    assert rows["Parameter chosen by"] == f"{said}: noise figure 1.00 on the nominal model"
+
+
+def test_instruments_are_traceable(result):
+    told = {"simulated": False, "calibration_due": "2027-01-31", "notes": (("address", "COM3"), ("tare", "0.02 N"))}
+    bench = replace(result.record.identity.instruments[0], **told)
+    identity = replace(result.record.identity, instruments=(bench, replace(bench, calibration_due=None, notes=())))
+    section = Traceability().render(replace(result, record=replace(result.record, identity=identity)))
+    rows = texts(tables(section)[0])
+    assert rows[0][-3:] == ["no", "2027-01-31", "address: COM3; tare: 0.02 N"]
+    assert rows[1][-3:] == ["no", "not stated", "–"]
+    words = " ".join(cell for table in tables(section) for row in texts(table) for cell in row)
+    assert result.record.identity.configuration_digest in words

@@ -1,0 +1,255 @@
+"""Sequences: the same steps each time, unloaded frames before every load, options refused with what is allowed."""
+
+import math
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, strategies as st
+
+from cbsr_qa.domain import ConfigError
+from cbsr_qa.domain.plan import AcquireFrames, Ease, FindSurface, Hold, MarkUnloaded, Press, Release, Role
+from cbsr_qa.domain.run import NINE_LOCATIONS_MM
+from cbsr_qa.testing import example_plan
+from cbsr_qa_plugins.sequences.centre import (
+    HysteresisLoopSequence,
+    NoiseFigureSequence,
+    PreconditioningSequence,
+    RelaxationSequence,
+)
+from cbsr_qa_plugins.sequences.places import LocationGridSequence, RandomLoadsSequence
+
+ALL = (NoiseFigureSequence, LocationGridSequence, RandomLoadsSequence, RelaxationSequence)
+
+
+def steps_of(sequence, seed=0):
+    return list(sequence.steps(example_plan([], seed=seed).context))
+
+
+def loads_of(sequence, seed=0):
+    return [step.load for step in steps_of(sequence, seed) if isinstance(step, Press)]
+
+
+sequences = st.one_of(
+    st.builds(NoiseFigureSequence, trials=st.integers(1, 4), frames=st.integers(16, 60), recovery_s=st.floats(0, 90)),
+    st.builds(
+        LocationGridSequence,
+        trials=st.integers(1, 3),
+        strains_percent=st.lists(st.floats(1, 30), min_size=1, max_size=3, unique=True),
+        find_surface=st.booleans(),
+        initial_rest_s=st.floats(0, 300),
+    ),
+    st.builds(RandomLoadsSequence, count=st.integers(1, 12), rest_s=st.floats(0, 90), stream=st.sampled_from("ab")),
+    st.builds(RelaxationSequence, x_mm=st.floats(-30, 30), trials=st.integers(1, 3)),
+)
+
+
+def test_every_sequence_says_what_it_is_for():
+    assert [sequence().role for sequence in ALL] == [Role.NOISE, Role.GRID, Role.RANDOM, Role.RELAXATION]
+
+
+@given(sequence=sequences, seed=st.integers(0, 2**40))
+def test_the_same_steps_each_time(sequence, seed):
+    assert steps_of(sequence, seed) == steps_of(sequence, seed)
+
+
+@given(sequence=sequences)
+def test_every_load_is_pressed_held_released_after_unloaded_frames(sequence):
+    steps = steps_of(sequence)
+    first_press = next(i for i, step in enumerate(steps) if isinstance(step, Press))
+    marked = steps.index(MarkUnloaded())
+    assert marked < first_press
+    unloaded = [step for step in steps[marked:first_press] if isinstance(step, AcquireFrames)]
+    assert sum(step.count for step in unloaded) >= 16  # eight for the noise floor, eight for the reference
+    for i, step in enumerate(steps):
+        if isinstance(step, Press):
+            assert isinstance(steps[i + 1], Hold)
+            assert steps[i + 1].acquire
+            assert steps[i + 2] == Release()
+    assert not any(isinstance(step, FindSurface) for step in steps[first_press:])
+
+
+def test_surfaces_are_found_where_loads_will_be_and_the_sheet_rests_after():
+    steps = steps_of(LocationGridSequence(trials=2))
+    assert [(s.x_mm, s.y_mm) for s in steps[:9]] == list(NINE_LOCATIONS_MM)
+    assert steps[9] == Hold(240.0, acquire=False)
+    random = RandomLoadsSequence()
+    found = {(s.x_mm, s.y_mm) for s in steps_of(random) if isinstance(s, FindSurface)}
+    assert found == {(load.x_mm, load.y_mm) for load in loads_of(random)}
+
+
+def test_grid_presses_every_location_strain_and_trial_once():
+    loads = loads_of(LocationGridSequence(strains_percent=[5, 10.0], trials=3))
+    assert len(set(loads)) == len(loads) == 9 * 2 * 3
+    for load in loads:
+        assert (load.x_mm, load.y_mm) == NINE_LOCATIONS_MM[int(load.label[1:])]
+        assert load.strain in (0.05, 0.10)
+    # A place rests while the eight others are pressed.
+    assert [load.label for load in loads[:10]] == [f"L{i}" for i in range(9)] + ["L0"]
+
+
+def test_preconditioning_works_in_one_place_after_the_other_and_leaves_the_reference_to_others():
+    sequence = PreconditioningSequence(cycles=3, strain_percent=25, locations_mm=[[0, 0], [10, -5.0]])
+    assert sequence.role is Role.PRECONDITIONING
+    steps = steps_of(sequence)
+    assert steps == steps_of(sequence)
+    loads = loads_of(sequence)
+    assert [(load.label, load.trial) for load in loads] == [(f"L{k}", cycle) for k in range(2) for cycle in range(3)]
+    assert {load.strain for load in loads} == {0.25}
+    assert steps[:2] == [FindSurface(0.0, 0.0), FindSurface(10.0, -5.0)]
+    assert not any(isinstance(step, MarkUnloaded | AcquireFrames) for step in steps)
+    for i, step in enumerate(steps):
+        if isinstance(step, Press):
+            assert steps[i + 1 : i + 4] == [Hold(10.0, acquire=True), Release(), Hold(10.0, acquire=True)]
+    assert len(loads_of(PreconditioningSequence())) == 5 * 9
+
+
+def test_a_place_given_twice_is_refused_with_the_option_that_repeats():
+    with pytest.raises(ConfigError, match="cycles repeats them"):
+        HysteresisLoopSequence(locations_mm=[[0, 0], [0.0, 0.0]])
+
+
+def test_a_loop_reaches_every_strain_from_below_and_from_above_without_lifting():
+    sequence = HysteresisLoopSequence(
+        strains_percent=[5, 10.0, 20], cycles=2, locations_mm=[[0, 0], [10, 5]], rest_s=9
+    )
+    assert sequence.role is Role.LOOP
+    steps = steps_of(sequence)
+    assert steps == steps_of(sequence)
+    assert steps[:2] == [FindSurface(0.0, 0.0), FindSurface(10.0, 5.0)]
+    assert [(load.label, load.trial) for load in loads_of(sequence)] == [("H0", 0), ("H0", 1), ("H1", 0), ("H1", 1)]
+    marked, first = steps.index(MarkUnloaded()), next(i for i, s in enumerate(steps) if isinstance(s, Press))
+    assert steps[marked:first] == [MarkUnloaded(), AcquireFrames(16)]
+    hold = Hold(60.0, acquire=True)
+    for i, step in enumerate(steps):
+        if isinstance(step, Press):
+            assert step.load.strain == 0.05
+            eased = [Ease(0.1), hold, Ease(0.2), hold, Ease(0.1), hold, Ease(0.05), hold]
+            assert steps[i + 1 : i + 12] == [hold, *eased, Release(), Hold(9.0, acquire=True)]
+
+
+def test_grids_name_their_places_as_they_are_told():
+    assert [load.label for load in loads_of(LocationGridSequence(label="C"))] == [f"C{k}" for k in range(9)]
+
+
+def test_nine_locations_hold_and_rest_for_eighteen_minutes():
+    held = [s.hold_s for s in steps_of(LocationGridSequence()) if isinstance(s, Hold) and s.acquire]
+    assert sum(held) == 18 * 60
+
+
+def test_noise_figure_follows_its_definition():
+    steps = steps_of(NoiseFigureSequence())
+    assert steps[:4] == [FindSurface(0.0, 0.0), Hold(240.0, acquire=False), MarkUnloaded(), AcquireFrames(30)]
+    assert [(x.label, x.strain, x.trial) for x in loads_of(NoiseFigureSequence())] == [
+        ("L0", 0.2, t) for t in range(3)
+    ]
+
+
+@given(seed=st.integers(0, 2**63), low=st.floats(0, 20), wide=st.floats(0, 20))
+def test_random_loads_stay_in_their_ranges(seed, low, wide):
+    sequence = RandomLoadsSequence(count=20, radius_mm=[low, low + wide], strain_percent=[5, 30])
+    for load in loads_of(sequence, seed):
+        radius_mm = math.hypot(load.x_mm, load.y_mm)
+        assert low - 0.015 <= radius_mm <= low + wide + 1e-9
+        assert 0.05 <= load.strain <= 0.30
+        assert round(load.x_mm, 2) == load.x_mm
+        assert round(100 * load.strain, 2) == pytest.approx(100 * load.strain, abs=1e-12)
+
+
+def test_random_loads_are_uniform_in_radius_angle_and_strain():
+    loads = loads_of(RandomLoadsSequence(count=10_000), seed=3)
+    x, y, strain = np.array([(load.x_mm, load.y_mm, load.strain) for load in loads]).T
+    for name, share in {
+        "radius": np.hypot(x, y) / 40,  # uniform in area would have a mean of 2/3
+        "angle": np.mod(np.arctan2(y, x), 2 * np.pi) / (2 * np.pi),
+        "strain": (strain - 0.05) / 0.25,
+    }.items():
+        assert share.mean() == pytest.approx(0.5, abs=5 / math.sqrt(12 * 10_000)), name
+        counts = np.histogram(share, bins=10, range=(0, 1))[0]
+        assert ((counts - 1000) ** 2 / 1000).sum() < 30, name  # χ² of 9 degrees of freedom: p = 4e-4
+
+
+def test_random_loads_are_addressed_by_seed_and_name():
+    ten = loads_of(RandomLoadsSequence(count=10), seed=1)
+    assert loads_of(RandomLoadsSequence(count=4), seed=1) == ten[:4]
+    assert not set(loads_of(RandomLoadsSequence(count=10), seed=2)) & set(ten)
+    assert not set(loads_of(RandomLoadsSequence(count=10, stream="others"), seed=1)) & set(ten)
+
+
+def test_random_loads_do_not_depend_on_the_process():
+    script = (
+        "from cbsr_qa_plugins.sequences.places import RandomLoadsSequence as R;"
+        "print([R()._loads(5) for _ in range(2)])"
+    )
+    runs = {
+        subprocess.run(
+            [sys.executable, "-c", script], capture_output=True, text=True, check=True, env={"PYTHONHASHSEED": h}
+        ).stdout
+        for h in ("1", "2")
+    }
+    assert len(runs) == 1
+
+
+@pytest.mark.parametrize(("x", "label"), [(0.0, "L0"), (30, "L1"), (12.5, "X0")])
+def test_relaxation_is_labelled_by_its_place(x, label):
+    assert loads_of(RelaxationSequence(x_mm=x))[0].label == label
+
+
+@pytest.mark.parametrize("sequence", [*ALL, PreconditioningSequence, HysteresisLoopSequence])
+def test_unknown_options_are_refused_with_the_nearest(sequence):
+    with pytest.raises(ConfigError, match="no option 'hold'") as refused:
+        sequence(hold=60)
+    assert "did you mean 'hold_s'" in refused.value.remedy
+
+
+@pytest.mark.parametrize(
+    ("sequence", "options", "said"),
+    [
+        (LocationGridSequence, {"hold_s": "60"}, "hold_s is '60'"),
+        (LocationGridSequence, {"hold_s": float("nan")}, "hold_s is nan"),
+        (LocationGridSequence, {"rest_s": -1}, "rest_s is -1"),
+        (LocationGridSequence, {"trials": 0}, "trials is 0"),
+        (LocationGridSequence, {"trials": True}, "trials is True"),
+        (LocationGridSequence, {"trials": 1.0}, "trials is 1.0"),
+        (LocationGridSequence, {"strains_percent": 20}, "strains_percent is 20"),
+        (LocationGridSequence, {"strains_percent": []}, "strains_percent is"),
+        (LocationGridSequence, {"strains_percent": [0]}, "strains_percent is 0"),
+        (LocationGridSequence, {"strains_percent": [10, 61]}, "strains_percent is 61"),
+        (LocationGridSequence, {"strains_percent": [10, 10.0]}, "strains_percent is"),
+        (LocationGridSequence, {"locations_mm": [[0, 0, 0]]}, "locations_mm is"),
+        (LocationGridSequence, {"locations_mm": [[0, float("inf")]]}, "locations_mm is inf"),
+        (LocationGridSequence, {"find_surface": 1}, "find_surface is 1"),
+        (LocationGridSequence, {"label": ""}, "label is ''"),
+        (PreconditioningSequence, {"cycles": 1}, "cycles is 1"),
+        (PreconditioningSequence, {"rest_s": 0}, "rest_s is 0"),
+        (PreconditioningSequence, {"locations_mm": [[1, 1], [1, 1]]}, "locations_mm is"),
+        (HysteresisLoopSequence, {"strains_percent": [20]}, "strains_percent is [20]"),
+        (HysteresisLoopSequence, {"strains_percent": [10, 20, 10]}, "strains_percent is [10, 20, 10]"),
+        (HysteresisLoopSequence, {"strains_percent": [10, 10.0]}, "strains_percent is [10, 10.0]"),
+        (HysteresisLoopSequence, {"strains_percent": [0, 10]}, "strains_percent is 0"),
+        (HysteresisLoopSequence, {"hold_s": 0}, "hold_s is 0"),
+        (HysteresisLoopSequence, {"locations_mm": [[1, 1], [1, 1]]}, "locations_mm is"),
+        (LocationGridSequence, {"unloaded_frames": 15}, "unloaded_frames is 15"),
+        (NoiseFigureSequence, {"frames": 15}, "frames is 15"),
+        (RandomLoadsSequence, {"radius_mm": [10]}, "radius_mm is"),
+        (RandomLoadsSequence, {"radius_mm": [10, 5]}, "radius_mm is"),
+        (RandomLoadsSequence, {"strain_percent": [0, 5]}, "strain_percent is 0"),
+        (RandomLoadsSequence, {"strain_percent": [0.05, 0.3]}, "strain_percent is 0.05"),
+        (LocationGridSequence, {"strains_percent": [0.2]}, "strains_percent is 0.2"),
+        (NoiseFigureSequence, {"strain_percent": 0.99}, "strain_percent is 0.99"),
+        (RandomLoadsSequence, {"count": 0}, "count is 0"),
+        (RandomLoadsSequence, {"stream": " "}, "stream is ' '"),
+    ],
+)
+def test_options_out_of_range_are_refused_with_what_is_allowed(sequence, options, said):
+    with pytest.raises(ConfigError) as refused:
+        sequence(**options)
+    assert said in refused.value.reason
+    assert refused.value.remedy.startswith("allowed: ")
+
+
+def test_a_strain_that_was_meant_as_a_fraction_is_told_in_per_cent():
+    with pytest.raises(ConfigError, match=r"strains_percent is 0\.2") as refused:
+        LocationGridSequence(strains_percent=[0.2])
+    assert refused.value.remedy == "allowed: a number from 1 to 60, in per cent: write 20 for the fraction 0.2"

@@ -1,0 +1,47 @@
+"""A fleet of two batches on two stations, and what is found by comparing them."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import numpy as np
+from stored_lots import judged, measured, store_run
+
+from cbsr_qa.store import open_store
+from cbsr_qa.studies.compare import By, RunChoice, Terms, compare_groups
+
+NOW = datetime(2026, 12, 24, tzinfo=UTC)
+ERROR = "centre_of_mass_error"
+BATCH_MM, STATION_MM = 0.5, 0.8
+
+
+def moved(measurements, mm):
+    return tuple(replace(m, value=m.value + mm) if m.name == ERROR else m for m in measurements)
+
+
+def fleet(url, *, alone=False, sensors=24, both=8, **changes):
+    """Two batches on two stations: 42 is BATCH_MM above 41, B reads STATION_MM above A.
+
+    Parameters
+    ----------
+    alone : each batch on a station of its own; else every third sensor of either is at home on B.
+    both : sensors that run on both stations.
+    """
+    random = np.random.default_rng(8)
+    with open_store(url, durable=False) as store:
+        for number in range(sensors):
+            batch = ("41", "42")[number % 2]
+            home = ("A", "B")[number % 2 if alone else number % 3 == 0]
+            sensor = random.standard_normal(3)
+            for station in ("A", "B") if number < both and not alone else (home,):
+                mm = BATCH_MM * (batch == "42") + STATION_MM * (station == "B")
+                values = judged(moved(measured(random, sensor), mm))
+                store_run(store, f"S-{number:02d}", values, batch=batch, station=station, **changes)
+
+
+def compared(url, by=By.BATCH, choice=None, **terms):
+    return compare_groups(choice or RunChoice(), Terms(by, **terms), database=url, now=NOW)
+
+
+def metric(made, name=ERROR, group=None):
+    document = made.document()
+    return next(m for m in document["metrics"] if m["name"] == name and group in (None, m["group"]))

@@ -1,0 +1,52 @@
+"""A setting and histories for tests of single effects."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from cbsr_qa.config import load_material, load_sensor_type
+from cbsr_qa.domain.plan import Moment, SceneSetting, SimulatedPress, StrainStep
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.domain.sensor import Material, Parameter, QuasiStatic, Relaxation
+
+STEP_S = 1e-9  #: a ramp this short is a step
+READING_SCALE_V = 2.0
+
+
+def setting(material: Material | None = None, *, seed: int = 1) -> SceneSetting:
+    chosen = material or load_material("cbsr-8wt").value
+    return SceneSetting(load_sensor_type("disc-100mm").value, chosen, Indenter(13.0), seed, 1e-3)
+
+
+def with_line(slope: float, intercept: float) -> Material:
+    line = QuasiStatic(Parameter(slope, None, "test"), Parameter(intercept, None, "test"))
+    return replace(load_material("cbsr-8wt").value, against_strain=line)
+
+
+def moment(of: SceneSetting, time_s: float, *presses: SimulatedPress, index: int = 0) -> Moment:
+    return Moment(
+        of,
+        time_s,
+        index,
+        list(presses),
+        [0.0] * len(presses),
+        [0.0] * len(presses),
+        reading_scale_V=READING_SCALE_V,
+    )
+
+
+def history(*ramps: tuple[float, float, float]) -> SimulatedPress:
+    """A press from ramps (start, duration, change of strain)."""
+    return SimulatedPress(0, 0.0, 0.0, [StrainStep(*ramp) for ramp in ramps])
+
+
+def kernel(relaxation: Relaxation, time_s: float) -> float:
+    """1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂)."""
+    pairs = zip(relaxation.weights, relaxation.time_constants_s, strict=True)
+    return 1 + sum(weight * math.exp(-time_s / tau) for weight, tau in pairs)
+
+
+def last_outside(times: np.ndarray, values: np.ndarray, band: float) -> float:
+    """Last time at which a trace is further from zero than a band."""
+    return float(times[np.abs(values) > band][-1])

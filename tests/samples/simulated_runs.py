@@ -1,0 +1,95 @@
+"""Simulated runs kept in memory: what the run analysis is held against the truth with."""
+
+from dataclasses import replace
+from datetime import UTC, datetime
+
+from cbsr_qa.config import load_material, load_scene, load_sensor_type
+from cbsr_qa.domain.plan import (
+    AcquireFrames,
+    FindSurface,
+    Hold,
+    InstrumentSpec,
+    MarkUnloaded,
+    Motion,
+    Press,
+    Release,
+    SafetyLimits,
+)
+from cbsr_qa.domain.run import Indenter, Load, RunIdentity
+from cbsr_qa.domain.sensor import Parameter, SensorIdentity
+from cbsr_qa.plugin import Kind, StationContext, discover
+from cbsr_qa.station import MemoryJournal, Plan, PlannedPhase, execute, open_bench
+from cbsr_qa.system import VirtualClock
+
+HEAD = Indenter(13.0)
+_MOTION = Motion(40 / 60, 10.0, 25.0)
+# Whatever a scene does to the readings, its runs go on: tests look at what comes of them.
+_SAFETY = SafetyLimits(40.0, 0.35, 41.0, 36_000.0, 2.0, compliance=1.0)
+
+
+class Presses:
+    """A sequence of presses after unloaded frames."""
+
+    def __init__(self, loads, hold_s, rest_s):
+        self._loads, self._hold_s, self._rest_s = loads, hold_s, rest_s
+
+    def steps(self, context):
+        """Find every surface, rest, take unloaded frames, then press in turn."""
+        for load in self._loads:
+            yield FindSurface(load.x_mm, load.y_mm)
+        yield Hold(240.0, acquire=False)
+        yield MarkUnloaded()
+        yield AcquireFrames(20)
+        for load in self._loads:
+            yield Press(load)
+            yield Hold(self._hold_s, acquire=True)
+            yield Release()
+            yield Hold(self._rest_s, acquire=True)
+
+
+def simulated_run(
+    places_mm,
+    *,
+    strain=0.2,
+    hold_s=60.0,
+    rest_s=60.0,
+    scene="base",
+    gauge=1.0,
+    seed=1,
+    noise=None,
+    loads=None,
+    phases=None,
+    material=None,
+):
+    """Run presses on the simulated bench; ``gauge`` scales the material's response, ``noise`` replaces its own.
+
+    ``material`` is the shipped 8 wt% unless another is given.
+
+    ``loads`` are pressed instead of ``places_mm`` once at ``strain``; or ``phases`` are run instead of either.
+    """
+    material = material or load_material("cbsr-8wt").value
+    against = material.against_strain
+    slope = replace(against.slope, value=gauge * against.slope.value)
+    material = replace(material, against_strain=replace(against, slope=slope))
+    if noise is not None:
+        material = replace(material, relative_noise=Parameter(noise, None, "test"))
+    sensor = load_sensor_type("disc-100mm").value
+    plugins, clock = discover(), VirtualClock(datetime(2026, 1, 1, tzinfo=UTC))
+    context = StationContext(
+        "bench", clock, sensor, material, HEAD, seed, {}, load_scene(scene).value,
+        lambda name: plugins.factory(Kind.EFFECT, name), motion=_MOTION,
+    )  # fmt: skip
+    spec = InstrumentSpec("bench", "simulated-bench", ("frame_source", "force_applicator", "force"), {}, None)
+    factory = plugins.factory(Kind.INSTRUMENT, "simulated-bench")
+    bench = open_bench([spec], lambda _: factory(context))
+    if loads is None:
+        loads = tuple(Load(f"L{i}", x, y, strain, 0) for i, (x, y) in enumerate(places_mm))
+    planned = phases or (PlannedPhase("grid", "presses", Presses(loads, hold_s, rest_s)),)
+    plan = Plan(planned, sensor, material, HEAD, _MOTION, _SAFETY, seed)
+    identity = RunIdentity(
+        "run", SensorIdentity("S", "", sensor.name), "test", "test", "", clock.wall(), "", (), bench.identities()
+    )
+    journal = MemoryJournal(plan)
+    ended = execute(plan, identity, bench, clock, [journal])
+    assert not ended.detail, ended.detail
+    return journal.record(identity, ended)

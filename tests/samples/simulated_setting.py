@@ -1,0 +1,88 @@
+"""A simulated sensor from the shipped files, for tests of the simulated world and bench."""
+
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from typing import Any
+
+from cbsr_qa.config import load_material, load_scene, load_sensor_type
+from cbsr_qa.domain.plan import Motion, PluginChoice, Scene, SimulatedPress, StrainStep
+from cbsr_qa.domain.run import Indenter
+from cbsr_qa.domain.sensor import Material, SensorType
+from cbsr_qa.plugin import Kind, StationContext, discover
+from cbsr_qa.simulate import SimulatedWorld
+from cbsr_qa.system import Clock, VirtualClock
+
+HEAD = Indenter(13.0)
+MOTION = Motion(press_speed_mm_s=40 / 60, travel_speed_mm_s=10.0, hover_mm=25.0)
+
+
+@lru_cache
+def sensor_type() -> SensorType:
+    return load_sensor_type("disc-100mm").value
+
+
+@lru_cache
+def material(name: str = "cbsr-8wt") -> Material:
+    return load_material(name).value
+
+
+def scene(*effects: str, **parameters: dict[str, Any]) -> Scene:
+    """A scene with these effects, on a mesh coarse enough for quick tests; parameters by name with underscores."""
+    choices = tuple(PluginChoice(name, parameters.get(name.replace("-", "_"), {})) for name in effects)
+    return replace(load_scene("none").value, name="test", effects=choices, sheet_mesh_size_mm=5.0)
+
+
+def base_scene() -> Scene:
+    return replace(load_scene("base").value, sheet_mesh_size_mm=5.0)
+
+
+@lru_cache
+def _plugins() -> Any:
+    return discover()
+
+
+def installed(name: str) -> Callable[..., Any]:
+    return _plugins().factory(Kind.EFFECT, name)
+
+
+def world(
+    of: Scene, *, seed: int = 1, effect_factory: Callable[[str], Callable[..., Any]] = installed
+) -> SimulatedWorld:
+    return SimulatedWorld(of, sensor_type(), material(), HEAD, seed=seed, effect_factory=effect_factory)
+
+
+def context(
+    of: Scene | None,
+    *,
+    clock: Clock | None = None,
+    seed: int = 1,
+    options: dict[str, Any] | None = None,
+    effect_factory: Callable[[str], Callable[..., Any]] | None = installed,
+    resumed_at_s: float = 0.0,
+) -> StationContext:
+    return StationContext(
+        "bench",
+        clock or VirtualClock(),
+        sensor_type(),
+        material(),
+        HEAD,
+        seed,
+        {"scene": "base"} | (options or {}),
+        scene=of,
+        effect_factory=effect_factory,
+        motion=MOTION,
+        resumed_at_s=resumed_at_s,
+    )
+
+
+def held(index: int, x_mm: float, y_mm: float, strain: float, start_s: float = 0.0) -> SimulatedPress:
+    """A press that goes down in 1.2 s and stays."""
+    return SimulatedPress(index, x_mm, y_mm, [StrainStep(start_s, 1.2, strain)])
+
+
+def pressed(index: int, x_mm: float, y_mm: float, strain: float, start_s: float = 0.0, hold_s: float = 60.0):
+    """A press that goes down in 1.2 s, stays and comes up in 1.2 s."""
+    press = held(index, x_mm, y_mm, strain, start_s)
+    press.steps.append(StrainStep(start_s + 1.2 + hold_s, 1.2, -strain))
+    return press

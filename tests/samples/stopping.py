@@ -1,0 +1,56 @@
+"""A scripted bench that is stopped, for tests of how."""
+
+import os
+import signal
+from dataclasses import replace
+
+from cbsr_qa.domain.plan import Hold, Press, Release
+from cbsr_qa.domain.run import Load
+from cbsr_qa.station import execute
+from cbsr_qa.system import VirtualClock
+from cbsr_qa.testing import Script, example_identity, example_plan, scripted_bench
+
+LOAD = Load("L0", 0.0, 0.0, 0.2, 0)
+CYCLE = (Press(LOAD), Hold(10, acquire=True), Release(), Hold(10, acquire=True))
+ROLES = ("force_applicator", "frame_source", "load_cell")
+SAFE = [f"{role}.safe_state" for role in ROLES]
+ABORTS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGTSTP, signal.SIGQUIT)
+BY = {
+    signal.SIGINT: "by the operator (Ctrl-C)",
+    signal.SIGTERM: "by signal SIGTERM",
+    signal.SIGHUP: "by signal SIGHUP",
+    signal.SIGTSTP: "by signal SIGTSTP",
+    signal.SIGQUIT: "by signal SIGQUIT",
+}
+
+
+def send(number, times=1):
+    def act():
+        for _ in range(times):
+            os.kill(os.getpid(), number)
+
+    return act
+
+
+def run(steps=CYCLE, *, script=None, listeners=(), answer_s=60.0, motion=None, frame_period_s=2.5, **options):
+    """Execute steps; return how it ended, the documents, the script, the bench and what was said at once."""
+    script = script or Script(VirtualClock())
+    plan = example_plan(steps)
+    plan = replace(plan, safety=replace(plan.safety, answer_s=answer_s), motion=motion or plan.motion)
+    bench = scripted_bench(script, plan.sensor_type, frame_period_s=frame_period_s)
+    told, said = [], []
+    subscribers = [told.append, *listeners]
+    ended = execute(plan, example_identity(), bench, script.clock, subscribers, tell=said.append, **options)
+    return ended, told, script, bench, said
+
+
+def after(script, name, call=1):
+    """Names of the calls after the n-th of a name."""
+    places = [number for number, one in enumerate(script.names()) if one == name]
+    return script.names()[places[call - 1] + 1 :]
+
+
+def assert_made_safe(script):
+    """Everybody was told after the last other call; on a busy computer the run and the watchdog may both have."""
+    last = max(number for number, name in enumerate(script.names()) if name not in SAFE)
+    assert set(script.names()[last + 1 :]) == set(SAFE)

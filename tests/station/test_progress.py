@@ -1,0 +1,106 @@
+"""Progress: a bar on a terminal, one line a phase elsewhere, nothing ever on stdout."""
+
+import io
+
+import pytest
+
+from cbsr_qa.domain import InstrumentError
+from cbsr_qa.domain.plan import Hold, Press, Release
+from cbsr_qa.domain.run import Load, PhaseStarted, RunStarted, StepStarted
+from cbsr_qa.station.execution import execute
+from cbsr_qa.station.plan import PlannedPhase
+from cbsr_qa.station.progress import RunProgress
+from cbsr_qa.system import RealClock, VirtualClock
+from cbsr_qa.testing import FixedSequence, Script, example_identity, example_plan, raising, scripted_bench
+
+CYCLE = FixedSequence((Press(Load("L0", 0, 0, 0.2, 0)), Hold(60, acquire=True), Release(), Hold(60, acquire=True)))
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+class SlowTerminal(Terminal):
+    def write(self, text):
+        raise OSError("gone")
+
+
+def shown(stream, *, script=None, listeners=()):
+    script = script or Script(VirtualClock())
+    plan = example_plan(*(PlannedPhase(f"[bold]{name}", "fixed", CYCLE) for name in ("first", "second")))
+    bench = scripted_bench(script, plan.sensor_type)
+    warnings = []
+    with RunProgress(len(plan.phases), script.clock, stream=stream) as progress:
+        subscribers = [lambda event: None, progress, *listeners]
+        execute(plan, example_identity(), bench, script.clock, subscribers, warn=warnings.append)
+    return warnings
+
+
+def test_without_a_terminal_there_is_one_line_a_phase(capsys):
+    stream = io.StringIO()
+    assert shown(stream) == []
+    first, second = stream.getvalue().splitlines()
+    assert first.startswith("[bold]first (1 of 2): 4 min of station time left")
+    assert second.startswith("[bold]second (2 of 2): 2 min of station time left")
+    assert capsys.readouterr() == ("", "")
+
+
+def test_by_default_it_goes_to_stderr_alone(capsys):
+    shown(None)
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 2
+
+
+def test_a_retry_is_said():
+    script = Script(VirtualClock())
+    script.on("frame_source.acquire", raising(InstrumentError("mux", "COM3", "no reply", retryable=True)))
+    stream = io.StringIO()
+    shown(stream, script=script)
+    assert "attempt 1 failed, trying again: mux at COM3: no reply" in stream.getvalue()
+
+
+def test_on_a_terminal_phase_and_doing_are_plain_text_and_the_bar_goes_away(capsys):
+    stream = Terminal()
+    assert shown(stream) == []
+    assert capsys.readouterr() == ("", "")
+    text = stream.getvalue()
+    assert "[bold]second" in text
+    assert text.endswith("\x1b[2K")  # the line is erased
+
+
+@pytest.mark.parametrize(("clock", "said"), [(VirtualClock(), "50 %"), (RealClock(), "3 min left")])
+def test_time_left_in_real_time_and_percent_in_virtual(clock, said):
+    stream = Terminal()
+    with RunProgress(2, clock, stream=stream) as progress:
+        progress(RunStarted(example_identity()))
+        progress(PhaseStarted(0, "first", "fixed", clock.now()))
+        progress(StepStarted(0, 0, Release(), clock.now(), 400.0))
+        progress(StepStarted(0, 1, Release(), clock.now(), 200.0))
+    assert said in stream.getvalue()
+
+
+def test_a_terminal_that_went_away_does_not_stop_the_run():
+    kinds = []
+    (warning,) = shown(SlowTerminal(), listeners=[lambda event: kinds.append(type(event).__name__)])
+    assert "gone" in warning
+    assert kinds[-1] == "RunEnded"
+
+
+def test_the_bar_makes_room_while_somebody_is_asked():
+    stream, seen = Terminal(), []
+    plan = example_plan(PlannedPhase("first", "fixed", CYCLE))
+    script = Script(VirtualClock())
+    with RunProgress(1, script.clock, stream=stream) as progress:
+
+        def asking():
+            with progress.paused():
+                seen.append(progress._bar._bar.live.is_started)
+            seen.append(progress._bar._bar.live.is_started)
+
+        script.on("force_applicator.press", asking)
+        execute(plan, example_identity(), scripted_bench(script, plan.sensor_type), script.clock, [progress])
+    with progress.paused():
+        seen.append(progress._bar)
+    assert seen == [False, True, None]

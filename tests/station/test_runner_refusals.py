@@ -1,0 +1,140 @@
+"""The runner and the bench: what is refused before anything moves; every clock runs the same code."""
+
+import re
+from pathlib import Path
+
+import pytest
+from runner_samples import TOOK_S, cycle, kinds, load, run
+
+from cbsr_qa.domain import ConfigError, InstrumentError, RefusedError
+from cbsr_qa.domain.plan import Hold, InstrumentSpec, Press, Prompt, Release
+from cbsr_qa.domain.results import EndReason
+from cbsr_qa.domain.run import LoadFinished, PhaseFinished, RunEnded
+from cbsr_qa.station.bench import Bench, Mounted, open_bench
+from cbsr_qa.station.execution import execute
+from cbsr_qa.system import RealClock, VirtualClock
+from cbsr_qa.testing import Script, example_identity, example_plan, raising, scripted_bench
+
+# --- refusals --------------------------------------------------------------------------------------------
+
+
+def test_a_plan_that_breaks_limits_touches_nothing():
+    script = Script(VirtualClock(), TOOK_S)
+    told = []
+    with pytest.raises(RefusedError, match="strain"):
+        run(cycle(0, strain=0.5), script=script, journal=told.append)
+    assert (script.calls, told) == ([], [])
+
+
+def test_prompts_are_asked_or_refused():
+    asked = []
+    ended, _, _ = run((Prompt("turn the sheet"), *cycle(0)), ask=asked.append)
+    assert ended.end is EndReason.FINISHED
+    assert asked == ["turn the sheet"]
+    with pytest.raises(RefusedError, match="nobody is there"):
+        run((Prompt("turn the sheet"), *cycle(0)))
+
+
+def test_a_frame_source_outside_the_clock_is_found_out():
+    script = Script(VirtualClock(), TOOK_S)
+    plan = example_plan(cycle(0))
+    bench = scripted_bench(script, plan.sensor_type)
+    inner = bench.frame_source.acquire
+    bench.frame_source.acquire = lambda count: _without_time(script, inner, count)
+    ended = execute(plan, example_identity(), bench, script.clock, [lambda event: None])
+    assert ended.end is EndReason.BROKEN
+    assert "took no time" in ended.detail
+
+
+def test_frames_of_another_shape_are_refused():
+    script = Script(VirtualClock(), TOOK_S)
+    plan = example_plan(cycle(0))
+    bench = scripted_bench(script, plan.sensor_type)
+    inner = bench.frame_source.acquire
+    bench.frame_source.acquire = lambda count: inner(2)
+    ended = execute(plan, example_identity(), bench, script.clock, [lambda event: None])
+    assert ended.end is EndReason.BROKEN
+    assert "frames of shape (2, 16, 16) came; (1, 16, 16) was asked for" in ended.detail
+
+
+def _without_time(script, acquire, count):
+    now = script.clock.now()
+    frames = acquire(count)
+    script.clock._now = now
+    return frames
+
+
+def test_real_and_virtual_clock_run_the_same_code():
+    # Short enough to wait for: 0.12 s of holds on the computer's clock.
+    steps = (Press(load()), Hold(0.06, acquire=True), Release(), Hold(0.06, acquire=True))
+    plan = example_plan(steps)
+    told = {}
+    for clock in (VirtualClock(), RealClock()):
+        script = Script(clock)
+        documents = told[type(clock)] = []
+        bench = scripted_bench(script, plan.sensor_type, frame_period_s=0.02)
+        assert execute(plan, example_identity(), bench, clock, [documents.append]).end is EndReason.FINISHED
+    virtual, real = ([type(d) for d in kinds(told[c], LoadFinished, PhaseFinished, RunEnded)] for c in told)
+    assert virtual == real
+    record = kinds(told[RealClock], LoadFinished)[0].record
+    assert record.release_start_s - record.hold_start_s >= 0.06
+
+
+def test_the_example_in_the_manual_runs():
+    manual = Path(__file__).parents[2] / "docs" / "explanation" / "runs.md"
+    (example,) = re.findall(r"```python\n(.*?)```", manual.read_text(encoding="utf-8"), re.DOTALL)
+    exec(compile(example, str(manual), "exec"), {"print": lambda event: None})
+
+
+# --- the bench -------------------------------------------------------------------------------------------
+
+
+def spec(role, *provides):
+    return InstrumentSpec(role, "some-driver", provides, {}, "2027-01-31")
+
+
+def parts():
+    script = Script(VirtualClock())
+    mounted = {one.spec.role: one.instrument for one in scripted_bench(script, example_plan([]).sensor_type).mounted}
+    return script, mounted
+
+
+def test_an_instrument_that_does_not_do_what_the_station_says_is_named():
+    _, by_role = parts()
+    with pytest.raises(ConfigError) as refused:
+        Bench([Mounted(spec("scale", "frame_source"), by_role["load_cell"])])
+    assert "scale (some-driver)" in refused.value.reason
+    assert "acquire, frame_period_s" in refused.value.reason
+
+
+def test_roles_filled_twice_or_not_at_all_are_refused():
+    _, by_role = parts()
+    frames = Mounted(spec("a", "frame_source"), by_role["frame_source"])
+    head = Mounted(spec("b", "force_applicator"), by_role["force_applicator"])
+    cell = Mounted(spec("c", "force"), by_role["load_cell"])
+    with pytest.raises(ConfigError, match=r"by a .* and by d"):
+        Bench([frames, head, cell, Mounted(spec("d", "frame_source"), by_role["frame_source"])])
+    with pytest.raises(ConfigError, match="provides 'force_applicator'"):
+        Bench([frames, cell])
+    with pytest.raises(ConfigError, match="samples 'force'"):
+        Bench([frames, head])
+    assert Bench([frames, head, cell]).identities()[0].calibration_due == "2027-01-31"
+
+
+def test_a_bench_that_cannot_be_opened_closes_what_it_opened():
+    script, by_role = parts()
+
+    def make(one):
+        if one.role == "load_cell":
+            raise InstrumentError("load_cell", "usb", "not attached")
+        return by_role[one.role]
+
+    script.on("force_applicator.close", raising(OSError("gone")))
+    with pytest.raises(InstrumentError, match="not attached"):
+        open_bench([spec(role, role) for role in ("force_applicator", "frame_source", "load_cell")], make)
+    assert script.names() == [
+        "force_applicator.safe_state",
+        "frame_source.safe_state",
+        "force_applicator.close",
+        "frame_source.close",
+    ]

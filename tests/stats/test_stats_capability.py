@@ -1,0 +1,190 @@
+"""Capability indices, yields and adjusted p values against printed values, exact tails and simulated lots."""
+
+import json
+from math import sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy import stats
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.stats.difference import benjamini_hochberg, holm
+from cbsr_qa.stats.process_capability import capability, capability_of, capability_of_extremes, passed_share
+
+
+@pytest.mark.shared
+def test_handbook_index(shared):
+    printed = json.loads((shared / "oracle" / "statistics.json").read_text(encoding="utf-8"))["cpk"]
+    cp, cpk = capability_of(printed["mean"], printed["s"], 50, lower=printed["LSL"], upper=printed["USL"])
+    assert (cp.value, cpk.value) == pytest.approx((printed["Cp"], printed["Cpk"]), rel=1e-14)
+
+
+def test_interval_of_cp_is_the_chi_square_one():
+    cp, _ = capability_of(0.0, 1.0, 50, lower=-4.0, upper=4.0)
+    # χ² of 49 degrees of freedom: 31.555 and 70.222 (printed tables).
+    ends = 4 / 3 * sqrt(31.555 / 49), 4 / 3 * sqrt(70.222 / 49)
+    assert (cp.interval.low, cp.interval.high) == pytest.approx(ends, rel=2e-5)
+
+
+@pytest.mark.parametrize("mean", [-2.0, 0.5, 2.0, 12.0])
+def test_interval_of_one_limit_has_the_tails_it_says(mean):
+    """At each end the observed index is exactly the quantile it should be; also for a mean beyond the limit."""
+    _, found = capability_of(mean, 1.0, 12, lower=0.0)
+    scale = 3 * sqrt(12)
+    assert stats.nct.cdf(scale * found.value, 11, scale * found.interval.low) == pytest.approx(0.975, abs=1e-8)
+    assert stats.nct.cdf(scale * found.value, 11, scale * found.interval.high) == pytest.approx(0.025, abs=1e-8)
+
+
+@pytest.mark.parametrize("upper", [4.0, None])
+def test_intervals_cover(upper):
+    lots = np.random.default_rng(80).normal(size=(2000 if upper else 600, 30))  # one limit: two roots a lot
+    found = [capability([lot], lower=-3.0, upper=upper) for lot in lots]
+    assert 0.93 <= np.mean([one.ppk.interval.holds(1.0) for one in found]) <= 0.97
+    if upper is not None:
+        assert 0.935 <= np.mean([one.pp.interval.holds(7 / 6) for one in found]) <= 0.965
+
+
+def test_two_limits_that_judge_several_loads_have_the_indices_of_both_sides():
+    least, greatest = [[1.0, 3.0], [2.0, 4.0]], [[5.0, 8.0], [5.0, 8.0]]
+    found = capability_of_extremes(least, greatest, lower=-6.0, upper=20.0)
+    low, high = sqrt(2.0), sqrt(4.5)
+    assert found.cpk.value == pytest.approx(min((2.5 + 6) / (3 * low), (20 - 6.5) / (3 * high)))
+    assert found.cp.value == pytest.approx((26 - 4.0) / (3 * low + 3 * high))
+    # Moved to the best place, the process reaches Cp on both sides: by δ with both rooms alike in deviations.
+    move = (low * (20 - 6.5) - high * (2.5 + 6)) / (low + high)
+    shift = lambda groups: [[value + move for value in group] for group in groups]  # noqa: E731
+    moved = capability_of_extremes(shift(least), shift(greatest), lower=-6.0, upper=20.0)
+    assert moved.cpk.value == pytest.approx(moved.cp.value) == pytest.approx(found.cp.value)
+    assert found.ppk.value == pytest.approx(
+        min(8.5 / np.std(np.ravel(least), ddof=1), 13.5 / np.std(np.ravel(greatest), ddof=1)) / 3
+    )
+
+
+def test_one_load_a_run_gives_the_usual_indices():
+    lot = np.random.default_rng(81).normal(size=(3, 10))
+    usual, found = capability(lot, lower=-4.0, upper=3.0), capability_of_extremes(lot, lot, lower=-4.0, upper=3.0)
+    for name in ("cp", "cpk", "pp", "ppk"):
+        assert getattr(found, name).value == pytest.approx(getattr(usual, name).value)
+
+
+def test_intervals_of_both_sides_hold_at_least_the_stated_share():
+    random = np.random.default_rng(82)
+    lots = 1 + 0.5 * random.normal(size=(120, 25, 1)) + random.normal(size=(120, 25, 6))
+    loads = 1 + 0.5 * random.normal(size=(200_000, 1)) + random.normal(size=(200_000, 6))
+    low, high = loads.min(axis=1), loads.max(axis=1)
+    cpk = min((low.mean() + 5) / low.std(), (6 - high.mean()) / high.std()) / 3
+    cp = (11 - (high - low).mean()) / (3 * low.std() + 3 * high.std())
+    found = [capability_of_extremes([lot.min(axis=1)], [lot.max(axis=1)], lower=-5.0, upper=6.0) for lot in lots]
+    # Extremes are not normal, and Bonferroni's intervals are wide: at least the stated share, not exactly it.
+    assert np.mean([one.ppk.interval.holds(cpk) for one in found]) >= 0.93
+    assert np.mean([one.pp.interval.holds(cp) for one in found]) >= 0.94
+
+
+def test_short_and_long_term_are_told_apart():
+    groups = [[0.0, 2.0], [10.0, 12.0], [20.0, 22.0]]
+    found = capability(groups, lower=-10.0, upper=30.0)
+    assert found.within == pytest.approx(sqrt(2.0))
+    assert found.overall == pytest.approx(np.std(np.ravel(groups), ddof=1))
+    assert found.cpk.value == pytest.approx(19 / (3 * sqrt(2)))
+    assert found.ppk.value < found.cpk.value
+    alone = capability([np.ravel(groups)], lower=-10.0)
+    assert alone.cpk == alone.ppk
+    assert alone.cp is alone.pp is None
+
+
+@settings(deadline=None)
+@given(
+    st.lists(st.integers(-80, 80), min_size=3, max_size=20).filter(lambda lot: len(set(lot)) > 1),
+    st.sampled_from([0.25, 3.0, 1e6]),
+    st.sampled_from([-1e6, 0.0, 17.0]),
+)
+def test_indices_have_no_unit_and_mirror(lot, scale, shift):
+    here = capability([lot], lower=-90.0, upper=100.0)
+    there = capability([[scale * x + shift for x in lot]], lower=-90 * scale + shift, upper=100 * scale + shift)
+    mirrored = capability([[-x for x in lot]], lower=-100.0, upper=90.0)
+    for other in (there, mirrored):
+        assert other.cpk.value == pytest.approx(here.cpk.value, rel=1e-6)
+        assert other.cp.interval.low == pytest.approx(here.cp.interval.low, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("groups", "limits", "reason"),
+    [
+        ([[1.0, 2.0]], {}, "there is no limit"),
+        ([[1.0, 2.0]], {"lower": 2.0, "upper": 1.0}, "lower limit 2.0 is not below"),
+        ([[1.0]], {"lower": 0.0}, "1 value instead of at least 2"),
+        ([], {"lower": 0.0}, "0 values"),
+        ([[1.0, 1.0]], {"lower": 0.0}, "leaves no variance"),
+        ([[1.0], [2.0]], {"lower": 0.0}, "every subgroup has one value"),
+        ([[1.0, 1.0], [2.0, 2.0]], {"lower": 0.0}, "within the subgroups do not differ"),
+        ([[1.0, float("nan")]], {"lower": 0.0}, "subgroup 1: 1 of 2 values are missing"),
+    ],
+)
+def test_what_has_no_capability_is_named(groups, limits, reason):
+    with pytest.raises(NumericsError, match=f"A_OL.*{reason}"):
+        capability(groups, what="A_OL", **limits)
+
+
+def test_intervals_of_a_yield_are_the_printed_ones():
+    """Newcombe 1998, table I: 81/263 and 15/148, 0/20, 1/29; to the four digits printed."""
+    printed = [
+        (81, 263, (0.2553, 0.3662)),
+        (15, 148, (0.0624, 0.1605)),
+        (0, 20, (0.0, 0.1611)),
+        (1, 29, (0.0061, 0.1718)),
+    ]
+    for passed, count, wilson in printed:
+        found = passed_share(passed, count)
+        assert (found.wilson.low, found.wilson.high) == pytest.approx(wilson, abs=6e-5)
+
+
+@settings(deadline=None)
+@given(st.integers(1, 300), st.data())
+def test_yield_intervals_mirror_and_hold_the_share(count, data):
+    passed = data.draw(st.integers(0, count))
+    found, other = passed_share(passed, count), passed_share(count - passed, count)
+    here, there = found.wilson, other.wilson
+    assert 0 <= here.low <= found.value <= here.high <= 1
+    assert here.low == pytest.approx(1 - there.high, abs=1e-12)
+
+
+def test_shares_of_nothing_are_refused():
+    with pytest.raises(NumericsError, match="0 of 0"):
+        passed_share(0, 0)
+    with pytest.raises(NumericsError, match="confidence is 95"):
+        passed_share(1, 2, confidence=95)
+
+
+#: Benjamini & Hochberg 1995, section 3.2 (thrombolysis): four are rejected, Bonferroni rejects three.
+PUBLISHED = [
+    0.0001, 0.0004, 0.0019, 0.0095, 0.0201, 0.0278, 0.0298, 0.0344,
+    0.0459, 0.3240, 0.4262, 0.5719, 0.6528, 0.7590, 1.0,
+]  # fmt: skip
+
+
+def test_published_p_values():
+    assert np.sum(benjamini_hochberg(PUBLISHED) <= 0.05) == 4
+    assert np.sum(holm(PUBLISHED) <= 0.05) == 3
+    assert benjamini_hochberg(PUBLISHED)[:4] == pytest.approx([0.0015, 0.003, 0.0095, 0.035625])
+    assert holm(PUBLISHED)[:4] == pytest.approx([0.0015, 0.0056, 0.0247, 0.1140])
+    assert benjamini_hochberg(PUBLISHED) == pytest.approx(stats.false_discovery_control(PUBLISHED))
+
+
+@settings(deadline=None)
+@given(st.lists(st.integers(0, 1000).map(lambda number: number / 1000), max_size=30), st.randoms())
+def test_adjusted_values_follow_their_tests(p_values, random):
+    order = list(range(len(p_values)))
+    random.shuffle(order)
+    for method in (holm, benjamini_hochberg):
+        adjusted = method(p_values)
+        assert np.all(adjusted >= p_values)
+        assert np.all(adjusted <= 1)
+        assert method([p_values[index] for index in order]) == pytest.approx(adjusted[order])
+
+
+def test_p_values_that_are_none_are_refused():
+    with pytest.raises(NumericsError, match=r"1\.2 is not between"):
+        holm([0.1, 1.2])
+    with pytest.raises(NumericsError, match="missing"):
+        benjamini_hochberg([0.1, float("nan")])

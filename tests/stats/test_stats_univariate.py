@@ -1,0 +1,157 @@
+"""Univariate statistics and one-way analysis of variance against NIST's certified values and exact arithmetic."""
+
+import json
+from fractions import Fraction
+from itertools import pairwise
+from math import sqrt
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy import stats
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.stats.difference import one_way
+from cbsr_qa.stats.samples import quantile, summary
+
+NUM_ACC_4 = [10000000.2] + [10000000.1, 10000000.3] * 500
+
+values = st.lists(st.integers(-1000, 1000).map(lambda number: number / 8), min_size=3, max_size=40)
+
+
+@pytest.fixture(scope="module")
+def oracle(shared):
+    return json.loads((shared / "oracle" / "statistics.json").read_text(encoding="utf-8"))
+
+
+def exactly(numbers):
+    """Mean, deviation and autocorrelation of the doubles themselves in rational arithmetic, rounded once."""
+    fractions = [Fraction(number) for number in numbers]
+    mean = sum(fractions) / len(fractions)
+    away = [number - mean for number in fractions]
+    squares = sum(x * x for x in away)
+    lagged = sum(x * y for x, y in pairwise(away)) / squares
+    return float(mean), sqrt(squares / (len(fractions) - 1)), float(lagged)
+
+
+@pytest.mark.shared
+@pytest.mark.parametrize("name", ["Michelso", "Mavro"])
+def test_certified_to_nine_digits_and_more(oracle, name):
+    certified, found = oracle[name], summary(oracle[name]["data"])
+    assert found.mean == pytest.approx(certified["mean"], rel=1e-14)
+    assert found.deviation == pytest.approx(certified["sd"], rel=1e-12)
+    assert found.autocorrelation == pytest.approx(certified["ac1"], rel=1e-12)
+
+
+def test_digit_loss_goes_no_further_than_the_doubles_themselves():
+    """NumAcc4: 10000000.1 is no double; the deviation of the doubles is 0.1 to eight digits; no sum knows more."""
+    found = summary(NUM_ACC_4)
+    assert found.mean == 10000000.2
+    assert found.deviation == pytest.approx(0.1, rel=1e-8)
+    assert found.autocorrelation == pytest.approx(-0.999, rel=1e-9)
+    mean, deviation, lagged = exactly(NUM_ACC_4)
+    assert (found.mean, found.deviation) == pytest.approx((mean, deviation), rel=2e-16, abs=0)
+    assert found.autocorrelation == pytest.approx(lagged, rel=1e-9)
+
+
+@settings(deadline=None)
+@given(values)
+def test_moments_are_those_of_exact_arithmetic(numbers):
+    shifted = [number + 2.0**40 for number in numbers]
+    found = summary(shifted)
+    if len(set(numbers)) == 1:
+        assert (found.deviation, found.autocorrelation) == (0.0, None)
+        return
+    mean, deviation, lagged = exactly(shifted)
+    assert found.mean == pytest.approx(mean, rel=2e-16)
+    assert found.deviation == pytest.approx(deviation, rel=1e-14)
+    assert found.autocorrelation == pytest.approx(lagged, rel=1e-12, abs=1e-13)
+
+
+@pytest.mark.parametrize("scale", [1e-200, 1e-3, 1e140])
+def test_deviation_scales_with_its_unit(scale):
+    assert summary([scale, 2 * scale, 4 * scale]).deviation == pytest.approx(scale * sqrt(7 / 3), rel=1e-14)
+
+
+def test_one_value_has_a_mean_and_nothing_else():
+    found = summary([3.0])
+    assert (found.mean, found.deviation, found.autocorrelation, found.standard_error) == (3.0, None, None, None)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "reason"),
+    [
+        ([], "0 values instead of at least 1"),
+        ([1.0, float("nan"), 2.0], "1 of 3 values are missing or infinite, the first at index 1"),
+        ([1e200, 1.0], "have no squares"),
+    ],
+)
+def test_what_has_no_summary_is_named(numbers, reason):
+    with pytest.raises(NumericsError, match=f"E_CoM: .*{reason}"):
+        summary(numbers, "E_CoM")
+
+
+def test_quantile_interval_by_hand():
+    """Of ten values the median lies between the second and the ninth with 1 − 2·11/1024 = 97.9 %."""
+    found = quantile(range(10, 0, -1), 0.5)
+    assert (found.value, found.interval.low, found.interval.high, found.needed) == (5.5, 2.0, 9.0, 6)
+    assert quantile(range(5), 0.5).interval is None
+    assert quantile(range(6), 0.5).interval.low == 0.0
+    assert quantile(range(100), 0.99).needed == 368  # 0.99^368 ≤ 0.025
+    assert quantile(range(368), 0.99).interval is not None
+    assert quantile(range(367), 0.99).interval is None
+
+
+@pytest.mark.parametrize("below", [0.1, 0.5, 0.75])
+def test_quantile_intervals_cover(below):
+    random, true = np.random.default_rng(8), stats.gamma.ppf(below, 2.0)
+    lots = random.gamma(2.0, size=(1500, 60))
+    covered = np.mean([quantile(lot, below).interval.holds(true) for lot in lots])
+    assert 0.94 <= covered <= 0.985  # at least 95 %, give or take 0.6 % of drawing, and not much more
+
+
+@pytest.mark.shared
+def test_certified_analysis_of_variance(oracle):
+    certified = oracle["SiRstv"]
+    groups = [[y for instrument, y in certified["data"] if instrument == number] for number in range(1, 6)]
+    found = one_way(groups)
+    assert found.between == pytest.approx(certified["SSB"], rel=1e-9)
+    assert found.within == pytest.approx(certified["SSW"], rel=1e-9)
+    assert found.statistic == pytest.approx(certified["F"], rel=1e-9)
+    assert found.share_between == pytest.approx(certified["R2"], rel=1e-9)
+    assert found.residual_deviation == pytest.approx(certified["resid_sd"], rel=1e-9)
+    assert (found.freedom_between, found.freedom_within) == (4, 20)
+    assert found.p_value == pytest.approx(stats.f_oneway(*groups).pvalue, rel=1e-9)
+
+
+@pytest.mark.parametrize("replicates", [21, 201, 2001])
+@pytest.mark.parametrize(("offset", "digits"), [(1, 14), (10**6, 9), (10**12, 4)])
+def test_simulated_sets_of_nist_lose_the_digits_that_doubles_lose(replicates, offset, digits):
+    """SmLs01 to 09 (Simon & Lesage 1989): nine groups about 0.3 to 0.5, values 0.1 away; certified F = n."""
+    groups = [
+        [offset + tenths / 10] + [offset + (tenths + away) / 10 for away in (-1, 1)] * (replicates // 2)
+        for tenths in (4, 3, 5, 3, 5, 3, 5, 3, 5)
+    ]
+    found = one_way(groups)
+    assert found.statistic == pytest.approx(replicates, rel=10.0**-digits)
+    assert found.within == pytest.approx(0.09 * (replicates - 1), rel=10.0**-digits)
+
+
+@settings(deadline=None)
+@given(st.lists(values, min_size=2, max_size=5), st.integers(-(2**30), 2**30))
+def test_analysis_of_variance_knows_no_origin(groups, shift):
+    if all(len(set(group)) == 1 for group in groups):
+        with pytest.raises(NumericsError, match="no variance"):
+            one_way(groups)
+        return
+    there, here = one_way([[x + shift for x in group] for group in groups]), one_way(groups[::-1])
+    assert there.statistic == pytest.approx(here.statistic, rel=1e-9, abs=1e-9)
+
+
+def test_groups_that_have_no_variance_are_refused():
+    with pytest.raises(NumericsError, match="1 group instead of at least 2"):
+        one_way([[1.0, 2.0]])
+    with pytest.raises(NumericsError, match="every group has one value"):
+        one_way([[1.0], [2.0]])
+    with pytest.raises(NumericsError, match="batch 42: 0 values"):
+        one_way([[1.0, 2.0], []], ["batch 41", "batch 42"])

@@ -1,0 +1,423 @@
+"""The chain of a stored run: what is changed, added or removed is refused by name, whoever reads it."""
+
+import json
+import sqlite3
+from dataclasses import replace
+
+import pytest
+from calibration_samples import sample_force
+from sqlalchemy import Column, LargeBinary, MetaData, Table, create_engine
+from stored_lots import judged, measured, store_run
+from stored_runs import calibration, identity, journalled, short_run
+
+from cbsr_qa.calibration.file import stamped
+from cbsr_qa.domain import ConfigError, StoreError
+from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, decide
+from cbsr_qa.domain.run import ChainState, RunStarted
+from cbsr_qa.store.chain.links import VARIABLE, SigningKey
+from cbsr_qa.store.chain.run_documents import KEYS, covered, row_text
+from cbsr_qa.store.figures import RunFilter
+from cbsr_qa.store.repository import open_store
+from cbsr_qa.store.tables import Base, records as check_tables
+from cbsr_qa.store.types import FiniteDouble, Whole
+
+KEY, OTHER = "a key of twenty-two let", "another key of some length"
+LIMIT = Limit("drift", "mm", None, 5.0)
+MEASURED = (
+    Measurement("drift", 4.0, "mm", phase="nine locations").judged(LIMIT),
+    Measurement("noise", -0.0, "1", 0.1 + 0.2),
+)
+
+
+def filled(url):
+    """Store a run with something in every table, and a second one; return the first."""
+    with open_store(url) as store:
+        first, second = store.new_id(), store.new_id()
+        journalled(store, short_run(first))
+        journalled(store, short_run(second, "S-2"))
+        record = store.load_run(first)
+        issued = calibration(store.new_id(), first)
+        model = sample_force(int(issued.reconstruction.problem.used.sum()))
+        issued = stamped(replace(issued, force=model, digest="", record_digest=""))
+        store.save_result(RunResult(record, None, MEASURED, decide(MEASURED), issued, "", warnings=("one\0", "two")))
+        store.override_verdict(first, Outcome.FAIL, operator="Zoë", why="seen")
+    return first
+
+
+@pytest.fixture(scope="module", params=["", KEY], ids=["not signed", "signed"])
+def stored(request, tmp_path_factory):
+    """A database file, its key, and the run in it."""
+    file = tmp_path_factory.mktemp("chain") / "runs.db"
+    with pytest.MonkeyPatch.context() as patch:
+        if request.param:
+            patch.setenv(VARIABLE, request.param)
+        run = filled(f"sqlite:///{file}")
+    return file, request.param, run
+
+
+@pytest.fixture
+def copied(stored, tmp_path, monkeypatch):
+    """A copy to change: path and run; the key it was signed with is set."""
+    file, key, run = stored
+    with sqlite3.connect(file) as source, sqlite3.connect(tmp_path / "runs.db") as target:
+        source.backup(target)
+    if key:
+        monkeypatch.setenv(VARIABLE, key)
+    return tmp_path / "runs.db", run
+
+
+def edit(path, statements, run):
+    with sqlite3.connect(path) as database:
+        for statement in statements.split(";"):
+            assert database.execute(statement.replace(":run", f"'{run}'")).rowcount >= 1, statement
+
+
+EDITS = {
+    "configuration": (
+        "update runs set configuration = replace(configuration, 'Δρ', 'Δσ')",
+        "its configuration is not the one it was begun with",
+    ),
+    "configuration and digest": (
+        "update runs set configuration = '{}', configuration_digest ="
+        " '44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a' where run = :run",
+        "runs was changed",
+    ),
+    "batch": ("update runs set batch = 'B8'", "runs was changed"),
+    "a head": ("update runs set setting = replace(setting, '13.0', '14.0')", "runs was changed"),
+    "an instrument": ("update instruments set serial = '124' where position = 0", "instruments was changed"),
+    "an instrument less": ("delete from instruments where position = 1", "instruments was changed"),
+    "how it ended": ("update run_states set detail = 'x' where number = 1", r"run_states \(number 1\) was changed"),
+    "a phase": ("update phases set role = 'noise' where phase = 1", r"phases \(phase 1\) was changed"),
+    "the end of a phase": (
+        "update phases set ended_s = 156 where phase = 0",
+        r"phases.ended_s \(phase 0\) was changed",
+    ),
+    "no end of a phase": (
+        "update phases set ended_s = null where phase = 1",
+        r"phases.ended_s \(phase 1\) was removed",
+    ),
+    "a step": ("update steps set time_s = 31 where entry = 2", r"steps \(phase 0, entry 2\) was changed"),
+    "a frame": (
+        "update frame_blocks set voltages = zeroblob(length(voltages)) where phase = 0 and block = 1",
+        "frame block 1 of phase 0 of run .* its digest does not fit",
+    ),
+    "a frame's digest": (
+        "update frame_blocks set sha256 = replace(sha256, 'a', 'b') where phase = 0 and block = 1",
+        r"frame_blocks \(phase 0, block 1\) was changed",
+    ),
+    "a sample": (
+        "update sample_blocks set sample_values = zeroblob(length(sample_values)) where block = 1",
+        "sample block 1 of phase 0 of run .* its digest does not fit",
+    ),
+    "a load's place": ("update loads set x_mm = 15.5", r"loads \(phase 0, load_index 0\) was changed"),
+    "a load less": ("delete from loads where run = :run", r"loads \(phase 0, load_index 0\) was removed"),
+    "a load more": (
+        "insert into loads select run, phase, 1, label, x_mm, y_mm, strain, trial, press_start_s, hold_start_s,"
+        " release_start_s, release_end_s, rest_end_s, clear_s, eased from loads where run = :run",
+        r"loads \(phase 0, load_index 1\) was added",
+    ),
+    "a mark": ("update unloaded_marks set time_s = 3.5", r"unloaded_marks \(phase 0, mark 0\) was changed"),
+    "rows swapped": (
+        "update frame_blocks set block = 9 where phase = 0 and block = 0;"
+        "update frame_blocks set block = 0 where phase = 0 and block = 1;"
+        "update frame_blocks set block = 1 where phase = 0 and block = 9",
+        r"frame_blocks \(phase 0, block [01]\) was changed",
+    ),
+    "an outcome": ("update measurements set outcome = 'fail' where number = 0", "measurements .* was changed"),
+    "a limit": ("update measurements set upper_limit = 9 where number = 0", "measurements .* was changed"),
+    "the last bit": ("update measurements set uncertainty = 0.3 where number = 1", "measurements .* was changed"),
+    "a measurement less": ("delete from measurements where number = 1", "measurements .* was changed"),
+    "no measurement": ("delete from measurements", "measurements .* was removed"),
+    "a verdict": ("update analyses set outcome = 'marginal'", "analyses .* was changed"),
+    "a warning": ("update warnings set text = '' where number = 0", "warnings .* was changed"),
+    "a calibration": ("update calibrations set scale = 7.25", "calibrations .* was changed"),
+    "a force model": ("update calibration_forces set scatter = 0.5", "calibration_forces .* was changed"),
+    "a parameter": (
+        "update calibration_parameters set value = 1 where name like '%strain.slope'",
+        "calibration_parameters .* was changed",
+    ),
+    "an override": ("update verdict_overrides set outcome = 'pass'", "verdict_overrides .* was changed"),
+    "no override": ("delete from verdict_overrides", "verdict_overrides .* was removed"),
+    "a link less": ("delete from run_links where number = 7", "link 7 in run_links is missing"),
+    "the first link": ("delete from run_links where number = 0", "link 0 in run_links is missing"),
+    "the last link": (
+        "delete from run_links where run = :run and number = (select max(number) from run_links where run = :run)",
+        "verdict_overrides .* was added",
+    ),
+    "no links": ("delete from run_links", "run_links holds no link"),
+    "no chain": ("update runs set chain = null", "states no chain, and run_links holds links"),
+    "links swapped": (
+        "update run_links set number = 99 where number = 4; update run_links set number = 4 where number = 5;"
+        "update run_links set number = 5 where number = 99",
+        "link 4 in run_links.* does not follow",
+    ),
+    "a link's content": (
+        "update run_links set content_sha256 = replace(content_sha256, 'a', 'b')",
+        "link .* in run_links.* does not follow",
+    ),
+    "text for a number": ("update loads set x_mm = 'far'", r"loads \(phase 0, load_index 0\) was changed"),
+    "bytes for a number": ("update loads set x_mm = cast(x_mm as blob)", "loads .* was changed"),
+    "a part of a whole number": ("update warnings set number = number + 0.25", "warnings .* was changed"),
+    "an endless whole number": ("update loads set trial = 9e999", "loads .* was changed"),
+    "truer than true": ("update measurements set limited = 2 where limited", "measurements .* was changed"),
+    "a date that is none": ("update runs set started_at = 'now'", "runs cannot be read"),
+}
+
+
+@pytest.mark.parametrize(("statement", "said"), EDITS.values(), ids=EDITS)
+def test_an_edit_is_refused_by_name(copied, statement, said):
+    path, run = copied
+    edit(path, statement, run)
+    with open_store(f"sqlite:///{path}") as store, pytest.raises(StoreError, match=said) as refused:
+        store.load_run(run)
+    assert run in refused.value.reason
+
+
+RUN, VALUE = "update runs set batch = 'B8' where run = :run", "update measurements set value = 1 where number = 1"
+READERS = {
+    "load_run": (VALUE, lambda store, run, _: store.load_run(run)),
+    "resume": (VALUE, lambda store, run, _: store.check_resumable(run)),
+    "configuration": (RUN, lambda store, run, _: store.configuration(run)),
+    "identity": (RUN, lambda store, run, _: store.identity(run)),
+    "analyses": (VALUE, lambda store, run, _: store.analyses(run)),
+    "calibration": (
+        "update calibrations set scale = 1",
+        lambda store, _, issued: store.load_calibration(issued, None),
+    ),
+    "override": (VALUE, lambda store, run, _: store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")),
+    "figures": (VALUE, lambda store, *_: store.run_figures(store.run_lines(RunFilter(serials=("S-1",))))),
+    "figures of a station": (
+        "update runs set station = 'B' where run = :run",
+        lambda store, *_: store.run_figures(store.run_lines(RunFilter(serials=("S-1",)))),
+    ),
+    "fleet": (RUN, lambda store, *_: store.fleet()),
+    "fleet of a metric": (VALUE, lambda store, *_: store.fleet(names=("drift",))),
+}
+
+
+@pytest.mark.parametrize(("statement", "read"), READERS.values(), ids=READERS)
+def test_every_reader_refuses_what_it_uses(copied, statement, read):
+    path, run = copied
+    with open_store(f"sqlite:///{path}") as store:
+        again = RunResult(store.load_run(run), None, MEASURED, decide(MEASURED), None, "")
+        issued, before = store.analyses(run)[0].calibration, store.counts()
+        edit(path, statement, run)
+        with pytest.raises(StoreError, match=f"run {run}: .* was changed"):
+            read(store, run, issued)
+        with pytest.raises(StoreError, match=f"run {run}: .* was changed"):
+            store.save_result(again)
+        assert store.counts() == before
+
+
+def test_every_table_of_a_run_is_covered_or_said_not_to_be():
+    elsewhere = {"sensors", "run_links", "chart_references"} | {
+        table.__tablename__
+        for table in (check_tables.StationCheckRow, check_tables.StationCheckLineRow,
+                      check_tables.StationCheckFramesRow)
+    }  # fmt: skip
+    assert set(KEYS) | elsewhere == set(Base.metadata.tables)
+    for name in KEYS:  # what holds bytes holds a digest of them too, which is covered
+        table = Base.metadata.tables[name]
+        if any(isinstance(column.type, LargeBinary) for column in table.columns):
+            assert any(column.name.endswith("sha256") for column in covered(table)), name
+
+
+def test_a_column_that_is_added_later_changes_no_digest_of_before():
+    older, newer = (
+        Table("t", MetaData(), Column("a", Whole, primary_key=True), *more)
+        for more in ((), (Column("b", FiniteDouble, nullable=True),))
+    )
+    assert row_text(older, {"a": 1}) == row_text(newer, {"a": 1, "b": None})
+    assert row_text(newer, {"a": 1, "b": 0.1}) == '{"a":1,"b":0.1}'
+
+
+@pytest.mark.postgres
+def test_the_chain_is_the_same_on_postgresql(copied, postgres_database):
+    """Rows that are copied from SQLite keep their chain."""
+    path, run = copied
+    with open_store(postgres_database) as target:
+        target.counts()
+    source, central = (
+        create_engine(f"sqlite:///{path}"),
+        create_engine(postgres_database.replace("postgresql:", "postgresql+psycopg:")),
+    )
+    with source.connect() as reading, central.begin() as writing:
+        writing.exec_driver_sql("SET session_replication_role = replica")
+        for table in Base.metadata.sorted_tables:
+            rows = [dict(row) for row in reading.execute(table.select()).mappings()]
+            if rows:
+                writing.execute(table.insert(), rows)
+    source.dispose()
+    central.dispose()
+    with open_store(f"sqlite:///{path}") as store:
+        here = store.load_run(run).chain
+    with open_store(postgres_database) as store:
+        assert store.load_run(run).chain == here
+        assert store.fleet().runs
+
+
+# Keys
+
+
+def test_a_run_of_before_is_unchained_and_goes_on_so(tmp_path):
+    url = f"sqlite:///{tmp_path / 'runs.db'}"
+    with open_store(url) as store:
+        run = store.new_id()
+        journalled(store, short_run(run)[:8])
+    edit(tmp_path / "runs.db", "delete from run_links; update runs set chain = null", run)
+    with open_store(url) as store:
+        assert store.load_run(run).chain == ChainState()
+        assert store.load_run(run).chain.words.startswith("no chain: ")
+        journalled(store, [RunStarted(identity(run)), *short_run(run)[10:12]])
+        assert store.load_run(run).chain.document() == {"state": "unchained", "signature": "none", "key_id": None}
+
+
+@pytest.mark.parametrize(
+    ("begun_with", "read_with", "words"),
+    [
+        (None, None, "chained, not signed"),
+        (None, KEY, "chained, not signed"),
+        (KEY, KEY, "chained and signed"),
+        (KEY, OTHER, "signatures not checked"),
+        (KEY, None, "signatures not checked"),
+    ],
+)
+def test_the_state_of_a_chain_is_said(tmp_path, monkeypatch, begun_with, read_with, words):
+    url = f"sqlite:///{tmp_path / 'runs.db'}"
+
+    def key(value):
+        monkeypatch.delenv(VARIABLE, raising=False) if value is None else monkeypatch.setenv(VARIABLE, value)
+
+    key(begun_with)
+    with open_store(url) as store:
+        run = store.new_id()
+        journalled(store, short_run(run)[:8])
+    key(read_with)
+    with open_store(url) as store:
+        assert words in store.load_run(run).chain.words
+        if begun_with and begun_with != read_with:
+            with pytest.raises(StoreError, match=r"is signed with key .* is set"):
+                store.check_resumable(run)
+            with pytest.raises(StoreError, match="is signed with key"):
+                journalled(store, [RunStarted(identity(run))])
+        elif begun_with == read_with:
+            store.check_resumable(run)
+    assert KEY not in "".join(sqlite3.connect(tmp_path / "runs.db").iterdump())
+
+
+def forged(path, run):
+    """Change a load and compute every digest again, as one can who has the database and no key."""
+    from cbsr_qa.store.chain.links import link_digest
+    from cbsr_qa.store.chain.run_documents import documents
+
+    with sqlite3.connect(path) as database:
+        database.execute("update loads set x_mm = 15.5 where run = ?", (run,))
+        database.row_factory = sqlite3.Row
+        row = dict(database.execute("select * from loads where run = ?", (run,)).fetchone())
+        row["eased"] = json.loads(row["eased"]) if row["eased"] else None
+        ((_, content),) = documents(Base.metadata.tables["loads"], [row])
+        before = ""
+        for link in database.execute("select * from run_links where run = ? order by number", (run,)).fetchall():
+            own = content if link["kind"] == "loads" else link["content_sha256"]
+            before = link_digest(before, link["kind"], link["document"], own)
+            place = (own, before, run, link["number"])
+            database.execute(
+                "update run_links set content_sha256 = ?, sha256 = ? where run = ? and number = ?", place
+            )
+
+
+def test_who_has_no_key_cannot_compute_a_signed_chain_again(copied, stored):
+    path, run = copied
+    forged(path, run)
+    with open_store(f"sqlite:///{path}") as store:
+        if not stored[1]:
+            assert store.load_run(run).phases[0].loads[0].load.x_mm == 15.5  # what digests alone are worth
+            return
+        with pytest.raises(StoreError, match=r"link .* loads .* was not signed with key"):
+            store.load_run(run)
+    edit(path, "update run_links set mac = null where number > 3", run)
+    with open_store(f"sqlite:///{path}") as store, pytest.raises(StoreError, match="is not signed, unlike its run"):
+        store.load_run(run)
+
+
+@pytest.mark.parametrize(
+    ("setting", "said"),
+    [
+        ("", "has 0 characters"),
+        ("short", "has 5 characters"),
+        ("   spaces only around 1   "[:10], "characters"),
+        ("@no such file", "cannot be read: No such file"),
+        ("@short.key", "has 3 characters"),
+        ("@binary.key", "cannot be read: not UTF-8 text"),
+    ],
+)
+def test_a_key_that_cannot_be_used_is_refused_and_not_repeated(tmp_path, monkeypatch, setting, said):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "short.key").write_text("abc\n")
+    (tmp_path / "binary.key").write_bytes(b"\xff" * 32)
+    monkeypatch.setenv(VARIABLE, setting)
+    with pytest.raises(ConfigError, match=said) as refused:
+        open_store(f"sqlite:///{tmp_path / 'runs.db'}")
+    assert refused.value.exit_code == 2
+    assert not (tmp_path / "runs.db").exists()
+    assert setting[:5] not in str(refused.value) or not setting
+
+
+def test_a_key_from_a_file_is_the_same_key_and_never_shown(tmp_path):
+    (tmp_path / "key").write_text(f"{KEY}\n")
+    from_file = SigningKey.from_environment({VARIABLE: f"@{tmp_path / 'key'}"})
+    assert from_file.key_id == SigningKey.from_environment({VARIABLE: KEY}).key_id
+    assert repr(from_file) == f"SigningKey({from_file.key_id})"
+    assert SigningKey.from_environment({}) is None
+
+
+def test_measurements_in_another_order_are_the_same_fleet(tmp_path):
+    """A database may return rows in any order: that is no reason to refuse them."""
+    import numpy as np
+
+    random, url = np.random.default_rng(1), f"sqlite:///{tmp_path / 'runs.db'}"
+    with open_store(url, durable=False) as store:
+        for n in range(3):
+            store_run(store, f"S-{n}", judged(measured(random, random.standard_normal(3))), batch="41")
+        before = store.fleet()
+    with sqlite3.connect(tmp_path / "runs.db") as database:
+        rows = database.execute("select * from measurements order by random()").fetchall()
+        database.execute("delete from measurements")
+        database.executemany(f"insert into measurements values ({','.join('?' * len(rows[0]))})", rows)
+    with open_store(url) as store:
+        assert sorted(store.fleet().value) == sorted(before.value)
+
+
+def stripped(path):
+    with sqlite3.connect(path) as database:
+        database.executescript("delete from run_links; update runs set chain = null")
+
+
+@pytest.mark.parametrize("chained", [True, False], ids=["not signed", "no chain"])
+def test_a_run_that_no_key_vouches_for_is_not_added_to_where_a_key_is_set(tmp_path, monkeypatch, chained):
+    url = f"sqlite:///{tmp_path / 'runs.db'}"
+    run = filled(url)
+    if not chained:
+        stripped(tmp_path / "runs.db")
+    monkeypatch.setenv(VARIABLE, KEY)
+    said = f"run {run} {'is not signed' if chained else 'has no chain'}, and a signing key is set"
+    with open_store(url) as store:
+        result, before = RunResult(store.load_run(run), None, MEASURED, decide(MEASURED), None, ""), store.counts()
+        for add in (
+            lambda: store.check_resumable(run),
+            lambda: store.save_result(result),
+            lambda: store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so"),
+        ):
+            with pytest.raises(StoreError, match=said) as refused:
+                add()
+            assert f"unset {VARIABLE}" in refused.value.remedy
+        assert store.counts() == before
+
+
+def test_a_run_without_a_chain_warns_of_it(tmp_path):
+    url = f"sqlite:///{tmp_path / 'runs.db'}"
+    run = filled(url)
+    with open_store(url) as store:
+        assert store.load_run(run).chain.warnings == ()
+        stripped(tmp_path / "runs.db")
+        assert "or the chain was removed" in store.load_run(run).chain.warnings[0]

@@ -1,0 +1,112 @@
+"""What a comparison reads from a database, and what ``cbsr-qa compare`` refuses before it does."""
+
+import sqlite3
+from datetime import date
+
+import numpy as np
+import pytest
+from stored_lots import judged, measured, store_run
+
+from cbsr_qa.cli import guarded
+from cbsr_qa.domain import RefusedError, StoreError
+from cbsr_qa.store.repository import open_store
+from cbsr_qa.studies.compare import read_amounts, read_groups
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """A database of four runs, and their names."""
+    file = tmp_path_factory.mktemp("fleet") / "fleet.db"
+    random = np.random.default_rng(1)
+    with open_store(f"sqlite:///{file}", durable=False) as store:
+        values = [judged(measured(random, random.standard_normal(3))) for _ in range(4)]
+        runs = [store_run(store, f"S-{n}", some, batch=("41", "42")[n % 2]) for n, some in enumerate(values)]
+    return file, runs
+
+
+@pytest.fixture
+def copied(stored, tmp_path):
+    """A copy of it, to change: its path, its URL and the names of its runs."""
+    file, runs = stored
+    with sqlite3.connect(file) as source, sqlite3.connect(tmp_path / "fleet.db") as target:
+        source.backup(target)
+    return tmp_path / "fleet.db", f"sqlite:///{tmp_path / 'fleet.db'}", runs
+
+
+def changed(path, statement, *values):
+    connection = sqlite3.connect(path)
+    with connection:
+        connection.execute(statement, values)
+    connection.close()
+
+
+def test_runs_of_golden_sensors_that_checked_a_station_are_left_out_and_said(copied, capsys):
+    path, url, runs = copied
+    columns = "check_id, station, operator, checked_at, sensor_type, configuration_digest, software, instruments"
+    changed(
+        path,
+        f"INSERT INTO station_checks ({columns}, outcome, golden_run) VALUES (?,?,?,?,?,?,?,?,?,?)",
+        *(runs[0], "A", "", "2026-11-21 08:00:00.000000", "disc-100mm", "0" * 64, "[]", "[]", "ok", runs[1]),
+    )
+    with open_store(url) as store:
+        assert [run.of_check for run in store.fleet().runs] == [False, True, False, False]
+    guarded(["compare", "--by", "batch", "--database", url])
+    assert "1 run is a golden sensor's that checked its station and is left out" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "word", "said"),
+    [
+        ("measurements", "outcome", "odd", "states measurements.outcome 'odd', which is none of pass, "),
+        ("measurements", "bound", "odd", "states measurements.bound 'odd', which is none of exact, "),
+        ("measurements", "outcome", "", "states measurements.outcome '', which is none of pass, "),
+        ("measurements", "name", "a\x1fb", ", with the control character U+001F in it"),
+        ("analyses", "outcome", "odd", "states analyses.outcome 'odd', which is none of pass, "),
+    ],
+)
+def test_words_that_are_none_are_a_damaged_database(copied, table, column, word, said):
+    path, url, _ = copied
+    changed(path, f"UPDATE {table} SET {column} = '{word}' WHERE rowid = (SELECT max(rowid) FROM {table})")
+    with open_store(url) as store, pytest.raises(StoreError, match="the database is damaged: analysis ") as raised:
+        store.fleet()
+    assert said in raised.value.reason
+    assert guarded(["compare", "--by", "batch", "--database", url]) == 2
+
+
+def test_an_unknown_recipe_is_refused_with_the_nearest_name(copied):
+    with open_store(copied[1]) as store:
+        with pytest.raises(RefusedError, match="no stored run is of recipe 'shrot'") as raised:
+            store.fleet(recipe="shrot")
+        assert raised.value.remedy == "did you mean 'short'? there are: short"
+        assert len(store.fleet(recipe="short").runs) == 4
+
+
+@pytest.mark.parametrize(
+    ("said", "reason"),
+    [
+        (["--by", "batch", "--period", "day"], "--period 'day' says nothing of --by batch"),
+        (["--by", "batch", "--groups", ","], "--groups ',' has an empty name"),
+        (["--by", "batch", "--groups", ""], "--groups '' has an empty name"),
+        (["--by", "batch", "--groups", "41,42,41"], "--groups names '41' twice"),
+        (["--by", "batch", "--margin", "drift=1", "--margin", "drift=2"], "--margin states 'drift' twice"),
+        (["--by", "batch", "--detect", "drift=1", "--detect", "drift=2"], "--detect states 'drift' twice"),
+        (["--by", "batch", "--database", ""], "--database is empty"),
+        (["--by", "bach", "--period", "day"], "--by 'bach' is not known"),
+        (["--by", "period", "--period", "dya"], "--period 'dya' is not known"),
+    ],
+)
+def test_options_that_would_be_ignored_are_refused(copied, said, reason, capsys):
+    database = [] if "--database" in said else ["--database", copied[1]]
+    assert guarded(["compare", *said, *database]) == 2
+    assert reason in capsys.readouterr().err
+
+
+def test_groups_and_amounts_are_read():
+    assert read_groups(None) == ()
+    assert read_groups("42, 41") == ("42", "41")
+    assert read_amounts(["a=1", "b=2"], "--margin") == {"a": 1.0, "b": 2.0}
+
+
+def test_the_last_day_there_is_leaves_no_run_out(copied, capsys):
+    with open_store(copied[1]) as store:
+        assert len(store.fleet(until=date.max).runs) == len(store.fleet(until=date(2026, 11, 21)).runs) == 4

@@ -1,0 +1,151 @@
+"""The same store on PostgreSQL: what was told comes back, unchanged in any bit."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+from calibration_samples import assert_same, sample_force
+from stored_lots import judged, measured, store_run
+from stored_runs import calibration, frames, identity, journalled, record, short_run
+
+from cbsr_qa.app import database_status
+from cbsr_qa.calibration.file import stamped
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import Measurement, Outcome, RunResult, Verdict
+from cbsr_qa.domain.run import (
+    ChartReference,
+    ChartSettings,
+    CheckOutcome,
+    CheckResult,
+    FramesTaken,
+    RingReadings,
+    RunStarted,
+    StationCheck,
+)
+from cbsr_qa.store.figures import RunFilter
+from cbsr_qa.store.repository import open_store
+
+pytestmark = pytest.mark.postgres
+
+
+@pytest.fixture(scope="module")
+def url(postgres_server):
+    with postgres_server.new_database() as url:
+        yield url
+
+
+@pytest.fixture
+def repository(url):
+    with open_store(url) as opened:
+        yield opened
+
+
+def test_a_run_comes_back_as_it_was_told(repository):
+    run = repository.new_id()
+    events = short_run(run)
+    journalled(repository, events)
+    back = repository.load_run(run)
+    assert back.identity == identity(run)
+    assert back.phases[0].loads == (record(0, 30.0),)
+    told = next(event.frames for event in events if isinstance(event, FramesTaken))
+    stored = back.phases[0].frames.select(slice(0, len(told)))
+    for name in ("time_s", "voltages", "flags", "reading_time_s"):
+        assert getattr(stored, name).tobytes() == getattr(told, name).tobytes()
+    with pytest.raises(StoreError, match="is finished"):
+        journalled(repository, [RunStarted(identity(run))])
+
+
+def test_results_and_calibrations_come_back(repository):
+    run = repository.new_id()
+    journalled(repository, short_run(run, "S-9"))
+    issued = calibration(repository.new_id(), run, "S-9")
+    model = sample_force(int(issued.reconstruction.problem.used.sum()))
+    issued = stamped(replace(issued, force=model, digest="", record_digest=""))
+    measured = (Measurement("noise_floor", np.float64(0.1) + np.float64(0.2), "1", trial=np.int64(1)),)
+    verdict = Verdict(Outcome.MARGINAL, "close\0to the limit")
+    repository.save_result(
+        RunResult(repository.load_run(run), None, measured, verdict, issued, "", warnings=("one",))
+    )
+    (analysis,) = repository.analyses(run)
+    assert analysis.measurements == measured
+    assert analysis.verdict.reason == "close\ufffdto the limit"  # PostgreSQL holds no NUL
+    back = repository.load_calibration(
+        issued.calibration, issued.reconstruction, lambda *_: replace(model, log_response=0 * model.log_response)
+    )
+    assert_same(back, issued, "calibration")
+    assert stamped(back).digest == issued.digest
+    later = calibration(repository.new_id(), run, "S-9")
+    repository.save_result(RunResult(repository.load_run(run), None, measured, verdict, later, ""))
+    held = {c.calibration: c.superseded_by for c in repository.calibrations("S-9")}
+    assert held == {issued.calibration: later.calibration, later.calibration: None}
+
+
+def test_a_check_of_a_station_comes_back_with_the_frames_of_its_ring(repository):
+    lines = (
+        CheckResult("gain error", CheckOutcome.FAILED, 0.1 + 0.2, "%", "−1 to 1 %", "adjust\0it", subject="ring"),
+    )
+    instruments = identity("x").instruments
+    at = datetime(2026, 11, 22, 6, 30, 0, 123456, tzinfo=UTC)
+    told = StationCheck(repository.new_id(), "bench-α", "Zoë", at, "disc", 64 * "a", (), instruments, lines)
+    ring = RingReadings(frames(0.0, 3, own_times=True), (1e4,) * 16)
+    repository.save_station_check(told, ring)
+    repository.save_station_check(replace(told, check=repository.new_id(), checked_at=at - timedelta(days=1)))
+    back = repository.latest_station_check("bench-α")
+    assert back == replace(told, results=(replace(lines[0], remedy="adjust\ufffdit"),))
+    stored = repository.station_check_ring(told.check).frames
+    for name in ("time_s", "voltages", "flags", "reading_time_s"):
+        assert getattr(stored, name).tobytes() == getattr(ring.frames, name).tobytes()
+
+
+def test_a_hostile_name_finds_nothing(repository):
+    with pytest.raises(StoreError):
+        repository.resolve("'; DROP TABLE runs; --")
+    with pytest.raises(StoreError):
+        repository.resolve("a\0b")
+    assert repository.counts()["runs"] >= 0
+
+
+def test_the_status_names_a_run_that_was_cut_off(repository, url):
+    run = repository.new_id()
+    journalled(repository, short_run(run, "S-cut")[:8])
+    status = database_status(url)
+    assert [(one.run, one.serial) for one in status.incomplete] == [(run, "S-cut")]
+    assert status.state == "current"
+
+
+def test_figures_of_many_runs_and_references_of_charts_are_those_of_sqlite(repository, tmp_path):
+    told = []
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as other:
+        for store in (repository, other):
+            runs = [store_run(store, f"F-{k}", measured(np.random.default_rng(k), np.ones(3))) for k in range(3)]
+            lines = store.run_lines(RunFilter(serials=("F-0", "F-1", "F-2"), recipe="short", golden=False, latest=2))
+            assert [line.run for line in lines] == runs[1:]
+            figures = store.run_figures(lines, ["drift", "centre_of_mass_error"])
+            told.append([(f.key, f.unit, f.value, f.places, f.missing, f.lower, f.upper) for f in figures])
+            drift = figures[-1].key
+            limits = (drift, "%/min", ChartSettings(rules=(1, 5)), 0.05, 0.01, 2, runs[0], runs[2])
+            one = ChartReference(store.new_id(), "bench", "short", "", *limits, "Zoë", datetime.now(UTC), "")
+            store.save_chart_references([one])
+            assert store.chart_references("bench") == (one,)
+    assert [row[:2] for row in told[0]] == [row[:2] for row in told[1]]
+    assert [row[2] for row in told[0]] == pytest.approx([row[2] for row in told[1]], rel=1e-14)
+    assert [row[3:] for row in told[0]] == [row[3:] for row in told[1]]
+
+
+def test_a_fleet_is_read_as_it_was_stored(repository):
+    random = np.random.default_rng(17)
+    told = {}
+    for number in range(4):
+        values = judged(measured(random, random.standard_normal(3)))
+        run = store_run(repository, f"F-{number}", values, batch="F", recipe="fleet", day=number)
+        told[run] = [m.value for m in values]
+    day = datetime(2026, 11, 22, tzinfo=UTC).date()
+    table = repository.fleet(recipe="fleet", since=day, until=day + timedelta(days=1))
+    assert [run.serial for run in table.runs] == ["F-1", "F-2"]
+    assert {(run.material, run.finished, run.batch) for run in table.runs} == {("cbsr-8wt", True, "F")}
+    for place, run in enumerate(table.runs):
+        assert sorted(table.value[table.run == place]) == sorted(told[run.run])
+    few = repository.fleet(recipe="fleet", names=("drift",))
+    assert {table_kind.key.name for table_kind in few.kinds} == {"drift"}
+    assert "drift" in repository.metric_names()

@@ -1,0 +1,98 @@
+"""Checks of stations come back as they were stored; the latest one is found, also as of an earlier day."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+
+import numpy as np
+import pytest
+import sqlalchemy as sa
+from stored_runs import frames, identity, journalled, short_run
+
+from cbsr_qa.domain import RefusedError, StoreError
+from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity, RingReadings, StationCheck, worst_check
+from cbsr_qa.store.repository import open_store
+
+AT = datetime(2026, 11, 22, 6, 30, tzinfo=UTC)
+LINES = (
+    CheckResult("identity", CheckOutcome.OK, said="2634B, serial 123, firmware 4.0.1", subject="source_meter"),
+    CheckResult("gain error", CheckOutcome.FAILED, -1.5, "%", "−1 to 1 %", "adjust it", "", "reference ring"),
+    CheckResult("golden sensor", CheckOutcome.NOT_DONE, remedy="--golden SERIAL"),
+)
+SMU = InstrumentIdentity(
+    "source_meter", "keithley-2600", "2634B", "123", "4.0.1", False, "2027-03-31", (("address", "TCPIP::smu::5025"),)
+)
+
+
+def check(name, at=AT, station="bench-α", **changes):
+    made = StationCheck(name, station, "Zoë", at, "disc-100mm", 64 * "a", (("cbsr-qa", "0.1.0"),), (SMU,), LINES)
+    return replace(made, **changes)
+
+
+@pytest.fixture
+def url(tmp_path):
+    return f"sqlite:///{tmp_path / 'runs.db'}"
+
+
+@pytest.fixture
+def repository(url):
+    with open_store(url) as opened:
+        yield opened
+
+
+def test_a_check_comes_back_with_every_line(repository):
+    journalled(repository, short_run(run := repository.new_id()))
+    told = check(repository.new_id(), golden_run=run)
+    ring = RingReadings(frames(0.0, 4, own_times=True), tuple(1000.0 + np.arange(16)))
+    repository.save_station_check(told, ring)
+    assert repository.latest_station_check("bench-α") == told
+    assert told.outcome is CheckOutcome.FAILED
+    back = repository.station_check_ring(told.check)
+    assert back.resistances_ohm == ring.resistances_ohm
+    for name in ("time_s", "voltages", "flags", "reading_time_s"):
+        assert getattr(back.frames, name).tobytes() == getattr(ring.frames, name).tobytes()
+    assert (back.frames.unit, back.frames.current_A) == (ring.frames.unit, ring.frames.current_A)
+
+
+def test_the_latest_check_of_this_station_is_found_as_of_any_moment(repository):
+    assert repository.latest_station_check("bench-α") is None
+    old, new = check(repository.new_id()), check(repository.new_id(), AT + timedelta(days=2), operator="")
+    other = check(repository.new_id(), AT + timedelta(days=3), station="bench-β")
+    for one in (new, old, other):  # a database that was put together from two has them in any order
+        repository.save_station_check(one)
+    assert repository.latest_station_check("bench-α") == new
+    assert repository.latest_station_check("bench-α", before=AT + timedelta(days=1)) == old
+    assert repository.latest_station_check("bench-α", before=AT - timedelta(seconds=1)) is None
+    assert repository.station_check_ring(new.check) is None
+
+
+def test_frames_of_a_ring_that_were_changed_are_refused(repository, url):
+    told = check(repository.new_id())
+    repository.save_station_check(told, RingReadings(frames(0.0, 2), (1000.0,) * 16))
+    with sa.create_engine(url).begin() as connection:
+        connection.exec_driver_sql("UPDATE station_check_frames SET current_a = 5e-4")
+    with pytest.raises(StoreError, match=f"station check {told.check} are not what was measured"):
+        repository.station_check_ring(told.check)
+
+
+def test_a_check_of_a_golden_run_that_is_not_stored_leaves_nothing_behind(repository):
+    with pytest.raises(StoreError):
+        repository.save_station_check(check(repository.new_id(), golden_run=repository.new_id()))
+    assert repository.latest_station_check("bench-α") is None
+
+
+def test_notes_of_an_instrument_are_part_of_a_runs_identity(repository):
+    run = repository.new_id()
+    told = replace(identity(run), instruments=(SMU, replace(SMU, role="load_cell", notes=())))
+    events = short_run(run)
+    journalled(repository, [replace(events[0], identity=told), *events[1:]])
+    assert repository.identity(run) == told
+
+
+def test_a_check_is_as_good_as_its_worst_line_and_one_that_was_not_done_is_no_pass():
+    ok, warned = CheckResult("a", CheckOutcome.OK), CheckResult("b", CheckOutcome.WARNING)
+    skipped = CheckResult("c", CheckOutcome.NOT_DONE)
+    assert worst_check((ok, warned, skipped)) is CheckOutcome.WARNING
+    assert worst_check((ok, skipped)) is CheckOutcome.OK
+    assert worst_check((skipped,)) is worst_check(()) is CheckOutcome.NOT_DONE
+    with pytest.raises(RefusedError, match="nan is not a finite number"):
+        CheckResult("gain", CheckOutcome.OK, float("nan"))

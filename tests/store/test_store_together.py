@@ -1,0 +1,102 @@
+"""Several stations that meet one database at the same moment: real processes, on SQLite and PostgreSQL."""
+
+import multiprocessing
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import ExitStack
+from functools import partial
+
+import pytest
+
+from cbsr_qa.app.run import RunRequest, Session, default_seed, run_sensor
+from cbsr_qa.domain import StoreError
+from cbsr_qa.store import locks, schema
+from cbsr_qa.store.engine import open_engine, parsed_url
+from cbsr_qa.store.repository import open_store
+
+STATIONS = 4
+
+
+_TOGETHER = []
+
+
+def started(barrier):
+    """Have a process wait for the others once it has loaded everything."""
+    import alembic.command  # noqa: F401 - what takes longest to load
+
+    _TOGETHER.append(barrier)
+
+
+def opened(url, _):
+    _TOGETHER[0].wait(60)
+    with open_store(url) as store:
+        return store.counts()["runs"]
+
+
+def upgraded(url, _):
+    _TOGETHER[0].wait(60)
+    engine = open_engine(parsed_url(url))
+    before = schema.upgrade(engine).revision
+    engine.dispose()
+    return before
+
+
+def seed_of_a_run(url, folder, _):
+    """Begin a run of one sensor and hold it until all have begun theirs; returns its seed."""
+
+    def begun(session, identity, store):
+        _TOGETHER[0].wait(60)
+        return session._configuration.seed
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CBSR_QA_VAR", folder)
+        patch.setattr(Session, "run", begun)
+        return run_sensor(RunRequest("simulated", "nine-locations", "S-1", database=url))
+
+
+@pytest.fixture(scope="module")
+def stations():
+    """Call a function in as many processes as there are stations, at the same moment."""
+    context = multiprocessing.get_context("forkserver")
+    context.set_forkserver_preload(["alembic.command", "cbsr_qa.app.run.run", "cbsr_qa_plugins"])
+    barrier = context.Barrier(STATIONS)
+    with ProcessPoolExecutor(STATIONS, context, started, (barrier,)) as pool:
+        yield lambda function: list(pool.map(function, range(STATIONS)))
+
+
+def test_stations_that_create_one_database_together_all_find_it_made(stations, database_url):
+    assert stations(partial(opened, database_url)) == [0] * STATIONS
+
+
+def test_stations_that_upgrade_one_database_together_upgrade_it_once(stations, database_url):
+    engine = open_engine(parsed_url(database_url))
+    schema.upgrade(engine, "0001")
+    before = stations(partial(upgraded, database_url))
+    assert sorted(before) == ["0001", *[schema.HEAD] * (STATIONS - 1)]
+    engine.dispose()
+
+
+@pytest.mark.slow
+def test_runs_of_one_sensor_that_begin_together_have_the_seeds_of_its_first_tries(stations, database_url, tmp_path):
+    seeds = stations(partial(seed_of_a_run, database_url, str(tmp_path)))
+    assert sorted(seeds) == sorted(default_seed("S-1", number) for number in range(STATIONS))
+    assert not list(tmp_path.glob("*.lock"))
+
+
+def test_who_changes_the_schema_is_waited_for_aloud_and_not_for_ever(database_url, monkeypatch):
+    monkeypatch.setattr(locks, "PATIENCE_S", 0.1)
+    monkeypatch.setattr(locks, "SCHEMA_WAIT_S", 0.3)
+    engine, told = open_engine(parsed_url(database_url)), []
+    with locks.changing_schema(engine), pytest.raises(StoreError, match=r"created or upgraded by .*waited 0\.3 s"):
+        open_store(database_url, tell=told.append)
+    (said,) = told
+    assert "is being created or upgraded by somebody on" in said
+    assert "waiting 0.3 s at most" in said
+    engine.dispose()
+    open_store(database_url).close()
+
+
+def test_a_seed_is_claimed_by_one_run_at_a_time_and_of_one_sensor(database_url):
+    with open_store(database_url) as store, ExitStack() as held:
+        claims = [("S-1", 7), ("S-1", 7), ("S-1", 8), ("S-2", 7)]
+        claimed = [held.enter_context(store.seed_claimed(*claim)) for claim in claims]
+        assert claimed == [True, False, True, True]

@@ -1,0 +1,68 @@
+"""A stored word that its column does not know is a damaged database, in whatever reads it."""
+
+import sqlite3
+from contextlib import closing
+
+import numpy as np
+import pytest
+from stored_lots import judged, measured, store_run
+from stored_runs import journalled, short_run
+
+from cbsr_qa.cli import guarded
+from cbsr_qa.domain import StoreError
+from cbsr_qa.domain.results import Outcome
+from cbsr_qa.store.repository import open_store
+
+
+@pytest.fixture(scope="module")
+def stored(tmp_path_factory):
+    """A run with its analysis and an override of its verdict, and a run that did not finish."""
+    path = tmp_path_factory.mktemp("words") / "runs.db"
+    with open_store(f"sqlite:///{path}", durable=False) as store:
+        random = np.random.default_rng(1)
+        run = store_run(store, "S-1", judged(measured(random, random.standard_normal(3))))
+        store.override_verdict(run, Outcome.FAIL, operator="Kim", why="a scratch")
+        cut = store.new_id()
+        journalled(store, short_run(cut, "S-3")[:-1])
+    return path, run, cut
+
+
+READERS = {
+    "analyses": lambda store, run, cut: store.analyses(run),
+    "runs": lambda store, run, cut: store.find_runs(),
+    "run": lambda store, run, cut: store.load_run(run),
+    "overrides": lambda store, run, cut: store.overrides(),
+    "override": lambda store, run, cut: store.override_verdict(run, Outcome.PASS, operator="Kim", why="clean"),
+    "fleet": lambda store, run, cut: store.fleet(),
+    "state": lambda store, run, cut: store.state_of(cut),
+    "incomplete": lambda store, run, cut: store.incomplete_runs(),
+}
+
+
+@pytest.mark.parametrize(
+    ("table", "column", "readers"),
+    [
+        ("analyses", "outcome", ["analyses", "runs", "overrides", "override", "fleet"]),
+        ("measurements", "outcome", ["analyses", "fleet"]),
+        ("measurements", "bound", ["analyses", "fleet"]),
+        ("verdict_overrides", "outcome", ["overrides"]),
+        ("run_states", "end", ["runs", "run", "override", "fleet", "incomplete"]),
+        ("phases", "role", ["run"]),
+    ],
+)
+def test_the_table_and_row_are_named(stored, tmp_path, table, column, readers):
+    path, run, cut = stored
+    copy = tmp_path / "copy.db"
+    with closing(sqlite3.connect(path)) as source, closing(sqlite3.connect(copy)) as target:
+        source.backup(target)
+        target.execute("DELETE FROM run_links")  # a run of before chains: a chained one is refused for the change
+        target.execute("UPDATE runs SET chain = NULL")
+        last = f"WHERE rowid IN (SELECT max(rowid) FROM {table} GROUP BY run)" if table == "run_states" else ""
+        assert target.execute(f"UPDATE {table} SET {column} = 'odd' {last}").rowcount
+        target.commit()
+    for name in readers:
+        with open_store(f"sqlite:///{copy}") as store, pytest.raises(StoreError) as raised:
+            READERS[name](store, run, cut)
+        assert f" states {table}.{column} 'odd', which is none of " in raised.value.reason, name
+    if table == "run_states":
+        assert guarded(["db", "status", "--database", f"sqlite:///{copy}"]) == 2

@@ -1,0 +1,174 @@
+"""What ``charts`` says: where a shift began, whose limits hold, what is retired, and why there are none."""
+
+import json
+from datetime import timedelta
+
+import numpy as np
+import pytest
+from stored_lots import store_run
+from stored_runs import identity
+from test_charts_command import NEW, STATION, fill, judged, values
+
+from cbsr_qa.cli import guarded
+from cbsr_qa.domain.results import Measurement
+from cbsr_qa.store import open_store
+from cbsr_qa.studies.charts.after_run import charts_after
+
+
+@pytest.fixture
+def command(capsys):
+    def run(database, *arguments):
+        code = guarded(["charts", "--database", str(database), "--station", STATION, *map(str, arguments)])
+        said = capsys.readouterr()
+        return code, " ".join(said.out.split()), " ".join(said.err.split())
+
+    return run
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_sum_says_when_the_change_began(tmp_path, command, sign):
+    """Ten runs the other way, then 1.5 deviations: the sum left zero at the first of them, and signals later."""
+    numbers = np.concatenate([values(count=30), 10 - sign * 0.1 * np.ones(10), 10 + sign * 0.15 * np.ones(12)])
+    runs = fill(tmp_path / "runs.db", numbers)
+    asked = (*NEW, "--dry-run", "--chart", "cusum")
+    signal = json.loads(command(tmp_path / "runs.db", *asked, "--json")[1])["charts"][0]["signal"]
+    assert signal["began_run"] == runs[40]
+    assert runs[40] < signal["since_run"] < runs[51]
+    day = (identity("x").started_at + timedelta(days=40)).date()
+    assert signal["began"].startswith(f"{day}T")
+    said = command(tmp_path / "runs.db", *asked)[1]
+    assert f"the change began about run {runs[40]} of {day}, at which the sum left zero" in said
+    other = json.loads(command(tmp_path / "runs.db", *NEW, "--dry-run", "--json")[1])["charts"][0]["signal"]
+    assert other is None or (other["began_run"], other["began"]) == (None, None)
+
+
+def test_a_sum_that_was_never_zero_began_with_the_first_run(tmp_path, command):
+    runs = fill(tmp_path / "runs.db", np.concatenate([values(count=30), 10.15 * np.ones(12)]))
+    asked = (*NEW, "--dry-run", "--chart", "cusum", "--json")
+    assert json.loads(command(tmp_path / "runs.db", *asked)[1])["charts"][0]["signal"]["began_run"] == runs[30]
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("i-mr", "Limits are three deviations away from the mean (i-mr);"),
+        ("xbar-r", "Limits are three deviations of a mean away (xbar-r);"),
+        ("ewma", "Limits are 3 deviations of the average away (ewma);"),
+        ("cusum", "Limits are 5 deviations of single runs away from zero (cusum);"),
+    ],
+)
+def test_the_page_says_where_limits_are_and_whose(tmp_path, command, kind, words):
+    fill(tmp_path / "runs.db", values(shift=0.8))
+    out = command(
+        tmp_path / "runs.db", "--reference-runs", 30, "--dry-run", "--chart", kind, "--output", tmp_path / "page.html"
+    )[1]
+    page = (tmp_path / "page.html").read_text()
+    assert words in page
+    assert "Orange: a rule speaks" in page
+    assert "set by nobody named on" in out
+    assert " N/V, deviation " in out
+
+
+def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, command, capsys):
+    path = tmp_path / "runs.db"
+    fill(path, values(shift=0.8))
+    for kind in ("i-mr", "cusum"):
+        command(path, *NEW, "--chart", kind)
+    assert "a signal stands on 2 of 2 charts" in command(path)[1]
+    code, out, err = command(path, "--retire", "cusum", "--operator", "Ada", "--why", "one chart is enough")
+    assert code == 1, err
+    assert "retired by Ada: force_gain, chart cusum; a new reference begins them anew" in out
+    assert "a signal stands on 1 of 1 chart" in out
+    with open_store(f"sqlite:///{path}") as store:
+        assert [str(one.settings.kind) for one in store.chart_references(STATION)] == ["i-mr"]
+        first, _, last = store.all_chart_references(STATION)
+        assert (first.retired, last.retired, last.operator, last.why) == (False, True, "Ada", "one chart is enough")
+        # What held before holds for what was made before.
+        assert len(store.chart_references(STATION, until=store.all_chart_references(STATION)[1].reference)) == 2
+    assert guarded(["db", "changes", "--database", str(path)]) == 0
+    assert "retired: nothing is charted against these limits from here on" in capsys.readouterr().out
+    page = tmp_path / "page.html"
+    assert command(path, "--retire", "i-mr", "--operator", "Ada", "--output", page)[0] == 0
+    assert "Nothing is charted here now." in page.read_text()
+    with open_store(f"sqlite:///{path}") as store:
+        assert charts_after(store, store.identity(store.find_runs()[0].run)) is None
+    assert "no reference period is stored" in command(path)[2]
+    assert command(path, *NEW, "--chart", "cusum")[0] == 1
+    assert "1 of 1 chart" in command(path)[1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--retire", "cusum", "--operator", "Ada"), "no chart cusum of these metrics holds on this station"),
+        (("--retire", "cusum", "--operator", "Ada"), "charts that hold are i-mr"),
+        (("--retire", "i-mr"), "nobody retires these charts"),
+        (("--retire", "pie", "--operator", "Ada"), "--retire is 'pie' allowed: i-mr, xbar-r, ewma, cusum"),
+        (("--retire", "i-mr", *NEW), "--retire beside a new reference period"),
+        (("--retire", "i-mr", "--operator", "Ada", "--dry-run"), "--dry-run without a new reference period"),
+    ],
+)
+def test_what_cannot_be_retired_is_refused(tmp_path, command, arguments, words):
+    path = tmp_path / "runs.db"
+    fill(path, values(count=30))
+    command(path, *NEW)
+    code, _, err = command(path, *arguments)
+    assert code == 2
+    assert words in err
+    with open_store(f"sqlite:///{path}") as store:
+        assert len(store.all_chart_references(STATION)) == 1
+
+
+def test_runs_without_measurements_are_said(tmp_path, command):
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:
+        for day in range(9):
+            store_run(store, "S-01", (), station=STATION, day=day)
+    for option in ((), ("--metric", "force_gain")):
+        code, _, err = command(tmp_path / "runs.db", "--reference-runs", 8, "--dry-run", *option)
+        assert (code, err) == (2, "cbsr-qa: none of these runs has measurements choose runs that were finished")
+
+
+def test_units_that_are_mixed_within_a_run_are_named_with_it(tmp_path, command):
+    path = tmp_path / "runs.db"
+    fill(path, values(count=20))
+    odd = (*judged(11.0)[:1], Measurement("force_gain", 0.01, "kN/V"))
+    command(path, "--reference-runs", 15, "--operator", "Zoë")
+    with open_store(f"sqlite:///{path}", durable=False) as store:
+        run = store_run(store, "S-700", odd, station=STATION, day=30)
+        # At the end of a run too: it is no value there, neither of its units alone.
+        there = store.identity(run)
+        assert charts_after(store, there).signals == charts_after(store, there, odd).signals == ()
+    out = command(path)[1]
+    assert f"values are in several units within the run, N/V and kN/V: S-700 (run {run} on {STATION})" in out
+    assert "could not be measured" not in out
+
+
+def test_values_that_do_not_differ_name_the_metric_once(tmp_path, command):
+    fill(tmp_path / "runs.db", values(count=30))
+    err = command(tmp_path / "runs.db", *NEW, "--metric", "drift")[2]
+    assert "drift: individuals: all 30 values of the reference period are 0.1" in err
+    assert err.count("drift") == 1
+
+
+def test_what_was_left_out_of_a_reference_that_is_too_short_is_said(tmp_path, command):
+    fill(tmp_path / "runs.db", values(count=20))
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:
+        store_run(store, "S-600", judged(10.0, "kN/V"), station=STATION, day=30)
+    code, _, err = command(
+        tmp_path / "runs.db", "--reference-runs", 21, "--operator", "Zoë", "--metric", "force_gain"
+    )
+    assert code == 2
+    assert "20 runs in the reference period instead of 21; left out: in kN/V instead of N/V: S-600" in err
+
+
+def test_a_file_that_is_no_page_is_refused_before_a_reference_is_stored(tmp_path, command):
+    database = tmp_path / "runs.db"
+    fill(database, values(count=40))
+    code, _, said = command(database, *NEW, "--output", database)
+    assert code == 2
+    assert "runs.db is there and is no page: it is not written over" in said
+    with open_store(f"sqlite:///{database}") as store:
+        assert store.chart_references(STATION) == ()
+    command(database, *NEW)
+    with open_store(f"sqlite:///{database}") as store:
+        assert len(store.chart_references(STATION)) == 1

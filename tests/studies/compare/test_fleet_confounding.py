@@ -1,0 +1,246 @@
+"""Fleets as columns: batches that coincide with periods or software, wrong clocks, and values nobody can use."""
+
+from dataclasses import replace
+from datetime import UTC, datetime, timedelta
+from html import unescape
+
+import numpy as np
+import pytest
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.domain.results import FleetRun, FleetTable, Kind, MetricKey, Outcome
+from cbsr_qa.studies.compare.comparison import compare
+from cbsr_qa.studies.compare.design import design_of
+from cbsr_qa.studies.compare.groups import grouped
+from cbsr_qa.studies.compare.page import write_page
+from cbsr_qa.studies.compare.terms import By, Period, Policy, Terms
+from cbsr_qa.studies.compare.wording import rules, sentences
+
+BEGAN = datetime(2026, 1, 5, tzinfo=UTC)
+NOW = BEGAN + timedelta(days=100)
+NOISE_MM = 0.3
+BATCH_MM = 2.0
+DAYS = Terms(By.PERIOD, period=Period.DAY)
+
+
+def run_of(number, batch, station="A", day=0, serial=None, **changes):
+    began = BEGAN + timedelta(days=day, minutes=number)
+    one = FleetRun(
+        run=f"run-{number:04d}",
+        serial=serial or f"S-{number:03d}",
+        batch=batch,
+        material="cbsr",
+        station=station,
+        recipe="short",
+        started_at=began,
+        made_at=began,
+        finished=True,
+        outcome=Outcome.PASS,
+        software=(("cbsr-qa", "1.0"),),
+        simulated=(),
+    )
+    return replace(one, **changes)
+
+
+def table_of(runs, values, names=("gap",)):
+    """Runs with one value of each metric: (R,) or (R, metrics)."""
+    values = np.asarray(values, dtype=float).reshape(len(runs), len(names))
+    count = len(runs) * len(names)
+    kinds = tuple(Kind(MetricKey(name), "mm", "", None, None) for name in names)
+    run, kind = np.divmod(np.arange(count, dtype=np.int32), np.int32(len(names)))
+    return FleetTable(tuple(runs), kinds, run, kind, values.ravel(), np.zeros(count, np.uint8))
+
+
+def without(table, dropped):
+    """Leave rows of values out: pairs of run and metric."""
+    pairs = set(dropped)
+    kept = np.array([pair not in pairs for pair in zip(table.run.tolist(), table.kind.tolist(), strict=True)])
+    columns = {name: getattr(table, name)[kept] for name in ("run", "kind", "value", "state")}
+    return replace(table, **columns)
+
+
+def fleet(seed, plan):
+    """Draw runs of a plan of (batch, station, day): a batch "42" reads BATCH_MM more, nothing else differs."""
+    random = np.random.default_rng(seed)
+    runs = [run_of(number, *row) for number, row in enumerate(plan)]
+    return runs, NOISE_MM * random.standard_normal(len(runs)) + [BATCH_MM * (run.batch == "42") for run in runs]
+
+
+def crossed(sensors=6):
+    """Batch 41 runs mostly on day 0 and 42 mostly on day 1, some of both on both, at two stations."""
+    plan = []
+    for station in "AB":
+        for batch, days in (("41", (0, 0, 1)), ("42", (0, 1, 1))):
+            plan += [(batch, station, day) for day in days for _ in range(sensors)]
+    return plan
+
+
+def test_a_batch_is_not_taken_for_the_day_it_was_tested_on():
+    found = [compare(table_of(*fleet(seed, crossed())), DAYS, NOW).metrics[0].differences[0] for seed in range(40)]
+    assert {(one.group, one.reference) for one in found} == {("2026-01-06", "2026-01-05")}
+    # No day differs; the mean of a day does by a third of the batches' difference, and a t test claims it.
+    assert abs(np.mean([one.value for one in found])) < 0.1
+    assert sum(one.interval.holds(0.0) for one in found) >= 35
+    assert all(one.naive.difference > 0.4 for one in found)
+    assert all(one.model.startswith("fixed: group and each station's batches") for one in found)
+
+
+def test_days_that_are_batches_are_not_compared():
+    plan = [(batch, station, day) for day, batch in enumerate(("41", "42")) for station in "AB" for _ in range(8)]
+    made = compare(table_of(*fleet(1, plan)), DAYS, NOW)
+    (one,) = made.metrics[0].differences
+    assert one.value is None
+    assert one.warnings == (
+        "periods and batches cannot be told apart: 2026-01-06 is batch 42 only; 2026-01-05 is batch 41 only; "
+        "run some sensors of one batch at one station in both",
+    )
+    assert one.naive.difference == pytest.approx(BATCH_MM, abs=0.4)
+    assert not any("not compared with groups" in note for note in made.metrics[0].notes)
+
+
+def test_software_that_is_a_batch_is_not_compared_with_the_other():
+    runs, values = fleet(2, [("41", "A", 0), ("42", "A", 0), ("41", "B", 0), ("42", "B", 0)] * 6)
+    runs = [replace(run, software=(("cbsr-qa", "2.0" if run.batch == "42" else "1.0"),)) for run in runs]
+    (one,) = compare(table_of(runs, values), Terms(By.SOFTWARE), NOW).metrics[0].differences
+    assert one.value is None
+    assert one.warnings[0].startswith(
+        "software versions and batches cannot be told apart: cbsr-qa 2.0 is batch 42 only"
+    )
+
+
+def test_days_at_stations_of_their_own_and_days_that_share_no_batch_at_a_station_are_told_as_such():
+    plan = [("41", "A", 0), ("42", "A", 0), ("41", "B", 1), ("42", "B", 1)] * 4
+    (one,) = compare(table_of(*fleet(3, plan)), DAYS, NOW).metrics[0].differences
+    assert one.warnings[0].startswith("periods and stations cannot be told apart: 2026-01-06 is B only")
+    plan = [("41", "A", 0), ("42", "B", 0), ("41", "B", 1), ("42", "A", 1)] * 4
+    (one,) = compare(table_of(*fleet(3, plan)), DAYS, NOW).metrics[0].differences
+    assert one.warnings[0].startswith("periods cannot be told from batches and stations: 2026-01-06 is batch 42 at A")
+
+
+def test_what_a_difference_of_periods_rests_on_is_said_and_stations_are_compared_beside(tmp_path):
+    runs, values = fleet(4, crossed())
+    made = compare(table_of(runs, values + [1.0 * (run.station == "B") for run in runs]), DAYS, NOW)
+    assert any("differences from 2026-01-05 rest on batches" in said for said in made.warnings)
+    assert any(said.endswith("with 2026-01-06 (batch 41, 42)") for said in made.warnings)
+    (station,) = made.metrics[0].stations
+    assert (station.group, station.reference) == ("B", "A")
+    assert station.interval.holds(1.0)
+    with_batches = compare(
+        table_of(runs, values + [1.0 * (run.station == "B") for run in runs]), Terms(By.STATION), NOW
+    )
+    assert station.value == with_batches.metrics[0].differences[0].value
+    write_page(made, tmp_path / "page.html")
+    html = unescape((tmp_path / "page.html").read_text())
+    assert "What stations read above the one with most runs, the batches' differences taken out" in html
+    one_batch = [replace(run, batch="41") for run in runs]
+    alone = compare(table_of(one_batch, values), DAYS, NOW)
+    assert alone.metrics[0].differences[0].model.startswith("fixed: group and station")
+    assert not any("batch" in said for said in alone.warnings)
+
+
+def test_the_earliest_period_is_the_reference_unless_one_is_named():
+    runs, values = fleet(5, [("41", "A", 0)] * 3 + [("41", "A", 1)] * 9)
+    assert compare(table_of(runs, values), DAYS, NOW).reference == "2026-01-05"
+    named = replace(DAYS, groups=("2026-01-06", "2026-01-05"))
+    assert compare(table_of(runs, values), named, NOW).reference == "2026-01-06"
+
+
+def test_a_clock_wrong_by_a_year_is_told_by_the_identifiers_where_stations_test_batches_of_their_own():
+    runs, values = fleet(6, [("41", "A", 0), ("42", "B", 0), ("43", "C", 0)] * 5)
+    year = timedelta(days=365)
+    wrong = [replace(run, started_at=run.started_at - year) if run.station == "B" else run for run in runs]
+    (said,) = (one for one in compare(table_of(wrong, values), Terms(By.BATCH), NOW).warnings if "clock" in one)
+    assert said.startswith("Station B states for 5 runs (S-001, ")
+    assert "began on 2025-01-05 to 2025-01-05, and their identifiers were made 365 days later" in said
+    months = compare(table_of(wrong, values), Terms(By.PERIOD), NOW).warnings
+    assert any("Periods are taken from those clocks" in one for one in months)
+    assert not any("clock" in one for one in compare(table_of(runs, values), Terms(By.BATCH), NOW).warnings)
+
+
+def test_identifiers_say_nothing_of_clocks_where_a_fleet_was_stored_all_at_once():
+    runs, values = fleet(6, [("41", "A", 0), ("42", "B", 30)] * 5)
+    copied = [replace(run, made_at=BEGAN + timedelta(days=60)) for run in runs]
+    assert not any("clock" in one for one in compare(table_of(copied, values), Terms(By.BATCH), NOW).warnings)
+
+
+@pytest.mark.parametrize("value", [1e200, -1e200, np.inf, -np.inf])
+def test_a_value_nothing_can_be_made_of_is_left_out_with_its_sensor_named_and_the_rest_compared(value):
+    runs, values = fleet(7, [("41", "A", 0), ("42", "A", 0)] * 6)
+    both = np.column_stack([values, values])
+    both[3, 1] = value
+    made = compare(table_of(runs, both, ("gap", "noise")), Terms(By.BATCH), NOW)
+    gap, noise = made.metrics
+    assert [one.count for one in gap.described] == [6, 6]
+    assert [one.count for one in noise.described] == [6, 5]
+    assert noise.differences[0].value == pytest.approx(BATCH_MM, abs=0.7)
+    (said,) = noise.figures.warnings
+    assert said == f"1 run has a value that is infinite or beyond 1e+150, left out of it: S-003 ({value:g})"
+
+
+def test_a_metric_that_runs_do_not_hold_at_all_is_named():
+    runs, values = fleet(8, [("41", "A", 0), ("42", "A", 0), ("43", "A", 0)] * 4)
+    table = table_of(runs, np.column_stack([values, values]), ("gap", "noise"))
+    third = [number for number, run in enumerate(runs) if run.batch == "43"]
+    made = compare(without(table, {(0, 0), *((number, 1) for number in third)}), Terms(By.BATCH), NOW)
+    gap, noise = made.metrics
+    assert gap.figures.warnings == ("1 run does not hold it and is left out of it: S-000",)
+    assert noise.figures.warnings == ("4 runs do not hold it and are left out of it: S-002, S-005, S-008, S-011",)
+    refused = next(one for one in noise.differences if one.group == "43")
+    assert refused.warnings == ("no run of 43 that counts has a value of it",)
+    assert any("no run of 43 that counts has a value of it" in said for said in sentences(made))
+
+
+def test_recipes_that_do_not_measure_a_metric_are_named_instead_of_their_sensors():
+    runs, values = fleet(9, [("41", "A", 0), ("42", "A", 0)] * 4)
+    runs = [replace(run, recipe="other") if number < 2 else run for number, run in enumerate(runs)]
+    table = without(table_of(runs, np.column_stack([values, values]), ("gap", "noise")), {(0, 1), (1, 1)})
+    noise = compare(table, Terms(By.BATCH), NOW).metrics[1]
+    assert noise.figures.warnings == ("2 runs are left out of it, of recipes that do not measure it: other",)
+
+
+def test_runs_of_golden_sensors_that_checked_a_station_do_not_count():
+    runs, values = fleet(10, [("41", "A", 0), ("42", "A", 0)] * 4)
+    runs = [replace(run, of_check=number < 1) for number, run in enumerate(runs)]
+    made = compare(table_of(runs, values), Terms(By.BATCH), NOW)
+    assert {group.name: group.runs for group in made.groups} == {"41": 3, "42": 4}
+    assert "1 run is a golden sensor's that checked its station and is left out" in made.warnings
+    every = [replace(run, of_check=True) for run in runs]
+    with pytest.raises(RefusedError, match="of 8 stored runs none"):
+        compare(table_of(every, values), Terms(By.BATCH), NOW)
+
+
+def test_runs_of_one_sensor_are_kept_in_their_order():
+    runs = [run_of(number, "41", serial="G-1" if number % 2 else "G-2") for number in range(9)]
+    found = grouped(runs, Terms(By.BATCH))
+    assert found.tests["41"] == {"G-2": (0, 2, 4, 6, 8), "G-1": (1, 3, 5, 7)}
+    assert found.deciding(runs, Policy.FIRST)["41"].tolist() == [0, 1]
+
+
+def test_a_design_names_its_levels_only_where_batches_could_be_taken_for_groups():
+    runs, _ = fleet(11, crossed(1))
+    assert design_of(runs, grouped(runs, DAYS), By.PERIOD).sides[0] == "A (batch 41)"
+    assert design_of(runs, grouped(runs, Terms(By.BATCH)), By.BATCH).sides[0] == "A"
+    nameless = [replace(run, batch="") if run.batch == "41" else run for run in runs]
+    assert design_of(nameless, grouped(nameless, DAYS), By.PERIOD).sides[0] == "A (batch not stated)"
+
+
+def test_what_was_taken_out_of_a_difference_of_periods_is_said():
+    runs, values = fleet(12, crossed())
+    table = table_of(runs, values + [3.0 * (run.started_at.day == 6) for run in runs])
+    (said, *_) = sentences(compare(table, DAYS, NOW))
+    assert said.endswith(", with the stations' and batches' differences taken out.")
+    one_batch = replace(table, runs=tuple(replace(run, batch="41") for run in runs))
+    (said, *_) = sentences(compare(one_batch, DAYS, NOW))
+    assert said.endswith(", with the stations' differences taken out.")
+
+
+def test_rules_and_captions_say_that_yields_and_means_hold_what_stations_differ_by(tmp_path):
+    made = compare(table_of(*fleet(13, crossed(2))), Terms(By.BATCH), NOW)
+    (said,) = (words for words in rules(made) if words.startswith("Yields, means, quantiles and capability"))
+    assert "what stations differ by is in them" in said
+    assert "(cbsr-qa verdict override) does not count" in said
+    write_page(made, tmp_path / "page.html")
+    html = unescape((tmp_path / "page.html").read_text())
+    assert "Sensors and yields of what was measured, stations' differences included" in html
+    assert "Of one figure a sensor as it was measured, stations' differences included" in html
+    assert "Capability against the recipe's limits, stations' differences included" in html

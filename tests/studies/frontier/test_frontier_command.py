@@ -1,0 +1,232 @@
+"""``frontier`` on trials made by hand: wishes, messages, the document, the recipe file, the page and the picture."""
+
+import json
+
+import pytest
+
+from cbsr_qa.cli import guarded
+from cbsr_qa.config import load_recipe
+from cbsr_qa.studies.frontier import frontier as app
+from cbsr_qa.studies.frontier.page import alike_in, notes_of
+from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point, Task
+from cbsr_qa.studies.frontier.setting import FARTHEST, Setting
+from cbsr_qa.studies.frontier.station import PAPER, Tried
+
+SHORT = Setting(12, hold_s=15.0, rest_s=5.0, predicted=True)
+CHOSEN = Setting(9, rest_s=5.0, choice=FARTHEST)  # no recipe chooses as it goes
+FORCES = {PAPER: (0.10, 0.11), SHORT: (0.12, 0.11), Setting(30): (0.08, 0.08), CHOSEN: (0.01, 0.01)}
+
+
+def trials():
+    return [
+        Tried("made up", setting, seed, {"force_error": force, "map_error": force / 10})
+        for setting, forces in FORCES.items()
+        for seed, force in enumerate(forces)
+    ]
+
+
+def measured():
+    return Point(Clock.COMPUTER, "images", {"size_mm": 3.0}, {"E_CoM": Accuracy(0.5, 0.1, "mm")}, 1e-3, None, 3)
+
+
+@pytest.fixture
+def sweeps(monkeypatch, tmp_path):
+    """Replace both sweeps by one piece each; return how often they were worked out."""
+    worked = []
+
+    def station(bench, *, quick):
+        yield "all", "all of it", lambda: worked.append("station") or trials()
+
+    def computer(*, quick=False):
+        return [Task("images", "images", lambda: worked.append("computer") or measured())]
+
+    monkeypatch.setattr(app, "station_work", station)
+    monkeypatch.setattr(app, "computer_tasks", computer)
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
+    return worked
+
+
+def refused(capsys, *arguments):
+    assert guarded(["frontier", *arguments]) == 2
+    return capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--clock", "x"), ["--clock is 'x'", "station, computer or both"]),
+        (("--budget", "20"), ["--budget is '20'", "with its unit", "20min"]),
+        (("--budget", "-20min"), ["--budget is '-20min'"]),
+        (("--budget", "0 h"), ["--budget is '0 h'", "above 0"]),
+        (("--budget", "20 days"), ["--budget is '20 days'"]),
+        (("--force-error", "0.5"), ["--force-error is '0.5'", "with its unit", "0.5N"]),
+        (("--force-error", "0N"), ["above 0"]),
+        (("--force-error", "1 kg"), ["--force-error is '1 kg'"]),
+    ],
+)
+def test_what_is_misspelt_is_refused_before_anything_is_simulated(sweeps, capsys, arguments, said):
+    message = refused(capsys, *arguments)
+    assert all(words in message for words in said), message
+    assert sweeps == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "places"),
+    [
+        ((), 12),
+        (("--budget", "2h"), 30),
+        (("--budget", "120 min"), 30),
+        (("--budget", "1500s"), 12),
+        (("--force-error", "0.2N"), 12),
+        (("--force-error", "90mN"), 30),
+    ],
+)
+def test_wishes_are_understood(sweeps, capsys, arguments, places):
+    assert guarded(["frontier", "--clock", "station", *arguments, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["recommended"]["setting"]["places"] == places
+
+
+def test_the_document_is_what_was_agreed(sweeps, capsys):
+    assert guarded(["frontier", "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert len(document["points"]) == len(FORCES) + 1
+    for point in document["points"]:
+        assert {"clock", "knobs", "accuracy", "compute_s", "station_s", "pareto"} <= point.keys()
+        assert isinstance(point["pareto"], bool)
+        assert all({"value", "stderr", "unit"} <= figure.keys() for figure in point["accuracy"].values())
+    assert [point["clock"] for point in document["points"]] == ["station"] * len(FORCES) + ["computer"]
+    recommended = document["recommended"]
+    assert recommended["setting"]["transients"] == "predicted"
+    assert recommended["station_s"] <= 25 * 60
+    assert "times that of the paper's campaign" in recommended["why"]
+    assert recommended["recipe"] is None
+
+
+def test_what_is_finished_is_not_done_again_unless_asked(sweeps, capsys):
+    assert guarded(["frontier"]) == guarded(["frontier", "--force-error", "0.2N"]) == 0
+    assert sweeps == ["station", "computer"]
+    assert guarded(["frontier", "--clock", "station", "--fresh"]) == 0
+    assert sweeps == ["station", "computer", "station"]
+    assert "recommended: 12 places at 25 % strain, 1 time, held 15 s" in capsys.readouterr().out
+
+
+def test_a_wish_that_nothing_meets_is_no_recommendation(sweeps, capsys, tmp_path):
+    assert guarded(["frontier", "--clock", "station", "--force-error", "1mN", "--json"]) == 0
+    recommended = json.loads(capsys.readouterr().out)["recommended"]
+    assert recommended["setting"] is None
+    assert "none of the 3 settings" in recommended["why"]  # the one that is no recipe is none of them
+    recipe = tmp_path / "nothing.toml"
+    assert "there is no recipe to write" in refused(capsys, "--force-error", "1mN", "--recipe", str(recipe))
+    assert not recipe.exists()
+
+
+def test_the_recipe_is_one_that_run_accepts(sweeps, capsys, tmp_path):
+    path = tmp_path / "new folder" / "short.toml"
+    assert guarded(["frontier", "--clock", "station", "--recipe", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["recommended"]["recipe"] == str(path)
+    recipe = load_recipe(str(path)).value
+    assert (recipe.name, recipe.analysis.transients) == ("short", "predicted")
+    assert "Simulated: force error 0.115 ± 0.005 N over 2 sensors" in path.read_text()
+    asked = ["run", "--station", "simulated", "--recipe", str(path), "--serial", "S-1", "--dry-run"]
+    assert guarded(asked) == 0
+    assert "station time" in capsys.readouterr().out
+
+
+def test_files_that_cannot_be_written_are_refused_by_name(sweeps, capsys, tmp_path):
+    (tmp_path / "file").write_text("")
+    for option, name in (("--recipe", "r.toml"), ("--output", "page.html"), ("--png", "plot.png")):
+        message = refused(capsys, "--clock", "station", option, str(tmp_path / "file" / name))
+        assert str(tmp_path / "file") in message, message
+    assert sweeps == []
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (("--output", "{}"), ["--output: {} is a folder"]),
+        (("--recipe", "{}/short"), ["{}/short is no name of a recipe file", ".toml"]),
+        (("--recipe", "{}/notes.toml"), ["{}/notes.toml exists already", "did not write it"]),
+        (("--recipe", "{}/new.toml", "--clock", "computer"), ["--recipe: there is no recipe to write"]),
+        (("--output", "{}/one.png", "--png", "{}/one.png"), ["--output, --png name the same file"]),
+    ],
+)
+def test_files_are_refused_before_anything_is_simulated(sweeps, capsys, tmp_path, arguments, said):
+    (tmp_path / "notes.toml").write_text("# mine\n")
+    message = refused(capsys, *(text.format(tmp_path) for text in arguments))
+    assert all(words.format(tmp_path) in message for words in said), message
+    assert sweeps == []
+    assert (tmp_path / "notes.toml").read_text() == "# mine\n"
+
+
+def test_a_recipe_that_was_written_here_is_written_over_and_it_is_said(sweeps, capsys, tmp_path):
+    path = tmp_path / "short.toml"
+    asked = ["frontier", "--clock", "station", "--recipe", str(path)]
+    assert guarded(asked) == 0
+    assert "in place of" not in capsys.readouterr().err
+    assert guarded([*asked, "--budget", "2h"]) == 0
+    assert f"{path}, in place of the one that was there" in capsys.readouterr().err
+    assert "at most 120 min" in path.read_text()
+
+
+def test_one_table_alone_has_nothing_else_to_be_told_from(sweeps, capsys):
+    assert guarded(["frontier", "--clock", "station"]) == 0
+    shown = capsys.readouterr().out
+    assert "hold [s]" in shown  # which differs
+    assert "in all:" not in shown  # there is no other table
+
+
+def test_knobs_that_one_row_hides_are_those_that_other_tables_set_otherwise():
+    def point(series, **knobs):
+        return Point(Clock.STATION, series, knobs, {}, None, 60.0, 1)
+
+    rest = [point("rest", places=16, hold_s=15.0, frames=4)]
+    hold = [point("hold", places=16, hold_s=60.0, frames=4), point("hold", places=16, hold_s=15.0, frames=4)]
+    assert alike_in(rest, [*rest, *hold]) == "hold 15 s"
+    assert alike_in(hold, [*rest, *hold]) == ""
+
+
+def test_notes_name_the_row_they_are_on():
+    def point(size, note, method="a"):
+        knobs = {"method": method, "size_mm": size}
+        return Point(Clock.COMPUTER, "mesh", knobs, {}, 1.0, None, 1, note)
+
+    assert notes_of([point(6, "527 elements"), point(3, "2025 elements"), point(2, "")]) == [
+        "size 6 mm: 527 elements",
+        "size 3 mm: 2025 elements",
+    ]
+    assert notes_of([point(6, "208 readings"), point(3, "208 readings")]) == ["208 readings"]
+
+
+def test_kept_pieces_of_somebody_else_are_refused_by_name(sweeps, capsys, tmp_path):
+    kept = tmp_path / "var" / "frontier" / "station.jsonl"
+    kept.parent.mkdir(parents=True)
+    kept.write_text("notes\n")
+    assert guarded(["frontier", "--clock", "station"]) != 0
+    message = capsys.readouterr().err
+    assert str(kept) in message
+    assert "--fresh" in message
+    assert sweeps == []
+    assert guarded(["frontier", "--clock", "station", "--fresh"]) == 0
+
+
+def test_page_and_picture_are_written(sweeps, capsys, tmp_path):
+    page, picture = tmp_path / "page.html", tmp_path / "plot.png"
+    assert guarded(["frontier", "--output", str(page), "--png", str(picture)]) == 0
+    text = page.read_text()
+    assert "What accuracy costs in time" in text
+    assert "E_CoM is how far" in text
+    assert "made up" in text
+    assert "<svg" in text
+    assert picture.read_bytes().startswith(b"\x89PNG")
+    assert "no force error to draw" in refused(capsys, "--clock", "computer", "--png", str(tmp_path / "no.png"))
+
+
+@pytest.mark.parametrize("name", ["plot.bmp", "plot", ""])
+def test_pictures_are_png_and_written_where_they_are_said_to_be(sweeps, capsys, tmp_path, name):
+    folder = tmp_path / "pictures"
+    folder.mkdir()
+    message = refused(capsys, "--clock", "station", "--png", str(folder / name))
+    assert f"{folder / name} is no name of a PNG picture" in message
+    assert sweeps == []
+    assert list(folder.iterdir()) == []
+    assert not (tmp_path / "pictures.png").exists()

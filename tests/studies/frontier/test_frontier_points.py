@@ -1,0 +1,197 @@
+"""Points of the frontier: what a document keeps of them, and which ones are worth their time."""
+
+import json
+import math
+
+import pytest
+from hypothesis import given, strategies as st
+
+from cbsr_qa.domain import NumericsError, StoreError
+from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point
+from cbsr_qa.studies.frontier.recommend import joint_stderr, undominated, undominated_within_errors
+
+numbers = st.floats(-1e6, 1e6)
+figures = st.builds(
+    Accuracy, numbers, st.none() | st.floats(0, 1e6), st.sampled_from(["mm", "%", "1"]), st.booleans()
+)
+points = st.builds(
+    Point,
+    st.sampled_from(list(Clock)),
+    st.text(max_size=5),
+    st.dictionaries(
+        st.text(max_size=5), st.text(max_size=5) | numbers | st.integers(-100, 100) | st.booleans(), max_size=3
+    ),
+    st.dictionaries(st.text(max_size=5), figures, max_size=3),
+    st.none() | numbers,
+    st.none() | numbers,
+    st.integers(1, 9),
+    st.text(max_size=5),
+    st.dictionaries(st.text(max_size=5), numbers, max_size=2),
+)
+# Few different numbers, so that ties and dominance are common.
+pairs = st.lists(st.tuples(st.integers(0, 4), st.integers(0, 4), st.integers(0, 4)), max_size=12)
+measured = st.lists(
+    st.tuples(
+        st.integers(0, 3),
+        st.dictionaries(
+            st.sampled_from("abc"), st.tuples(st.integers(0, 6), st.sampled_from([None, 0.0, 0.6, 1.1, 1.6]))
+        ),
+    ),
+    max_size=10,
+)
+
+
+def _point(cost: float, figures: dict[str, tuple[float, float | None]], *, more_is_better: bool = False) -> Point:
+    accuracy = {name: Accuracy(value, stderr, "mm", more_is_better) for name, (value, stderr) in figures.items()}
+    return Point(Clock.COMPUTER, "made up", {"cost": cost}, accuracy, float(cost), None, 1)
+
+
+def _cost(point: Point) -> float | None:
+    return point.compute_s
+
+
+def _exact(rows):
+    return undominated(rows, lambda row: row[0], lambda row: row[1:])
+
+
+@given(points)
+def test_a_point_survives_its_document_and_json(point):
+    assert Point.from_document(json.loads(json.dumps(point.document()))) == point
+    assert Point.from_document(point.document(pareto=True)) == point
+
+
+def test_a_document_has_what_the_contract_of_json_asks_for():
+    point = _point(2.0, {"E_CoM": (0.5, 0.1)})
+    document = point.document(pareto=False)
+    assert {"clock", "knobs", "accuracy", "compute_s", "station_s", "pareto"} <= document.keys()
+    assert document["clock"] == "computer"
+    assert {"value": 0.5, "stderr": 0.1, "unit": "mm"}.items() <= document["accuracy"]["E_CoM"].items()
+    assert document["pareto"] is False
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("clock", "sun"),
+        ("seeds", 1.5),
+        ("seeds", True),
+        ("seeds", 0),
+        ("compute_s", "fast"),
+        ("accuracy", {"E": {"value": 1}}),
+        ("knobs", {"a": None}),
+        ("knobs", []),
+        ("series", 3),
+        ("costs", {"setup_s": math.nan}),
+    ],
+)
+def test_a_damaged_document_is_refused(key, value):
+    document = _point(1.0, {}).document()
+    with pytest.raises(StoreError, match="stored point"):
+        Point.from_document({**document, key: value})
+    with pytest.raises(StoreError, match=key):
+        Point.from_document({name: kept for name, kept in document.items() if name != key})
+
+
+@pytest.mark.parametrize(("value", "stderr"), [(math.nan, None), (1.0, math.inf), (1.0, -0.1), (math.inf, 0.1)])
+def test_an_accuracy_is_finite_or_absent(value, stderr):
+    with pytest.raises(NumericsError, match="not a finite number"):
+        Accuracy(value, stderr, "mm")
+
+
+@given(pairs)
+def test_exact_frontier_is_what_no_row_dominates_and_covers_the_rest(rows):
+    kept = _exact(rows)
+    assert any(kept) == bool(rows)
+    front = [row for row, on in zip(rows, kept, strict=True) if on]
+    for row, on in zip(rows, kept, strict=True):
+        at_least_as_good = [one for one in front if all(a <= b for a, b in zip(one, row, strict=True))]
+        assert at_least_as_good, "every row has one on the frontier that is no worse in anything"
+        assert on == all(one == row for one in at_least_as_good)
+
+
+@given(pairs, st.integers(0, 11))
+def test_leaving_a_dominated_row_out_changes_nothing(rows, which):
+    kept = _exact(rows)
+    if which < len(rows) and not kept[which]:
+        fewer = rows[:which] + rows[which + 1 :]
+        assert _exact(fewer) == kept[:which] + kept[which + 1 :]
+
+
+@given(st.tuples(numbers, numbers), st.tuples(numbers, numbers))
+def test_of_two_at_most_one_is_dominated(one, other):
+    assert any(_exact([one, other]))
+    assert _exact([one, other]) == tuple(reversed(_exact([other, one])))
+
+
+@given(measured)
+def test_within_errors_some_are_kept_and_each_other_has_a_reason_among_them(rows):
+    tried = [_point(cost, figures) for cost, figures in rows]
+    kept = undominated_within_errors(tried, _cost)
+    assert any(kept) == bool(tried)
+    front = [point for point, on in zip(tried, kept, strict=True) if on]
+    for point, on in zip(tried, kept, strict=True):
+        assert on != any(_reason(one, point) for one in front)
+
+
+def _reason(one: Point, point: Point) -> bool:
+    """The rule in its own words, written a second time."""
+    both = [(one.accuracy[name], figure) for name, figure in point.accuracy.items() if name in one.accuracy]
+    if len(both) < len(point.accuracy):
+        return False
+    if one.compute_s < point.compute_s and all(
+        a.value - b.value <= math.sqrt((a.stderr or 0) ** 2 + (b.stderr or 0) ** 2) for a, b in both
+    ):
+        return True
+    no_worse = one.compute_s <= point.compute_s and all(a.value <= b.value for a, b in both)
+    return no_worse and (one.compute_s < point.compute_s or any(a.value < b.value for a, b in both))
+
+
+@given(measured, st.integers(0, 9))
+def test_within_errors_a_dominated_setting_left_out_changes_nothing(rows, which):
+    tried = [_point(cost, figures) for cost, figures in rows]
+    kept = undominated_within_errors(tried, _cost)
+    if which < len(tried) and not kept[which]:
+        fewer = tried[:which] + tried[which + 1 :]
+        assert undominated_within_errors(fewer, _cost) == kept[:which] + kept[which + 1 :]
+
+
+@given(measured, st.randoms(use_true_random=False))
+def test_the_order_of_settings_does_not_matter(rows, random):
+    tried = [_point(cost, figures) for cost, figures in rows]
+    order = random.sample(range(len(tried)), len(tried))
+    kept = undominated_within_errors(tried, _cost)
+    assert undominated_within_errors([tried[at] for at in order], _cost) == tuple(kept[at] for at in order)
+
+
+@given(pairs)
+def test_without_errors_of_their_own_both_rules_agree(rows):
+    tried = [_point(cost, {"a": (first, None), "b": (second, 0.0)}) for cost, first, second in rows]
+    assert undominated_within_errors(tried, _cost) == _exact(rows)
+
+
+def test_a_dearer_setting_is_kept_only_where_it_is_better_by_more_than_chance():
+    cheap, alike, better = (_point(cost, {"E": (value, 0.3)}) for cost, value in ((1, 1.0), (2, 0.7), (3, 0.5)))
+    assert joint_stderr(cheap.accuracy["E"], alike.accuracy["E"]) == pytest.approx(0.3 * math.sqrt(2))
+    assert undominated_within_errors([cheap, alike, better], _cost) == (True, False, True)
+    assert undominated([cheap, alike, better], _cost, lambda point: [point.accuracy["E"].shortfall]) == (True,) * 3
+
+
+def test_more_is_better_where_a_figure_says_so():
+    low, high = (_point(cost, {"A_OL": (value, 1.0)}, more_is_better=True) for cost, value in ((1, 60.0), (2, 90.0)))
+    worse = _point(3, {"A_OL": (70.0, 1.0)}, more_is_better=True)
+    assert undominated_within_errors([low, high, worse], _cost) == (True, True, False)
+
+
+def test_only_the_accuracies_asked_for_count():
+    one, other = _point(1, {"a": (1, None), "b": (5, None)}), _point(2, {"a": (1, None), "b": (1, None)})
+    assert undominated_within_errors([one, other], _cost) == (True, True)
+    assert undominated_within_errors([one, other], _cost, ["a"]) == (True, False)
+
+
+def test_a_setting_without_a_cost_is_refused():
+    with pytest.raises(NumericsError, match="costs None"):
+        undominated_within_errors([Point(Clock.STATION, "x", {}, {}, None, None, 1)], lambda point: point.station_s)
+    with pytest.raises(NumericsError, match="costs nan"):
+        undominated([math.nan], lambda cost: cost, lambda _: [1.0])
+    with pytest.raises(NumericsError, match="same errors"):
+        undominated([1.0, 2.0], lambda cost: cost, lambda cost: [cost] * int(cost))

@@ -1,0 +1,115 @@
+"""The setting to take: the cheapest that is accurate enough, or the most accurate there is time for."""
+
+import pytest
+from hypothesis import given, strategies as st
+
+from cbsr_qa.domain import RefusedError
+from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point
+from cbsr_qa.studies.frontier.recommend import USUAL_BUDGET_S, Wish, recommend
+from cbsr_qa.studies.frontier.setting import Setting
+
+
+def way(minutes, force_N, stderr=None, places=9):
+    accuracy = {} if force_N is None else {"force_error": Accuracy(force_N, stderr, "N")}
+    return Setting(places), Point(Clock.STATION, "a", {}, accuracy, None, 60.0 * minutes, 4)
+
+
+QUICK, MIDDLE, SLOW = way(12, 0.2, 0.02, 10), way(22, 0.1, 0.01, 16), way(90, 0.05, 0.005, 30)
+REFUSED = way(5, None, places=3)
+ALL = [SLOW, QUICK, REFUSED, MIDDLE]
+
+somewhat = st.lists(
+    st.tuples(st.floats(1, 400), st.none() | st.floats(1e-3, 10), st.none() | st.floats(0, 1)), max_size=8
+).map(lambda rows: [way(*row) for row in rows])
+wishes = st.builds(Wish, st.none() | st.floats(1e-3, 10), st.none() | st.floats(60, 24000))
+
+
+def surely(one):
+    figure = one[1].accuracy["force_error"]
+    return figure.value + (figure.stderr or 0.0)
+
+
+@pytest.mark.parametrize(
+    ("wish", "expected"),
+    [
+        (Wish(0.15), MIDDLE),
+        (Wish(0.21), MIDDLE),  # 0.2 ± 0.02 N may well be 0.22
+        (Wish(0.23), QUICK),
+        (Wish(0.06), SLOW),
+        (Wish(None, 60 * 60.0), MIDDLE),
+        (Wish(None, 15 * 60.0), QUICK),
+        (Wish(None, 9 * 3600.0), SLOW),
+        (Wish(None, None), MIDDLE),
+        (Wish(0.15, 30 * 60.0), MIDDLE),
+        (Wish(1.0, 24 * 3600.0), QUICK),
+    ],
+)
+def test_what_is_recommended(wish, expected):
+    found = recommend(ALL, wish, paper=None)
+    assert (found.setting, found.point) == expected
+
+
+@given(somewhat, wishes)
+def test_no_other_setting_meets_the_wish_better(tried, wish):
+    usable = [one for one in tried if one[1].accuracy]
+    within = [one for one in usable if wish.budget_s is None or one[1].station_s <= wish.budget_s]
+    if wish.budget_s is None and wish.force_error_N is None:
+        within = [one for one in usable if one[1].station_s <= USUAL_BUDGET_S]
+    enough = [one for one in within if wish.force_error_N is None or surely(one) <= wish.force_error_N]
+    if not enough:
+        with pytest.raises(RefusedError):
+            recommend(tried, wish, paper=None)
+        return
+    found = recommend(tried, wish, paper=None)
+    chosen = (found.setting, found.point)
+    assert chosen in enough
+    if wish.force_error_N is None:
+        assert surely(chosen) == min(map(surely, enough))
+    else:
+        assert found.point.station_s == min(one[1].station_s for one in enough)
+
+
+def test_it_says_what_it_was_chosen_by():
+    limit = "whose force error, with its standard error, is at most 0.15 N"
+    assert recommend(ALL, Wish(0.15), paper=None).why == f"the cheapest of 3 {limit}"
+    assert recommend(ALL, Wish(None, 3600.0), paper=None).why == "the most accurate of 2 that take at most 60 min"
+    said = recommend(ALL, Wish(0.15, 1800.0), paper=None).why
+    assert said == f"the cheapest of 2 that take at most 30 min {limit}"
+
+
+@pytest.mark.parametrize(("paper_N", "words"), [(0.09, "1.11 times"), (0.05, "2.00 times")])
+def test_without_a_wish_it_is_held_against_the_papers_campaign(paper_N, words):
+    why = recommend(ALL, Wish(), paper=way(330, paper_N)[1]).why
+    assert words in why
+    assert ("not within" in why) == (paper_N == 0.05)
+    assert "paper" not in recommend(ALL, Wish(None, 1500.0), paper=way(330, paper_N)[1]).why
+    assert "paper" not in recommend(ALL, Wish(), paper=way(330, None)[1]).why
+
+
+@pytest.mark.parametrize(
+    ("wish", "asked"),
+    [
+        (Wish(0.01), "has a force error, with its standard error, of at most 0.01 N"),
+        (Wish(None, 600.0), "takes at most 10 min"),
+        (Wish(0.06, 3600.0), "of at most 0.06 N in at most 60 min"),
+    ],
+)
+def test_a_wish_that_nothing_meets_is_refused_with_the_nearest(wish, asked):
+    with pytest.raises(RefusedError, match="none of the 3 settings") as refused:
+        recommend(ALL, wish, paper=None)
+    assert asked in refused.value.reason
+    assert "0.050 ± 0.005 N in 90 min" in refused.value.remedy
+    assert "0.200 ± 0.020 N in 12 min" in refused.value.remedy
+
+
+def test_one_sensor_says_nothing_of_a_spread():
+    with pytest.raises(RefusedError) as refused:
+        recommend([way(23, 0.1)], Wish(0.01), paper=None)
+    assert "0.100 N in 23 min" in refused.value.remedy
+
+
+def test_where_nothing_has_a_force_error_that_is_said():
+    with pytest.raises(RefusedError, match="no setting that was tried has a force error"):
+        recommend([REFUSED], Wish(), paper=None)
+    with pytest.raises(RefusedError, match="no setting"):
+        recommend([], Wish(1.0), paper=None)

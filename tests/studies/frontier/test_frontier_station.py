@@ -1,0 +1,77 @@
+"""One simulated sensor goes through settings of the frontier, few places and few held-out loads."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from cbsr_qa.studies.frontier import station
+from cbsr_qa.studies.frontier.runs import simulated_sensor, station_seconds, the_bench
+from cbsr_qa.studies.frontier.setting import CHECK, GRID, Setting
+from cbsr_qa.studies.frontier.station import shortened, tried_alone
+from cbsr_qa.studies.frontier.trial import UNITS, true_settling_s
+
+SHORT = Setting(6, hold_s=15.0, rest_s=10.0, first_rest_s=60.0)
+SEED = 5
+
+
+def test_short_holds_are_worth_something_only_where_they_are_predicted(monkeypatch):
+    monkeypatch.setattr(station, "TEST_LOADS", 6)
+    ((averaged,), (predicted,)) = (
+        tried_alone(the_bench(), SEED, ("tried",), replace(SHORT, predicted=predicted)) for predicted in (False, True)
+    )
+    for one in (averaged, predicted):
+        assert (one.series, one.seed, one.why) == ("tried", SEED, "")
+        assert one.errors.keys() == UNITS.keys()
+        assert all(math.isfinite(value) for value in one.errors.values())
+        assert one.errors["map_error"] < 0.2  # the sheet's own unevenness
+    # At 15 s the material still has a fifth of its change before it, and forces go with the change.
+    assert averaged.errors["force_error"] > 0.5
+    assert predicted.errors["force_error"] < averaged.errors["force_error"] / 3
+
+
+@pytest.fixture(scope="module")
+def few():
+    recipe = replace(SHORT, places=3, hold_s=30.0, checks=1).recipe(the_bench().base, "few")
+    return recipe, simulated_sensor(recipe, SEED)
+
+
+def test_the_dry_run_says_what_a_run_takes(few):
+    recipe, sensor = few
+    spent, said_s = dict(sensor.record.spent), station_seconds(recipe)
+    assert sum(spent.values()) == pytest.approx(sensor.record.station_s)
+    # The simulated head begins at home, where a dry run goes first: 6.6 s. Surfaces are found at the first touch.
+    assert 0 <= said_s - sensor.record.station_s < 10.0
+
+
+def test_a_shortened_run_is_the_same_up_to_the_end_of_its_holds(few):
+    _, sensor = few
+    short = shortened(sensor.record, 12.0)
+    for before, after in zip(sensor.record.phases, short.phases, strict=True):
+        assert after.frames is before.frames
+        for one, other in zip(before.loads, after.loads, strict=True):
+            if before.name != GRID:
+                assert other == one
+                continue
+            assert other.release_start_s - other.hold_start_s == pytest.approx(12.0)
+            assert replace(other, release_start_s=0.0, release_end_s=0.0, clear_s=None) == replace(
+                one, release_start_s=0.0, release_end_s=0.0, clear_s=None
+            )
+            stroke_s = one.release_end_s - one.release_start_s
+            assert other.release_end_s - other.release_start_s == pytest.approx(stroke_s)
+    assert {phase.name for phase in short.phases} >= {GRID, CHECK}
+
+
+def test_holds_that_are_no_longer_than_asked_for_stay(few):
+    _, sensor = few
+    assert shortened(sensor.record, 30.0 + 1e-6).phases == sensor.record.phases
+
+
+def test_the_true_settling_time_is_that_of_the_kernel(few):
+    relaxation = few[1].record.material.loading_relaxation
+    settled_s = true_settling_s(relaxation)
+    weights, taus = np.array(relaxation.weights), np.array(relaxation.time_constants_s)
+    assert abs(weights @ np.exp(-settled_s / taus)) == pytest.approx(0.15)
+    later = settled_s * np.linspace(1.01, 10, 50)
+    assert (np.abs(weights @ np.exp(-later / taus[:, None])) < 0.15).all()

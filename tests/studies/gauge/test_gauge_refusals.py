@@ -1,0 +1,185 @@
+"""What ``gauge`` says of runs that are no study, and of numbers that were meant otherwise."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure as Canvas
+from stored_lots import store_run
+from test_gauge_command import LIMIT, STATIONS, expected, fill, measured, runs
+
+from cbsr_qa.cli import guarded
+from cbsr_qa.domain.results import Measurement
+from cbsr_qa.stats.gauge import gauge_anova, missing_runs
+from cbsr_qa.store import open_store
+from cbsr_qa.studies.gauge import page as figures_gauge
+
+
+@pytest.fixture
+def command(capsys):
+    def run(*arguments):
+        code = guarded(["gauge", *map(str, arguments)])
+        said = capsys.readouterr()
+        return code, " ".join(said.out.split()), " ".join(said.err.split())
+
+    return run
+
+
+@pytest.fixture(scope="module")
+def crossed(tmp_path_factory):
+    fill(path := tmp_path_factory.mktemp("gauge") / "runs.db", runs(trials=3))
+    return path
+
+
+@pytest.mark.parametrize("wrong", ["0.95", "0", "50", "100", "nan"])
+def test_a_confidence_is_in_per_cent(crossed, command, tmp_path, wrong):
+    code, _, err = command("--recipe", "short", "--confidence", wrong, "--database", crossed)
+    assert code == 2
+    assert "allowed: above 50 and below 100 %; give per cent, 95 for 95 %" in err
+    study = tmp_path / "study.toml"
+    study.write_text(f'[study]\nname = "g"\nrecipe = "short"\nconfidence_percent = {wrong}\n')
+    code, _, err = command(study, "--database", crossed)
+    assert code == 2
+    assert "line 4: study.confidence_percent is" in err
+
+
+def test_an_unknown_key_of_a_table_is_told_its_neighbours(crossed, command, tmp_path):
+    study = tmp_path / "study.toml"
+    study.write_text(
+        '[study]\nname = "g"\nrecipe = "short"\n[[reference]]\nserial = "S-01"\nmetric = "force_gain"\n'
+        'unit = "N/V"\nvalue = 10.0\nuncertanty = 0.02\n'
+    )
+    code, _, err = command(study, "--database", crossed)
+    assert code == 2
+    assert "line 9: reference[1].uncertanty is not a known key; did you mean 'uncertainty'?" in err
+    assert "(allowed here: metric, serial, uncertainty, unit, value)" in err
+
+
+@pytest.mark.parametrize("option", [(), ("--largest-balanced",)])
+@pytest.mark.parametrize("whole", [True, False])
+def test_sensors_that_were_run_once_have_no_repeatability(tmp_path, command, option, whole):
+    """Crossed once, or each sensor on one station: no choice of these runs is a study."""
+    rows = [row for row in runs(trials=1) if whole or STATIONS[int(row[0][2:]) % 3] == row[1]]
+    fill(tmp_path / "runs.db", rows)
+    code, _, err = command("--recipe", "short", "--database", tmp_path / "runs.db", *option)
+    assert code == 2
+    assert "every sensor was run once on a station: repeatability needs at least two runs of each" in err
+    assert "uneven" not in err
+    assert "--largest-balanced" not in err
+
+
+def test_runs_that_lack_are_counted_against_those_there_are():
+    assert missing_runs(["A", "A", "B", "B"], ["x", "x", "y", "y"]) == (
+        "A on y has 0 of 2 runs",
+        "B on x has 0 of 2 runs",
+    )
+
+
+def test_no_two_sensors_on_the_same_two_stations_is_said(tmp_path, command):
+    rows = [row for row in runs() if STATIONS[int(row[0][2:]) % 3] == row[1]]
+    fill(tmp_path / "runs.db", rows)
+    code, _, err = command("--recipe", "short", "--largest-balanced", "--database", tmp_path / "runs.db")
+    assert code == 2
+    assert "no two sensors were run twice each on the same two stations: nothing is crossed" in err
+
+
+def test_units_that_are_mixed_within_a_run_are_named_with_it(tmp_path, command):
+    path, odd = (
+        tmp_path / "runs.db",
+        (*measured((9.0,) * 2)[:1], Measurement("force_gain", 9e-3, "kN/V", None, "grid", "L1")),
+    )
+    fill(path, runs())
+    with open_store(f"sqlite:///{path}", durable=False) as store:
+        run = store_run(store, "S-02", odd, station="bench-a", day=9)
+    said = f"values are in several units within the run, N/V and kN/V: S-02 (run {run} on bench-a)"
+    code, out, _ = command("--recipe", "short", "--metric", "force_gain", "--database", path)
+    assert code == 0
+    assert said in out
+    assert "could not be measured" not in out
+    fill(other := tmp_path / "other.db", [])
+    with open_store(f"sqlite:///{other}", durable=False) as store:
+        names = [store_run(store, serial, odd, station=station) for serial, station, *_ in runs()]
+    code, _, err = command("--recipe", "short", "--metric", "force_gain", "--database", other)
+    assert code == 2
+    assert "none of these runs has a value of it; left out: its values are in several units" in err
+    assert names[0] in err
+
+
+def test_runs_without_measurements_are_said(tmp_path, command):
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:
+        store_run(store, "S-01", (), station="bench-a")
+    for option in ((), ("--metric", "force_gain")):
+        code, _, err = command("--recipe", "short", "--database", tmp_path / "runs.db", *option)
+        assert (code, err) == (2, "cbsr-qa: none of these runs has measurements choose runs that were finished")
+
+
+def test_a_station_that_says_what_it_is_is_not_told_twice(tmp_path, command):
+    rows = [(serial, station.replace("bench", "station"), *rest) for serial, station, *rest in runs()]
+    fill(tmp_path / "runs.db", [*rows, rows[0]])
+    err = command("--recipe", "short", "--database", tmp_path / "runs.db")[2]
+    assert "sensor S-01 has 3 runs on station-a, others have 2" in err
+
+
+def test_stability_of_few_runs_has_no_verdict_of_a_chart(tmp_path, crossed, command):
+    given = ("--recipe", "short", "--reference", "S-01.force_gain=10±0.02", "--database")
+    out = command(*given, crossed)[1]
+    assert "3 runs are too few for a chart to say anything (8 at least)" in out
+    assert "gives no signal" not in out
+    (metric,) = json.loads(command("--json", *given, crossed)[1])["metrics"]
+    assert {line["in_control"] for line in metric["references"]["stability"]} == {None}
+    fill(tmp_path / "runs.db", runs(trials=8))
+    out = command(*given, tmp_path / "runs.db")[1]
+    assert "; its chart" in out
+    assert "too few" not in out
+    (metric,) = json.loads(command("--json", *given, tmp_path / "runs.db")[1])["metrics"]
+    assert None not in {line["in_control"] for line in metric["references"]["stability"]}
+
+
+def test_a_stated_uncertainty_widens_the_bias_and_is_said(crossed, command):
+    found = []
+    for stated in ("", "±0.001", "±0.02", "±0.2"):
+        given = ("--recipe", "short", "--reference", f"S-01.force_gain=10{stated} N/V", "--database", crossed)
+        (metric,) = json.loads(command("--json", *given)[1])["metrics"]
+        found.append([(b["bias"]["high"] - b["bias"]["low"], b["bias"]["p"]) for b in metric["references"]["bias"]])
+    assert np.all(np.diff(np.array(found), axis=0) > 0)
+    assert "against 10.00 ± 0.20 N/V in 3 runs" in command(*given)[1]
+
+
+def test_the_page_has_references_in_tables(crossed, command, tmp_path):
+    given = ["--reference", "S-01.force_gain=10±0.02", "--reference", "S-02.force_gain=9"]
+    code, _, err = command("--recipe", "short", *given, "--output", tmp_path / "page.html", "--database", crossed)
+    assert code == 0, err
+    page = (tmp_path / "page.html").read_text()
+    tables = re.findall(r"<table.*?</table>", page, re.S)
+    for caption, rows in (("Bias against reference", 6), ("Linearity of the bias", 3), ("Stability over time", 6)):
+        (table,) = [one for one in tables if caption in one]
+        assert table.count("<tr") == rows + 1
+    assert "Bias of S-01 on" not in page
+
+
+def test_the_terminal_writes_numbers_in_one_way(tmp_path, command):
+    rows = [(*row[:3], tuple(value * 1e-5 for value in row[3])) for row in runs()]
+    fill(tmp_path / "runs.db", rows, limit=None)
+    out = command("--recipe", "short", "--metric", "force_gain", "--database", tmp_path / "runs.db")[1]
+    assert "× 10⁻⁶" in out
+    assert not re.search(r"\de-\d", out)
+
+
+def test_legends_cover_no_panel_and_every_panel_has_its_axis_named(monkeypatch):
+    drawn: list[Canvas] = []
+    keep = figures_gauge.canvas
+    monkeypatch.setattr(figures_gauge, "canvas", lambda height: drawn.append(keep(height)) or drawn[-1])
+    study = expected()
+    variation = gauge_anova(study, tolerance=LIMIT.upper - LIMIT.lower).variation
+    figures_gauge.gauge_figure(study, variation, "N/V", label="force_gain", appraiser="station")
+    (figure,) = drawn
+    renderer = figure.canvas.get_renderer() if hasattr(figure.canvas, "get_renderer") else None
+    panels = [axes.get_window_extent() for axes in figure.axes]
+    legends = [axes.get_legend().get_window_extent(renderer) for axes in figure.axes if axes.get_legend()]
+    assert len(legends) == 2
+    assert not any(legend.overlaps(panel) for legend in legends for panel in panels)
+    assert all(legend.y0 >= 0 for legend in legends)
+    assert {axes.get_ylabel() for axes in figure.axes} == {
+        "share [%]", "each run [N/V]", "range [N/V]", "mean [N/V]"
+    }  # fmt: skip

@@ -1,0 +1,152 @@
+"""Searches round the hard cases: whatever is accepted is right to its condition number, whatever is not is named."""
+
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import event, example, given, settings, strategies as st
+from scipy import linalg
+
+from cbsr_qa.domain import NumericsError
+from cbsr_qa.eit.forward import SCATTERED_ERROR, ValueRangeError
+from cbsr_qa.eit.inverse import dual_matrix, dual_spectrum
+from cbsr_qa.studies.hard_cases.case import Answer, conditioned_bound
+from cbsr_qa.studies.hard_cases.cases import loaded
+from cbsr_qa.studies.hard_cases.cases.forward import _sensitivities, against_fifty_digits
+from cbsr_qa.studies.hard_cases.cases.readings import _in_units, _noise, _offset
+from cbsr_qa.studies.hard_cases.cases.reconstruction import _lasting, ridge_condition
+from cbsr_qa.studies.hard_cases.exact import exact_image
+from cbsr_qa.studies.hard_cases.sheets import (
+    exact_readings,
+    inclusion,
+    islands,
+    relative_error,
+    scattered,
+    small_model,
+)
+
+_FEW = settings(max_examples=15, deadline=None)
+
+
+def check(answer: Answer) -> None:
+    assert np.isfinite(answer.error)
+    assert answer.error <= answer.bound, answer
+
+
+@given(
+    kind=st.sampled_from([inclusion, islands]),
+    contrast=st.floats(-8, 8),
+    contacts=st.lists(st.floats(-9, 9), min_size=8, max_size=8),
+)
+@_FEW
+def test_any_contrast_with_any_contacts_is_right_or_refused(kind, contrast, contacts):
+    model = small_model()
+    impedance = 10 ** np.array(contacts) * model.prepared.contacts.lengths_mm
+    made = None
+    with suppress(ValueRangeError):
+        made = model.changed(conductance=kind(10**contrast), contact_impedance=impedance)
+    if made is not None:
+        event("accepted")
+        check(against_fifty_digits(made))
+
+
+@given(contrast=st.floats(-8, 0), ratio=st.floats(-8.9, 1), of_contacts=st.booleans())
+@example(contrast=-2.0, ratio=0.5, of_contacts=False)  # the furthest apart that is not refined
+@settings(max_examples=8, deadline=None)
+def test_sensitivities_are_right_at_any_contrast_and_good_contact(contrast, ratio, of_contacts):
+    with suppress(ValueRangeError):
+        check(_sensitivities(lambda: islands(10**contrast), 10**ratio, of_contacts))
+
+
+@given(seed=st.integers(0, 2**32 - 1), decades=st.floats(0, 8))
+@example(seed=55, decades=8.0)  # 2e-13, the worst of some hundred
+@_FEW
+def test_any_scatter_of_conductances_is_right(seed, decades):
+    answer = against_fifty_digits(small_model().changed(conductance=scattered(decades, seed)))
+    check(answer if decades <= 5 else replace(answer, bound=max(answer.bound, SCATTERED_ERROR)))
+
+
+@given(base=st.floats(-4, 4), log_factor=st.floats(-4, 4))
+@_FEW
+def test_any_load_on_any_sheet_is_right_by_local_update(base, log_factor):
+    check(loaded(lambda: islands(10**base), 10**log_factor))
+
+
+@given(offset=st.floats(-3, 12))
+@_FEW
+def test_any_offset_costs_the_digits_it_takes_and_no_more(offset):
+    check(_offset(10**offset))
+
+
+@given(unit=st.floats(-30, 30))
+@_FEW
+def test_any_unit_of_voltages_gives_the_same_image(unit):
+    check(_in_units(10**unit))
+
+
+@given(offset=st.integers(0, 20), beginning=st.floats(0, 2e9))
+@_FEW
+def test_noise_is_the_same_on_any_level_at_any_time(offset, beginning):
+    """Levels are powers of two: noise of whole multiples of 2⁻³⁰ is added to them without a rounding."""
+    check(_noise(2.0**offset, beginning))
+
+
+@given(frames=st.floats(-3, 14))
+@settings(max_examples=6, deadline=None)
+def test_frames_alike_for_any_time_are_right(frames):
+    check(_lasting(10**frames))
+
+
+def problem_of(seed: int, decades: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Jacobian with singular values over some decades, weights, variances, readings."""
+    random = np.random.default_rng(seed)
+    left, _ = linalg.qr(random.standard_normal((12, 12)))
+    right, _ = linalg.qr(random.standard_normal((30, 12)), mode="economic")
+    jacobian = (left * np.logspace(0, -decades, 12)) @ right.T
+    return jacobian, random.uniform(0.5, 2.0, 30), random.uniform(0.3, 3.0, 12), random.standard_normal(12)
+
+
+@given(seed=st.integers(0, 2**32 - 1), decades=st.floats(0, 9), relative=st.floats(-12, 6))
+@settings(max_examples=40, deadline=None)
+def test_any_regularisation_of_any_problem_is_right(seed, decades, relative):
+    jacobian, weights, variance, readings = problem_of(seed, decades)
+    sizes = linalg.svdvals(jacobian / np.sqrt(variance)[:, None] / np.sqrt(weights))
+    value = 10**relative * float(sizes[0])
+    exact = exact_image(jacobian, weights, value, variance, readings)
+    bound = conditioned_bound(ridge_condition(sizes, value))
+    for matrix in (
+        dual_matrix(jacobian, weights, value, variance),
+        dual_spectrum(jacobian, weights, variance).matrix(value),
+    ):
+        size = np.linalg.norm(matrix, 2) * np.linalg.norm(readings)
+        assert np.linalg.norm(matrix @ readings - exact) <= bound * size
+
+
+@given(seed=st.integers(0, 2**32 - 1), decades=st.floats(0, 8))
+@_FEW
+def test_no_regularisation_is_the_image_of_least_norm(seed, decades):
+    jacobian, _, _, readings = problem_of(seed, decades)
+    exact = exact_image(jacobian, np.ones(30), 0.0, np.ones(12), readings)
+    sizes = linalg.svdvals(jacobian)
+    found = dual_matrix(jacobian, np.ones(30), 0.0) @ readings
+    assert np.linalg.norm(found - exact) <= conditioned_bound(sizes[0] / sizes[-1]) * np.linalg.norm(exact)
+
+
+def test_a_problem_without_rank_is_refused_without_regularisation():
+    jacobian = np.ones((3, 10))
+    with pytest.raises(NumericsError, match="too small"):
+        dual_matrix(jacobian, np.ones(10), 0.0)
+
+
+def test_truths_agree_where_nothing_is_hard():
+    """The textbook form in fifty digits against the model that eliminates the electrodes, in doubles."""
+    model = small_model()
+    exact = exact_readings(model.mesh, model.pattern, model.conductance, model.contact_impedance)
+    assert relative_error(model.voltages(), exact, model.pattern) < 1e-14
+    driven = ~model.pattern.usable()
+    assert np.allclose(model.voltages()[driven], exact[driven], rtol=1e-13)
+    jacobian, weights, variance, readings = problem_of(3, 1.0)
+    normal = jacobian.T @ (jacobian / variance[:, None]) + 0.04 * np.diag(weights)
+    textbook = np.linalg.solve(normal, jacobian.T @ (readings / variance))
+    assert np.allclose(exact_image(jacobian, weights, 0.2, variance, readings), textbook, rtol=1e-12)

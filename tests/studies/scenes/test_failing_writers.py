@@ -1,0 +1,118 @@
+"""Writers of other people that fail: nothing is left behind, and the format to blame is named."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from cbsr_qa.domain import PluginError, RefusedError
+from cbsr_qa.domain.plan import Transcript
+from cbsr_qa.domain.readings import FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.plugin import discover
+from cbsr_qa.simulate import RecordedScene
+from cbsr_qa.studies.scenes.run import Target, checked_targets, write_all
+
+
+def recorded():
+    frames = FrameBlock(
+        np.arange(3.0), np.ones((3, 16, 16)), np.zeros((3, 16, 16), dtype=np.uint8), VoltageUnit.VOLT, 4e-4, None
+    )
+    recording = Recording(
+        path=Path(),
+        format="cbsr-recording",
+        dataset="",
+        scan=ScanKind.FULL,
+        frames=frames,
+        reference=None,
+        still=False,
+        magnitudes_only=False,
+        clock="station",
+        samples=(),
+        loads=(),
+    )
+    return RecordedScene(recording, Transcript(None, frames.time_s, np.zeros((3, 16), dtype=bool)), ())
+
+
+def target(folder, name, write):
+    writer = type("Theirs", (), {"write": lambda self, path, recording, transcript: write(path)})()
+    return Target(name, folder / f"{name}.txt", writer)
+
+
+def good(path):
+    path.write_text("whole")
+    return ("a note",)
+
+
+def half_and(error):
+    def write(path):
+        path.write_text("half")
+        raise error
+
+    return write
+
+
+def returning(value):
+    def write(path):
+        path.write_text("whole")
+        return value
+
+    return write
+
+
+def test_a_file_that_came_while_the_scene_was_simulated_is_kept(tmp_path):
+    (tmp_path / "second.txt").write_text("somebody's")
+    targets = (target(tmp_path, "first", good), target(tmp_path, "second", good))
+    with pytest.raises(RefusedError, match=r"second\.txt has come to exist meanwhile"):
+        write_all(recorded(), targets)
+    assert [(path.name, path.read_text()) for path in tmp_path.iterdir()] == [("second.txt", "somebody's")]
+
+
+@pytest.mark.parametrize("name", ["mine.csv", "mine.CSV", "mine.mat"])
+def test_our_own_format_is_not_written_under_the_name_of_another(tmp_path, name):
+    with pytest.raises(RefusedError, match="is to be an HDF5 file") as refused:
+        checked_targets("mine", 7, tmp_path / name, (), discover())
+    assert str(tmp_path / "mine.h5") in refused.value.remedy
+    for allowed in ("mine.h5", "mine.hdf5", "mine"):
+        (one,) = checked_targets("mine", 7, tmp_path / allowed, (), discover())
+        assert one.path.name == allowed
+
+
+def test_what_writers_say_is_handed_on(tmp_path):
+    (one,) = write_all(recorded(), (target(tmp_path, "theirs", good),))
+    assert (one.format, one.path.read_text(), one.notes) == ("theirs", "whole", ("a note",))
+
+
+@pytest.mark.parametrize(
+    ("write", "said"),
+    [
+        (half_and(RuntimeError("their slip")), "RuntimeError: their slip"),
+        (half_and(MemoryError()), "MemoryError"),
+        (returning(None), "it returned NoneType instead of a tuple of texts"),
+        (returning("note"), "it returned str instead of a tuple of texts"),
+        (returning((1,)), "it returned tuple instead of a tuple of texts"),
+        (lambda path: (), "there is no "),
+    ],
+)
+def test_a_writer_that_fails_is_named_and_no_file_is_left(tmp_path, write, said):
+    with pytest.raises(PluginError, match=f"format 'theirs' failed to write the scene: {said}"):
+        write_all(recorded(), (target(tmp_path, "first", good), target(tmp_path, "theirs", write)))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RefusedError("too many frames")])
+def test_a_writer_that_refuses_leaves_no_half_file(tmp_path, error):
+    with pytest.raises(RefusedError, match=r"No space left|too many frames"):
+        write_all(recorded(), (target(tmp_path, "first", good), target(tmp_path, "theirs", half_and(error))))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_interruption_leaves_no_half_file(tmp_path):
+    with pytest.raises(KeyboardInterrupt):
+        write_all(recorded(), (target(tmp_path, "theirs", half_and(KeyboardInterrupt())),))
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["", "a/../b", "..", "\0", "x" * 300])
+def test_a_format_that_is_no_part_of_a_files_name_is_unknown(tmp_path, name):
+    with pytest.raises(PluginError, match="no recording plugin named"):
+        checked_targets("mine", 7, tmp_path / "x.h5", (name,), discover())

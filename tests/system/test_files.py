@@ -1,0 +1,145 @@
+"""Files appear whole or not at all, with the permissions the user's umask leaves them."""
+
+import csv
+import io
+import os
+import stat
+import subprocess
+import sys
+import threading
+
+import pytest
+from calibration_samples import sample_calibration
+
+from cbsr_qa.calibration.file import write_calibration
+from cbsr_qa.eit.mesh import write_mesh
+from cbsr_qa.report import write_report
+from cbsr_qa.studies.limits import write_new
+from cbsr_qa.system.files import FileLock, HeldError, csv_text, holder, written_whole
+
+
+def plainly(path):
+    with written_whole(path) as file:
+        file.write(b"x")
+
+
+def mesh(path):
+    write_mesh(path, sample_calibration().reconstruction.problem.mesh)
+
+
+WRITERS = {
+    "plain": plainly,
+    "report": lambda path: write_report(path, "<!DOCTYPE html>"),
+    "limits": lambda path: write_new(path, "x"),
+    "calibration": lambda path: write_calibration(path, sample_calibration()),
+    "mesh": mesh,
+}
+
+
+@pytest.fixture(params=[0o022, 0o027, 0o077, 0o002])
+def umask(request):
+    before = os.umask(request.param)
+    yield request.param
+    os.umask(before)
+
+
+@pytest.mark.parametrize("writer", WRITERS.values(), ids=WRITERS)
+def test_a_file_obeys_the_umask(tmp_path, writer, umask):
+    writer(tmp_path / "out")
+    assert stat.S_IMODE((tmp_path / "out").stat().st_mode) == 0o666 & ~umask
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+@pytest.mark.parametrize("name", ["out", "n" * 250])
+def test_what_fails_leaves_the_old_file_and_nothing_else(tmp_path, name):
+    (tmp_path / name).write_bytes(b"old")
+    with pytest.raises(TypeError), written_whole(tmp_path / name) as file:
+        file.write("text where bytes are due")
+    assert (tmp_path / name).read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == [name]
+
+
+HOLD = """
+import sys
+from pathlib import Path
+from cbsr_qa.system.files import FileLock
+lock = FileLock(Path(sys.argv[1]), b"the other one")
+print("held", flush=True)
+sys.stdin.read()
+lock.release()
+"""
+
+
+@pytest.fixture
+def other(tmp_path):
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLD, str(tmp_path / "lock")], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout.readline() == "held\n"
+        yield process
+        process.kill()
+
+
+@pytest.mark.parametrize("killed", [False, True])
+def test_a_lock_is_held_by_one_process_and_removed_after_it(tmp_path, other, killed):
+    path = tmp_path / "lock"
+    with pytest.raises(HeldError) as held:
+        FileLock(path, b"me")
+    assert held.value.who == b"the other one"
+    assert holder(path) == b"the other one"
+    if killed:
+        other.kill()
+    else:
+        other.stdin.close()
+    other.wait()
+    assert path.exists() is killed
+    FileLock(path, b"me").release()
+    assert not path.exists()
+
+
+def test_looking_removes_what_a_killed_process_left(tmp_path, other):
+    other.kill()
+    other.wait()
+    assert holder(tmp_path / "lock") is None
+    assert not (tmp_path / "lock").exists()
+
+
+def test_removing_locks_lets_no_two_in(tmp_path):
+    # Each thread opens files of its own, so they exclude each other as programs do.
+    inside, most, taken = [], [], []
+
+    def take(count):
+        while count:
+            try:
+                lock = FileLock(tmp_path / "lock", b"one")
+            except HeldError:
+                continue
+            inside.append(1)
+            most.append(len(inside))
+            inside.pop()
+            taken.append(1)
+            lock.release()
+            count -= 1
+
+    threads = [threading.Thread(target=take, args=(200,)) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert len(taken) == 800
+    assert max(most) == 1
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("begins", ["=", "+", "-", "@", "\t", "\r"])
+def test_a_spreadsheet_takes_no_text_for_a_formula(begins):
+    text = begins + 'HYPERLINK("x";1),2\n3'
+    ((guarded, number, nothing),) = csv.reader(io.StringIO(csv_text([(text, -1.5, None)]), newline=""))
+    assert (guarded, number, nothing) == ("'" + text, "-1.5", "")
+
+
+@pytest.mark.parametrize(
+    ("text", "cell"), [("a=1", "a=1"), ("", ""), ("'x", "'x"), ("a\udcff", "a\\udcff"), ("1.5", "1.5")]
+)
+def test_other_text_stays_as_it_is(text, cell):
+    assert csv_text([(text,)]).rstrip("\n").strip('"') == cell
