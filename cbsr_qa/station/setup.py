@@ -100,7 +100,7 @@ def open_station(
 
     Parameters
     ----------
-    resumed_at_s, ask : as in :class:`~cbsr_qa.interfaces.StationContext`.
+    resumed_at_s, ask : as in :class:`~cbsr_qa.plugin.StationContext`.
     emulated : told the emulation, where there is one: to arm faults, or to look at its world.
 
     Raises

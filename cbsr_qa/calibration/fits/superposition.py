@@ -249,9 +249,9 @@ def _check_finite(trace: Trace) -> None:
 def relaxed_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -> Levels:
     """Where every hold of some loops is going, whatever earlier steps of them still leave.
 
-    Frames of the first :data:`~cbsr_qa.calibration.fits.FROM_S` after a step do not count: a fast exponential that the
-    noise hides would bend the slow one. Where no time constant stands out of the noise that of the other direction is
-    taken, or a third of the hold.
+    Frames of the first :data:`~cbsr_qa.calibration.fits.FROM_S` after a step do not count: a fast exponential that
+    the noise hides would bend the slow one. Where no time constant stands out of the noise that of the other
+    direction is taken, or a third of the hold.
 
     Parameters
     ----------

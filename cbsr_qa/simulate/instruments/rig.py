@@ -117,8 +117,8 @@ EMULATORS: Final[Mapping[str, tuple[str, str, type[Port]]]] = {
     "keithley-2600": ("source_meter", "EmulatedSourceMeter", TcpPort),
     "esp32-multiplexer": ("multiplexer", "EmulatedMultiplexer", PtyPort),
     "marlin-applicator": ("applicator", "EmulatedApplicator", PtyPort),
-    "serial-load-cell": ("load_cell", "EmulatedLoadCell", PtyPort),
-    "serial-thermometer": ("thermometer", "EmulatedThermometer", PtyPort),
+    "serial-load-cell": ("samplers", "EmulatedLoadCell", PtyPort),
+    "serial-thermometer": ("samplers", "EmulatedThermometer", PtyPort),
     "ert-board-stream": ("ert_board", "EmulatedErtBoard", PtyPort),
 }
 
@@ -183,7 +183,7 @@ class Emulation:
             )
         module, name, stream = EMULATORS[spec.driver]
         make: Callable[[EmulatedRig, Mapping[str, Any], Callable[[bytes], None]], Served]
-        make = getattr(import_module(f"cbsr_qa.emulate.{module}"), name)
+        make = getattr(import_module(f"cbsr_qa.simulate.instruments.{module}"), name)
         port = self.ports[spec.role] = stream(f"emulated {spec.role}")
         instrument = self.instruments[spec.role] = make(self.rig, spec.options, port.send)
         if isinstance(instrument, FreeRunning):

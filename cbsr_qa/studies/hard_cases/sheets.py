@@ -1,7 +1,7 @@
 """The complete electrode model in fifty digits, on small meshes: truth for what rounding does to the usual one.
 
 Textbook form (Vauhkonen et al. 1999): first order, the electrodes' potentials among the unknowns, stiffness from the
-corners' places. It shares no line with :mod:`cbsr_qa.forward`, which eliminates those potentials and uses doubles.
+corners' places. It shares no line with :mod:`cbsr_qa.eit.forward`, which eliminates those potentials in doubles.
 
 The usual sensor as a linear problem, whole and with what makes it hard, and the methods that are installed.
 
