@@ -3,8 +3,7 @@
 from alembic import context
 from sqlalchemy import Connection, create_engine
 
-from cbsr_qa.store.tables.results import AnalysisRow
-from cbsr_qa.store.tables.runs import Base
+from cbsr_qa.store.tables import AnalysisRow, Base
 
 # Importing the results' tables registers them beside the runs'.
 assert AnalysisRow.metadata is Base.metadata

@@ -1,3 +1,4 @@
+from . import text as text
 from .documents import (
     DocumentKind as DocumentKind,
     not_finite as not_finite,

@@ -1,3 +1,4 @@
+from . import errors as errors
 from .errors import (
     LONGEST_PROBLEM as LONGEST_PROBLEM,
     AbortedError as AbortedError,

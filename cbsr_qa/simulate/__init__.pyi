@@ -1,3 +1,4 @@
+from . import parameters as parameters
 from .chain import (
     NOT_MODELLED as NOT_MODELLED,
     STAGES as STAGES,

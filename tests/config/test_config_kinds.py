@@ -12,8 +12,7 @@ from cbsr_qa.config.scene import SceneFile
 from cbsr_qa.config.sensor_type import SensorTypeFile
 from cbsr_qa.config.station import StationFile
 from cbsr_qa.domain import ConfigError
-from cbsr_qa.studies.gauge import StudyFile
-from cbsr_qa.studies.gauge.references import _ReferenceFile
+from cbsr_qa.studies.gauge import StudyFile, references
 
 MODELS = {
     DocumentKind.STATION: StationFile,
@@ -22,7 +21,7 @@ MODELS = {
     DocumentKind.MATERIAL: MaterialFile,
     DocumentKind.SCENE: SceneFile,
     DocumentKind.LIMITS: LimitsFile,
-    DocumentKind.REFERENCES: _ReferenceFile,
+    DocumentKind.REFERENCES: references._ReferenceFile,
     DocumentKind.GAUGE_STUDY: StudyFile,
 }
 OWN = {

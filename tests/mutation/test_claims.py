@@ -12,10 +12,10 @@ import scipy.io
 from calibration_samples import edited, plain_digest, sample_calibration
 from test_recording_file import sample
 
+from cbsr_qa.analysis import recording_files, write_recording
 from cbsr_qa.analysis.recording import read_recording_file
-from cbsr_qa.analysis.recording_files import _digest, write_recording
 from cbsr_qa.app import read_any, show_calibration, verify_file
-from cbsr_qa.app.analyse.analyse import AnalyseRequest, _sensor_type
+from cbsr_qa.app.analyse import AnalyseRequest, analyse
 from cbsr_qa.calibration.file import read_calibration, write_calibration
 from cbsr_qa.domain import CalibrationError, RecordingError
 from cbsr_qa.plugin import discover
@@ -117,7 +117,7 @@ def test_a_digest_that_fits_a_recording_forged_by_hand_opens_it(recording):
     """What the tests above change is what they are refused for, not the digest."""
     with h5py.File(recording, "r+") as file:
         file["samples/00/values"][0] = 7.0
-        file.attrs["sha256"] = _digest(file)
+        file.attrs["sha256"] = recording_files._digest(file)
     assert _read(recording).samples[0].values[0] == 7.0
 
 
@@ -199,7 +199,7 @@ _STRANGE = [
 def test_what_a_recording_holds_in_place_of_something_else_is_refused_by_name(recording, change, said):
     with h5py.File(recording, "r+") as file:
         change(file)
-        file.attrs["sha256"] = _digest(file)
+        file.attrs["sha256"] = recording_files._digest(file)
     with pytest.raises(RecordingError, match=rf"r\.h5.*{said}") as refused:
         _read(recording)
     assert len(refused.value.reason) < 400
@@ -211,8 +211,8 @@ def test_a_recording_names_a_shipped_sensor_type_or_none_and_no_file(recording, 
     monkeypatch.setattr("cbsr_qa.app.analyse.analyse.load_sensor_type", opened.append)
     with h5py.File(recording, "r+") as file:
         _described(sensor_type=named)(file)
-        file.attrs["sha256"] = _digest(file)
-    found, remarks = _sensor_type(_read(recording), AnalyseRequest())
+        file.attrs["sha256"] = recording_files._digest(file)
+    found, remarks = analyse._sensor_type(_read(recording), AnalyseRequest())
     assert (found, opened) == (None, [])
     assert len(remarks[0]) < 300
     assert "is not a shipped one" in remarks[0]

@@ -1,3 +1,4 @@
+from . import steps as steps
 from .plan import (
     EMULATED as EMULATED,
     NO_RECONSTRUCTION as NO_RECONSTRUCTION,

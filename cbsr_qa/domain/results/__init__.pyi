@@ -1,3 +1,4 @@
+from . import calibration as calibration
 from .calibration import (
     NUMBERS as NUMBERS,
     BaselineConductance as BaselineConductance,

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from stored_lots import judged, measured, store_run
 
-from cbsr_qa.cli.studies.compare import lines
+from cbsr_qa.cli.studies import compare as command
 from cbsr_qa.report import number
 from cbsr_qa.stats import power, power_of_equivalence
 from cbsr_qa.store import open_store
@@ -98,7 +98,7 @@ def test_sensors_to_find_are_of_the_stated_difference_and_those_to_show_of_the_m
     said = " ".join(sentences(made.found))
     found = f"about {one['sensors_needed']} sensors of each, all at one station, would find a difference of 0.200 mm"
     assert f"{found} with 80 %" in said
-    printed = " ".join(" ".join(lines(made.found)).split())
+    printed = " ".join(" ".join(command.lines(made.found)).split())
     assert f"{found} with 80 %" in printed
     assert "one test at the level 0.05 succeeds with 80 %" in printed
 

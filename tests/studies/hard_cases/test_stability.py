@@ -8,7 +8,7 @@ import warnings
 import pytest
 
 from cbsr_qa.cli import guarded
-from cbsr_qa.cli.studies.stability import WIDTH, lines
+from cbsr_qa.cli.studies import stability as command
 from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.studies.hard_cases import stability, stability as catalogue
 from cbsr_qa.studies.hard_cases.case import Answer, Ending, HardCase, conditioned_bound, examine
@@ -106,7 +106,7 @@ def test_the_table_fits_a_page_and_says_why(catalogued, capsys):
     catalogued((*_GOOD, *_BROKEN))
     assert guarded(["stability"]) == 1
     said = capsys.readouterr().out
-    assert max(len(line) for line in said.splitlines()) <= WIDTH
+    assert max(len(line) for line in said.splitlines()) <= command.WIDTH
     assert "an error of 0.002 where 0.001 is allowed" in said
     assert "ZeroDivisionError" in said
     assert "overflow encountered" in said
@@ -155,7 +155,9 @@ def test_progress_counts_every_case(catalogued):
 def test_two_processes_find_what_one_finds():
     names = [case.name for case in catalogue.CASES[:2]]
     one, two = (examine_cases(names=names, processes=count) for count in (1, 2))
-    assert [line.split("refused")[0] for line in lines(one)] == [line.split("refused")[0] for line in lines(two)]
+    assert [line.split("refused")[0] for line in command.lines(one)] == [
+        line.split("refused")[0] for line in command.lines(two)
+    ]
     assert [(r.case.name, r.answer, r.outcome) for r in one.results] == [
         (r.case.name, r.answer, r.outcome) for r in two.results
     ]

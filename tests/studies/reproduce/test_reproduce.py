@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from cbsr_qa.cli import guarded
-from cbsr_qa.cli.studies.reproduce import WIDTH, lines
+from cbsr_qa.cli.studies import reproduce as printed_by
 from cbsr_qa.domain import NotReproducedError
 from cbsr_qa.studies.reproduce import reproduce, runs as reproduce_runs
 from cbsr_qa.studies.reproduce.compare import Kind, Ours, Rule
@@ -159,8 +159,8 @@ def test_inputs_of_the_simulation_are_told_from_outcomes(exact):
 
 
 def test_the_words_fit_a_terminal_and_say_that_ours_is_simulated(exact):
-    printed = list(lines(exact))
-    assert max(map(len, printed)) <= WIDTH
+    printed = list(printed_by.lines(exact))
+    assert max(map(len, printed)) <= printed_by.WIDTH
     headings = [line for line in printed if line.endswith("agree")]
     assert len(headings) == len(_KEYS)
     assert all("simulation" in heading for heading in headings)

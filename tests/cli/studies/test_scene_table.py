@@ -7,7 +7,7 @@ import pytest
 
 from cbsr_qa.cli.studies.scene import WIDTH, lines, plainly
 from cbsr_qa.config import DocumentKind, shipped_names
-from cbsr_qa.studies.scenes.explain import Explained, ExplainedEffect
+from cbsr_qa.studies.scenes import Explained, ExplainedEffect
 
 
 def _effect(name, perturbs, *, on=True, needs=(), each_ms=0.0, once_ms=0.0, does="It does something.", **parameters):
@@ -116,7 +116,7 @@ def test_a_scene_without_effects_has_no_empty_table():
 
 @pytest.mark.parametrize("name", shipped_names(DocumentKind.SCENE))
 def test_shipped_scenes_fit_a_hundred_columns(name):
-    from cbsr_qa.studies.scenes.explain import explain_scene
+    from cbsr_qa.studies.scenes import explain_scene
 
     explained = explain_scene(name, measure=False)
     assert max(len(line) for line in lines(explained)) <= WIDTH
