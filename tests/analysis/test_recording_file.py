@@ -8,7 +8,7 @@ import h5py
 import numpy as np
 import pytest
 
-from cbsr_qa.analysis import recording_file
+from cbsr_qa.analysis import recording_files
 from cbsr_qa.analysis.recording_files import SCHEMA_VERSION, read_recording, write_recording
 from cbsr_qa.domain import RecordingError
 from cbsr_qa.domain.readings import FrameBlock, ReadOptions, Recording, SampleBlock, ScanKind, VoltageUnit
@@ -83,7 +83,7 @@ def test_files_that_hold_what_was_simulated_as_notes_say_it_too(tmp_path):
         said = json.loads(file.attrs["description"])
         del said["simulated"]
         file.attrs["description"] = json.dumps(said)
-        file.attrs["sha256"] = recording_file._digest(file)
+        file.attrs["sha256"] = recording_files._digest(file)
     found = read_recording(path)
     assert (found.notes, found.simulated) == (("run R-1", "µ"), ("a bench",))
 
@@ -170,7 +170,7 @@ def test_numbers_that_are_none_are_refused_whatever_the_digest_says(tmp_path, sp
     path = tmp_path / "a.h5"
     write_recording(path, sample())
     changed(path, spoil)
-    changed(path, lambda file: file.attrs.__setitem__("sha256", recording_file._digest(file)))
+    changed(path, lambda file: file.attrs.__setitem__("sha256", recording_files._digest(file)))
     with pytest.raises(RecordingError, match=rf"a\.h5.*{said}") as refused:
         read_recording(path)
     assert refused.value.remedy
@@ -204,7 +204,7 @@ def test_an_interruption_while_writing_leaves_nothing(tmp_path, monkeypatch, err
     def interrupted(file):
         raise error
 
-    monkeypatch.setattr(recording_file, "_digest", interrupted)
+    monkeypatch.setattr(recording_files, "_digest", interrupted)
     with pytest.raises(error):
         write_recording(tmp_path / "x.h5", sample())
     assert list(tmp_path.iterdir()) == []

@@ -8,7 +8,7 @@ import pytest
 import scipy.io
 from test_recording_file import sample
 
-from cbsr_qa.analysis import recording_file
+from cbsr_qa.analysis import recording_files
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
 
@@ -16,10 +16,10 @@ from cbsr_qa.domain.readings import FrameBlock, SampleBlock, VoltageUnit
 def written(tmp_path, change):
     """A recording of ours after ``change`` of its file, with the digest of what it then holds."""
     path = tmp_path / "run.h5"
-    recording_file.write_recording(path, sample())
+    recording_files.write_recording(path, sample())
     with h5py.File(path, "r+") as file:
         change(file)
-        file.attrs["sha256"] = recording_file._digest(file)
+        file.attrs["sha256"] = recording_files._digest(file)
     return path
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_hysteresis import _by_hand
 
-from cbsr_qa.calibration.fits import creep
+from cbsr_qa.calibration.fits import creep_fit as creep
 from cbsr_qa.calibration.fits.common_relaxation import fit_common_relaxation
 from cbsr_qa.calibration.fits.hysteresis_fit import hysteresis, loop_curve
 from cbsr_qa.calibration.fits.quasi_static import fit_quasi_static
