@@ -10,11 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from cbsr_qa.cli.output import emit_json, note, operator_at_terminal, say
-from cbsr_qa.domain.run import CheckOutcome, CheckResult, StationCheck
-from cbsr_qa.report import quantity
 
 if TYPE_CHECKING:
     from cbsr_qa.app.station_check import CheckedStation
+    from cbsr_qa.domain.run import CheckResult, StationCheck
 
 
 app = typer.Typer(help="Look after a station.", no_args_is_help=True)
@@ -84,8 +83,10 @@ _NAME, _OUTCOME, _VALUE = 28, 10, 14
 _INDENT: Final = " " * (_NAME + 4)
 
 
-def lines(check: StationCheck) -> Iterator[str]:
+def lines(check: "StationCheck") -> Iterator[str]:
     """Lay out a check, one line after another; what is not well has its remedy below."""
+    from cbsr_qa.domain.run import CheckOutcome
+
     failed, warned = (len(check.lines(outcome)) for outcome in (CheckOutcome.FAILED, CheckOutcome.WARNING))
     subject = ""
     for line in check.results:
@@ -96,7 +97,9 @@ def lines(check: StationCheck) -> Iterator[str]:
     yield f"{str(check.outcome).upper()}: {failed} failed, {warned} warnings, {len(check.results)} lines"
 
 
-def _line(line: CheckResult) -> Iterator[str]:
+def _line(line: "CheckResult") -> Iterator[str]:
+    from cbsr_qa.report import quantity
+
     value = "" if line.value is None else quantity(line.value, line.unit)
     allowed = f"allowed: {line.allowed}" if line.allowed else ""
     first = f"  {line.name:<{_NAME}}  {line.outcome!s:<{_OUTCOME}}  {value:<{_VALUE}}"

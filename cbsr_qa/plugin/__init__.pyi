@@ -1,4 +1,5 @@
 from .discovery import Plugins as Plugins, discover as discover, left_running as left_running, made as made
+from .failures import Interruption as Interruption, contained as contained, failure as failure, said as said
 from .hooks import Kind as Kind, Register as Register, hookimpl as hookimpl
 from .instruments import (
     Addressed as Addressed,
@@ -17,7 +18,6 @@ from .instruments import (
 from .interfaces import (
     AnyEffect as AnyEffect,
     Effect as Effect,
-    Interruption as Interruption,
     LoadMetric as LoadMetric,
     Reconstruction as Reconstruction,
     RecordingEffect as RecordingEffect,
@@ -29,8 +29,5 @@ from .interfaces import (
     SequenceContext as SequenceContext,
     SheetEffect as SheetEffect,
     SwitchingEffect as SwitchingEffect,
-    contained as contained,
-    failure as failure,
-    said as said,
 )
 from .software import kind_named as kind_named, software_versions as software_versions

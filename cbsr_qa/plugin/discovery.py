@@ -14,8 +14,8 @@ import pluggy
 from cbsr_qa.domain import AbortedError, ConfigError, PluginError
 from cbsr_qa.domain.plan import PluginChoice
 from cbsr_qa.plugin import hooks as hookspecs
+from cbsr_qa.plugin.failures import contained, failure
 from cbsr_qa.plugin.hooks import PROJECT, Kind
-from cbsr_qa.plugin.interfaces import contained, failure
 
 Factory = Callable[..., Any]
 

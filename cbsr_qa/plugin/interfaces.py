@@ -1,21 +1,10 @@
-"""Sequences: what makes a recipe's steps.
-
-A plugin's failure stays the plugin's: nothing it raises ends the program or passes for the user's own stop.
-
-Recording formats and sections of reports.
-
-Reconstructions and metrics.
-
-Effects of the simulated world.
-"""
+"""What plugins implement: sequences, recording formats, sections, reconstructions, metrics and effects."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
-from cbsr_qa.domain import CbsrError, PluginError
 from cbsr_qa.domain.plan import Moment, SheetDesign, Step, Transcript
 from cbsr_qa.domain.readings import ReadOptions, Recording, RecordingResult
 from cbsr_qa.domain.results import (
@@ -29,63 +18,6 @@ from cbsr_qa.domain.results import (
 )
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import SensorType
-
-#: Longer messages of plugins are cut [characters].
-_LONGEST: Final = 500
-
-
-class Interruption(BaseException):
-    """Breaks into a plugin's code from outside; the plugin is not to blame for it."""
-
-
-def failure(error: BaseException) -> str:
-    """Say in one line why a plugin's code failed.
-
-    Call it from ``except BaseException``: ``SystemExit`` and the like are a plugin's failure as any other error is.
-
-    Raises
-    ------
-    BaseException
-        The same error, where it is not the plugin's: Ctrl-C, an :class:`Interruption`, a generator that is closed.
-    """
-    if isinstance(error, KeyboardInterrupt | GeneratorExit | Interruption):
-        raise error
-    return said(error)
-
-
-def said(error: BaseException) -> str:
-    """Return type and message of an error, printable and of limited length; it raises nothing itself."""
-    try:
-        text = error.reason if isinstance(error, CbsrError) else f"{type(error).__name__}: {error}"
-    except KeyboardInterrupt:
-        raise
-    except BaseException:  # noqa: BLE001 - even its message is a stranger's code
-        text = type(error).__name__
-    plain = "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text[:_LONGEST])
-    return plain + "…" * (len(text) > _LONGEST)
-
-
-@contextmanager
-def contained(who: str) -> Iterator[None]:
-    """Blame a plugin for what its code raises.
-
-    Parameters
-    ----------
-    who : kind and name of the plugin, e.g. ``"metric 'creep'"``.
-
-    Raises
-    ------
-    PluginError
-        Naming the plugin, for every error that is not of this package on purpose; those pass as they are.
-    """
-    try:
-        yield
-    except CbsrError:
-        raise
-    except BaseException as error:
-        raise PluginError(
-            f"{who} failed: {failure(error)}", remedy="report it to the plugin's author, or do without that plugin"
-        ) from error
 
 
 class RecordingFormat(Protocol):

@@ -11,8 +11,8 @@ from cbsr_qa.domain.plan import Moment, PluginChoice, Press, Release, SceneSetti
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import Load
 from cbsr_qa.plugin.discovery import Plugins, discover, made
+from cbsr_qa.plugin.failures import contained, said
 from cbsr_qa.plugin.hooks import Kind
-from cbsr_qa.plugin.interfaces import contained, said
 from cbsr_qa.simulate import build_chain
 from cbsr_qa.station import Bench, execute, schedule
 from cbsr_qa.system import VirtualClock

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cbsr_qa.cli.output import emit_json, note, say
-from cbsr_qa.studies.reproduce import agreement_sign, ours_text, printed_text
 
 if TYPE_CHECKING:
     from cbsr_qa.studies.reproduce import ComparedTable, Comparison, Reproduction
@@ -77,6 +76,8 @@ def _table(table: "ComparedTable") -> Iterator[str]:
 
 
 def _row(row: "Comparison") -> str:
+    from cbsr_qa.studies.reproduce import agreement_sign, ours_text, printed_text
+
     beside = ours_text(row.beside[0]) if row.beside else ""
     name = f"    {row.name} [{row.unit}]" if row.unit != "1" else f"    {row.name}"
     name += " (input)" if row.kind == "input" else ""

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cbsr_qa.cli.output import Counting, emit_json, note, say
-from cbsr_qa.studies.hard_cases import Ending
 
 if TYPE_CHECKING:
     from cbsr_qa.studies.hard_cases import CaseResult, Stability
@@ -50,6 +49,8 @@ _NAME, _NUMBER = 48, 12
 
 def lines(found: "Stability") -> Iterator[str]:
     """Lay out every case, one line after another; what is refused or broken has its reason below."""
+    from cbsr_qa.studies.hard_cases import Ending
+
     area = ""
     for result in found.results:
         if result.case.area != area:
@@ -64,6 +65,8 @@ def lines(found: "Stability") -> Iterator[str]:
 
 
 def _case(result: "CaseResult") -> Iterator[str]:
+    from cbsr_qa.studies.hard_cases import Ending
+
     answer = result.answer
     error, bound, condition = ("",) * 3
     if answer is not None:
