@@ -17,6 +17,7 @@ from cbsr_qa.analysis import read_recording
 from cbsr_qa.config import DocumentKind, load_scene_plan, open_document, shipped_names
 from cbsr_qa.domain.readings import ReadingFlag
 from cbsr_qa.plugin import Kind, discover
+from cbsr_qa_plugins.registry import BUILT_IN
 
 SCENES = shipped_names(DocumentKind.SCENE)
 SHORT = """[scene]
@@ -185,16 +186,15 @@ def test_only_effects_that_are_on_are_imported(folder):
     code = (
         "import sys\n"
         "from pathlib import Path\n"
-        "from cbsr_qa.studies.scenes.run import SceneRunRequest, run_scene\n"
+        "from cbsr_qa.studies.scenes import SceneRunRequest, run_scene\n"
         "run_scene(SceneRunRequest('short.toml', Path('x.h5')))\n"
         "found = [m for m in sys.modules if m.startswith('cbsr_qa_plugins.effects.')]\n"
         "print(*sorted(m.rpartition('.')[2] for m in found if not m.rpartition('.')[2].startswith('_')))"
     )
     done = subprocess.run([sys.executable, "-c", code], cwd=folder, capture_output=True, text=True, check=True)
-    on = sorted(
-        choice.name.replace("-", "_") for choice in load_scene_plan(folder / "short.toml").value.scene.effects
-    )
-    assert done.stdout.split() == on
+    on = {choice.name for choice in load_scene_plan(folder / "short.toml").value.scene.effects}
+    families = {target.partition(":")[0].rpartition(".")[2] for kind, name, target in BUILT_IN if name in on}
+    assert done.stdout.split() == sorted(families)
 
 
 @pytest.mark.parametrize(
