@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from tests.oracle.accepted import Accepted, Difference, WrongListError, differences, judged, read_accepted
+from tests.oracle.accepted import Difference, Meant, WrongListError, differences, judged, put_back, read_meant
 from tests.oracle.cases import CASES
 from tests.oracle.sides import HERE, SHARED, Build, Side
 
@@ -32,10 +32,11 @@ def _options() -> argparse.Namespace:
     return parser.parse_args()
 
 
-def _compared(name: str, sides: Sequence[Side], accepted: Sequence[Accepted], lines: int) -> int:
+def _compared(name: str, sides: Sequence[Side], meant: Meant, lines: int) -> int:
     """Say what differs in a case; returns how many differences are not accepted."""
-    old, new = (side.texts(name) for side in sides)
-    counts, left = judged(list(differences(old, new)), accepted)
+    (old, before), (new, after) = (put_back(side.texts(name), meant.undone) for side in sides)
+    counts, left = judged(list(differences(old, new)), meant.accepted)
+    counts += after - before
     print(f"{name}: {len(new)} texts, {counts.total()} accepted differences, {len(left)} others", flush=True)
     for why, count in sorted(counts.items()):
         print(f"  accepted {count}: {why}")
@@ -63,7 +64,7 @@ def _same_until(one: str, other: str) -> int:
 def main() -> int:
     options = _options()
     try:
-        accepted = () if options.exact else read_accepted(HERE / "accepted.toml")
+        meant = Meant() if options.exact else read_meant(HERE / "accepted.toml")
     except WrongListError as error:
         print(error, file=sys.stderr)
         return 2
@@ -80,7 +81,7 @@ def main() -> int:
             began = time.monotonic()
             wanted = [side for side in sides if not (options.again and side.was_run(name))]
             list(pool.map(lambda side, name=name: side.run(name), wanted))
-            left += _compared(name, sides, accepted, options.lines)
+            left += _compared(name, sides, meant, options.lines)
             print(f"  {time.monotonic() - began:.0f} s", flush=True)
     print(f"{left} differences that are not accepted")
     return 1 if left else 0

@@ -1,4 +1,8 @@
-"""Differences that are meant, from ``accepted.toml``, and what is left without them."""
+"""Differences that are meant, from ``accepted.toml``, and what is left without them.
+
+``accepted`` names lines that may differ. ``undone`` is stricter: it says what the old side had where the new one has
+something, is put back into the texts before they are compared, and all around it must be the same.
+"""
 
 import difflib
 import re
@@ -9,7 +13,7 @@ from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
 
-_KEYS = {"file", "line", "why"}
+_KEYS = {"accepted": ("file", "line", "why"), "undone": ("file", "new", "old", "why")}
 
 
 @dataclass(frozen=True)
@@ -33,33 +37,76 @@ class Accepted:
         return fnmatchcase(difference.file, self.file) and self.line.search(difference.line) is not None
 
 
+@dataclass(frozen=True)
+class Undone:
+    """What the new side has, what the old one had in its place, which may be nothing, and why."""
+
+    file: str
+    new: re.Pattern[str]
+    old: str
+    why: str
+
+
+@dataclass(frozen=True)
+class Meant:
+    """The list of differences that are meant."""
+
+    accepted: tuple[Accepted, ...] = ()
+    undone: tuple[Undone, ...] = ()
+
+
 class WrongListError(Exception):
     """The list of accepted differences does not say what it must."""
 
 
-def read_accepted(path: Path) -> tuple[Accepted, ...]:
-    """Read ``[[accepted]]`` tables of ``file`` (a glob), ``line`` (a regular expression) and ``why``.
+def read_meant(path: Path) -> Meant:
+    """Read the tables of a list.
+
+    ``[[accepted]]`` has ``file`` (a glob), ``line`` (a regular expression) and ``why``; ``[[undone]]`` has ``file``,
+    ``new`` (a regular expression, in which ``^`` and ``$`` are ends of lines), ``old`` (what is put in its place:
+    ``\\1`` is its first group) and ``why``.
 
     Raises
     ------
     WrongListError : keys that are missing, unknown, empty or no text, or a pattern that is none.
     """
     listed = tomllib.loads(path.read_text())
-    if unknown := set(listed) - {"accepted"}:
-        raise WrongListError(f"{path}: {min(unknown)!r} is unknown: allowed is 'accepted'")
-    return tuple(_entry(f"{path}: accepted {n}", one) for n, one in enumerate(listed.get("accepted", []), start=1))
+    if unknown := set(listed) - set(_KEYS):
+        raise WrongListError(f"{path}: {min(unknown)!r} is unknown: allowed are {', '.join(map(repr, _KEYS))}")
+    accepted = (_texts(path, "accepted", n, one) for n, one in enumerate(listed.get("accepted", []), start=1))
+    undone = (_texts(path, "undone", n, one) for n, one in enumerate(listed.get("undone", []), start=1))
+    return Meant(
+        tuple(Accepted(one["file"], re.compile(one["line"]), one["why"]) for one in accepted),
+        tuple(Undone(one["file"], re.compile(one["new"], re.MULTILINE), one["old"], one["why"]) for one in undone),
+    )
 
 
-def _entry(where: str, one: Mapping[str, object]) -> Accepted:
-    if set(one) != _KEYS:
-        raise WrongListError(f"{where}: the keys are {sorted(one)}, they must be {sorted(_KEYS)}")
-    file, line, why = one["file"], one["line"], one["why"]
-    if not (isinstance(file, str) and isinstance(line, str) and isinstance(why, str) and file and line and why):
-        raise WrongListError(f"{where}: file, line and why must be texts that are not empty")
+def _texts(path: Path, kind: str, number: int, one: Mapping[str, object]) -> dict[str, str]:
+    where = f"{path}: {kind} {number}"
+    if set(one) != set(_KEYS[kind]):
+        raise WrongListError(f"{where}: the keys are {sorted(one)}, they must be {sorted(_KEYS[kind])}")
+    texts = {key: value for key, value in one.items() if isinstance(value, str) and (value or key == "old")}
+    if set(texts) != set(one):
+        wrong = min(set(one) - set(texts))
+        raise WrongListError(f"{where}: {wrong} must be a text that is not empty, found {one[wrong]!r}")
+    pattern = texts["line" if kind == "accepted" else "new"]
     try:
-        return Accepted(file, re.compile(line), why)
-    except re.error as error:
-        raise WrongListError(f"{where}: {line!r} is no regular expression: {error}") from None
+        re.compile(pattern).sub(texts.get("old", ""), "")
+    except (re.error, IndexError) as error:
+        raise WrongListError(f"{where}: {pattern!r} is no regular expression: {error}") from None
+    return texts
+
+
+def put_back(texts: Mapping[str, str], undone: Sequence[Undone]) -> tuple[dict[str, str], Counter[str]]:
+    """Return the texts as the old side has them, and how many places each reason changed."""
+    counts: Counter[str] = Counter()
+    old = dict(texts)
+    for one in undone:
+        for name, text in old.items():
+            if fnmatchcase(name, one.file):
+                old[name], count = one.new.subn(one.old, text)
+                counts[one.why] += count
+    return old, counts
 
 
 def differences(old: Mapping[str, str], new: Mapping[str, str]) -> Iterator[Difference]:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.oracle.accepted import Difference, WrongListError, differences, judged, read_accepted
+from tests.oracle.accepted import Difference, Meant, WrongListError, differences, judged, put_back, read_meant
 from tests.oracle.dumps import dumped
 from tests.oracle.masks import masked
 from tests.oracle.sides import by_name
@@ -115,7 +115,7 @@ def test_accepted_differences_are_counted_by_their_reason_and_the_rest_is_left(t
     listed = _list(tmp_path, '[[accepted]]\nfile = "tries/*"\nline = "^run_links "\nwhy = "the chain"\n')
     old = {"tries/a.db": "run_links 1\nruns 1\n", "strip/a.db": "run_links 1\n"}
     new = {"tries/a.db": "run_links 2\nruns 2\n", "strip/a.db": "run_links 2\n"}
-    counts, left = judged(list(differences(old, new)), read_accepted(listed))
+    counts, left = judged(list(differences(old, new)), read_meant(listed).accepted)
     assert counts == {"the chain": 2}
     assert left == [
         Difference("strip/a.db", "-", "run_links 1"),
@@ -123,6 +123,19 @@ def test_accepted_differences_are_counted_by_their_reason_and_the_rest_is_left(t
         Difference("tries/a.db", "-", "runs 1"),
         Difference("tries/a.db", "+", "runs 2"),
     ]
+
+
+def test_what_is_undone_leaves_all_around_it_to_be_compared(tmp_path: Path) -> None:
+    listed = _list(
+        tmp_path,
+        """[[undone]]\nfile = "*.db"\nnew = "^(runs .*) chained$"\nold = '\\1'\nwhy = "the chain"\n""",
+    )
+    undone = read_meant(listed).undone
+    same, counts = put_back({"a.db": "runs 1 chained\nruns 2 chained\n", "a.html": "runs 1 chained\n"}, undone)
+    assert same == {"a.db": "runs 1\nruns 2\n", "a.html": "runs 1 chained\n"}
+    assert counts == {"the chain": 2}
+    changed, _ = put_back({"a.db": "runs 1\nruns 3 chained\n"}, undone)
+    assert [one.line for one in differences({"a.db": "runs 1\nruns 2\n"}, changed)] == ["runs 2", "runs 3"]
 
 
 def test_lines_that_begin_like_the_head_of_a_comparison_are_compared() -> None:
@@ -134,7 +147,7 @@ def test_a_text_of_one_side_alone_is_a_difference_even_where_it_is_empty() -> No
 
 
 def test_an_empty_list_accepts_nothing(tmp_path: Path) -> None:
-    assert read_accepted(_list(tmp_path, "# none\n")) == ()
+    assert read_meant(_list(tmp_path, "# none\n")) == Meant()
 
 
 @pytest.mark.parametrize(
@@ -143,12 +156,16 @@ def test_an_empty_list_accepts_nothing(tmp_path: Path) -> None:
         ('[[accepted]]\nfile = "*"\nline = "x"\n', "accepted 1: the keys are .*why"),
         ('[[accepted]]\nfile = "*"\nline = "x"\nwhy = ""\n', "not empty"),
         ('[[accepted]]\nfile = "*"\nline = "("\nwhy = "y"\n', "no regular expression"),
+        ('[[accepted]]\nfile = "*"\nline = 3\nwhy = "y"\n', "line must be a text that is not empty, found 3"),
+        ('[[undone]]\nfile = "*"\nnew = "x"\nwhy = "y"\n', "undone 1: the keys are .*old"),
+        ('[[undone]]\nfile = "*"\nnew = ""\nold = "x"\nwhy = "y"\n', "new must be a text"),
+        ('[[undone]]\nfile = "*"\nnew = "x"\nold = "\\\\1"\nwhy = "y"\n', "invalid group reference"),
         ('[[acepted]]\nfile = "*"\nline = "x"\nwhy = "y"\n', "'acepted' is unknown"),
     ],
 )
 def test_a_wrong_list_is_refused(tmp_path: Path, text: str, said: str) -> None:
     with pytest.raises(WrongListError, match=said):
-        read_accepted(_list(tmp_path, text))
+        read_meant(_list(tmp_path, text))
 
 
 def test_texts_named_by_digests_are_paired_by_what_they_say_and_runs_by_their_time() -> None:
