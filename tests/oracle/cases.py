@@ -55,6 +55,17 @@ CASES: Final[dict[str, tuple[str, ...]]] = {
         "cbsr-qa db changes --json",
         "cbsr-qa db status",
     ),
+    "overridden": (
+        "cbsr-qa run --station simulated --recipe {inputs}/strict.toml --serial O-1 --seed 2",
+        'cbsr-qa verdict override {run:O-1} pass --by Zoe --why "no outcome is named"',
+        "cbsr-qa verdict override nowhere --outcome pass --by Zoe --why because --json",
+        'cbsr-qa verdict override {run:O-1} --outcome pass --by Zoe --why "limits of November"',
+        "cbsr-qa report O-1 --to passed",
+        'cbsr-qa verdict override {run:O-1} --outcome fail --by Ada --why "scratched" --json',
+        "cbsr-qa report O-1 --to failed --json",
+        f"{_RUN} --serial O-1 --seed 3",
+        "cbsr-qa db status",
+    ),
     "bench-emulated": (
         "cbsr-qa run --station bench-emulated --recipe {inputs}/short.toml --serial E-1 --seed 3 --json",
         "cbsr-qa report E-1",
