@@ -3,7 +3,7 @@
 Sensors are the unit. A run judges every value of a measurement (nine locations, three trials) against one limit and
 fails by the worst, so each run of a sensor counts with its worst value, and a bound is asked to hold the worst value
 of a stated share of good sensors: places that differ and values of one sensor that go together need no model. Runs of
-one sensor are told from sensors by :mod:`~cbsr_qa.stats.components`.
+one sensor are told from sensors by :mod:`~cbsr_qa.stats.variance_components`.
 
 Which distribution a lot may be taken for, and which of its values lie far out.
 """

@@ -10,7 +10,12 @@ from .bench import (
     raising as raising,
     scripted_bench as scripted_bench,
 )
-from .instruments import check_closing as check_closing, check_sampler as check_sampler
+from .instruments import (
+    check_applicator as check_applicator,
+    check_closing as check_closing,
+    check_frame_source as check_frame_source,
+    check_sampler as check_sampler,
+)
 from .metrics import check_metric as check_metric
 from .numerics import (
     assert_adjoint as assert_adjoint,
@@ -23,5 +28,9 @@ from .reconstructions import (
     compare_elsewhere as compare_elsewhere,
     elsewhere_readings as elsewhere_readings,
 )
-from .scanning import check_self_test as check_self_test
+from .scanning import (
+    check_multiplexer as check_multiplexer,
+    check_self_test as check_self_test,
+    check_source_meter as check_source_meter,
+)
 from .targets import example_problem as example_problem, images_elsewhere as images_elsewhere

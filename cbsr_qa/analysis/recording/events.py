@@ -1,14 +1,14 @@
 """Presses in a recording nobody annotated: one press, one event.
 
 The sheet is slow: it creeps while it is held, keeps much of the change after the release (two thirds, two seconds
-later, on the lab's recordings), and relaxes for long. So a press is looked for as a *step* (:mod:`recording_changes`)
+later, on the lab's recordings), and relaxes for long. So a press is looked for as a *step* (:mod:`changes`)
 and everything after it is read off the trace of its own pattern: where the step began, where the trace was largest,
-where its final decline set in (:mod:`recording_traces`). Each press has its own sign, and what happens elsewhere
+where its final decline set in (:mod:`traces`). Each press has its own sign, and what happens elsewhere
 meanwhile does not end it. Each is imaged against the frames just before it, so residues of earlier ones do
 not matter.
 
 Not every step is a load: one that is proportional to the frame itself is a change of gain, one in the readings of a
-single contact is that contact (:mod:`recording_contacts`), and one no place explains is neither.
+single contact is that contact (:mod:`channels`), and one no place explains is neither.
 """
 
 from collections.abc import Sequence
@@ -114,7 +114,7 @@ def find_presses(white: Array, match: Matcher, changes: Sequence[Change], no_loa
     Parameters
     ----------
     white : (n, m) whitened readings, see :meth:`Matcher.whiten`.
-    changes : in time order, of :func:`recording_changes.find_changes`.
+    changes : in time order, of :func:`changes.find_changes`.
     no_loads : what is not to be taken for a load.
     """
     no_loads = no_loads or NoLoads(np.zeros(white.shape[1]))

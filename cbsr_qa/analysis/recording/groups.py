@@ -156,7 +156,7 @@ def find_pulses(scores: Array) -> tuple[Change, ...]:
 
     Parameters
     ----------
-    scores : (n, p) float64, as for :func:`recording_changes.find_changes`.
+    scores : (n, p) float64, as for :func:`changes.find_changes`.
 
     Returns
     -------

@@ -1,6 +1,6 @@
 """Images of the events of a recording, by whatever reconstruction a user chose.
 
-Events are found without images: the patterns loads leave in the readings are matched (:mod:`recording_places`). What
+Events are found without images: the patterns loads leave in the readings are matched (:mod:`places`). What
 is imaged is each event's change alone, never every frame, so that methods that take a second an image can be used.
 A method gets what it asks for (:class:`~cbsr_qa.plugin.Reconstruction`): changes by default, the frames around an
 event where its images depend on their neighbours, the unloaded readings where its images are absolute.

@@ -108,7 +108,7 @@ class ReadyReadings:
     corrected : whether it was taken out of ``block``.
     error : reciprocity error of ``block``; None for one-row scans.
     offset : whether an unstated offset is part of the readings, see :func:`has_offset`.
-    spikes, spiky_frames : how many readings of how many frames were replaced, see :mod:`recording_spikes`.
+    spikes, spiky_frames : how many readings of how many frames were replaced, see :func:`despiked`.
     """
 
     block: FrameBlock

@@ -35,7 +35,7 @@ _REMEDY: Final = "restore the database from a copy; nothing is concluded from th
 def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> ChainState:
     """Check a stored run: its configuration, the links of its chain, and the rows under it.
 
-    Frames and samples are checked against the digests in their rows where they are read (see blocks.py).
+    Frames and samples are checked against the digests in their rows where they are read (see runs/codec.py).
 
     Parameters
     ----------

@@ -90,7 +90,7 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
 #: another run's chain, from which it follows.
 PHASE_END: Final = "phase_ends"
 _LATER: Final = {("phases", "ended_s"), ("calibrations", "superseded_by")}
-#: What a comparison of fleets reads of an analysis, see fleet_digest.py.
+#: What a comparison of fleets reads of an analysis, see fleet.py.
 FIGURES: Final = "figures"
 
 

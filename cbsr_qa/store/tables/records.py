@@ -142,7 +142,7 @@ class LinkRow(Base):
 
     run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
     number: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
-    kind: Mapped[str] = mapped_column(String(32))  #: the table its rows are in, see links.py
+    kind: Mapped[str] = mapped_column(String(32))  #: the table its rows are in, see run_documents.py
     document: Mapped[str] = mapped_column(String(64))  #: which of its rows: their common key
     content_sha256: Mapped[str] = mapped_column(String(64))  #: of these rows
     sha256: Mapped[str] = mapped_column(String(64))  #: of the link before, kind, document and content

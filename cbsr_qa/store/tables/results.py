@@ -118,7 +118,7 @@ class CalibrationRow(Base):
     reduced: Mapped[list[Any]]  #: reasons why the range is smaller than intended
     assumed: Mapped[list[Any]]  #: names of what was not measured on this sensor
     simulated: Mapped[list[Any]]
-    setting: Mapped[dict[str, Any]]  #: sensor type and indenter, see codec.py
+    setting: Mapped[dict[str, Any]]  #: sensor type and indenter, see runs/codec.py
     content_sha256: Mapped[str] = mapped_column(String(64))  #: of the issued file's content, as the file states it
     record_sha256: Mapped[str] = mapped_column(String(64))  #: the same without what is prepared again: the matrix
 

@@ -66,8 +66,8 @@ class RunRow(Base):
     configuration_digest: Mapped[str] = mapped_column(String(64))
     software: Mapped[list[Any]]  #: [[distribution, version], …]
     simulated: Mapped[list[Any]]  #: in words
-    setting: Mapped[dict[str, Any]]  #: sensor type, material and indenter in domain terms, see codec.py
-    chain: Mapped[str | None] = mapped_column(String(64))  #: what links it, see links.py; None: from before chains
+    setting: Mapped[dict[str, Any]]  #: sensor type, material and indenter in domain terms, see runs/codec.py
+    chain: Mapped[str | None] = mapped_column(String(64))  #: what links it, see chain/links.py; None: from before chains
 
 
 class RunStateRow(Base):
