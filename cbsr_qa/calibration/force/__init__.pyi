@@ -6,6 +6,7 @@ from .learning import (
     unlearned_model as unlearned_model,
 )
 from .prepared import prepared_again as prepared_again, prepared_force as prepared_force
+from .pressure import PressureMap as PressureMap
 from .templates import (
     CONTRAST as CONTRAST,
     TemplateBank as TemplateBank,
