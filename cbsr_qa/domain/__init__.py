@@ -1,5 +1,5 @@
 """Words of the trade, which every layer and every plugin may use: errors, numbers, and rooms for the rest."""
 
-import lazy_loader
+from cbsr_qa import door
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -1,5 +1,5 @@
 """The simulated world: scenes, effects, addressed random streams."""
 
-import lazy_loader
+from cbsr_qa import door
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -1,5 +1,5 @@
 """The database: tables, journal, results, and the chain of digests they are under."""
 
-import lazy_loader
+from cbsr_qa import door
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -1,5 +1,5 @@
 """The complete electrode model: solved, updated, differentiated, and held against closed forms."""
 
-import lazy_loader
+from cbsr_qa import door
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+__getattr__, __dir__, __all__ = door(__name__, __file__)

@@ -63,7 +63,9 @@ def test_frames_become_force_with_numpy_scipy_and_h5py_alone(file, calibration, 
     command = [sys.executable, "-c", _ALONE, str(file), str(tmp_path / "frames.npy"), str(tmp_path / "out.npy")]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    assert not {"app", "store", "analysis", "plugins", "config", "simulate"} & set(done.stdout.strip().split(","))
+    assert not {"app", "store", "analysis", "plugin", "config", "simulate", "station", "studies", "cli"} & set(
+        done.stdout.strip().split(",")
+    )
     here = calibration.force(seen)
     np.testing.assert_allclose(np.load(tmp_path / "out.npy"), np.column_stack([here.force_N, here.stderr_N]))
 
