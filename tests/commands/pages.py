@@ -12,21 +12,21 @@ HOW_TO = TOP / "docs" / "how-to"
 
 #: Pages with commands, and the test that types them as printed.
 TYPED = {
-    "README.md": "system/test_documentation.py",
-    "docs/how-to/bring-up-a-station.md": "system/test_documentation.py",
-    "docs/how-to/build-this-bench.md": "system/test_documentation.py",
-    "docs/how-to/characterise-a-material.md": "system/test_characterisation.py",
-    "docs/how-to/choose-a-recipe.md": "system/test_documentation.py",
-    "docs/how-to/describe-a-sensor.md": "system/test_documentation.py",
-    "docs/how-to/propose-limits.md": "system/test_limits_commands.py",
-    "docs/how-to/sign-runs.md": "system/test_documentation.py",
-    "docs/how-to/simulate-a-scene.md": "system/test_documentation.py",
-    "docs/how-to/use-a-calibration.md": "system/test_calibration_page.py",
-    "docs/how-to/verify-a-fielded-sensor.md": "system/test_documentation.py",
-    "docs/how-to/watch-a-station.md": "unit/test_station_pages.py",
-    "docs/how-to/what-to-do-when-it-stops.md": "system/test_resume.py",
-    "docs/reference/recordings.md": "system/test_documentation.py",
-    "docs/tutorials/your-first-recipe.md": "system/test_tutorials.py",
+    "README.md": "commands/test_documentation.py",
+    "docs/how-to/bring-up-a-station.md": "commands/test_documentation.py",
+    "docs/how-to/build-this-bench.md": "commands/test_documentation.py",
+    "docs/how-to/characterise-a-material.md": "commands/test_characterisation.py",
+    "docs/how-to/choose-a-recipe.md": "commands/test_documentation.py",
+    "docs/how-to/describe-a-sensor.md": "commands/test_documentation.py",
+    "docs/how-to/propose-limits.md": "commands/test_limits_commands.py",
+    "docs/how-to/sign-runs.md": "commands/test_documentation.py",
+    "docs/how-to/simulate-a-scene.md": "commands/test_documentation.py",
+    "docs/how-to/use-a-calibration.md": "commands/test_calibration_page.py",
+    "docs/how-to/verify-a-fielded-sensor.md": "commands/test_documentation.py",
+    "docs/how-to/watch-a-station.md": "app/station_check/test_station_pages.py",
+    "docs/how-to/what-to-do-when-it-stops.md": "commands/test_resume.py",
+    "docs/reference/recordings.md": "commands/test_documentation.py",
+    "docs/tutorials/your-first-recipe.md": "commands/test_tutorials.py",
 }
 #: Pages that take too long for ``make test``, and what is tested there instead; ``make soak`` types them as printed.
 SHORTENED = {
