@@ -6,7 +6,7 @@ import pytest
 
 from cbsr_qa.cli import guarded
 from cbsr_qa.config import load_recipe
-from cbsr_qa.studies.frontier import frontier as app
+from cbsr_qa.studies.frontier import study as app
 from cbsr_qa.studies.frontier.page import alike_in, notes_of
 from cbsr_qa.studies.frontier.point import Accuracy, Clock, Point, Task
 from cbsr_qa.studies.frontier.setting import FARTHEST, Setting
