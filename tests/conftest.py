@@ -10,6 +10,7 @@ from uuid import uuid4
 import hypothesis
 import pytest
 import sqlalchemy as sa
+from drawn import drawn
 
 # As the command line does, before numpy is loaded: several workers with several threads each are far slower.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
@@ -21,9 +22,9 @@ for _name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT"):
     if _number is not None and signal.getsignal(_number) is signal.SIG_IGN:
         signal.signal(_number, signal.default_int_handler if _name == "SIGINT" else signal.SIG_DFL)
 
-# What is drawn is judged by what comes of it; how long it takes is the computer's, and measured in benchmarks/.
-hypothesis.settings.register_profile("any computer", deadline=None)
-hypothesis.settings.load_profile("any computer")
+# Of properties that do not say how many examples they are tried on.
+hypothesis.settings.register_profile("tier", drawn())
+hypothesis.settings.load_profile("tier")
 
 # Fixtures that tests of several rooms use.
 pytest_plugins = ["round_sensors", "shared_recordings"]

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.analysis.ring import check_ring, exchanged, fit_ring
 from cbsr_qa.domain import ConfigError, NumericsError
@@ -166,7 +167,7 @@ PATTERNS = {
     leads=st.lists(st.floats(0.0, 500.0), min_size=16, max_size=16),
     ohm=st.lists(st.floats(5e3, 2e4), min_size=16, max_size=16),
 )
-@settings(max_examples=25, deadline=None)
+@drawn(25)
 def test_what_made_the_readings_is_found_again_whatever_the_pattern_and_the_resistors(
     name, gain, offset_V, leads, ohm
 ):

@@ -4,7 +4,8 @@ from dataclasses import replace
 from itertools import repeat
 
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.config import load_material, load_scene, load_sensor_type, load_station
 from cbsr_qa.domain import RefusedError
@@ -112,7 +113,7 @@ plans = st.lists(cycles | loops, min_size=1, max_size=3).map(
 )
 
 
-@settings(max_examples=25, deadline=None)
+@drawn(25)
 @given(phases=st.lists(plans, min_size=1, max_size=2))
 def test_time_by_kind_frames_and_loads_are_those_of_the_run(phases):
     plan = example_plan(*phases)

@@ -2,7 +2,8 @@
 
 import signal
 
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 from stopping import CYCLE, LOAD, SAFE, run, send
 
 from cbsr_qa.domain import AbortedError, InstrumentError
@@ -36,7 +37,7 @@ ACTIONS = {
 }
 
 
-@settings(max_examples=300, deadline=None)
+@drawn(300)
 @given(faults=st.dictionaries(st.integers(3, NUMBER_OF_CALLS + 3), st.sampled_from(sorted(ACTIONS)), max_size=5))
 def test_whatever_happens_the_head_is_up_the_bench_safe_and_the_record_consistent(faults):
     """Faults at any calls, also in the safe state: every instrument is told it all the same, in its turn, at once."""

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 from simulated_runs import simulated_run
 
 from cbsr_qa.analysis.run import force_quality
@@ -104,7 +105,7 @@ def test_repeated_places_do_not_make_an_average_surer(learned_map):
     assert often == pytest.approx(once)
 
 
-@settings(max_examples=12, deadline=None)
+@drawn(12)
 @given(st.floats(0.1, 3.0), st.sampled_from([1.0, -1.0]))
 def test_loads_of_an_even_sheet_give_its_gauge_factor(factor, sign):
     line = QuasiStatic(Parameter(sign * 0.6, None, "test"), Parameter(0.0, None, "test"))

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.calibration.fits.relaxation import fit_relaxation, relaxation_curve
 from cbsr_qa.calibration.fits.settling import relaxation_start, settling_time
@@ -39,7 +40,7 @@ def test_one_exponential_without_noise_stays_one():
     ratio=st.floats(5, 12),
     share=st.floats(0.25, 4),
 )
-@settings(max_examples=40, deadline=None)
+@drawn(40)
 def test_well_separated_exponentials_are_recovered_at_any_scale(offset, scale, fast, ratio, share):
     values = scale * _curve(offset, (share, 1.0), (fast, ratio * fast))
     fit = fit_relaxation(TIME_S, values)

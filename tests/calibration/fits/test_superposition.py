@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 from strip_samples import Truth, cycles, steps_of
 
 from cbsr_qa.calibration.fits.superposition import (
@@ -52,7 +53,7 @@ def test_as_they_were_read_they_would_be_far_off(steps):
     assert ((last[0::2] - before)[1:] < 0.95 * 0.6 * STRAINS[1:]).all()
 
 
-@settings(max_examples=20, deadline=None)
+@drawn(20)
 @given(st.floats(0.01, 100.0), st.sampled_from([-1.0, 1.0]), st.floats(-1.0, 1.0))
 def test_scale_sign_and_offset_carry_through(steps, plain, scale, sign, offset):
     """Separation by given time constants is linear in what was read."""

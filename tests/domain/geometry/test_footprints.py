@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from disc_meshes import disc_mesh, square_mesh, uniform_blob
-from hypothesis import assume, given, settings, strategies as st
+from drawn import drawn
+from hypothesis import assume, given, strategies as st
 from scipy.integrate import quad
 
 from cbsr_qa.domain.errors import NumericsError
@@ -42,7 +43,7 @@ def stars(draw: st.DrawFn) -> np.ndarray:
 
 
 @given(stars(), st.floats(-6, 6), st.floats(-6, 6))
-@settings(max_examples=60)
+@drawn(60)
 def test_the_triangles_of_a_sheet_share_out_the_whole_polygon(corners, x, y):
     mesh = disc_mesh(20.0, rings=7, spokes=30)
     head = PolygonFootprint(corners + np.array([x, y]))
@@ -52,7 +53,7 @@ def test_the_triangles_of_a_sheet_share_out_the_whole_polygon(corners, x, y):
 
 
 @given(stars(), stars(), st.floats(-5, 5), st.floats(-5, 5))
-@settings(max_examples=60)
+@drawn(60)
 def test_two_polygons_have_as_much_of_each_other(one, other, x, y):
     first, second = PolygonFootprint(one), PolygonFootprint(other + np.array([x, y]))
 
@@ -119,7 +120,7 @@ def test_the_nearest_of_an_ells_sides_may_be_the_inner_ones():
 
 
 @given(stars(), st.floats(-9, 9), st.floats(-9, 9))
-@settings(max_examples=60)
+@drawn(60)
 def test_a_place_is_inside_where_the_outline_goes_around_it(corners, x, y):
     head = PolygonFootprint(corners)
     point = np.array([[x, y]])
@@ -161,7 +162,7 @@ def test_a_disc_of_the_same_area_measures_what_the_disc_does():
 
 
 @given(st.booleans(), stars(), st.floats(0, 2 * np.pi), st.floats(0.2, 5.0), st.floats(-50, 50), st.floats(-50, 50))
-@settings(max_examples=60)
+@drawn(60)
 def test_turned_moved_and_scaled_everything_measures_the_same(contour, corners, angle, scale, x, y):
     mesh = disc_mesh(12.0, rings=5, spokes=24, centre_mm=(0.4, -0.3))
     turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.config import load_sensor_type
 from cbsr_qa.domain import NumericsError
@@ -130,7 +131,7 @@ def test_estimates_are_as_precise_as_the_bound_and_cover(x, y, radius, contrast,
 
 
 @given(x=st.floats(-30, 30), y=st.floats(-30, 30), contrast=st.floats(0.05, 2.0), sign=st.sampled_from((-0.4, 1.0)))
-@settings(max_examples=20, deadline=None)
+@drawn(20)
 def test_without_noise_the_load_itself_is_found_wherever_the_start(x, y, contrast, sign):
     data = change(x, y, 5.0, sign * contrast)[USED][None]
     for start in (None, np.array([[-x, -y]])):

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from disc_meshes import square_mesh
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import PolygonFootprint, RoundFootprint
@@ -29,7 +30,7 @@ def half_plane(distance: float, angle: float) -> PolygonFootprint:
 
 
 @given(x=st.floats(0, 10), y=st.floats(0, 10), radius=st.floats(0.3, 6))
-@settings(max_examples=20, deadline=None)
+@drawn(20)
 def test_shares_are_those_of_exact_clipping(elements, x, y, radius):
     load = cover(elements, RoundFootprint(x, y, radius))
     expected, fraction = disc_coverage(elements.mesh, x, y, radius)
@@ -39,7 +40,7 @@ def test_shares_are_those_of_exact_clipping(elements, x, y, radius):
 
 
 @given(part=st.floats(0.02, 0.98), corner=st.integers(0, 2))
-@settings(max_examples=30, deadline=None)
+@drawn(30)
 def test_first_moments_are_those_of_the_covered_part(part, corner):
     """A cut parallel to a side leaves a corner of known centroid; found to 3 % of the range."""
     mesh = Mesh(np.array([[0.0, 0.0], [3.0, 0.4], [1.0, 2.0]]), np.array([[0, 1, 2]]))
@@ -79,7 +80,7 @@ def test_a_cut_element_conducts_as_a_stack_of_layers(elements):
 
 
 @given(log_factor=st.floats(-18, 18), x=st.floats(2, 8), radius=st.floats(0.2, 4))
-@settings(max_examples=40, deadline=None)
+@drawn(40)
 def test_any_contrast_leaves_a_conductor(elements, log_factor, x, radius):
     load = cover(elements, RoundFootprint(x, 4.0, radius))
     conductance = np.full(len(elements.cells), 3.0)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.sensor import DrivePattern, Mesh
@@ -104,14 +105,14 @@ def test_driven_current_reaches_the_sheet(model):
 
 
 @given(factor=st.floats(1e-6, 1e6))
-@settings(max_examples=15, deadline=None)
+@drawn(15)
 def test_voltages_scale_with_resistance(model, factor):
     scaled = ForwardModel(model.mesh, model.pattern, factor * model.conductance, model.contact_impedance / factor)
     assert np.allclose(scaled.voltages() * factor, model.voltages(), rtol=1e-9, atol=0)
 
 
 @given(factor=st.floats(1e-3, 1e3))
-@settings(max_examples=15, deadline=None)
+@drawn(15)
 def test_a_sheet_is_as_good_enlarged(model, factor):
     mesh = Mesh(factor * model.mesh.nodes_mm, model.mesh.elements, model.mesh.electrode_edges)
     enlarged = ForwardModel(mesh, model.pattern, model.conductance, factor * model.contact_impedance)

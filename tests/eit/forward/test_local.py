@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
@@ -39,7 +40,7 @@ def worst(found: np.ndarray, exact: np.ndarray) -> float:
     radius=st.floats(3, 15),
     log_factor=st.floats(-3, 3),
 )
-@settings(max_examples=25, deadline=None)
+@drawn(25)
 def test_equals_full_refactorisation(model, update, x, y, radius, log_factor):
     elements, fraction = disc_coverage(model.mesh, x, y, radius)
     change = model.conductance[elements] * fraction * np.expm1(log_factor)
@@ -47,7 +48,7 @@ def test_equals_full_refactorisation(model, update, x, y, radius, log_factor):
 
 
 @given(x=st.floats(-45, 45), y=st.floats(-45, 45), radius=st.floats(3, 15), log_factor=st.floats(-3, 3))
-@settings(max_examples=15, deadline=None)
+@drawn(15)
 def test_a_load_that_cuts_elements_equals_full_refactorisation(model, update, x, y, radius, log_factor):
     load = cover(model.elements, RoundFootprint(x, y, radius))
     change = load.change(model.conductance, np.expm1(log_factor))
@@ -211,7 +212,7 @@ def test_changes_that_conduct_backwards_in_one_direction_are_refused(model, upda
 
 
 @given(seed=st.integers(0, 2**32 - 1), spread=st.floats(0.01, 6), loads=st.integers(0, 2))
-@settings(max_examples=20, deadline=None)
+@drawn(20)
 def test_changed_contacts_equal_full_refactorisation(model, update, seed, spread, loads):
     """Contacts up to e⁶ times better and worse at once, with loads beside them and one over a pin."""
     random = np.random.default_rng(seed)

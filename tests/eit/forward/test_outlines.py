@@ -4,7 +4,8 @@ from functools import cache
 
 import numpy as np
 import pytest
-from hypothesis import given, reject, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, reject, strategies as st
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.geometry import Polygon, corner_turns, rounding_room
@@ -78,7 +79,7 @@ def any_sheets(draw):
     return polygon_sensor("any", outline, 1.0, electrodes, adjacent_pattern(5))
 
 
-@settings(max_examples=8, deadline=None)
+@drawn(8)
 @given(any_sheets(), st.floats(0.1, 0.2), st.sampled_from([1, 2]))
 def test_any_sheet_is_meshed_without_thin_elements(sensor, size, order):
     sharpest = 180 - np.rad2deg(np.abs(corner_turns(np.array(sensor.outline.corners_mm))).max())

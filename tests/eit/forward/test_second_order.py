@@ -4,7 +4,8 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
@@ -169,7 +170,7 @@ def test_driving_point_resistances_rise_with_the_order(pin_sensor):
 
 
 @given(factor=st.floats(1e-6, 1e6))
-@settings(max_examples=10, deadline=None)
+@drawn(10)
 def test_voltages_scale_with_resistance(model, factor):
     scaled = model.changed(conductance=factor * model.conductance, contact_impedance=model.contact_impedance / factor)
     assert np.allclose(scaled.voltages() * factor, model.voltages(), rtol=1e-9, atol=0)

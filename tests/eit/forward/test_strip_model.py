@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 from strip_samples import models
 
 from cbsr_qa.config import load_scene, load_sensor_type, load_station
@@ -52,7 +53,7 @@ def test_a_finer_mesh_of_another_maker_agrees():
     assert models()[0].squares == pytest.approx(sheet.unloaded[0, 0] * sheet.conductance_S, rel=1e-3)
 
 
-@settings(max_examples=50, deadline=None)
+@drawn(50)
 @given(st.floats(-0.9, 10.0))
 def test_there_and_back_is_where_it_began(change):
     model = models()[0]

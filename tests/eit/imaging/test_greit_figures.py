@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from disc_meshes import disc_mesh
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 from scipy.integrate import quad
 
 from cbsr_qa.domain import NumericsError
@@ -86,7 +87,7 @@ def test_position_errors_are_positive_towards_the_centre(seen_mm):
 
 
 @given(st.floats(0, 2 * np.pi), st.floats(0.1, 10.0), st.floats(0.5, 2.0))
-@settings(max_examples=20)
+@drawn(20)
 def test_turned_scaled_and_amplified(angle, gain, scale):
     mesh = disc_mesh(20.0, rings=10, spokes=48)
     turn = scale * np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])

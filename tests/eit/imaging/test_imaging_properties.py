@@ -1,7 +1,8 @@
 """What must hold for every blob, circle and image, whatever its shape."""
 
 import numpy as np
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cbsr_qa.domain.geometry import RoundFootprint
@@ -49,7 +50,7 @@ def _inside(mesh: Mesh, x: float, y: float, r: float) -> float:
 
 
 @given(triangles(), coordinate, coordinate, radius)
-@settings(max_examples=150)
+@drawn(150)
 def test_the_overlap_lies_between_nothing_and_either_area(mesh, x, y, r):
     area = _inside(mesh, x, y, r)
     assert 0 <= area <= float(mesh.areas_mm2[0])
@@ -57,13 +58,13 @@ def test_the_overlap_lies_between_nothing_and_either_area(mesh, x, y, r):
 
 
 @given(triangles(), coordinate, coordinate, radius, st.floats(0, 5))
-@settings(max_examples=100)
+@drawn(100)
 def test_a_larger_circle_never_covers_less(mesh, x, y, r, more):
     assert _inside(mesh, x, y, r) <= _inside(mesh, x, y, r + more) + 1e-9
 
 
 @given(triangles(), coordinate, coordinate, radius, st.floats(0.05, 0.95))
-@settings(max_examples=100)
+@drawn(100)
 def test_cutting_a_triangle_in_two_does_not_change_the_overlap(mesh, x, y, r, where):
     a, b, c = mesh.nodes_mm
     middle = a + where * (b - a)
@@ -72,7 +73,7 @@ def test_cutting_a_triangle_in_two_does_not_change_the_overlap(mesh, x, y, r, wh
 
 
 @given(triangles(), coordinate, coordinate, radius, st.floats(0, 2 * np.pi))
-@settings(max_examples=100)
+@drawn(100)
 def test_turning_and_shifting_everything_changes_nothing(mesh, x, y, r, angle):
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     shift = np.array([3.0, -7.0])
@@ -89,7 +90,7 @@ def test_turning_and_shifting_everything_changes_nothing(mesh, x, y, r, angle):
 
 
 @given(values, st.floats(0.01, 1), st.floats(0, 2))
-@settings(max_examples=150)
+@drawn(150)
 def test_blobs_part_the_mask(image, fraction, floor):
     cleared = floored(image, floor)
     keep = percentage_mask(cleared, fraction)
@@ -104,14 +105,14 @@ def test_blobs_part_the_mask(image, fraction, floor):
 
 
 @given(values, st.floats(0.05, 1), st.floats(0.05, 1))
-@settings(max_examples=100)
+@drawn(100)
 def test_a_stricter_mask_keeps_a_part_of_a_laxer_one(image, one, other):
     strict, lax = (percentage_mask(image, fraction) for fraction in (max(one, other), min(one, other)))
     assert not (strict & ~lax).any()
 
 
 @given(values, st.floats(1e-3, 1e3))
-@settings(max_examples=100)
+@drawn(100)
 def test_the_unit_of_the_image_does_not_matter(image, factor):
     image = np.maximum(image, 0.0) + 0.1
     one = Blob(Image(GRID, image), np.arange(len(image)))

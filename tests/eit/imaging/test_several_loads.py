@@ -6,7 +6,8 @@ from itertools import permutations
 import numpy as np
 import pytest
 from disc_meshes import disc_mesh, square_mesh, uniform_blob
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -43,7 +44,7 @@ def _least_cost(distance: np.ndarray, gate_mm: float) -> float:
 
 
 @given(PLACES, PLACES, st.floats(2.0, 40.0))
-@settings(max_examples=80)
+@drawn(80)
 def test_no_other_assignment_costs_less(pressed, seen, gate_mm):
     loads, regions = [_load(x, y) for x, y in pressed], [_disc(x, y) for x, y in seen]
     found = assign_regions(regions, loads, gate_mm=gate_mm)
@@ -98,7 +99,7 @@ def test_a_gate_that_is_none_is_refused(gate):
 
 
 @given(st.integers(1, 40), st.integers(0, 120), st.integers(0, 2**32 - 1))
-@settings(max_examples=60)
+@drawn(60)
 def test_components_are_those_of_the_graph(count, edges, seed):
     ends = np.random.default_rng(seed).integers(0, count, (edges, 2))
     label = component_labels(count, ends[:, 0], ends[:, 1])

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import NumericsError, RefusedError
 from cbsr_qa.domain.results import ImagingProblem
@@ -59,7 +60,7 @@ def test_nine_places_are_found_at_60_dB(problem):
 
 
 @given(contrast=st.floats(0.005, 0.02))
-@settings(max_examples=8, deadline=None)
+@drawn(8)
 def test_opposite_contrasts_give_opposite_images(problem, contrast):
     prepared = GaussNewtonNoser().prepare(problem)
     more, less = (
@@ -174,7 +175,7 @@ def test_impossible_problems_are_refused(pin_sensor):
 
 
 @given(factor=st.floats(1e-6, 1e6), sign=st.sampled_from([-1, 1]))
-@settings(max_examples=20, deadline=None)
+@drawn(20)
 def test_images_do_not_depend_on_the_unit_of_the_voltages(problem, factor, sign):
     reference = frame_of(problem, problem.reference)
     frames = reference + frame_of(problem, 1e-3 * problem.reference[::-1])[None]
@@ -226,7 +227,7 @@ def test_images_refuse_readings_that_do_not_fit(problem):
 @given(
     unit=st.floats(-9, 9), seed=st.integers(0, 2**32 - 1), offset=st.floats(20, 1e6), sign=st.sampled_from([-1, 1])
 )
-@settings(max_examples=20, deadline=None)
+@drawn(20)
 def test_a_reference_on_an_offset_has_a_doubtful_scale(problem, unit, seed, offset, sign):
     frame = np.zeros(problem.used.shape)
     frame[problem.used] = 10**unit * problem.reference

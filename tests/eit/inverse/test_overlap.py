@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain.sensor import Mesh
 from cbsr_qa.eit.forward import disc_coverage
@@ -66,7 +67,7 @@ def test_pieces_lie_where_they_should(meshes):
 
 
 @given(away=st.floats(0, 35), angle=st.floats(0, 2 * np.pi), radius=st.floats(0.5, 12))
-@settings(max_examples=40, deadline=None)
+@drawn(40)
 def test_a_disc_inside_covers_its_own_area(meshes, away, angle, radius):
     x, y = away * np.cos(angle), away * np.sin(angle)
     elements, fraction = disc_coverage(meshes[1], x, y, radius)

@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import ConfigError, NumericsError, RefusedError
 from cbsr_qa.domain.results import ImagingProblem
@@ -68,7 +69,7 @@ def test_one_lasting_image_is_that_of_the_mean_with_the_means_noise(problem, fra
 
 
 @given(lag=st.integers(0, 12), time=st.floats(0.3, 30))
-@settings(max_examples=15, deadline=None)
+@drawn(15)
 def test_with_a_lag_an_image_knows_what_a_block_that_ends_there_knows(lag, time):
     random = np.random.default_rng(1)
     readings, values = random.standard_normal((9, 5)), np.array([0.0, 1e-3, 0.1, 1.0, 50.0])

@@ -5,7 +5,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.geometry import RoundFootprint
@@ -60,7 +61,7 @@ def error(model: ForwardModel, impedance: np.ndarray, exact: np.ndarray) -> floa
 
 
 @given(strength=st.floats(-0.5, 1.0))
-@settings(max_examples=20, deadline=None)
+@drawn(20)
 def test_a_single_load_is_right_to_rounding_within_its_series_and_beyond(model, loaded, nine, strength):
     loads = {nine[1]: strength}
     (found,) = loaded.transfer_impedances([loads])
@@ -78,7 +79,7 @@ def test_a_single_load_answers_the_same_to_the_bit_whatever_was_loaded_before(mo
 
 
 @given(strengths=st.lists(st.floats(-0.3, 0.4), min_size=9, max_size=9))
-@settings(max_examples=15, deadline=None)
+@drawn(15)
 def test_nine_loads_together(model, loaded, nine, strengths):
     loads = dict(zip(nine, strengths, strict=True))
     (found,) = loaded.transfer_impedances([loads])
@@ -86,7 +87,7 @@ def test_nine_loads_together(model, loaded, nine, strengths):
 
 
 @given(seed=st.integers(0, 1000))
-@settings(max_examples=8, deadline=None)
+@drawn(8)
 def test_nine_loads_and_contacts_together(model, loaded, nine, seed):
     draw = np.random.default_rng(seed)
     contacts = model.contact_impedance * np.exp(0.3 * draw.standard_normal(len(model.contact_impedance)))
@@ -135,7 +136,7 @@ def test_memory_is_bounded_however_many_loads_overlap(model, monkeypatch):
 
 
 @given(strengths=st.lists(st.floats(-1, 1), min_size=4, max_size=4))
-@settings(max_examples=15, deadline=None)
+@drawn(15)
 def test_residues_that_overlap_are_right_to_what_is_not_solved_for(model, loaded, strengths):
     """To second order: what is left out is less than what a change of 1e-7 does, whatever their signs."""
     shares = np.array(strengths) * WEAK / max(1.0, np.abs(strengths).sum())
@@ -218,7 +219,7 @@ def test_one_outline_alone_is_the_plain_cover(model):
 
 
 @given(relative=st.floats(-0.3, 0.5), size=st.floats(0.3, 0.95), weight=st.floats(0.1, 0.9))
-@settings(max_examples=20, deadline=None)
+@drawn(20)
 def test_layers_keep_what_presses_in_all(model, relative, size, weight):
     """Along the outlines the mean over an element is the areas' mean of the layers, to rounding."""
     sizes, weights = np.array([1.0, size]), np.array([1 - weight, weight])

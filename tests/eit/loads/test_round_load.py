@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import NumericsError, RefusedError
 from cbsr_qa.domain.sensor import ElectrodeKind, ElectrodeLayout, PlacedElectrodes, adjacent_pattern
@@ -128,7 +129,7 @@ def test_finite_elements_converge_to_it(pin_sensor, model, x, y, radius, contras
 @given(
     x=st.floats(-35, 35), y=st.floats(-35, 35), radius=st.floats(0.5, 8), log_factor=st.floats(-8, 8)
 )  # fmt: skip
-@settings(max_examples=25, deadline=None)
+@drawn(25)
 def test_reciprocity_and_rotation_by_one_electrode(model, x, y, radius, log_factor):
     if not model.surroundings.clearance_mm(np.array([[x, y]]))[0] > 1.2 * radius:
         return

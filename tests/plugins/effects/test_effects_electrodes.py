@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from drawn import drawn
 from effect_setting import READING_SCALE_V, moment, setting
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import PluginChoice, Scene, SheetDesign, SimulatedPress, StrainStep
@@ -131,7 +132,7 @@ def test_it_is_open_for_its_share_of_the_time_from_the_first_moment_on():
     assert first == pytest.approx(0.25, abs=5 * np.sqrt(0.25 * 0.75 / 1000))
 
 
-@settings(max_examples=30, deadline=None)
+@drawn(30)
 @given(times=st.lists(st.floats(0, 5e4), min_size=2, max_size=12), open_s=st.floats(0.02, 50))
 def test_times_may_be_asked_for_in_any_order(times, open_s):
     one, other = intermittent(open_s=open_s), intermittent(open_s=open_s)

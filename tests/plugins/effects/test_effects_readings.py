@@ -4,8 +4,9 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from drawn import drawn
 from effect_setting import moment, setting
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from scipy.constants import Boltzmann
 from scipy.signal import lfilter
 
@@ -87,7 +88,7 @@ def remembered(frame, share, inner):
     return at.voltages.ravel() if inner == "measure" else at.voltages.T.ravel()
 
 
-@settings(max_examples=30, deadline=None)
+@drawn(30)
 @given(seed=st.integers(0, 2**32 - 1), share=st.floats(0, 0.9), step=st.floats(0, 10), inner=st.sampled_from(INNER))
 def test_what_a_frame_does_not_remember_of_the_one_before_is_bounded_as_documented(seed, share, step, inner):
     """Against one converter that remembers through frame after frame: reading n is off by m^(n + 1) d at most."""

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa_plugins.hardware._board_stream import BINARY_FRAME, BinaryStream, TextStream, scan_order
 
@@ -39,7 +40,7 @@ def test_binary_frames_come_whole_whatever_the_pieces(size):
     assert not any(frame.after_loss for frame in frames)
 
 
-@settings(max_examples=40, deadline=None)
+@drawn(40)
 @given(
     cut=st.integers(0, BINARY_FRAME - 1),
     counts=st.lists(st.sampled_from([0x0D0D, 0x410D, 0x0D41, 0x4141, 0, 0xFFFF, 30_000]), min_size=256, max_size=256),

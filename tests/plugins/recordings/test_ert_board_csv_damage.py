@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 from board_files import BLOCK, DUMP, PAIRS, BoardFile, read
-from hypothesis import HealthCheck, given, settings, strategies as st
+from drawn import drawn
+from hypothesis import HealthCheck, given, strategies as st
 
 from cbsr_qa.domain import RecordingError
 from cbsr_qa_plugins.recordings.lab_files import LONGEST_LINE, MOST_BAD_IN_A_ROW, text_lines
@@ -95,7 +96,7 @@ def test_no_complete_frame_is_refused_with_an_inventory(tmp_path):
         read(BoardFile().header().rows(BLOCK[0][:3]).mark().rows(BLOCK[0][:4]).save(tmp_path))
 
 
-@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@drawn(40, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.lists(st.integers(0, 90), max_size=6, unique=True), st.randoms(use_true_random=False))
 def test_whatever_happens_to_some_lines_the_other_frames_are_untouched(tmp_path, hit, random):
     """Damage to a line may cost its own frame and the one before a lost mark, never another one's content."""

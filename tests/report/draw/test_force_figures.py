@@ -4,7 +4,8 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 from report_samples import sample_run
 from sensor_samples import SENSOR
 
@@ -88,7 +89,7 @@ def test_bands_are_real_whatever_the_stated_errors(stated):
 
 
 @given(st.floats(1e-9, 1e6), st.floats(1, 1e6))
-@settings(max_examples=50, deadline=None)
+@drawn(50)
 def test_levels_hold_all_values_between_round_numbers(least, ratio):
     most = least * ratio
     levels = round_levels(least, most)

@@ -6,8 +6,9 @@ from math import log, pi, sqrt
 
 import numpy as np
 import pytest
+from drawn import drawn
 from fleet_designs import fleet, three_batches, uneven
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from scipy import optimize, sparse, stats
 
 from cbsr_qa.domain import NumericsError
@@ -181,7 +182,7 @@ def test_no_sensor_variance_is_the_boundary():
     assert 0 < found.group_difference("b001", "b000").freedom < 20
 
 
-@settings(max_examples=30, deadline=None)
+@drawn(30)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-6, 2.0, 1e8]), st.sampled_from([-1e4, 0.0, 7.0]))
 def test_units_origins_orders_and_names_change_nothing(seed, scale, origin):
     random = np.random.default_rng(seed)

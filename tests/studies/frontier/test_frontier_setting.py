@@ -5,7 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.config import (
     DocumentKind,
@@ -63,7 +64,7 @@ def dry(setting):
     return dry_run(planned(document), setting.frame_period_s)
 
 
-@settings(deadline=None, max_examples=40)
+@drawn(40)
 @given(ways)
 def test_every_setting_is_a_recipe_that_the_station_takes(setting):
     recipe = setting.recipe(BASE, "tried")

@@ -1,7 +1,8 @@
 """Searches around the hard cases: the same truths and bounds, where hypothesis takes them."""
 
 import numpy as np
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 from scipy.optimize import brentq
 
 from cbsr_qa.calibration.fits import fit_relaxation, settling_time
@@ -29,13 +30,13 @@ def within(answer):
     )
 
 
-@settings(max_examples=15, deadline=None)
+@drawn(15)
 @given(offset=powers(-2, 6), unit=powers(-9, 9), second=powers(-6, 6), sign=st.sampled_from([-1.0, 1.0]))
 def test_offsets_and_units_cost_a_relaxation_only_its_condition(offset, unit, second, sign):
     within(relaxation_cases.recovered(offset, (sign * 0.3, 0.2), (5.0, 30.0), unit=unit, second=second))
 
 
-@settings(max_examples=20, deadline=None)
+@drawn(20)
 @given(gap=powers(-12, 0), share=st.floats(0.1, 0.9))
 def test_time_constants_ever_more_alike_settle_when_their_curve_does(gap, share):
     """One exponential stands for two less than a factor of 2 apart: off by their distance squared, 8 % at 2."""
@@ -49,25 +50,25 @@ def test_time_constants_ever_more_alike_settle_when_their_curve_does(gap, share)
     assert gap > 0.99 or len(fit.amplitudes) == 1
 
 
-@settings(max_examples=60, deadline=None)
+@drawn(60)
 @given(gap=powers(-8, -2))
 def test_cancelling_exponentials_settle_to_their_condition(gap):
     within(relaxation_cases.settled((-0.4 / gap, 0.4 / gap + 0.5), (20.0, 20.0 * (1 + gap))))
 
 
-@settings(max_examples=30, deadline=None)
+@drawn(30)
 @given(noise=powers(-15, -1))
 def test_no_noise_is_too_small_for_a_steady_state(noise):
     within(relaxation_cases.steady_without_noise(noise))
 
 
-@settings(max_examples=60, deadline=None)
+@drawn(60)
 @given(share=powers(-9, 2))
 def test_ramps_and_frames_of_any_length_are_exact(share):
     within(time_cases.short_ramp(share))
 
 
-@settings(max_examples=150, deadline=None)
+@drawn(150)
 @given(
     gap=powers(-15, 0.5),
     sign=st.sampled_from([-1.0, 1.0]),
@@ -85,27 +86,27 @@ def test_triangles_that_all_but_touch_a_circle(gap, sign, turn, long, first):
         within(geometry_cases.circle(first + corners @ turned, (first, first)))
 
 
-@settings(max_examples=60, deadline=None)
+@drawn(60)
 @given(width=powers(-9, 1), first=powers(-1, 6))
 def test_needles_of_any_width_anywhere(width, first):
     if first / width < 1e12:  # the needle still is one of doubles
         within(geometry_cases.needle(width, first))
 
 
-@settings(max_examples=25, deadline=None)
+@drawn(25)
 @given(corners=st.integers(3, 20_000))
 def test_rims_ever_closer_to_the_indenters(corners):
     within(geometry_cases.rim_at_the_indenter(corners))
 
 
-@settings(max_examples=60, deadline=None)
+@drawn(60)
 @given(level=powers(-3, 5), spread=powers(-3, 3), scatter=st.floats(0, 0.02), weight=powers(-6, 0))
 def test_lines_of_any_spread_on_any_level(level, spread, scatter, weight):
     change = 0.6 * STRAINS + scatter * np.cos(40 * STRAINS)
     within(calibration_cases.line(level + spread * STRAINS, change, np.array([1, weight, 1, 1, 1, 1])))
 
 
-@settings(max_examples=6, deadline=None)
+@drawn(6)
 @given(size=powers(-9, 0), variance=powers(-14, -2))
 def test_maps_of_loads_ever_closer_together(size, variance):
     places = size * calibration_cases.NINE[:5]
@@ -113,13 +114,13 @@ def test_maps_of_loads_ever_closer_together(size, variance):
     within(calibration_cases.response(places, values, np.full(5, variance)))
 
 
-@settings(max_examples=100, deadline=None)
+@drawn(100)
 @given(strength=st.floats(-100, 1.97), log_response=st.floats(-30, 30))
 def test_forces_at_any_response(strength, log_response):
     within(load_cases.force_of(strength, log_response))
 
 
-@settings(max_examples=60, deadline=None)
+@drawn(60)
 @given(
     numerators=st.lists(st.integers(1, 999), min_size=1, max_size=8),
     scale=powers(-12, 12),

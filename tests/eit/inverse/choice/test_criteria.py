@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.eit.inverse.choice.criteria import RidgeCurves, by_cross_validation, by_discrepancy, by_l_curve
@@ -59,7 +60,7 @@ def random_problem():
 
 
 @given(exponent=st.floats(-2.5, 0.5))
-@settings(max_examples=20, deadline=None)
+@drawn(20)
 def test_residual_size_and_freedom_are_those_of_the_textbook(random_problem, exponent):
     matrix, variance, weights, readings = random_problem
     spectrum = dual_spectrum(matrix, weights, variance)
@@ -75,7 +76,7 @@ def test_residual_size_and_freedom_are_those_of_the_textbook(random_problem, exp
 
 
 @given(exponent=st.floats(-2.0, 0.5))
-@settings(max_examples=15, deadline=None)
+@drawn(15)
 def test_cross_validation_is_leaving_one_out_where_all_readings_are_alike(exponent):
     """On a circulant problem every reading has the same leverage, and GCV is the sum over refits without each."""
     count, hyperparameter = 18, 10**exponent

@@ -3,7 +3,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings, strategies as st
+from drawn import drawn
+from hypothesis import given, strategies as st
 
 from cbsr_qa.domain import ConfigError, NumericsError
 from cbsr_qa.domain.results import ImagingProblem, ParameterChoice
@@ -98,7 +99,7 @@ def test_a_smooth_image_with_the_same_residual_has_more_total_variation(problem,
 
 
 @given(factor=st.floats(1e-3, 1e3), sign=st.sampled_from([-1, 1]))
-@settings(max_examples=6, deadline=None)
+@drawn(6)
 def test_readings_and_parameter_scale_together(problem, noisy, factor, sign):
     white = WhiteReadings.of(problem)
     minimise = Minimise(problem.mesh, white.rows, tolerance=1e-7)

@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import event, example, given, settings, strategies as st
+from drawn import drawn
+from hypothesis import event, example, given, strategies as st
 from scipy import linalg
 
 from cbsr_qa.domain import NumericsError
@@ -26,7 +27,7 @@ from cbsr_qa.studies.hard_cases.sheets import (
     small_model,
 )
 
-_FEW = settings(max_examples=15, deadline=None)
+_FEW = drawn(15)
 
 
 def check(answer: Answer) -> None:
@@ -53,7 +54,7 @@ def test_any_contrast_with_any_contacts_is_right_or_refused(kind, contrast, cont
 
 @given(contrast=st.floats(-8, 0), ratio=st.floats(-8.9, 1), of_contacts=st.booleans())
 @example(contrast=-2.0, ratio=0.5, of_contacts=False)  # the furthest apart that is not refined
-@settings(max_examples=8, deadline=None)
+@drawn(8)
 def test_sensitivities_are_right_at_any_contrast_and_good_contact(contrast, ratio, of_contacts):
     with suppress(ValueRangeError):
         check(_sensitivities(lambda: islands(10**contrast), 10**ratio, of_contacts))
@@ -93,7 +94,7 @@ def test_noise_is_the_same_on_any_level_at_any_time(offset, beginning):
 
 
 @given(frames=st.floats(-3, 14))
-@settings(max_examples=6, deadline=None)
+@drawn(6)
 def test_frames_alike_for_any_time_are_right(frames):
     check(_lasting(10**frames))
 
@@ -108,7 +109,7 @@ def problem_of(seed: int, decades: float) -> tuple[np.ndarray, np.ndarray, np.nd
 
 
 @given(seed=st.integers(0, 2**32 - 1), decades=st.floats(0, 9), relative=st.floats(-12, 6))
-@settings(max_examples=40, deadline=None)
+@drawn(40)
 def test_any_regularisation_of_any_problem_is_right(seed, decades, relative):
     jacobian, weights, variance, readings = problem_of(seed, decades)
     sizes = linalg.svdvals(jacobian / np.sqrt(variance)[:, None] / np.sqrt(weights))
