@@ -11,6 +11,7 @@ import hypothesis
 import pytest
 import sqlalchemy as sa
 from drawn import drawn
+from made_once import share
 
 # As the command line does, before numpy is loaded: several workers with several threads each are far slower.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
@@ -38,6 +39,13 @@ def shared() -> Path:
     if not (_SHARED / "data").is_dir():
         pytest.skip(f"the recordings and reference numbers are not at {_SHARED}")
     return _SHARED
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _shared_by_workers(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """Workers of one run of the tests make some things once for all of them."""
+    folder = tmp_path_factory.getbasetemp()
+    share((folder.parent if "PYTEST_XDIST_WORKER" in os.environ else folder) / "made once")
 
 
 class PostgresServer:

@@ -10,10 +10,10 @@ from pages import HOW_TO, TOP, blocks, commands, typed
 
 sys.path.insert(0, str(TOP / "tests" / "samples"))
 
-from stored_lots import store_lot
+from filled_databases import filled
+from stored_lots import lot_runs
 
 from cbsr_qa.config import limits_digest, load_recipe
-from cbsr_qa.store import open_store
 
 _PAGE = HOW_TO / "propose-limits.md"
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
@@ -24,8 +24,7 @@ def folder(tmp_path_factory):
     """A folder with the lot of the page: thirty sensors, eight of them run twice."""
     folder = tmp_path_factory.mktemp("page")
     (folder / "var").mkdir()
-    with open_store(f"sqlite:///{folder / 'var' / 'cbsr-qa.db'}", durable=False) as store:
-        store_lot(store, sensors=30, repeats=8)
+    filled(folder / "var" / "cbsr-qa.db", lot_runs(sensors=30, repeats=8))
     return folder
 
 

@@ -4,9 +4,9 @@ from dataclasses import replace
 from datetime import UTC, datetime
 
 import numpy as np
-from stored_lots import judged, measured, store_run
+from filled_databases import filled
+from stored_lots import judged, measured
 
-from cbsr_qa.store import open_store
 from cbsr_qa.studies.compare import By, RunChoice, Terms, compare_groups
 
 NOW = datetime(2026, 12, 24, tzinfo=UTC)
@@ -27,15 +27,16 @@ def fleet(url, *, alone=False, sensors=24, both=8, **changes):
     both : sensors that run on both stations.
     """
     random = np.random.default_rng(8)
-    with open_store(url, durable=False) as store:
-        for number in range(sensors):
-            batch = ("41", "42")[number % 2]
-            home = ("A", "B")[number % 2 if alone else number % 3 == 0]
-            sensor = random.standard_normal(3)
-            for station in ("A", "B") if number < both and not alone else (home,):
-                mm = BATCH_MM * (batch == "42") + STATION_MM * (station == "B")
-                values = judged(moved(measured(random, sensor), mm))
-                store_run(store, f"S-{number:02d}", values, batch=batch, station=station, **changes)
+    runs = []
+    for number in range(sensors):
+        batch = ("41", "42")[number % 2]
+        home = ("A", "B")[number % 2 if alone else number % 3 == 0]
+        sensor = random.standard_normal(3)
+        for station in ("A", "B") if number < both and not alone else (home,):
+            mm = BATCH_MM * (batch == "42") + STATION_MM * (station == "B")
+            values = judged(moved(measured(random, sensor), mm))
+            runs.append((f"S-{number:02d}", values, {"batch": batch, "station": station, **changes}))
+    filled(url.removeprefix("sqlite:///"), runs)
 
 
 def compared(url, by=By.BATCH, choice=None, **terms):

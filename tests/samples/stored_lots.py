@@ -70,10 +70,10 @@ def store_run(repository, serial, measurements, *, batch="golden", recipe="short
     return run
 
 
-def store_lot(repository, sensors=12, repeats=6, seed=0):
-    """Store a lot: S-01, S-02, … once each, the first ones a second time."""
+def lot_runs(sensors=12, repeats=6, seed=0):
+    """Yield the runs of a lot as ``filled`` takes them: S-01, S-02, … once each, the first ones a second time."""
     random = np.random.default_rng(seed)
     for number in range(sensors):
         sensor = random.standard_normal(3)
         for again in range(2 if number < repeats else 1):
-            store_run(repository, f"S-{number + 1:02d}", judged(measured(random, sensor)), day=again)
+            yield f"S-{number + 1:02d}", judged(measured(random, sensor)), {"day": again}

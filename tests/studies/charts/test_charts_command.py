@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from filled_databases import filled
 from stored_lots import store_run
 from stored_runs import identity
 
@@ -36,11 +37,10 @@ def judged(value, unit="N/V"):
 
 
 def fill(path, numbers, **changes):
-    with open_store(f"sqlite:///{path}", durable=False) as store:
-        return [
-            store_run(store, f"S-{k:03d}", judged(float(value)), **{"station": STATION, "day": k} | changes)
-            for k, value in enumerate(numbers)
-        ]
+    options = ({"station": STATION, "day": k} | changes for k in range(len(numbers)))
+    return filled(
+        path, [(f"S-{k:03d}", judged(float(x)), of) for k, (x, of) in enumerate(zip(numbers, options, strict=True))]
+    )
 
 
 @pytest.fixture(scope="module")

@@ -5,6 +5,7 @@ import re
 
 import numpy as np
 import pytest
+from filled_databases import filled
 from stored_lots import store_run
 
 from cbsr_qa.cli import guarded
@@ -37,10 +38,11 @@ def measured(values, *, limit=LIMIT, name="force_gain", unit="N/V"):
 
 
 def fill(path, rows, recipe="short", operator=None, **changes):
-    with open_store(f"sqlite:///{path}", durable=False) as store:
-        for serial, station, trial, values in rows:
-            who = {"operator": operator[station]} if operator else {}
-            store_run(store, serial, measured(values, **changes), recipe=recipe, station=station, day=trial, **who)
+    def options(station, trial):
+        who = {"operator": operator[station]} if operator else {}
+        return {"recipe": recipe, "station": station, "day": trial, **who}
+
+    filled(path, [(serial, measured(taken, **changes), options(*where)) for serial, *where, taken in rows])
 
 
 @pytest.fixture(scope="module")

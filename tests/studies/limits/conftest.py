@@ -3,18 +3,17 @@
 import json
 
 import pytest
-from stored_lots import store_lot, store_run
+from filled_databases import filled as fill
+from stored_lots import lot_runs
 
 from cbsr_qa.cli import guarded
-from cbsr_qa.store import open_store
 
 
 @pytest.fixture(scope="session")
 def lot_database(tmp_path_factory):
     """Twelve sensors, six of them run twice."""
     path = tmp_path_factory.mktemp("lot") / "runs.db"
-    with open_store(f"sqlite:///{path}", durable=False) as store:
-        store_lot(store)
+    fill(path, lot_runs())
     return path
 
 
@@ -24,9 +23,7 @@ def database(tmp_path):
     path = tmp_path / "runs.db"
 
     def filled(*runs):
-        with open_store(f"sqlite:///{path}", durable=False) as store:
-            for serial, measurements, options in runs:
-                store_run(store, serial, measurements, **options)
+        fill(path, runs)
         return path
 
     return filled
