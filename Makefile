@@ -5,9 +5,12 @@ BIN := $(VENV)/bin
 # Half of their time tests wait, for disks, processes and instruments that answer late: three at a time fill two cores.
 JOBS ?= 3
 export CBSR_QA_VAR ?= var
+# Hundreds of commands are started: modules are compiled once. Without that every worker of the tests needs 17 s more.
+unexport PYTHONDONTWRITEBYTECODE
+PYTEST := $(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q
 
 .DEFAULT_GOAL := help
-.PHONY: help demo fleet-demo test check lint types imports bench faults soak clean
+.PHONY: help demo fleet-demo test test-rest test-all check lint types imports bench faults soak clean
 
 help: ## Say what can be made
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/:.*## /\t/' | expand -t 12
@@ -42,8 +45,14 @@ fleet-demo: $(VENV)/.run-stamp ## Build a fleet of 3 batches at 3 stations, comp
 		fi; \
 	done
 
-test: $(VENV)/.dev-stamp ## Run every test
-	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q $(PYTEST_ARGS)
+test: $(VENV)/.dev-stamp ## Run the tests that take minutes; names the slowest, which may be for test-rest
+	@CBSR_QA_TIER=test $(PYTEST) -m "not rest" --durations=10 --durations-min=4 $(PYTEST_ARGS)
+
+test-rest: $(VENV)/.dev-stamp ## Run all other tests, and properties on more examples
+	@CBSR_QA_TIER=rest $(PYTEST) -m "rest or hypothesis" $(PYTEST_ARGS)
+
+test-all: ## Run every test: both
+	@$(MAKE) test && $(MAKE) test-rest
 
 lint: $(VENV)/.dev-stamp ## Style
 	@$(BIN)/ruff check . && $(BIN)/ruff format --check .
@@ -63,7 +72,7 @@ faults: $(VENV)/.dev-stamp ## Strike every step of a run with every fault; write
 	@$(BIN)/python tests/faults/campaign.py docs/reference/faults.md
 
 soak: $(VENV)/.dev-stamp ## What takes too long for make test: see docs/reference/soak.md (an hour or more)
-	@$(BIN)/python -m pytest -n $(JOBS) --dist worksteal -q tests/soak $(PYTEST_ARGS)
+	@CBSR_QA_TIER=soak $(PYTEST) tests/soak $(PYTEST_ARGS)
 
 clean: ## Remove what was made, but not var/
 	rm -rf $(VENV) build dist *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis

@@ -53,7 +53,7 @@ def checked():
     }
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.parametrize("gauge", [1.0, 0.8])
 def test_sensitivity_is_found_from_holds_of_fifteen_seconds(calibration, checked, gauge):
     found = recheck(checked[gauge], calibration)
@@ -65,7 +65,7 @@ def test_sensitivity_is_found_from_holds_of_fifteen_seconds(calibration, checked
     assert found.reference_change < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_a_sheet_that_conducts_more_is_said_to_and_weighs_as_before(calibration, checked):
     run = checked[1.0]
     louder = replace(

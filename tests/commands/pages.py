@@ -28,7 +28,7 @@ TYPED = {
     "docs/reference/recordings.md": "commands/test_documentation.py",
     "docs/tutorials/your-first-recipe.md": "commands/test_tutorials.py",
 }
-#: Pages that take too long for ``make test``, and what is tested there instead; ``make soak`` types them as printed.
+#: Pages that take too long for ``make test-all``, and what is tested there; ``make soak`` types them as printed.
 SHORTENED = {
     "docs/how-to/check-numerical-stability.md": "cases made by hand",
     "docs/how-to/compare-batches.md": "the fleet is built in the process of the test",

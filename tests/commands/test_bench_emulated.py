@@ -3,6 +3,8 @@
 import pytest
 from command import cbsr_qa, document
 
+pytestmark = pytest.mark.rest
+
 RECIPE = """
 [recipe]
 name = "one-press"

@@ -4,6 +4,8 @@ import pytest
 from command import cbsr_qa, document
 from test_bench_emulated import RECIPE
 
+pytestmark = pytest.mark.rest
+
 #: Relaxed force of 20 % strain: E ε A of the shipped material and head [N].
 RELAXED_N = 132.5e-3 * 0.2 * 132.73
 

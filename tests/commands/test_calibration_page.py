@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 from pages import HOW_TO, TOP, blocks, commands, typed
 
+pytestmark = pytest.mark.rest
+
 _PAGE = HOW_TO / "use-a-calibration.md"
 _MAKE = """
 import sys

@@ -6,7 +6,7 @@ import h5py
 import pytest
 from command import QUICK, cbsr_qa, document, short_recipe
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.rest
 
 _OVERRIDE = ("--by", "Zoë Ōtani", "--why", "0.001 mm is a typing error")
 

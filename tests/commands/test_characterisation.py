@@ -6,6 +6,8 @@ from pages import HOW_TO, commands, typed, write_files
 
 from cbsr_qa.config import load_material
 
+pytestmark = pytest.mark.rest
+
 _PAGE = HOW_TO / "characterise-a-material.md"
 
 

@@ -30,6 +30,7 @@ def test_the_tour_of_the_readme_runs_as_printed(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["var"]
 
 
+@pytest.mark.rest
 def test_the_page_on_ones_own_sensor_runs_as_printed(tmp_path, monkeypatch):
     page = HOW_TO / "describe-a-sensor.md"
     assert len(write_files(page, tmp_path)) == 3
@@ -41,6 +42,7 @@ def test_the_page_on_ones_own_sensor_runs_as_printed(tmp_path, monkeypatch):
     assert "polygon of 6 corners rounded with 4 mm, 80 mm × 80 mm" in report.read_text()
 
 
+@pytest.mark.rest
 def test_the_page_on_scenes_runs_as_printed(tmp_path):
     page = HOW_TO / "simulate-a-scene.md"
     assert len(write_files(page, tmp_path)) == 1
@@ -53,6 +55,7 @@ def test_the_page_on_scenes_runs_as_printed(tmp_path):
     }
 
 
+@pytest.mark.rest
 def test_the_page_on_signing_runs_as_printed(tmp_path):
     page = HOW_TO / "sign-runs.md"
     make, export = (block.strip() for block in blocks(page, "sh"))
@@ -70,7 +73,7 @@ def test_the_page_on_signing_runs_as_printed(tmp_path):
     assert secret not in tested.stdout + tested.stderr + reported.stdout + reported.stderr
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_the_page_on_fielded_sensors_runs_as_printed(tmp_path):
     for command in commands(HOW_TO / "verify-a-fielded-sensor.md"):
         done = typed(tmp_path, command)
@@ -88,7 +91,7 @@ def test_the_page_on_bringing_up_a_station_runs_as_printed(tmp_path):
     assert "9.375 kΩ and\n−625 Ω for 16 of 10 kΩ" in page.read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_the_page_on_choosing_a_recipe_runs_as_printed(tmp_path):
     for command in commands(HOW_TO / "choose-a-recipe.md"):
         done = typed(tmp_path, command)
@@ -97,7 +100,7 @@ def test_the_page_on_choosing_a_recipe_runs_as_printed(tmp_path):
     assert (tmp_path / "chosen.toml").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_the_page_on_comparing_batches_shows_the_sentences_that_are_printed(tmp_path):
     page = HOW_TO / "compare-batches.md"
     build, *comparisons = commands(page)
@@ -128,6 +131,7 @@ def test_the_page_on_building_a_bench_runs_as_printed(tmp_path):
     assert "station time" in typed(tmp_path, command).stdout
 
 
+@pytest.mark.rest
 def test_the_page_on_recordings_images_with_another_method(tmp_path):
     (command,) = commands(TOP / "docs" / "reference" / "recordings.md")
     typed(tmp_path, "cbsr-qa scene run faulty-electrode --output shown.h5")
@@ -218,6 +222,7 @@ def test_snippets_of_all_other_pages_run(page, tmp_path, monkeypatch):
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 
 
+@pytest.mark.rest
 def test_the_numbers_of_the_reconstruction_page_are_what_its_snippets_print(capsys):
     page = TOP / "docs" / "explanation" / "reconstruction.md"
     snippets = re.findall(r"^```python\n(.*?)^```\n\n```text\n(.*?)^```", page.read_text(), re.M | re.S)

@@ -14,6 +14,8 @@ import killing
 import pytest
 from command import _forks, cbsr_qa, document, short_recipe
 
+pytestmark = pytest.mark.rest
+
 _THREAD = (
     "import threading, time; threading.Thread(target=time.sleep, args=(60,), name='lingering').start()"
     ";import atexit; atexit.register(time.sleep, 60)"

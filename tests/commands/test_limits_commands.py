@@ -15,6 +15,8 @@ from stored_lots import lot_runs
 
 from cbsr_qa.config import limits_digest, load_recipe
 
+pytestmark = pytest.mark.rest
+
 _PAGE = HOW_TO / "propose-limits.md"
 _NUMBER = re.compile(r"\d+(?:\.\d+)?")
 

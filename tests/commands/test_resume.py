@@ -43,6 +43,7 @@ def cut_off(left_behind, tmp_path):
     return tmp_path, latest_run(tmp_path, "S-1")
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("seed", range(2))
 def test_a_run_that_is_killed_twice_and_resumed_is_the_same_in_every_bit(whole, tmp_path, seed):
     write_files(tmp_path)
@@ -102,6 +103,7 @@ def without_result(file, run):
         database.execute(f"delete from run_links where run = ? and number >= ({first})", (run,))
 
 
+@pytest.mark.rest
 def test_a_run_killed_while_its_result_was_worked_out_is_concluded(cut_off):
     folder, run = cut_off
     cbsr_qa(folder, "run", "--resume", run)
@@ -116,6 +118,7 @@ def test_a_run_killed_while_its_result_was_worked_out_is_concluded(cut_off):
         assert database.execute("select count(*) from frame_blocks").fetchone() == (frames,)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("chained", [True, False], ids=["chained", "unchained"])
 def test_a_report_over_measurements_that_were_changed_is_refused(whole, tmp_path, chained):
     shutil.copytree(whole[0], tmp_path, dirs_exist_ok=True)
@@ -138,6 +141,7 @@ def test_a_report_over_measurements_that_were_changed_is_refused(whole, tmp_path
     assert before == {path: path.read_bytes() for path in (tmp_path / "var" / "reports").iterdir()}
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("measured", [True, False], ids=["not concluded", "cut off"])
 @pytest.mark.parametrize("chained", [True, False], ids=["chained", "unchained"])
 def test_a_run_whose_limit_was_loosened_is_not_resumed(cut_off, whole, tmp_path_factory, measured, chained):
@@ -160,6 +164,7 @@ def test_a_run_whose_limit_was_loosened_is_not_resumed(cut_off, whole, tmp_path_
     assert not list((folder / "var").glob("calibrations/*"))
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("at", "again", "stop", "database"),
     [
@@ -227,6 +232,7 @@ def test_a_new_run_still_needs_station_recipe_and_serial(tmp_path):
     assert "--recipe" in done.stderr
 
 
+@pytest.mark.rest
 def test_a_missing_plugin_is_refused_and_other_software_is_said(cut_off):
     folder, run = cut_off
     path = folder / "var" / "cbsr-qa.db"
@@ -250,6 +256,7 @@ def test_a_missing_plugin_is_refused_and_other_software_is_said(cut_off):
     assert "numpy 1.0 →" in warning
 
 
+@pytest.mark.rest
 def test_an_aborted_run_is_told_apart_and_resumed(tmp_path, whole):
     """SIGTERM in the middle: the run ends in order, and goes on."""
     write_files(tmp_path)
@@ -286,6 +293,7 @@ sys.exit(guarded(sys.argv[1:]))
     assert [str(session.end) for session in came.record.sessions] == ["aborted", "finished"]
 
 
+@pytest.mark.rest
 def test_with_memory_effects_a_resumed_run_agrees_within_noise(tmp_path):
     """The mean steady frame of each load: the difference of two is noise of √2 σ/√4 a reading, and residues of
     earlier presses, which rests of other lengths leave different. The bound: 5 of these σ on any of 256 readings of
@@ -310,6 +318,7 @@ def test_with_memory_effects_a_resumed_run_agrees_within_noise(tmp_path):
             assert np.abs(steady[0] - steady[1]).max() < 2 * 5 * np.sqrt(2 / 4) * sigma.mean()
 
 
+@pytest.mark.rest
 def test_the_page_on_what_to_do_runs_as_printed(cut_off):
     folder, run = cut_off
     lines = commands(HOW_TO / "what-to-do-when-it-stops.md")
@@ -320,6 +329,7 @@ def test_the_page_on_what_to_do_runs_as_printed(cut_off):
     assert said[1].startswith("PASS")
 
 
+@pytest.mark.rest
 def test_a_second_program_is_told_who_writes_the_run(cut_off):
     from cbsr_qa.store import open_store
 

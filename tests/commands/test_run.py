@@ -57,16 +57,19 @@ def test_the_document_says_what_was_promised(finished):
     assert [path.name for path in folder.iterdir() if path.name != "short.toml"] == ["var"]
 
 
+@pytest.mark.rest
 def test_the_same_seed_stores_identical_numbers_whatever_the_threads(finished, tmp_path):
     _run(tmp_path, "--seed", "11", fresh=True, OMP_NUM_THREADS="2", OPENBLAS_NUM_THREADS="2")
     assert _stored(tmp_path) == _stored(finished[0])
 
 
+@pytest.mark.rest
 def test_another_seed_stores_other_frames(finished, tmp_path):
     _run(tmp_path, "--seed", "12", metrics=QUICK)
     assert _stored(tmp_path)[0] != _stored(finished[0])[0]
 
 
+@pytest.mark.rest
 def test_without_a_seed_a_second_try_of_a_sensor_is_not_the_first_again(twice):
     first, second = twice[1]
     assert first["seed"] != second["seed"]
@@ -76,6 +79,7 @@ def test_without_a_seed_a_second_try_of_a_sensor_is_not_the_first_again(twice):
     assert (earlier["run"], earlier["outcome"]) == (first["run"], first["outcome"])
 
 
+@pytest.mark.rest
 def test_the_calibration_is_in_the_database_as_rows_and_superseded_by_the_next(twice):
     with sqlite3.connect(twice[0] / "var" / "cbsr-qa.db") as database:
         rows = database.execute("select calibration, superseded_by from calibrations order by 1").fetchall()
@@ -102,6 +106,7 @@ def test_arrays_of_a_calibration_that_were_changed_are_refused_by_report(finishe
     assert "is not what was stored" in said.stderr
 
 
+@pytest.mark.rest
 def test_weights_from_the_measured_noise_reach_report_database_and_calibration_file(finished, tmp_path):
     recipe = short_recipe(tmp_path, **{'weighting = "equal"': 'weighting = "measured"'})
     files = ["--station", "simulated", "--recipe", recipe, "--serial", "S-1", "--json", "--seed", "11"]
@@ -236,6 +241,7 @@ def test_every_metric_of_the_shipped_recipe_measures_what_it_declares(finished):
     assert measured == declared
 
 
+@pytest.mark.rest
 def test_an_overdue_calibration_is_a_warning(tmp_path):
     from cbsr_qa.config import DocumentKind, open_document
 
@@ -247,6 +253,7 @@ def test_an_overdue_calibration_is_a_warning(tmp_path):
     assert any("was due on 2020-01-01" in warning for warning in run["warnings"])
 
 
+@pytest.mark.rest
 def test_a_calibration_file_that_could_not_be_written_costs_no_verdict_and_is_written_again(tmp_path):
     blocked = tmp_path / "var" / "calibrations"
     # A folder that goes away in the middle of a run: a full disk, as far as can be had without one.

@@ -88,7 +88,9 @@ def _sha(path):
 # --- run ---
 
 
-@pytest.fixture(scope="module", params=SCENES)
+@pytest.fixture(
+    scope="module", params=[pytest.param(name, marks=[] if name == "base" else pytest.mark.rest) for name in SCENES]
+)
 def shipped(request, tmp_path_factory):
     folder = tmp_path_factory.mktemp(request.param)
     return request.param, folder, document(cbsr_qa(folder, "scene", "run", request.param, "--json"))

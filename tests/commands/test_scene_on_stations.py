@@ -5,6 +5,8 @@ from command import cbsr_qa, document, short_recipe
 
 from cbsr_qa.config import DocumentKind, open_document
 
+pytestmark = pytest.mark.rest
+
 
 def ended(folder, station):
     """How a run ends that takes frames from 1015 to 1110 s: electrode 12 opens at 1053 s."""
@@ -17,7 +19,7 @@ def ended(folder, station):
     return document(cbsr_qa(folder, *command, check=False))
 
 
-@pytest.mark.parametrize("station", ["simulated", pytest.param("bench-emulated", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("station", ["simulated", pytest.param("bench-emulated", marks=pytest.mark.rest)])
 def test_a_contact_that_bounces_does_not_stop_a_run(tmp_path, station):
     run = ended(tmp_path, station)
     assert run["end"] == "finished", run["reason"]

@@ -11,10 +11,11 @@ from cbsr_qa.domain.results import MetricKey
 from cbsr_qa.domain.run import ChartReference, ChartSettings
 from cbsr_qa.store import open_store
 
+pytestmark = pytest.mark.rest
+
 RUN = ("run", "--station", "simulated", "--recipe", "golden-check")
 
 
-@pytest.mark.slow
 def test_a_station_that_is_out_of_control_says_so_on_its_reports(tmp_path):
     cbsr_qa(tmp_path, *RUN, "--serial", "G-1", "--json")
     with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:

@@ -15,6 +15,8 @@ from cbsr_qa.store import engine as engines, open_store
 from cbsr_qa.store.runs import Journal
 from cbsr_qa_plugins.hardware.simulated_bench import SimulatedBench
 
+pytestmark = pytest.mark.rest
+
 
 @pytest.fixture
 def here(tmp_path, monkeypatch):

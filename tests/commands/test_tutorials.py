@@ -3,7 +3,10 @@
 import html
 import re
 
+import pytest
 from pages import TOP, assert_printed, typed, write_files
+
+pytestmark = pytest.mark.rest
 
 _FIRST = TOP / "docs" / "tutorials" / "your-first-recipe.md"
 _FENCE = re.compile(r"^```(\w+)\n(.*?)^```", re.MULTILINE | re.DOTALL)

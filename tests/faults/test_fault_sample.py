@@ -17,7 +17,7 @@ def test_a_run_without_a_fault_finishes_and_comes_to_rest():
     assert outcome.wrong == []
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 @pytest.mark.parametrize("injected", SAMPLE, ids=lambda one: f"{one.role}-{one.fault}-{one.step}".replace(" ", "-"))
 def test_a_fault_ends_in_rest_and_a_record(injected):
     outcome = run_with(injected, TWO_PLACES)

@@ -12,6 +12,8 @@ from station_files import station_file
 
 from cbsr_qa.analysis import read_recording
 
+pytestmark = pytest.mark.rest
+
 _HERE = Path(__file__).parent
 
 _INSTRUMENTS = """

@@ -1,4 +1,4 @@
-"""What the documentation tells a user to type and ``make test`` shortens, in full; and its figures."""
+"""What the documentation tells a user to type and ``make test-all`` shortens, in full; and its figures."""
 
 import importlib
 import json

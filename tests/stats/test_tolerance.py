@@ -127,6 +127,7 @@ def test_repeated_runs_do_not_make_a_lot_look_larger(between):
     assert np.mean(held) >= 0.95 - 3 * sqrt(0.95 * 0.05 / 300)
 
 
+@pytest.mark.rest
 def test_intervals_from_repeated_runs_hold_their_share():
     random = np.random.default_rng(8)
     held = []

@@ -202,7 +202,7 @@ def test_nothing_a_verdict_rests_on_is_changed_or_removed(repository):
     assert [words.split()[1] for words in seen] == [*["phases"] * 2, *["calibrations"] * 2, *["phases"] * 2]
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_a_whole_run_with_its_report_and_override_only_adds(database_url, tmp_path, monkeypatch):
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path))
     recipe_file = str(Path(__file__).parents[1] / "faults" / "two-frames.toml")

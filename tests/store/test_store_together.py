@@ -75,7 +75,7 @@ def test_stations_that_upgrade_one_database_together_upgrade_it_once(stations, d
     engine.dispose()
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_runs_of_one_sensor_that_begin_together_have_the_seeds_of_its_first_tries(stations, database_url, tmp_path):
     seeds = stations(partial(seed_of_a_run, database_url, str(tmp_path)))
     assert sorted(seeds) == sorted(default_seed("S-1", number) for number in range(STATIONS))

@@ -185,6 +185,7 @@ def measured(observed):
     return {(m.name, m.qualifier): m for m in found}
 
 
+@pytest.mark.rest
 def test_the_gauge_factor_of_a_sensor_unlike_its_material_is_found(measured):
     found = measured[("gauge_factor", "sheet")]
     truth = 0.6 * _GAUGE

@@ -311,6 +311,7 @@ def test_a_current_that_is_none_is_valid_json(tmp_path, capsys):
     assert json.loads(out)["recording"]["current_A"] is None
 
 
+@pytest.mark.rest
 def test_reports_of_different_questions_do_not_overwrite_each_other(tmp_path, capsys):
     path = exported(tmp_path, pressed_frames(0, 0, contrast=0.0, n=12))
     empty = exported(tmp_path, pressed_frames(0, 0, contrast=0.0, n=12, seed=3), name="empty.h5")

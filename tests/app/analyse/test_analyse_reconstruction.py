@@ -339,6 +339,7 @@ def test_objects_of_a_still_image_are_named_without_a_time():
     assert [warning.split(" by ")[0] for warning in said] == ["the image of E1", "the image of E2"]
 
 
+@pytest.mark.rest
 def test_the_report_names_the_method_its_options_and_why(pressed, capsys):
     names = []
     for arguments in (

@@ -116,6 +116,7 @@ def test_an_electrode_that_falls_out_for_one_hold_and_one_that_drifts_cost_littl
     assert _figures(run)[""].value == pytest.approx(10.0, abs=1.0)
 
 
+@pytest.mark.rest
 def test_everything_at_once_leaves_the_loop_within_its_stated_error():
     """The shipped scene of every effect, its loop 5 % wide; to 20 % strain, since its load cell ends at 7.35 N."""
     text = files("cbsr_qa._stations").joinpath("scenes", "everything.toml").read_text()

@@ -58,6 +58,7 @@ def test_one_trace_alone_gives_what_its_own_fit_gives():
     assert common.time_constant_stderr_s == pytest.approx(alone.time_constant_stderr_s, rel=0.02)
 
 
+@pytest.mark.rest
 def test_the_stated_errors_are_those_seen_over_many_runs():
     found = []
     for seed in range(40):
@@ -72,6 +73,7 @@ def test_the_stated_errors_are_those_seen_over_many_runs():
     assert values[:, -1].mean() == pytest.approx(TRUE_S, abs=0.6)
 
 
+@pytest.mark.rest
 def test_loads_together_do_not_settle_too_early_as_single_ones_do():
     single, together = [], []
     for seed in range(16):

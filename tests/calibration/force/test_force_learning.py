@@ -35,7 +35,7 @@ def trial(seed, response, result, *, count=60, truth=None):
     return force, found, stderr
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_held_out_loads_are_right_and_their_errors_honest():
     errors, scores, flat = [], [], []
     for seed in range(14):

@@ -45,7 +45,7 @@ def steady(run):
     return np.array([load_window(phase, one.record, settings).steady.voltages.mean(axis=0) for one in run.loads])
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_equal_loads_look_equal_wherever_they_press(run, calibration):
     observation, _ = run
     pressure = PressureMap(calibration)

@@ -210,7 +210,7 @@ def test_a_head_seen_on_its_way_down_does_not_become_two(calibration, response):
         assert load[0].force_N == pytest.approx(1.25, abs=0.15)
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_stated_errors_are_honest_over_many_loads(calibration, response):
     random = np.random.default_rng(17)
     scores = []

@@ -59,7 +59,7 @@ def test_too_few_places_say_nothing():
     assert seat_of(again, found, noise) == AS_PLACED
 
 
-@pytest.mark.slow
+@pytest.mark.rest
 def test_a_misplaced_sheet_is_calibrated_where_it_lies():
     tables = dict(load_scene_plan("base").document.data)
     beside = {"name": "misplaced-sheet", "x_mm": 1.0, "y_mm": -0.5, "rotation_deg": 2.0}

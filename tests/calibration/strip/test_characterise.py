@@ -113,6 +113,7 @@ def test_a_residue_that_outlasts_the_relaxation_is_told(found):
     assert abs(decay_s.value - 600) < 3 * decay_s.stderr
 
 
+@pytest.mark.rest
 def test_errors_are_honest_over_seeds():
     """Pulls of slope and modulus: size and mean as a standard normal's, to what six of them tell.
 

@@ -85,6 +85,7 @@ def test_dumps_come_regularly_on_the_boards_own_clock(period_s, pause_ms):
     assert len(rows) == pytest.approx(400 * of.frame_period_s / (period_s - pause_ms / 1000), abs=1.5)
 
 
+@pytest.mark.rest
 def test_the_first_dump_is_anywhere_in_the_first_period():
     def first_s(seed):
         (dump, *_) = recorded(WatchdogDump(setting(seed=seed), period_s=100.0), 200).dumps

@@ -134,6 +134,7 @@ def test_components_add_up(interaction):
         assert part.interval.low < part.value < part.interval.high
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("interaction", [0.0, 0.7])
 def test_intervals_cover(interaction):
     random, held = np.random.default_rng(82), []

@@ -106,6 +106,7 @@ def test_the_other_charts_have_the_points_of_their_definition(shifted, document,
         assert monitored["runs"] == [runs[34], runs[39]]
 
 
+@pytest.mark.rest
 def test_a_reference_is_stored_with_who_and_why_and_another_one_beside_it(tmp_path, command, document):
     path = tmp_path / "runs.db"
     fill(path, values(shift=0.8, count=70))
@@ -125,6 +126,7 @@ def test_a_reference_is_stored_with_who_and_why_and_another_one_beside_it(tmp_pa
     assert holds == new
 
 
+@pytest.mark.rest
 def test_limits_of_charts_are_listed_with_what_they_were_before(tmp_path, document, capsys):
     path = tmp_path / "runs.db"
     fill(path, values(shift=0.8, count=70))
@@ -174,6 +176,7 @@ def _fields(one):
     return {name: getattr(one, name) for name in one.__slots__}
 
 
+@pytest.mark.rest
 def test_a_signal_stands_until_enough_runs_gave_none(tmp_path, document):
     path = tmp_path / "runs.db"
     numbers = np.concatenate([values(count=30), [11.0], 10 + 0.05 * (-1.0) ** np.arange(STANDS)])
@@ -186,6 +189,7 @@ def test_a_signal_stands_until_enough_runs_gave_none(tmp_path, document):
     assert document(path)["in_control"]
 
 
+@pytest.mark.rest
 def test_signals_that_are_near_each_other_belong_together(tmp_path, document):
     path = tmp_path / "runs.db"
     well = 10 + 0.05 * (-1.0) ** np.arange(JOINED)
@@ -196,6 +200,7 @@ def test_signals_that_are_near_each_other_belong_together(tmp_path, document):
     assert document(other, *NEW)["charts"][0]["signal"]["since_run"] == runs[-1]
 
 
+@pytest.mark.rest
 def test_golden_and_production_runs_have_charts_of_their_own(tmp_path, document):
     path = tmp_path / "runs.db"
     fill(path, values(count=30))
@@ -220,6 +225,7 @@ def test_runs_of_golden_sensors_are_no_production(tmp_path, document):
     assert runs[7] not in found["charts"][0]["runs"]
 
 
+@pytest.mark.rest
 def test_order_is_that_of_names_and_a_wrong_clock_is_named(tmp_path, document):
     path = tmp_path / "runs.db"
     fill(path, values(count=20))
@@ -231,6 +237,7 @@ def test_order_is_that_of_names_and_a_wrong_clock_is_named(tmp_path, document):
     assert any(f"clock of station {STATION} was wrong by about 1.1 years" in note for note in found["notes"])
 
 
+@pytest.mark.rest
 def test_odd_runs_are_named(tmp_path, document):
     path = tmp_path / "runs.db"
     fill(path, values(count=20))

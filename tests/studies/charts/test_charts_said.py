@@ -14,6 +14,8 @@ from cbsr_qa.domain.results import Measurement
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.charts.after_run import charts_after
 
+pytestmark = pytest.mark.rest
+
 
 @pytest.fixture
 def command(capsys):

@@ -17,6 +17,8 @@ from cbsr_qa.studies.compare.page import write_page
 from cbsr_qa.studies.compare.terms import Adjustment, By, Terms
 from cbsr_qa.studies.compare.wording import rules, sentences
 
+pytestmark = pytest.mark.rest
+
 NOW = datetime(2026, 12, 24, tzinfo=UTC)
 ERROR = "centre_of_mass_error"
 

@@ -104,6 +104,7 @@ def test_operators_can_be_the_appraisers(crossed, command):
     assert "all 36 runs are of one operator, Zoë Ōtani" in err
 
 
+@pytest.mark.rest
 def test_what_is_missing_is_said_and_the_largest_whole_part_taken_only_if_asked(tmp_path, command, document):
     rows = [row for row in runs(trials=3) if not (row[2] == 2 and row[1] == "bench-c") and row[0] != "S-06"]
     rows = [row for row in rows if not (row[0] == "S-05" and row[1] == "bench-b" and row[2] > 0)]
@@ -122,6 +123,7 @@ def test_what_is_missing_is_said_and_the_largest_whole_part_taken_only_if_asked(
     assert metric["anova"]["components"]["gauge"]["variance"] == pytest.approx(truth)
 
 
+@pytest.mark.rest
 def test_a_run_too_many_is_that_and_not_all_others_missing(tmp_path, command, document):
     rows = list(runs())
     fill(tmp_path / "runs.db", [*rows, rows[0]])
@@ -133,6 +135,7 @@ def test_a_run_too_many_is_that_and_not_all_others_missing(tmp_path, command, do
     assert (metric["trials"], metric["missing"]) == (2, ["S-01 on bench-a has 3 runs instead of 2"])
 
 
+@pytest.mark.rest
 def test_a_study_of_operators_speaks_of_operators(tmp_path, command, document):
     names = dict(zip(STATIONS, ("Ada", "Jo", "Zoë"), strict=True))
     fill(tmp_path / "runs.db", runs(offset=0.0, seed=4), operator=names)
@@ -152,6 +155,7 @@ def test_a_study_of_operators_speaks_of_operators(tmp_path, command, document):
     assert "uneven: S-02 by Ada has 3 runs instead of 2" in err
 
 
+@pytest.mark.rest
 def test_counts_of_one_are_written_as_one(tmp_path, command):
     random = np.random.default_rng(7)
     rows = [(*row[:3], (value := 10 + 0.1 * random.standard_normal(), value)) for row in runs()]
@@ -160,6 +164,7 @@ def test_counts_of_one_are_written_as_one(tmp_path, command):
     assert "It tells 1 category of sensors apart" in said
 
 
+@pytest.mark.rest
 def test_columns_stand_apart_whatever_the_numbers(tmp_path, command):
     small = Limit("force_gain", "N/V", 1e-5, 9e-4)
     rows = [(*row[:3], tuple(value * 1e-5 for value in row[3])) for row in runs()]
@@ -277,6 +282,7 @@ def test_what_cannot_be_studied_is_refused_by_name(crossed, command, arguments, 
     assert words in err
 
 
+@pytest.mark.rest
 def test_odd_runs_are_left_out_by_name(tmp_path, document):
     path = tmp_path / "runs.db"
     fill(path, runs())
@@ -296,6 +302,7 @@ def test_odd_runs_are_left_out_by_name(tmp_path, document):
     assert not any("was not the same at the first" in said for said in found["notes"])
 
 
+@pytest.mark.rest
 def test_runs_that_do_not_differ_at_all_are_refused(tmp_path, command):
     fill(tmp_path / "runs.db", [(*row[:3], (10.0, 10.0)) for row in runs()])
     code, _, err = command(tmp_path / "runs.db", "--recipe", "short")

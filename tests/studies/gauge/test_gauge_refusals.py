@@ -15,6 +15,8 @@ from cbsr_qa.stats.gauge import gauge_anova, missing_runs
 from cbsr_qa.store import open_store
 from cbsr_qa.studies.gauge import page as figures_gauge
 
+pytestmark = pytest.mark.rest
+
 
 @pytest.fixture
 def command(capsys):

@@ -256,6 +256,7 @@ def test_a_metric_nobody_measured_is_refused_with_the_nearest(studied):
     assert "did you mean 'force_gain'?" in err
 
 
+@pytest.mark.rest
 def test_a_metric_without_qualifier_is_the_one_that_has_none(tmp_path, capsys):
     """As in limits: a tolerance of one variant is not put on another."""
     path = tmp_path / "runs.db"

@@ -152,6 +152,7 @@ def test_progress_counts_every_case(catalogued):
     assert told == [(0, 3), (1, 3), (2, 3), (3, 3)]
 
 
+@pytest.mark.rest
 def test_two_processes_find_what_one_finds():
     names = [case.name for case in catalogue.CASES[:2]]
     one, two = (examine_cases(names=names, processes=count) for count in (1, 2))

@@ -7,6 +7,8 @@ from cbsr_qa.studies.reproduce.compare import within_digits
 from cbsr_qa.studies.reproduce.runs import Job, simulate
 from cbsr_qa.studies.reproduce.tables import force_error, least_force
 
+pytestmark = pytest.mark.rest
+
 _SHORT = {
     "uniform": {
         "noise figure": {"frames": 48, "trials": 1},

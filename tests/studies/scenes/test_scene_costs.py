@@ -11,6 +11,8 @@ from cbsr_qa.domain import ConfigError
 from cbsr_qa.studies.scenes.costs import Watched, _clear, measured_costs, recorded_plan
 from cbsr_qa.studies.scenes.setting import set_up
 
+pytestmark = pytest.mark.rest
+
 SLOW_S = 0.005
 SAMPLES_A_FRAME = 20  # 8 a second for 2.5 s
 

@@ -63,6 +63,7 @@ def figures(images, mesh):
     return found
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("weights", ["equal", "known"])
 def test_masks_of_loads_on_another_mesh_lie_on_the_loads(problem, weighted, truth, weights):
     one = problem if weights == "equal" else weighted
@@ -75,6 +76,7 @@ def test_masks_of_loads_on_another_mesh_lie_on_the_loads(problem, weighted, trut
     assert min(others) > 97
 
 
+@pytest.mark.rest
 def test_weights_quieten_places_where_noise_follows_the_reading(problem, weighted, truth):
     """1 % of each reading, noise figure 0.25, the same frames for both."""
     random = np.random.default_rng(5)
@@ -133,6 +135,7 @@ def test_desired_images_are_as_large_as_their_targets(coarse):
     assert outline / peak == pytest.approx(0.85, rel=1e-12)
 
 
+@pytest.mark.rest
 def test_a_wider_head_makes_wider_regions(problem, truth):
     change = (truth[1] - truth[0])[:, problem.used]
     areas = []

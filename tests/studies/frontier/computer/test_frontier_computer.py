@@ -60,6 +60,7 @@ def forward(electrodes, order, size):
 
 
 # Meshes this coarse do not reach the full orders yet; see the tests of the forward model for those.
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("electrodes", "order", "sizes", "expected"),
     [
