@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from command import cbsr_qa, document
 from killing import BEGIN, assert_same, came_of, killed, latest_run, trial, write_files
+from made_once import made_once
 from pages import HOW_TO, commands, typed
 
 from cbsr_qa.app.run import RunRequest, run_sensor, session
@@ -19,21 +20,26 @@ from cbsr_qa.domain import UnconcludedError
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory):
+def whole():
     """A folder with a run that was left alone."""
-    folder = tmp_path_factory.mktemp("whole")
-    write_files(folder)
-    run = document(cbsr_qa(folder, *BEGIN, "--serial", "whole"))
-    return folder, came_of(folder, run["run"])
+
+    def make(folder):
+        write_files(folder)
+        cbsr_qa(folder, *BEGIN, "--serial", "whole")
+
+    folder = made_once("run left alone", make)
+    return folder, came_of(folder, latest_run(folder, "whole"))
 
 
 @pytest.fixture(scope="module")
-def left_behind(tmp_path_factory):
+def left_behind():
     """A folder as a run left it that was killed in its second phase; nobody opens its database."""
-    folder = tmp_path_factory.mktemp("killed")
-    write_files(folder)
-    assert killed(folder, [*BEGIN, "--serial", "S-1", "--operator", "Kim"], documents=200, after_s=0.0)
-    return folder
+
+    def make(folder):
+        write_files(folder)
+        assert killed(folder, [*BEGIN, "--serial", "S-1", "--operator", "Kim"], documents=200, after_s=0.0)
+
+    return made_once("run killed", make)
 
 
 @pytest.fixture

@@ -1,10 +1,12 @@
 """``cbsr-qa run`` as a user meets it: determinism, refusals, exit codes, what is written and where."""
 
+import json
 import sqlite3
 
 import h5py
 import pytest
 from command import QUICK, cbsr_qa, document, short_recipe
+from made_once import copy_of, made_once
 
 
 def _run(folder, *more, check=True, serial="S-1", fresh=False, metrics=None, **environment):
@@ -31,16 +33,26 @@ def _stored(folder):
 @pytest.fixture(scope="module")
 def finished(tmp_path_factory):
     """A finished run with seed 11, of one thread."""
-    folder = tmp_path_factory.mktemp("finished")
     one_thread = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-    return folder, document(_run(folder, "--seed", "11", fresh=True, **one_thread))
+
+    def make(folder):
+        done = _run(folder, "--seed", "11", fresh=True, **one_thread)
+        folder.with_suffix(".json").write_text(done.stdout)
+
+    folder = copy_of("finished", make, tmp_path_factory.mktemp("finished"))
+    return folder, json.loads(made_once("finished", make).with_suffix(".json").read_text())
 
 
 @pytest.fixture(scope="module")
-def twice(tmp_path_factory):
+def twice():
     """A sensor that was tested twice without a seed."""
-    folder = tmp_path_factory.mktemp("twice")
-    return folder, [document(_run(folder, metrics=QUICK)) for _ in range(2)]
+
+    def make(folder):
+        runs = [document(_run(folder, metrics=QUICK)) for _ in range(2)]
+        (folder / "runs.json").write_text(json.dumps(runs))
+
+    folder = made_once("tested twice", make)
+    return folder, json.loads((folder / "runs.json").read_text())
 
 
 def test_the_document_says_what_was_promised(finished):

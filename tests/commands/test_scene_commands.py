@@ -1,6 +1,7 @@
 """``cbsr-qa scene``: what its two commands print and write."""
 
 import hashlib
+import json
 import os
 import re
 import shlex
@@ -12,6 +13,7 @@ from functools import partial
 import numpy as np
 import pytest
 from command import PROGRAM, cbsr_qa, document
+from made_once import copy_of, made_once
 
 from cbsr_qa.analysis import read_recording
 from cbsr_qa.config import DocumentKind, load_scene_plan, open_document, shipped_names
@@ -92,8 +94,12 @@ def _sha(path):
     scope="module", params=[pytest.param(name, marks=[] if name == "base" else pytest.mark.rest) for name in SCENES]
 )
 def shipped(request, tmp_path_factory):
-    folder = tmp_path_factory.mktemp(request.param)
-    return request.param, folder, document(cbsr_qa(folder, "scene", "run", request.param, "--json"))
+    def make(folder):
+        folder.with_suffix(".json").write_text(cbsr_qa(folder, "scene", "run", request.param, "--json").stdout)
+
+    name = f"scene {request.param}"
+    folder = copy_of(name, make, tmp_path_factory.mktemp(request.param))
+    return request.param, folder, json.loads(made_once(name, make).with_suffix(".json").read_text())
 
 
 def test_every_shipped_scene_runs(shipped):

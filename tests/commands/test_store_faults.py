@@ -1,5 +1,6 @@
 """A database that fails in the middle of a run: the bench is safe, what was committed stays, and the run goes on."""
 
+import pickle
 import shutil
 import sqlite3
 from contextlib import closing
@@ -7,6 +8,7 @@ from contextlib import closing
 import numpy as np
 import pytest
 from killing import frames_of_loads, write_files
+from made_once import made_once
 
 from cbsr_qa.app.run import RunRequest, resume_run, run_sensor
 from cbsr_qa.domain import BrokenRunError, StoreError
@@ -83,18 +85,23 @@ def broken_run(**more):
 
 
 @pytest.fixture(scope="session")
-def whole(tmp_path_factory):
+def undisturbed():
+    """A folder with a run that had nothing in its way, and its result."""
+
+    def make(folder):
+        write_files(folder)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.chdir(folder)
+            patch.setenv("CBSR_QA_VAR", "var")
+            (folder / "result.pickle").write_bytes(pickle.dumps(run_sensor(request()).result))
+
+    return made_once("undisturbed", make)
+
+
+@pytest.fixture(scope="session")
+def whole(undisturbed):
     """Frames and samples of every load of a run with nothing in its way."""
-    folder = tmp_path_factory.mktemp("undisturbed", numbered=False)
-    write_files(folder)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        patch.setenv("CBSR_QA_VAR", "var")
-        return run_sensor(request()).result
-
-
-def whole_database(tmp_path_factory):
-    return tmp_path_factory.getbasetemp() / "undisturbed" / "var" / "cbsr-qa.db"
+    return pickle.loads((undisturbed / "result.pickle").read_bytes())
 
 
 def assert_goes_on(run, whole, *, database=None):
@@ -184,11 +191,10 @@ def test_a_log_that_is_damaged_in_the_middle_of_a_run_ends_in_no_verdict(here, b
     assert [one.name for one in (here / "var").rglob("S-1*")] == []  # no report, and no calibration
 
 
-def test_damage_beside_a_run_is_told_from_damage_of_the_run(here, whole, tmp_path_factory):
+def test_damage_beside_a_run_is_told_from_damage_of_the_run(here, whole, undisturbed):
     """A page of another table is lost: this run is whole, and its file can be recovered."""
     run, path = whole.record.identity.run, here / "damaged.db"
-    source = whole_database(tmp_path_factory)
-    shutil.copy(source, path)
+    shutil.copy(undisturbed / "var" / "cbsr-qa.db", path)
     with closing(sqlite3.connect(path)) as database:
         database.execute("create table other (what)")
         database.execute("insert into other values (zeroblob(9000))")

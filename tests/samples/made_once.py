@@ -2,6 +2,7 @@
 
 import fcntl
 import hashlib
+import pickle
 import shutil
 from collections.abc import Callable
 from pathlib import Path
@@ -43,3 +44,9 @@ def named_by(kind: str, *content: object) -> str:
     said = repr(content)
     assert " at 0x" not in said, f"{said}: tells no content"
     return f"{kind}-{hashlib.sha256(said.encode()).hexdigest()[:16]}"
+
+
+def value_made_once(name, make):
+    """Return a value that was made once, read from disk: everyone has one of one's own."""
+    folder = made_once(name, lambda folder: (folder / "value.pickle").write_bytes(pickle.dumps(make())))
+    return pickle.loads((folder / "value.pickle").read_bytes())

@@ -1,6 +1,7 @@
 """``reproduce paper`` from end to end on a short run: a simulated sheet gives back what it was given."""
 
 import pytest
+from made_once import value_made_once
 
 from cbsr_qa.studies.reproduce import runs as reproduce_runs
 from cbsr_qa.studies.reproduce.compare import within_digits
@@ -21,16 +22,18 @@ _SHORT = {
 
 @pytest.fixture(scope="module")
 def sheet():
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(reproduce_runs, "_QUICK", _SHORT)
-        yield simulate(Job("uniform", 8, quick=True))
+    return value_made_once("reproduced sheet", lambda: _simulated("uniform"))
 
 
 @pytest.fixture(scope="module")
 def strip():
+    return value_made_once("reproduced strip", lambda: _simulated("strip"))
+
+
+def _simulated(kind):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(reproduce_runs, "_QUICK", _SHORT)
-        yield simulate(Job("strip", 8, quick=True))
+        return simulate(Job(kind, 8, quick=True))
 
 
 def test_a_uniform_sheet_has_the_resistance_it_was_given_and_the_noise_figure_it_is_imaged_at(sheet):
