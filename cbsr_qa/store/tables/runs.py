@@ -67,9 +67,7 @@ class RunRow(Base):
     software: Mapped[list[Any]]  #: [[distribution, version], …]
     simulated: Mapped[list[Any]]  #: in words
     setting: Mapped[dict[str, Any]]  #: sensor type, material and indenter in domain terms, see runs/codec.py
-    chain: Mapped[str | None] = mapped_column(
-        String(64)
-    )  #: what links it (chain/links.py); None: from before chains
+    chain: Mapped[str | None] = mapped_column(String(64))  #: what links it (chain/links.py); None: from before chains
 
 
 class RunStateRow(Base):
