@@ -14,6 +14,7 @@ from cbsr_qa.calibration.file import stamped
 from cbsr_qa.domain import ConfigError, StoreError
 from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, decide
 from cbsr_qa.domain.run import ChainState, RunStarted
+from cbsr_qa.store.chain import fleet
 from cbsr_qa.store.chain.links import VARIABLE, SigningKey
 from cbsr_qa.store.chain.run_documents import KEYS, covered, row_text
 from cbsr_qa.store.figures import RunFilter
@@ -371,8 +372,8 @@ def test_a_key_from_a_file_is_the_same_key_and_never_shown(tmp_path):
     assert SigningKey.from_environment({}) is None
 
 
-def test_measurements_in_another_order_are_the_same_fleet(tmp_path):
-    """A database may return rows in any order: that is no reason to refuse them."""
+def test_measurements_in_another_order_are_the_same_fleet(tmp_path, monkeypatch):
+    """A database may return rows in any order: that is no reason to refuse them, nor to check each run by itself."""
     import numpy as np
 
     random, url = np.random.default_rng(1), f"sqlite:///{tmp_path / 'runs.db'}"
@@ -381,11 +382,14 @@ def test_measurements_in_another_order_are_the_same_fleet(tmp_path):
             store_run(store, f"S-{n}", judged(measured(random, random.standard_normal(3))), batch="41")
         before = store.fleet()
     with sqlite3.connect(tmp_path / "runs.db") as database:
-        rows = database.execute("select * from measurements order by random()").fetchall()
+        rows = database.execute("select * from measurements order by number desc, analysis").fetchall()
         database.execute("delete from measurements")
         database.executemany(f"insert into measurements values ({','.join('?' * len(rows[0]))})", rows)
+    by_itself = []
+    monkeypatch.setattr(fleet, "check_run", lambda _, run: by_itself.append(run))
     with open_store(url) as store:
         assert sorted(store.fleet().value) == sorted(before.value)
+    assert by_itself == []
 
 
 def stripped(path):
