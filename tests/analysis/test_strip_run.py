@@ -41,6 +41,7 @@ def with_force(run, change):
     return replace(run, phases=(replace(phase, samples=(replace(samples, values=change(samples.values)),)),))
 
 
+@pytest.mark.rest
 def test_the_scenes_gauge_factor_and_modulus_come_out_with_the_bench_noise_on(found):
     """Seat, noise, relaxation and residue on; the analysis has another mesh and knows nothing of the scene."""
     assert found.local_against_strain.line.slope.value == pytest.approx(0.6, rel=0.03)

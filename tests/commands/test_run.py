@@ -200,6 +200,7 @@ def test_a_recipe_beyond_the_stations_limits_is_refused_before_anything_moves(tm
     assert not (tmp_path / "var").exists()
 
 
+@pytest.mark.rest
 def test_a_limit_that_is_not_met_fails_the_run_with_exit_code_1(tmp_path):
     recipe = short_recipe(tmp_path, metrics=QUICK, **{"upper = 6.5": "upper = 0.001"})
     done = cbsr_qa(

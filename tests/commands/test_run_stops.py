@@ -33,6 +33,7 @@ def _stopped(folder, *signals, at="nine locations (2 of 4)"):
     return process.returncode, json.loads(out), "".join(said) + err
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("number", "by"),
     [(signal.SIGTERM, "by signal SIGTERM, while "), (signal.SIGINT, "by the operator (Ctrl-C), while ")],

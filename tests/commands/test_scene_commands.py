@@ -140,6 +140,7 @@ def test_analyse_finds_the_loads_of_every_shipped_scene(shipped):
     assert len(found) == len(presses) or name == "everything"
 
 
+@pytest.mark.rest
 def test_the_same_scene_and_seed_give_the_same_bytes(folder):
     formats = ("--format", "ert-board-csv")
     for name, fresh in (("one", False), ("two", True)):
@@ -243,6 +244,7 @@ def test_a_format_that_cannot_hold_the_scene_leaves_no_file(folder):
     assert not (folder / "var").exists()
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("stage", ["simulating", "writing"])
 def test_ctrl_c_is_said_and_leaves_no_file(folder, stage):
     """The signal comes as the stage begins; the program's last word is that it was aborted (exit code 3)."""

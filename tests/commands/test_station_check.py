@@ -81,6 +81,7 @@ def test_a_station_that_is_well_ends_with_0_and_is_stored_with_the_rings_frames(
     assert not list((tmp_path / "var" / "calibrations").iterdir())
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("effect", "name", "value"),
     [
@@ -108,6 +109,7 @@ def test_what_is_wrong_with_a_station_fails_and_is_in_the_reports_it_writes(
     assert f"reference ring, {name}: failed. What to do: {failed[name]['remedy']}" in page.replace("&#39;", "'")
 
 
+@pytest.mark.rest
 def test_reports_of_a_station_that_was_never_checked_say_so_also_when_they_are_written_again(tmp_path, capsys, check):
     arguments = ["--station", "simulated", "--recipe", "golden-check", "--serial", "S-1", "--json"]
     assert guarded(["run", *arguments]) == 0
@@ -121,6 +123,7 @@ def test_reports_of_a_station_that_was_never_checked_say_so_also_when_they_are_w
     assert words in (tmp_path / first["report"]).read_text()
 
 
+@pytest.mark.rest
 def test_a_golden_sensor_is_run_and_held_against_its_history(check, tmp_path):
     documents = [check("simulated", "--no-ring", "--golden", "G-1") for _ in range(3)]
     assert [code for code, _ in documents] == [0] * 3

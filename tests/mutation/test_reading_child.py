@@ -46,6 +46,7 @@ def _exit():
     os._exit(0)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("read", "said"),
     [

@@ -35,6 +35,7 @@ LOTS = {
 }
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", LOTS)
 def test_limits_hold_their_share_of_good_sensors_in_as_many_lots_as_promised(name):
     """Content of at least 99 % in at least 95 % of 250 lots, less three standard errors."""

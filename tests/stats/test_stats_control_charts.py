@@ -159,6 +159,7 @@ def test_run_lengths_of_rules_are_the_published_ones(rules, shift, published):
     assert error < 0.035 * published
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("threshold", "shift", "published"),
     # Montgomery, Introduction to Statistical Quality Control, table 9.3 (k = ½), after Hawkins.

@@ -66,6 +66,7 @@ def search(y):
     return find_presses(white, match, changes).presses if changes else []
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("n", "drift", "wander", "recordings", "allowed"),
     # Measured with 100 to 300 seeds: white noise 0 to 1 %, strong drift 0 to 5 %, with a random walk on top 0 to 6 %.

@@ -84,6 +84,7 @@ def walked(tmp_path, monkeypatch, capsys):
     return said[0], found, Path(found["report"]).read_text(encoding="utf-8")
 
 
+@pytest.mark.rest
 def test_what_moves_is_said_on_the_terminal_in_the_document_and_in_the_report(walked):
     words, found, html = walked
     (event,) = found["events"]

@@ -4,7 +4,7 @@ import pytest
 
 from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
 
-pytestmark = pytest.mark.shared
+pytestmark = [pytest.mark.shared, pytest.mark.rest]
 
 
 def analysed(shared, name, dataset):

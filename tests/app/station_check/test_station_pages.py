@@ -22,6 +22,7 @@ def database(tmp_path_factory):
     return path
 
 
+@pytest.mark.rest
 def test_the_page_on_watching_a_station_runs_as_printed(database, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CBSR_QA_DATABASE", str(database))

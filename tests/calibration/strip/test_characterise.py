@@ -38,6 +38,7 @@ def found():
     return characterised(Truth(residue=0.02), count=6, seed=3)
 
 
+@pytest.mark.rest
 def test_the_gauge_factor_under_the_head_is_the_materials(found):
     line = found.local_against_strain
     assert line.line.slope.value == pytest.approx(0.6, rel=0.03)

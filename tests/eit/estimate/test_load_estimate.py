@@ -102,6 +102,7 @@ def test_the_fisher_matrix_is_that_of_differences():
     assert with_radius.detectability == pytest.approx(np.linalg.norm(merged.of_model(change(*at))), rel=1e-12)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("x", "y", "radius", "contrast", "decibels"),
     [

@@ -24,6 +24,7 @@ def relative_error(found: np.ndarray, exact: np.ndarray) -> float:
 
 # The current density is singular at an arc's ends, more so the smaller z: grading at the ends brings back most of the
 # second order that a uniform mesh loses (1 at z = 0.001, 1.5 at z = 0.1).
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("contact", "order", "finest_error"), [(0.1, 1.9, 2e-3), (0.05, 1.9, 2e-3), (0.001, 1.8, 6e-3)]
 )
@@ -39,6 +40,7 @@ def test_arcs_converge_to_the_exact_solution(arc_sensor, model_of, contact, orde
     assert errors[-1] < finest_error
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("contact", [0.01, 0.5])
 def test_pins_converge_to_the_exact_solution(pin_sensor, model_of, contact):
     sensor = pin_sensor()

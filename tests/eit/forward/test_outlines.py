@@ -96,6 +96,7 @@ def boundary_of(mesh):
     return mesh.edges[counts == 1]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("name", "kind"), MESHED)
 def test_elements_are_well_shaped_and_cover_exactly_the_sheet(name, kind):
     mesh, outline = mesh_on(name, kind), SHEETS[name]

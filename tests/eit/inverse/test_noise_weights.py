@@ -138,6 +138,7 @@ def linear_methods():
     return [name for name in plugins.names(Kind.RECONSTRUCTION) if not name.startswith("pyeit")]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("method", linear_methods())
 def test_loud_readings_count_less_in_every_linear_method_that_weighs_noise(sensor, method):
     """By the propagated covariance diag(R V Rᵀ), at the same parameter or noise figure."""

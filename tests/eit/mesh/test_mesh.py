@@ -149,6 +149,7 @@ def test_electrodes_that_do_not_fit_the_sheet_are_refused(pin_sensor, arc_sensor
         sheet_mesh(replace(arc_sensor(), radius_mm=1.1), size_mm=0.08)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("width_mm", "ring_mm"), [(4.0, 47.8), (0.05, 48.0), (15.42, 41.51)])
 def test_electrodes_with_the_least_room_and_width_are_meshed_with_few_elements(pin_sensor, width_mm, ring_mm):
     sensor = pin_sensor()

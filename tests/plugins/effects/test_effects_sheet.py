@@ -32,6 +32,7 @@ def test_a_factor_is_one_on_average_and_positive():
     assert values.min() > 0
 
 
+@pytest.mark.rest
 def test_deviation_and_correlation_over_many_sheets_are_those_stated():
     """Sheets far wider than the correlation, so that taking out the mean takes little: 400 of them."""
     places = np.array([[0.0, 0.0], [4.0, 0.0], [8.0, 0.0], [16.0, 0.0]])

@@ -57,6 +57,7 @@ def test_it_conforms(name):
     }
 
 
+@pytest.mark.rest
 def test_another_process_with_two_threads_sees_the_same():
     """All methods in one fresh process, for its start costs more than they do."""
     problem, names = example_problem(), [name for name in _METHODS if _installed(name)]

@@ -75,6 +75,7 @@ def marks(axes):
     return places, [p for p, line in zip(places, drawn, strict=True) if line.get_markerfacecolor() == INK]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("criterion", CRITERIA)
 @pytest.mark.parametrize("method", [*RIDGES, TruncatedSvd])
 def test_the_full_mark_lies_at_the_choice_and_on_the_curve(problem, canvas_of, method, criterion):

@@ -240,6 +240,7 @@ def test_the_stations_offset_is_not_the_batches():
     assert abs(naive[1] - naive[0]) > 20
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("on_all", [False, True])
 def test_fleets_of_known_truth(on_all):
     """A sample of 200 seeds: the intervals cover, the batch is found, and its station is not."""

@@ -149,6 +149,7 @@ def test_limits_of_charts_are_listed_with_what_they_were_before(tmp_path, docume
     assert "    change   settings rules 1, 2 → rules 1\n" in said
 
 
+@pytest.mark.rest
 def test_the_report_of_a_run_says_which_chart_signals(tmp_path, document):
     path = tmp_path / "runs.db"
     fill(path, values(count=30))

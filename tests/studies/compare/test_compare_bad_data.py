@@ -15,6 +15,7 @@ from cbsr_qa.studies.compare.from_store import RunChoice, read_amounts
 from cbsr_qa.studies.compare.terms import By
 
 
+@pytest.mark.rest
 def test_one_batch_is_described_and_compared_with_nothing(two):
     made = compared(two, groups=("41",))
     assert made.exit_code == 3

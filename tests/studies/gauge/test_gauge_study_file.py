@@ -75,6 +75,7 @@ def changed(*replacements):
     return text
 
 
+@pytest.mark.rest
 def test_the_study_is_of_what_the_file_names(studied, tmp_path):
     code, out, err = studied(STUDY, "--json")
     assert code == 0, err

@@ -9,6 +9,8 @@ from stored_lots import LIMITS, PHASE, judged
 from cbsr_qa.config import DocumentKind, limits_digest, load_recipe, open_document
 from cbsr_qa.domain.results import Limit, Measurement
 
+pytestmark = pytest.mark.rest
+
 
 def test_what_the_recipe_limits_is_proposed_on_the_sides_it_limits(lot_database, document):
     found = document(lot_database, "--batch", "golden")
