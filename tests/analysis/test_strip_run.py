@@ -71,6 +71,7 @@ def test_measurements_have_the_units_that_are_promised(found):
     assert before < by_name["gauge_factor", ""]
 
 
+@pytest.mark.rest
 def test_contacts_other_than_assumed_are_within_the_stated_error():
     """Contacts half as large again are one standard error, and hide 4 % of the gauge factor."""
     effects = [("contact-spread", {"deviation": 0.01, "contact_mm": 0.3})]
@@ -79,6 +80,7 @@ def test_contacts_other_than_assumed_are_within_the_stated_error():
     assert abs(line.slope.value - 0.6) < 2 * line.slope.stderr
 
 
+@pytest.mark.rest
 def test_shuffled_strains_come_to_the_same():
     run = strip_run(order="shuffled", cycles=2, seed=5)
     pressed = [load.load.strain for load in run.phases[0].loads]
@@ -120,6 +122,7 @@ def test_without_readings_of_the_rested_strip_there_is_no_change(run):
         characterise_run(with_frames(run, lost), SETTINGS)
 
 
+@pytest.mark.rest
 def test_a_cycle_that_was_not_read_is_left_out_by_name(run):
     load = run.phases[0].loads[4]
 
@@ -137,6 +140,7 @@ def test_a_cycle_that_was_not_read_is_left_out_by_name(run):
     assert counts["cycles_excluded"] == (1, found.unread[0])
 
 
+@pytest.mark.rest
 def test_a_load_cell_at_its_limit_costs_the_strains_it_could_not_follow(run):
     """At 12 N: 20 % relaxes to 10.6 N after a peak of 13.2 N, 30 % to 15.9 N."""
     found = characterise_run(with_force(run, lambda force: np.minimum(force, 12.0)), SETTINGS)
@@ -147,6 +151,7 @@ def test_a_load_cell_at_its_limit_costs_the_strains_it_could_not_follow(run):
     assert found.refused == ()
 
 
+@pytest.mark.rest
 def test_a_load_cell_that_ends_below_all_is_no_material(run):
     found = characterise_run(with_force(run, lambda force: np.minimum(force, 2.0)), SETTINGS)
     assert found.modulus_kPa is None
@@ -165,6 +170,7 @@ def test_a_force_without_noise_is_not_taken_for_a_limit():
     assert strip_force(replace(phase, samples=(flat,)), 400.0).limit_N is None
 
 
+@pytest.mark.rest
 def test_holds_too_short_for_a_steady_level_are_no_material():
     """Twenty seconds of a creep of 23 s: its end cannot be told, and no residue explains what is left."""
     found = characterise_run(strip_run(hold_s=20.0, rest_s=20.0), SETTINGS)
@@ -174,12 +180,14 @@ def test_holds_too_short_for_a_steady_level_are_no_material():
     assert any("holds of 19.5 s are shorter than 1.5 settling times of conductance" in why for why in found.reduced)
 
 
+@pytest.mark.rest
 def test_a_spike_after_the_release_moves_nothing_but_what_it_covers():
     found = characterise_run(strip_run(effects=[("unloading-spike", {"size": 0.3, "decay_s": 1.5})]), SETTINGS)
     assert found.local_against_strain.line.slope.value == pytest.approx(0.6, rel=0.03)
     assert found.unloading.time_constants_s[1] == pytest.approx(25.4, rel=0.1)
 
 
+@pytest.mark.rest
 def test_a_run_without_force_says_so(run):
     (phase,) = run.phases
     found = characterise_run(replace(run, phases=(replace(phase, samples=()),)), SETTINGS)

@@ -223,6 +223,7 @@ def test_apply_as_json_is_one_document_and_refusals_are_in_it(folder):
     assert bad["frames"] == []
 
 
+@pytest.mark.rest
 def test_apply_writes_no_file_over_another(folder, tmp_path):
     out = tmp_path / "forces.csv"
     assert _run("apply", folder / "sensor.h5", folder / "press.h5", "--output", out).return_value == 0
@@ -255,6 +256,7 @@ def test_export_there_and_back_is_the_same_file(folder, tmp_path):
     assert back.read_bytes() == (folder / "sensor.h5").read_bytes()
 
 
+@pytest.mark.rest
 def test_export_for_firmware_says_what_is_lost(folder, tmp_path):
     out = tmp_path / "fw.json"
     document = json.loads(
@@ -278,6 +280,7 @@ def test_export_refuses_what_it_cannot_write(folder, tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.rest
 def test_show_says_what_the_force_model_is_worth(folder, tmp_path, calibration):
     document = json.loads(_run("show", folder / "sensor.h5", "--json").stdout)
     force = document["force_model"]

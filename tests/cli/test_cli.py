@@ -99,6 +99,7 @@ def ended(command, **streams):
     return subprocess.run(program, check=False, text=True, timeout=60, **streams)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("printed", ['say("PASS")', 'emit_json({"outcome": "fail"})'])
 @pytest.mark.parametrize("code", [0, 1])
 def test_an_outcome_that_could_not_be_printed_is_no_outcome(printed, code):
@@ -116,6 +117,7 @@ def test_a_refusal_that_could_not_be_printed_is_still_one():
         assert ended(refuse, stdout=full, stderr=full).returncode == 2
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("code", [0, 1])
 def test_messages_that_nobody_can_read_stop_nothing(code):
     with Path("/dev/full").open("w") as full:
@@ -125,6 +127,7 @@ def test_messages_that_nobody_can_read_stop_nothing(code):
     assert (done.returncode, done.stdout) == (code, "done\n")
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("code", [0, 1])
 def test_a_program_whose_output_was_closed_ends_as_it_would(code):
     def close():
@@ -134,6 +137,7 @@ def test_a_program_whose_output_was_closed_ends_as_it_would(code):
     assert ended(f'note("busy"); say("FAIL"); return {code}', preexec_fn=close).returncode == code
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("code", [0, 1])
 def test_a_reader_that_has_gone_changes_no_exit_code(code):
     reader, writer = os.pipe()

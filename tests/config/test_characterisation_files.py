@@ -147,6 +147,7 @@ def test_cycles_are_pressed_strain_by_strain():
     assert CharacterisationSequence.role is Role.CHARACTERISATION
 
 
+@pytest.mark.rest
 @given(st.integers(0, 2**31 - 1))
 def test_shuffled_strains_are_all_there_and_the_same_for_one_seed(seed):
     strains = [5.0, 10.0, 15.0, 20.0, 25.0, 30.0]

@@ -47,6 +47,7 @@ def test_hostile_serial_numbers_are_refused_shortly_and_without_repeating_contro
     assert "64 characters" in message
 
 
+@pytest.mark.rest
 @given(st.text())
 def test_whatever_is_accepted_is_safe_as_the_name_of_a_file(text):
     try:

@@ -11,6 +11,7 @@ STEPS = len(steps_of_a_run(TWO_PLACES))
 SAMPLE = tuple(matrix(STEPS, every=STEPS))
 
 
+@pytest.mark.rest
 def test_a_run_without_a_fault_finishes_and_comes_to_rest():
     outcome = run_with(None, TWO_PLACES)
     assert outcome.kind == "rode through", outcome

@@ -304,6 +304,7 @@ def _mat(path, *elements):
 FRAMES = _variable(6, (256, 2), b"vv", _element(9, np.arange(512.0).tobytes()))
 
 
+@pytest.mark.rest
 def test_matrices_are_read_as_scipy_reads_them(tmp_path):
     rng = np.random.default_rng(5)
     kinds = ["f8", "f4", "i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8"]

@@ -65,6 +65,7 @@ def test_only_the_effects_that_are_on_are_asked_for():
     assert asked == ["one", "two"]
 
 
+@pytest.mark.rest
 def test_modules_of_effects_that_are_off_are_not_imported():
     code = (
         "import sys; sys.path.insert(0, 'tests/samples')\n"

@@ -127,6 +127,7 @@ def test_time_by_kind_frames_and_loads_are_those_of_the_run(phases):
     assert dry.loads == sum(isinstance(document, LoadFinished) for document in told)
 
 
+@pytest.mark.rest
 def test_time_agrees_with_the_simulated_bench():
     station = load_station("simulated").value
     plugins, clock = discover(), VirtualClock()

@@ -50,6 +50,7 @@ def test_limits_hold_their_share_of_good_sensors_in_as_many_lots_as_promised(nam
     assert np.mean(held) >= 0.95 - 3 * sqrt(0.95 * 0.05 / len(held))
 
 
+@pytest.mark.rest
 def test_two_bounds_hold_the_middle_of_a_normal_population():
     random = np.random.default_rng(13)
     found = [proposed(random.normal(0, 1, (20, 1)), BOTH) for _ in range(250)]
@@ -104,6 +105,7 @@ def test_without_a_distribution_small_lots_are_refused_with_how_many_it_takes():
     assert f"need {count_needed(0.99, 0.95, 1)} sensors instead of 80" in found.why
 
 
+@pytest.mark.rest
 def test_without_a_distribution_the_extreme_of_a_large_lot_holds():
     random = np.random.default_rng(9)
     ask = Ask(0.9, 0.95, lower=False, upper=True, distribution=Distribution.ANY)

@@ -174,6 +174,7 @@ def test_run_lengths_of_cumulative_sums_are_the_published_ones(threshold, shift,
     assert mean == pytest.approx(published, abs=3.5 * error)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("weight", "width", "shift", "published"), [(0.1, 2.814, 1.0, 10.3), (0.25, 2.998, 2.0, 3.6)]
 )

@@ -54,6 +54,7 @@ def test_digit_loss_goes_no_further_than_the_doubles_themselves():
     assert found.autocorrelation == pytest.approx(lagged, rel=1e-9)
 
 
+@pytest.mark.rest
 @settings(deadline=None)
 @given(values)
 def test_moments_are_those_of_exact_arithmetic(numbers):

@@ -115,6 +115,7 @@ def test_a_sensor_that_was_run_often_weighs_no_more():
     assert parts.mean == pytest.approx(3.0)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("between", [0.0, 0.5, 0.9])
 def test_repeated_runs_do_not_make_a_lot_look_larger(between):
     """Content of at least 99 % in at least 95 % of lots, less three standard errors of 300 lots."""

@@ -114,6 +114,7 @@ def test_a_change_back_is_another_change_and_silence_is_noted(repository):
     assert {there.why, back.why} == {NO_REASON}
 
 
+@pytest.mark.rest
 def test_scenes_belong_to_the_station_and_other_stations_do_not_matter(repository):
     begun(repository, scenes={"bench": {"seed": 1}})
     begun(repository, scenes={"bench": {"seed": 1}}, station="bench-β")
@@ -133,6 +134,7 @@ def test_a_resumed_run_notes_its_changes_once(repository):
     assert len(repository.changes()) == 2
 
 
+@pytest.mark.rest
 def test_a_history_begins_after_the_last_run_that_passed(repository):
     begun(repository, recipe=recipe(8.0))
     accepted = begun(repository, recipe=recipe(7.0))
@@ -190,6 +192,7 @@ def only_added():
     assert refused == []
 
 
+@pytest.mark.rest
 def test_nothing_a_verdict_rests_on_is_changed_or_removed(repository):
     with only_added() as seen:
         run = begun(repository)

@@ -116,6 +116,7 @@ def test_every_document_is_committed_before_the_call_returns(repository, path):
     assert set(gained) == {0, 1}
 
 
+@pytest.mark.rest
 def test_a_killed_process_loses_nothing_that_was_committed(path):
     code = f"""
 import sys
@@ -238,6 +239,7 @@ def test_a_finished_run_is_neither_resumed_nor_ended_again(repository):
     assert repository.load_run(run).end is EndReason.FINISHED
 
 
+@pytest.mark.rest
 def test_an_aborted_run_can_be_resumed_and_its_time_is_summed(repository):
     run = repository.new_id()
     told = short_run(run)

@@ -105,6 +105,7 @@ def test_numpy_numbers_are_stored_as_plain_ones(repository, run):
     assert type(back.trial) is int
 
 
+@pytest.mark.rest
 def test_a_calibration_comes_back_as_it_was_issued(repository, run):
     issued = calibration(repository.new_id(), run)
     repository.save_result(result(repository, run, calibration=issued, calibration_why=""))
@@ -149,6 +150,7 @@ def test_a_matrix_prepared_again_elsewhere_keeps_the_record_and_is_exported(repo
     assert verify_calibration(tmp_path / "exported.h5").record_digest == issued.record_digest
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     "edit",
     [
@@ -193,6 +195,7 @@ def test_what_was_assumed_is_flagged_parameter_by_parameter(repository, run, tmp
     }
 
 
+@pytest.mark.rest
 def test_a_new_calibration_supersedes_only_the_same_sensors_earlier_ones(repository, run):
     other_run = repository.new_id()
     journalled(repository, short_run(other_run, "S-2"))

@@ -150,6 +150,7 @@ def test_a_piece_that_raises_leaves_the_finished_ones_kept(path):
     assert list(Kept(path).found) == ["square/0", "square/1"]
 
 
+@pytest.mark.rest
 def test_of_two_processes_the_one_at_work_finishes_when_the_other_raises(tmp_path, path):
     gate = tmp_path / "gate"
     work = [

@@ -188,11 +188,13 @@ def test_a_method_that_needs_every_electrode_is_a_fault():
         check_masked_electrodes(spoilt(lost))
 
 
+@pytest.mark.rest
 def test_a_method_that_feels_the_threads_is_a_fault():
     with pytest.raises(AssertionError, match="between processes"):
         check_same_elsewhere(OfThreads, OfThreads().prepare(example_problem()))
 
 
+@pytest.mark.rest
 def test_what_another_process_says_is_passed_on():
     problem = symmetric_problem().problem
     nothing = np.zeros((1, 208))

@@ -77,6 +77,7 @@ def test_false_alarms_are_rare_in_noise_drift_and_random_walks(n, drift, wander,
     assert alarms <= allowed
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("sign", [-1, 1])
 def test_one_press_is_one_event_at_its_place_and_time(sign):
     hits, angle, radius, start, end = 0, [], [], [], []
@@ -103,6 +104,7 @@ def test_one_press_is_one_event_at_its_place_and_time(sign):
     assert np.median(np.abs(end)) < 8  # with 60 % residue the release is a decline, not a step
 
 
+@pytest.mark.rest
 def test_a_faint_press_needs_its_wide_windows_but_is_found():
     found = [search(recording(seed, 200, [Press(0.5, 0.3, 60, 190, -5.0, ramp=6)])) for seed in range(20)]
     assert sum(len(presses) == 1 for presses in found) >= 18

@@ -59,6 +59,7 @@ def test_the_manual_says_what_is_found_of_the_100_mm_sheet(board):
     assert said.endswith(memory_in_words(found["channels"]))
 
 
+@pytest.mark.rest
 def test_the_manual_says_the_noise_and_why_there_is_no_event(board):
     found = board("expABX_100mm_9.5wt_5")
     said = row("expABX_100mm_9.5wt_5")
@@ -88,6 +89,7 @@ def test_the_manual_says_what_hinders_in_the_short_recordings(board):
     assert f"the share of {100 * share:.1f} %" in row("steady_state_UoA1.csv")
 
 
+@pytest.mark.rest
 def test_the_manual_says_frames_rates_and_rejected_lines_of_the_one_row_recordings(board):
     numbers = (1, 3, 4, 6, 8, 12, 14, 16)
     _, frames, rates, rejected, result = cells("res1k3_cal1")
@@ -104,6 +106,7 @@ def test_the_manual_says_frames_rates_and_rejected_lines_of_the_one_row_recordin
     assert f"level step of {step['after'] - step['before']:+.0f} counts before frame 94" in row("no_batt.csv")
 
 
+@pytest.mark.rest
 def test_the_manual_says_how_many_rows_the_short_files_have(board):
     files = ("testv2_2", "testv2_3", "testv2_9")
     said = row("testv2_2.csv")
@@ -134,6 +137,7 @@ def test_the_manual_says_where_the_balls_are(tank, dataset):
         assert f"depth {deep[1]} radii" in said
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("name", "told"),
     [

@@ -231,6 +231,7 @@ def test_the_rod_that_goes_straight_through_the_centre(tank):
     assert event["motion"]["words"].endswith("through the centre")
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("name", "sign", "places"),
     [("metal_1", 1, [0.0]), ("metal_2_180", 1, [0.0, 8.0]), ("plastic_2_90", -1, [0.0, 12.0])],
@@ -266,6 +267,7 @@ def test_reading_memory_can_be_forced_on_or_off_for_one_reason_only_the_places(s
     assert len(result.events) == 3
 
 
+@pytest.mark.rest
 def test_chest_and_stomach_data_are_read_without_claiming_a_press(shared):
     path = shared / "data" / "tank" / "montreal_data_1995.mat"
     for dataset in EidorsMat().datasets(path):

@@ -109,12 +109,14 @@ def test_a_gain_that_settles_is_no_load_and_a_press_before_a_step_of_it_stays():
     assert (event.start_s, event.end_s) == pytest.approx((10.0, 17.5), abs=0.8)
 
 
+@pytest.mark.rest
 def test_a_press_at_the_centre_is_no_gain():
     for seed in range(4):
         (event,) = analysed(counts(press(0.0, 0.0, -25, 60, 110), seed=seed)).events
         assert event.r_over_R < 0.15
 
 
+@pytest.mark.rest
 def test_single_readings_that_jump_are_replaced_and_counted():
     for seed in range(6):
         voltages = counts(seed=seed)
@@ -137,11 +139,13 @@ def test_one_absurd_reading_or_row_is_no_load(value):
     assert analysed(voltages).events == ()
 
 
+@pytest.mark.rest
 def test_steady_noise_has_no_glitches():
     for seed in range(8):
         assert not any("glitches" in w for w in analysed(counts(seed=seed)).warnings)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("frames", [1, 2, 3])
 def test_a_press_of_a_few_frames_is_found_with_its_end(frames):
     for seed in range(4):

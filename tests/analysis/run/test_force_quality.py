@@ -247,6 +247,7 @@ def test_the_section_shows_map_errors_and_line(observed, measured):
     assert [row[0].text for row in table.rows][:2] == ["place known", "place estimated"]
 
 
+@pytest.mark.rest
 def test_the_report_says_what_fewer_places_would_have_told(observed, measured):
     result = RunResult(observed.record, observed, tuple(measured.values()), decide(()), None, "test")
     section = TimeAndAccuracy().render(replace(result, compute_s=(("imaging", 1.0),)))
@@ -280,6 +281,7 @@ def test_a_run_without_forces_has_no_value_and_says_why(observed):
     assert "no load was pressed alone with its force recorded" in words.text
 
 
+@pytest.mark.rest
 def test_loads_of_a_run_that_holds_none_out_are_not_tested(observed):
     settings = replace(observed.settings, calibrate_phases=("grid", "random"))
     found = {(m.name, m.qualifier): m for m in ForceError().measure_run(replace(observed, settings=settings))}

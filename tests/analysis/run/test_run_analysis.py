@@ -57,6 +57,7 @@ def test_force_is_the_relaxed_modulus_times_strain_and_area(run, observation):
         assert load.stress_kPa == pytest.approx(load.force_N / HEAD.area_mm2 * 1e3)
 
 
+@pytest.mark.rest
 def test_response_is_decided_and_the_sign_of_the_material_changes_nothing_else(run, observation):
     assert observation.response is Response.INCREASE
     # Without noise the change of the readings is not quite odd in the conductance; small strain makes it so.
@@ -68,6 +69,7 @@ def test_response_is_decided_and_the_sign_of_the_material_changes_nothing_else(r
         assert falling.mask(0.85).sensed is not None
 
 
+@pytest.mark.rest
 def test_residue_of_earlier_loads_is_seen_and_both_references_reported(observation):
     quick = _observed(simulated_run(((15.0, 15.0), (15.0, 12.0)), hold_s=60.0, rest_s=5.0))
     first, second = quick.loads

@@ -43,6 +43,7 @@ def test_a_press_in_an_export_is_found_with_force_and_reported(tmp_path, capsys)
     assert "1 event" in Path(found["report"]).read_text(encoding="utf-8")
 
 
+@pytest.mark.rest
 def test_a_named_sensor_type_gives_millimetres(tmp_path, capsys):
     path = exported(tmp_path, pressed_frames(0.4, 0.3, contrast=0.1), sensor_type="disc-100mm")
     stated = json.loads(run(capsys, path, "--json", "--no-report")[1])["events"][0]
@@ -62,6 +63,7 @@ def test_an_unknown_stated_sensor_type_is_a_warning_an_unknown_named_one_a_refus
     assert "disc-99mm" in json.loads(out)["refused"]["reason"]
 
 
+@pytest.mark.rest
 def test_words_and_json_say_the_same_and_progress_goes_to_stderr(tmp_path, capsys):
     path = exported(tmp_path, pressed_frames(0.4, 0.3, contrast=-0.1))
     code, out, err = run(capsys, path)
@@ -81,6 +83,7 @@ def test_a_reference_recording_turns_presses_into_objects(tmp_path, capsys):
     assert (event["start_s"], event["end_s"]) == pytest.approx((25.0, 172.5))
 
 
+@pytest.mark.rest
 def test_a_rounded_zero_has_no_sign_and_one_frame_is_one(tmp_path, capsys):
     path = exported(tmp_path, pressed_frames(-4e-4, 0.5, contrast=-0.1), sensor_type="disc-100mm")
     out = run(capsys, path, "--no-report")[1]
@@ -104,6 +107,7 @@ def test_a_refusal_names_its_file_once(tmp_path, capsys):
     assert err.startswith(f"cbsr-qa: {path.name}: ")
 
 
+@pytest.mark.rest
 def test_what_was_simulated_is_said_wherever_results_are(tmp_path, capsys):
     path = exported(tmp_path, pressed_frames(0, 0, contrast=0.0, n=12), simulated=("sheet: a <bench>, seed 7",))
     assert "  simulated sheet: a <bench>, seed 7\n" in run(capsys, path, "--no-report")[1]
@@ -177,6 +181,7 @@ def test_noise_free_frames_that_never_change_are_no_event(tmp_path, capsys):
     assert json.loads(out)["events"] == []
 
 
+@pytest.mark.rest
 def test_the_hostile_text_of_a_file_name_stays_text_in_the_report(tmp_path, capsys):
     path = exported(tmp_path, pressed_frames(0, 0, contrast=0.0), name="<script>alert(1)<script>.h5")
     found = json.loads(run(capsys, path, "--json")[1])

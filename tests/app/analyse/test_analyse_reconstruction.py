@@ -104,6 +104,7 @@ def test_events_are_found_without_the_reconstruction(pressed):
     assert usual["image"] != other["image"]
 
 
+@pytest.mark.rest
 def test_the_usual_method_named_is_the_usual_method(pressed):
     usual, named = found_by(pressed).result, found_by(pressed, "gauss-newton-noser").result
     np.testing.assert_array_equal(usual.events[0].image.values, named.events[0].image.values)
@@ -196,6 +197,7 @@ def test_a_method_of_sequences_is_handed_the_frames_around_an_event(pressed):
     assert event.imaged is not None
 
 
+@pytest.mark.rest
 def test_frames_that_know_nothing_of_each_other_are_the_one_step_image(pressed):
     alone = found_by(pressed, "temporal", correlation_frames=0).result.events[0].image.values
     one_step = found_by(pressed, "gauss-newton-indenter").result.events[0].image.values
@@ -227,6 +229,7 @@ def test_frames_are_cut_next_to_the_step_and_against_those_before():
     assert (frames[at, 0], len(frames)) == (5, 262)
 
 
+@pytest.mark.rest
 def test_an_absolute_method_is_handed_the_unloaded_readings_in_the_scale_of_the_changes(tmp_path):
     """In volts, with a gain that nobody states; they are those before the press, not those of the whole recording."""
     frames = 3.7 * pressed_frames(*PRESSED, contrast=-0.3, start=20, end=75)
@@ -245,6 +248,7 @@ def test_an_absolute_method_is_handed_the_unloaded_readings_in_the_scale_of_the_
     assert "leaves" in found_by(path, "absolute-gauss-newton").document["reconstruction"]["parameter"]["reason"]
 
 
+@pytest.mark.rest
 def test_counts_have_no_absolute_readings_and_that_is_said(tmp_path):
     frames = np.round(1000 + 2e4 * pressed_frames(*PRESSED, contrast=-0.3)).astype(int)
     document = found_by(BoardFile().header().frames(frames).save(tmp_path), "absolute-gauss-newton").document

@@ -91,6 +91,7 @@ def test_several_other_batches_are_one_warning():
     assert "batch '42' now; its run of 2026-11-03 says '3', its run of 2026-11-04 says '4': one is" in said
 
 
+@pytest.mark.rest
 def test_the_store_tells_a_run_of_those_before_it_alone(database_url):
     with open_store(database_url) as store:
         bad, good = (judged((Measurement("drift", drift, "%/min"),)) for drift in (0.9, 0.1))
@@ -143,6 +144,7 @@ def test_an_earlier_run_that_was_changed_is_named_and_stops_nothing(tmp_path, st
     assert (told["end"], told["outcome"], table in told["changed"]) == (None, None, True)
 
 
+@pytest.mark.rest
 def test_an_earlier_run_without_a_chain_is_told_apart(tmp_path):
     with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store:
         store_run(store, "S-7", judged((Measurement("drift", 0.9, "%/min"),)), recipe="nine-locations")

@@ -89,6 +89,7 @@ def test_intervals_reach_as_far_as_the_documentation_says(runs, deviations):
         assert compared(new, earlier)["force"].outcome is outcome
 
 
+@pytest.mark.rest
 def test_while_nothing_changes_one_check_in_a_hundred_fails_and_one_in_twenty_says_anything():
     random, trials, failed, said = np.random.default_rng(5), 400, 0, 0
     for _ in range(trials):
@@ -127,6 +128,7 @@ def test_figures_that_never_varied_hold_what_is_equal_and_nothing_else():
     assert compared({**MEANS, "force": 10.5}, earlier)["force"].outcome is FAILED
 
 
+@pytest.mark.rest
 def test_earlier_runs_are_those_of_the_same_recipe_that_were_finished(tmp_path):
     force = (Measurement("force", 3.6, "N"), Measurement("channel_snr", 58.0, "dB", qualifier="median"))
     golden = {"recipe": "golden-check"}

@@ -231,6 +231,7 @@ def test_a_force_model_comes_back_from_the_database_as_it_was_issued(stored, tmp
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.rest
 def test_a_force_model_without_its_templates_is_not_loaded(stored):
     repository, made = stored
     with pytest.raises(StoreError, match="whose templates nobody prepares"):

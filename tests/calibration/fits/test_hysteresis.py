@@ -87,6 +87,7 @@ def test_creep_passes_for_hysteresis_only_in_what_was_read(figures):
         assert "creep included" in found["as read"].how
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("width", [0.0, 0.08])
 def test_the_stated_error_covers_the_material_noise(width):
     found = _figures(_observed(_record(width, noise=None, cycles=2, seed=4)))[""]
@@ -95,6 +96,7 @@ def test_the_stated_error_covers_the_material_noise(width):
     assert "2 loops" in found.how
 
 
+@pytest.mark.rest
 def test_places_are_told_apart_and_averaged():
     run = _observed(_record(0.08, cycles=1, locations_mm=[[0, 0], [20, 10]], rest_s=240))
     whole, *each = [m for m in Hysteresis().measure_run(run) if not m.qualifier]
@@ -102,6 +104,7 @@ def test_places_are_told_apart_and_averaged():
     assert [m.value for m in (whole, *each)] == pytest.approx([8.0] * 3, abs=0.4)
 
 
+@pytest.mark.rest
 def test_an_electrode_that_falls_out_for_one_hold_and_one_that_drifts_cost_little():
     """Readings of 1 V on two electrodes in one hold, a drift as large as the load on another: 31 of 208 readings."""
     record = _record(0.1, cycles=2)
@@ -132,6 +135,7 @@ def test_everything_at_once_leaves_the_loop_within_its_stated_error():
 # --- nothing else takes a loop for a press ---------------------------------------------------------------
 
 
+@pytest.mark.rest
 def test_loops_neither_calibrate_nor_test_force_nor_change_what_does():
     places = [[0, 0], [20, 0], [-10, 17.3], [-10, -17.3]]
     grid = PlannedPhase(

@@ -58,6 +58,7 @@ def test_a_huge_offset_costs_no_more_than_its_rounding():
     assert fit.offset - 1e6 == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.rest
 def test_standard_errors_are_those_seen_over_many_traces():
     random = np.random.default_rng(20260101)
     clean = _curve(1.0, (-0.3, -0.6), (3.0, 20.0), np.arange(0, 80, 1.0))
@@ -74,6 +75,7 @@ def test_standard_errors_are_those_seen_over_many_traces():
     assert np.std(offsets, ddof=1) == pytest.approx(np.mean(stated_offset), rel=0.3)
 
 
+@pytest.mark.rest
 def test_a_second_exponential_is_rarely_seen_where_there_is_none():
     random = np.random.default_rng(7)
     clean = _curve(1.0, (-0.75,), (15.0,))

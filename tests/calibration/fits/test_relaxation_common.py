@@ -86,6 +86,7 @@ def test_loads_together_do_not_settle_too_early_as_single_ones_do():
     assert np.mean(together) == pytest.approx(TRUE_S, abs=1.2)
 
 
+@pytest.mark.rest
 def test_a_second_exponential_is_rarely_seen_where_there_is_none():
     fits = [
         fit_common_relaxation(_traces([1.0, 0.5, 2.0] * 3, 0.02, seed, amplitudes=(-0.75,), taus=(15.0,)))

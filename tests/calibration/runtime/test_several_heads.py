@@ -72,6 +72,7 @@ def test_slopes_of_templates_are_those_of_differences(calibration):
     assert np.isnan(calibration.filter.template_and_slopes(np.array([[49.9, 0.0]]))).all()
 
 
+@pytest.mark.rest
 def test_two_heads_are_told_apart_with_honest_errors(calibration, sheet):
     random = np.random.default_rng(8)
     scaled, single = [], []
@@ -90,6 +91,7 @@ def test_two_heads_are_told_apart_with_honest_errors(calibration, sheet):
     assert 0.6 < np.sqrt(np.mean(np.square(scaled))) < 1.5
 
 
+@pytest.mark.rest
 def test_two_heads_side_by_side_are_never_one_and_their_sum_is_right(calibration, sheet):
     random = np.random.default_rng(9)
     for places, force in pairs(random, 15.0, 12, radius_mm=33.0):
@@ -99,6 +101,7 @@ def test_two_heads_side_by_side_are_never_one_and_their_sum_is_right(calibration
         assert abs(found.total_N - force.sum()) < 4 * found.total_stderr_N
 
 
+@pytest.mark.rest
 def test_one_head_is_one(calibration, sheet):
     random = np.random.default_rng(10)
     for place in somewhere(random, 25, 38.0):

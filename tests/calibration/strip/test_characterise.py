@@ -130,6 +130,7 @@ def test_errors_are_honest_over_seeds():
     assert (np.abs(np.mean(pulls, axis=0)) < 1.1).all()
 
 
+@pytest.mark.rest
 def test_a_weak_strain_is_left_out_with_its_numbers():
     truth = Truth(replace(Truth().material, against_strain=Truth().with_line(0.2).material.against_strain))
     one = characterised(truth, strains=(0.005, 0.1, 0.2), count=4, noise=5e-3, seed=4)
@@ -141,6 +142,7 @@ def test_a_weak_strain_is_left_out_with_its_numbers():
     assert one.local_against_strain.line is not None
 
 
+@pytest.mark.rest
 def test_a_material_that_conducts_less_is_characterised_alike():
     one = characterised(Truth().with_line(-0.6), count=3, seed=2, declared=Response.INCREASE)
     assert one.response is Response.DECREASE
@@ -156,6 +158,7 @@ def test_one_strain_has_no_line():
     assert one.settlings  # what one strain tells is told
 
 
+@pytest.mark.rest
 def test_without_force_there_is_no_material():
     silent = [
         replace(one, stress_s=np.zeros(0), stress_kPa=np.zeros(0), stress_why="the load cell is flat at its limit")
@@ -246,6 +249,7 @@ def test_the_line_reproduces_the_certified_values_of_norris():
     assert np.sqrt(np.diag(fit.covariance)) == pytest.approx([0.429796848199937e-3, 0.232818234301152], rel=1e-9)
 
 
+@pytest.mark.rest
 def test_the_quieter_material_is_characterised_alike():
     truth = Truth(load_material("cbsr-9wt").value)
     one = characterised(truth, count=3, noise=2.02e-4, seed=7)

@@ -161,6 +161,7 @@ def test_a_disc_of_the_same_area_measures_what_the_disc_does():
     assert shifted.deviation_mm2 == pytest.approx(1.99, abs=0.005)
 
 
+@pytest.mark.rest
 @given(st.booleans(), stars(), st.floats(0, 2 * np.pi), st.floats(0.2, 5.0), st.floats(-50, 50), st.floats(-50, 50))
 @drawn(60)
 def test_turned_moved_and_scaled_everything_measures_the_same(contour, corners, angle, scale, x, y):

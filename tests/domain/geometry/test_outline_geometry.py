@@ -44,6 +44,7 @@ def test_area_perimeter_and_radius_of_rounded_corners_are_exact():
     assert circle_curve(5.0).area == pytest.approx(25 * np.pi, rel=1e-14)
 
 
+@pytest.mark.rest
 @given(stars, st.sampled_from([0.0, 1.0]))
 def test_clearance_is_the_distance_to_the_densely_drawn_edge(corners, rounding):
     polygon = Polygon(corners, rounding)
@@ -75,6 +76,7 @@ def test_places_that_line_up_with_corners_and_chords_are_told_apart_too(rounding
     np.testing.assert_array_equal((clearance > 0)[clear], inside[clear])
 
 
+@pytest.mark.rest
 @given(stars, st.floats(0, 1))
 def test_a_place_on_the_edge_is_found_again(corners, share):
     curve = Polygon(corners, 1.0).curve

@@ -59,6 +59,7 @@ def test_reciprocal_pairs_tie_every_group_together_by_its_first_reading(pattern)
     assert len(np.unique(pairs[:, 1])) == len(pairs)
 
 
+@pytest.mark.rest
 @given(patterns(), st.randoms(use_true_random=False))
 def test_the_independent_readings_are_the_rank_of_what_they_say(pattern, random):
     used = np.array([[random.random() < 0.7 for _ in pattern.measure] for _ in pattern.drive])

@@ -141,6 +141,7 @@ def heads(model, count: int) -> list[np.ndarray]:
     return [disc_coverage(model.mesh, x, y, 6.5)[0] for x, y in places]
 
 
+@pytest.mark.rest
 def test_memory_is_bounded_and_what_was_forgotten_comes_back_exactly(model):
     bounded, unbounded = LocalUpdate(model, kept_bytes=300_000), LocalUpdate(model)
     entries = bounded._inverse = InverseEntries(model, most=64)
@@ -162,6 +163,7 @@ def test_a_set_larger_than_the_bounds_is_served_all_the_same(model):
     assert worst(update.voltages(elements, change), refactorised(model, elements, change)) < 1e-10
 
 
+@pytest.mark.rest
 def test_entries_of_the_inverse_are_those_of_whole_columns(model):
     inverse = InverseEntries(model)
     for seed in range(4):
@@ -211,6 +213,7 @@ def test_changes_that_conduct_backwards_in_one_direction_are_refused(model, upda
         update.voltages(np.array([5]), change)
 
 
+@pytest.mark.rest
 @given(seed=st.integers(0, 2**32 - 1), spread=st.floats(0.01, 6), loads=st.integers(0, 2))
 @drawn(20)
 def test_changed_contacts_equal_full_refactorisation(model, update, seed, spread, loads):

@@ -145,6 +145,7 @@ def test_image_elements_are_near_uniform(name):
     assert sensor.outline.clearance_mm(mesh.centroids_mm).min() > 0
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("name", ["rectangle", "rounded elbow"])
 @pytest.mark.parametrize("kind", ElectrodeKind)
 def test_a_turned_and_moved_sheet_has_the_same_mesh_turned_and_moved(name, kind):
@@ -194,6 +195,7 @@ def bend_error(size_mm, order):
     return (model.voltages()[0, 0] - 2 * 0.1 / width) / exact - 1
 
 
+@pytest.mark.rest
 def test_a_bend_converges_to_the_conformal_maps_resistance():
     errors = np.abs([bend_error(size, 1) for size in (3.0, 1.5, 0.75)])
     assert (np.log2(errors[:-1] / errors[1:]) > 1.1).all()  # 4/3 where nothing is refined at the corner
@@ -234,6 +236,7 @@ def test_narrow_places_have_elements_across_them():
     assert np.sqrt(mesh.areas_mm2[neck].max() * 4 / np.sqrt(3)) < 5 / 2  # 5 mm wide
 
 
+@pytest.mark.rest
 def test_readings_of_a_concave_sheet_are_reciprocal_and_its_images_are_of_it():
     sensor = sensor_on("elbow", ElectrodeKind.ARC)
     problem = imaging_problem(sensor)

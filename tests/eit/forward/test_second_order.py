@@ -69,6 +69,7 @@ def test_arcs_converge_to_the_exact_solution(arcs, contact, order):
     assert used[-1] < 1e-5
 
 
+@pytest.mark.rest
 def test_no_contact_impedance_costs_an_order(arcs):
     """With z → 0 the current density goes as r^(−1/2) at the ends, and the mesh is not graded for that."""
     angles = 2 * np.pi * np.arange(16) / 16
@@ -78,6 +79,7 @@ def test_no_contact_impedance_costs_an_order(arcs):
     assert used[-1] < 1e-4
 
 
+@pytest.mark.rest
 def test_published_reference_numbers_to_one_in_ten_thousand(shared, arc_sensor):
     cases = json.loads((shared / "oracle" / "analytic_cem_pem.json").read_text())["cases"]
     models: dict[float, ForwardModel] = {}
@@ -95,6 +97,7 @@ def test_published_reference_numbers_to_one_in_ten_thousand(shared, arc_sensor):
         assert error < (3e-5 if case["s_i"] == 1 else 5e-4)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("contact", [0.01, 0.5])
 def test_pins_converge_to_the_exact_solution(pin_sensor, contact):
     sensor = pin_sensor()

@@ -84,6 +84,7 @@ def test_nodal_values_keep_the_integral_to_second_order():
     assert fine < coarse / 8
 
 
+@pytest.mark.rest
 @given(values, st.floats(0.05, 0.99))
 def test_a_closed_rim_goes_around_exactly_the_region(image, fraction):
     for region in contour_regions(Image(SQUARE, image), fraction):

@@ -106,6 +106,7 @@ def test_loads_that_share_elements_or_only_nodes(model, loaded):
     assert error(model, found, afresh(model, loads)) < TOGETHER
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("weakest", "strongest"), [(0.05, 0.3), (-0.8, -0.3), (1.0, 5.0)])
 def test_loads_close_beside_each_other(model, weakest, strongest):
     """What they send each other is hardly smooth on their rims: the worst case for what is left out there."""
@@ -119,6 +120,7 @@ def test_loads_close_beside_each_other(model, weakest, strongest):
     assert worst < TOGETHER
 
 
+@pytest.mark.rest
 def test_memory_is_bounded_however_many_loads_overlap(model, monkeypatch):
     most = 2 << 20
     monkeypatch.setattr(loaded_sheet, "_MOST_BYTES", most)

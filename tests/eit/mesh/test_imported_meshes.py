@@ -89,6 +89,7 @@ def test_the_same_mesh_has_the_same_voltages_wherever_it_comes_from(tmp_path):
         np.testing.assert_array_equal(one, other)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("kind", ElectrodeKind)
 def test_a_sensor_of_a_mesh_is_imaged_like_the_sensor_the_mesh_was_made_for(kind):
     sensor, mesh = made_here(kind)

@@ -105,6 +105,7 @@ def test_image_elements_are_near_uniform(pin_sensor, size_mm):
     assert smallest_angle_deg(mesh.nodes_mm, mesh.elements).min() > 30
 
 
+@pytest.mark.rest
 def test_mesh_size_sets_the_edge_length_away_from_electrodes(pin_sensor):
     for size_mm in (2.0, 3.0, 4.0):
         mesh = sheet_mesh(pin_sensor(), size_mm=size_mm)
@@ -124,6 +125,7 @@ print(hashlib.sha256(mesh.nodes_mm.tobytes() + mesh.elements.tobytes()).hexdiges
 """
 
 
+@pytest.mark.rest
 def test_same_mesh_in_another_process_on_other_threads(pin_sensor):
     mesh = sheet_mesh(pin_sensor(), size_mm=3.0)
     here = hashlib.sha256(mesh.nodes_mm.tobytes() + mesh.elements.tobytes()).hexdigest()

@@ -204,6 +204,7 @@ def test_an_axis_stops_short_on_the_side_it_came_from():
     assert at.depth_mm == pytest.approx(-24.98)
 
 
+@pytest.mark.rest
 @given(st.lists(st.floats(-3, 3), min_size=1, max_size=12), st.floats(0, 1))
 def test_play_is_used_up_before_an_axis_follows(told, play):
     """It is never further off than half of its play, never moves away from where it is told, and may stay."""

@@ -218,6 +218,7 @@ def test_a_lost_byte_costs_one_frame(opened):
     assert bench.driver.frames_lost == 1
 
 
+@pytest.mark.rest
 def test_a_board_that_restarts_goes_on(opened):
     bench = opened()
     bench.driver.acquire(1)

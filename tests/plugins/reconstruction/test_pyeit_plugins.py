@@ -73,6 +73,7 @@ def test_readings_have_our_order_sign_and_size(of):
     assert np.linalg.norm(theirs - ours.reference) < 0.01 * np.linalg.norm(ours.reference)
 
 
+@pytest.mark.rest
 def test_masked_readings_are_not_in_the_protocol(problem):
     used = problem.used.copy()
     used[4], used[:, 9], used[0, 5] = False, False, False

@@ -114,6 +114,7 @@ def test_the_curve_is_that_of_explicit_matrices(problem):
             assert curve.noise_figures[at] == pytest.approx(explicit, rel=1e-4), (method, curve.values[at])
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("method", [GaussNewtonIndenter, TruncatedSvd])
 def test_the_curve_is_what_noise_does_to_images(problem, method):
     """Signal-to-noise ratios of readings and of images, by random numbers."""
@@ -240,6 +241,7 @@ def test_recordings_and_runs_without_images_have_no_section(result):
     assert RegularisationParameter().render(replace(result, observation=None)) is None
 
 
+@pytest.mark.rest
 def test_the_few_values_that_greit_tried_are_drawn_as_they_were(problem, canvas_of):
     """Each λ is a fit of its own: the curve holds those of the search, whatever was searched before."""
     prepared = Greit(noise_figure=0.7).prepare(problem)

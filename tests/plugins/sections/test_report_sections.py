@@ -158,6 +158,7 @@ def test_time_adds_up(result):
     assert "55 min" in section.blocks[0].text
 
 
+@pytest.mark.rest
 def test_only_so_many_images_are_printed_and_the_rest_is_said(result):
     many = tuple(
         replace(load) for load in (*result.observation.loads, *result.observation.loads, *result.observation.loads)

@@ -49,6 +49,7 @@ def test_every_sequence_says_what_it_is_for():
     assert [sequence().role for sequence in ALL] == [Role.NOISE, Role.GRID, Role.RANDOM, Role.RELAXATION]
 
 
+@pytest.mark.rest
 @given(sequence=sequences, seed=st.integers(0, 2**40))
 def test_the_same_steps_each_time(sequence, seed):
     assert steps_of(sequence, seed) == steps_of(sequence, seed)
@@ -177,6 +178,7 @@ def test_random_loads_are_addressed_by_seed_and_name():
     assert not set(loads_of(RandomLoadsSequence(count=10, stream="others"), seed=1)) & set(ten)
 
 
+@pytest.mark.rest
 def test_random_loads_do_not_depend_on_the_process():
     script = (
         "from cbsr_qa_plugins.sequences.places import RandomLoadsSequence as R;"

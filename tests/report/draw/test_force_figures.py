@@ -103,6 +103,7 @@ def test_levels_hold_all_values_between_round_numbers(least, ratio):
 _HILL = np.exp(-((np.mgrid[-1:1:21j, -1:1:21j] ** 2).sum(axis=0)))
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     "shown",
     [
@@ -137,6 +138,7 @@ def test_any_ratios_can_be_drawn(count, scale):
     assert looks_whole(ratio_figure(points, caption="c", alternative="a"))
 
 
+@pytest.mark.rest
 def test_a_run_without_a_force_model_says_why():
     result = sample_run(size_mm=6.0)
     section = Force().render(result)

@@ -221,6 +221,7 @@ def test_the_caption_of_several_events_says_that_scales_differ(events, said):
     assert pictures.svg.count("conductance change Δγ/γ₀ [%]") == events
 
 
+@pytest.mark.rest
 def test_the_way_of_an_object_is_drawn_from_a_ring_to_a_dot():
     image = sample_recording(1).events[0].image
     still = ImagePanel("E1", image)

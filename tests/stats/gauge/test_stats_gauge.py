@@ -163,6 +163,7 @@ def test_intervals_cover(interaction):
     assert np.all(covered <= 0.99), covered
 
 
+@pytest.mark.rest
 @settings(deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([1e-5, 3.0]), st.sampled_from([-1e6, 0.0, 50.0]))
 def test_studies_know_no_unit_origin_or_order(seed, scale, origin):
@@ -234,6 +235,7 @@ def test_linearity_is_aiags():
     assert not found.acceptable()
 
 
+@pytest.mark.rest
 def test_uncertain_references_widen_the_line_as_much_as_they_scatter_it():
     """Each reference is off by its own error, the same for all its readings: intervals must hold the truth."""
     random = np.random.default_rng(86)

@@ -232,6 +232,7 @@ def test_a_column_that_is_added_later_changes_no_digest_of_before():
     assert row_text(newer, {"a": 1, "b": 0.1}) == '{"a":1,"b":0.1}'
 
 
+@pytest.mark.rest
 @pytest.mark.postgres
 def test_the_chain_is_the_same_on_postgresql(copied, postgres_database):
     """Rows that are copied from SQLite keep their chain."""

@@ -215,6 +215,7 @@ def test_golden_and_production_runs_have_charts_of_their_own(tmp_path, document)
     assert any("10 runs are uncertain" in note for note in chart["notes"])
 
 
+@pytest.mark.rest
 def test_runs_of_golden_sensors_are_no_production(tmp_path, document):
     path = tmp_path / "runs.db"
     runs = fill(path, values(count=20))

@@ -53,6 +53,7 @@ def test_missing_values_lower_bounds_and_mixed_units_are_named_and_left_out(two)
     assert counts == {ERROR: 15, "drift": 14, "noise_floor": 15, "missed_loads": 15}
 
 
+@pytest.mark.rest
 def test_mixed_software_is_named_and_can_be_compared(two):
     random = np.random.default_rng(6)
     with open_store(two, durable=False) as store:
@@ -65,6 +66,7 @@ def test_mixed_software_is_named_and_can_be_compared(two):
     assert names == ["cbsr-qa 0.1.0, numpy 2.0", "cbsr-qa 0.2.0"]
 
 
+@pytest.mark.rest
 def test_a_clock_that_is_wrong_by_a_year_is_named(two):
     random = np.random.default_rng(7)
     with open_store(two, durable=False) as store:

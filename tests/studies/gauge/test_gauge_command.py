@@ -238,6 +238,7 @@ def test_references_come_from_a_file_too(crossed, document, command, tmp_path):
     assert "metrics" in err
 
 
+@pytest.mark.rest
 def test_the_page_draws_the_six_panels(crossed, command, tmp_path):
     code, out, err = command(crossed, "--recipe", "short", "--output", tmp_path / "page.html")
     assert code == 0, err

@@ -103,6 +103,7 @@ def test_the_study_is_of_what_the_file_names(studied, tmp_path):
     assert {(b["serial"], b["reference"], b["unit"]) for b in metric["references"]["bias"]} == {("S-01", 10.0, "N/V")}
 
 
+@pytest.mark.rest
 def test_page_and_terminal_say_what_was_studied(studied, tmp_path):
     code, out, err = studied(STUDY, "--output", tmp_path / "page.html")
     assert code == 0, err

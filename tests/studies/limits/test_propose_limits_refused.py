@@ -69,6 +69,7 @@ def test_mixed_software_and_recipes_are_refused_by_name(database, refused, docum
     refused(path, "--batch", "other", said=["recipes: short", "(S-8)", "(S-9, S-10)", "--allow-mixed"])
 
 
+@pytest.mark.rest
 def test_other_limits_or_another_seed_make_no_other_recipe(database, document):
     relimited = [(f"S-{k}", sensor(k), {"limits": [{"upper": k}], "day": k}) for k in range(1, 6)]
     assert document(database(*relimited), "--batch", "golden")["lot"]["mixed"] == []

@@ -99,6 +99,7 @@ def test_contacts_no_reading_tells_are_refused(sensor, problem):
         AbsoluteGaussNewton().prepare(imaging_problem(problem.sensor_type, used=_EVERY)).contact_impedance()
 
 
+@pytest.mark.rest
 def test_images_do_not_depend_on_the_unit(sensor):
     problem = sensor.problem()
     changes = target_signal(problem, x_mm=15, y_mm=10, radius_mm=6.5, contrast=0.3)[None]

@@ -127,6 +127,7 @@ def test_the_parameter_means_the_same_on_every_mesh(problem, noisy):
     assert max(residuals) < 1.06 * min(residuals)
 
 
+@pytest.mark.rest
 def test_the_chosen_parameter_leaves_a_residual_of_the_noises_size(problem, noisy):
     prepared = TotalVariation().prepare(problem)
     variance = (1e-3 * np.abs(problem.reference).mean()) ** 2
@@ -140,6 +141,7 @@ def test_the_chosen_parameter_leaves_a_residual_of_the_noises_size(problem, nois
     assert louder.choice.noise_figure == pytest.approx(prepared.choice.noise_figure, rel=1e-3)
 
 
+@pytest.mark.rest
 def test_measured_changes_choose_for_themselves(problem, noisy):
     noise = 1e-3 * np.abs(problem.reference).mean() * np.random.default_rng(9).standard_normal((3, 208))
     sample = central_signal(problem, 0.2) + noise
@@ -290,6 +292,7 @@ def test_options_out_of_range_are_refused_with_what_is_allowed(options, reason):
     assert refused.value.remedy
 
 
+@pytest.mark.rest
 def test_how_it_was_chosen_is_said_in_one_notation_and_three_digits(pin_sensor):
     choice = choose_alpha(imaging_problem(pin_sensor(radius_mm=35.17)), given=None, noise_dB=40.0).choice
     assert "target of 9.14 mm and 20% contrast" in choice.how

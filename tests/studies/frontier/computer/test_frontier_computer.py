@@ -167,6 +167,7 @@ def test_no_seed_is_refused():
         base_scene_readings(0)
 
 
+@pytest.mark.rest
 def test_more_sensors_make_smaller_standard_errors():
     few, many = (method_point(RECIPES_METHOD, 1.0, seeds).accuracy["A_OL"].stderr for seeds in (3, 12))
     assert many < few
@@ -175,6 +176,7 @@ def test_more_sensors_make_smaller_standard_errors():
 # --- reconstruction and mesh of the image ----------------------------------------------------------------
 
 
+@pytest.mark.rest
 def test_an_image_mesh_that_does_not_resolve_the_head_costs_overlap():
     coarse, fine = mesh_point(RECIPES_METHOD, 8.0, 4), mesh_point(RECIPES_METHOD, 4.0, 4)
     assert coarse.costs["unknowns"] < fine.costs["unknowns"]
@@ -266,6 +268,7 @@ def test_the_page_has_a_table_of_every_series():
 # --- tasks -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.rest
 def test_tasks_have_keys_of_their_own_that_stay_the_same():
     for quick in (True, False):
         tasks = computer_tasks(quick=quick)
