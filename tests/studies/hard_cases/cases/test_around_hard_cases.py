@@ -13,8 +13,8 @@ from cbsr_qa.domain import NumericsError
 from cbsr_qa.eit.forward import SCATTERED_ERROR, ValueRangeError
 from cbsr_qa.eit.inverse import dual_matrix, dual_spectrum
 from cbsr_qa.studies.hard_cases.case import Answer, conditioned_bound
-from cbsr_qa.studies.hard_cases.cases import loaded
 from cbsr_qa.studies.hard_cases.cases.forward import _sensitivities, against_fifty_digits
+from cbsr_qa.studies.hard_cases.cases.forward_loads import loaded
 from cbsr_qa.studies.hard_cases.cases.readings import _in_units, _noise, _offset
 from cbsr_qa.studies.hard_cases.cases.reconstruction import _lasting, ridge_condition
 from cbsr_qa.studies.hard_cases.exact import exact_image
