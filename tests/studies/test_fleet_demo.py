@@ -19,6 +19,8 @@ from cbsr_qa.studies.fleet_demo import DRAWN, ONE_STATION, SAID, THIRD_ON_ALL, b
 
 TOP = Path(__file__).parents[2]
 
+pytestmark = pytest.mark.rest
+
 
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):

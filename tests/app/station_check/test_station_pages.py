@@ -13,6 +13,8 @@ from cbsr_qa.store import RunFilter, open_store, run_figures, run_lines
 
 DOCS = Path(__file__).parents[3] / "docs"
 
+pytestmark = pytest.mark.rest
+
 
 @pytest.fixture(scope="module")
 def database(tmp_path_factory):
@@ -22,7 +24,6 @@ def database(tmp_path_factory):
     return path
 
 
-@pytest.mark.rest
 def test_the_page_on_watching_a_station_runs_as_printed(database, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("CBSR_QA_DATABASE", str(database))

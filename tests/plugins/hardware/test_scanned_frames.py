@@ -194,6 +194,7 @@ def within_three_attempts(frames):
     return frames.acquire(1)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("role", ["meter", "multiplexer"])
 def test_a_fault_anywhere_in_a_frame_gives_the_right_frame_or_none(hasty, role, monkeypatch):
     monkeypatch.setattr(streams, "LATE_S", 0.45)

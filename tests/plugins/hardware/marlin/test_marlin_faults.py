@@ -88,6 +88,7 @@ class KeptWaiting:
         raise AssertionError(fault)
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("lasting", "seconds"), [(b"G28", 4.5), (b"M400", 2.2)])
 def test_a_printer_says_that_it_is_busy_only_after_two_seconds(make, one_world, lasting, seconds):
     station = make()
