@@ -15,20 +15,19 @@ from cbsr_qa.store import open_engine, parsed_url, reading, schema, writing
 from cbsr_qa.store.tables import (
     AnalysisRow,
     Base,
-    records as change_tables,
-    records as chart_tables,
-    records as check_tables,
-    records as link_tables,
+    records,
 )
+
+pytestmark = pytest.mark.rest
 
 CHECKS = {
     table.__tablename__
-    for table in (check_tables.StationCheckRow, check_tables.StationCheckLineRow, check_tables.StationCheckFramesRow)
+    for table in (records.StationCheckRow, records.StationCheckLineRow, records.StationCheckFramesRow)
 }
 
-CHANGES = {table.__tablename__ for table in (change_tables.ConfigurationChangeRow, change_tables.VerdictOverrideRow)}
+CHANGES = {table.__tablename__ for table in (records.ConfigurationChangeRow, records.VerdictOverrideRow)}
 
-LINKS = link_tables.LinkRow.__tablename__
+LINKS = records.LinkRow.__tablename__
 
 
 @pytest.fixture
@@ -100,7 +99,7 @@ def test_data_survive_every_step_up_and_down(engine):
     schema.downgrade(engine, "0001")
     assert content(engine) == before
     schema.upgrade(engine)
-    concluded |= {"calibration_forces", *CHECKS, *CHANGES, chart_tables.ChartReferenceRow.__tablename__}
+    concluded |= {"calibration_forces", *CHECKS, *CHANGES, records.ChartReferenceRow.__tablename__}
     concluded.add(LINKS)
     # Eased, notes; chain; operator, software and time of a session.
     later = {
