@@ -37,6 +37,7 @@ from cbsr_qa.cli.studies import (
 from cbsr_qa.cli.supervised import end_child, supervise
 from cbsr_qa.domain import CbsrError
 from cbsr_qa.plugin import said
+from cbsr_qa.system import Redelivery
 
 app = typer.Typer(
     name="cbsr-qa",
@@ -175,7 +176,8 @@ def _wants_json(arguments: list[str]) -> bool:
 def _ended(arguments: list[str]) -> int:
     _asked_for_json.clear()
     try:
-        result: object = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
+        with Redelivery():
+            result: object = app(arguments, prog_name="cbsr-qa", standalone_mode=False)
         if result == _INTERRUPTED:
             raise KeyboardInterrupt
     except CbsrError as error:

@@ -13,6 +13,8 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, Final, Generic, Self, TypeVar
 
+from cbsr_qa.system import Redelivery
+
 A = TypeVar("A")
 
 
@@ -98,6 +100,7 @@ class Interrupts:
         #: Called on the first signal: what is under way gets little time from now on.
         self.hurry: Callable[[], None] = lambda: None
         self._tell = tell if multiprocessing.parent_process() is None else _nobody
+        self._redelivery = Redelivery()
         self._before: dict[signal.Signals, Any] = {}
         self._alarm_before: Any = None
         self._first: signal.Signals | None = None
@@ -131,7 +134,8 @@ class Interrupts:
         """Let signals end what is inside; what comes up while this is left is raised to whoever entered it."""
         self._heard_now = True
         try:
-            yield
+            with self._redelivery:
+                yield
         finally:
             self._heard_now = False
 
@@ -176,6 +180,10 @@ class Interrupts:
     def _hear(self, number: int, _: FrameType | None) -> None:
         if self._masked:
             return
+        if self._redelivery.was_dropped():
+            self._raise()  # what was raised before has reached nobody
+        if self.urgent:
+            return
         name = signal.Signals(number).name
         if self._first is None:
             self._first = signal.Signals(number)
@@ -184,12 +192,12 @@ class Interrupts:
             if self._idle or self.waiting():
                 self.poll()
         elif self._heard_now:
-            self.urgent = self._masked = True
+            self.urgent = True
             self._tell(SECOND.format(name))
             self._raise()
 
     def _broken_into(self, _: int, __: FrameType | None) -> None:
-        if self._heard_now and not self._masked and self._overdue is not None:
+        if self._heard_now and not (self._masked or self.urgent) and self._overdue is not None:
             self._masked = True
             raise self._overdue
 
@@ -197,6 +205,7 @@ class Interrupts:
         self._raised = True
         assert self._first is not None
         before = self._before[self._first]
+        self._redelivery.number = self._first
         if callable(before):
             before(self._first, None)
         raise Stopped(f"signal {self._first.name}")

@@ -14,4 +14,5 @@ from .files import (
     holder as holder,
     written_whole as written_whole,
 )
+from .redelivery import Redelivery as Redelivery
 from .untrusted import CONTAINED as CONTAINED, largest_content as largest_content, read_untrusted as read_untrusted

@@ -244,17 +244,6 @@ def test_a_format_that_cannot_hold_the_scene_leaves_no_file(folder):
     assert not (folder / "var").exists()
 
 
-def _pressed_until_it_ends(process):
-    """Ctrl-C, and again where Python lost it: it drops an interrupt that comes while weak references are cleared."""
-    for _ in range(5):
-        process.send_signal(signal.SIGINT)
-        try:
-            return process.communicate(timeout=1.5)
-        except subprocess.TimeoutExpired:
-            continue
-    return process.communicate(timeout=60)
-
-
 @pytest.mark.rest
 @pytest.mark.parametrize("stage", ["simulating", "writing"])
 def test_ctrl_c_is_said_and_leaves_no_file(folder, stage):
@@ -271,7 +260,8 @@ def test_ctrl_c_is_said_and_leaves_no_file(folder, stage):
         for line in process.stderr:
             if line.startswith(stage):
                 break
-        said, last = _pressed_until_it_ends(process)
+        process.send_signal(signal.SIGINT)
+        said, last = process.communicate(timeout=60)
     assert (process.returncode, said) == (3, "")
     assert last.endswith("cbsr-qa: aborted\n")
     assert not (folder / "var").exists()

@@ -2,6 +2,8 @@
 
 import os
 import signal
+import time
+import weakref
 from dataclasses import replace
 
 from cbsr_qa.domain.plan import Hold, Press, Release
@@ -30,6 +32,24 @@ def send(number, times=1):
             os.kill(os.getpid(), number)
 
     return act
+
+
+class Handle:
+    """Something whose end is noticed, as HDF5's handles are."""
+
+
+def dropped(number, *, for_s=0.0):
+    """Send a signal within a weak reference's callback, where what its handler raises is dropped."""
+    handle = Handle()
+
+    def gone(_):
+        os.kill(os.getpid(), number)
+        time.sleep(0)  # the handler runs here
+
+    kept = weakref.ref(handle, gone)
+    del handle
+    assert kept() is None
+    time.sleep(for_s)
 
 
 def run(steps=CYCLE, *, script=None, listeners=(), answer_s=60.0, motion=None, frame_period_s=2.5, **options):

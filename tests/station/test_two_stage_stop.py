@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 
 import pytest
-from stopping import ABORTS, BY, CYCLE, LOAD, ROLES, SAFE, after, run, send
+from stopping import ABORTS, BY, CYCLE, LOAD, ROLES, SAFE, after, dropped, run, send
 
 from cbsr_qa.domain import AbortedError, InstrumentError, RefusedError, SafetyError
 from cbsr_qa.domain.plan import Ease, Hold, Press, Prompt, Release
@@ -266,3 +266,22 @@ def test_a_listener_that_stops_a_run_that_has_ended_changes_nothing():
             raise AbortedError("somebody late")
 
     assert run(listeners=[hook])[0].end is EndReason.FINISHED
+
+
+# --- what Python drops -----------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("number", ABORTS)
+def test_a_second_signal_that_python_dropped_still_ends_the_run_at_once(number):
+    script = Script(VirtualClock())
+
+    def press_twice_and_hang():
+        send(number)()
+        dropped(number, for_s=5.0)
+
+    script.on("frame_source.acquire", press_twice_and_hang, call=2)
+    began = time.monotonic()
+    ended, _, script, _, said = run(script=script)
+    assert time.monotonic() - began < 4.0
+    assert (ended.end, after(script, "frame_source.acquire", 2)) == (EndReason.ABORTED, SAFE)
+    assert len(said) == 2

@@ -43,7 +43,7 @@ from cbsr_qa.station import (
 )
 from cbsr_qa.store import Repository
 from cbsr_qa.studies.charts import charts_after
-from cbsr_qa.system import RealClock, Stages
+from cbsr_qa.system import RealClock, Redelivery, Stages
 
 
 @contextmanager
@@ -58,10 +58,12 @@ def stoppable() -> Iterator[None]:
         Once what is inside has cleaned up, where a signal or the keyboard stopped it.
     """
     heard: list[str] = []
+    redelivery = Redelivery()
 
     def stop(number: int, frame: FrameType | None) -> None:
-        if not heard:
+        if not heard or redelivery.was_dropped():
             heard.append(signal.Signals(number).name)
+            redelivery.number = number
             raise KeyboardInterrupt
 
     here = threading.current_thread() is threading.main_thread()
@@ -70,7 +72,8 @@ def stoppable() -> Iterator[None]:
     # One that was inherited as ignored stays so: whoever started the program wanted that.
     before = {n: signal.signal(n, stop) for n in numbers if signal.getsignal(n) not in (signal.SIG_IGN, None)}
     try:
-        yield
+        with redelivery:
+            yield
     except KeyboardInterrupt as error:
         raise AbortedError(f"signal {heard[0]}" if heard else "the keyboard") from error
     finally:
