@@ -21,6 +21,7 @@ from cbsr_qa.cli import (
     runs as export,
     runs as report,
     runs as verdict,
+    schema,
     station,
 )
 from cbsr_qa.cli.output import claim_stdout, emit_json, lost_output, note, reader_has_gone
@@ -55,6 +56,7 @@ app.command("stability")(stability.stability)
 app.command("frontier")(frontier.frontier)
 app.command("gauge")(gauge.gauge)
 app.command("charts")(charts.charts)
+app.command("schema")(schema.schema)
 app.add_typer(calibration.app, name="calibration")
 app.add_typer(limits.app, name="limits")
 app.add_typer(scene.app, name="scene")

@@ -11,11 +11,15 @@ import shlex
 import sys
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import Any, Final, Self, TextIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, Self, TextIO
 
 import typer
 
 from cbsr_qa.domain import AbortedError
+
+if TYPE_CHECKING:
+    from cbsr_qa.domain.results import CommandOutcome
 
 #: Common option: ``--json`` prints one document on stdout and nothing else.
 JsonOption = typer.Option(False, "--json", help="Print one JSON document on stdout and nothing else.")
@@ -33,6 +37,35 @@ def emit_json(document: Mapping[str, Any]) -> None:
     if _shown(text) != text:
         text = json.dumps(document, indent=2, allow_nan=False)
     _print(text)
+
+
+def check_page(output: Path | None) -> None:
+    """Refuse a page that would replace something else, before anything is computed.
+
+    Raises
+    ------
+    RefusedError
+        See :func:`cbsr_qa.report.check_replaceable`.
+    """
+    if output is not None:
+        from cbsr_qa.report import check_replaceable
+
+        check_replaceable(output)
+
+
+def show(outcome: "CommandOutcome[Any]", *, output: Path | None = None, as_json: bool = False) -> int:
+    """Write the page where one is asked for, print a command's outcome, and return its exit code."""
+    from cbsr_qa.report import json_document, render_sections, terminal_lines, write_report
+
+    if output is not None:
+        write_report(output, render_sections(outcome.page, outcome.sections))
+        note(f"page         {output}")
+    if as_json:
+        emit_json(json_document(outcome.result))
+        return outcome.exit_code
+    for line in terminal_lines(outcome.page, outcome.sections):
+        say(line)
+    return outcome.exit_code
 
 
 def say(text: str = "") -> None:

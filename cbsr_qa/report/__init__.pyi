@@ -1,4 +1,5 @@
-from .page import Banner as Banner, Page as Page, run_page as run_page
+from .document import json_document as json_document, json_schema as json_schema
+from .page import run_page as run_page
 from .render import (
     check_replaceable as check_replaceable,
     render_recording as render_recording,
@@ -47,3 +48,4 @@ from .tables import (
     value_cell as value_cell,
     with_uncertainty as with_uncertainty,
 )
+from .terminal import terminal_lines as terminal_lines

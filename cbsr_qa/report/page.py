@@ -1,10 +1,9 @@
 """What the head of a report says: the banner, who and what it is about, and what was simulated."""
 
-from dataclasses import dataclass
 from typing import Final
 
 from cbsr_qa.domain.readings import RecordingResult
-from cbsr_qa.domain.results import EndReason, Outcome, RunResult
+from cbsr_qa.domain.results import Banner, EndReason, Outcome, Page, RunResult
 from cbsr_qa.report.tables import duration, plural
 
 _SYMBOLS: Final = {
@@ -25,45 +24,6 @@ _ENDS: Final = {
 
 #: What a recording's times are from, where "the computer's" would not do.
 _CLOCKS = {"none": "no time recorded", "documented": "as the format documents it"}
-
-
-@dataclass(frozen=True, slots=True)
-class Banner:
-    """The first thing a reader sees.
-
-    Parameters
-    ----------
-    tone : ``"pass"``, ``"marginal"``, ``"fail"``, ``"not-measured"`` or ``"plain"``; chooses the colours.
-    symbol, headline, reason : a sign that survives a grey printer, the verdict, and the one reason for it.
-    """
-
-    tone: str
-    symbol: str
-    headline: str
-    reason: str
-
-
-@dataclass(frozen=True, slots=True)
-class Page:
-    """Everything outside the sections.
-
-    Parameters
-    ----------
-    kind : ``"Test report"`` or ``"Recording report"``.
-    subject : serial number or file name.
-    identity : (name, value) pairs, in reading order.
-    simulated : in words, what was simulated; empty for a real bench.
-    warnings : in plain words.
-    remarks : worth knowing, nothing to worry about: rows of a recording that were left out and said why.
-    """
-
-    kind: str
-    subject: str
-    banner: Banner
-    identity: tuple[tuple[str, str], ...]
-    simulated: tuple[str, ...]
-    warnings: tuple[str, ...]
-    remarks: tuple[str, ...] = ()
 
 
 def run_page(result: RunResult) -> Page:

@@ -11,10 +11,10 @@ from markupsafe import Markup
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.readings import RecordingResult
-from cbsr_qa.domain.results import Block, Figure, Paragraph, RunResult, Section, Table
+from cbsr_qa.domain.results import Block, Figure, Page, Paragraph, RunResult, Section, Table
 from cbsr_qa.plugin import ReportSection, failure
 from cbsr_qa.report.draw import checked_svg
-from cbsr_qa.report.page import Page, recording_page, run_page
+from cbsr_qa.report.page import recording_page, run_page
 from cbsr_qa.system import written_whole
 
 _TEMPLATE: Final = "report.html.j2"
@@ -168,7 +168,9 @@ def _prepared(section: Section, anchor: str) -> _Shown:
 
 def _block(block: Block) -> tuple[str, Any]:
     if isinstance(block, Figure):
-        svg = Markup(checked_svg(block.svg))  # nothing passes that could do more than be looked at
+        svg = Markup(
+            checked_svg(block.svg() if callable(block.svg) else block.svg)
+        )  # nothing passes that could do more than be looked at
         return "figure", {"svg": svg, "caption": block.caption, "alternative": block.alternative}
     if isinstance(block, Table):
         _check_table(block)

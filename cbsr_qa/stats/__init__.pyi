@@ -31,7 +31,6 @@ from .guard_bands import Risks as Risks, Uncertainty as Uncertainty, repeatabili
 from .intervals import (
     FEWEST_VALUES as FEWEST_VALUES,
     Prediction as Prediction,
-    Referenced as Referenced,
     count_needed as count_needed,
     one_sided_factor as one_sided_factor,
     predicted as predicted,
@@ -55,6 +54,7 @@ from .process_capability import (
 from .robust import brunner_munzel as brunner_munzel, shift as shift
 from .samples import (
     LARGEST as LARGEST,
+    Estimate as Estimate,
     Interval as Interval,
     Quantile as Quantile,
     quantile as quantile,

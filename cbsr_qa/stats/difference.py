@@ -32,7 +32,7 @@ from scipy import stats
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.stats.intervals import noncentrality
-from cbsr_qa.stats.samples import LEAST_SPREAD, Interval, Summary, centred, constant, sample, share, summary
+from cbsr_qa.stats.samples import LEAST_SPREAD, Estimate, Interval, Summary, centred, constant, sample, share, summary
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,6 +80,11 @@ class Contrast:
         share(confidence, "confidence")
         half = float(stats.t.isf((1 - confidence) / 2, self.freedom)) * self.standard_error
         return Interval(self.value - half, self.value + half, confidence)
+
+    def estimate(self, confidence: float = 0.95) -> Estimate:
+        """Return what documents have of it."""
+        inside = self.interval(confidence)
+        return Estimate(self.value, self.standard_error, inside.low, inside.high, self.p_value())
 
     def equivalence(self, margin: float, *, level: float = 0.05) -> Equivalence:
         """Test whether the true value lies within ± ``margin``.

@@ -33,7 +33,7 @@ from scipy import optimize, special, stats
 from scipy.optimize import brentq
 
 from cbsr_qa.domain import Array, NumericsError
-from cbsr_qa.stats.samples import Interval, share
+from cbsr_qa.stats.samples import Estimate, Interval, share
 
 #: Beyond it the normal part of a noncentral t is nothing beside its χ part (1e-8), and its series no longer converge.
 _LARGE = 1e4
@@ -269,6 +269,11 @@ class Referenced:
         share(confidence, "confidence")
         half = self._half((1 - confidence) / 2)
         return Interval(self.value - half, self.value + half, confidence)
+
+    def estimate(self, confidence: float = 0.95) -> Estimate:
+        """Return what documents have of it."""
+        inside = self.interval(confidence)
+        return Estimate(self.value, self.standard_error, inside.low, inside.high, self.p_value())
 
     def p_value(self, null: float = 0.0) -> float:
         """Return the two-sided p value of ``null``: 1 − the confidence of the interval that just reaches it."""

@@ -13,7 +13,8 @@ statistics (definitions and certified values); Chan, Golub & LeVeque 1983 for th
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import lru_cache
-from math import ceil, fsum, log, sqrt
+from math import ceil, fsum, isfinite, log, sqrt
+from typing import Any
 
 import numpy as np
 from scipy import stats
@@ -48,6 +49,34 @@ class Interval:
         """Return the interval of ``factor`` × value + ``shift``."""
         ends = sorted((factor * self.low + shift, factor * self.high + shift))
         return Interval(ends[0], ends[1], self.confidence)
+
+    def _ends(self) -> tuple[float | None, ...]:
+        return tuple(end if isfinite(end) else None for end in (self.low, self.high))
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
+        """Write an interval as both ends, null where one is open, in JSON documents."""
+        from pydantic_core import core_schema as core  # there, and nowhere else
+
+        end = core.nullable_schema(core.float_schema())
+        written = core.plain_serializer_function_ser_schema(cls._ends, return_schema=core.tuple_schema([end, end]))
+        return core.is_instance_schema(cls, serialization=written)
+
+
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """An estimate with its interval, of a stated confidence, and the p value of zero."""
+
+    value: float
+    standard_error: float
+    low: float
+    high: float
+    p: float
+
+    @property
+    def holds_zero(self) -> bool:
+        """Whether zero lies inside the interval, ends included."""
+        return self.low <= 0.0 <= self.high
 
 
 def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool = False) -> Array:

@@ -6,10 +6,10 @@ from typing import Final
 from cbsr_qa.analysis import RING, fit_ring
 from cbsr_qa.domain import NumericsError
 from cbsr_qa.domain.plan import ReferenceRing
-from cbsr_qa.domain.results import Block, Paragraph, Section
+from cbsr_qa.domain.results import Banner, Block, Page, Paragraph, Section
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, RingReadings, StationCheck
 from cbsr_qa.domain.sensor import DrivePattern
-from cbsr_qa.report import Banner, Page, counted, lines_table, quantity, remedies, render_sections, text_table
+from cbsr_qa.report import counted, lines_table, quantity, remedies, render_sections, text_table
 from cbsr_qa.report.draw import ring_figure
 
 _RING_WORDS: Final = (

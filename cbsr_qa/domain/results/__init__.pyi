@@ -76,9 +76,12 @@ from .relaxation import (
     SteadyPrediction as SteadyPrediction,
 )
 from .report import (
+    Banner as Banner,
     Block as Block,
     Cell as Cell,
+    CommandOutcome as CommandOutcome,
     Figure as Figure,
+    Page as Page,
     Paragraph as Paragraph,
     RunResult as RunResult,
     Section as Section,

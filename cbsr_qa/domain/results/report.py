@@ -1,6 +1,8 @@
 """Content of a report, before anybody decided how it looks. Text stays text: escaping is the template's job."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Generic, TypeVar
 
 from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.domain.results.characterisation import Characterisation
@@ -48,12 +50,13 @@ class Figure:
 
     Parameters
     ----------
-    svg : the ``<svg>`` element, made by :mod:`cbsr_qa.report` from numbers and escaped text only.
+    svg : the ``<svg>`` element, made by :mod:`cbsr_qa.report` from numbers and escaped text only; or what draws it,
+        which is called only where the figure is shown.
     """
 
     caption: str
     alternative: str
-    svg: str
+    svg: str | Callable[[], str]
 
 
 Block = Paragraph | Table | Figure
@@ -61,10 +64,75 @@ Block = Paragraph | Table | Figure
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """One section of a report."""
+    """One section of a report.
+
+    Parameters
+    ----------
+    page_only : explains what the reader of a page cannot ask; a terminal does not show it.
+    """
 
     title: str
     blocks: tuple[Block, ...]
+    page_only: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Banner:
+    """The first thing a reader sees.
+
+    Parameters
+    ----------
+    tone : ``"pass"``, ``"marginal"``, ``"fail"``, ``"not-measured"`` or ``"plain"``; chooses the colours.
+    symbol, headline, reason : a sign that survives a grey printer, the answer, and the one reason for it.
+    """
+
+    tone: str
+    symbol: str
+    headline: str
+    reason: str
+
+
+@dataclass(frozen=True, slots=True)
+class Page:
+    """Everything outside the sections.
+
+    Parameters
+    ----------
+    kind : for example ``"Test report"``.
+    subject : what it is about: a serial number, a file name.
+    identity : (name, value) pairs, in reading order.
+    simulated : what was simulated, in words; empty for a real bench.
+    warnings : what may change a decision.
+    remarks : worth knowing, nothing to worry about.
+    """
+
+    kind: str
+    subject: str
+    banner: Banner
+    identity: tuple[tuple[str, str], ...]
+    simulated: tuple[str, ...]
+    warnings: tuple[str, ...]
+    remarks: tuple[str, ...] = ()
+
+
+R = TypeVar("R")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CommandOutcome(Generic[R]):
+    """What a command has found, once: an HTML page, the terminal and ``--json`` are made of it.
+
+    Parameters
+    ----------
+    result : a dataclass whose field names are the documented JSON keys.
+    page, sections : what a person reads.
+    exit_code : of the command.
+    """
+
+    result: R
+    page: Page
+    sections: tuple[Section, ...]
+    exit_code: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -80,5 +80,6 @@ from .style import (
     fit_left as fit_left,
     light_grid as light_grid,
     name_rows as name_rows,
+    svg_of as svg_of,
 )
 from .time import Budget as Budget, Span as Span, budget_figure as budget_figure, timeline_figure as timeline_figure

@@ -212,12 +212,17 @@ def drawn(build: Callable[[], Canvas], *, caption: str, alternative: str) -> Fig
     caption : what to see in it.
     alternative : the same in words, for who cannot see it.
     """
+    return Figure(caption, alternative, svg_of(build))
+
+
+def svg_of(build: Callable[[], Canvas]) -> str:
+    """Build a figure under the shared settings and return its ``<svg>`` element."""
     with drawing():
         figure = build()
         buffer = io.StringIO()
         nothing = dict.fromkeys(("Creator", "Date", "Format", "Type"))
         figure.savefig(buffer, format="svg", metadata=nothing)
-    return Figure(caption, alternative, _own_names(_body(buffer.getvalue())))
+    return _own_names(_body(buffer.getvalue()))
 
 
 def checked_svg(svg: str) -> str:

@@ -1,10 +1,8 @@
-from .anova import GaugeAnova as GaugeAnova, Source as Source, gauge_anova as gauge_anova
+from .anova import GaugeAnova as GaugeAnova, gauge_anova as gauge_anova
 from .crossed_study import (
-    BalancedPart as BalancedPart,
+    Components as Components,
     GaugeRange as GaugeRange,
     Study as Study,
-    Variance as Variance,
-    Variation as Variation,
     gauge_range as gauge_range,
     largest_balanced as largest_balanced,
     missing_runs as missing_runs,
@@ -13,8 +11,6 @@ from .crossed_study import (
 )
 from .reference import (
     FEWEST_CHARTED as FEWEST_CHARTED,
-    Linearity as Linearity,
-    Stability as Stability,
     bias as bias,
     linearity as linearity,
     stability as stability,

@@ -25,7 +25,15 @@ import numpy as np
 from scipy import stats
 
 from cbsr_qa.domain import Array
-from cbsr_qa.stats.gauge.crossed_study import CATEGORY_FACTOR, Study, Variance, Variation, check_tolerance, clipped
+from cbsr_qa.stats.gauge.crossed_study import (
+    CATEGORY_FACTOR,
+    Study,
+    Variance,
+    Variation,
+    check_tolerance,
+    clipped,
+    variation,
+)
 from cbsr_qa.stats.samples import Interval, share
 
 _DRAWS = 20_000
@@ -128,37 +136,35 @@ class Source(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One source: sum of squares, degrees of freedom, mean square, F and its p value (None for the trials)."""
+    """One source of variation; F and its p value are None for repeated runs."""
 
-    source: Source
-    squares: float
-    freedom: int
+    source: str
+    sum_of_squares: float
+    degrees_of_freedom: int
     mean_square: float
-    statistic: float | None
-    p_value: float | None
+    f: float | None
+    p: float | None
 
 
 @dataclass(frozen=True, slots=True)
-class GaugeAnova:
+class GaugeAnova(Variation):
     """A study by analysis of variance.
 
     Parameters
     ----------
-    table : before pooling, F of sensor and station against the interaction.
-    pooled : whether the interaction went into repeatability.
-    variation : components with intervals.
-    station, interaction : the two parts of reproducibility; interaction None where pooled.
-    gauge_share, categories : intervals of the gauge's share of the total variance (0 to 1) and of the uncut number of
-        categories.
+    table : before pooling, F of sensor and appraiser against the interaction.
+    interaction_pooled : whether the interaction went into repeatability.
+    appraiser_variance, interaction_variance : the two parts of reproducibility; the second is None where pooled.
+    gauge_percent_contribution_interval : of the gauge's share of the total variance [%].
+    categories_interval : of the uncut number of categories.
     """
 
     table: tuple[Row, ...]
-    pooled: bool
-    variation: Variation
-    station: Variance
-    interaction: Variance | None
-    gauge_share: Interval
-    categories: Interval
+    interaction_pooled: bool
+    appraiser_variance: float
+    interaction_variance: float | None
+    gauge_percent_contribution_interval: Interval
+    categories_interval: Interval
 
 
 @dataclass(frozen=True, slots=True)
@@ -191,31 +197,34 @@ def gauge_anova(study: Study, *, tolerance: float | None = None, confidence: flo
     Raises
     ------
     NumericsError
-        A tolerance or confidence that is none.
+        The tolerance is not positive, or the confidence not between 0 and 1.
     """
     check_tolerance(tolerance)
     share(confidence, "confidence")
-    table = _table(study)
-    rows = {row.source: row for row in table}
-    pooled = (rows[Source.INTERACTION].p_value or 0.0) > POOLING_LEVEL
+    rows = _table(study)
+    pooled = (rows[Source.INTERACTION].p or 0.0) > POOLING_LEVEL
     squares = _squares(rows, study.shape, pooled)
     p, _, r = study.shape
     gauge = _component(squares, (0, 1 / (p * r), (p - 1) / (p * r), (r - 1) / r), confidence)
     station = _component(squares, (0, 1 / (p * r), -1 / (p * r), 0), confidence)
     interaction = None if pooled else _component(squares, (0, 0, 1 / r, -1 / r), confidence)
     sources, ratio = squares.parts(1, 1, 1, 1), _GaugeShare(study.shape, pooled)
+    found = _variation(squares, gauge, station, interaction, tolerance, confidence, study.appraiser)
     return GaugeAnova(
-        table=table,
-        pooled=pooled,
-        variation=_variation(squares, gauge, station, interaction, tolerance, confidence, study.appraiser),
-        station=station,
-        interaction=interaction,
-        gauge_share=pivot_interval(sources, ratio, confidence),
-        categories=pivot_interval(sources, ratio.categories, confidence),
+        components=found.components,
+        categories=found.categories,
+        categories_uncut=found.categories_uncut,
+        notes=found.notes,
+        table=tuple(rows.values()),
+        interaction_pooled=pooled,
+        appraiser_variance=station.value,
+        interaction_variance=None if interaction is None else interaction.value,
+        gauge_percent_contribution_interval=pivot_interval(sources, ratio, confidence).scaled(100.0),
+        categories_interval=pivot_interval(sources, ratio.categories, confidence),
     )
 
 
-def _table(study: Study) -> tuple[Row, ...]:
+def _table(study: Study) -> dict[Source, Row]:
     values = study.values - study.values.mean()
     p, o, r = study.shape
     sensors, stations, cells = values.mean(axis=(1, 2)), values.mean(axis=(0, 2)), values.mean(axis=2)
@@ -228,10 +237,11 @@ def _table(study: Study) -> tuple[Row, ...]:
     }
     inner, trial = (squares[source] for source in (Source.INTERACTION, Source.TRIAL))
     against = {Source.STATION: inner, Source.SENSOR: inner, Source.INTERACTION: trial, Source.TRIAL: None}
-    return tuple(_row(source, *squares[source], below) for source, below in against.items())
+    names = {source: str(source).replace(str(Source.STATION), study.appraiser) for source in Source}
+    return {source: _row(names[source], *squares[source], below) for source, below in against.items()}
 
 
-def _row(source: Source, squares: float, freedom: int, below: tuple[float, int] | None) -> Row:
+def _row(source: str, squares: float, freedom: int, below: tuple[float, int] | None) -> Row:
     mean_square = squares / freedom
     if below is None or below[0] == 0:
         return Row(source, squares, freedom, mean_square, None, None)
@@ -241,7 +251,7 @@ def _row(source: Source, squares: float, freedom: int, below: tuple[float, int] 
 
 def _squares(rows: dict[Source, Row], shape: tuple[int, int, int], pooled: bool) -> _Squares:
     sensor, station, inner, trial = (
-        MeanSquare(rows[source].mean_square, rows[source].freedom)
+        MeanSquare(rows[source].mean_square, rows[source].degrees_of_freedom)
         for source in (Source.SENSOR, Source.STATION, Source.INTERACTION, Source.TRIAL)
     )
     if pooled:
@@ -280,12 +290,12 @@ def _variation(
         for name, part in named.items()
         if part.estimate < 0
     )
-    return Variation(
-        repeatability=repeatability,
-        reproducibility=Variance(between, apart.estimate, apart.interval),
-        gauge=Variance(both, gauge.estimate, gauge.interval),
-        sensor=sensor,
-        total=Variance(both + sensor.value, whole.estimate, whole.interval),
+    return variation(
+        repeatability,
+        Variance(between, apart.estimate, apart.interval),
+        Variance(both, gauge.estimate, gauge.interval),
+        sensor,
+        Variance(both + sensor.value, whole.estimate, whole.interval),
         tolerance=tolerance,
         notes=notes,
     )

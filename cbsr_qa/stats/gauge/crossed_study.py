@@ -76,59 +76,88 @@ class Variance:
     estimate: float
     interval: Interval | None = None
 
-    @property
-    def deviation(self) -> float:
-        """Return its root, in the values' unit."""
-        return sqrt(self.value)
+
+@dataclass(frozen=True, slots=True)
+class Component:
+    """A component of variance and its shares.
+
+    Parameters
+    ----------
+    variance, deviation : in the square of the values' unit, and in their unit.
+    variance_interval : None where the method has none.
+    percent_contribution, percent_study : of the total variance and of the total deviation.
+    percent_tolerance : six deviations over the tolerance; None without one. So is its interval.
+    """
+
+    variance: float
+    deviation: float
+    variance_interval: Interval | None
+    percent_contribution: float
+    percent_study: float
+    percent_tolerance: float | None
+    percent_tolerance_interval: Interval | None
+
+
+@dataclass(frozen=True, slots=True)
+class Components:
+    """Where the variation of a study comes from."""
+
+    repeatability: Component
+    reproducibility: Component
+    gauge: Component
+    sensor: Component
+    total: Component
 
 
 @dataclass(frozen=True, slots=True)
 class Variation:
-    """Where the variation of a study comes from.
+    """Components of a study, and what they allow.
 
     Parameters
     ----------
-    repeatability, reproducibility, gauge, sensor, total : components.
-    tolerance : width of the metric's limits, in its unit; None where it has one limit or none.
+    categories : distinct ones, 1.41 × sensor / gauge deviation cut to a whole number, at least 1; None where the
+        gauge does not vary. ``categories_uncut`` is not cut.
     notes : what was done to the numbers, in sentences.
     """
 
-    repeatability: Variance
-    reproducibility: Variance
-    gauge: Variance
-    sensor: Variance
-    total: Variance
-    tolerance: float | None
-    notes: tuple[str, ...] = ()
+    components: Components
+    categories: int | None
+    categories_uncut: float | None
+    notes: tuple[str, ...]
 
-    @property
-    def categories(self) -> int:
-        """Number of distinct categories, 1.41 × sensor / gauge deviation cut to a whole number; at least 1."""
-        return max(int(self.categories_uncut), 1)
 
-    @property
-    def categories_uncut(self) -> float:
-        """1.41 × sensor / gauge deviation."""
-        return CATEGORY_FACTOR * self.sensor.deviation / self.gauge.deviation
+def variation(
+    repeatability: Variance,
+    reproducibility: Variance,
+    gauge: Variance,
+    sensor: Variance,
+    total: Variance,
+    *,
+    tolerance: float | None,
+    notes: tuple[str, ...],
+) -> Variation:
+    """Return the shares of components.
 
-    def percent_contribution(self, part: Variance) -> float:
-        """Return a component's share of the total variance."""
-        return 100 * part.value / self.total.value
+    Parameters
+    ----------
+    tolerance : width of the metric's limits, in its unit; None where it has one limit or none.
+    """
 
-    def percent_study(self, part: Variance) -> float:
-        """Return a component's deviation over the total one."""
-        return 100 * part.deviation / self.total.deviation
+    def share_of(part: Variance) -> Component:
+        deviation = sqrt(part.value)
+        of_tolerance = interval = None
+        if tolerance is not None:
+            of_tolerance = 100 * SIX * deviation / tolerance
+            if part.interval is not None:
+                low, high = (100 * SIX * sqrt(end) / tolerance for end in (part.interval.low, part.interval.high))
+                interval = Interval(low, high, part.interval.confidence)
+        contribution, study = 100 * part.value / total.value, 100 * deviation / sqrt(total.value)
+        return Component(part.value, deviation, part.interval, contribution, study, of_tolerance, interval)
 
-    def percent_tolerance(self, part: Variance) -> float | None:
-        """Return six deviations of a component over the tolerance; None without one."""
-        return None if self.tolerance is None else 100 * SIX * part.deviation / self.tolerance
-
-    def tolerance_interval(self, part: Variance) -> Interval | None:
-        """Return the interval of :meth:`percent_tolerance`; None without a tolerance or an interval."""
-        if self.tolerance is None or part.interval is None:
-            return None
-        low, high = (100 * SIX * sqrt(end) / self.tolerance for end in (part.interval.low, part.interval.high))
-        return Interval(low, high, part.interval.confidence)
+    parts = (repeatability, reproducibility, gauge, sensor, total)
+    uncut = CATEGORY_FACTOR * sqrt(sensor.value / gauge.value) if gauge.value else None
+    whole = None if uncut is None else max(int(uncut), 1)
+    return Variation(Components(*map(share_of, parts)), whole, uncut, notes)
 
 
 def study(
@@ -212,7 +241,7 @@ def check_tolerance(tolerance: float | None) -> None:
         It is not positive.
     """
     if tolerance is not None and not tolerance > 0:
-        raise NumericsError(f"gauge study: a tolerance of {tolerance:g} is none; allowed are positive widths")
+        raise NumericsError(f"gauge study: tolerance is {tolerance:g}; allowed are positive widths")
 
 
 #: Stations of which every choice is tried (2¹² of them); of more only the best of each number.
@@ -306,13 +335,12 @@ def _choices(columns: list[str], cells: dict[tuple[str, str], list[int]]) -> Ite
 
 
 @dataclass(frozen=True, slots=True)
-class GaugeRange:
-    """A study by averages and ranges: what was averaged, in the values' unit, and the components."""
+class GaugeRange(Variation):
+    """A study by averages and ranges: the components, and what was averaged, in the values' unit."""
 
     mean_range: float
-    station_range: float
+    appraiser_range: float
     sensor_range: float
-    variation: Variation
 
 
 def gauge_range(study: Study, *, tolerance: float | None = None) -> GaugeRange:
@@ -325,25 +353,20 @@ def gauge_range(study: Study, *, tolerance: float | None = None) -> GaugeRange:
     Raises
     ------
     NumericsError
-        A tolerance that is none.
+        The tolerance is not positive.
     """
     check_tolerance(tolerance)
     p, o, r = study.shape
     mean_range = float(np.ptp(study.values, axis=2).mean())
-    stations = float(np.ptp(study.values.mean(axis=(0, 2))))
+    appraisers = float(np.ptp(study.values.mean(axis=(0, 2))))
     sensors = float(np.ptp(study.values.mean(axis=(1, 2))))
     repeatability = (mean_range / d2_d3(r)[0]) ** 2
-    between = clipped((stations / d2_star(o, 1)) ** 2 - repeatability / (p * r))
+    between = clipped((appraisers / d2_star(o, 1)) ** 2 - repeatability / (p * r))
     sensor = (sensors / d2_star(p, 1)) ** 2
     gauge = repeatability + between.value
-    note = "stations differ no more than repeated runs do: reproducibility was set to zero"
-    variation = Variation(
-        repeatability=clipped(repeatability),
-        reproducibility=between,
-        gauge=clipped(gauge),
-        sensor=clipped(sensor),
-        total=clipped(gauge + sensor),
-        tolerance=tolerance,
-        notes=(note,) if between.estimate < 0 else (),
+    note = f"{study.appraiser}s differ no more than repeated runs do: reproducibility was set to zero"
+    parts = (clipped(repeatability), between, clipped(gauge), clipped(sensor), clipped(gauge + sensor))
+    found = variation(*parts, tolerance=tolerance, notes=(note,) if between.estimate < 0 else ())
+    return GaugeRange(
+        found.components, found.categories, found.categories_uncut, found.notes, mean_range, appraisers, sensors
     )
-    return GaugeRange(mean_range, stations, sensors, variation)

@@ -12,9 +12,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import MaxNLocator
 
-from cbsr_qa.domain.results import Block, Figure, Paragraph, Section
+from cbsr_qa.domain.results import Banner, Block, Figure, Page, Paragraph, Section
 from cbsr_qa.domain.run import ChartKind, ChartReference
-from cbsr_qa.report import Banner, Page, number, plural, render_sections, unit_shown
+from cbsr_qa.report import number, plural, render_sections, unit_shown
 from cbsr_qa.report.draw import BLUE, FAINT, INK, QUIET, VERMILION, canvas, drawn, fit_left, light_grid
 from cbsr_qa.stats import Chart
 from cbsr_qa.studies.charts.charting import STANDS, MetricChart

@@ -4,8 +4,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.domain.results import Block, Paragraph, Section, Table
-from cbsr_qa.report import Banner, Page, number, plural, render_sections, text_table, unit_shown, write_report
+from cbsr_qa.domain.results import Banner, Block, Page, Paragraph, Section, Table
+from cbsr_qa.report import number, plural, render_sections, text_table, unit_shown, write_report
 from cbsr_qa.stats import Index, Interval, Yield
 from cbsr_qa.studies.compare.comparison import Comparison
 from cbsr_qa.studies.compare.describe import Described

@@ -11,8 +11,8 @@ from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Block, Figure, Paragraph, Section
-from cbsr_qa.report import Banner, Page, render_sections, text_table, unit_column, write_report
+from cbsr_qa.domain.results import Banner, Block, Figure, Page, Paragraph, Section
+from cbsr_qa.report import render_sections, text_table, unit_column, write_report
 from cbsr_qa.report.draw import CYCLE, FAINT, INK, QUIET, canvas, drawing, drawn, light_grid
 from cbsr_qa.studies.frontier.point import Accuracy, Clock, Knob, Point
 from cbsr_qa.studies.frontier.station import PAPER

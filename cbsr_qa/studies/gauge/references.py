@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from math import isfinite
 from pathlib import Path
@@ -13,8 +13,8 @@ from pydantic import Field
 from cbsr_qa.config import DocumentKind, FileModel, Table, echo, open_document, validated
 from cbsr_qa.domain import NumericsError, RefusedError
 from cbsr_qa.domain.results import RunLine
-from cbsr_qa.stats import Referenced
-from cbsr_qa.stats.gauge import Linearity, Stability, bias, linearity, stability
+from cbsr_qa.stats import Estimate
+from cbsr_qa.stats.gauge import bias, linearity, stability
 from cbsr_qa.studies.figure_series import Series, clock_notes
 
 _GIVEN = re.compile(
@@ -41,49 +41,71 @@ class ReferenceValue:
 
 
 @dataclass(frozen=True, slots=True)
-class BiasLine:
-    """Bias of one appraiser at one reference; ``bias`` None where ``why`` says why."""
-
-    reference: ReferenceValue
-    appraiser: str
-    count: int
-    bias: Referenced | None
-    why: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LinearityLine:
-    """How the bias of one appraiser depends on the value; None where ``why`` says why."""
-
-    appraiser: str
-    linearity: Linearity | None
-    why: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class StabilityLine:
-    """What readings of one reference on one appraiser did over time; None where ``why`` says why."""
-
-    reference: ReferenceValue
-    appraiser: str
-    stability: Stability | None
-    why: str = ""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AgainstReferences:
-    """One metric against reference values.
+class Bias:
+    """Mean reading of one appraiser minus one reference.
 
     Parameters
     ----------
-    unit : of the metric, and of its reference values.
-    linearity : of each appraiser over all references.
+    reference, uncertainty : of the sensor, in ``unit``.
+    runs : how many readings there are.
+    bias : None where ``why`` says why.
     """
 
+    serial: str
+    reference: float
+    uncertainty: float
     unit: str
-    biases: tuple[BiasLine, ...]
-    linearity: tuple[LinearityLine, ...]
-    stability: tuple[StabilityLine, ...]
+    appraiser: str
+    runs: int
+    bias: Estimate | None
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BiasLinearity:
+    """How the bias of one appraiser depends on the value.
+
+    Parameters
+    ----------
+    slope, intercept : None where ``why`` says why.
+    references : the smallest and the largest.
+    acceptable : whether zero lies within the confidence band of the bias at every reference.
+    """
+
+    appraiser: str
+    slope: Estimate | None = None
+    intercept: Estimate | None = None
+    references: tuple[float, float] | None = None
+    acceptable: bool | None = None
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class BiasStability:
+    """What the bias of one appraiser at one reference did over time.
+
+    Parameters
+    ----------
+    drift_per_day : None where ``why`` says why.
+    in_control : whether a control chart of the bias gives no signal; None with too few readings to say.
+    signal : the rule that was broken first; empty without a signal.
+    """
+
+    serial: str
+    appraiser: str
+    drift_per_day: Estimate | None = None
+    in_control: bool | None = None
+    signal: str = ""
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class AgainstReferences:
+    """One metric against reference values."""
+
+    bias: tuple[Bias, ...]
+    linearity: tuple[BiasLinearity, ...]
+    stability: tuple[BiasStability, ...]
 
 
 _Name = Annotated[str, Field(min_length=1, max_length=64)]
@@ -155,17 +177,18 @@ def _of_text(text: str) -> ReferenceValue:
 
 
 def against_references(
-    series: Series, appraisers: Sequence[str], references: Sequence[ReferenceValue]
+    series: Series, appraisers: Sequence[str], references: Sequence[ReferenceValue], confidence: float
 ) -> AgainstReferences | None:
-    """Hold one metric's runs against the reference values there are of it.
+    """Compare the runs of one metric with its reference values.
 
     Parameters
     ----------
     appraisers : of each run of the series.
+    confidence : of intervals.
 
     Returns
     -------
-    None where there is no reference value of this metric.
+    None where no reference value is of this metric.
     """
     own = [one for one in references if one.metric == series.key.name]
     if not own:
@@ -176,44 +199,56 @@ def against_references(
         of = [(line, value, who) for line, value, who in rows if line.serial == reference.serial]
         for who in sorted({who for _, _, who in of}):
             lines, values = zip(*((line, value) for line, value, by in of if by == who), strict=True)
-            biases.append(_bias(reference, who, values))
-            stabilities.append(_stability(reference, who, lines, values))
+            biases.append(_bias(reference, series.unit, who, values, confidence))
+            stabilities.append(_stability(reference, who, lines, values, confidence))
         if not of:
-            biases.append(BiasLine(reference, "", 0, None, "no run of these is of that sensor"))
+            biases.append(_bias(reference, series.unit, "", (), confidence))
     measured = sorted({who for line, _, who in rows if line.serial in {one.serial for one in own}})
-    lines = tuple(_linearity(own, [row for row in rows if row[2] == who], who) for who in measured)
-    return AgainstReferences(series.unit, tuple(biases), lines, tuple(stabilities))
+    slopes = tuple(_linearity(own, [row for row in rows if row[2] == who], who, confidence) for who in measured)
+    return AgainstReferences(tuple(biases), slopes, tuple(stabilities))
 
 
-def _bias(reference: ReferenceValue, who: str, values: Sequence[float]) -> BiasLine:
-    try:
-        found = bias(values, reference.value, uncertainty=reference.uncertainty)
-    except NumericsError as error:
-        return BiasLine(reference, who, len(values), None, error.reason)
-    return BiasLine(reference, who, len(values), found)
+def _bias(reference: ReferenceValue, unit: str, who: str, values: Sequence[float], confidence: float) -> Bias:
+    found, why = None, ""
+    if not values:
+        why = "no run in this study is of that sensor"
+    else:
+        try:
+            found = bias(values, reference.value, uncertainty=reference.uncertainty).estimate(confidence)
+        except NumericsError as error:
+            why = error.reason
+    return Bias(reference.serial, reference.value, reference.uncertainty, unit, who, len(values), found, why)
 
 
 def _stability(
-    reference: ReferenceValue, who: str, lines: Sequence[RunLine], values: Sequence[float]
-) -> StabilityLine:
+    reference: ReferenceValue, who: str, lines: Sequence[RunLine], values: Sequence[float], confidence: float
+) -> BiasStability:
+    bare = BiasStability(reference.serial, who)
     wrong = clock_notes(lines)
     if wrong:
-        return StabilityLine(reference, who, None, f"no drift can be told: {wrong[0]}")
+        return replace(bare, why=f"no drift can be told: {wrong[0]}")
     days = [(line.started_at - lines[0].started_at) / timedelta(days=1) for line in lines]
     try:
-        return StabilityLine(reference, who, stability(days, values, reference.value))
+        found = stability(days, values, reference.value)
     except NumericsError as error:
-        return StabilityLine(reference, who, None, error.reason)
+        return replace(bare, why=error.reason)
+    signal = found.chart.signals[0].rule if found.chart.signals and found.in_control is False else ""
+    return replace(
+        bare, drift_per_day=found.drift.estimate(confidence), in_control=found.in_control, signal=str(signal)
+    )
 
 
 def _linearity(
-    references: Sequence[ReferenceValue], rows: Sequence[tuple[RunLine, float, str]], who: str
-) -> LinearityLine:
+    references: Sequence[ReferenceValue], rows: Sequence[tuple[RunLine, float, str]], who: str, confidence: float
+) -> BiasLinearity:
     """Fit one appraiser's readings: pooled with others', differences between stations would be taken for scatter."""
     readings = {one: [value for line, value, _ in rows if line.serial == one.serial] for one in references}
     pairs = [(one.value, value) for one, values in readings.items() for value in values]
     known = [(len(values), one.value, one.uncertainty) for one, values in readings.items() if values]
     try:
-        return LinearityLine(who, linearity([one for one, _ in pairs], [value for _, value in pairs], known=known))
+        found = linearity([one for one, _ in pairs], [value for _, value in pairs], known=known)
     except NumericsError as error:
-        return LinearityLine(who, None, f"{error.reason}; {error.remedy}" if error.remedy else error.reason)
+        return BiasLinearity(who, why=f"{error.reason}; {error.remedy}" if error.remedy else error.reason)
+    slope, intercept = found.rise().estimate(confidence), found.intercept.estimate(confidence)
+    ends = found.references[0], found.references[-1]
+    return BiasLinearity(who, slope, intercept, ends, found.acceptable(confidence))

@@ -48,7 +48,7 @@ class StudySource:
     name: str
     file: str
     sha256: str
-    text: str
+    text: Annotated[str, Field(exclude=True)]
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,14 +6,17 @@ The runs of a gauge study, and what is said where they are not there.
 from collections import Counter
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
+from datetime import date
 from difflib import get_close_matches
+from typing import Annotated
+
+from pydantic import Field, InstanceOf
 
 from cbsr_qa.config import database_url, echo
 from cbsr_qa.domain import NumericsError, RefusedError, of_kind
-from cbsr_qa.domain.results import RunLine
+from cbsr_qa.domain.results import MetricKey, RunLine
 from cbsr_qa.report import plural
 from cbsr_qa.stats.gauge import (
-    BalancedPart,
     GaugeAnova,
     GaugeRange,
     Study,
@@ -25,10 +28,10 @@ from cbsr_qa.stats.gauge import (
     study,
 )
 from cbsr_qa.store import Repository, RunFilter, open_store
-from cbsr_qa.studies.figure_series import Series, clock_notes, named, recipe_note, software_note
+from cbsr_qa.studies.figure_series import clock_notes, named, recipe_note, software_note
 from cbsr_qa.studies.gauge.metrics import Toleranced, wanted_metrics
 from cbsr_qa.studies.gauge.references import AgainstReferences, against_references
-from cbsr_qa.studies.gauge.request import GaugeRequest
+from cbsr_qa.studies.gauge.request import GaugeRequest, StudySource
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,54 +138,73 @@ class MetricGauge:
 
     Parameters
     ----------
-    tolerance : width [the metric's unit] that the gauge is held against; None where there is none.
-    tolerance_of : ``"study"``, ``"recipe"``, or empty where there is none.
-    study : None where ``why`` says why there is none; ``anova`` and ``ranges`` are None then too.
-    part : the balanced part that was taken of a crossing that is not whole; None where all was taken.
-    missing : runs a whole crossing would have needed, or has too many of, in words.
-    against : reference values; None where there are none of this metric.
+    lower, upper, tolerance : limits of the metric and the width that the gauge is compared with, in ``unit``.
+    tolerance_of : whose tolerance it is, ``"study"`` or ``"recipe"``; None without one.
+    runs : that have a value.
+    missing : runs that a complete crossing lacks or has too many of, in words.
+    why : why there is no study; ``sensors`` to ``average_range`` are None then.
+    references : None where no reference value is of this metric.
+    crossing : the values that were studied, for the figure.
     """
 
-    series: Series
+    name: str
+    unit: str
+    phase: str
+    qualifier: str
+    location: str
+    lower: float | None
+    upper: float | None
     tolerance: float | None
-    tolerance_of: str
-    study: Study | None
-    anova: GaugeAnova | None
-    ranges: GaugeRange | None
-    why: str
-    part: BalancedPart | None
+    tolerance_of: str | None
+    runs: int
     missing: tuple[str, ...]
-    against: AgainstReferences | None
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...]
+    references: AgainstReferences | None
+    why: str = ""
+    sensors: tuple[str, ...] | None = None
+    appraisers: tuple[str, ...] | None = None
+    trials: int | None = None
+    anova: GaugeAnova | None = None
+    average_range: GaugeRange | None = None
+    crossing: Annotated[InstanceOf[Study] | None, Field(exclude=True)] = None
+
+    @property
+    def label(self) -> str:
+        """Name with phase, qualifier and location."""
+        return MetricKey(self.name, self.phase, self.qualifier, self.location).label
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gauge:
+class GaugeStudy:
     """What stored runs say of the gauge.
 
     Parameters
     ----------
-    runs : that were chosen.
+    study : the file that asked for it; None for options.
+    since, until : first and last day of the runs, UTC, as asked for.
+    runs : identities of those that were studied.
     simulated : whether any of them was.
     notes : of all metrics alike, in sentences.
     """
 
-    request: GaugeRequest
-    runs: tuple[RunLine, ...]
-    metrics: tuple[MetricGauge, ...]
+    study: StudySource | None
+    appraiser: str
+    confidence: float
+    since: date | None
+    until: date | None
+    by_location: bool
+    largest_balanced: bool
+    recipe: str
+    sensors: tuple[str, ...]
+    stations: tuple[str, ...]
+    appraisers: tuple[str, ...]
+    runs: tuple[str, ...]
     simulated: bool
     notes: tuple[str, ...]
-
-    def appraisers(self) -> tuple[str, ...]:
-        """Names of the stations or operators, sorted."""
-        return tuple(sorted({appraiser_of(line, self.request.appraiser) for line in self.runs}))
-
-    def sensors(self) -> tuple[str, ...]:
-        """Serial numbers, sorted."""
-        return tuple(sorted({line.serial for line in self.runs}))
+    metrics: tuple[MetricGauge, ...]
 
 
-def gauge(request: GaugeRequest, *, database: str | None = None) -> Gauge:
+def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
     """Study a gauge on stored runs.
 
     Parameters
@@ -192,7 +214,7 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> Gauge:
     Raises
     ------
     RefusedError
-        If the request is none, nothing stored fits it, or no metric can be studied (with what is missing).
+        If the request contradicts itself, no stored run fits it, or no metric can be studied (with what is missing).
     """
     request.check()
     with open_store(database_url(database), create=False) as store:
@@ -201,38 +223,64 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> Gauge:
         notes += software_note(store.software_of(lines)) + recipe_note(store, lines)
         simulated = bool(store.identity(lines[-1].run).simulated)
     metrics = tuple(_metric(one, request) for one in wanted)
-    _check_any(metrics)
-    return Gauge(request, lines, metrics, simulated, notes)
+    _check_any(metrics, largest_balanced=request.largest_balanced)
+    return GaugeStudy(
+        study=request.source,
+        appraiser=request.appraiser,
+        confidence=request.confidence,
+        since=request.since,
+        until=request.until,
+        by_location=request.by_location,
+        largest_balanced=request.largest_balanced,
+        recipe=lines[0].recipe,
+        sensors=tuple(sorted({line.serial for line in lines})),
+        stations=tuple(sorted({line.station for line in lines})),
+        appraisers=tuple(sorted({appraiser_of(line, request.appraiser) for line in lines})),
+        runs=tuple(line.run for line in lines),
+        simulated=simulated,
+        notes=notes,
+        metrics=metrics,
+    )
 
 
 def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
-    series = wanted.series
+    series, key = wanted.series, wanted.series.key
     sensors = [line.serial for line in series.lines]
     appraisers = [appraiser_of(line, request.appraiser) for line in series.lines]
-    against = against_references(series, appraisers, request.references)
     why = _never_repeated(sensors, appraisers, request.appraiser)
     missing = () if why else missing_runs(sensors, appraisers, request.appraiser)
     bare = MetricGauge(
-        series, wanted.tolerance, wanted.of, None, None, None, why, None, missing, against, series.notes
+        name=key.name,
+        unit=series.unit,
+        phase=key.phase,
+        qualifier=key.qualifier,
+        location=key.location,
+        lower=series.lower,
+        upper=series.upper,
+        tolerance=wanted.tolerance,
+        tolerance_of=wanted.of or None,
+        runs=len(series.values),
+        missing=missing,
+        notes=series.notes,
+        references=against_references(series, appraisers, request.references, request.confidence),
+        why=why,
     )
     if why:
         return bare
-    values = list(series.values)
+    kept: Sequence[int] = range(len(series.values))
     if missing and request.largest_balanced:
         part = largest_balanced(sensors, appraisers)
         if not part.kept:
             crossed = f"twice each {on(request.appraiser)} the same two {request.appraiser}s"
-            return replace(bare, part=part, why=f"no two sensors were run {crossed}: nothing is crossed")
+            return replace(bare, why=f"no two sensors were run {crossed}: nothing is crossed")
         size = part.words(appraiser=f"{request.appraiser}s")
-        taken = f"taken is the largest balanced part of {len(values)} runs: {size}"
-        bare = replace(bare, part=part, notes=(*series.notes, taken))
-        sensors, appraisers = [sensors[k] for k in part.kept], [appraisers[k] for k in part.kept]
-        values = [values[k] for k in part.kept]
+        taken = f"this is the largest balanced part of {len(series.values)} runs: {size}"
+        bare, kept = replace(bare, notes=(*series.notes, taken)), part.kept
+    rows = [(sensors[k], appraisers[k], series.values[k]) for k in kept]
     try:
-        found, anova, ranges = _studied(sensors, appraisers, values, wanted.tolerance, request)
+        return _studied(bare, rows, request)
     except NumericsError as error:
         return replace(bare, why=error.reason)
-    return replace(bare, study=found, anova=anova, ranges=ranges)
 
 
 def _never_repeated(sensors: Sequence[str], appraisers: Sequence[str], appraiser: str) -> str:
@@ -244,39 +292,39 @@ def _never_repeated(sensors: Sequence[str], appraisers: Sequence[str], appraiser
     return f"every sensor was run once {where}: repeatability needs at least two runs of each"
 
 
-def _studied(
-    sensors: Sequence[str],
-    appraisers: Sequence[str],
-    values: Sequence[float],
-    tolerance: float | None,
-    request: GaugeRequest,
-) -> tuple[Study, GaugeAnova, GaugeRange]:
-    if not values:
+def _studied(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], request: GaugeRequest) -> MetricGauge:
+    """Study runs, (sensor, appraiser, value) of each."""
+    if not rows:
         raise NumericsError("none of these runs has a value of it")
+    sensors, appraisers, values = zip(*rows, strict=True)
     for noun, names in (("sensor", set(sensors)), (request.appraiser, set(appraisers))):
         if len(names) < 2:
             raise NumericsError(f"all {len(values)} runs are of one {noun}, {names.pop()}")
-    found = study(sensors, appraisers, values, appraiser=request.appraiser)
-    return (
-        found,
-        gauge_anova(found, tolerance=tolerance, confidence=request.confidence),
-        gauge_range(found, tolerance=tolerance),
+    crossing = study(sensors, appraisers, values, appraiser=request.appraiser)
+    return replace(
+        bare,
+        sensors=crossing.sensors,
+        appraisers=crossing.stations,
+        trials=crossing.shape[2],
+        anova=gauge_anova(crossing, tolerance=bare.tolerance, confidence=request.confidence),
+        average_range=gauge_range(crossing, tolerance=bare.tolerance),
+        crossing=crossing,
     )
 
 
-def _check_any(metrics: Sequence[MetricGauge]) -> None:
-    """Refuse where nothing came of any metric, saying what is missing."""
-    if any(one.study is not None or one.against is not None for one in metrics):
+def _check_any(metrics: Sequence[MetricGauge], *, largest_balanced: bool) -> None:
+    """Refuse where no metric can be studied, saying what is missing."""
+    if any(one.anova is not None or one.references is not None for one in metrics):
         return
     first = metrics[0]
-    said = f"{first.series.key.label}: {first.why}"
+    said = f"{first.label}: {first.why}"
     said += f"; uneven: {named(first.missing)}" if first.missing else ""
-    said += "".join(f"; {note}" for note in first.series.notes)
+    said += "".join(f"; {note}" for note in first.notes)
     said += f"\nand of {plural(len(metrics) - 1, 'more metric')}" if len(metrics) > 1 else ""
-    lacking = any(one.missing and one.part is None for one in metrics)
+    uneven = any(one.missing for one in metrics) and not largest_balanced
     raise RefusedError(
         f"no gauge study can be made of these runs: {said}",
-        remedy="make them even, or take the largest balanced part by --largest-balanced"
-        if lacking
+        remedy="add the missing runs, or study the largest balanced part with --largest-balanced"
+        if uneven
         else "a study needs two sensors, on two stations (or by two operators), twice each, that differ",
     )

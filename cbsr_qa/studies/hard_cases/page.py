@@ -10,8 +10,8 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure as Canvas
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
-from cbsr_qa.domain.results import Block, Cell, Figure, Outcome, Paragraph, Section
-from cbsr_qa.report import Banner, Page, number, plural, text_table
+from cbsr_qa.domain.results import Banner, Block, Cell, Figure, Outcome, Page, Paragraph, Section
+from cbsr_qa.report import number, plural, text_table
 from cbsr_qa.report.draw import BLUE, FAINT, INK, QUIET, VERMILION, canvas, drawn, light_grid, name_rows
 from cbsr_qa.studies.hard_cases.case import CONDITIONING_ROOM, EPSILON, CaseResult, Ending
 

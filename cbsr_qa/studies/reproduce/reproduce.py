@@ -11,7 +11,8 @@ from os import cpu_count
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.report import Banner, Page, render_sections, write_report
+from cbsr_qa.domain.results import Banner, Page
+from cbsr_qa.report import render_sections, write_report
 from cbsr_qa.studies.reproduce.compare import ComparedTable, Comparison, Ours, Printed
 from cbsr_qa.studies.reproduce.draw import CentreForces, reproduction_sections
 from cbsr_qa.studies.reproduce.figures import SheetFigures, StripFigures

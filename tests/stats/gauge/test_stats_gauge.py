@@ -38,45 +38,45 @@ def test_analysis_of_variance_is_aiags(printed, example):
     rows = {row.source: row for row in found.table}
     names = {"op": Source.STATION, "part": Source.SENSOR, "interaction": Source.INTERACTION, "rep": Source.TRIAL}
     for index, (name, source) in enumerate(names.items()):
-        assert rows[source].squares == pytest.approx(answer["SS"][name], abs=5.1e-6)
-        assert rows[source].freedom == answer["df"][index]
-    assert rows[Source.INTERACTION].statistic == pytest.approx(answer["F_int"], abs=5.1e-5)
-    assert rows[Source.INTERACTION].p_value == pytest.approx(answer["p_int"], abs=5.1e-5)
-    assert found.pooled
-    assert found.interaction is None
+        assert rows[source].sum_of_squares == pytest.approx(answer["SS"][name], abs=5.1e-6)
+        assert rows[source].degrees_of_freedom == answer["df"][index]
+    assert rows[Source.INTERACTION].f == pytest.approx(answer["F_int"], abs=5.1e-5)
+    assert rows[Source.INTERACTION].p == pytest.approx(answer["p_int"], abs=5.1e-5)
+    assert found.interaction_pooled
+    assert found.interaction_variance is None
 
 
 @pytest.mark.shared
 def test_components_are_aiags(printed, example):
-    answer, variation = printed["anova"]["pooled"], gauge_anova(example).variation
-    components = {
-        "EV": variation.repeatability,
-        "AV": variation.reproducibility,
-        "GRR": variation.gauge,
-        "PV": variation.sensor,
-    }
-    for name, part in components.items():
+    answer, found = printed["anova"]["pooled"], gauge_anova(example)
+    parts = found.components
+    for name, part in {
+        "EV": parts.repeatability,
+        "AV": parts.reproducibility,
+        "GRR": parts.gauge,
+        "PV": parts.sensor,
+    }.items():
         # Printed from mean squares that were rounded before.
-        assert part.value == pytest.approx(answer[f"var_{name}"], rel=5e-6)
-        assert variation.percent_study(part) == pytest.approx(answer["pctTV"][name], abs=6e-4)
-    assert variation.percent_contribution(variation.gauge) == pytest.approx(answer["pctContribution_GRR"], abs=6e-4)
-    assert variation.categories == answer["ndc_trunc"]
+        assert part.variance == pytest.approx(answer[f"var_{name}"], rel=5e-6)
+        assert part.percent_study == pytest.approx(answer["pctTV"][name], abs=6e-4)
+    assert parts.gauge.percent_contribution == pytest.approx(answer["pctContribution_GRR"], abs=6e-4)
+    assert found.categories == answer["ndc_trunc"]
 
 
 @pytest.mark.shared
 def test_averages_and_ranges_are_aiags(printed, example):
     found, answer = gauge_range(example), printed["average_range"]
     assert found.mean_range == pytest.approx(answer["Rbar"], abs=5.1e-8)
-    assert found.station_range == pytest.approx(answer["Xdiff"], abs=5.1e-8)
+    assert found.appraiser_range == pytest.approx(answer["Xdiff"], abs=5.1e-8)
     assert found.sensor_range == pytest.approx(answer["Rp"], abs=5.1e-8)
-    parts = found.variation.repeatability, found.variation.reproducibility, found.variation.gauge
-    parts += found.variation.sensor, found.variation.total
+    of = found.components
+    parts = of.repeatability, of.reproducibility, of.gauge, of.sensor, of.total
     for part, name in zip(parts, ("EV", "AV", "GRR", "PV", "TV"), strict=True):
         assert part.deviation == pytest.approx(answer[name], rel=1.5e-4)  # AIAG rounds K to four digits
-    shares = [found.variation.percent_study(part) for part in (*parts[:3], parts[3])]
+    shares = [part.percent_study for part in parts[:4]]
     assert shares == pytest.approx(answer["pct"], abs=0.01)
-    assert found.variation.categories_uncut == pytest.approx(answer["ndc"], abs=0.006)
-    assert found.variation.categories == 5
+    assert found.categories_uncut == pytest.approx(answer["ndc"], abs=0.006)
+    assert found.categories == 5
 
 
 def test_range_constants_are_the_printed_ones():
@@ -123,15 +123,14 @@ def test_components_add_up(interaction):
     random = np.random.default_rng(81)
     table = random.normal(size=(6, 4, 3)) + 4 * random.normal(size=(6, 1, 1)) + 6 * random.normal(size=(1, 4, 1))
     found = gauge_anova(arranged(table + interaction * random.normal(size=(6, 4, 1))))
-    assert found.pooled == (interaction == 0.0)
-    between = found.station.estimate + (found.interaction.estimate if found.interaction else 0.0)
-    parts = found.variation
-    assert parts.reproducibility.estimate == pytest.approx(between)
-    assert parts.gauge.estimate == pytest.approx(between + parts.repeatability.estimate)
-    assert parts.total.estimate == pytest.approx(parts.gauge.estimate + parts.sensor.estimate)
-    for part in (parts.reproducibility, parts.gauge, parts.sensor, parts.total, found.station):
-        assert part.value == pytest.approx(part.estimate)
-        assert part.interval.low < part.value < part.interval.high
+    assert found.interaction_pooled == (interaction == 0.0)
+    parts = found.components
+    between = found.appraiser_variance + (found.interaction_variance or 0.0)
+    assert parts.reproducibility.variance == pytest.approx(between)
+    assert parts.gauge.variance == pytest.approx(between + parts.repeatability.variance)
+    assert parts.total.variance == pytest.approx(parts.gauge.variance + parts.sensor.variance)
+    for part in (parts.reproducibility, parts.gauge, parts.sensor, parts.total):
+        assert part.variance_interval.low < part.variance < part.variance_interval.high
 
 
 @pytest.mark.rest
@@ -149,13 +148,13 @@ def test_intervals_cover(interaction):
         gauge, between = 0.25 + 0.64 + interaction**2, 0.64 + interaction**2
         held.append(
             [
-                found.variation.repeatability.interval.holds(0.25),
-                found.variation.reproducibility.interval.holds(between),
-                found.variation.gauge.interval.holds(gauge),
-                found.variation.sensor.interval.holds(4.0),
-                found.variation.total.interval.holds(4.0 + gauge),
-                found.gauge_share.holds(gauge / (4.0 + gauge)),
-                found.categories.holds(1.41 * sqrt(4.0 / gauge)),
+                found.components.repeatability.variance_interval.holds(0.25),
+                found.components.reproducibility.variance_interval.holds(between),
+                found.components.gauge.variance_interval.holds(gauge),
+                found.components.sensor.variance_interval.holds(4.0),
+                found.components.total.variance_interval.holds(4.0 + gauge),
+                found.gauge_percent_contribution_interval.holds(100 * gauge / (4.0 + gauge)),
+                found.categories_interval.holds(1.41 * sqrt(4.0 / gauge)),
             ]
         )
     covered = np.mean(held, axis=0)
@@ -171,27 +170,28 @@ def test_studies_know_no_unit_origin_or_order(seed, scale, origin):
     table = random.normal(size=(4, 1, 1)) + random.normal(size=(1, 3, 1)) + random.normal(size=(4, 3, 2))
     here, there = gauge_anova(arranged(table)), gauge_anova(arranged(scale * (table[::-1, ::-1, ::-1] + origin)))
     for name in ("repeatability", "reproducibility", "gauge", "sensor", "total"):
-        one, two = getattr(here.variation, name), getattr(there.variation, name)
-        assert two.estimate == pytest.approx(scale**2 * one.estimate, rel=1e-6, abs=1e-8 * scale**2)
-        assert two.interval.high == pytest.approx(scale**2 * one.interval.high, rel=1e-6, abs=1e-8 * scale**2)
+        one, two = getattr(here.components, name), getattr(there.components, name)
+        assert two.variance == pytest.approx(scale**2 * one.variance, rel=1e-6, abs=1e-8 * scale**2)
+        high = scale**2 * one.variance_interval.high
+        assert two.variance_interval.high == pytest.approx(high, rel=1e-6, abs=1e-8 * scale**2)
 
 
 def test_tolerance_shares_and_cut_components():
     table = np.array([[[0.0, 2.0], [2.0, 0.0]], [[3.0, 1.0], [1.0, 3.0]], [[5.0, 3.0], [3.0, 5.0]]])
     found = gauge_anova(arranged(table), tolerance=24.0)
-    assert found.station.value == 0.0 > found.station.estimate
-    assert any("station variance" in note for note in found.variation.notes)
-    repeat = found.variation.repeatability
-    assert found.variation.percent_tolerance(repeat) == pytest.approx(100 * 6 * repeat.deviation / 24)
-    interval = found.variation.tolerance_interval(repeat)
+    assert found.appraiser_variance == 0.0
+    assert any("station variance is -" in note for note in found.notes)
+    repeat = found.components.repeatability
+    assert repeat.percent_tolerance == pytest.approx(100 * 6 * repeat.deviation / 24)
+    interval = repeat.percent_tolerance_interval
     # Twelve values in six cells: 6 degrees of freedom of the runs and, pooled or not, an exact χ².
-    freedom = 6 + 2 * found.pooled
+    freedom = 6 + 2 * found.interaction_pooled
     ends = [repeat.deviation * sqrt(freedom / stats.chi2.isf(tail, freedom)) * 25 for tail in (0.025, 0.975)]
     assert (interval.low, interval.high) == pytest.approx(ends)
-    by_range = gauge_range(arranged(table), tolerance=24.0).variation
+    by_range = gauge_range(arranged(table), tolerance=24.0)
     assert by_range.notes
-    assert by_range.tolerance_interval(by_range.gauge) is None
-    assert gauge_anova(arranged(table)).variation.tolerance_interval(repeat) is None
+    assert by_range.components.gauge.percent_tolerance_interval is None
+    assert gauge_anova(arranged(table)).components.repeatability.percent_tolerance is None
 
 
 @pytest.mark.parametrize(
@@ -210,7 +210,7 @@ def test_studies_that_are_none_are_named(drop, reason):
     rows = [(f"n{i:02d}", f"s{j}", value) for (i, j, _), value in np.ndenumerate(table)]
     with pytest.raises(NumericsError, match=f"gauge study: .*{reason}"):
         study(*zip(*drop(rows), strict=True))
-    with pytest.raises(NumericsError, match="tolerance of 0"):
+    with pytest.raises(NumericsError, match="tolerance is 0"):
         gauge_anova(arranged(table), tolerance=0.0)
 
 

@@ -1,0 +1,23 @@
+"""An outcome as a JSON document, and the JSON Schema of it: both from the fields of its dataclass."""
+
+from functools import lru_cache
+from typing import Any
+
+from pydantic import TypeAdapter
+
+
+def json_document(result: Any) -> dict[str, Any]:
+    """Return a result as JSON has it: fields by name, tuples as lists, dates as text (ISO 8601)."""
+    kind: type = type(result)
+    document: dict[str, Any] = _adapter(kind).dump_python(result, mode="json")
+    return document
+
+
+def json_schema(kind: type) -> dict[str, Any]:
+    """Return the JSON Schema (draft 2020-12) of the documents of a kind of result."""
+    return _adapter(kind).json_schema(mode="serialization")
+
+
+@lru_cache
+def _adapter(kind: type) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)

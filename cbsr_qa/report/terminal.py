@@ -1,0 +1,67 @@
+"""An outcome in a terminal: the answer, what it is about, then paragraphs and tables. Figures stay on the page."""
+
+import textwrap
+from collections.abc import Iterator, Sequence
+from typing import Final
+
+from cbsr_qa.config import printable
+from cbsr_qa.domain.results import Block, Page, Paragraph, Section, Table
+
+_WIDTH: Final = 100
+_INDENT: Final = "  "
+
+
+def terminal_lines(page: Page, sections: Sequence[Section]) -> Iterator[str]:
+    """Lay an outcome out in lines of 100 characters; wider tables keep their width.
+
+    Folded tables and sections for the page alone are left out.
+    """
+    banner = page.banner
+    yield from _wrapped(f"{banner.symbol} {banner.headline}", f" {banner.reason}" if banner.reason else "")
+    facts = [(name.lower(), value) for name, value in page.identity]
+    facts += [("simulated", text) for text in page.simulated]
+    facts += [("warning", text) for text in page.warnings] + [("note", text) for text in page.remarks]
+    width = max((len(name) for name, _ in facts), default=0)
+    for name, value in facts:
+        yield from _hanging(f"{name:<{width}}  ", value)
+    for section in sections:
+        if not section.page_only:
+            yield ""
+            yield printable(section.title)
+            for block in section.blocks:
+                yield from _block(block)
+
+
+def _block(block: Block) -> Iterator[str]:
+    if isinstance(block, Paragraph):
+        yield from _hanging(_INDENT, f"warning: {block.text}" if block.tone == "warning" else block.text)
+    if isinstance(block, Table) and not block.folded:
+        yield from _table(block)
+
+
+def _table(table: Table) -> Iterator[str]:
+    yield from _hanging(_INDENT, table.caption)
+    rows = [table.columns, *(tuple(printable(cell.text) for cell in row) for row in table.rows)]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    for row in rows:
+        cells = (
+            f"{text:>{width}}" if place in table.numeric else f"{text:<{width}}"
+            for place, (text, width) in enumerate(zip(row, widths, strict=True))
+        )
+        yield f"{_INDENT * 2}{'  '.join(cells)}".rstrip()
+
+
+def _wrapped(start: str, rest: str) -> Iterator[str]:
+    yield from _hanging("", printable(f"{start}:{rest}" if rest else start))
+
+
+def _hanging(start: str, text: str) -> Iterator[str]:
+    """Wrap text behind its first words, further lines below its beginning."""
+    yield from textwrap.wrap(
+        printable(text),
+        _WIDTH,
+        initial_indent=start,
+        subsequent_indent=" " * len(start),
+        break_long_words=False,
+        break_on_hyphens=False,
+    )

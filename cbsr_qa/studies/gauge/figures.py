@@ -1,0 +1,161 @@
+"""The six usual panels of a gauge study (AIAG MSA 4th edition, chapter III)."""
+
+from collections.abc import Sequence
+from math import sqrt
+from typing import Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure as Canvas
+
+from cbsr_qa.report import unit_shown
+from cbsr_qa.report.draw import BLUE, CYCLE, FAINT, QUIET, VERMILION, canvas, light_grid, svg_of
+from cbsr_qa.stats import d2_d3
+from cbsr_qa.stats.gauge import Components, Study
+
+#: Names along an axis that fit beside each other.
+_MOST_NAMES: Final = 12
+#: Names beside each other in a legend, and the height of one of its rows [in].
+_LEGEND_COLUMNS: Final = 3
+_LEGEND_ROW_IN: Final = 0.15
+
+
+def six_panels(study: Study, components: Components, unit: str) -> str:
+    """Draw components, values by sensor and by appraiser, their interaction, and charts of ranges and means.
+
+    Returns
+    -------
+    The ``<svg>`` element.
+    """
+    shown, who = unit_shown(unit), study.appraiser
+
+    def axis(of: str) -> str:
+        return f"{of} [{shown}]" if shown else of
+
+    def build() -> Canvas:
+        figure, axes = _panels(_LEGEND_ROW_IN * _legend_rows(study))
+        _components(axes[0], components)
+        _by_sensor(axes[1], study)
+        _ranges(axes[2], study, who)
+        _by_appraiser(axes[3], study, who)
+        _means(axes[4], study, who)
+        _interaction(axes[5], study, who)
+        names = ("share [%]", axis("each run"), axis("range"), axis("each run"), axis("mean"), axis("mean"))
+        for one, name in zip(axes, names, strict=True):
+            one.set_ylabel(name)
+        return figure
+
+    return svg_of(build)
+
+
+def _panels(below: float) -> tuple[Canvas, list[Axes]]:
+    """Six axes, row by row, with so much room [in] for the legend below the last."""
+    height = 7.7 + below
+    figure = canvas(height)
+    bottom, top = (0.55 + below) / height, 1 - 0.25 / height
+    grid = figure.add_gridspec(3, 2, left=0.09, right=0.985, bottom=bottom, top=top, hspace=0.55, wspace=0.24)
+    return figure, [figure.add_subplot(grid[row, column]) for row in range(3) for column in range(2)]
+
+
+def _components(axes: Axes, components: Components) -> None:
+    parts = (components.gauge, components.repeatability, components.reproducibility, components.sensor)
+    bars = [("of the variance", [part.percent_contribution for part in parts])]
+    bars.append(("of the deviation", [part.percent_study for part in parts]))
+    if components.gauge.percent_tolerance is not None:
+        bars.append(("of the tolerance", [part.percent_tolerance or 0.0 for part in parts]))
+    width = 0.8 / len(bars)
+    light_grid(axes)
+    for row, (name, heights) in enumerate(bars):
+        across = np.arange(len(parts)) + (row - (len(bars) - 1) / 2) * width
+        axes.bar(across, heights, 0.92 * width, color=CYCLE[row], label=name)
+    axes.set_xticks(range(len(parts)), ["gauge R&R", "repeat.", "reprod.", "sensors"])
+    axes.set_title("components")
+    _legend_below(axes, 0.24)
+
+
+def _by_sensor(axes: Axes, study: Study) -> None:
+    axes.set_title("by sensor")
+    _dots(axes, [study.values[row].ravel() for row in range(study.shape[0])], study.sensors)
+
+
+def _by_appraiser(axes: Axes, study: Study, appraiser: str) -> None:
+    axes.set_title(f"by {appraiser}")
+    _dots(axes, [study.values[:, column].ravel() for column in range(study.shape[1])], study.stations)
+
+
+def _dots(axes: Axes, groups: Sequence[np.ndarray], names: Sequence[str]) -> None:
+    light_grid(axes)
+    for place, group in enumerate(groups):
+        axes.plot(np.full(len(group), place), group, "o", color=FAINT, markersize=2.4)
+    axes.plot(range(len(groups)), [group.mean() for group in groups], "o-", color=BLUE, markersize=3.4)
+    _names(axes, names)
+
+
+def _ranges(axes: Axes, study: Study, appraiser: str) -> None:
+    ranges = np.ptp(study.values, axis=2)
+    d2, d3 = d2_d3(study.shape[2])
+    mean = float(ranges.mean())
+    low, high = max(0.0, mean * (1 - 3 * d3 / d2)), mean * (1 + 3 * d3 / d2)
+    axes.set_title(f"range of repeated runs, by {appraiser}")
+    _cells(axes, ranges, study, mean, low, high)
+    axes.set_ylim(bottom=0)
+
+
+def _means(axes: Axes, study: Study, appraiser: str) -> None:
+    means = study.values.mean(axis=2)
+    d2, _ = d2_d3(study.shape[2])
+    half = 3 * float(np.ptp(study.values, axis=2).mean()) / (d2 * sqrt(study.shape[2]))
+    mean = float(means.mean())
+    axes.set_title(f"mean of repeated runs, by {appraiser}")
+    _cells(axes, means, study, mean, mean - half, mean + half)
+
+
+def _cells(axes: Axes, table: np.ndarray, study: Study, centre: float, low: float, high: float) -> None:
+    """Draw one statistic of each cell, the sensors of one appraiser after those of another, with limits."""
+    count = study.shape[0]
+    for column, name in enumerate(study.stations):
+        across, values = column * count + np.arange(count), table[:, column]
+        axes.plot(across, values, "-", color=FAINT, linewidth=0.7)
+        outside = (values < low) | (values > high)
+        for flags, colour in ((~outside, BLUE), (outside, VERMILION)):
+            axes.plot(across[flags], values[flags], "o", color=colour, markersize=2.8)
+        if column:
+            axes.axvline(column * count - 0.5, color=FAINT, linewidth=0.5)
+        if len(study.stations) <= _MOST_NAMES:
+            place = (column + 0.5) / len(study.stations)
+            axes.text(place, -0.05, name[:16], transform=axes.transAxes, ha="center", va="top", fontsize=6.5)
+    for line, style in ((centre, "-"), (low, "--"), (high, "--")):
+        axes.axhline(line, color=QUIET, linewidth=0.7, linestyle=style)
+    axes.set_xticks([])
+
+
+def _interaction(axes: Axes, study: Study, appraiser: str) -> None:
+    light_grid(axes)
+    axes.set_title(f"sensor by {appraiser}")
+    means = study.values.mean(axis=2)
+    for column, name in enumerate(study.stations):
+        colour, dashes = CYCLE[column % len(CYCLE)], ("-", "--", ":")[column // len(CYCLE) % 3]
+        axes.plot(means[:, column], "o", linestyle=dashes, color=colour, markersize=2.6, label=name[:16])
+    if len(study.stations) <= _MOST_NAMES:
+        _legend_below(axes, 0.5)
+    _names(axes, study.sensors)
+
+
+def _legend_rows(study: Study) -> int:
+    return -(-len(study.stations) // _LEGEND_COLUMNS) if len(study.stations) <= _MOST_NAMES else 0
+
+
+def _legend_below(axes: Axes, gap_in: float) -> None:
+    """Put the legend under the axes, where it covers nothing; ``gap_in`` is the room for names of ticks [in]."""
+    canvas_in = axes.figure.dpi_scale_trans.inverted()
+    place = (0.5, -gap_in / axes.get_window_extent().transformed(canvas_in).height)
+    small = {"fontsize": 6.5, "handlelength": 1.4, "columnspacing": 1.2, "borderaxespad": 0.0, "borderpad": 0.0}
+    axes.legend(frameon=False, ncols=_LEGEND_COLUMNS, loc="upper center", bbox_to_anchor=place, **small)
+
+
+def _names(axes: Axes, names: Sequence[str]) -> None:
+    every = -(-len(names) // _MOST_NAMES)
+    places = range(0, len(names), every)
+    short = [names[place][:10] for place in places]
+    turned = 30 if sum(map(len, short)) > 48 else 0
+    axes.set_xticks(list(places), short, rotation=turned, ha="right" if turned else "center", fontsize=6.5)
