@@ -7,11 +7,7 @@ from .engine import (
     writing as writing,
 )
 from .figures import RunFilter as RunFilter, run_figures as run_figures, run_lines as run_lines
-from .repository import (
-    Repository as Repository,
-    check_usable as check_usable,
-    database_exists as database_exists,
-    open_store as open_store,
-)
+from .opening import check_usable as check_usable, database_exists as database_exists, open_store as open_store
+from .repository import Repository as Repository
 from .schema import HEAD as HEAD, Age as Age, found_version as found_version, refusal as refusal, upgrade as upgrade
 from .types import IdSource as IdSource, PlainText as PlainText

@@ -9,7 +9,7 @@ from stored_lots import judged, measured, store_run
 
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import RefusedError, StoreError
-from cbsr_qa.store.repository import open_store
+from cbsr_qa.store import open_store
 from cbsr_qa.studies.compare import read_amounts, read_groups
 
 

@@ -17,8 +17,8 @@ from cbsr_qa.app.run import RunRequest, render_stored, run_sensor
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, RunResult, Verdict
 from cbsr_qa.domain.run import NO_REASON, Difference, FileKind, RunEnded, RunStarted, differences
+from cbsr_qa.store import open_store
 from cbsr_qa.store.engine import writing
-from cbsr_qa.store.repository import open_store
 
 #: The cells that may be filled in later: a phase's end, and what a calibration was superseded by.
 ALLOWED = (

@@ -8,7 +8,7 @@ import pytest
 from stored_runs import calibration, journalled, short_run
 
 from cbsr_qa.domain.results import Outcome, RunResult, Verdict
-from cbsr_qa.store.repository import open_store
+from cbsr_qa.store import open_store
 from cbsr_qa.store.tables import AnalysisRow
 
 PAGE = (Path(__file__).parents[2] / "docs" / "reference" / "database.md").read_text()

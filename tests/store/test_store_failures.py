@@ -11,9 +11,8 @@ from cbsr_qa.app import database_status, upgrade_database
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import EndReason
 from cbsr_qa.domain.run import FramesTaken, RunEnded
-from cbsr_qa.store import engine as engines, schema
+from cbsr_qa.store import engine as engines, open_store, schema
 from cbsr_qa.store.engine import open_engine, parsed_url
-from cbsr_qa.store.repository import open_store
 from cbsr_qa.store.runs import Journal
 
 

@@ -43,7 +43,7 @@ from cbsr_qa.domain.run import (
     StepStarted,
     Unloaded,
 )
-from cbsr_qa.store.repository import open_store
+from cbsr_qa.store import open_store
 
 
 @pytest.fixture
@@ -122,7 +122,7 @@ def test_a_killed_process_loses_nothing_that_was_committed(path):
 import sys
 sys.path.insert(0, {str(Path(__file__).parents[1] / "samples")!r})
 from stored_runs import *
-from cbsr_qa.store.repository import open_store
+from cbsr_qa.store import open_store
 repository = open_store("sqlite:///{path}")
 journal = journalled(repository, short_run("run-1")[:5])
 for number in range(10_000):

@@ -23,8 +23,8 @@ from cbsr_qa.domain.run import (
     RunStarted,
     StationCheck,
 )
+from cbsr_qa.store import open_store
 from cbsr_qa.store.figures import RunFilter
-from cbsr_qa.store.repository import open_store
 
 pytestmark = pytest.mark.postgres
 

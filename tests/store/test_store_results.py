@@ -22,7 +22,7 @@ from cbsr_qa.domain.results import (
     Validity,
     Verdict,
 )
-from cbsr_qa.store.repository import open_store
+from cbsr_qa.store import open_store
 
 MEASURED = (
     Measurement("centre_of_mass_error", 1.2, "mm", 0.1, "nine locations", "L3", 0, "mask 85 %", "exact").judged(

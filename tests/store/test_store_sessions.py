@@ -27,7 +27,7 @@ from cbsr_qa.domain.run import (
     StepStarted,
     Unloaded,
 )
-from cbsr_qa.store.repository import open_store
+from cbsr_qa.store import open_store
 from cbsr_qa.store.types import made_at
 
 
@@ -140,7 +140,7 @@ def holding(path, run, *, until="sys.stdin.read()"):
     """Another process that writes a run."""
     code = f"""
     import sys
-    from cbsr_qa.store.repository import open_store
+    from cbsr_qa.store import open_store
     with open_store("sqlite:///{path}") as repository, repository.writing_alone("{run}", "Kim"):
         print("held", flush=True)
         {until}

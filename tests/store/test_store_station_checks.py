@@ -10,7 +10,7 @@ from stored_runs import frames, identity, journalled, short_run
 
 from cbsr_qa.domain import RefusedError, StoreError
 from cbsr_qa.domain.run import CheckOutcome, CheckResult, InstrumentIdentity, RingReadings, StationCheck, worst_check
-from cbsr_qa.store.repository import open_store
+from cbsr_qa.store import open_store
 
 AT = datetime(2026, 11, 22, 6, 30, tzinfo=UTC)
 LINES = (

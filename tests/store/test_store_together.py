@@ -9,9 +9,8 @@ import pytest
 
 from cbsr_qa.app.run import RunRequest, Session, default_seed, run_sensor
 from cbsr_qa.domain import StoreError
-from cbsr_qa.store import locks, schema
+from cbsr_qa.store import locks, open_store, schema
 from cbsr_qa.store.engine import open_engine, parsed_url
-from cbsr_qa.store.repository import open_store
 
 STATIONS = 4
 

@@ -11,7 +11,7 @@ from stored_runs import journalled, short_run
 from cbsr_qa.cli import guarded
 from cbsr_qa.domain import StoreError
 from cbsr_qa.domain.results import Outcome
-from cbsr_qa.store.repository import open_store
+from cbsr_qa.store import open_store
 
 
 @pytest.fixture(scope="module")

@@ -1,11 +1,10 @@
 from .anova import GaugeAnova as GaugeAnova, gauge_anova as gauge_anova
+from .balance import largest_balanced as largest_balanced, missing_runs as missing_runs
 from .crossed_study import (
     Components as Components,
     GaugeRange as GaugeRange,
     Study as Study,
     gauge_range as gauge_range,
-    largest_balanced as largest_balanced,
-    missing_runs as missing_runs,
     on as on,
     study as study,
 )

@@ -1,30 +1,21 @@
-"""Crossed gauge R&R by averages and ranges (AIAG MSA 4th edition, chapter III): quick, and without intervals.
-
-    EV = R̄ K₁,  AV² = (X̄_diff K₂)² − EV²/(p r),  PV = R_p K₃;   K₁ = 1/d₂(r),  K₂ = 1/d₂*(o),  K₃ = 1/d₂*(p)
-
-R̄ is the mean range of repeated runs, X̄_diff the range of the stations' means, R_p that of the sensors'. It does not
-see an interaction of sensors and stations.
-
-A crossed gauge study and what comes of it, whichever way it is worked out.
+"""A crossed gauge study, its components, and both by averages and ranges (AIAG MSA, 4th edition 2010, chapter III).
 
 Every sensor (AIAG: part) is measured on every station (appraiser) equally often (trials). Variances add up:
 
     total = sensor + gauge,   gauge (GRR) = repeatability (EV) + reproducibility (AV)
 
-Sources: AIAG, Measurement Systems Analysis, 4th edition 2010, chapter III; Burdick, Borror & Montgomery 2003.
+Averages and ranges are quick, ignore an interaction of sensors and stations, and have no intervals:
 
-What is missing of a crossed gauge study, and the largest part of it that is whole.
+    EV = R̄ K₁,  AV² = (X̄_diff K₂)² − EV²/(p r),  PV = R_p K₃;   K₁ = 1/d₂(r),  K₂ = 1/d₂*(o),  K₃ = 1/d₂*(p)
 
-A crossed study needs every sensor on every station equally often. Stored runs are seldom so: the largest balanced
-part is the choice of sensors, stations and trials with the most runs, each at least two.
+R̄ is the mean range of repeated runs, X̄_diff the range of the stations' means, R_p that of the sensors'.
+See also Burdick, Borror & Montgomery 2003.
 """
 
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from itertools import combinations
 from math import sqrt
-from typing import Final
 
 import numpy as np
 
@@ -242,96 +233,6 @@ def check_tolerance(tolerance: float | None) -> None:
     """
     if tolerance is not None and not tolerance > 0:
         raise NumericsError(f"gauge study: tolerance is {tolerance:g}; allowed are positive widths")
-
-
-#: Stations of which every choice is tried (2¹² of them); of more only the best of each number.
-_MOST_TRIED: Final = 12
-
-
-@dataclass(frozen=True, slots=True)
-class BalancedPart:
-    """A whole crossing.
-
-    Parameters
-    ----------
-    sensors, stations : names, sorted; empty where there is no whole crossing of two by two by two.
-    trials : runs of each sensor on each station.
-    kept : indices of the runs that belong to it, ascending: of each cell the first ones.
-    """
-
-    sensors: tuple[str, ...]
-    stations: tuple[str, ...]
-    trials: int
-    kept: tuple[int, ...]
-
-    def words(self, part: str = "sensors", appraiser: str = "stations") -> str:
-        """Return its size as a reader would say it."""
-        size = f"{len(self.sensors)} {part} × {len(self.stations)} {appraiser} × {self.trials} runs"
-        return f"{size} = {len(self.kept)} runs"
-
-
-def missing_runs(sensors: Sequence[str], stations: Sequence[str], appraiser: str = "station") -> tuple[str, ...]:
-    """Return which runs a balanced study lacks or has too many of, in words; none where it is whole.
-
-    Parameters
-    ----------
-    sensors, stations : (N,) names of each run.
-    appraiser : what the stations are: "station", or "operator" where people are compared.
-    """
-    cells = _cells(sensors, stations)
-    trials = usual_trials(map(len, cells.values()))
-    return tuple(
-        f"{sensor} {on(appraiser)} {station} has "
-        + (f"{len(found)} of {_runs(trials)}" if len(found) < trials else f"{_runs(len(found))} instead of {trials}")
-        for (sensor, station), found in cells.items()
-        if len(found) != trials
-    )
-
-
-def _runs(count: int) -> str:
-    return f"{count} run{'s' * (count != 1)}"
-
-
-def largest_balanced(sensors: Sequence[str], stations: Sequence[str]) -> BalancedPart:
-    """Return the balanced part with the most runs; of equal ones that with more sensors, then more stations.
-
-    Parameters
-    ----------
-    sensors, stations : (N,) names of each run, in the order of trials.
-    """
-    cells = _cells(sensors, stations)
-    rows, columns = sorted(set(sensors)), sorted(set(stations))
-    most = max(map(len, cells.values()), default=0)
-    best, size = BalancedPart((), (), 0, ()), (0, 0, 0)
-    for chosen in _choices(columns, cells):
-        for trials in range(2, most + 1):
-            whole = [row for row in rows if all(len(cells[row, column]) >= trials for column in chosen)]
-            found = (len(whole) * len(chosen) * trials, len(whole), len(chosen))
-            if len(whole) >= 2 and found > size:
-                kept = sorted(index for row in whole for column in chosen for index in cells[row, column][:trials])
-                best, size = BalancedPart(tuple(whole), tuple(chosen), trials, tuple(kept)), found
-    return best
-
-
-def _cells(sensors: Sequence[str], stations: Sequence[str]) -> dict[tuple[str, str], list[int]]:
-    cells: dict[tuple[str, str], list[int]] = {
-        (row, column): [] for row in sorted(set(sensors)) for column in sorted(set(stations))
-    }
-    for index, cell in enumerate(zip(sensors, stations, strict=True)):
-        cells[cell].append(index)
-    return cells
-
-
-def _choices(columns: list[str], cells: dict[tuple[str, str], list[int]]) -> Iterable[tuple[str, ...]]:
-    if len(columns) <= _MOST_TRIED:
-        for count in range(2, len(columns) + 1):
-            yield from combinations(columns, count)
-        return
-    ranked = sorted(
-        columns, key=lambda column: -sum(len(runs) > 1 for (_, of), runs in cells.items() if of == column)
-    )
-    for count in range(2, len(columns) + 1):
-        yield tuple(sorted(ranked[:count]))
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,11 +14,11 @@ from cbsr_qa.calibration.file import stamped
 from cbsr_qa.domain import ConfigError, StoreError
 from cbsr_qa.domain.results import Limit, Measurement, Outcome, RunResult, decide
 from cbsr_qa.domain.run import ChainState, RunStarted
+from cbsr_qa.store import open_store
 from cbsr_qa.store.chain import fleet
 from cbsr_qa.store.chain.links import VARIABLE, SigningKey
 from cbsr_qa.store.chain.run_documents import KEYS, covered, row_text
 from cbsr_qa.store.figures import RunFilter
-from cbsr_qa.store.repository import open_store
 from cbsr_qa.store.tables import Base, records as check_tables
 from cbsr_qa.store.types import FiniteDouble, Whole
 

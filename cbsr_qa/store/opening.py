@@ -1,0 +1,77 @@
+"""Open a database that is up to date, or say why it cannot be used."""
+
+from collections.abc import Callable
+from datetime import datetime
+
+from cbsr_qa.store import schema
+from cbsr_qa.store.chain import KEY_OPTION, SigningKey
+from cbsr_qa.store.engine import open_engine, parsed_url
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system import RealClock
+
+
+def open_store(
+    url: str,
+    *,
+    create: bool = True,
+    durable: bool = True,
+    wall: Callable[[], datetime] | None = None,
+    tell: Callable[[str], None] | None = None,
+) -> Repository:
+    """Open a database that is up to date.
+
+    Parameters
+    ----------
+    url : SQLAlchemy URL, see :func:`cbsr_qa.config.database_url`.
+    create : make the tables where there are none yet.
+    durable : wait for the disk at every commit, see :func:`cbsr_qa.store.open_engine`.
+    wall : tells the time for identifiers and analyses; by default the computer's clock.
+    tell : told while another program that makes the tables is waited for.
+
+    Raises
+    ------
+    StoreError
+        If it is missing (and not to be created), damaged, of another version or another program, or unreachable.
+    ConfigError
+        If the signing key that is set cannot be used, see :mod:`cbsr_qa.store.chain.links`.
+    """
+    key = SigningKey.from_environment()
+    engine = open_engine(parsed_url(url), durable=durable)
+    engine.update_execution_options(**{KEY_OPTION: key})
+    try:
+        version = schema.found_version(engine)
+        if version.age is schema.Age.EMPTY and create:
+            schema.upgrade(engine, tell=tell)
+        elif version.age is not schema.Age.CURRENT:
+            raise schema.refusal(engine, version)
+    except BaseException:
+        engine.dispose()
+        raise
+    return Repository(engine, wall or RealClock().wall)
+
+
+def check_usable(url: str) -> None:
+    """Refuse a database that a run could not be stored in; what is written for that is removed again.
+
+    Raises
+    ------
+    StoreError
+        If it cannot be reached or written, is of another version, or is another program's.
+    """
+    engine = open_engine(parsed_url(url))
+    try:
+        version = schema.found_version(engine)
+        if version.age not in (schema.Age.EMPTY, schema.Age.CURRENT):
+            raise schema.refusal(engine, version)
+        schema.check_writable(engine, version)
+    finally:
+        engine.dispose()
+
+
+def database_exists(url: str) -> bool:
+    """Whether there is anything at a URL yet; looks without making it. StoreError if it cannot be reached."""
+    engine = open_engine(parsed_url(url))
+    try:
+        return schema.found_version(engine).age is not schema.Age.EMPTY
+    finally:
+        engine.dispose()
