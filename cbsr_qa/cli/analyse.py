@@ -127,18 +127,19 @@ def _chosen(result: "RecordingResult") -> str:
 
 
 def _imaged(event: "LoadEvent") -> str:
+    from cbsr_qa.domain.readings import place_in_words
+
     seen = event.imaged
     if seen is None:
         return "not in its image"
-    return f"in its image at electrode {seen.electrode:.2f}, r/R {seen.r_over_R:.2f}"
+    return f"in its image: {place_in_words(seen.electrode, seen.r_over_R)}"
 
 
 def _said(event: "LoadEvent", *, still: bool) -> str:
     when = "" if still else f"{event.start_s:.1f} to {event.end_s:.1f} s, "
     what = "conducts more" if event.sign > 0 else "conducts less"
-    place = f"electrode {event.electrode:.2f}, r/R {event.r_over_R:.2f}"
     mm = "" if event.x_mm is None or event.y_mm is None else f" ({_mm(event.x_mm)}, {_mm(event.y_mm)} mm)"
-    return f"{when}{place}{mm}, {what}, SNR {event.snr:.1f}"
+    return f"{when}{event.place}{mm}, {what}, SNR {event.snr:.1f}"
 
 
 def _mm(length: float) -> str:

@@ -122,7 +122,6 @@ def _found(result: RecordingResult) -> str:
         return result.events_why
     strongest = max(result.events, key=lambda event: event.snr)
     sense = "conducts more" if strongest.sign > 0 else "conducts less"
-    place = f"electrode {strongest.electrode:.1f}, r/R {strongest.r_over_R:.2f}"
     when = "" if result.frame_rate_hz is None else f" at {strongest.peak_s:.1f} s"
     moves = "" if strongest.motion is None else f"; it moves: {strongest.motion.words}"
-    return f"the clearest{when} near {place}: the place {sense}, SNR {strongest.snr:.3g}{moves}"
+    return f"the clearest{when} near {strongest.place}: the place {sense}, SNR {strongest.snr:.3g}{moves}"

@@ -262,7 +262,7 @@ def _unseen(scene: RecordedScene, events: Sequence[LoadEvent], images: EventImag
     """Name events that the method's own image does not show: nobody shall look for them in what is left."""
     return [
         f"the image of {_name(scene, number, event.peak_s)} by {images.name} does not show it: there is no region"
-        f" near its place (electrode {event.electrode:.1f}, r/R {event.r_over_R:.2f}), and what is elsewhere is not"
+        f" near its place ({event.place}), and what is elsewhere is not"
         " this event; choose other options or another reconstruction"
         for number, event in enumerate(events, start=1)
         if event.imaged is None

@@ -13,6 +13,13 @@ _NO_TURN: Final = 0.05
 _WHOLE_TURN: Final = 0.15
 
 
+def place_in_words(electrode: float, r_over_R: float) -> str:
+    """Return a place for people: ``electrode 7.2, r/R 0.55``, or ``centre (r/R 0.07)``."""
+    if r_over_R < _AT_CENTRE:
+        return f"centre (r/R {r_over_R:.2f})"
+    return f"electrode {electrode:.1f}, r/R {r_over_R:.2f}"
+
+
 @dataclass(frozen=True, slots=True)
 class NoiseStep:
     """The noise or the level of a recording changed at once.
@@ -143,7 +150,7 @@ class Motion:
     def words(self) -> str:
         """From where to where, and which way round."""
         (first, first_r), (last, last_r) = self.begins, self.ends
-        places = f"from electrode {first:.1f}, r/R {first_r:.2f} to electrode {last:.1f}, r/R {last_r:.2f}"
+        places = f"from {place_in_words(first, first_r)} to {place_in_words(last, last_r)}"
         way = self._way()
         return f"{places}, {way}" if way else places
 
@@ -201,6 +208,11 @@ class LoadEvent:
     def r_over_R(self) -> float:
         """Distance from the centre in units of the radius."""
         return float((self.x_over_R**2 + self.y_over_R**2) ** 0.5)
+
+    @property
+    def place(self) -> str:
+        """The place in words, see :func:`place_in_words`."""
+        return place_in_words(self.electrode, self.r_over_R)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
