@@ -3,7 +3,7 @@
 from typing import Final
 
 from cbsr_qa.domain.readings import RecordingResult
-from cbsr_qa.domain.results import Banner, EndReason, Outcome, Page, RunResult
+from cbsr_qa.domain.results import Banner, EndReason, Outcome, Page, RunResult, explained
 from cbsr_qa.report.tables import duration, plural
 
 _SYMBOLS: Final = {
@@ -97,7 +97,7 @@ def _imaging(result: RecordingResult) -> tuple[tuple[str, str], ...]:
 def _verdict(result: RunResult) -> Banner:
     outcome, end = result.verdict.outcome, result.record.end
     tone = "plain" if outcome is Outcome.NOT_JUDGED else outcome.value.replace(" ", "-")
-    reason = result.verdict.reason
+    reason = explained(result.verdict, result.measurements)
     if end in _ENDS:
         # An unfinished run is never judged: how it ended is the one reason.
         detail = f": {result.record.end_detail}" if result.record.end_detail else ""

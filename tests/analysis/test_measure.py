@@ -7,7 +7,7 @@ from hypothesis import given, strategies as st
 
 from cbsr_qa.analysis.measure import judge, measure_run
 from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome, decide
+from cbsr_qa.domain.results import Bound, Limit, Measurement, Outcome, decide, explained
 
 numbers = st.floats(-1e6, 1e6)
 
@@ -123,3 +123,14 @@ def test_a_metric_that_raises_takes_nothing_else_down():
     assert [m.name for m in measured] == ["whole"]
     assert "metric broken failed" in warnings[0]
     assert "nothing was pressed" in warnings[0]
+
+
+def test_a_failed_run_says_how_many_limits_fail():
+    limits = (Limit("force", "N", None, 3.0), Limit("drift", "1", None, 0.1))
+    force, other = Measurement("force", 3.8, "N"), Measurement("drift", 0.2, "1")
+    both = (force.judged(limits[0]), other.judged(limits[1]))
+    assert explained(decide(both), both).startswith("2 of 2 limits fail; worst: drift is 0.2")
+    one = (force.judged(limits[0]), Measurement("drift", 0.05, "1").judged(limits[1]))
+    assert explained(decide(one), one) == "1 of 2 limits fails: force is 3.8 N (allowed: at most 3 N)"
+    alone = (force.judged(limits[0]), Measurement("area", 5.0, "mm²"))
+    assert explained(decide(alone), alone) == decide(alone).reason

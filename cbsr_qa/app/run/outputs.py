@@ -14,7 +14,7 @@ from cbsr_qa.calibration.file import write_calibration
 from cbsr_qa.config import calibrations_folder, database_url, reports_folder
 from cbsr_qa.domain import CbsrError
 from cbsr_qa.domain.plan import Recipe
-from cbsr_qa.domain.results import Calibration, EndReason, Measurement, Outcome, RunResult
+from cbsr_qa.domain.results import Calibration, EndReason, Measurement, Outcome, RunResult, explained
 from cbsr_qa.domain.run import RunIdentity, SensorHistory
 from cbsr_qa.plugin import Kind, Plugins, ReportSection, failure
 from cbsr_qa.report import render_run, report_name, write_report
@@ -86,8 +86,8 @@ class RunOutcome:
 
     @property
     def reason(self) -> str:
-        """What decided it."""
-        return self.result.verdict.reason
+        """What decided it; of a failed run also how many limits fail."""
+        return explained(self.result.verdict, self.result.measurements)
 
     @property
     def calibration_why(self) -> str:
@@ -127,7 +127,7 @@ class RunOutcome:
             "end_detail": record.end_detail,
             "resume": self.resume or None,
             "outcome": str(self.result.verdict.outcome),
-            "reason": self.reason,
+            "reason": self.result.verdict.reason,
             "report": None if self.report is None else str(self.report),
             "calibration": None if self.calibration is None else str(self.calibration),
             "calibration_why": self.calibration_why,

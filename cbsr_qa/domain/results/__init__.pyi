@@ -53,6 +53,7 @@ from .measurement import (
     Outcome as Outcome,
     Verdict as Verdict,
     decide as decide,
+    explained as explained,
     relative_margin as relative_margin,
     worst as worst,
 )

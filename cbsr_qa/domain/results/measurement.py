@@ -222,6 +222,15 @@ def decide(measurements: tuple[Measurement, ...]) -> Verdict:
     return Verdict(outcome, _reason(deciding, outcome, len(judged)))
 
 
+def explained(verdict: Verdict, measurements: tuple[Measurement, ...]) -> str:
+    """Return the reason of a verdict for people; of a failed run also how many limits fail."""
+    judged = [m for m in measurements if m.limit is not None]
+    failed = sum(m.outcome is Outcome.FAIL for m in judged)
+    if verdict.outcome is not Outcome.FAIL or len(judged) < 2:
+        return verdict.reason
+    return f"{failed} of {len(judged)} limits fail{'; worst' if failed > 1 else 's'}: {verdict.reason}"
+
+
 def relative_margin(measurement: Measurement) -> float:
     """Distance from the nearer bound over the limit's size: what is closest to failing comes first."""
     limit = measurement.limit
