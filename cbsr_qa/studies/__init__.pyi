@@ -1,5 +1,6 @@
 from .fleet_demo import (
     ONE_STATION as ONE_STATION,
+    REPEATED as REPEATED,
     SAID as SAID,
     THIRD_ON_ALL as THIRD_ON_ALL,
     build_fleet as build_fleet,

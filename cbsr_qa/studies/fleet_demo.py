@@ -47,13 +47,16 @@ from cbsr_qa.store import Repository, open_store
 #: Of everything that is drawn; the first there is, not chosen for what comes out.
 SEED: Final = 1
 
-#: Names of the two designs, which are those of their recipes.
+#: Names of the designs, which are those of their recipes.
 ONE_STATION: Final = "each-on-one-station"
 THIRD_ON_ALL: Final = "a-third-on-all-stations"
+REPEATED: Final = "twice-on-every-station"  # what a gauge study needs
+_LETTERS: Final = {ONE_STATION: "S", THIRD_ON_ALL: "T", REPEATED: "G"}
 
 BATCHES: Final = ("41", "42", "43")
 STATIONS: Final = ("A", "B", "C")
 _SENSORS: Final = 20  # of a batch
+_IN_GAUGE_STUDY: Final = 6  # of batch 41, each twice on every station
 _AT_HOME: Final = 12  # of them on the batch's own station: stations and batches are much confounded
 _EFFECT: Final = 1.5  # deviations between sensors: what batch 43 differs by, and station B
 
@@ -106,8 +109,7 @@ class _Run:
 
     @property
     def serial(self) -> str:
-        letter = "S" if self.recipe == ONE_STATION else "T"
-        return f"{letter}{BATCHES[self.batch]}-{self.sensor + 1:02d}"
+        return f"{_LETTERS[self.recipe]}{BATCHES[self.batch]}-{self.sensor + 1:02d}"
 
 
 def fleet_demo_path() -> Path:
@@ -134,23 +136,24 @@ def build_fleet(count: Callable[[int, int], None] = lambda done, of: None, *, pa
     runs = tuple(designed())
     configurations = {(run.recipe, run.station): _configuration(run) for run in runs}
     now = _BEGAN
-    random = np.random.default_rng(SEED)
-    sensors = {run.serial: random.standard_normal(len(DRAWN)) for run in runs}
+    # Designs draw apart, so that runs of one change nothing in another.
+    compared, repeated = np.random.default_rng(SEED), np.random.default_rng([SEED, len(_LETTERS)])
+    draws = {ONE_STATION: compared, THIRD_ON_ALL: compared, REPEATED: repeated}
+    sensors = {run.serial: draws[run.recipe].standard_normal(len(DRAWN)) for run in runs}
     with open_store(f"sqlite:///{path}", durable=False, wall=lambda: now) as store:
         for done, run in enumerate(runs, start=1):
             now += _APART
-            _store(
-                store, run, configurations[run.recipe, run.station], _figures(run, sensors[run.serial], random), now
-            )
+            figures = _figures(run, sensors[run.serial], draws[run.recipe])
+            _store(store, run, configurations[run.recipe, run.station], figures, now)
             count(done, len(runs))
     return path
 
 
 def designed() -> Iterator[_Run]:
-    """Yield the runs of both designs in the order they are made in: batch after batch, as sensors come.
+    """Yield the runs of all designs in the order they are made in: batch after batch, as sensors come.
 
     Twelve of a batch's twenty sensors are at its own station, four at each other one. In the second design every
-    third sensor is run on all stations.
+    third sensor is run on all stations. In the third, six sensors of one batch are run twice on every station.
     """
     for recipe in (ONE_STATION, THIRD_ON_ALL):
         for batch in range(len(BATCHES)):
@@ -160,6 +163,10 @@ def designed() -> Iterator[_Run]:
                 everywhere = recipe == THIRD_ON_ALL and sensor % 3 == 0
                 for station in range(len(STATIONS)) if everywhere else (home,):
                     yield _Run(recipe, batch, station, sensor)
+    for _ in range(2):
+        for station in range(len(STATIONS)):
+            for sensor in range(_IN_GAUGE_STUDY):
+                yield _Run(REPEATED, 0, station, sensor)
 
 
 def _make_room(path: Path) -> None:
@@ -167,7 +174,7 @@ def _make_room(path: Path) -> None:
     if not path.exists():
         return
     with open_store(f"sqlite:///{path}", create=False) as store:
-        strange = [run.run for run in store.find_runs() if run.recipe not in (ONE_STATION, THIRD_ON_ALL)]
+        strange = [run.run for run in store.find_runs() if run.recipe not in _LETTERS]
     if strange:
         raise RefusedError(
             f"{path} holds runs that are not of the demonstration, e.g. {strange[0]}",

@@ -1,5 +1,6 @@
 """The fleet of the demonstration: its designs, its truth, and that it says what it is."""
 
+import json
 import os
 import shutil
 import sqlite3
@@ -12,10 +13,11 @@ import numpy as np
 import pytest
 
 from cbsr_qa.app.run import render_stored
+from cbsr_qa.cli import guarded
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import Outcome
 from cbsr_qa.store import open_store
-from cbsr_qa.studies.fleet_demo import DRAWN, ONE_STATION, SAID, THIRD_ON_ALL, build_fleet, designed
+from cbsr_qa.studies.fleet_demo import DRAWN, ONE_STATION, REPEATED, SAID, THIRD_ON_ALL, build_fleet, designed
 
 TOP = Path(__file__).parents[2]
 
@@ -45,7 +47,7 @@ def test_the_first_design_has_each_sensor_at_one_station_the_second_a_third_at_a
 
 
 def test_progress_is_told_run_by_run(built):
-    assert built[1] == [(done, 162) for done in range(1, 163)]
+    assert built[1] == [(done, 198) for done in range(1, 199)]
 
 
 def test_batch_and_station_differ_by_one_and_a_half_deviations(built):
@@ -61,6 +63,20 @@ def test_batch_and_station_differ_by_one_and_a_half_deviations(built):
     assert spread == pytest.approx(np.hypot(metric.sensor, metric.run), rel=0.3)
     for found in (batch, station):
         assert found == pytest.approx(1.5 * metric.sensor, abs=3 * spread * np.sqrt(2 / 20))
+
+
+def test_a_gauge_can_be_studied(built, capsys):
+    """The station adds 1.5 deviations between sensors at one of three stations; runs repeat within 0.12 mm."""
+    asked = ["gauge", "--recipe", REPEATED, "--database", str(built[0]), "--metric", "centre_of_mass_error", "--json"]
+    assert guarded(asked) == 0
+    (metric,) = json.loads(capsys.readouterr().out)["metrics"]
+    assert (len(metric["sensors"]), len(metric["appraisers"]), metric["trials"]) == (6, 3, 2)
+    parts, drawn = metric["anova"]["components"], DRAWN[0]
+    low, high = parts["repeatability"]["variance_interval"]
+    # The mean over nine places adds its own scatter.
+    assert low <= drawn.run**2 + drawn.place**2 / 9 <= high
+    low, high = parts["reproducibility"]["variance_interval"]
+    assert low <= (drawn.station * drawn.sensor) ** 2 / 3 <= high
 
 
 def test_everything_says_that_nothing_was_measured(built, tmp_path):
@@ -112,7 +128,7 @@ def test_a_fleet_is_replaced_and_anything_else_is_not(built, tmp_path):
     build_fleet(path=path)
     with open_store(f"sqlite:///{path}", create=False) as store:
         run = store.find_runs()[0].run
-        assert store.counts()["runs"] == 162
+        assert store.counts()["runs"] == 198
     with sqlite3.connect(path) as database:
         database.execute("UPDATE runs SET recipe = 'nine-locations' WHERE run = ?", (run,))
     database.close()

@@ -8,17 +8,19 @@ from cbsr_qa.domain import CbsrError
 
 def main() -> int:
     """Build the fleet and say where it is; exit code as of the command line."""
-    from cbsr_qa.studies import ONE_STATION, SAID, THIRD_ON_ALL, build_fleet
+    from cbsr_qa.studies import ONE_STATION, REPEATED, SAID, THIRD_ON_ALL, build_fleet
 
     try:
         with Counting("runs") as counting:
-            counting.stage("building a fleet: 3 batches of 20 sensors at 3 stations, in two designs")
+            counting.stage(
+                "building a fleet: 3 batches at 3 stations in two designs, and a gauge study"
+            )
             path = build_fleet(counting.count)
     except CbsrError as error:
         note(f"cbsr-qa: {error}")
         return error.exit_code
     say(f"fleet    {path}")
-    say(f"designs  {ONE_STATION}, {THIRD_ON_ALL} (the recipes of their runs)")
+    say(f"designs  {ONE_STATION}, {THIRD_ON_ALL}, {REPEATED} (the recipes of their runs)")
     say(f"note     {SAID}")
     return 0
 
