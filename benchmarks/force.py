@@ -30,7 +30,7 @@ _STEADY_S = 10.0
 
 
 @dataclass(frozen=True)
-class _Issued:
+class Issued:
     """A calibration as a simulated run issued it, and the run's held-out loads."""
 
     calibration: Calibration
@@ -39,7 +39,7 @@ class _Issued:
 
 def rows() -> Iterator[Row]:
     """Speed in batches and one by one, then errors on loads that were not calibrated with."""
-    here = _issued()
+    here = issued()
     frames = here.recording.frames.voltages
     batch = np.resize(frames, (_BATCH, *frames.shape[1:]))
     few = frames[: min(len(frames), 400)]
@@ -74,10 +74,10 @@ def notes() -> str:
     )
 
 
-def _errors(here: _Issued) -> Iterator[Row]:
+def _errors(here: Issued) -> Iterator[Row]:
     loads = here.recording.loads
     steady = [_steady(here.recording, load) for load in loads]
-    truth = np.array([_measured_N(here.recording, load) for load in loads])
+    truth = np.array([measured_N(here.recording, load) for load in loads])
     places = np.array([(load.load.x_mm, load.load.y_mm) for load in loads])
     known = here.calibration.force(np.array(steady), place_mm=places).force_N
     found = here.calibration.force(np.array(steady)).force_N
@@ -114,21 +114,24 @@ def _steady(recording: Recording, load: LoadRecord) -> Array:
     return held.mean(axis=0)
 
 
-def _measured_N(recording: Recording, load: LoadRecord) -> float:
+def measured_N(recording: Recording, load: LoadRecord) -> float:
+    """Force by the load cell over the last ten seconds of a hold."""
     (force,) = (block for block in recording.samples if block.channel == "force")
     return float(force.between(load.release_start_s - _STEADY_S, load.release_start_s).values.mean())
 
 
 @lru_cache(maxsize=1)
-def _issued() -> _Issued:
+def issued(seed: int | None = None) -> Issued:
+    """Run the recipe ``nine-locations`` on the simulated station; by default with the seed of the serial number."""
+    seeded = [] if seed is None else ["--seed", str(seed)]
     program = str(Path(sys.executable).with_name("cbsr-qa"))
     with tempfile.TemporaryDirectory() as folder:
         environment = os.environ | {"CBSR_QA_VAR": str(Path(folder) / "var")}
         recorded = str(Path(folder) / "random.h5")
         for command in (
-            ["run", "--station", "simulated", "--recipe", "nine-locations", "--serial", "BENCH-1"],
+            ["run", "--station", "simulated", "--recipe", "nine-locations", "--serial", "BENCH-1", *seeded],
             ["export", "BENCH-1", "--to", recorded, "--phase", "random loads"],
         ):
             subprocess.run([program, *command], check=True, env=environment, capture_output=True)
         (file,) = (Path(folder) / "var" / "calibrations").glob("*.h5")
-        return _Issued(Calibration.load(file), read_recording(Path(recorded)))
+        return Issued(Calibration.load(file), read_recording(Path(recorded)))

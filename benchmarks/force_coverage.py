@@ -1,9 +1,9 @@
 """How honest the errors of forces are: held-out loads on simulated sensors, many enough to count intervals.
 
-``python -m benchmarks.force_coverage --sensors 8wt --seeds 9000:9018`` simulates a sensor a seed (20 s each), learns
-its force from the nine locations and from 39 places, tests both on thirty random loads, and adds what came out to a
-file (``--to``), from which the table of all that is in it is printed. Seeds that are there already are not simulated
-again.
+``python -m benchmarks.force_coverage`` prints the table of docs/explanation/force.md. It simulates a sensor a seed
+(12 s each, a quarter of an hour in all), learns its force from the nine locations and from 39 places, tests both on
+thirty random loads, and adds the results to a file (``--to``), from which the table is printed. Seeds that are in the
+file are not simulated again. ``--sensors short`` prints one kind alone.
 """
 
 import os
@@ -28,6 +28,7 @@ from cbsr_qa.analysis.run import (
     ForceErrors,
     ForceTest,
     RunForce,
+    detectable_forces,
     errors_of,
     global_errors,
     run_force,
@@ -45,18 +46,21 @@ Result = dict[str, Any]
 CALIBRATIONS = {"nine": (NINE,), "39": (NINE, PLACES)}
 _REACH = {68: 1.0, 95: 1.959964}
 _RADIUS_MM = 40.0
+_FIRST_SEED = 9000
 _COLUMNS = (
     "sensors",
     "calibration",
-    "test",
     "loads",
-    "σ_F [N]",
-    "bias [N]",
-    "over one response",
-    "68 % hold [%]",
-    "95 % hold [%]",
+    "σ_F, place known",
+    "bias",
+    "held [%]",
+    "σ_F, place estimated",
+    "bias",
+    "held [%]",
+    "one response",
     "map: error, stated",
 )
+_LEFT_OUT = "trial left out, "
 
 
 def result_of(seen: Observed) -> Result:
@@ -73,8 +77,13 @@ def _calibrated(seen: Observed, phases: tuple[str, ...]) -> Result:
     result: Result = {**_errors("", random), "one response": _listed(global_errors(random))}
     repeated = tests_of(run, found, TRIAL_LEFT_OUT)
     if repeated:
-        result |= _errors("trial left out, ", repeated)
-    return result | {"map": _map_error(seen, found)}
+        result |= _errors(_LEFT_OUT, repeated)
+    (least,) = detectable_forces(found.learned, run.record.indenter, np.zeros((1, 2)))
+    return result | {
+        "map": _map_error(seen, found),
+        "rotation_deg": found.seat.rotation_deg,
+        "least_force_N": least.force_N,
+    }
 
 
 def _errors(what: str, tests: Sequence[ForceTest]) -> Result:
@@ -99,34 +108,37 @@ def _map_error(seen: Observed, found: RunForce) -> Errors:
 
 
 def table(results: Mapping[str, Mapping[str, Result]]) -> Iterator[str]:
-    """Lines of a table in Markdown."""
+    """Lines of a table in Markdown, then what is told of each kind of sensor beside it."""
     yield f"| {' | '.join(_COLUMNS)} |"
     yield "|" + " --- |" * len(_COLUMNS)
-    for name, sensors in SENSORS.items():
-        seeds = list(results.get(name, {}).values())
+    kinds = [(kind, list(results[name].values())) for name, kind in SENSORS.items() if results.get(name)]
+    for kind, sensors in kinds:
         for calibration in CALIBRATIONS:
-            for test in sorted({test for seed in seeds for test in seed[calibration]} - {"map", "one response"}):
-                each = [seed[calibration] for seed in seeds]
-                what = f"{len(seeds)} × {sensors.title}"
-                yield f"| {what} | {calibration} | {test} | {_row(each, test)} |"
+            each = [sensor[calibration] for sensor in sensors]
+            for test in ("", _LEFT_OUT):
+                if f"{test}place known" in each[0]:
+                    yield f"| {len(each)} × {kind.title} | {test}{calibration} | {_row(each, test)} |"
+    for kind, sensors in kinds:
+        told = {name: [sensor["39"][name] for sensor in sensors] for name in ("rotation_deg", "least_force_N")}
+        yield f"{kind.title}: {', '.join(f'{name} {_spread(values)}' for name, values in told.items())}"
+
+
+def _spread(values: Sequence[float]) -> str:
+    return f"{np.mean(values):.2f} ({min(values):.2f} to {max(values):.2f})"
 
 
 def _row(each: Sequence[Result], test: str) -> str:
-    errors, stated = ([np.array(one[test][key]) for one in each] for key in ("error_N", "stderr_N"))
-    together = np.concatenate(errors)
-    own = [one.std(ddof=1) for one in errors]
+    cells = [f"{sum(len(one[test + 'place known']['error_N']) for one in each)}"]
+    for place in ("place known", "place estimated"):
+        errors, stated = ([np.array(one[test + place][key]) for one in each] for key in ("error_N", "stderr_N"))
+        together = np.concatenate(errors)
+        own = [one.std(ddof=1) for one in errors]
+        spread = f" ({min(own):.2f} to {max(own):.2f})" if place == "place known" else ""
+        shares = ", ".join(_share(errors, stated, reach) for reach in _REACH.values())
+        cells += [f"{together.std(ddof=1):.3f}{spread}", f"{together.mean():+.3f}".replace("-", "−"), shares]
     whole = np.concatenate([np.array(one["one response"]["error_N"]) for one in each])
-    ratio = "" if test.startswith("trial") else f"{together.std(ddof=1) / whole.std(ddof=1):.2f}"
-    shares = [_share(errors, stated, reach) for reach in _REACH.values()]
     maps = [np.sqrt(np.mean([one["map"][key][0] ** 2 for one in each])) for key in ("error_N", "stderr_N")]
-    cells = (
-        f"{len(together)}",
-        f"{together.std(ddof=1):.3f} ({min(own):.2f} to {max(own):.2f})",
-        f"{together.mean():+.3f}",
-        ratio,
-        *shares,
-        " %, ".join(f"{100 * size:.1f}" for size in maps) + " %",
-    )
+    cells += ["" if test else f"{whole.std(ddof=1):.3f}", ", ".join(f"{100 * size:.1f}" for size in maps) + " %"]
     return " | ".join(cells)
 
 
@@ -136,7 +148,7 @@ def _share(errors: Sequence[Array], stated: Sequence[Array], reach: float) -> st
     all_loads = np.concatenate(inside)
     sensors = np.array([one.mean() for one in inside])
     chance = sensors.std(ddof=1) / len(sensors) ** 0.5 if len(sensors) > 1 else math.nan
-    return f"{100 * all_loads.mean():.1f} ± {100 * chance:.1f}"
+    return f"{100 * all_loads.mean():.0f} ± {100 * chance:.0f}"
 
 
 def add(results: dict[str, dict[str, Result]], name: str, seed: int, to: Path) -> None:
@@ -150,15 +162,17 @@ def add(results: dict[str, dict[str, Result]], name: str, seed: int, to: Path) -
 def main() -> None:
     """Simulate what is asked for, and print the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.force_coverage", description=__doc__)
-    parser.add_argument("--sensors", choices=SENSORS, default="8wt")
-    parser.add_argument("--seeds", default="0:0", help="first and one after the last, as 9000:9018")
+    parser.add_argument("--sensors", choices=SENSORS, action="append", help="by default all kinds")
+    parser.add_argument("--seeds", help="first and one after the last, as 9000:9018; by default those of the table")
     parser.add_argument("--to", type=Path, default=Path("build/force-coverage.json"))
     chosen = parser.parse_args()
     chosen.to.parent.mkdir(parents=True, exist_ok=True)
     results = json.loads(chosen.to.read_text()) if chosen.to.exists() else {}
-    for seed in range(*map(int, chosen.seeds.split(":"))):
-        add(results, chosen.sensors, seed, chosen.to)
-        print(f"{chosen.sensors}, seed {seed}", flush=True)
+    for name in chosen.sensors or SENSORS:
+        seeds = chosen.seeds or f"{_FIRST_SEED}:{_FIRST_SEED + SENSORS[name].count}"
+        for seed in range(*map(int, seeds.split(":"))):
+            add(results, name, seed, chosen.to)
+            print(f"{name}, seed {seed}", flush=True)
     print("\n".join(table(results)))
 
 

@@ -52,6 +52,10 @@ _SHEET: tuple[dict[str, Any], ...] = (
     {"name": "residue", "share": 0.03, "decay_s": 300.0},
 )
 _SHORT: tuple[dict[str, Any], ...] = (_SHEET[0] | {"correlation_mm": 10.0}, _SHEET[1])
+_SHIFTED: tuple[dict[str, Any], ...] = (
+    *_SHEET,
+    {"name": "misplaced-sheet", "x_mm": 0.8, "y_mm": -0.6, "rotation_deg": 2.0},
+)
 _WAY_BACK: tuple[dict[str, Any], ...] = (
     {"name": "unloading-spike", "size": 0.1, "decay_s": 3.0},
     {"name": "hysteresis", "width": 0.05},
@@ -65,6 +69,7 @@ class Sensors:
     Parameters
     ----------
     title : for people.
+    count : how many of them a table is of.
     percent : carbon black by weight.
     effects : beside those of the scene ``base``.
     intercept_stderr : β of every sensor is drawn with this deviation about the assumed one, and stated so.
@@ -72,6 +77,7 @@ class Sensors:
     """
 
     title: str
+    count: int = 5
     percent: int = 8
     effects: tuple[dict[str, Any], ...] = _SHEET
     intercept_stderr: float = 0.0
@@ -80,14 +86,13 @@ class Sensors:
 
 
 SENSORS = {
-    "8wt": Sensors("8 wt%"),
-    "9wt": Sensors("9 wt%", 9),
-    "hysteresis": Sensors("8 wt%, hysteresis and unloading spike", effects=_SHEET + _WAY_BACK),
-    "short": Sensors("8 wt%, uneven over 10 mm", effects=_SHORT),
-    "intercept": Sensors("8 wt%, an intercept of 0 ± 0.005 nobody measured", intercept_stderr=0.005),
-    "trials": Sensors(
-        "8 wt%, nine locations at 10, 20, 30 % three times", strains_percent=(10.0, 20.0, 30.0), trials=3
-    ),
+    "8wt": Sensors("8 wt%", 30),
+    "hysteresis": Sensors("8 wt%, hysteresis", effects=_SHEET + _WAY_BACK),
+    "9wt": Sensors("9 wt%", percent=9),
+    "short": Sensors("8 wt%, 10 mm", effects=_SHORT),
+    "intercept": Sensors("8 wt%, intercept", intercept_stderr=0.005),
+    "misplaced": Sensors("8 wt%, misplaced", effects=_SHIFTED),
+    "trials": Sensors("8 wt%, trials", 2, strains_percent=(10.0, 20.0, 30.0), trials=3),
 }
 
 
