@@ -99,9 +99,14 @@ def marked_tables(text):
 _FIGURE = re.compile(r"(\d+(?:\.(\d+))?)(e[-+]\d+)?")
 
 
+def same_words(stated, computed):
+    """Whether two cells say the same but for their numbers."""
+    return _FIGURE.sub("#", stated) == _FIGURE.sub("#", computed)
+
+
 def assert_same_figures(stated, computed, where):
     """Two cells say the same: words alike, numbers within 5 % or one in the last digit that is printed."""
-    assert _FIGURE.sub("#", stated) == _FIGURE.sub("#", computed), where
+    assert same_words(stated, computed), where
     for shown, found in zip(_FIGURE.finditer(stated), _FIGURE.finditer(computed), strict=True):
         last = float(f"1e-{len(shown[2] or '')}") * float(f"1{shown[3] or 'e0'}")
         assert float(shown[0]) == pytest.approx(float(found[0]), rel=0.05, abs=1.01 * last), (where, stated, computed)

@@ -18,6 +18,7 @@ from pages import (
     assert_same_tables,
     blocks,
     in_full,
+    same_words,
     typed,
 )
 
@@ -88,6 +89,30 @@ def test_the_strips_of_the_page_on_characterisation_are_those_of_today():
     for quantity, figure in printed:
         (row,) = re.findall(rf"\| {quantity} \|[^|]+\|[^|]+\|", page)
         assert f" {figure}, true" in row, quantity
+
+
+@pytest.mark.parametrize(
+    ("page", "words"),
+    [
+        (
+            "metrics",
+            ["benchmarks.sheet_metrics", "weighting", "settling", "agreement", "against_strip", "hysteresis"],
+        ),
+        ("force", ["benchmarks.several_heads"]),
+        ("force", ["benchmarks.streams"]),
+        ("force", ["benchmarks.force_coverage", "--sensors", "9wt", "--to", "9wt.json"]),
+    ],
+    ids=lambda given: given if isinstance(given, str) else given[0],
+)
+def test_the_tables_of_a_page_are_what_its_benchmark_prints(tmp_path, page, words):
+    words = [str(tmp_path / word) if word.endswith(".json") else word for word in words]
+    stated = (TOP / "docs" / "explanation" / f"{page}.md").read_text(encoding="utf-8").splitlines()
+    printed = [line for line in _benchmark(*words).splitlines() if line.startswith("| ") and "---" not in line]
+    assert len(printed) > 2
+    for line in printed:
+        rows = [row for row in stated if row.split("|")[1:2] == line.split("|")[1:2] and same_words(row, line)]
+        assert rows, line  # of tables with equal heads the first; all other rows differ in words or name
+        assert_same_figures(rows[0], line, line)
 
 
 def _benchmark(*words):

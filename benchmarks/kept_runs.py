@@ -1,0 +1,119 @@
+"""Simulated runs kept in memory, and what metrics say of them."""
+
+import copy
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from typing import Any
+
+from cbsr_qa.analysis import ask
+from cbsr_qa.analysis.run import observe_run
+from cbsr_qa.config import (
+    DocumentKind,
+    load_material,
+    load_recipe,
+    load_sensor_type,
+    load_station,
+    merge,
+    open_document,
+)
+from cbsr_qa.domain.plan import AnalysisSettings, PluginChoice
+from cbsr_qa.domain.results import EndReason, Measurement
+from cbsr_qa.domain.run import RunIdentity, RunRecord
+from cbsr_qa.domain.sensor import SensorIdentity
+from cbsr_qa.plugin import Kind, discover, made
+from cbsr_qa.station import MemoryJournal, execute, open_station, plan_of, station_clock
+
+Settings = Mapping[str, Any]
+
+#: Whose settings of imaging and analysis all runs have.
+RECIPE = "nine-locations"
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What the metrics of one run say."""
+
+    measurements: tuple[Measurement, ...]
+
+    def every(self, name: str, qualifier: str = "") -> list[Measurement]:
+        """All measurements of a name and qualifier, of single loads too."""
+        return [one for one in self.measurements if (one.name, one.qualifier) == (name, qualifier)]
+
+    def one(self, name: str, qualifier: str = "") -> Measurement:
+        """The measurement of the whole run, or of what was pressed most."""
+        return next(one for one in self.every(name, qualifier) if not one.location)
+
+
+def shipped_phases(*names: str, recipe: str = RECIPE) -> list[Settings]:
+    """Phases of a shipped recipe, those of these names or all."""
+    phases = open_document(DocumentKind.RECIPE, recipe).data["phases"]
+    return [dict(phase) for phase in phases if not names or phase["name"] in names]
+
+
+def simulated(
+    phases: Sequence[Settings],
+    seed: int,
+    *,
+    scene: str = "base",
+    effects: Sequence[Settings] = (),
+    noise: float | None = None,
+) -> RunRecord:
+    """Run phases on the shipped simulated station.
+
+    Parameters
+    ----------
+    scene, effects : a shipped scene, and effects beside its own.
+    noise : relative noise of a reading in place of the 8 wt% material's.
+    """
+    station, world, recipe, material = (
+        copy.deepcopy(dict(open_document(kind, name).data))
+        for kind, name in (
+            (DocumentKind.STATION, "simulated"),
+            (DocumentKind.SCENE, scene),
+            (DocumentKind.RECIPE, RECIPE),
+            (DocumentKind.MATERIAL, "cbsr-8wt"),
+        )
+    )
+    world["effects"] = [*world["effects"], *effects]
+    station["instruments"]["bench"]["scene"] = world
+    recipe |= {"phases": list(phases), "limits": []}
+    recipe["recipe"]["calibrate_phases"] = [phases[0]["name"]]
+    if noise is not None:
+        material["material"]["relative_noise"]["value"] = noise
+    at, plugins = load_station(station), discover()
+    configuration = merge(
+        at, load_recipe(recipe), load_sensor_type(at.value.sensor_type), load_material(material), seed=seed
+    )
+    plan, clock = plan_of(configuration, plugins), station_clock(configuration)
+    bench = open_station(configuration, plugins, clock)
+    try:
+        identity = RunIdentity(
+            f"seed-{seed}", SensorIdentity("BENCH", "", configuration.sensor_type.name), "simulated", RECIPE, "",
+            datetime(2026, 1, 1, tzinfo=UTC), configuration.digest, (), bench.identities(),
+        )  # fmt: skip
+        journal = MemoryJournal(plan)
+        ended = execute(plan, identity, bench, clock, [journal])
+        if ended.end is not EndReason.FINISHED:
+            raise SystemExit(f"the run was {ended.end}: {ended.detail}")
+        return journal.record(identity, ended)
+    finally:
+        bench.close()
+
+
+def measured(
+    record: RunRecord, *metrics: str, settings: AnalysisSettings | None = None, over_time: bool = True
+) -> Figures:
+    """Image a run and ask metrics of it.
+
+    Parameters
+    ----------
+    settings : of the analysis; by default those of the recipe.
+    over_time : whether relaxations are fitted, which takes most of the time.
+    """
+    recipe, plugins = load_recipe(RECIPE).value, discover()
+    reconstruction = made(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
+    calibrated = replace(settings or recipe.analysis, calibrate_phases=(record.phases[0].name,))
+    run = observe_run(record, reconstruction, calibrated, over_time=over_time)
+    asked = [made(plugins, Kind.METRIC, PluginChoice(name, {}), "[metrics]") for name in metrics]
+    return Figures(tuple(measurement for metric in asked for measurement in ask(metric, run)))
