@@ -10,6 +10,7 @@ from cbsr_qa.eit.inverse import reading_noise
 from cbsr_qa.stats import count_needed, one_sided_factor, worst_of
 from cbsr_qa.studies.frontier import EVEN, PAPER, Setting, station_seconds, the_bench
 from cbsr_qa.studies.frontier.computer import forward as computer_forward
+from cbsr_qa.studies.hard_cases import examine_cases
 
 EXPLAINED = TOP / "docs" / "explanation"
 COSTS = (EXPLAINED / "what-accuracy-costs.md").read_text(encoding="utf-8")
@@ -85,6 +86,52 @@ def test_what_variances_of_few_frames_cost_unless_they_are_shrunk():
         both.append(_excess(1 / reading_noise(frames, time_s).variance))
     assert stated[0] == pytest.approx(100 * np.mean(own), abs=1.5)
     assert shrunk == pytest.approx(100 * np.mean(both), abs=0.06)
+
+
+def test_what_the_contrast_of_a_head_does_to_its_readings(monkeypatch):
+    """Readings over strength, 2κ/(2 + κ), against those of a vanishing contrast, all round the sheet."""
+    change = [100 * _nonlinear(monkeypatch, radius_mm, 0.3) for radius_mm in (36.0, 40.0)]
+    stated = said(
+        "force.md", r"change by ([\d.]+) % from a vanishing κ to κ = 0.3 at 36 mm .*? and by ([\d.]+) % at 40 mm"
+    )
+    assert stated == [round(one, 1) for one in change]
+    stated = said("greit.md", r"they differ by (\d) % up to 30 mm from the centre and by (\d) % at 40 mm")
+    assert stated == [round(100 * _nonlinear(monkeypatch, radius_mm, 0.5)) for radius_mm in (30.0, 40.0)]
+
+
+def _nonlinear(monkeypatch, radius_mm, contrast):
+    """Largest relative difference of readings over strength at so many places of one radius."""
+    monkeypatch.syspath_prepend(TOP / "tests" / "samples")
+    from force_samples import setting
+
+    angle = np.linspace(0.1, 2 * np.pi + 0.1, 16, endpoint=False)
+    places = radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+    pressed, least = (setting().rows(places, np.full(16, one)) * (2 + one) / (2 * one) for one in (contrast, 1e-4))
+    return (np.linalg.norm(pressed - least, axis=1) / np.linalg.norm(least, axis=1)).max()
+
+
+_POWER = re.compile(r"(\d+(?:\.\d+)?)(?: × 10([⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+))?")
+_RAISED = str.maketrans("⁻⁰¹²³⁴⁵⁶⁷⁸⁹", "-0123456789")
+
+
+@pytest.mark.rest
+def test_the_hard_cases_of_the_page_are_as_hard_as_it_says():
+    """Errors are rounding: they stay below what the condition number allows, here and on the page."""
+    page = (EXPLAINED / "numerical-stability.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| [^|]+ \| `([\w-]+)` \| ([^|]+) \| ([^|]+) \|", page, re.M)
+    assert len(rows) == 12
+    cheap = [row for row in rows if not row[0].startswith("smooth-image")]
+    examined = examine_cases(names=[name for name, _, _ in cheap], processes=1)
+    found = {result.case.name: result.answer for result in examined.results}
+    for name, condition, error in cheap:
+        assert _power(condition) == pytest.approx(found[name].condition, rel=0.05), name
+        assert max(_power(error), found[name].error) < found[name].bound, name
+
+
+def _power(text):
+    """A number as pages print it, 4.2 × 10⁵."""
+    digits, exponent = _POWER.fullmatch(text).groups()
+    return float(f"{digits}e{(exponent or '0').translate(_RAISED)}")
 
 
 def _excess(weights):

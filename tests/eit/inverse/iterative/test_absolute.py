@@ -1,8 +1,10 @@
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 from disc_meshes import square_mesh
+from pages import TOP
 
 from cbsr_qa.domain import ConfigError, NumericsError, RefusedError
 from cbsr_qa.domain.results import ImagingProblem
@@ -17,6 +19,8 @@ from cbsr_qa.testing import assert_expected_order
 from cbsr_qa_plugins.reconstruction.iterative import AbsoluteGaussNewton
 
 _EVERY = np.ones((16, 16), dtype=bool)
+#: States figures of the sensor below.
+_PAGE = TOP / "docs" / "explanation" / "iterative-methods.md"
 _UNIT = 3.7  # of the simulated voltages
 
 
@@ -73,8 +77,11 @@ def test_an_uneven_sheet_is_found(sensor, used, allowed):
     true = uneven(problem.mesh.centroids_mm) + np.log(sensor.scale(problem) / _UNIT)
     found = np.log(prepared.absolute(nothing(problem))[0])
     areas = problem.mesh.areas_mm2 / problem.mesh.areas_mm2.sum()
-    assert np.sqrt(areas @ (true - areas @ true) ** 2) > 0.13
-    assert np.sqrt(areas @ (found - true) ** 2) < allowed
+    spread = np.sqrt(areas @ (true - areas @ true) ** 2)
+    error = np.sqrt(areas @ (found - true) ** 2)
+    assert error < allowed
+    stated = rf"sheet that is {100 * spread:.0f} % uneven, [^.]*? found to {100 * error:.0f} % \(root mean square\)"
+    assert re.search(stated, " ".join(_PAGE.read_text(encoding="utf-8").split()))
     assert prepared.reference.unexplained < 1e-3
     assert 0.1 < prepared.reference.residual < 1.5
 
@@ -84,7 +91,9 @@ def test_contacts_are_found_from_every_reading_with_their_error(sensor):
     prepared = AbsoluteGaussNewton().prepare(problem)
     true = sensor.model.contact_impedance * _UNIT / sensor.scale(problem)
     wrong = np.log(prepared.contact_impedance() / true)
-    assert np.sqrt(np.mean(wrong**2)) < 0.06
+    error = np.sqrt(np.mean(wrong**2))
+    assert error < 0.06
+    assert f"from 0.2 to 2 mm are found to {100 * error:.0f} %" in _PAGE.read_text(encoding="utf-8")
     assert (np.abs(wrong) < 3 * prepared.reference.log_contact_error).all()
     assert prepared.reference.log_contact_error.max() < 0.4
     assert np.corrcoef(np.log(prepared.contact_impedance()), np.log(true))[0, 1] > 0.99
@@ -148,6 +157,10 @@ def test_strong_loads_keep_their_amplitude_where_a_step_saturates(sensor):
     inside = np.hypot(*(problem.mesh.centroids_mm - [10.0, 5.0]).T) < 5
     assert 1.5 < image[inside].mean() < 3.0  # true: 3
     assert step[inside].mean() < 0.6 * image[inside].mean()
+    page = " ".join(_PAGE.read_text(encoding="utf-8").split())
+    stated = re.search(r"is imaged as (\d+) % more \(mean within 5 mm of its centre\), by one step as (\d+) %", page)
+    shares = [100 * image[inside].mean(), 100 * step[inside].mean()]
+    assert [int(share) for share in stated.groups()] == pytest.approx(shares, abs=1)
 
 
 def test_every_frame_stands_for_itself(problem):
