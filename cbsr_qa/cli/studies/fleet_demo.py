@@ -12,9 +12,7 @@ def main() -> int:
 
     try:
         with Counting("runs") as counting:
-            counting.stage(
-                "building a fleet: 3 batches at 3 stations in two designs, and a gauge study"
-            )
+            counting.stage("building a fleet: 3 batches at 3 stations in two designs, and a gauge study")
             path = build_fleet(counting.count)
     except CbsrError as error:
         note(f"cbsr-qa: {error}")
