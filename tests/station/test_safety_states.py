@@ -46,3 +46,14 @@ def test_an_error_leaves_the_state_it_happened_in():
         raise OSError("x")
     assert interlock.state is State.PRESSING
     assert interlock.touching
+
+
+@pytest.mark.parametrize(("silent", "end"), [((), State.SAFE), (("frame_source: no answer",), State.UNSAFE)])
+def test_a_stop_ends_safe_where_every_instrument_got_there_and_nowhere_else(silent, end):
+    class Stopped:
+        def safe_state(self):
+            return silent
+
+    interlock = Interlock()
+    assert interlock.stop(Stopped()) == silent
+    assert interlock.state is end
