@@ -318,7 +318,7 @@ def main():
     parser.add_argument("--checkout", type=Path, default=TOP)
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--tier", default="test", choices=("test", "rest"))
-    given = parser.parse_args()
+    given = parser.parse_intermixed_args()
     folder, tree = given.folder.resolve(), given.checkout.resolve()
     match given.step:
         case "draw":
