@@ -1,0 +1,81 @@
+"""The documentation is written in plain technical English: phrases that read as translated are named with file and line."""
+
+import re
+
+import pytest
+from pages import TOP
+
+_PAGES = [*sorted(TOP.glob("*.md")), *sorted((TOP / "docs").rglob("*.md"))]
+
+#: Pages that wait to be rewritten. A page without a banned phrase must leave this list.
+_NOT_YET = {
+    "docs/explanation/comparing-batches.md",
+    "docs/explanation/force.md",
+    "docs/explanation/greit.md",
+    "docs/explanation/iterative-methods.md",
+    "docs/explanation/metrics.md",
+    "docs/explanation/numerical-stability.md",
+    "docs/explanation/simulation.md",
+    "docs/how-to/watch-a-station.md",  # sections 1 to 3
+    "docs/how-to/write-a-plugin.md",
+    "docs/reference/calibration-file.md",
+    "docs/reference/performance.md",
+    "docs/reference/station-statistics.md",
+}
+
+#: Regular expression, in which a space is any white space, and what to write instead.
+_BANNED = {
+    r"\bmost of (it|this|that) are\b": "most of it is",
+    r"\b(is|are|was|were) none\b": "say what is allowed, or 'there is no …'",
+    r"\bwhere (there )?(is|are|was|were) none\b": "if there is no …",
+    r"\b(by|of) nobody\b|\bnobody named\b": "without a name, unknown",
+    r"\bnobody (asked|knows|noted|said|says|states|stated)\b": "unknown, not stated, not recorded",
+    r"\b(which|and that|and it) (is|are) (then )?said\b|\b(is|are) said too\b": "the report says so, a warning says so",
+    r"\bsays? (?-i:not)\b": "does not say",
+    r"\bis there and is (not|no)\b": "already exists and is not",
+    r"\bwritten over\b": "overwritten",
+    r"\bmend(s|ed|ing)?\b": "fix, correct, repair",
+    r"\b(held|holds?|holding) (\w+ ){0,2}against\b": "check against, compare with",
+    r"(?<![\w-])whoever\b": "anyone who, the operator",
+    r"(?<=[.:;])\s+who (can|forgets|gives|has|knows|may|reads|uses|wants|writes)\b": "anyone who, if you",
+    r"\bc(omes?|ame|oming) of\b": "comes from, results from",
+    r"\bof (its|their) own\b(?! \w)|\ban? [\w-]+ of (its|their) own\b": "its own …, a separate …",
+    r"\ban? metric's\b": "of a metric",
+    r"\b(in|by) (no|any|each|every) figure\b|\bfigure by figure\b|\bfigures (differ|agree)\b": "value (a figure is a drawing)",
+    r"\bnumbers come about\b": "results are computed",
+    r"\b(afresh|anew)\b": "again",
+    r"\bof before\b": "earlier, old",
+    r"\b(refused|left out) by name\b": "refused, and the message names it",
+    r"\bit is another( one)?\b(?! \w)": "it has another value",
+}
+
+
+def _prose(page):
+    """A page without code and targets of links, line by line as it was."""
+
+    def blank(found):
+        return re.sub(r"[^\n]", " ", found[0])
+
+    return re.sub(r"^```.*?^```|`[^`]*`|\]\([^)]*\)", blank, page.read_text(encoding="utf-8"), flags=re.M | re.S)
+
+
+def _banned(page):
+    text = _prose(page)
+    for phrase, instead in _BANNED.items():
+        for found in re.finditer(phrase.replace(" ", r"\s+"), text, re.I):
+            line = text.count("\n", 0, found.start()) + 1
+            yield f"{_name(page)}:{line}: {' '.join(found[0].split())!r}; write: {instead}"
+
+
+def _name(page):
+    return str(page.relative_to(TOP))
+
+
+def test_no_page_reads_as_translated():
+    found = [line for page in _PAGES if _name(page) not in _NOT_YET for line in _banned(page)]
+    assert not found, "\n".join(found)
+
+
+@pytest.mark.parametrize("name", sorted(_NOT_YET))
+def test_pages_that_wait_still_need_to(name):
+    assert list(_banned(TOP / name)), f"{name} is clean: take it off the list"
