@@ -245,19 +245,19 @@ def _line(contrast: float, decibels: int, cells: list[Judged]) -> str:
 
 _PAGE_HEAD = f"""# The load estimate against its bound
 
-This page compares the errors of the load estimate with their theoretical bound. `python -m benchmarks load_estimate`
-writes it; [load estimate](../explanation/load-estimate.md) explains what is estimated and how.
+This page compares the errors of the load estimate with their theoretical bound. `python -m benchmarks
+load_estimate` writes it; [load estimate](../explanation/load-estimate.md) explains what is estimated and how.
 
 A cell is a contrast, a noise and a place (0, 21 mm in two directions, 30 mm in two, 40 mm towards a pin and between
-two; 36 mm for 20 mm targets, which would cover a pin at 40 mm). Its truth is a second-order finite-element model on a
-mesh that follows the load; the estimator sums multipoles. Both use the nominal contacts; a row of
-[performance](performance.md) shows the effect of others. If the size is unknown, the expected size still starts the fit
-and decides when an answer is worth having. The noise is independent, a share 10^(−dB/20) of each reading. An answer
-is required where d′ ≥ 10 and the place's bound is at most a third of the radius, and a diameter where its own bound is.
-There {TRIALS} frames are estimated. A cell whose coverage is then outside 64–72 % is estimated again with {AGAIN} new
-frames, and only these count (with {TRIALS} frames, one cell in twenty would be outside by chance). Elsewhere {REFUSALS}
-frames show that there is no answer, {AGAIN} where one got one; "else" is the share that did, most of them where d′ is
-7 to 10.
+two; 36 mm for 20 mm targets, which would cover a pin at 40 mm). Its truth is a second-order finite-element model on
+a mesh that follows the load; the estimator sums multipoles. Both use the nominal contacts; a row of
+[performance](performance.md) shows the effect of others. If the size is unknown, the expected size still starts the
+fit and decides when an answer is worth having. The noise is independent, a share 10^(−dB/20) of each reading. An
+answer is required where d′ ≥ 10 and the place's bound is at most a third of the radius, and a diameter where its
+own bound is. There {TRIALS} frames are estimated. A cell whose coverage is then outside 64–72 % is estimated again
+with {AGAIN} new frames, and only these count (with {TRIALS} frames, one cell in twenty would be outside by chance).
+Elsewhere {REFUSALS} frames show that there is no answer, {AGAIN} where one got one; "else" is the share that did,
+most of them where d′ is 7 to 10.
 
 Place, amplitude (contrast if the indenter is given, else area × contrast) and diameter: number of cells, largest
 spread and bias over the bound, and coverage of the 68 % regions in per cent, from the lowest to the highest cell.

@@ -1,4 +1,4 @@
-"""The documentation is written in plain technical English: phrases that read as translated are named with file and line."""
+"""The documentation is in plain technical English: phrases that read as translated are named by file and line."""
 
 import re
 
@@ -30,7 +30,7 @@ _BANNED = {
     r"\bwhere (there )?(is|are|was|were) none\b": "if there is no …",
     r"\b(by|of) nobody\b|\bnobody named\b": "without a name, unknown",
     r"\bnobody (asked|knows|noted|said|says|states|stated)\b": "unknown, not stated, not recorded",
-    r"\b(which|and that|and it) (is|are) (then )?said\b|\b(is|are) said too\b": "the report says so, a warning says so",
+    r"\b(which|and that|and it) (is|are) (then )?said\b|\b(is|are) said too\b": "the report says so",
     r"\bsays? (?-i:not)\b": "does not say",
     r"\bis there and is (not|no)\b": "already exists and is not",
     r"\bwritten over\b": "overwritten",
@@ -41,7 +41,7 @@ _BANNED = {
     r"\bc(omes?|ame|oming) of\b": "comes from, results from",
     r"\bof (its|their) own\b(?! \w)|\ban? [\w-]+ of (its|their) own\b": "its own …, a separate …",
     r"\ban? metric's\b": "of a metric",
-    r"\b(in|by) (no|any|each|every) figure\b|\bfigure by figure\b|\bfigures (differ|agree)\b": "value (a figure is a drawing)",
+    r"\b(in|by) (no|any|each|every) figure\b|\bfigure by figure\b|\bfigures (differ|agree)\b": "value",
     r"\bnumbers come about\b": "results are computed",
     r"\b(afresh|anew)\b": "again",
     r"\bof before\b": "earlier, old",
