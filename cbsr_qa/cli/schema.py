@@ -9,6 +9,12 @@ from cbsr_qa.cli.output import emit_json, say
 from cbsr_qa.domain import RefusedError
 
 
+def _compare() -> type:
+    from cbsr_qa.studies.compare import Comparison
+
+    return Comparison
+
+
 def _gauge() -> type:
     from cbsr_qa.studies.gauge import GaugeStudy
 
@@ -16,7 +22,7 @@ def _gauge() -> type:
 
 
 #: What each command's document is made of; loaded only for the one that is asked for.
-RESULTS: Final[dict[str, Callable[[], type]]] = {"gauge": _gauge}
+RESULTS: Final[dict[str, Callable[[], type]]] = {"compare": _compare, "gauge": _gauge}
 
 
 def schema(

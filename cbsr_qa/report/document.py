@@ -9,7 +9,7 @@ from pydantic import TypeAdapter
 def json_document(result: Any) -> dict[str, Any]:
     """Return a result as JSON has it: fields by name, tuples as lists, dates as text (ISO 8601)."""
     kind: type = type(result)
-    document: dict[str, Any] = _adapter(kind).dump_python(result, mode="json")
+    document: dict[str, Any] = _adapter(kind).dump_python(result, mode="json", by_alias=True)
     return document
 
 

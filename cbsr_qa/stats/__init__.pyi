@@ -12,7 +12,6 @@ from .control_charts import (
 from .crossings import Crossing as Crossing, IntArray as IntArray, crossing as crossing
 from .difference import (
     Contrast as Contrast,
-    Equivalence as Equivalence,
     benjamini_hochberg as benjamini_hochberg,
     hedges as hedges,
     holm as holm,
@@ -46,7 +45,6 @@ from .power_analysis import (
 from .process_capability import (
     Capability as Capability,
     Index as Index,
-    Yield as Yield,
     capability as capability,
     capability_of_extremes as capability_of_extremes,
     passed_share as passed_share,
@@ -56,7 +54,6 @@ from .samples import (
     LARGEST as LARGEST,
     Estimate as Estimate,
     Interval as Interval,
-    Quantile as Quantile,
     quantile as quantile,
     summary as summary,
 )

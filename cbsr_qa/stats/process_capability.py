@@ -34,10 +34,11 @@ from cbsr_qa.stats.samples import Interval, centred, constant, sample, share
 
 @dataclass(frozen=True, slots=True)
 class Index:
-    """A capability index without unit, its interval, and the method of the interval."""
+    """A capability index without unit, the ends of its interval, and the method of the interval."""
 
     value: float
-    interval: Interval
+    low: float
+    high: float
     method: str
 
 
@@ -197,7 +198,7 @@ def _both(spread: _Spread, lower: float | None, upper: float | None, confidence:
         return None
     value, tail = (upper - lower) / (6 * spread.deviation), (1 - confidence) / 2
     low, high = (sqrt(float(stats.chi2.ppf(p, spread.freedom)) / spread.freedom) for p in (tail, 1 - tail))
-    return Index(value, Interval(value * low, value * high, confidence), "chi-square, exact for normal values")
+    return Index(value, value * low, value * high, "chi-square, exact for normal values")
 
 
 def _nearest(spread: _Spread, mean: float, lower: float | None, upper: float | None, confidence: float) -> Index:
@@ -205,11 +206,11 @@ def _nearest(spread: _Spread, mean: float, lower: float | None, upper: float | N
     room += [mean - lower] if lower is not None else []
     value = min(room) / (3 * spread.deviation)
     if len(room) == 1:
-        interval = _exact(value, spread, confidence)
-        return Index(value, interval, "noncentral t, exact for normal values")
+        low, high = _exact(value, spread, confidence)
+        return Index(value, low, high, "noncentral t, exact for normal values")
     z = float(stats.norm.isf((1 - confidence) / 2))
     half = z * sqrt(1 / (9 * spread.count) + value**2 / (2 * spread.freedom))
-    return Index(value, Interval(value - half, value + half, confidence), "Bissell 1990, for normal values")
+    return Index(value, value - half, value + half, "Bissell 1990, for normal values")
 
 
 def _nearer(low: _Spread, high: _Spread, below: float, above: float, confidence: float) -> Index:
@@ -217,8 +218,8 @@ def _nearer(low: _Spread, high: _Spread, below: float, above: float, confidence:
     each = 1 - (1 - confidence) / 2
     values = [below / (3 * low.deviation), above / (3 * high.deviation)]
     ends = [_exact(value, spread, each) for value, spread in zip(values, (low, high), strict=True)]
-    interval = Interval(min(one.low for one in ends), min(one.high for one in ends), confidence)
-    return Index(min(values), interval, "noncentral t of both sides, Bonferroni, for normal values")
+    low_end, high_end = (min(side) for side in zip(*ends, strict=True))
+    return Index(min(values), low_end, high_end, "noncentral t of both sides, Bonferroni, for normal values")
 
 
 def _room_of_both(low: _Spread, high: _Spread, apart: Array, width: float, confidence: float) -> Index:
@@ -233,13 +234,14 @@ def _room_of_both(low: _Spread, high: _Spread, apart: Array, width: float, confi
     )
     ratios = [end / across for end in (room - half, room + half) for across in (wide, narrow)]
     value = room / (3 * (low.deviation + high.deviation))
-    return Index(value, Interval(min(ratios), max(ratios), confidence), "χ² of both sides and t, Bonferroni")
+    return Index(value, min(ratios), max(ratios), "χ² of both sides and t, Bonferroni")
 
 
-def _exact(value: float, spread: _Spread, confidence: float) -> Interval:
+def _exact(value: float, spread: _Spread, confidence: float) -> tuple[float, float]:
+    """Return both ends of the interval of an index of one limit."""
     scale, tail = 3 * sqrt(spread.count), (1 - confidence) / 2
-    ends = [noncentrality(scale * value, spread.freedom, p) / scale for p in (1 - tail, tail)]
-    return Interval(ends[0], ends[1], confidence)
+    low, high = (noncentrality(scale * value, spread.freedom, p) / scale for p in (1 - tail, tail))
+    return low, high
 
 
 @dataclass(frozen=True, slots=True)

@@ -113,10 +113,10 @@ def recipe_note(store: Repository, lines: Sequence[RunLine]) -> tuple[str, ...]:
     )
 
 
-def named(names: Sequence[str]) -> str:
+def named(names: Sequence[str], most: int = _MOST_NAMED) -> str:
     """List names; of very many the first ones."""
-    rest = len(names) - _MOST_NAMED
-    return ", ".join(names[:_MOST_NAMED]) + (f" and {rest} more" if rest > 0 else "")
+    rest = len(names) - most
+    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
 
 
 def _has_limit(figure: RunFigure) -> bool:

@@ -2,12 +2,14 @@
 
 from dataclasses import replace
 from datetime import UTC, datetime
+from html import unescape
 
 import numpy as np
 from filled_databases import filled
 from stored_lots import judged, measured
 
-from cbsr_qa.studies.compare import By, RunChoice, Terms, compare_groups
+from cbsr_qa.report import json_document, render_sections
+from cbsr_qa.studies.compare import By, RunChoice, Terms, compare_groups, compare_outcome
 
 NOW = datetime(2026, 12, 24, tzinfo=UTC)
 ERROR = "centre_of_mass_error"
@@ -40,9 +42,16 @@ def fleet(url, *, alone=False, sensors=24, both=8, **changes):
 
 
 def compared(url, by=By.BATCH, choice=None, **terms):
-    return compare_groups(choice or RunChoice(), Terms(by, **terms), database=url, now=NOW)
+    return compare_outcome(compare_groups(choice or RunChoice(), Terms(by, **terms), database=url, now=NOW))
+
+
+def json_of(made):
+    return json_document(made.result)
+
+
+def page_of(made):
+    return unescape(render_sections(made.page, made.sections))
 
 
 def metric(made, name=ERROR, group=None):
-    document = made.document()
-    return next(m for m in document["metrics"] if m["name"] == name and group in (None, m["group"]))
+    return next(m for m in json_of(made)["metrics"] if m["name"] == name and group in (None, m["group"]))

@@ -48,15 +48,15 @@ def test_the_batch_is_found_and_the_station_is_not_taken_for_it(title):
     runs, now = fleet(rows), BEGAN + timedelta(days=365)
     held, found, taken, plainly_held, plainly_found = [], [], [], [], []
     for seed in range(SEEDS):
-        (metric,) = compare(table(runs, values(rows, seed)), TERMS, now).metrics
+        (metric,) = compare(table(runs, values(rows, seed)), TERMS, now).of_metrics
         for number, one in zip((1, 2), metric.differences, strict=True):
             true = BATCHES[number] - BATCHES[0]
-            held.append(one.interval.holds(true))
-            plainly_held.append(one.naive.interval.holds(true))
+            held.append(one.low <= true <= one.high)
+            plainly_held.append(one.naive.low <= true <= one.naive.high)
         differs, alike = metric.differences
-        found.append(differs.interval.low > 0)
-        plainly_found.append(differs.naive.interval.low > 0)
-        taken.append(not alike.interval.holds(0.0))
+        found.append(differs.low > 0)
+        plainly_found.append(differs.naive.low > 0)
+        taken.append(not alike.low <= 0.0 <= alike.high)
     assert 0.935 <= np.mean(held) <= 0.965
     assert np.mean(found) >= 0.95
     assert np.mean(taken) <= 0.065

@@ -24,7 +24,7 @@ def test_interval_of_cp_is_the_chi_square_one():
     cp, _ = capability_of(0.0, 1.0, 50, lower=-4.0, upper=4.0)
     # χ² of 49 degrees of freedom: 31.555 and 70.222 (printed tables).
     ends = 4 / 3 * sqrt(31.555 / 49), 4 / 3 * sqrt(70.222 / 49)
-    assert (cp.interval.low, cp.interval.high) == pytest.approx(ends, rel=2e-5)
+    assert (cp.low, cp.high) == pytest.approx(ends, rel=2e-5)
 
 
 @pytest.mark.parametrize("mean", [-2.0, 0.5, 2.0, 12.0])
@@ -32,17 +32,17 @@ def test_interval_of_one_limit_has_the_tails_it_says(mean):
     """At each end the observed index is exactly the quantile it should be; also for a mean beyond the limit."""
     _, found = capability_of(mean, 1.0, 12, lower=0.0)
     scale = 3 * sqrt(12)
-    assert stats.nct.cdf(scale * found.value, 11, scale * found.interval.low) == pytest.approx(0.975, abs=1e-8)
-    assert stats.nct.cdf(scale * found.value, 11, scale * found.interval.high) == pytest.approx(0.025, abs=1e-8)
+    assert stats.nct.cdf(scale * found.value, 11, scale * found.low) == pytest.approx(0.975, abs=1e-8)
+    assert stats.nct.cdf(scale * found.value, 11, scale * found.high) == pytest.approx(0.025, abs=1e-8)
 
 
 @pytest.mark.parametrize("upper", [4.0, None])
 def test_intervals_cover(upper):
     lots = np.random.default_rng(80).normal(size=(2000 if upper else 600, 30))  # one limit: two roots a lot
     found = [capability([lot], lower=-3.0, upper=upper) for lot in lots]
-    assert 0.93 <= np.mean([one.ppk.interval.holds(1.0) for one in found]) <= 0.97
+    assert 0.93 <= np.mean([one.ppk.low <= 1.0 <= one.ppk.high for one in found]) <= 0.97
     if upper is not None:
-        assert 0.935 <= np.mean([one.pp.interval.holds(7 / 6) for one in found]) <= 0.965
+        assert 0.935 <= np.mean([one.pp.low <= 7 / 6 <= one.pp.high for one in found]) <= 0.965
 
 
 def test_two_limits_that_judge_several_loads_have_the_indices_of_both_sides():
@@ -77,8 +77,8 @@ def test_intervals_of_both_sides_hold_at_least_the_stated_share():
     cp = (11 - (high - low).mean()) / (3 * low.std() + 3 * high.std())
     found = [capability_of_extremes([lot.min(axis=1)], [lot.max(axis=1)], lower=-5.0, upper=6.0) for lot in lots]
     # Extremes are not normal, and Bonferroni's intervals are wide: at least the stated share, not exactly it.
-    assert np.mean([one.ppk.interval.holds(cpk) for one in found]) >= 0.93
-    assert np.mean([one.pp.interval.holds(cp) for one in found]) >= 0.94
+    assert np.mean([one.ppk.low <= cpk <= one.ppk.high for one in found]) >= 0.93
+    assert np.mean([one.pp.low <= cp <= one.pp.high for one in found]) >= 0.94
 
 
 def test_short_and_long_term_are_told_apart():
@@ -105,7 +105,7 @@ def test_indices_have_no_unit_and_mirror(lot, scale, shift):
     mirrored = capability([[-x for x in lot]], lower=-100.0, upper=90.0)
     for other in (there, mirrored):
         assert other.cpk.value == pytest.approx(here.cpk.value, rel=1e-6)
-        assert other.cp.interval.low == pytest.approx(here.cp.interval.low, rel=1e-6)
+        assert other.cp.low == pytest.approx(here.cp.low, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -51,7 +51,7 @@ def test_runs_of_golden_sensors_that_checked_a_station_are_left_out_and_said(cop
     with open_store(url) as store:
         assert [run.of_check for run in store.fleet().runs] == [False, True, False, False]
     guarded(["compare", "--by", "batch", "--database", url])
-    assert "1 run is a golden sensor's that checked its station and is left out" in capsys.readouterr().out
+    assert "Left out: 1 run of golden sensors that checked a station" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -84,7 +84,7 @@ def test_an_unknown_recipe_is_refused_with_the_nearest_name(copied):
 @pytest.mark.parametrize(
     ("said", "reason"),
     [
-        (["--by", "batch", "--period", "day"], "--period 'day' says nothing of --by batch"),
+        (["--by", "batch", "--period", "day"], "--period 'day' has no meaning for --by batch"),
         (["--by", "batch", "--groups", ","], "--groups ',' has an empty name"),
         (["--by", "batch", "--groups", ""], "--groups '' has an empty name"),
         (["--by", "batch", "--groups", "41,42,41"], "--groups names '41' twice"),

@@ -1,23 +1,12 @@
-"""``cbsr-qa compare``: what differs, and whether it is the material or the station.
+"""``cbsr-qa compare``: what differs, and whether it is the material or the station."""
 
-The words of ``cbsr-qa compare``: sentences, then groups, then a table of differences, a hundred columns wide.
-"""
-
-import textwrap
-from collections.abc import Iterator
 from datetime import date, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
-from cbsr_qa.cli.output import emit_json, note, say
-from cbsr_qa.config import printable
-
-if TYPE_CHECKING:
-    from cbsr_qa.stats import Yield
-    from cbsr_qa.studies.compare import Comparison, Difference, Group
-
+from cbsr_qa.cli.output import check_page, show
 
 _DAY = ["%Y-%m-%d"]
 
@@ -57,8 +46,8 @@ def compare(
 ) -> None:
     """Compare stored runs of batches, materials, stations, software versions or periods in every metric.
 
-    A batch's difference is told from its stations' where the runs allow it; where they do not, that is said. Exit
-    code 3 if nothing could be compared.
+    Differences between batches are separated from those between stations where the runs allow it. Exit code 3 if
+    nothing could be compared.
     """
     from cbsr_qa.cli.options import one_of
     from cbsr_qa.domain import RefusedError
@@ -71,6 +60,7 @@ def compare(
         RunChoice,
         Terms,
         compare_groups,
+        compare_outcome,
         read_amounts,
         read_groups,
     )
@@ -78,7 +68,7 @@ def compare(
 
     word = one_of(By, by, "--by")
     if period is not None and word is not By.PERIOD:
-        raise RefusedError(f"--period {period[:64]!r} says nothing of --by {word}", remedy="say --by period")
+        raise RefusedError(f"--period {period[:64]!r} has no meaning for --by {word}", remedy="use --by period")
     if database is not None and not database.strip():
         raise RefusedError("--database is empty", remedy="leave it out for the usual database, or name one")
     terms = Terms(
@@ -93,101 +83,10 @@ def compare(
         detect=read_amounts(detect or (), "--detect"),
     )
     choice = RunChoice(recipe, _day(since), _day(until))
-    if output is not None:
-        from cbsr_qa.report import check_replaceable
-
-        check_replaceable(output)  # before anything is worked out or stored
-    made = compare_groups(choice, terms, database=database, now=RealClock().wall())
-    if output is not None:
-        from cbsr_qa.studies.compare import write_page
-
-        write_page(made.found, output)
-        note(f"page         {output}")
-    if as_json:
-        emit_json(made.document())
-    else:
-        for line in lines(made.found):
-            say(line)
-    raise typer.Exit(made.exit_code)
+    check_page(output)  # before anything is worked out
+    comparison = compare_groups(choice, terms, database=database, now=RealClock().wall())
+    raise typer.Exit(show(compare_outcome(comparison), output=output, as_json=as_json))
 
 
 def _day(moment: datetime | None) -> date | None:
     return None if moment is None else moment.date()
-
-
-WIDTH = 100
-_DIFFERENCE = "  {:<38}{:>12}  {:<31}{:>8}  {}"
-_GROUP = "  {:<28}{:>8}{:>6}  {:<26}{}"
-
-
-def lines(found: "Comparison") -> Iterator[str]:
-    """Lay out a comparison, one line after another."""
-    from cbsr_qa.studies.compare import headline, rules, sentences
-
-    yield printable(headline(found))
-    for words in sentences(found):
-        yield from _wrapped("- ", printable(words))
-    yield ""
-    yield from _groups(found)
-    yield ""
-    if any(metric.differences for metric in found.metrics):
-        yield from _differences(found)
-        yield ""
-    for words in rules(found):
-        yield from _wrapped("", words)
-
-
-def _groups(found: "Comparison") -> Iterator[str]:
-    yield _GROUP.format(found.terms.by.value, "sensors", "runs", "yield", "first-pass yield").rstrip()
-    for group in found.groups:
-        row = printable(group.name)[:27], group.sensors, group.runs, _share(group.passed), _share(group.first_pass)
-        yield _GROUP.format(*row).rstrip()
-        yield from _fate(group)
-
-
-def _fate(group: "Group") -> Iterator[str]:
-    if group.failures:
-        said = ", ".join(f"{label} {count}" for label, count in group.failures[:4])
-        rest = f" and {len(group.failures) - 4} more" if len(group.failures) > 4 else ""
-        yield from _wrapped("      fails: ", printable(f"{said}{rest}"))
-    if group.unmeasured:
-        yield f"      not measured: {group.unmeasured}"
-
-
-def _differences(found: "Comparison") -> Iterator[str]:
-    for group in found.groups[1:]:
-        yield printable(f"{group.name} − {found.reference}")
-        yield _DIFFERENCE.format("metric", "difference", f"{100 * found.terms.confidence:g} % interval", "p", "model")
-        for metric in found.metrics:
-            label = printable(metric.figures.key.label)
-            for one in metric.differences:
-                if one.group == group.name:
-                    yield from _difference(label, metric.figures.unit, one)
-
-
-def _difference(label: str, unit: str, one: "Difference") -> Iterator[str]:
-    from cbsr_qa.report import number, unit_shown
-    from cbsr_qa.studies.compare import p_words
-
-    if len(label) > 37:
-        yield f"  {label}"
-        label = ""
-    if one.value is None or one.interval is None:
-        yield _DIFFERENCE.format(label, "–", "refused", "", "").rstrip()
-        return
-    ends = f"{number(one.interval.low)} to {number(one.interval.high)} {unit_shown(unit)}"
-    p_value = p_words(one.p_adjusted).removeprefix("p = ").removeprefix("p ")
-    yield _DIFFERENCE.format(label, number(one.value), ends, p_value, one.model.partition(":")[0]).rstrip()
-
-
-def _share(found: "Yield | None") -> str:
-    if found is None:
-        return "not judged"
-    ends = f"{100 * found.wilson.low:.0f} to {100 * found.wilson.high:.0f}"
-    return f"{100 * found.value:.1f} % ({ends} %)"
-
-
-def _wrapped(label: str, words: str) -> list[str]:
-    return textwrap.wrap(
-        words, WIDTH, initial_indent=label, subsequent_indent=" " * len(label), break_on_hyphens=False
-    )

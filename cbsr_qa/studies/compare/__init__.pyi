@@ -1,19 +1,13 @@
-from .comparison import Comparison as Comparison, compare as compare
-from .describe import Group as Group
-from .differences import Difference as Difference
-from .from_store import (
-    RunChoice as RunChoice,
-    compare_groups as compare_groups,
-    read_amounts as read_amounts,
-    read_groups as read_groups,
-)
-from .page import write_page as write_page
+from .comparison import Comparison as Comparison, compare as compare, compare_groups as compare_groups
+from .report import compare_outcome as compare_outcome
 from .terms import (
     Adjustment as Adjustment,
     By as By,
     Period as Period,
     Policy as Policy,
     Quarantine as Quarantine,
+    RunChoice as RunChoice,
     Terms as Terms,
+    read_amounts as read_amounts,
+    read_groups as read_groups,
 )
-from .wording import headline as headline, p_words as p_words, rules as rules, sentences as sentences

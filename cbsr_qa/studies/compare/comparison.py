@@ -1,90 +1,140 @@
-"""A whole comparison: groups, every metric of them with its p values adjusted for all, and what to keep in mind.
+"""A whole comparison: groups, every metric of them with its p values adjusted for all, and what to keep in mind."""
 
-Which group the others are compared with: one with which something can be compared.
-"""
-
-from collections import Counter
-from collections.abc import Sequence
+import gc
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from datetime import datetime
 from difflib import get_close_matches
+from itertools import chain
+from typing import Annotated, Final
 
 import numpy as np
+from pydantic import Field, InstanceOf
 
-from cbsr_qa.domain import RefusedError
-from cbsr_qa.domain.results import FleetTable
-from cbsr_qa.stats import benjamini_hochberg, holm
+from cbsr_qa.config import database_url
+from cbsr_qa.domain import Array, RefusedError
+from cbsr_qa.domain.results import FleetRun, FleetTable
+from cbsr_qa.stats import IntArray, benjamini_hochberg, holm
+from cbsr_qa.store import open_store
 from cbsr_qa.studies.compare.cautions import cautions
-from cbsr_qa.studies.compare.describe import Group, groups_of
-from cbsr_qa.studies.compare.design import Design, design_of
-from cbsr_qa.studies.compare.figures import BoolArray, MetricFigures, figures_of, named
-from cbsr_qa.studies.compare.groups import Grouping, grouped, reference_rank
-from cbsr_qa.studies.compare.metric import MetricComparison, metric_comparison
-from cbsr_qa.studies.compare.terms import Adjustment, By, Terms
+from cbsr_qa.studies.compare.describe import Distribution, Group, distribution, groups_of
+from cbsr_qa.studies.compare.differences import (
+    Difference,
+    Fitted,
+    StationDifference,
+    by_place,
+    difference,
+    fitted,
+    stations_above,
+)
+from cbsr_qa.studies.compare.groups import Design, Grouping, design_of, grouped, referred_to
+from cbsr_qa.studies.compare.terms import Adjustment, By, Policy, Quarantine, RunChoice, Terms
+from cbsr_qa.studies.compare.values import BoolArray, MetricValues, values_of
+
+#: What all places of a grid share is how the disc was seated and where the axes are: the station's, not the sensor's.
+OF_THE_STATION: Final = ("registration_shift", "registration_rotation", "registration_scale")
+_ELSEWHERE: Final = "on other stations"
+_APART: Final = f"not compared with groups {_ELSEWHERE}"
+_SHARES_PLACES: Final = {"centre_of_mass_error": "registered_centre_of_mass_error"}
+
+# What is to be kept in mind of one metric.
+_STATIONS_ALONE: Final = "what all places share is the station's: stations are compared in it, groups are not"
+_HOLDS_SHARED: Final = "it holds what all places share, which is the station's"
+_IS_WITHOUT: Final = "; {other} does not"
 
 
-def referred_to(grouping: Grouping, design: Design, measured: BoolArray, terms: Terms) -> tuple[Grouping, list[str]]:
-    """Put a group first that most others can be compared with, unless groups were named; and say so.
+@dataclass(frozen=True, slots=True, eq=False)
+class MetricComparison:
+    """One metric.
 
     Parameters
     ----------
-    measured : (R,) whether a run has a value of anything.
-
-    Returns
-    -------
-    Groups, the reference first, and what is to be said of the choice, in sentences.
+    differences : of each group but the reference, against it; empty where the metric is the station's alone.
+    stations : of each station but the first, against it; empty where there is one, or stations are the groups.
+    distributions : one of each group.
+    samples : (group, station, values of sensors), for plots.
+    notes : weaknesses of design and fit, and what was left out.
     """
-    part_of = _parts(grouping, design, measured)
-    sizes = Counter(part_of.values())
-    first = grouping.reference
-    best = min(
-        grouping.names,
-        key=lambda name: (-sizes[part_of[name]], *reference_rank(name, len(grouping.tests[name]), terms.by)),
-    )
-    if sizes[part_of[best]] < 2 or sizes[part_of[best]] <= sizes[part_of[first]]:
-        return grouping, []
-    members = [name for name in grouping.names if part_of[name] == part_of[best]]
-    if terms.groups:
-        if sizes[part_of[first]] > 1:
-            return grouping, []
-        said = f"Nothing can be compared with {first}; {named(members)} can among themselves"
-        return grouping, [f"{said}: --groups {','.join(members)}"]
-    usual = "is the earliest" if terms.by is By.PERIOD else "has most sensors"
-    said = f"The reference is {best}: {first} {usual}, and cannot be compared with {named(members)}"
-    return replace(grouping, names=(best, *(name for name in sorted(grouping.names) if name != best))), [said]
 
-
-def _parts(grouping: Grouping, design: Design, measured: BoolArray) -> dict[str, int]:
-    """Group → the connected part it is in; one without a value is a part of its own."""
-    alone = {name: -1 - place for place, name in enumerate(grouping.names)}
-    known = measured[design.rows]
-    if not known.any():
-        return alone
-    made = design.crossing.only(known)
-    names, parts = (made.stations, made.station_parts) if design.of_stations else (made.groups, made.group_parts)
-    return alone | dict(zip(names, parts.tolist(), strict=True))
+    values: MetricValues
+    differences: tuple[Difference, ...]
+    stations: tuple[StationDifference, ...]
+    distributions: tuple[Distribution, ...]
+    samples: tuple[tuple[str, str, Array], ...]
+    notes: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Comparison:
-    """What was compared, and what came of it."""
+    """What was compared, and what came of it.
 
-    terms: Terms
-    groups: tuple[Group, ...]
-    metrics: tuple[MetricComparison, ...]
-    warnings: tuple[str, ...]
-    simulated: tuple[str, ...]
+    Parameters
+    ----------
+    reference : the group the others are compared with.
+    compared : whether any difference could be told.
+    headline, sentences, rules : in words; see :func:`cbsr_qa.studies.compare.compare_outcome`.
+    metrics : of each metric and each group but the reference; one without group where a metric is not compared.
+    warnings : of the whole comparison.
+    of_metrics : the same, metric by metric, with what is drawn.
+    """
+
+    by: By
+    reference: str
+    compared: bool
+    policy: Policy
+    quarantine: Quarantine
+    adjustment: Adjustment
+    confidence: float
     recipes: tuple[str, ...]
+    simulated: tuple[str, ...]
+    groups: tuple[Group, ...]
+    metrics: tuple[Difference, ...]
+    stations: tuple[StationDifference, ...]
+    distributions: tuple[Distribution, ...]
+    warnings: tuple[str, ...]
+    terms: Annotated[InstanceOf[Terms], Field(exclude=True)]
+    of_metrics: Annotated[tuple[InstanceOf[MetricComparison], ...], Field(exclude=True)]
+    headline: str = ""
+    sentences: tuple[str, ...] = ()
+    rules: tuple[str, ...] = ()
 
-    @property
-    def reference(self) -> str:
-        """The group the others are compared with."""
-        return self.groups[0].name
 
-    @property
-    def compared(self) -> bool:
-        """Whether any difference could be told."""
-        return any(one.value is not None for metric in self.metrics for one in metric.differences)
+def compare_groups(choice: RunChoice, terms: Terms, *, database: str | None, now: datetime) -> Comparison:
+    """Compare groups of stored runs.
+
+    Raises
+    ------
+    RefusedError
+        If no run fits, or a recipe, group or metric that was named is not there (with the nearest name).
+    StoreError
+        If the database is missing or cannot be read.
+    """
+    if choice.since and choice.until and choice.since > choice.until:
+        raise RefusedError(
+            f"no day is after {choice.since} and before {choice.until}", remedy="swap --since and --until"
+        )
+    asked = (*terms.names, *terms.margins, *terms.detect)
+    with _uncollected(), open_store(database_url(database), create=False) as store:
+        known = store.metric_names() if asked else ()
+        for name in asked:
+            if name not in known:
+                raise _unknown_metric(name, known)
+        names = tuple(dict.fromkeys(asked)) if terms.names else ()
+        table = store.fleet(recipe=choice.recipe, since=choice.since, until=choice.until, names=names)
+        return compare(table, terms, now)
+
+
+@contextmanager
+def _uncollected() -> Iterator[None]:
+    """Search for no reference cycles meanwhile: a million values have none, and it takes a third of the time."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()
 
 
 def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
@@ -101,36 +151,51 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
         If no run counts, or a group or metric that was named is not there (with the nearest name).
     """
     grouping = grouped(table.runs, terms)
-    every = list(figures_of(table, grouping.used))
+    every = list(values_of(table, grouping.used))
     chosen = _wanted(every, terms)
-    design = design_of(table.runs, grouping, terms.by)
+    design = design_of(table.runs, grouping, terms)
     grouping, referred = referred_to(grouping, design, _measured(every, len(table.runs)), terms)
     deciding = grouping.deciding(table.runs, terms.policy)
-    metrics = [metric_comparison(figures, table, grouping, deciding, design, terms) for figures in chosen]
+    metrics = _adjusted([_compared(values, table, grouping, deciding, design) for values in chosen], terms)
     members = [run for run, used in zip(table.runs, grouping.used, strict=True) if used]
+    differences = tuple(chain.from_iterable(one.differences or (_not_compared(one),) for one in metrics))
     return Comparison(
-        terms=terms,
-        groups=tuple(groups_of(table.runs, grouping, every, terms)),
-        metrics=tuple(_adjusted(metrics, terms.adjustment)),
-        warnings=(*referred, *cautions(members, grouping, design, terms, now)),
-        simulated=tuple(sorted({said for simulated in {run.simulated for run in members} for said in simulated})),
+        by=terms.by,
+        reference=grouping.reference,
+        compared=any(one.difference is not None for one in differences),
+        policy=terms.policy,
+        quarantine=terms.quarantine,
+        adjustment=terms.adjustment,
+        confidence=terms.confidence,
         recipes=tuple(sorted({run.recipe for run in members})),
+        simulated=tuple(sorted({said for simulated in {run.simulated for run in members} for said in simulated})),
+        groups=tuple(groups_of(table.runs, grouping, every, terms)),
+        metrics=differences,
+        stations=tuple(chain.from_iterable(one.stations for one in metrics)),
+        distributions=tuple(chain.from_iterable(one.distributions for one in metrics)),
+        warnings=(*referred, *cautions(members, grouping, design, terms, now)),
+        terms=terms,
+        of_metrics=tuple(metrics),
     )
 
 
-def _measured(every: Sequence[MetricFigures], runs: int) -> BoolArray:
+def _not_compared(metric: MetricComparison) -> Difference:
+    return Difference(*metric.values.identity, reference=None, warnings=metric.notes)
+
+
+def _measured(every: Sequence[MetricValues], runs: int) -> BoolArray:
     """(R,) whether a run has a value of anything."""
     measured: BoolArray = np.zeros(runs, dtype=np.bool_)
-    for figures in every:
-        measured |= ~np.isnan(figures.mean)
+    for values in every:
+        measured |= ~np.isnan(values.mean)
     return measured
 
 
-def _wanted(every: Sequence[MetricFigures], terms: Terms) -> list[MetricFigures]:
-    known = sorted({figures.key.name for figures in every})
+def _wanted(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:
+    known = sorted({values.key.name for values in every})
     for name in (*terms.names, *terms.margins, *terms.detect):
         if name not in known:
-            raise unknown_metric(name, known)
+            raise _unknown_metric(name, known)
     for option, asked in (("--margin", terms.margins), ("--detect", terms.detect)):
         for name in asked if terms.names else ():
             if name not in terms.names:
@@ -138,10 +203,10 @@ def _wanted(every: Sequence[MetricFigures], terms: Terms) -> list[MetricFigures]
                     f"{option} states {name!r}, which is not among the metrics to compare: {', '.join(terms.names)}",
                     remedy=f"name it too (--metric {name}), or leave its {option} out",
                 )
-    return [figures for figures in every if not terms.names or figures.key.name in terms.names]
+    return [values for values in every if not terms.names or values.key.name in terms.names]
 
 
-def unknown_metric(name: str, known: Sequence[str]) -> RefusedError:
+def _unknown_metric(name: str, known: Sequence[str]) -> RefusedError:
     """Refuse a metric nobody measured, with the nearest name."""
     near = get_close_matches(name, known, n=1)
     hint = f"did you mean {near[0]!r}? " if near else ""
@@ -150,19 +215,89 @@ def unknown_metric(name: str, known: Sequence[str]) -> RefusedError:
     )
 
 
-def _adjusted(metrics: Sequence[MetricComparison], adjustment: Adjustment) -> list[MetricComparison]:
+def _compared(
+    metric: MetricValues, table: FleetTable, grouping: Grouping, deciding: Mapping[str, IntArray], design: Design
+) -> MetricComparison:
+    """Compare groups and stations in one metric; p values are not adjusted yet.
+
+    Parameters
+    ----------
+    deciding : group → indices of the runs that decide its sensors.
+    """
+    model = fitted(design.crossing, metric.mean[design.rows], metric.key.label, of_stations=design.of_stations)
+    of_station = metric.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
+    known = {name: indices[~np.isnan(metric.mean[indices])] for name, indices in deciding.items()}
+    notes = _notes(model, metric, table, design, of_station=of_station)
+    pairs = [(name, grouping.reference) for name in grouping.names[1:] if not of_station]
+    places = by_place(metric, table, pairs, design)
+    differences = [difference(model, metric, known, pair, design) for pair in pairs]
+    return MetricComparison(
+        values=metric,
+        differences=tuple(
+            replace(one, places=places.get(str(one.group), ()), warnings=(*one.warnings, *notes))
+            for one in differences
+        ),
+        stations=tuple(stations_above(_of_the_stations(model, metric, design), metric, design)),
+        distributions=tuple(
+            distribution(metric, table.runs, name, known[name], design.terms) for name in grouping.names
+        ),
+        samples=_samples(metric, table.runs, known),
+        notes=notes,
+    )
+
+
+def _of_the_stations(model: Fitted, metric: MetricValues, design: Design) -> Fitted:
+    """Return the model that stations are compared by."""
+    if design.of_the_stations is design.crossing or not design.stations:
+        return model
+    return fitted(design.of_the_stations, metric.mean[design.rows], metric.key.label, of_stations=True)
+
+
+def _samples(
+    metric: MetricValues, runs: Sequence[FleetRun], known: Mapping[str, IntArray]
+) -> tuple[tuple[str, str, Array], ...]:
+    found = []
+    for name, indices in known.items():
+        at: dict[str, list[int]] = {}
+        for index in indices.tolist():
+            at.setdefault(runs[index].station, []).append(index)
+        found += [(name, station, metric.mean[members]) for station, members in sorted(at.items())]
+    return tuple(found)
+
+
+def _notes(
+    model: Fitted, metric: MetricValues, table: FleetTable, design: Design, *, of_station: bool
+) -> tuple[str, ...]:
+    notes = [*metric.warnings, *(model.fit.notes if model.fit else ())]
+    if design.levels:
+        # Batches at stations, which the model knows as stations; what is not compared is said elsewhere.
+        notes = [note.replace(_ELSEWHERE, "of other batches or stations") for note in notes if _APART not in note]
+    if of_station:
+        notes.append(_STATIONS_ALONE)
+    without = _SHARES_PLACES.get(metric.key.name)
+    if without is not None:
+        measured = any(kind.key.name == without for kind in table.kinds)
+        notes.append(_HOLDS_SHARED + (_IS_WITHOUT.format(other=without) if measured else ""))
+    return tuple(notes)
+
+
+def _adjusted(metrics: Sequence[MetricComparison], terms: Terms) -> list[MetricComparison]:
     """Adjust p values: those of groups for all of groups, and so those of likeness and those of stations."""
     every = [one for metric in metrics for one in metric.differences]
-    groups = iter(_adjust([one.p_value for one in every], adjustment))
-    alike = iter(_adjust([one.equivalence.p_value if one.equivalence else None for one in every], adjustment))
-    stations = iter(_adjust([one.p_value for metric in metrics for one in metric.stations], adjustment))
+    groups = iter(_adjust([one.p_unadjusted for one in every], terms.adjustment))
+    alike = iter(_adjust([one.equivalence_p_unadjusted for one in every], terms.adjustment))
+    stations = iter(_adjust([one.p_unadjusted for metric in metrics for one in metric.stations], terms.adjustment))
+
+    def with_p(one: Difference) -> Difference:
+        likeness = next(alike)
+        shown = None if likeness is None else likeness <= terms.level
+        return replace(one, p=next(groups), equivalence_p=likeness, equivalent=shown)
+
     return [
         replace(
             metric,
-            differences=tuple(
-                replace(one, p_adjusted=next(groups), equivalence_p=next(alike)) for one in metric.differences
-            ),
-            stations=tuple(replace(one, p_adjusted=next(stations)) for one in metric.stations),
+            differences=tuple(map(with_p, metric.differences)),
+            stations=tuple(replace(one, p=next(stations)) for one in metric.stations),
         )
         for metric in metrics
     ]

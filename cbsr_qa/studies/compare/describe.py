@@ -2,29 +2,38 @@
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Annotated, Final
 
 import numpy as np
+from pydantic import Field
 
 from cbsr_qa.domain import Array, NumericsError
 from cbsr_qa.domain.results import FleetRun, Outcome
 from cbsr_qa.stats import (
     Capability,
     IntArray,
-    Quantile,
-    Yield,
+    Interval,
     capability,
     capability_of_extremes,
     passed_share,
     quantile,
     summary,
 )
-from cbsr_qa.studies.compare.figures import MetricFigures
-from cbsr_qa.studies.compare.groups import Grouping, decides
+from cbsr_qa.studies.compare.groups import PASSED, Grouping, decides
 from cbsr_qa.studies.compare.terms import Policy, Quarantine, Terms
+from cbsr_qa.studies.compare.values import MetricValues, OfMetric
 
-_PASSED = (Outcome.PASS, Outcome.MARGINAL)
-QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
+#: Shares of sensors below a quantile.
+QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
+
+
+@dataclass(frozen=True, slots=True)
+class Failures:
+    """How many sensors failed a metric in their deciding run."""
+
+    metric: str
+    sensors: int
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,55 +42,54 @@ class Group:
 
     Parameters
     ----------
-    sensors, runs : how many count.
+    n, runs : sensors and runs that count.
+    passed, first_pass_yield : shares of sensors, 0 to 1, with Wilson's intervals; None where no sensor was judged.
+    not_measured, not_judged : sensors whose deciding run could not measure a limited quantity, or had no limits.
     stations, batches : names, sorted.
-    passed, first_pass : shares of sensors; None where no sensor was judged.
-    unmeasured, unjudged : sensors whose deciding run measured a limited quantity not, or had no limits.
-    failures : (metric, sensors whose deciding run failed it), most first.
+    failures : most first.
     """
 
     name: str
-    sensors: int
+    n: int
     runs: int
+    passed: Annotated[float | None, Field(serialization_alias="yield")]
+    yield_interval: Interval | None
+    first_pass_yield: float | None
+    first_pass_yield_interval: Interval | None
+    not_measured: int
+    not_judged: int
     stations: tuple[str, ...]
     batches: tuple[str, ...]
-    passed: Yield | None
-    first_pass: Yield | None
-    unmeasured: int
-    unjudged: int
-    failures: tuple[tuple[str, int], ...]
+    failures: tuple[Failures, ...]
 
 
 @dataclass(frozen=True, slots=True)
-class Described:
-    """One metric of one group, one figure a sensor.
+class Distribution(OfMetric):
+    """One metric of one group, one value a sensor.
 
     Parameters
     ----------
     deviation : None for one sensor.
-    quantiles : see :data:`QUANTILES`; empty without values.
+    quantiles : share of :data:`QUANTILES` → value; empty without values.
     capability : None where ``no_capability`` says why.
     """
 
     group: str
-    count: int
-    mean: float | None
-    deviation: float | None
-    quantiles: tuple[Quantile, ...]
-    capability: Capability | None
-    no_capability: str
-
-    @property
-    def median(self) -> Quantile | None:
-        """Half of the sensors lie below it."""
-        return next((one for one in self.quantiles if one.share == 0.5), None)
+    n: int
+    mean: float | None = None
+    deviation: float | None = None
+    median: float | None = None
+    median_interval: Interval | None = None
+    quantiles: dict[str, float] = field(default_factory=dict)
+    capability: Capability | None = None
+    no_capability: str | None = None
 
 
 def groups_of(
-    runs: Sequence[FleetRun], grouping: Grouping, figures: Sequence[MetricFigures], terms: Terms
+    runs: Sequence[FleetRun], grouping: Grouping, values: Sequence[MetricValues], terms: Terms
 ) -> list[Group]:
     """Describe every group."""
-    failing = [(one.key.label, one.failed) for one in figures if one.failed.any()]
+    failing = [(one.key.label, one.failed) for one in values if one.failed.any()]
     return [_group(name, runs, grouping, failing, terms) for name in grouping.names]
 
 
@@ -92,66 +100,84 @@ def _group(
     members = [index for indices in tests.values() for index in indices]
     last = [decides(runs, indices, terms.policy) for indices in tests.values()]
     outcomes = [runs[index].outcome for index in last]
-    bad = np.array([index for index in last if runs[index].outcome not in _PASSED], dtype=np.intp)
+    bad = np.array([index for index in last if runs[index].outcome not in PASSED], dtype=np.intp)
     failures = Counter({label: int(failed[bad].sum()) for label, failed in failing if failed[bad].any()})
+    passed = _yield(outcomes, terms)
+    first = _yield([runs[decides(runs, indices, Policy.FIRST)].outcome for indices in tests.values()], terms)
     return Group(
         name=name,
-        sensors=len(tests),
+        n=len(tests),
         runs=len(members),
+        passed=passed[0],
+        yield_interval=passed[1],
+        first_pass_yield=first[0],
+        first_pass_yield_interval=first[1],
+        not_measured=outcomes.count(Outcome.NOT_MEASURED),
+        not_judged=outcomes.count(Outcome.NOT_JUDGED),
         stations=tuple(sorted({runs[index].station for index in members})),
         batches=tuple(sorted({runs[index].batch for index in members})),
-        passed=_yield(outcomes, terms),
-        first_pass=_yield([runs[decides(runs, indices, Policy.FIRST)].outcome for indices in tests.values()], terms),
-        unmeasured=outcomes.count(Outcome.NOT_MEASURED),
-        unjudged=outcomes.count(Outcome.NOT_JUDGED),
-        failures=tuple(failures.most_common()),
+        failures=tuple(Failures(label, count) for label, count in failures.most_common()),
     )
 
 
-def _yield(outcomes: Sequence[Outcome | None], terms: Terms) -> Yield | None:
-    passed = sum(outcome in _PASSED for outcome in outcomes)
+def _yield(outcomes: Sequence[Outcome | None], terms: Terms) -> tuple[float | None, Interval | None]:
+    passed = sum(outcome in PASSED for outcome in outcomes)
     count = passed + outcomes.count(Outcome.FAIL)
     if terms.quarantine is Quarantine.FAILED:
         count += outcomes.count(Outcome.NOT_MEASURED)
-    return passed_share(passed, count, confidence=terms.confidence) if count else None
+    if not count:
+        return None, None
+    found = passed_share(passed, count, confidence=terms.confidence)
+    return found.value, found.wilson
 
 
-def described(
-    figures: MetricFigures, runs: Sequence[FleetRun], name: str, indices: IntArray, terms: Terms
-) -> Described:
+def distribution(
+    metric: MetricValues, runs: Sequence[FleetRun], name: str, indices: IntArray, terms: Terms
+) -> Distribution:
     """Describe one metric of a group.
 
     Parameters
     ----------
     indices : of the runs that decide and have a value, one a sensor of the group.
     """
-    values = figures.mean[indices]
+    values = metric.mean[indices]
     if not len(values):
-        return Described(name, 0, None, None, (), None, "nothing was measured")
-    found = summary(values, figures.key.label)
-    quantiles = tuple(quantile(values, share, confidence=terms.confidence) for share in QUANTILES)
-    index, why = _capability(figures, runs, indices, terms)
-    return Described(name, found.count, found.mean, found.deviation, quantiles, index, why)
+        return Distribution(*metric.identity, name, 0, no_capability="nothing was measured")
+    found = summary(values, metric.key.label)
+    quantiles = {share: quantile(values, share, confidence=terms.confidence) for share in QUANTILES}
+    index, why = _capability(metric, runs, indices, terms)
+    return Distribution(
+        *metric.identity,
+        group=name,
+        n=found.count,
+        mean=found.mean,
+        deviation=found.deviation,
+        median=quantiles[0.5].value,
+        median_interval=quantiles[0.5].interval,
+        quantiles={f"{share:g}": one.value for share, one in quantiles.items()},
+        capability=index,
+        no_capability=why,
+    )
 
 
 def _capability(
-    figures: MetricFigures, runs: Sequence[FleetRun], indices: IntArray, terms: Terms
-) -> tuple[Capability | None, str]:
+    metric: MetricValues, runs: Sequence[FleetRun], indices: IntArray, terms: Terms
+) -> tuple[Capability | None, str | None]:
     """Capability of what the limit judges: of several values a run, those nearest to each limit."""
-    if not figures.limited:
+    if not metric.limited:
         return None, "no limit"
     try:
-        if figures.lower is None or figures.upper is None or figures.per_run == 1:
-            limits = {"lower": figures.lower, "upper": figures.upper, "confidence": terms.confidence}
-            members = _subgroups(_worst(figures), runs, indices)
-            return capability(members, what=figures.key.label, **limits), ""  # type: ignore[arg-type]
+        if metric.lower is None or metric.upper is None or metric.per_run == 1:
+            limits = {"lower": metric.lower, "upper": metric.upper, "confidence": terms.confidence}
+            members = _subgroups(_worst(metric), runs, indices)
+            return capability(members, what=metric.key.label, **limits), None  # type: ignore[arg-type]
         return capability_of_extremes(
-            *(_subgroups(values, runs, indices) for values in (figures.least, figures.most)),
-            lower=figures.lower,
-            upper=figures.upper,
+            *(_subgroups(values, runs, indices) for values in (metric.least, metric.most)),
+            lower=metric.lower,
+            upper=metric.upper,
             confidence=terms.confidence,
-            what=figures.key.label,
-        ), ""
+            what=metric.key.label,
+        ), None
     except NumericsError as error:
         return None, error.reason
 
@@ -167,7 +193,7 @@ def _subgroups(values: Array, runs: Sequence[FleetRun], indices: IntArray) -> li
     return members
 
 
-def _worst(figures: MetricFigures) -> Array:
-    if figures.per_run == 1:
-        return figures.mean
-    return figures.most if figures.lower is None else figures.least
+def _worst(metric: MetricValues) -> Array:
+    if metric.per_run == 1:
+        return metric.mean
+    return metric.most if metric.lower is None else metric.least

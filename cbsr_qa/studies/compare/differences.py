@@ -1,43 +1,52 @@
-"""The difference of two groups in one metric: by the mixed model, beside what a plain test would have claimed.
+"""Differences of groups and of stations in one metric, by the mixed model and by plain tests beside it.
 
 Of a metric the runs of all compared groups are fitted together: group and station fixed, sensor random
 (:mod:`cbsr_qa.stats.mixed_model`). A design that cannot tell a group from a station is not fitted; what can still be
 said (the plain difference of means, what a t test claims) is said, under its own name.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from math import sqrt
+from typing import Final, TypeVar
 
 import numpy as np
 
 from cbsr_qa.domain import Array, NumericsError
+from cbsr_qa.domain.results import FleetTable
 from cbsr_qa.stats import (
     Contrast,
     Crossing,
-    Equivalence,
+    IntArray,
     Interval,
     brunner_munzel,
     hedges,
+    holm,
     sensors_needed,
     sensors_to_show_alike,
     shift,
     welch,
 )
 from cbsr_qa.stats.mixed_model import Fit, fit
-from cbsr_qa.studies.compare.figures import MetricFigures
+from cbsr_qa.studies.compare.groups import Design
 from cbsr_qa.studies.compare.terms import Terms
+from cbsr_qa.studies.compare.values import MetricValues, OfMetric
 
-REFUSED = "refused"
+#: The model of groups that cannot be told apart.
+REFUSED: Final = "refused"
+#: Locations beyond which a phase's places are random loads rather than a grid.
+_MOST_PLACES: Final = 25
+_WITH_BATCH: Final = "group and each station's batches"
 
 
 @dataclass(frozen=True, slots=True)
 class Naive:
-    """Welch's t test of one figure a sensor, which knows nothing of stations."""
+    """Welch's t test of one value a sensor, which knows nothing of stations."""
 
     difference: float
-    interval: Interval
-    p_value: float
+    low: float
+    high: float
+    p: float
     hedges_g: float | None
 
 
@@ -47,54 +56,90 @@ class Robust:
 
     Parameters
     ----------
-    interval, p_value : None where the sample is too small, or the groups do not overlap.
+    interval, p : None where the sample is too small, or the groups do not overlap.
     method : of the p value.
     """
 
     shift: float
     interval: Interval | None
-    p_value: float | None
+    p: float | None
     method: str
 
 
 @dataclass(frozen=True, slots=True)
-class Difference:
+class PlaceDifference:
+    """Group − reference at one place; p is adjusted for the places of its metric."""
+
+    location: str
+    x_mm: float | None
+    y_mm: float | None
+    difference: float
+    low: float
+    high: float
+    p: float
+
+
+@dataclass(frozen=True, slots=True)
+class Estimated(OfMetric):
+    """A difference from a reference by the model.
+
+    Parameters
+    ----------
+    difference, low, high : in ``unit``; None where refused, the first of ``warnings`` then says why.
+    p : adjusted for all tests of the comparison; None until it is.
+    p_unadjusted : of this test alone.
+    """
+
+    reference: str | None
+    difference: float | None = None
+    low: float | None = None
+    high: float | None = None
+    p: float | None = None
+    p_unadjusted: float | None = None
+    warnings: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class StationDifference(Estimated):
+    """What a station reads above the reference, the groups' differences taken out."""
+
+    station: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Difference(Estimated):
     """Group − reference in one metric.
 
     Parameters
     ----------
-    value, interval, p_value : of the model; None where it is refused, ``warnings`` then say why.
-    p_adjusted : for all tests of the comparison; None until it is.
-    effect, effect_interval : value over the deviation of single runs of different sensors, taken as known.
-    equivalence : of this test alone; None where no margin was stated.
-    equivalence_p : its p value adjusted for all such tests of the comparison; None until it is.
+    group : None where the metric is not compared between groups.
+    model : what was fitted, :data:`REFUSED`, or ``"none"``.
     deviation : √(sensor² + run²) of the model, in the metric's unit.
-    detect, needed : a difference, and how many sensors each of two groups on one station needs to find it with 80 %,
-        by one test of the comparison's level; None where none was asked for, or 10⁹ do not do.
-    needed_alike : the same for showing two groups alike within the margin that do not differ.
-    taken_out : stations (batches, where stations are compared) whose differences the model takes out; one is none.
-    model : what was fitted, or :data:`REFUSED`.
+    effect_size, effect_size_interval : difference over the deviation, taken as known.
+    margin, equivalence_interval : that does not matter, and the interval of two one-sided tests; None without one.
+    equivalent : whether the difference is shown to be within the margin, by ``equivalence_p``.
+    equivalence_p, equivalence_p_unadjusted : adjusted for all such tests of the comparison, and of this one alone.
+    sensors_to_show_alike : of each of two groups on one station, to show them alike within the margin with 80 % where
+        they do not differ, by one test of the comparison's level; None where 10⁹ do not do.
+    detect, sensors_needed : a difference, and how many sensors of each find it, likewise.
     """
 
-    group: str
-    reference: str
-    model: str
-    value: float | None = None
-    interval: Interval | None = None
-    p_value: float | None = None
-    p_adjusted: float | None = None
-    effect: float | None = None
-    effect_interval: Interval | None = None
-    equivalence: Equivalence | None = None
-    equivalence_p: float | None = None
+    group: str | None = None
+    model: str = "none"
     deviation: float | None = None
+    effect_size: float | None = None
+    effect_size_interval: Interval | None = None
+    margin: float | None = None
+    equivalent: bool | None = None
+    equivalence_interval: Interval | None = None
+    equivalence_p: float | None = None
+    equivalence_p_unadjusted: float | None = None
+    sensors_to_show_alike: int | None = None
     detect: float | None = None
-    needed: int | None = None
-    needed_alike: int | None = None
-    taken_out: tuple[str, ...] = ()
+    sensors_needed: int | None = None
     naive: Naive | None = None
     robust: Robust | None = None
-    warnings: tuple[str, ...] = field(default=())
+    places: tuple[PlaceDifference, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,55 +185,56 @@ def fitted(design: Crossing, values: Array, what: str, *, of_stations: bool) -> 
     try:
         return Fitted(fit(design if known.all() else design.only(known), values[known], what), "", of_stations)
     except NumericsError as error:
-        return Fitted(None, str(error).replace("\n", "; "), of_stations)
+        return Fitted(None, _one_line(error), of_stations)
+
+
+_Told = TypeVar("_Told", Difference, StationDifference)
+
+
+def _told(bare: _Told, found: Contrast, terms: Terms) -> _Told:
+    """Fill in what an estimate says, before it is adjusted."""
+    inside = found.interval(terms.confidence)
+    return replace(bare, difference=found.value, low=inside.low, high=inside.high, p_unadjusted=found.p_value())
 
 
 def difference(
-    model: Fitted,
-    figures: MetricFigures,
-    names: tuple[str, str],
-    values: tuple[Array, Array],
-    stations: tuple[Sequence[str], Sequence[str]],
-    terms: Terms,
+    model: Fitted, metric: MetricValues, known: Mapping[str, IntArray], names: tuple[str, str], design: Design
 ) -> Difference:
-    """Compare two groups in one metric.
-
-    Parameters
-    ----------
-    names : group and reference.
-    values : one figure a sensor of each, of the run that decides.
-    stations : of those runs.
-    """
+    """Compare two groups, group and reference, in one metric."""
+    terms = design.terms
+    values = metric.mean[known[names[0]]], metric.mean[known[names[1]]]
     naive = _naive(values, names, terms)
+    bare = Difference(*metric.identity, names[1], group=names[0], model=REFUSED, naive=naive)
     try:
         found = model.difference(*names)
     except NumericsError as error:
-        why = str(error).replace("\n", "; ")
-        return Difference(*names, REFUSED, naive=naive, robust=None, warnings=(why,))
+        why = "" if model.fit is None else design.untold(model.fit.design, *names)
+        return replace(bare, warnings=(why or _one_line(error),))
     assert model.fit is not None
-    interval, deviation = found.interval(terms.confidence), _deviation(model.fit)
-    detect, margin = (stated.get(figures.key.name) for stated in (terms.detect, terms.margins))
-    return Difference(
-        *names,
-        str(model.fit.model),
-        value=found.value,
-        interval=interval,
-        p_value=found.p_value(),
-        effect=found.value / deviation,
-        effect_interval=interval.scaled(1 / deviation),
-        equivalence=None if margin is None else found.equivalence(margin, level=terms.level),
+    told = _told(bare, found, terms)
+    deviation = sqrt(model.fit.run_deviation**2 + (model.fit.sensor_deviation or 0.0) ** 2)
+    stations = [[design.sides[index] for index in known[name].tolist()] for name in names]
+    detect, margin = (stated.get(metric.key.name) for stated in (terms.detect, terms.margins))
+    likeness = None if margin is None else found.equivalence(margin, level=terms.level)
+    kind = str(model.fit.model)
+    return replace(
+        told,
+        model=kind.replace("group and station", _WITH_BATCH) if design.levels else kind,
         deviation=deviation,
+        effect_size=found.value / deviation,
+        effect_size_interval=found.interval(terms.confidence).scaled(1 / deviation),
+        margin=margin,
+        equivalence_interval=None if likeness is None else likeness.interval,
+        equivalence_p_unadjusted=None if likeness is None else likeness.p_value,
+        sensors_to_show_alike=_needed(sensors_to_show_alike, margin, deviation, terms),
         detect=detect,
-        needed=_needed(sensors_needed, detect, deviation, terms),
-        needed_alike=_needed(sensors_to_show_alike, margin, deviation, terms),
-        taken_out=model.fit.design.groups if model.of_stations else model.fit.design.stations,
-        naive=naive,
-        robust=_robust(model, names, values, stations, terms),
+        sensors_needed=_needed(sensors_needed, detect, deviation, terms),
+        robust=_robust(model, names, values, (stations[0], stations[1]), terms),
     )
 
 
-def _deviation(found: Fit) -> float:
-    return sqrt(found.run_deviation**2 + (found.sensor_deviation or 0.0) ** 2)
+def _one_line(error: NumericsError) -> str:
+    return str(error).replace("\n", "; ")
 
 
 def _needed(count: Callable[..., int], size: float | None, deviation: float, terms: Terms) -> int | None:
@@ -206,7 +252,8 @@ def _naive(values: tuple[Array, Array], names: tuple[str, str], terms: Terms) ->
         size = hedges(*values, confidence=terms.confidence, names=names).value
     except NumericsError:
         return None
-    return Naive(found.value, found.interval(terms.confidence), found.p_value(), size)
+    inside = found.interval(terms.confidence)
+    return Naive(found.value, inside.low, inside.high, found.p_value(), size)
 
 
 def _robust(
@@ -233,3 +280,47 @@ def _robust(
 def _without(values: Array, stations: Sequence[str], effects: dict[str, float]) -> Array:
     level: Array = values - np.array([effects[station] for station in stations])
     return level
+
+
+def by_place(
+    metric: MetricValues, table: FleetTable, pairs: Sequence[tuple[str, str]], design: Design
+) -> dict[str, tuple[PlaceDifference, ...]]:
+    """Differences of groups by place, where there are as many places as a grid has, and the metric matters."""
+    wanted = metric.limited or metric.key.name in design.terms.names
+    if not pairs or not wanted or not 3 <= len(metric.at) <= _MOST_PLACES:
+        return {}
+    models = {
+        location: fitted(
+            design.crossing, values[design.rows], f"{metric.key.label} at {location}", of_stations=design.of_stations
+        )
+        for location, values in metric.at.items()
+    }
+    return {pair[0]: _places_of(models, pair, table, design.terms) for pair in pairs}
+
+
+def _places_of(
+    models: Mapping[str, Fitted], pair: tuple[str, str], table: FleetTable, terms: Terms
+) -> tuple[PlaceDifference, ...]:
+    places = []
+    for location, model in models.items():
+        try:
+            found = model.difference(*pair)
+        except NumericsError:
+            continue
+        inside = found.interval(terms.confidence)
+        x_mm, y_mm = table.places_mm.get(location, (None, None))
+        places.append(PlaceDifference(location, x_mm, y_mm, found.value, inside.low, inside.high, found.p_value()))
+    adjusted = holm([place.p for place in places]).tolist()
+    return tuple(replace(place, p=p) for place, p in zip(places, adjusted, strict=True))
+
+
+def stations_above(model: Fitted, metric: MetricValues, design: Design) -> Iterator[StationDifference]:
+    """Compare stations with the one that has most runs, the groups' differences taken out."""
+    for name in design.stations[1:]:
+        bare = StationDifference(*metric.identity, design.stations[0], station=name)
+        try:
+            if model.fit is None:
+                raise NumericsError(model.why)
+            yield _told(bare, model.fit.station_difference(name, design.stations[0]), design.terms)
+        except NumericsError as error:
+            yield replace(bare, warnings=(_one_line(error),))

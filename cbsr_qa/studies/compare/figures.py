@@ -1,220 +1,131 @@
-"""One figure a run and metric: the mean over the loads of its recipe where there is one value a load.
+"""Figures of groups compared: how sensors spread by group and station, and where on the sheet groups differ."""
 
-The limits of a recipe judge every load, so that the least and the greatest value are kept beside the mean.
-"""
-
-from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from matplotlib.axes import Axes
+from matplotlib.cm import ScalarMappable
+from matplotlib.figure import Figure as Canvas
+from matplotlib.patches import Circle
 
 from cbsr_qa.domain import Array
-from cbsr_qa.domain.results import FleetTable, Kind, MetricKey, State
-from cbsr_qa.report import plural
-from cbsr_qa.stats import LARGEST
+from cbsr_qa.report import number, unit_column
+from cbsr_qa.report.draw import (
+    CHANGE_MAP,
+    CYCLE,
+    FAINT,
+    INK,
+    QUIET,
+    bare,
+    canvas,
+    change_norm,
+    light_grid,
+    name_rows,
+    svg_of,
+)
+from cbsr_qa.studies.compare.differences import PlaceDifference
 
-BoolArray = NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MetricFigures:
-    """A metric of every run.
-
-    Parameters
-    ----------
-    unit : of all values that were taken.
-    lower, upper : limit of the latest run that had one; None where there is none.
-    mean, least, most : (R,) of each run's values; NaN where it has none, or where one is only a lower bound, infinite
-        or beyond what can be squared.
-    per_run : values of the run that has most.
-    at : location → (R,) mean of the values there; empty where values have no location.
-    failed : (R,) whether a value was outside its limit or, though limited, could not be measured.
-    warnings : what was left out, and what is not alike, in sentences.
-    """
-
-    key: MetricKey
-    unit: str
-    lower: float | None
-    upper: float | None
-    mean: Array
-    least: Array
-    most: Array
-    per_run: int
-    at: Mapping[str, Array]
-    failed: BoolArray
-    warnings: tuple[str, ...]
-
-    @property
-    def limited(self) -> bool:
-        """Whether its recipe limits it."""
-        return self.lower is not None or self.upper is not None
+#: Sensors of one row that are drawn as points; more are drawn as an outline of their distribution.
+_MOST_POINTS: Final = 150
+_BINS: Final = 40
+_MARK_IN: Final = 0.34
+#: Of a group's or a station's name beside a row.
+_MOST_LETTERS: Final = 18
+#: Left of the longest name.
+_LEAST_LEFT_IN: Final = 0.05
 
 
-def figures_of(table: FleetTable, used: BoolArray) -> Iterator[MetricFigures]:
-    """Return the figures of each metric, in the order the metrics were measured in.
+def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequence[str]) -> str:
+    """Draw sensors by group and station: one row each, the mean as a line, quartiles as a bar.
 
     Parameters
     ----------
-    used : (R,) runs that count; values of the others are left out.
+    label : of the axis, with its unit.
+    samples : group, station, and one value a sensor.
+    groups : in their order, which decides the colours.
+
+    Returns
+    -------
+    The ``<svg>`` element.
     """
-    keys = list(dict.fromkeys(kind.key for kind in table.kinds))
-    if not keys:  # no run holds a measurement
-        return
-    places = {key: place for place, key in enumerate(keys)}
-    of_kind = np.array([places[kind.key] for kind in table.kinds], dtype=np.intp)
-    rows = np.flatnonzero(used[table.run]) if len(table.run) else np.zeros(0, dtype=np.intp)
-    metric = of_kind[table.kind[rows]]
-    order = rows[np.argsort(metric, kind="stable")]
-    ends = np.cumsum(np.bincount(metric, minlength=len(keys)))
-    for key, chosen in zip(keys, np.split(order, ends[:-1]), strict=True):
-        if len(chosen):
-            yield _figures(key, table, chosen, used)
+    return svg_of(lambda: _strips(label, samples, groups))
 
 
-def _figures(key: MetricKey, table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> MetricFigures:
-    absent = _absent(table, rows, used)
-    rows, mixed = _one_unit(table, rows)
-    run, value, state = table.run[rows], table.value[rows], table.state[rows]
-    kinds = [table.kinds[index] for index in np.unique(table.kind[rows])]
-    runs = len(table.runs)
-    bounded = np.bincount(run, state & State.LOWER_BOUND, runs) > 0
-    beyond = ~np.isnan(value) & ~(np.abs(value) <= LARGEST)
-    huge = np.bincount(run, beyond, runs) > 0
-    known = ~np.isnan(value) & ~(bounded | huge)[run]
-    counts = np.bincount(run[known], minlength=runs)
-    asked = np.bincount(run, minlength=runs)
-    limits = _limits(table, rows)
-    without = _missing(table, asked, counts, bounded, huge)
-    warnings = [*mixed, *absent, *_beyond(table, run[beyond], value[beyond]), *without, *_several_limits(kinds)]
-    return MetricFigures(
-        key=key,
-        unit=kinds[0].unit,
-        lower=limits[0],
-        upper=limits[1],
-        mean=_means(run[known], value[known], runs),
-        least=_extremes(np.minimum, run[known], value[known], runs),
-        most=_extremes(np.maximum, run[known], value[known], runs),
-        per_run=int(asked.max()),
-        at=_by_location(table, rows[known], runs),
-        failed=np.bincount(run, state & (State.FAILED | State.UNMEASURED), runs) > 0,
-        warnings=tuple(warnings),
-    )
+def difference_map(unit: str, places: Sequence[tuple[float, float, PlaceDifference]], level: float) -> str:
+    """Draw differences where they are on the sheet, ringed where they are more than chance.
+
+    Parameters
+    ----------
+    places : x and y [mm] of each.
+    level : of p values.
+
+    Returns
+    -------
+    The ``<svg>`` element.
+    """
+    return svg_of(lambda: _map(unit_column("difference", unit), places, level))
 
 
-def _means(run: NDArray[np.int32], value: Array, runs: int) -> Array:
-    counts = np.bincount(run, minlength=runs)
-    sums = np.bincount(run, value, runs)
-    means: Array = np.full(runs, np.nan)
-    np.divide(sums, counts, out=means, where=counts > 0)
-    return means
+def _strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequence[str]) -> Canvas:
+    height = 0.55 + _MARK_IN * len(samples)
+    figure = canvas(height)
+    axes = figure.add_axes((0.22, 0.42 / height, 0.75, 1 - 0.5 / height))
+    light_grid(axes, "x")
+    for row, (group, _, values) in enumerate(samples):
+        colour = CYCLE[list(groups).index(group) % len(CYCLE)]
+        _row(axes, row, values, colour)
+    names = [f"{_short(group)}, {_short(station)}  ({len(values)})" for group, station, values in samples]
+    name_rows(axes, names, most=len(names))  # the figure is as high as they need
+    axes.set_xlabel(label)
+    box = axes.yaxis.get_tightbbox(None)
+    lacking = 0.0 if box is None else (_LEAST_LEFT_IN * figure.dpi - box.x0) / figure.bbox.width
+    if lacking > 0:
+        axes.set_position((0.22 + lacking, 0.42 / height, 0.75 - lacking, 1 - 0.5 / height))
+    return figure
 
 
-def _extremes(pick: np.ufunc, run: NDArray[np.int32], value: Array, runs: int) -> Array:
-    found: Array = np.full(runs, np.inf if pick is np.minimum else -np.inf)
-    pick.at(found, run, value)
-    found[np.isinf(found)] = np.nan
-    return found
+def _short(name: str) -> str:
+    """Leave out the middle of a name that is too long to stand beside a row."""
+    if len(name) <= _MOST_LETTERS:
+        return name
+    kept = _MOST_LETTERS - 1
+    return f"{name[: kept - kept // 3].rstrip()}…{name[len(name) - kept // 3 :].lstrip()}"
 
 
-def _by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -> dict[str, Array]:
-    members: dict[str, list[int]] = {}
-    for index in np.unique(table.kind[rows]):
-        members.setdefault(table.kinds[index].location, []).append(int(index))
-    members.pop("", None)
-    found = {}
-    for location, indices in sorted(members.items()):
-        here = rows[np.isin(table.kind[rows], indices)]
-        found[location] = _means(table.run[here], table.value[here], runs)
-    return found
-
-
-def _one_unit(table: FleetTable, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[str]]:
-    """Keep the unit most values are in; say what is in another."""
-    counts: Counter[str] = Counter()
-    for index, count in zip(*np.unique(table.kind[rows], return_counts=True), strict=True):
-        counts[table.kinds[index].unit] += int(count)
-    (unit, _), *others = counts.most_common()
-    if not others:
-        return rows, []
-    same = np.array([kind.unit == unit for kind in table.kinds])
-    out = rows[~same[table.kind[rows]]]
-    sensors = sorted({table.runs[run].serial for run in np.unique(table.run[out])})
-    said = ", ".join(other for other, _ in others)
-    return rows[same[table.kind[rows]]], [
-        f"mixed units: {named(sensors)} measured it in {said} instead of {unit} and are left out of it"
-    ]
-
-
-def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Iterator[str]:
-    """Runs that count and hold no such metric at all, not even as missing."""
-    has = np.zeros(len(table.runs), dtype=np.bool_)
-    has[table.run[rows]] = True
-    without = np.flatnonzero(used & ~has)
-    if not len(without):
-        return
-    measuring = {table.runs[run].recipe for run in np.flatnonzero(has)}
-    strayed = np.array([run for run in without if table.runs[run].recipe in measuring], dtype=np.intp)
-    if len(strayed):
-        said = plural(
-            len(strayed), "run does not hold it and is left out of it", "runs do not hold it and are left out of it"
+def _row(axes: Axes, row: int, values: Array, colour: str) -> None:
+    if len(values) > _MOST_POINTS:
+        counts, edges = np.histogram(values, _BINS)
+        half = 0.38 * counts / counts.max()
+        axes.fill_between(
+            0.5 * (edges[1:] + edges[:-1]), row - half, row + half, color=colour, alpha=0.35, linewidth=0
         )
-        yield f"{said}: {_sensors(table, strayed)}"
-    others = sorted({table.runs[run].recipe for run in without} - measuring)
-    if others:
-        left = plural(len(without) - len(strayed), "run is left out", "runs are left out")
-        yield f"{left} of it, of recipes that do not measure it: {named(others)}"
+    else:
+        # Spread evenly over the row in the order of the values: the same numbers give the same picture.
+        offsets = 0.22 * np.sin(2.4 * np.arange(len(values)))
+        axes.plot(np.sort(values), row + offsets, "o", color=colour, markersize=2.6, alpha=0.6, markeredgewidth=0)
+    if len(values) == 1:  # the bar of one sensor would hide it
+        return
+    low, high = np.quantile(values, (0.25, 0.75))
+    axes.plot((low, high), (row, row), color=INK, linewidth=2.2)
+    axes.plot((values.mean(), values.mean()), (row - 0.3, row + 0.3), color=INK, linewidth=1.2)
 
 
-def _beyond(table: FleetTable, run: NDArray[np.int32], value: Array) -> Iterator[str]:
-    """Name values that no arithmetic can be done with."""
-    if len(run):
-        said = plural(len(set(run.tolist())), "run has a value that is", "runs have values that are")
-        shown = sorted({f"{table.runs[one].serial} ({number:g})" for one, number in zip(run, value, strict=True)})
-        yield f"{said} infinite or beyond {LARGEST:g}, left out of it: {named(shown)}"
-
-
-def _missing(
-    table: FleetTable, asked: NDArray[np.intp], counts: NDArray[np.intp], bounded: BoolArray, huge: BoolArray
-) -> Iterator[str]:
-    none = np.flatnonzero((asked > 0) & (counts == 0) & ~bounded & ~huge)
-    if len(none):
-        said = plural(
-            len(none), "run could not measure it and is left out", "runs could not measure it and are left out"
-        )
-        yield f"{said}: {_sensors(table, none)}"
-    lower = np.flatnonzero(bounded)
-    if len(lower):
-        yield f"of {plural(len(lower), 'run')} only a lower bound is known; left out: {_sensors(table, lower)}"
-    some = np.flatnonzero((counts > 0) & (counts < asked.max()))
-    if len(some):
-        said = plural(len(some), "run lacks", "runs lack")
-        yield f"{said} some of the {asked.max()} values; the figure is the rest's mean: {_sensors(table, some)}"
-
-
-def _limits(table: FleetTable, rows: NDArray[np.intp]) -> tuple[float | None, float | None]:
-    """Limits of the latest run that had some."""
-    limited = np.array([kind.lower is not None or kind.upper is not None for kind in table.kinds])
-    judged = rows[limited[table.kind[rows]]]
-    if not len(judged):
-        return None, None
-    kind = table.kinds[table.kind[judged[np.argmax(table.run[judged])]]]
-    return kind.lower, kind.upper
-
-
-def _several_limits(kinds: Sequence[Kind]) -> list[str]:
-    limits = {(kind.lower, kind.upper) for kind in kinds}
-    if len(limits) < 2:
-        return []
-    return ["runs were held against different limits; capability is against those of the latest run"]
-
-
-def _sensors(table: FleetTable, runs: NDArray[np.intp]) -> str:
-    return named(sorted({table.runs[run].serial for run in runs}))
-
-
-def named(names: Sequence[str], most: int = 5) -> str:
-    """List names; of very many the first ones."""
-    rest = len(names) - most
-    return ", ".join(names[:most]) + (f" and {rest} more" if rest > 0 else "")
+def _map(label: str, places: Sequence[tuple[float, float, PlaceDifference]], level: float) -> Canvas:
+    figure = canvas(2.9, 3.6)
+    axes = figure.add_axes((0.02, 0.02, 0.72, 0.96))
+    norm = change_norm(max(abs(place.difference) for *_, place in places))
+    reach = 1.35 * max(float(np.hypot(x, y)) for x, y, _ in places) or 1.0
+    axes.add_patch(Circle((0, 0), reach, fill=False, edgecolor=QUIET, linewidth=0.6))
+    for x, y, place in places:
+        edge, width = (INK, 1.6) if place.p < level else (FAINT, 0.5)
+        colour = CHANGE_MAP(norm(place.difference))
+        axes.plot(x, y, "o", markersize=19, color=colour, markeredgecolor=edge, markeredgewidth=width)
+        text = f"{place.location} {number(place.difference, 2)}"
+        axes.text(x, y - 0.17 * reach, text, ha="center", va="center", fontsize=6, color=INK)
+    bare(axes)
+    axes.set_xlim(-1.05 * reach, 1.05 * reach)
+    axes.set_ylim(-1.05 * reach, 1.05 * reach)
+    bar = figure.colorbar(ScalarMappable(norm, CHANGE_MAP), cax=figure.add_axes((0.8, 0.15, 0.03, 0.7)))
+    bar.set_label(label)
+    return figure

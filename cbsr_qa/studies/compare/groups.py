@@ -1,20 +1,27 @@
-"""Which run belongs to which group, and which of a sensor's runs decides."""
+"""Which run belongs to which group, which of a sensor's runs decides, and what the runs can tell apart."""
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from difflib import get_close_matches
+from functools import lru_cache
+from typing import Final
 
 import numpy as np
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import FleetRun, Outcome
-from cbsr_qa.stats import IntArray
-from cbsr_qa.studies.compare.figures import BoolArray
+from cbsr_qa.stats import Crossing, IntArray, crossing
 from cbsr_qa.studies.compare.terms import By, Period, Policy, Terms
+from cbsr_qa.studies.compare.values import BoolArray
+from cbsr_qa.studies.figure_series import named
 
-_PASSED = (Outcome.PASS, Outcome.MARGINAL)
+PASSED: Final = (Outcome.PASS, Outcome.MARGINAL)
+#: What a run without a batch is of.
+NO_BATCH: Final = "batch not stated"
+#: Groupings that have nothing to do with batches, and may yet coincide with them.
+_GROUPS: Final = {By.PERIOD: "period", By.SOFTWARE: "software version"}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -27,14 +34,14 @@ class Grouping:
     labels : (R,) group of each run; empty where it is left out.
     used : (R,) whether a run counts.
     tests : group → sensor → indices of its runs that count, in the order they were made in.
-    left_out : reason in words, of one run and of several → how many runs.
+    left_out : why runs do not count → how many.
     """
 
     names: tuple[str, ...]
     labels: tuple[str, ...]
     used: BoolArray
     tests: Mapping[str, Mapping[str, tuple[int, ...]]]
-    left_out: Mapping[tuple[str, str], int]
+    left_out: Mapping[str, int]
 
     @property
     def reference(self) -> str:
@@ -58,13 +65,9 @@ def grouped(runs: Sequence[FleetRun], terms: Terms) -> Grouping:
         If no run was finished and analysed, or a group that was named has no runs (with the nearest name).
     """
     labels = _labels(runs, terms.by, terms.period)
-    left_out: Counter[tuple[str, str]] = Counter()
-    kept = []
-    for run, label in zip(runs, labels, strict=True):
-        why = _left_out(run, label, terms.by)
-        if why is not None:
-            left_out[why] += 1
-        kept.append("" if why else label)
+    whys = [_left_out(run, label, terms.by) for run, label in zip(runs, labels, strict=True)]
+    left_out = Counter(why for why in whys if why)
+    kept = ["" if why else label for why, label in zip(whys, labels, strict=True)]
     if not any(kept):
         raise RefusedError(
             f"of {len(runs)} stored runs none was finished and analysed, with its {terms.by} stated"
@@ -88,7 +91,7 @@ def decides(runs: Sequence[FleetRun], tests: Sequence[int], policy: Policy) -> i
     if policy is Policy.FIRST:
         return tests[0]
     if policy is Policy.ANY:
-        return next((index for index in tests if runs[index].outcome in _PASSED), tests[-1])
+        return next((index for index in tests if runs[index].outcome in PASSED), tests[-1])
     return tests[-1]
 
 
@@ -122,15 +125,15 @@ def _labels(runs: Sequence[FleetRun], by: By, period: Period) -> list[str]:
     return [str(getattr(run, by.value)) for run in runs]
 
 
-def _left_out(run: FleetRun, label: str, by: By) -> tuple[str, str] | None:
-    """Say why a run does not count, of one run and of several; None where it does."""
+def _left_out(run: FleetRun, label: str, by: By) -> str:
+    """Say why a run does not count; empty where it does."""
     if run.of_check:
-        return "is a golden sensor's that checked its station", "are golden sensors' that checked their station"
+        return "of golden sensors that checked a station"
     if not run.finished:
-        return "did not run to its end", "did not run to their end"
+        return "that did not finish"
     if run.outcome is None:
-        return "was never analysed", "were never analysed"
-    return None if label else (f"does not state its {by}", f"do not state their {by}")
+        return "without an analysis"
+    return "" if label else f"without a {by}"
 
 
 def _names(runs: Sequence[FleetRun], labels: Sequence[str], terms: Terms) -> tuple[str, ...]:
@@ -159,8 +162,183 @@ def _check_known(wanted: Iterable[str], known: Sequence[str], by: By) -> None:
     for name in wanted:
         if name not in known:
             near = get_close_matches(name, known, n=1)
-            shown = ", ".join(known[:10]) + (f" and {len(known) - 10} more" if len(known) > 10 else "")
             raise RefusedError(
                 f"no run that counts is of {by} {name[:64]!r}",
-                remedy=(f"did you mean {near[0]!r}? " if near else "") + f"there are: {shown}",
+                remedy=(f"did you mean {near[0]!r}? " if near else "") + f"there are: {named(known, 10)}",
             )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """The crossing of the runs that count, and what its levels stand for.
+
+    Parameters
+    ----------
+    crossing : of groups and stations; of batches and stations where stations are compared; of groups and *levels*
+        where periods or software versions are: every batch at every station is a level, so that no batch is taken
+        for a period.
+    rows : (N,) indices of the runs.
+    stations : to compare beside the groups, that with most runs (of the part with most stations) first; none where
+        there is one, or they are groups.
+    levels : level → its station and batch; empty where the crossing's levels are stations.
+    of_the_stations : crossing by which the stations are compared: of batches and stations where there are levels,
+        or materials of several batches are compared; else the crossing itself.
+    sides : (R,) what the crossing has on its other side, of every run: a level, or a station.
+    """
+
+    terms: Terms
+    crossing: Crossing
+    rows: IntArray
+    stations: tuple[str, ...]
+    levels: Mapping[str, tuple[str, str]]
+    of_the_stations: Crossing
+    sides: tuple[str, ...]
+
+    @property
+    def noun(self) -> str:
+        """What one group is, in words."""
+        return _GROUPS.get(self.terms.by, str(self.terms.by))
+
+    @property
+    def of_stations(self) -> bool:
+        """Whether stations are the groups."""
+        return self.terms.by is By.STATION
+
+    def shared(self, first: str, second: str) -> tuple[str, ...]:
+        """Return the batches that ran at one station in both groups: what their difference rests on most."""
+        one, two = (_levels_of(self.crossing).get(name, frozenset()) for name in (first, second))
+        return tuple(sorted({self.levels[level][1] for level in one & two}))
+
+    def untold(self, found: Crossing, first: str, second: str) -> str:
+        """Say why two groups cannot be told apart; empty where the crossing's own words will do.
+
+        Parameters
+        ----------
+        found : the crossing of the runs that have a value.
+        """
+        known = found.stations if self.of_stations else found.groups
+        absent = [name for name in (first, second) if name not in known]
+        if absent:
+            return f"no run of {' and of '.join(absent)} that counts has a value of it"
+        if not self.levels or found.group_parts[known.index(first)] == found.group_parts[known.index(second)]:
+            return ""
+        batches, stations = (self._apart(found, (first, second), side) for side in (1, 0))
+        other = "batches" if batches and not stations else "stations" if stations and not batches else ""
+        told = f"and {other} cannot be told apart" if other else "cannot be told from batches and stations"
+        where = "; ".join(f"{name} is {self._words(found, name, other)}" for name in (first, second))
+        return f"{self.noun}s {told}: {where}; run some sensors of one batch at one station in both"
+
+    def _apart(self, found: Crossing, names: tuple[str, str], side: int) -> bool:
+        """Whether nothing connects two groups by batches (side 1) or stations (side 0) alone."""
+        joined = _joined(self, found, side)
+        one, two = (int(joined.group_parts[joined.index("group", name)]) for name in names)
+        return one != two
+
+    def _words(self, found: Crossing, name: str, other: str) -> str:
+        pairs = sorted(self.levels[level] for level in _levels_of(found)[name])
+        if other:
+            seen = {_batch(batch) if other == "batches" else station for station, batch in pairs}
+            return f"{named(sorted(seen))} only"
+        return named([f"{_batch(batch)} at {station}" for station, batch in pairs], 3)
+
+
+def design_of(runs: Sequence[FleetRun], grouping: Grouping, terms: Terms) -> Design:
+    """Cross the runs that count."""
+    rows = np.flatnonzero(grouping.used)
+    members = [runs[row] for row in rows.tolist()]
+    labels = [grouping.labels[row] for row in rows.tolist()]
+    stations, serials = [run.station for run in members], [run.serial for run in members]
+    batches = [run.batch or NO_BATCH for run in members]
+    at = tuple(run.station for run in runs)
+    if terms.by is By.STATION:  # what must not be taken for a station is the batch
+        made = crossing(batches, stations, serials)
+        return Design(terms, made, rows, (), {}, made, at)
+    if terms.by in _GROUPS and len(set(batches)) > 1:
+        levels = {_level(run): (run.station, run.batch or NO_BATCH) for run in members}
+        made = crossing(labels, [_level(run) for run in members], serials)
+        beside = crossing(batches, stations, serials)  # as where stations are the groups, so that both say one thing
+        return Design(terms, made, rows, _by_runs(beside), levels, beside, tuple(_level(run) for run in runs))
+    made = crossing(labels, stations, serials)
+    # Batches of a material differ, and not every station has the same ones.
+    beside = crossing(batches, stations, serials) if terms.by is By.MATERIAL and len(set(batches)) > 1 else made
+    return Design(terms, made, rows, _by_runs(beside), {}, beside, at)
+
+
+def _by_runs(made: Crossing) -> tuple[str, ...]:
+    """Stations; none where there is nothing to compare.
+
+    First comes that with most runs in the part with most stations, so that something can be compared with it.
+    """
+    if len(made.stations) < 2:
+        return ()
+    size, runs = np.bincount(made.station_parts), np.bincount(made.station)
+    order = np.lexsort((-runs, -size[made.station_parts]))
+    return tuple(made.stations[index] for index in order)
+
+
+def _level(run: FleetRun) -> str:
+    return f"{run.station} ({_batch(run.batch or NO_BATCH)})"
+
+
+def _batch(name: str) -> str:
+    return name if name == NO_BATCH else f"batch {name}"
+
+
+@lru_cache(maxsize=4)
+def _levels_of(found: Crossing) -> Mapping[str, frozenset[str]]:
+    """Group → the levels its runs have; kept, because every pair of groups in a metric asks."""
+    pairs = np.unique(found.group * len(found.stations) + found.station)
+    seen: dict[str, set[str]] = {}
+    for group, level in zip(*divmod(pairs, len(found.stations)), strict=True):
+        seen.setdefault(found.groups[group], set()).add(found.stations[level])
+    return {name: frozenset(levels) for name, levels in seen.items()}
+
+
+@lru_cache(maxsize=4)
+def _joined(design: Design, found: Crossing, side: int) -> Crossing:
+    """Groups crossed with the batches (side 1) or the stations (side 0) of their levels."""
+    pairs = sorted({(name, design.levels[one][side]) for name, levels in _levels_of(found).items() for one in levels})
+    groups = [group for group, _ in pairs]
+    return crossing(groups, [other for _, other in pairs], groups)
+
+
+def referred_to(grouping: Grouping, design: Design, measured: BoolArray, terms: Terms) -> tuple[Grouping, list[str]]:
+    """Put a group first that most others can be compared with, unless groups were named; and say so.
+
+    Parameters
+    ----------
+    measured : (R,) whether a run has a value of anything.
+
+    Returns
+    -------
+    Groups, the reference first, and what is to be said of the choice, in sentences.
+    """
+    part_of = _parts(grouping, design, measured)
+    sizes = Counter(part_of.values())
+    first = grouping.reference
+    best = min(
+        grouping.names,
+        key=lambda name: (-sizes[part_of[name]], *reference_rank(name, len(grouping.tests[name]), terms.by)),
+    )
+    if sizes[part_of[best]] < 2 or sizes[part_of[best]] <= sizes[part_of[first]]:
+        return grouping, []
+    members = [name for name in grouping.names if part_of[name] == part_of[best]]
+    if terms.groups:
+        if sizes[part_of[first]] > 1:
+            return grouping, []
+        said = f"Nothing can be compared with {first}; {named(members)} can among themselves"
+        return grouping, [f"{said}: --groups {','.join(members)}"]
+    usual = "is the earliest" if terms.by is By.PERIOD else "has most sensors"
+    said = f"The reference is {best}: {first} {usual}, and cannot be compared with {named(members)}"
+    return replace(grouping, names=(best, *(name for name in sorted(grouping.names) if name != best))), [said]
+
+
+def _parts(grouping: Grouping, design: Design, measured: BoolArray) -> dict[str, int]:
+    """Group → the connected part it is in; one without a value is a part of its own."""
+    alone = {name: -1 - place for place, name in enumerate(grouping.names)}
+    known = measured[design.rows]
+    if not known.any():
+        return alone
+    made = design.crossing.only(known)
+    names, parts = (made.stations, made.station_parts) if design.of_stations else (made.groups, made.group_parts)
+    return alone | dict(zip(names, parts.tolist(), strict=True))

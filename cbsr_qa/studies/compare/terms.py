@@ -1,9 +1,12 @@
 """What is compared, and by what rules: stated with every result."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import date
 from enum import StrEnum
-from types import MappingProxyType
+from math import isfinite
+
+from cbsr_qa.domain import RefusedError
 
 
 class By(StrEnum):
@@ -48,19 +51,19 @@ class Adjustment(StrEnum):
     NONE = "none"
 
 
-POLICY_WORDS = MappingProxyType(
-    {
-        Policy.FIRST: "a sensor's first finished run decides, retests do not count",
-        Policy.LAST: "a sensor's last finished run decides, so that retests count",
-        Policy.ANY: "a sensor passed if any of its finished runs did; otherwise its last run decides",
-    }
-)
-QUARANTINE_WORDS = MappingProxyType(
-    {
-        Quarantine.APART: "sensors that could not be measured are counted apart and not in the yield",
-        Quarantine.FAILED: "sensors that could not be measured count as not passed",
-    }
-)
+@dataclass(frozen=True, slots=True)
+class RunChoice:
+    """Which stored runs are compared.
+
+    Parameters
+    ----------
+    recipe : only its runs; None for all.
+    since, until : first and last day a run began on, UTC.
+    """
+
+    recipe: str | None = None
+    since: date | None = None
+    until: date | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,3 +97,51 @@ class Terms:
     def level(self) -> float:
         """Of tests."""
         return 1 - self.confidence
+
+
+def read_groups(text: str | None) -> tuple[str, ...]:
+    """Read ``A,B``: names of groups, the reference first; none where nothing was given.
+
+    Raises
+    ------
+    RefusedError
+        If a name is empty, or is there twice.
+    """
+    if text is None:
+        return ()
+    names = tuple(name.strip() for name in text.split(","))
+    if not all(names):
+        raise RefusedError(
+            f"--groups {text[:80]!r} has an empty name",
+            remedy="separate names by commas, for example --groups 41,42, or leave it out for all groups",
+        )
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        raise RefusedError(f"--groups names {twice[0][:64]!r} twice", remedy="name each group once")
+    return names
+
+
+def read_amounts(pairs: Sequence[str], option: str) -> dict[str, float]:
+    """Read ``METRIC=VALUE`` pairs.
+
+    Raises
+    ------
+    RefusedError
+        If one is no such pair, its value is not a positive number, or its metric was named before.
+    """
+    amounts: dict[str, float] = {}
+    for pair in pairs:
+        name, _, text = pair.rpartition("=")
+        try:
+            value = float(text)
+        except ValueError:
+            value = float("nan")
+        if not (name and isfinite(value) and value > 0):
+            raise RefusedError(
+                f"{option} {pair[:80]!r} is not METRIC=VALUE with a positive number",
+                remedy=f"for example {option} centre_of_mass_error=0.5, in the metric's unit",
+            )
+        if name in amounts:
+            raise RefusedError(f"{option} states {name[:64]!r} twice", remedy="state one value of each metric")
+        amounts[name] = value
+    return amounts

@@ -1,17 +1,16 @@
 """``cbsr-qa compare`` on stored lots: what differs by batch, station, period and material, and how sure that is."""
 
+import re
 from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
-from compared_fleets import BATCH_MM, ERROR, STATION_MM, compared, fleet, metric
+from compared_fleets import BATCH_MM, ERROR, STATION_MM, compared, fleet, json_of, metric
 from stored_lots import judged, measured, store_run
 
 from cbsr_qa.domain.results import EndReason, Limit, Measurement, Outcome, Verdict
 from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare.from_store import RunChoice
-from cbsr_qa.studies.compare.terms import Adjustment, By, Period, Policy, Quarantine
-from cbsr_qa.studies.compare.wording import headline, sentences
+from cbsr_qa.studies.compare import Adjustment, By, Period, Policy, Quarantine, RunChoice
 
 
 def test_the_batch_is_told_from_the_station(two):
@@ -22,11 +21,12 @@ def test_the_batch_is_told_from_the_station(two):
     assert found["p"] < 0.05
     assert found["model"].startswith("mixed")
     assert found["unit"] == "mm"
-    station = next(s for s in made.document()["stations"] if s["name"] == ERROR)
+    station = next(s for s in json_of(made)["stations"] if s["name"] == ERROR)
     assert (station["station"], station["reference"]) == ("B", "A")
     assert station["low"] < STATION_MM < station["high"]
     assert made.exit_code == 0
-    assert headline(made.found).startswith("41 and 42 differ in 1 of 3 metrics")
+    assert re.match(r"Batch 42 reads [\d.]+ mm \(.*\) worse than 41 in centre of mass error; ", made.result.headline)
+    assert "; station B reads " in made.result.headline
 
 
 def test_stations_are_compared_with_the_batches_taken_out(two):
@@ -44,8 +44,8 @@ def test_batches_on_a_station_each_are_not_fitted_and_the_claim_of_a_t_test_is_s
     assert found["model"] == "refused"
     assert "42 ran on B only and 41 on A only" in found["warnings"][0]
     assert found["naive"]["difference"] == pytest.approx(BATCH_MM + STATION_MM, abs=0.4)
-    said = " ".join(sentences(made.found))
-    assert "A t test that knows neither stations nor the number of metrics would have claimed" in said
+    said = " ".join(made.result.sentences)
+    assert "A t test, which ignores stations and the number of metrics, claims" in said
     assert made.exit_code == 3
 
 
@@ -58,9 +58,7 @@ def test_a_metric_is_the_mean_of_its_loads_and_a_retest_decides_by_policy(url):
             store_run(store, f"S-{number}", values(mm + 4.0), batch="41")  # 5 to 7, 6 to 8, 7 to 9: beyond 6.5
             store_run(store, f"S-{number}", values(mm), batch="41")
 
-    last, first, some = (
-        compared(url, policy=policy).document() for policy in (Policy.LAST, Policy.FIRST, Policy.ANY)
-    )
+    last, first, some = (json_of(compared(url, policy=policy)) for policy in (Policy.LAST, Policy.FIRST, Policy.ANY))
     assert [d["distributions"][0]["mean"] for d in (last, first, some)] == [3.0, 7.0, 3.0]
     assert [d["groups"][0]["yield"] for d in (last, first, some)] == [1.0, 0.0, 1.0]
     assert {d["groups"][0]["first_pass_yield"] for d in (last, first, some)} == {0.0}
@@ -83,7 +81,7 @@ def test_two_limits_that_judge_every_load_give_capability_of_both_sides(url):
     with open_store(url, durable=False) as store:
         for number, ratio in enumerate((0.9, 1.0, 1.1)):
             store_run(store, f"S-{number}", values(ratio), batch="41")
-    (one,) = compared(url).document()["distributions"]
+    (one,) = json_of(compared(url))["distributions"]
     assert one["no_capability"] is None
     assert one["capability"]["cpk"]["value"] == pytest.approx((2.0 - 1.2) / 0.3)
     assert one["capability"]["cp"]["value"] == pytest.approx((2.0 - 0.3) / 0.6)
@@ -97,16 +95,16 @@ def test_sensors_that_could_not_be_measured_are_counted_as_the_policy_says(url):
             changes = {"verdict": Verdict(Outcome.NOT_MEASURED, "drift")} if number == 0 else {}
             store_run(store, f"S-{number}", values, batch="41", **changes)
         store_run(store, "S-6", values, batch="41", end=EndReason.ABORTED)
-    apart = compared(url).document()
-    failed = compared(url, quarantine=Quarantine.FAILED).document()
+    apart = json_of(compared(url))
+    failed = json_of(compared(url, quarantine=Quarantine.FAILED))
     assert (apart["groups"][0]["yield"], apart["groups"][0]["not_measured"]) == (1.0, 1)
     assert failed["groups"][0]["yield"] == pytest.approx(5 / 6)
-    assert "1 run did not run to its end and is left out" in apart["warnings"]
+    assert "Left out: 1 run that did not finish" in apart["warnings"]
 
 
 def test_p_values_are_adjusted_for_all_metrics(two):
     raw, holm = (
-        {m["name"]: m["p"] for m in compared(two, adjustment=a).document()["metrics"]}
+        {m["name"]: m["p"] for m in json_of(compared(two, adjustment=a))["metrics"]}
         for a in (Adjustment.NONE, Adjustment.HOLM)
     )
     assert holm[ERROR] == pytest.approx(3 * raw[ERROR])  # the smallest of three that could be tested
@@ -134,7 +132,7 @@ def test_what_all_places_share_counts_against_the_station(url):
             store_run(store, f"S-{number}", judged(values), batch=("41", "42")[number % 2], station=station)
     made = compared(url)
     assert metric(made, "registration_shift")["difference"] is None
-    (station,) = (s for s in made.document()["stations"] if s["name"] == "registration_shift")
+    (station,) = (s for s in json_of(made)["stations"] if s["name"] == "registration_shift")
     assert station["low"] < 1.0 < station["high"]
     assert "it holds what all places share, which is the station's" in metric(made)["warnings"]
     assert metric(compared(url, By.STATION), "registration_shift")["difference"] == pytest.approx(1.0, abs=0.2)
@@ -146,8 +144,8 @@ def test_more_than_two_groups_are_each_compared_with_the_stated_reference(two):
         for number in range(5):
             values = judged(measured(random, random.standard_normal(3)))
             store_run(store, f"T-{number}", values, batch="43", station="A")
-    assert compared(two).document()["reference"] == "41"  # most sensors, then by name
-    pairs = {(m["group"], m["reference"]) for m in compared(two, groups=("43", "41", "42")).document()["metrics"]}
+    assert json_of(compared(two))["reference"] == "41"  # most sensors, then by name
+    pairs = {(m["group"], m["reference"]) for m in json_of(compared(two, groups=("43", "41", "42")))["metrics"]}
     assert pairs == {("41", "43"), ("42", "43")}
 
 
@@ -157,21 +155,21 @@ def test_periods_are_days_weeks_months_and_years(url):
         for number in range(8):
             values = judged(measured(random, random.standard_normal(3)))
             store_run(store, f"S-{number}", values, day=(0, 14)[number % 2])
-    names = {p: [g["name"] for g in compared(url, By.PERIOD, period=p).document()["groups"]] for p in Period}
+    names = {p: [g["name"] for g in json_of(compared(url, By.PERIOD, period=p))["groups"]] for p in Period}
     assert names[Period.MONTH] == ["2026-11", "2026-12"]
     assert names[Period.WEEK] == ["2026-W47", "2026-W49"]
     assert names[Period.YEAR] == ["2026"]
     since = RunChoice(since=(datetime(2026, 11, 21) + timedelta(days=1)).date())
-    assert [g["n"] for g in compared(url, By.PERIOD, since).document()["groups"]] == [4]
+    assert [g["n"] for g in json_of(compared(url, By.PERIOD, since))["groups"]] == [4]
     until = RunChoice(until=datetime(2026, 11, 21).date())
-    assert [g["n"] for g in compared(url, By.PERIOD, until).document()["groups"]] == [4]
+    assert [g["n"] for g in json_of(compared(url, By.PERIOD, until))["groups"]] == [4]
 
 
 def test_a_material_of_one_batch_cannot_be_told_from_it(url):
     fleet(url, sensors=4, both=0)
-    warnings = compared(url, By.MATERIAL).document()["warnings"]
+    warnings = json_of(compared(url, By.MATERIAL))["warnings"]
     assert any("Batches of one material are taken for alike" in words for words in warnings)
-    only = compared(url, By.MATERIAL, RunChoice(recipe="short")).document()
+    only = json_of(compared(url, By.MATERIAL, RunChoice(recipe="short")))
     assert [g["name"] for g in only["groups"]] == ["cbsr-8wt"]
 
 
@@ -184,6 +182,6 @@ def test_only_the_latest_analysis_counts(url):
         again = (Measurement("drift", 0.25, "%/min"),)
         result = RunResult(store.load_run(run), None, again, Verdict(Outcome.NOT_JUDGED, ""), None, "")
         store.save_result(result)
-    document = compared(url).document()
+    document = json_of(compared(url))
     assert [(d["name"], d["mean"]) for d in document["distributions"]] == [("drift", 0.25)]
     assert document["groups"][0]["yield"] is None

@@ -5,22 +5,21 @@ from datetime import datetime
 
 import numpy as np
 import pytest
-from compared_fleets import ERROR, compared, fleet, metric
+from compared_fleets import ERROR, compared, fleet, json_of, metric
 from stored_lots import judged, measured, store_run
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import Bound, Measurement
 from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare.from_store import RunChoice, read_amounts
-from cbsr_qa.studies.compare.terms import By
+from cbsr_qa.studies.compare import By, RunChoice, read_amounts
 
 
 @pytest.mark.rest
 def test_one_batch_is_described_and_compared_with_nothing(two):
     made = compared(two, groups=("41",))
     assert made.exit_code == 3
-    assert "There is one batch only, 41" in made.document()["warnings"][0]
-    assert made.document()["distributions"][0]["n"] == 12
+    assert "There is only one batch, 41" in json_of(made)["warnings"][0]
+    assert json_of(made)["distributions"][0]["n"] == 12
 
 
 def test_one_sensor_and_no_variance_are_named(url):
@@ -28,8 +27,8 @@ def test_one_sensor_and_no_variance_are_named(url):
     with open_store(url, durable=False) as store:
         for serial, batch in (("S-1", "41"), ("S-2", "42")):
             store_run(store, serial, judged(measured(random, random.standard_normal(3))), batch=batch)
-    document = compared(url).document()
-    assert "41 has one sensor only, which says nothing of how sensors differ" in document["warnings"]
+    document = json_of(compared(url))
+    assert "41 has only one sensor, which does not show how sensors differ" in document["warnings"]
     reasons = {m["name"]: m["warnings"][0] for m in document["metrics"]}
     assert "sensors are 2, which leaves nothing to judge 2 effects" in reasons["drift"]
     assert "all 2 values are 0, which leaves no variance" in reasons["missed_loads"]
@@ -46,10 +45,10 @@ def test_missing_values_lower_bounds_and_mixed_units_are_named_and_left_out(two)
         store_run(store, "M-4", micro, batch="41", station="A")
     made = compared(two)
     said = " ".join(metric(made)["warnings"])
-    assert "1 run lacks some of the 9 values; the figure is the rest's mean: M-1" in said
-    assert "of 1 run only a lower bound is known; left out: M-3" in said
-    assert "mixed units: M-4 measured it in 10⁻³ instead of 1" in " ".join(metric(made, "noise_floor")["warnings"])
-    counts = {d["name"]: d["n"] for d in made.document()["distributions"] if d["group"] == "41"}
+    assert "fewer than 9 values, the mean is of the rest: M-1 (1 run)" in said
+    assert "only a lower bound is known, left out: M-3 (1 run)" in said
+    assert "measured in 10⁻³ instead of 1, left out: M-4 (1 run)" in " ".join(metric(made, "noise_floor")["warnings"])
+    counts = {d["name"]: d["n"] for d in json_of(made)["distributions"] if d["group"] == "41"}
     assert counts == {ERROR: 15, "drift": 14, "noise_floor": 15, "missed_loads": 15}
 
 
@@ -60,9 +59,9 @@ def test_mixed_software_is_named_and_can_be_compared(two):
         for number in range(4):
             values = judged(measured(random, random.standard_normal(3)))
             store_run(store, f"N-{number}", values, batch="42", station="A", software=[("cbsr-qa", "0.2.0")])
-    (warning,) = (w for w in compared(two).document()["warnings"] if "software" in w)
-    assert "cbsr-qa 0.1.0, numpy 2.0: 32 runs" in warning
-    names = [g["name"] for g in compared(two, By.SOFTWARE).document()["groups"]]
+    (warning,) = (w for w in json_of(compared(two))["warnings"] if "software" in w)
+    assert "cbsr-qa 0.1.0, numpy 2.0 (32 runs)" in warning
+    names = [g["name"] for g in json_of(compared(two, By.SOFTWARE))["groups"]]
     assert names == ["cbsr-qa 0.1.0, numpy 2.0", "cbsr-qa 0.2.0"]
 
 
@@ -75,11 +74,13 @@ def test_a_clock_that_is_wrong_by_a_year_is_named(two):
             store_run(store, f"Y-{number}", values, batch="41", station="A", day=-365)
         store_run(store, "Z-1", values, batch="41", station="B", day=365)
         store_run(store, "C-1", values, batch="41", station="C", day=-300)
-    warnings = compared(two).document()["warnings"]
+    warnings = json_of(compared(two))["warnings"]
     assert any("The clock of station A was set back: 3 runs (Y-0, Y-1, Y-2)" in words for words in warnings)
     assert any("The clock of station B was wrong: 1 run (Z-1) began on 2027-11-21" in words for words in warnings)
-    assert any("Station C states that it tested 41 300 days away" in words for words in warnings)
-    assert any("Periods are taken from those clocks" in w for w in compared(two, By.PERIOD).document()["warnings"])
+    assert any(
+        "The clock of station C may be wrong: by it, batch 41 ran 300 days away" in words for words in warnings
+    )
+    assert any("Periods are taken from these clocks" in w for w in json_of(compared(two, By.PERIOD))["warnings"])
 
 
 @pytest.mark.parametrize(

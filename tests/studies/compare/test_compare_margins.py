@@ -8,14 +8,10 @@ import numpy as np
 import pytest
 from stored_lots import judged, measured, store_run
 
-from cbsr_qa.cli.studies import compare as command
-from cbsr_qa.report import number
+from cbsr_qa.report import json_document, number, render_sections, terminal_lines
 from cbsr_qa.stats import power, power_of_equivalence
 from cbsr_qa.store import open_store
-from cbsr_qa.studies.compare.from_store import RunChoice, compare_groups
-from cbsr_qa.studies.compare.page import write_page
-from cbsr_qa.studies.compare.terms import Adjustment, By, Terms
-from cbsr_qa.studies.compare.wording import rules, sentences
+from cbsr_qa.studies.compare import Adjustment, By, RunChoice, Terms, compare_groups, compare_outcome
 
 pytestmark = pytest.mark.rest
 
@@ -36,11 +32,19 @@ def url(tmp_path_factory):
 
 
 def compared(url, by=By.BATCH, **terms):
-    return compare_groups(RunChoice(), Terms(by, **terms), database=url, now=NOW)
+    return compare_outcome(compare_groups(RunChoice(), Terms(by, **terms), database=url, now=NOW))
+
+
+def json_of(made):
+    return json_document(made.result)
+
+
+def printed(made):
+    return list(terminal_lines(made.page, made.sections))
 
 
 def differences(made, name):
-    return {one["group"]: one for one in made.document()["metrics"] if one["name"] == name}
+    return {one["group"]: one for one in json_of(made)["metrics"] if one["name"] == name}
 
 
 def decided_by_holm(url):
@@ -64,28 +68,20 @@ def test_likeness_is_adjusted_for_the_number_of_such_tests(url):
     assert min(one["equivalence_p"] for one in holm) == pytest.approx(2 * best["equivalence_p"])
 
 
-def test_sentences_show_the_interval_that_decides_and_why_it_does_not(url):
+def test_a_table_shows_the_interval_that_decides_and_what_it_comes_to(url):
     margin = decided_by_holm(url)
     made = compared(url, margins={ERROR: margin})
-    said = [words for words in sentences(made.found) if "not shown to be alike" in words]
-    assert len(said) == 2
-    assert (
-        sum("interval, " in words and "lies within, but not once both such tests count" in words for words in said)
-        == 1
-    )
-    wide = " ".join(sentences(compared(url, margins={ERROR: 50 * margin}).found))
+    rows = [line for line in printed(made) if "± " in line]
+    assert [row.count("not shown") for row in rows] == [1, 1]
+    wide = compared(url, margins={ERROR: 50 * margin})
     low, high = differences(made, ERROR)["42"]["equivalence_interval"]
-    assert "42 and 41 are alike within ± " in wide
-    assert f"the 90 % interval, {number(low)} to {number(high)} mm, lies within (p " in wide
+    assert any(f"{number(low)} to {number(high)}" in row for row in rows)
+    assert all("yes" in line for line in printed(wide) if "± " in line)
 
 
-def test_no_margin_is_asked_for_where_one_was_given(url):
-    every = compared(url, margins={ERROR: 0.01, "drift": 0.01, "noise_floor": 1e-4})
-    said = " ".join(sentences(every.found))
-    assert "Not shown to differ: " in said
-    assert "state a margin" not in said
-    some = [s for s in sentences(compared(url, margins={"drift": 0.01}).found) if s.startswith("Not shown to differ")]
-    assert [("drift" in words, "state a margin" in words) for words in some] == [(False, True), (True, False)]
+def test_a_margin_is_offered_only_where_none_was_given(url):
+    plain, asked = (" ".join(compared(url, margins=m).result.sentences) for m in ({}, {ERROR: 0.3}))
+    assert ("--margin" in plain, "--margin" in asked) == (True, False)
 
 
 def test_sensors_to_find_are_of_the_stated_difference_and_those_to_show_of_the_margin(url):
@@ -97,46 +93,34 @@ def test_sensors_to_find_are_of_the_stated_difference_and_those_to_show_of_the_m
     ):
         by, fewer = (succeeds(size / one["deviation"], n, n) for n in (count, count - 1))
         assert fewer < 0.8 <= by
-    said = " ".join(sentences(made.found))
-    found = f"about {one['sensors_needed']} sensors of each, all at one station, would find a difference of 0.200 mm"
-    assert f"{found} with 80 %" in said
-    printed = " ".join(" ".join(command.lines(made.found)).split())
-    assert f"{found} with 80 %" in printed
-    assert "one test at the level 0.05 succeeds with 80 %" in printed
+    assert printed(made)[find(made, "that would find a difference with 80 %") + 2].split()[-1] == str(
+        one["sensors_needed"]
+    )
+    assert any("one test at the level 0.05 succeeds with 80 %" in rule for rule in made.result.rules)
+
+
+def find(made, words):
+    return next(number for number, line in enumerate(printed(made)) if words in line)
 
 
 def test_a_margin_below_the_estimate_is_shown_by_no_number_of_sensors(url):
     value = abs(differences(compared(url), ERROR)["42"]["difference"])
     for margin, hopeless in ((0.9 * value, True), (1.1 * value, False)):
         made = compared(url, margins={ERROR: margin}, groups=("41", "42"))
-        (said,) = (words for words in sentences(made.found) if "not shown to be alike" in words)
+        (row,) = (line for line in printed(made) if "± " in line)
         count = differences(made, ERROR)["42"]["sensors_to_show_alike"]
-        assert ("no number of sensors would show it" in said) == hopeless
-        assert (f"If they do not differ, about {count} sensors of each" in said) != hopeless
+        assert row.endswith("none would do" if hopeless else str(count))
 
 
-def test_a_difference_to_be_found_in_what_is_not_compared_is_said(url):
-    said = sentences(compared(url, detect={"missed_loads": 1.0}).found)
-    assert "missed_loads: not compared, so how many sensors would find 1.00 is not known." in said
+def test_what_is_asked_of_a_metric_that_is_not_compared_is_not_tested_and_not_known(url):
+    made = compared(url, detect={"missed_loads": 1.0}, margins={"missed_loads": 1.0})
+    rows = [line.split() for line in printed(made) if "missed loads" in line and "compared" not in line]
+    assert any(row[-2:] == ["not", "known"] for row in rows)
+    assert sum(row[-3:-1] == ["not", "tested"] for row in rows) == 2
 
 
-def test_rules_say_what_is_adjusted(url):
-    plain, asked = (" ".join(rules(compared(url, margins=m).found)) for m in ({}, {ERROR: 0.3}))
-    assert "Those of t tests and of robust tests are not adjusted" in plain
-    assert "two one-sided tests" not in plain
-    assert "its 90 % interval lies within; their p values are, among themselves, adjusted by Holm's method" in asked
-
-
-def test_one_station_is_not_said_to_be_taken_out(url, tmp_path):
-    random = np.random.default_rng(16)
-    other = f"sqlite:///{tmp_path / 'other.db'}"
-    with open_store(other, durable=False) as store:
-        for number in range(16):
-            batch = ("41", "42")[number % 2]
-            shifted = random.standard_normal(3) + 20 * (batch == "42")
-            store_run(store, f"S-{number:02d}", judged(measured(random, shifted)), batch=batch, station="A")
-    first = sentences(compared(other).found)[0]
-    assert first.endswith(", all at A.")
+def test_one_station_is_not_said_to_be_taken_out(url):
+    assert any("42 − 41, all of station A; " in line for line in printed(compared(url)))
 
 
 #: Keys that are data: shares of quantiles.
@@ -153,7 +137,7 @@ def keys(document):
 def test_every_key_of_the_document_is_documented_and_every_one_documented_is_there(url, by):
     page = (Path(__file__).parents[3] / "docs" / "reference" / "station-statistics.md").read_text()
     (section,) = re.findall(r"^## `cbsr-qa compare --json`\n(.*?)^## ", page, re.M | re.S)
-    document = compared(url, by, margins={ERROR: 0.3}, detect={ERROR: 0.2}).document()
+    document = json_of(compared(url, by, margins={ERROR: 0.3}, detect={ERROR: 0.2}))
     made = keys(document) - _SHARES
     assert made - set(re.findall(r"`(\w+)", section)) == set()
     if by is By.BATCH:
@@ -163,23 +147,21 @@ def test_every_key_of_the_document_is_documented_and_every_one_documented_is_the
 
 
 def test_the_document_has_an_entry_of_each_metric_and_group_with_the_same_keys(url):
-    document = compared(url).document()
+    document = json_of(compared(url))
     pairs = [(one["name"], one["group"]) for one in document["metrics"]]
     assert pairs == [
         (name, group) for name in (ERROR, "drift", "noise_floor", "missed_loads") for group in ("42", "43")
     ]
-    (one, *_) = compared(url, groups=("41",)).document()["metrics"]
+    (one, *_) = json_of(compared(url, groups=("41",)))["metrics"]
     assert (one["group"], one["model"]) == (None, "none")
     assert set(one) == set(document["metrics"][0])
 
 
-def test_the_page_has_tables_of_likeness_and_of_sensors(url, tmp_path):
+def test_the_page_has_tables_of_likeness_and_of_sensors(url):
     made = compared(url, margins={ERROR: 0.3}, detect={ERROR: 0.2})
-    write_page(made.found, tmp_path / "page.html")
-    html = (tmp_path / "page.html").read_text()
+    html = render_sections(made.page, made.sections)
     assert "42 − 41: alike within a margin?" in html
     assert ">90 % interval</th>" in html
-    assert "Sensors of each group that would find a difference with 80 %" in html
     count = differences(made, ERROR)["42"]["sensors_needed"]
     assert f'<td class="number tight"><bdi>{count}</bdi></td>' in html
     assert "a row is a group at a station, a point a sensor" in html

@@ -2,19 +2,15 @@
 
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
-from html import unescape
 
 import numpy as np
 import pytest
+from compared_fleets import page_of
 
 from cbsr_qa.domain import RefusedError
 from cbsr_qa.domain.results import FleetRun, FleetTable, Kind, MetricKey, Outcome
-from cbsr_qa.studies.compare.comparison import compare
-from cbsr_qa.studies.compare.design import design_of
-from cbsr_qa.studies.compare.groups import grouped
-from cbsr_qa.studies.compare.page import write_page
-from cbsr_qa.studies.compare.terms import By, Period, Policy, Terms
-from cbsr_qa.studies.compare.wording import rules, sentences
+from cbsr_qa.studies.compare import By, Period, Policy, Terms, compare, compare_outcome
+from cbsr_qa.studies.compare.groups import design_of, grouped
 
 BEGAN = datetime(2026, 1, 5, tzinfo=UTC)
 NOW = BEGAN + timedelta(days=100)
@@ -76,11 +72,11 @@ def crossed(sensors=6):
 
 
 def test_a_batch_is_not_taken_for_the_day_it_was_tested_on():
-    found = [compare(table_of(*fleet(seed, crossed())), DAYS, NOW).metrics[0].differences[0] for seed in range(40)]
+    found = [compare(table_of(*fleet(seed, crossed())), DAYS, NOW).of_metrics[0].differences[0] for seed in range(40)]
     assert {(one.group, one.reference) for one in found} == {("2026-01-06", "2026-01-05")}
     # No day differs; the mean of a day does by a third of the batches' difference, and a t test claims it.
-    assert abs(np.mean([one.value for one in found])) < 0.1
-    assert sum(one.interval.holds(0.0) for one in found) >= 35
+    assert abs(np.mean([one.difference for one in found])) < 0.1
+    assert sum(one.low <= 0.0 <= one.high for one in found) >= 35
     assert all(one.naive.difference > 0.4 for one in found)
     assert all(one.model.startswith("fixed: group and each station's batches") for one in found)
 
@@ -88,21 +84,21 @@ def test_a_batch_is_not_taken_for_the_day_it_was_tested_on():
 def test_days_that_are_batches_are_not_compared():
     plan = [(batch, station, day) for day, batch in enumerate(("41", "42")) for station in "AB" for _ in range(8)]
     made = compare(table_of(*fleet(1, plan)), DAYS, NOW)
-    (one,) = made.metrics[0].differences
-    assert one.value is None
-    assert one.warnings == (
+    (one,) = made.of_metrics[0].differences
+    assert one.difference is None
+    assert one.warnings[0] == (
         "periods and batches cannot be told apart: 2026-01-06 is batch 42 only; 2026-01-05 is batch 41 only; "
-        "run some sensors of one batch at one station in both",
+        "run some sensors of one batch at one station in both"
     )
     assert one.naive.difference == pytest.approx(BATCH_MM, abs=0.4)
-    assert not any("not compared with groups" in note for note in made.metrics[0].notes)
+    assert not any("not compared with groups" in note for note in made.of_metrics[0].notes)
 
 
 def test_software_that_is_a_batch_is_not_compared_with_the_other():
     runs, values = fleet(2, [("41", "A", 0), ("42", "A", 0), ("41", "B", 0), ("42", "B", 0)] * 6)
     runs = [replace(run, software=(("cbsr-qa", "2.0" if run.batch == "42" else "1.0"),)) for run in runs]
-    (one,) = compare(table_of(runs, values), Terms(By.SOFTWARE), NOW).metrics[0].differences
-    assert one.value is None
+    (one,) = compare(table_of(runs, values), Terms(By.SOFTWARE), NOW).of_metrics[0].differences
+    assert one.difference is None
     assert one.warnings[0].startswith(
         "software versions and batches cannot be told apart: cbsr-qa 2.0 is batch 42 only"
     )
@@ -110,31 +106,29 @@ def test_software_that_is_a_batch_is_not_compared_with_the_other():
 
 def test_days_at_stations_of_their_own_and_days_that_share_no_batch_at_a_station_are_told_as_such():
     plan = [("41", "A", 0), ("42", "A", 0), ("41", "B", 1), ("42", "B", 1)] * 4
-    (one,) = compare(table_of(*fleet(3, plan)), DAYS, NOW).metrics[0].differences
+    (one,) = compare(table_of(*fleet(3, plan)), DAYS, NOW).of_metrics[0].differences
     assert one.warnings[0].startswith("periods and stations cannot be told apart: 2026-01-06 is B only")
     plan = [("41", "A", 0), ("42", "B", 0), ("41", "B", 1), ("42", "A", 1)] * 4
-    (one,) = compare(table_of(*fleet(3, plan)), DAYS, NOW).metrics[0].differences
+    (one,) = compare(table_of(*fleet(3, plan)), DAYS, NOW).of_metrics[0].differences
     assert one.warnings[0].startswith("periods cannot be told from batches and stations: 2026-01-06 is batch 42 at A")
 
 
-def test_what_a_difference_of_periods_rests_on_is_said_and_stations_are_compared_beside(tmp_path):
+def test_what_a_difference_of_periods_rests_on_is_said_and_stations_are_compared_beside():
     runs, values = fleet(4, crossed())
     made = compare(table_of(runs, values + [1.0 * (run.station == "B") for run in runs]), DAYS, NOW)
-    assert any("differences from 2026-01-05 rest on batches" in said for said in made.warnings)
-    assert any(said.endswith("with 2026-01-06 (batch 41, 42)") for said in made.warnings)
-    (station,) = made.metrics[0].stations
-    assert (station.group, station.reference) == ("B", "A")
-    assert station.interval.holds(1.0)
+    assert "compared with 2026-01-05: 2026-01-06 (batch 41, 42)" in " ".join(made.warnings)
+    (station,) = made.of_metrics[0].stations
+    assert (station.station, station.reference) == ("B", "A")
+    assert station.low <= 1.0 <= station.high
     with_batches = compare(
         table_of(runs, values + [1.0 * (run.station == "B") for run in runs]), Terms(By.STATION), NOW
     )
-    assert station.value == with_batches.metrics[0].differences[0].value
-    write_page(made, tmp_path / "page.html")
-    html = unescape((tmp_path / "page.html").read_text())
-    assert "What stations read above the one with most runs, the batches' differences taken out" in html
+    assert station.difference == with_batches.of_metrics[0].differences[0].difference
+    html = page_of(compare_outcome(made))
+    assert "What stations read above the one with most runs, differences of batches taken out" in html
     one_batch = [replace(run, batch="41") for run in runs]
     alone = compare(table_of(one_batch, values), DAYS, NOW)
-    assert alone.metrics[0].differences[0].model.startswith("fixed: group and station")
+    assert alone.of_metrics[0].differences[0].model.startswith("fixed: group and station")
     assert not any("batch" in said for said in alone.warnings)
 
 
@@ -150,10 +144,12 @@ def test_a_clock_wrong_by_a_year_is_told_by_the_identifiers_where_stations_test_
     year = timedelta(days=365)
     wrong = [replace(run, started_at=run.started_at - year) if run.station == "B" else run for run in runs]
     (said,) = (one for one in compare(table_of(wrong, values), Terms(By.BATCH), NOW).warnings if "clock" in one)
-    assert said.startswith("Station B states for 5 runs (S-001, ")
-    assert "began on 2025-01-05 to 2025-01-05, and their identifiers were made 365 days later" in said
+    assert said.startswith(
+        "The clock of station B was wrong, or that of the computer that named the runs: 5 runs (S-001, "
+    )
+    assert "state 2025-01-05 to 2025-01-05, and were named 365 days later" in said
     months = compare(table_of(wrong, values), Terms(By.PERIOD), NOW).warnings
-    assert any("Periods are taken from those clocks" in one for one in months)
+    assert any("Periods are taken from these clocks" in one for one in months)
     assert not any("clock" in one for one in compare(table_of(runs, values), Terms(By.BATCH), NOW).warnings)
 
 
@@ -169,12 +165,12 @@ def test_a_value_nothing_can_be_made_of_is_left_out_with_its_sensor_named_and_th
     both = np.column_stack([values, values])
     both[3, 1] = value
     made = compare(table_of(runs, both, ("gap", "noise")), Terms(By.BATCH), NOW)
-    gap, noise = made.metrics
-    assert [one.count for one in gap.described] == [6, 6]
-    assert [one.count for one in noise.described] == [6, 5]
-    assert noise.differences[0].value == pytest.approx(BATCH_MM, abs=0.7)
-    (said,) = noise.figures.warnings
-    assert said == f"1 run has a value that is infinite or beyond 1e+150, left out of it: S-003 ({value:g})"
+    gap, noise = made.of_metrics
+    assert [one.n for one in gap.distributions] == [6, 6]
+    assert [one.n for one in noise.distributions] == [6, 5]
+    assert noise.differences[0].difference == pytest.approx(BATCH_MM, abs=0.7)
+    (said,) = noise.values.warnings
+    assert said == f"infinite or beyond 1e+150, left out: S-003 ({value:g})"
 
 
 def test_a_metric_that_runs_do_not_hold_at_all_is_named():
@@ -182,20 +178,22 @@ def test_a_metric_that_runs_do_not_hold_at_all_is_named():
     table = table_of(runs, np.column_stack([values, values]), ("gap", "noise"))
     third = [number for number, run in enumerate(runs) if run.batch == "43"]
     made = compare(without(table, {(0, 0), *((number, 1) for number in third)}), Terms(By.BATCH), NOW)
-    gap, noise = made.metrics
-    assert gap.figures.warnings == ("1 run does not hold it and is left out of it: S-000",)
-    assert noise.figures.warnings == ("4 runs do not hold it and are left out of it: S-002, S-005, S-008, S-011",)
+    gap, noise = made.of_metrics
+    assert gap.values.warnings == ("without this measurement, left out: S-000 (1 run)",)
+    assert noise.values.warnings == ("without this measurement, left out: S-002, S-005, S-008, S-011 (4 runs)",)
     refused = next(one for one in noise.differences if one.group == "43")
-    assert refused.warnings == ("no run of 43 that counts has a value of it",)
-    assert any("no run of 43 that counts has a value of it" in said for said in sentences(made))
+    assert refused.warnings[0] == "no run of 43 that counts has a value of it"
+    assert any(
+        "no run of 43 that counts has a value of it" in said for said in compare_outcome(made).result.sentences
+    )
 
 
 def test_recipes_that_do_not_measure_a_metric_are_named_instead_of_their_sensors():
     runs, values = fleet(9, [("41", "A", 0), ("42", "A", 0)] * 4)
     runs = [replace(run, recipe="other") if number < 2 else run for number, run in enumerate(runs)]
     table = without(table_of(runs, np.column_stack([values, values]), ("gap", "noise")), {(0, 1), (1, 1)})
-    noise = compare(table, Terms(By.BATCH), NOW).metrics[1]
-    assert noise.figures.warnings == ("2 runs are left out of it, of recipes that do not measure it: other",)
+    noise = compare(table, Terms(By.BATCH), NOW).of_metrics[1]
+    assert noise.values.warnings == ("2 runs of recipes that do not measure it, left out: other",)
 
 
 def test_runs_of_golden_sensors_that_checked_a_station_do_not_count():
@@ -203,7 +201,7 @@ def test_runs_of_golden_sensors_that_checked_a_station_do_not_count():
     runs = [replace(run, of_check=number < 1) for number, run in enumerate(runs)]
     made = compare(table_of(runs, values), Terms(By.BATCH), NOW)
     assert {group.name: group.runs for group in made.groups} == {"41": 3, "42": 4}
-    assert "1 run is a golden sensor's that checked its station and is left out" in made.warnings
+    assert "Left out: 1 run of golden sensors that checked a station" in made.warnings
     every = [replace(run, of_check=True) for run in runs]
     with pytest.raises(RefusedError, match="of 8 stored runs none"):
         compare(table_of(every, values), Terms(By.BATCH), NOW)
@@ -218,29 +216,27 @@ def test_runs_of_one_sensor_are_kept_in_their_order():
 
 def test_a_design_names_its_levels_only_where_batches_could_be_taken_for_groups():
     runs, _ = fleet(11, crossed(1))
-    assert design_of(runs, grouped(runs, DAYS), By.PERIOD).sides[0] == "A (batch 41)"
-    assert design_of(runs, grouped(runs, Terms(By.BATCH)), By.BATCH).sides[0] == "A"
+    assert design_of(runs, grouped(runs, DAYS), DAYS).sides[0] == "A (batch 41)"
+    assert design_of(runs, grouped(runs, Terms(By.BATCH)), Terms(By.BATCH)).sides[0] == "A"
     nameless = [replace(run, batch="") if run.batch == "41" else run for run in runs]
-    assert design_of(nameless, grouped(nameless, DAYS), By.PERIOD).sides[0] == "A (batch not stated)"
+    assert design_of(nameless, grouped(nameless, DAYS), DAYS).sides[0] == "A (batch not stated)"
 
 
 def test_what_was_taken_out_of_a_difference_of_periods_is_said():
     runs, values = fleet(12, crossed())
     table = table_of(runs, values + [3.0 * (run.started_at.day == 6) for run in runs])
-    (said, *_) = sentences(compare(table, DAYS, NOW))
-    assert said.endswith(", with the stations' and batches' differences taken out.")
+    assert "2026-01-06 − 2026-01-05, differences of stations and batches taken out; " in page_of_days(table)
     one_batch = replace(table, runs=tuple(replace(run, batch="41") for run in runs))
-    (said, *_) = sentences(compare(one_batch, DAYS, NOW))
-    assert said.endswith(", with the stations' differences taken out.")
+    assert "2026-01-06 − 2026-01-05, differences of stations taken out; " in page_of_days(one_batch)
 
 
-def test_rules_and_captions_say_that_yields_and_means_hold_what_stations_differ_by(tmp_path):
-    made = compare(table_of(*fleet(13, crossed(2))), Terms(By.BATCH), NOW)
-    (said,) = (words for words in rules(made) if words.startswith("Yields, means, quantiles and capability"))
-    assert "what stations differ by is in them" in said
-    assert "(cbsr-qa verdict override) does not count" in said
-    write_page(made, tmp_path / "page.html")
-    html = unescape((tmp_path / "page.html").read_text())
-    assert "Sensors and yields of what was measured, stations' differences included" in html
-    assert "Of one figure a sensor as it was measured, stations' differences included" in html
-    assert "Capability against the recipe's limits, stations' differences included" in html
+def page_of_days(table):
+    return page_of(compare_outcome(compare(table, DAYS, NOW)))
+
+
+def test_rules_and_captions_say_that_yields_and_means_hold_what_stations_differ_by():
+    made = compare_outcome(compare(table_of(*fleet(13, crossed(2))), Terms(By.BATCH), NOW))
+    assert any(rule.startswith("Yields, means, quantiles and capability are of values") for rule in made.result.rules)
+    html = page_of(made)
+    assert "Sensors and yields as measured, stations' differences included" in html
+    assert "One value a sensor as measured, stations' differences included" in html

@@ -1,0 +1,253 @@
+"""What a person reads of a comparison: which groups differ and by how much, and what to be careful about."""
+
+from collections import Counter
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
+from itertools import groupby
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain import Array, of_kind
+from cbsr_qa.domain.results import Banner, CommandOutcome, Page
+from cbsr_qa.report import number, plural
+from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
+from cbsr_qa.studies.compare.differences import Estimated
+from cbsr_qa.studies.compare.tables import all_stations, amount, capital, each, others, sections, side, significant
+from cbsr_qa.studies.compare.terms import By
+from cbsr_qa.studies.figure_series import named
+
+_NOTHING: Final = 3
+_MOST_IN_HEADLINE: Final = 2
+_MOST_DIGITS: Final = 9
+_NONE: Final = "–"
+_NO_COMPARISON: Final = "{groups}: nothing could be compared"
+_READS: Final = "{who} reads {size} ({low} to {high}) {side} {reference}{metric}"
+_MORE: Final = "{count} in the tables"
+_NONE_SHOWN: Final = "{groups}: no difference shown in {metrics}"
+_NOT_SHOWN: Final = "{groups}: no difference from {reference} shown"
+_NEVER: Final = "{groups} cannot be compared"
+_IN_SOME: Final = "{groups} could not be compared in {count} of {metrics}"
+_NO_VALUES: Final = "Nothing was measured: no run that counts holds a measurement."
+_REFUSED: Final = "{metrics} not compared: {text}."
+_CONSTANT: Final = "{metric}: all sensors of each group read the same ({values}), so no test is possible."
+_T_TEST: Final = (
+    "A t test, which ignores {others} and the number of metrics, claims differences that the model does not find: "
+    "{claims}."
+)
+_NOT_ALIKE: Final = "No difference shown does not mean alike: --margin METRIC=VALUE tests for that."
+_NOTE: Final = "{metrics}: {text}."
+_RULES: Final = (
+    "--policy {policy} says which of a sensor's finished runs decides; first-pass yield counts the first.",
+    "--quarantine {quarantine} says how sensors that could not be measured count: apart from yields, or as failed.",
+    "Yields, means, quantiles and capability are of values as measured, stations' differences included. Verdicts are "
+    "those of the analysis; overrides (cbsr-qa verdict override) do not count.",
+    "Intervals hold with {confidence:g} % each. --adjust {adjustment} says how p values are adjusted: those of "
+    "differences for all metrics and groups, those of stations and likeness likewise; those of places by Holm.",
+    "Of a metric with one value a load, a sensor's value is the mean over the loads of its recipe; capability is of "
+    "the load nearest to the limit, which decides.",
+)
+_RULE_OF_NUMBERS: Final = (
+    "Groups are alike within a margin by two one-sided tests. Numbers of sensors are those of each group, all "
+    "{where} and run once, with which one test at the level {level:g} succeeds with {power:g} %; where many tests "
+    "are adjusted it takes more."
+)
+
+
+def compare_outcome(found: Comparison) -> CommandOutcome[Comparison]:
+    """Lay a comparison out; its headline, sentences and rules are filled in."""
+    warnings, remarks = tuple(_important(found)), tuple(_remarks(found))
+    said = replace(
+        found, headline=_headline(found), sentences=(*warnings, *remarks, *found.warnings), rules=tuple(_rules(found))
+    )
+    identity = (
+        ("Compared by", str(found.by)),
+        ("Reference", found.reference),
+        ("Sensors", str(sum(group.n for group in found.groups))),
+        ("Runs", str(sum(group.runs for group in found.groups))),
+        ("Stations", ", ".join(all_stations(found))),
+        ("Recipes", ", ".join(found.recipes)),
+    )
+    banner = Banner("plain", "●" if found.compared else _NONE, said.headline, "")
+    subject, every = f"by {found.by}", (*warnings, *found.warnings)
+    page = Page("Comparison", subject, banner, identity, found.simulated, every, remarks)
+    return CommandOutcome(said, page, tuple(sections(said)), 0 if found.compared else _NOTHING)
+
+
+def _headline(found: Comparison) -> str:
+    """Answer in one line: the largest differences, a station that reads differently, what is not shown to differ."""
+    everyone = [group.name for group in found.groups]
+    if not found.compared:
+        return _NO_COMPARISON.format(groups=_listed(everyone))
+    differ = sorted(
+        ((metric, one) for metric, one in each(found) if significant(one, found)),
+        key=lambda pair: -abs(pair[1].effect_size or 0.0),
+    )
+    shown: list[tuple[MetricComparison, Estimated, str]] = [
+        (metric, one, _who(str(one.group), found)) for metric, one in differ[:_MOST_IN_HEADLINE]
+    ]
+    titles = {metric.values.title for metric, *_ in shown}
+    drifted = sorted(
+        ((m, one) for m in found.of_metrics for one in m.stations if significant(one, found)),
+        key=lambda pair: (pair[0].values.title not in titles, pair[1].p),
+    )
+    shown += [(metric, one, of_kind("station", one.station)) for metric, one in drifted[:1]]
+    clauses = [*_readings(shown, found), *_not_shown({one.group for _, one in differ}, found), *_not_compared(found)]
+    more = len(differ) + len(drifted) - len(shown)
+    text = "; ".join([*clauses, *([_MORE.format(count=plural(more, "more difference"))] if more else [])])
+    return text if text.startswith(tuple(everyone)) else f"{text[0].upper()}{text[1:]}"
+
+
+def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], found: Comparison) -> Iterator[str]:
+    """Say what reads how much above or below its reference; the metric is named where it changes."""
+    before = ""
+    for metric, one, who in shown:
+        size, low, high = (one.difference or 0.0, one.low or 0.0, one.high or 0.0)
+        if size < 0:
+            size, low, high = -size, -high, -low
+        yield _READS.format(
+            who=who,
+            size=amount(size, metric.values.unit, 2),
+            low=number(low, 2),
+            high=number(high, 2),
+            side=side(metric, one, found),
+            reference=one.reference,
+            metric="" if metric.values.title == before else f" in {metric.values.title}",
+        )
+        before = metric.values.title
+
+
+def _not_shown(differ: Collection[str | None], found: Comparison) -> Iterator[str]:
+    same = [name for name in _known(found) if name not in differ and name != found.reference]
+    if differ and same:
+        yield _NOT_SHOWN.format(groups=_listed(same), reference=found.reference)
+    elif same:
+        tested = [
+            m.values.title for m in found.of_metrics if any(one.difference is not None for one in m.differences)
+        ]
+        metrics = tested[0] if len(tested) == 1 else f"any of {len(tested)} metrics"
+        yield _NONE_SHOWN.format(groups=_listed(_known(found)), metrics=metrics)
+
+
+def _not_compared(found: Comparison) -> Iterator[str]:
+    """Say which groups could not be compared, wholly or in some metrics, without those in which nothing differs."""
+    metrics = [metric for metric in found.of_metrics if metric.differences and not _idle(metric)]
+    counts = Counter(one.group for metric in metrics for one in metric.differences if one.difference is None)
+    names = [group.name for group in found.groups[1:] if counts[group.name]]
+    never = [name for name in names if name not in _known(found)]
+    if never:
+        yield _NEVER.format(groups=_listed(never))
+    some = sorted((name for name in names if name not in never), key=lambda name: -counts[name])
+    for count, members in groupby(some, key=lambda name: counts[name]):
+        metrics_text = plural(len(metrics), "metric")
+        yield _IN_SOME.format(groups=_listed(list(members)), count=count, metrics=metrics_text)
+
+
+def _important(found: Comparison) -> Iterator[str]:
+    """Return what may change a decision: what was not compared and why, and what a plain test would claim."""
+    if not found.of_metrics:
+        yield _NO_VALUES
+    yield from _refusals(found, of_idle=False)
+    for metric in found.of_metrics:
+        read = _constant(metric)
+        if read:
+            yield _CONSTANT.format(metric=capital(metric.values.title), values=named(read, 8))
+    claims = [
+        f"{one.group} − {one.reference} in {metric.values.title} ({amount(one.naive.difference, metric.values.unit)})"
+        for metric, one in each(found)
+        if one.naive is not None and one.naive.p < found.terms.level and not significant(one, found)
+    ]
+    if claims:
+        yield _T_TEST.format(others=others(found), claims=named(claims, 5))
+
+
+def _remarks(found: Comparison) -> Iterator[str]:
+    """Return what is worth knowing, each note once with its metrics."""
+    if found.compared and not found.terms.margins and not all(significant(one, found) for _, one in each(found)):
+        yield _NOT_ALIKE
+    yield from _refusals(found, of_idle=True)
+    yield from _by_text(_NOTE, ((note, m) for m in found.of_metrics for note in m.notes), found)
+
+
+def _refusals(found: Comparison, *, of_idle: bool) -> Iterator[str]:
+    """Say why pairs were not compared, each reason once.
+
+    Parameters
+    ----------
+    of_idle : of metrics in which all sensors read the same, which matter least; else of all others.
+    """
+    refused = (
+        (one.warnings[0].removeprefix(f"{metric.values.key.label}: "), metric)
+        for metric, one in each(found)
+        if one.difference is None and _idle(metric) is of_idle
+    )
+    return _by_text(_REFUSED, refused, found)
+
+
+def _by_text(template: str, pairs: Iterable[tuple[str, MetricComparison]], found: Comparison) -> Iterator[str]:
+    metrics: dict[str, dict[str, None]] = {}
+    for text, metric in pairs:
+        metrics.setdefault(text, {})[metric.values.title] = None
+    for text, titles in metrics.items():
+        of = "all metrics" if len(titles) == len(found.of_metrics) > 1 else named(list(titles), 3)
+        yield template.format(metrics=capital(of), text=text)
+
+
+def _rules(found: Comparison) -> Iterator[str]:
+    terms = found.terms
+    for rule in (*_RULES, *([_RULE_OF_NUMBERS] if terms.margins or terms.detect else [])):
+        yield rule.format(
+            policy=terms.policy,
+            quarantine=terms.quarantine,
+            adjustment=terms.adjustment,
+            confidence=100 * terms.confidence,
+            where="of one batch" if found.by is By.STATION else "at one station",
+            level=terms.level,
+            power=100 * terms.power,
+        )
+
+
+def _known(found: Comparison) -> list[str]:
+    """Return the reference and the groups that could be compared with it in any metric, in their order."""
+    told = {one.group for one in found.metrics if one.difference is not None}
+    return [group.name for group in found.groups if group.name in told or group.name == found.reference]
+
+
+def _idle(metric: MetricComparison) -> bool:
+    """Whether all sensors of all groups read the same: there is nothing to tell groups apart by."""
+    return _same([values for *_, values in metric.samples])
+
+
+def _constant(metric: MetricComparison) -> list[str]:
+    """Return what each group reads where sensors of a group do not differ, and groups do; else nothing."""
+    of_group: dict[str, list[Array]] = {}
+    for name, _, values in metric.samples:
+        of_group.setdefault(name, []).append(values)
+    read = {
+        name: float(np.mean(np.concatenate(values))) for name, values in of_group.items() if sum(map(len, values))
+    }
+    scatter = any(sum(map(len, of_group[name])) < 2 or not _same(of_group[name]) for name in read)
+    if all(one.difference is not None for one in metric.differences) or _idle(metric) or scatter or len(read) < 2:
+        return []
+    for digits in range(3, _MOST_DIGITS + 1):  # as many as tell them apart
+        written = {name: amount(value, metric.values.unit, digits) for name, value in read.items()}
+        if len(set(written.values())) == len(set(read.values())):
+            break
+    return [f"{name} {text}" for name, text in written.items()]
+
+
+def _same(samples: Sequence[Array]) -> bool:
+    """Whether there are values, and they are the same but for the rounding of means."""
+    values = np.concatenate([np.zeros(0), *samples])
+    return bool(len(values)) and bool(np.ptp(values) <= 1e-12 * np.abs(values).max())
+
+
+def _who(group: str, found: Comparison) -> str:
+    return of_kind(str(found.by), group) if found.by in (By.BATCH, By.MATERIAL, By.STATION) else group
+
+
+def _listed(names: Sequence[str], most: int = 3) -> str:
+    """List groups in words: ``41, 42 and 43``; of many how many they are."""
+    if len(names) > most:
+        return f"{len(names)} groups"
+    return " and ".join(", ".join(part) for part in (names[:-1], names[-1:]) if part)

@@ -1,0 +1,222 @@
+"""One value a run and metric: the mean over the loads of its recipe where there is one value a load.
+
+The limits of a recipe judge every load, so that the least and the greatest value are kept beside the mean.
+"""
+
+from collections import Counter
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.domain import Array
+from cbsr_qa.domain.results import FleetTable, MetricKey, State
+from cbsr_qa.report import plural
+from cbsr_qa.stats import LARGEST
+from cbsr_qa.studies.figure_series import named
+
+BoolArray = NDArray[np.bool_]
+
+# What is to be kept in mind of one metric.
+_OTHER_UNIT: Final = "measured in {other} instead of {unit}, left out: {sensors}"
+_NEVER_MEASURED: Final = "without this measurement, left out: {sensors}"
+_OTHER_RECIPE: Final = "{runs} of recipes that do not measure it, left out: {recipes}"
+_BEYOND: Final = f"infinite or beyond {LARGEST:g}, left out: {{values}}"
+_NOT_MEASURED: Final = "could not be measured, left out: {sensors}"
+_LOWER_BOUND: Final = "only a lower bound is known, left out: {sensors}"
+_FEWER: Final = "fewer than {most} values, the mean is of the rest: {sensors}"
+_SEVERAL_LIMITS: Final = "runs were held against different limits; capability is against those of the latest run"
+
+
+@dataclass(frozen=True, slots=True)
+class OfMetric:
+    """Which metric something is of, and the unit of its values."""
+
+    name: str
+    phase: str
+    qualifier: str
+    unit: str
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MetricValues:
+    """A metric of every run.
+
+    Parameters
+    ----------
+    title : its name in words, with phase and qualifier where another metric has the same name.
+    unit : of all values that were taken.
+    lower, upper : limit of the latest run that had one; None where there is none.
+    mean, least, most : (R,) of each run's values; NaN where it has none, or where one is only a lower bound, infinite
+        or beyond what can be squared.
+    per_run : values of the run that has most.
+    at : location → (R,) mean of the values there; empty where values have no location.
+    failed : (R,) whether a value was outside its limit or, though limited, could not be measured.
+    warnings : what was left out, and what is not alike, in sentences.
+    """
+
+    key: MetricKey
+    title: str
+    unit: str
+    lower: float | None
+    upper: float | None
+    mean: Array
+    least: Array
+    most: Array
+    per_run: int
+    at: Mapping[str, Array]
+    failed: BoolArray
+    warnings: tuple[str, ...]
+
+    @property
+    def identity(self) -> tuple[str, str, str, str]:
+        """The fields of :class:`OfMetric`."""
+        return self.key.name, self.key.phase, self.key.qualifier, self.unit
+
+    @property
+    def limited(self) -> bool:
+        """Whether its recipe limits it."""
+        return self.lower is not None or self.upper is not None
+
+
+def values_of(table: FleetTable, used: BoolArray) -> Iterator[MetricValues]:
+    """Return the values of each metric, in the order the metrics were measured in.
+
+    Parameters
+    ----------
+    used : (R,) runs that count; values of the others are left out.
+    """
+    keys = list(dict.fromkeys(kind.key for kind in table.kinds))
+    if not keys:  # no run holds a measurement
+        return
+    places = {key: place for place, key in enumerate(keys)}
+    of_kind = np.array([places[kind.key] for kind in table.kinds], dtype=np.intp)
+    rows = np.flatnonzero(used[table.run]) if len(table.run) else np.zeros(0, dtype=np.intp)
+    metric = of_kind[table.kind[rows]]
+    order = rows[np.argsort(metric, kind="stable")]
+    ends = np.cumsum(np.bincount(metric, minlength=len(keys)))
+    named_so = Counter(key.name for key in keys)
+    for key, chosen in zip(keys, np.split(order, ends[:-1]), strict=True):
+        if len(chosen):
+            title = (key.name if named_so[key.name] == 1 else key.label).replace("_", " ")
+            yield _values(key, title, table, chosen, used)
+
+
+def _values(key: MetricKey, title: str, table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> MetricValues:
+    absent = _absent(table, rows, used)
+    rows, mixed = _one_unit(table, rows)
+    run, value, state = table.run[rows], table.value[rows], table.state[rows]
+    kinds = [table.kinds[index] for index in np.unique(table.kind[rows])]
+    runs = len(table.runs)
+    bounded = np.bincount(run, state & State.LOWER_BOUND, runs) > 0
+    beyond = ~np.isnan(value) & ~(np.abs(value) <= LARGEST)
+    huge = np.bincount(run, beyond, runs) > 0
+    known = ~np.isnan(value) & ~(bounded | huge)[run]
+    counts = np.bincount(run[known], minlength=runs)
+    asked = np.bincount(run, minlength=runs)
+    lower, upper = _limits(table, rows)
+    warnings = [
+        *mixed,
+        *absent,
+        *_beyond(table, run[beyond], value[beyond]),
+        *_sensors(_NOT_MEASURED, table, np.flatnonzero((asked > 0) & (counts == 0) & ~bounded & ~huge)),
+        *_sensors(_LOWER_BOUND, table, np.flatnonzero(bounded)),
+        *_sensors(_FEWER, table, np.flatnonzero((counts > 0) & (counts < asked.max())), most=str(asked.max())),
+        *([_SEVERAL_LIMITS] if len({(kind.lower, kind.upper) for kind in kinds}) > 1 else []),
+    ]
+    return MetricValues(
+        key=key,
+        title=title,
+        unit=kinds[0].unit,
+        lower=lower,
+        upper=upper,
+        mean=_means(run[known], value[known], runs),
+        least=_extremes(np.minimum, run[known], value[known], runs),
+        most=_extremes(np.maximum, run[known], value[known], runs),
+        per_run=int(asked.max()),
+        at=_by_location(table, rows[known], runs),
+        failed=np.bincount(run, state & (State.FAILED | State.UNMEASURED), runs) > 0,
+        warnings=tuple(warnings),
+    )
+
+
+def _means(run: NDArray[np.int32], value: Array, runs: int) -> Array:
+    counts = np.bincount(run, minlength=runs)
+    sums = np.bincount(run, value, runs)
+    means: Array = np.full(runs, np.nan)
+    np.divide(sums, counts, out=means, where=counts > 0)
+    return means
+
+
+def _extremes(pick: np.ufunc, run: NDArray[np.int32], value: Array, runs: int) -> Array:
+    found: Array = np.full(runs, np.inf if pick is np.minimum else -np.inf)
+    pick.at(found, run, value)
+    found[np.isinf(found)] = np.nan
+    return found
+
+
+def _by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -> dict[str, Array]:
+    members: dict[str, list[int]] = {}
+    for index in np.unique(table.kind[rows]):
+        members.setdefault(table.kinds[index].location, []).append(int(index))
+    members.pop("", None)
+    found = {}
+    for location, indices in sorted(members.items()):
+        here = rows[np.isin(table.kind[rows], indices)]
+        found[location] = _means(table.run[here], table.value[here], runs)
+    return found
+
+
+def _one_unit(table: FleetTable, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[str]]:
+    """Keep the unit most values are in; say what is in another."""
+    counts: Counter[str] = Counter()
+    for index, count in zip(*np.unique(table.kind[rows], return_counts=True), strict=True):
+        counts[table.kinds[index].unit] += int(count)
+    (unit, _), *others = counts.most_common()
+    if not others:
+        return rows, []
+    same = np.array([kind.unit == unit for kind in table.kinds])[table.kind[rows]]
+    other = ", ".join(name for name, _ in others)
+    out = np.unique(table.run[rows[~same]]).astype(np.intp)
+    return rows[same], list(_sensors(_OTHER_UNIT, table, out, other=other, unit=unit))
+
+
+def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Iterator[str]:
+    """Name runs that count and hold no such metric at all, not even as missing."""
+    has = np.zeros(len(table.runs), dtype=np.bool_)
+    has[table.run[rows]] = True
+    without = np.flatnonzero(used & ~has)
+    if not len(without):
+        return
+    measuring = {table.runs[run].recipe for run in np.flatnonzero(has)}
+    others = [table.runs[run].recipe for run in without if table.runs[run].recipe not in measuring]
+    strayed = [run for run in without if table.runs[run].recipe in measuring]
+    yield from _sensors(_NEVER_MEASURED, table, np.array(strayed, dtype=np.intp))
+    if others:
+        yield _OTHER_RECIPE.format(runs=plural(len(others), "run"), recipes=named(sorted(set(others))))
+
+
+def _beyond(table: FleetTable, run: NDArray[np.int32], value: Array) -> Iterator[str]:
+    """Name values that no arithmetic can be done with."""
+    shown = {f"{table.runs[one].serial} ({number:g})" for one, number in zip(run, value, strict=True)}
+    if shown:
+        yield _BEYOND.format(values=named(sorted(shown)))
+
+
+def _sensors(template: str, table: FleetTable, runs: NDArray[np.intp], **words: str) -> Iterator[str]:
+    """Fill a template with the sensors of runs, if there are any; several runs are counted."""
+    if len(runs):
+        serials = named(sorted({table.runs[run].serial for run in runs}))
+        yield template.format(sensors=f"{serials} ({plural(len(runs), 'run')})", **words)
+
+
+def _limits(table: FleetTable, rows: NDArray[np.intp]) -> tuple[float | None, float | None]:
+    """Limits of the latest run that had some."""
+    limited = np.array([kind.lower is not None or kind.upper is not None for kind in table.kinds])
+    judged = rows[limited[table.kind[rows]]]
+    if not len(judged):
+        return None, None
+    kind = table.kinds[table.kind[judged[np.argmax(table.run[judged])]]]
+    return kind.lower, kind.upper
