@@ -10,7 +10,7 @@ from cbsr_qa.calibration.file import as_filed, stamped
 from cbsr_qa.calibration.fits import restricted_mean
 from cbsr_qa.calibration.force import LearnedForce, force_reductions, reading_reductions, tried_beyond, unmeasured
 from cbsr_qa.calibration.sheet import baseline_conductance, load_baseline
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain import CalibrationError, taken
 from cbsr_qa.domain.results import (
     BaselineConductance,
     Calibration,
@@ -124,34 +124,22 @@ class _Fits:
 def _calibration(
     observation: RunObservation, loads: Sequence[LoadObservation], fits: _Fits, issue: _Issue
 ) -> Calibration:
-    record, settings = observation.record, observation.settings
     baseline, used = _baseline(observation, loads, fits.against_stress)
     relaxations = tuple(_relaxations(observation.tested))
     return Calibration(
+        **taken(Calibration, observation),
         calibration=issue.calibration,
-        run=record.identity.run,
         issued_at=issue.issued_at,
-        sensor=record.identity.sensor,
-        sensor_type=record.sensor_type,
-        indenter=record.indenter,
-        reference=observation.reference,
         current_A=_current_A(observation),
-        scale=observation.scale,
         reconstruction=observation.reconstruction.in_single_precision(),
-        response=observation.response,
-        noise_floor=observation.noise_floor,
-        mask=observation.main_mask,
         baseline=baseline,
         against_stress=fits.against_stress,
         against_strain=fits.against_strain,
         assumed=fits.assumed,
         settling=summarise_settling(relaxations),
-        overlap_bands=settings.overlap_bands,
         overlap_threshold=issue.overlap_threshold,
         validity=_validity(observation, fits, loads, fits.used() or used, baseline),
-        simulated=record.identity.simulated,
         relaxations=relaxations,
-        size_ratio=settings.size_ratio,
         noise_figure=issue.noise_figure,
         force=fits.model,
         no_force=fits.no_force,

@@ -17,8 +17,18 @@ from .errors import (
     StoreError as StoreError,
     UnconcludedError as UnconcludedError,
 )
+from .kept import (
+    Kept as Kept,
+    KeptField as KeptField,
+    group_of as group_of,
+    kept_fields as kept_fields,
+    tabulated as tabulated,
+    taken as taken,
+)
 from .numbers import (
     Array as Array,
+    Indices as Indices,
+    Mask as Mask,
     array_of as array_of,
     check_encodable as check_encodable,
     finite_numbers as finite_numbers,

@@ -6,8 +6,6 @@ from datetime import date, datetime, timedelta
 from types import TracebackType
 from typing import Final, Self
 
-import numpy as np
-from numpy.typing import NDArray
 from sqlalchemy import Engine
 
 from cbsr_qa.domain.results import (
@@ -44,7 +42,14 @@ from cbsr_qa.store import (
 )
 from cbsr_qa.store.engine import address, parsed_url, shown
 from cbsr_qa.store.figures import RunFilter
-from cbsr_qa.store.results import CalibrationSummary, PrepareForce, StoredAnalysis, analyses, calibrations
+from cbsr_qa.store.results import (
+    CalibrationSummary,
+    PrepareForce,
+    StoredAnalysis,
+    analyses,
+    calibrations,
+    calibrations_of_before,
+)
 from cbsr_qa.store.runs import (
     IncompleteRun,
     Journal,
@@ -322,19 +327,14 @@ class Repository:
         """Return a sensor's calibrations, the latest first."""
         return calibrations.calibrations_of(self._engine, serial)
 
-    def used_readings(self, calibration: str) -> NDArray[np.bool_]:
-        """Return which readings a calibration images, (drives, measures) bool."""
-        return calibrations.used_readings(self._engine, calibration)
+    def calibration_file(self, calibration: str) -> tuple[bytes, str] | None:
+        """Return a calibration's file as it was issued, and its digest; None where it was stored as rows."""
+        return calibrations.calibration_file(self._engine, calibration)
 
-    def check_calibration(self, calibration: str) -> None:
-        """Hold the arrays of a calibration against their digests; StoreError where one was changed."""
-        calibrations.check_arrays(self._engine, calibration)
-
-    def load_calibration(
-        self, calibration: str, reconstruction: LinearReconstruction, prepare_force: PrepareForce | None = None
-    ) -> Calibration:
-        """Load a calibration from its rows; its matrix is prepared by the caller for :meth:`used_readings`.
-
-        ``prepare_force`` prepares the templates of its force model, where it has one.
-        """
-        return calibrations.load_calibration(self._engine, calibration, reconstruction, prepare_force)
+    def calibration_of_before(
+        self, calibration: str, reconstruction: LinearReconstruction | None, prepare_force: PrepareForce
+    ) -> Calibration | None:
+        """Put a calibration together from its rows, given its matrix; without one the rows are checked alone."""
+        return calibrations_of_before.load_calibration_of_before(
+            self._engine, calibration, reconstruction, prepare_force
+        )

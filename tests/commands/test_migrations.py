@@ -225,6 +225,33 @@ def test_runs_of_before_are_unchained_and_chains_are_lost_on_the_way_back(engine
     assert content(engine) == before
 
 
+@pytest.mark.filterwarnings("ignore:Cannot correctly sort tables:sqlalchemy.exc.SAWarning")
+def test_calibrations_of_before_keep_their_rows_and_files_are_lost_on_the_way_back(engine):
+    schema.upgrade(engine, "0011")
+    fill(engine, table_names(engine))
+    before = content(engine)
+    schema.upgrade(engine, "0012")
+    (row,) = before["calibrations"]
+    assert content(engine) == before | {"calibrations": [(*row, None, None)]}
+    tables = {table.name: table for table in reflected(engine)}
+    searched = ("run", "analysis", "serial", "issued_at", "content_sha256", "record_sha256", "file", "file_sha256")
+    issued = {name: sample(tables["calibrations"].columns[name]) for name in searched} | {"calibration": "y"}
+    baseline = {column.name: sample(column) for column in tables["calibration_baselines"].columns}
+    with writing(engine) as connection:
+        connection.execute(tables["calibrations"].insert(), issued)
+        connection.execute(tables["calibrations"].update().values(superseded_by="y"))
+        connection.execute(tables["calibration_baselines"].insert(), baseline | {"calibration": "y"})
+    with reading(engine) as connection:
+        files = sa.text("SELECT scale, no_force, file_sha256 FROM calibrations WHERE calibration = 'y'")
+        assert connection.execute(files).one() == (None, None, "x")
+    schema.downgrade(engine, "0011")
+    lost = {column.name: value for column, value in zip(tables["calibrations"].columns, row, strict=False)}
+    lost["superseded_by"] = None
+    assert content(engine) == before | {"calibrations": [tuple(lost.values())]}
+    with closing(engine.raw_connection()) as raw, pytest.raises(Exception, match=r"(?i)not.null"):
+        raw.cursor().execute("UPDATE calibrations SET scale = NULL")
+
+
 def test_the_migrations_make_what_the_program_uses(engine):
     schema.upgrade(engine)
     assert AnalysisRow.metadata is Base.metadata

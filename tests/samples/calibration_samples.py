@@ -75,7 +75,7 @@ def sample_reconstruction(sensor_type: SensorType, seed: int = 5) -> LinearRecon
 def sample_force(readings: int, merged: int = 7, seed: int = 9) -> ForceModel:
     """A force model on a lattice of 8 × 7 places without its corners; its templates turn smoothly with the place."""
     random = np.random.default_rng(seed)
-    lattice = Lattice(-35.0, -30.0, 10.0, 8, 7)
+    lattice = Lattice((-35.0, -30.0), 10.0, 8, 7)
     inside = np.ones(56, dtype=bool)
     inside[[0, 7, 48, 55]] = False
     x, y = lattice.places_mm()[inside].T / 35
@@ -95,7 +95,8 @@ def sample_force(readings: int, merged: int = 7, seed: int = 9) -> ForceModel:
         templates=single(templates),
         log_size=single(5 + 0.1 * x),
         size_slope=single(random.standard_normal((nodes, merged)) / 50),
-        slopes=single(np.column_stack([x, y, 1 + x**2, x * y / 9, 1 + y**2]) / 100),
+        log_size_gradient=single(np.column_stack([x, y]) / 100),
+        turning=single(np.column_stack([1 + x**2, x * y / 9, 1 + y**2]) / 100),
         fits=x**2 + y**2 < 0.9,
         log_response=0.1 * x - 0.05 * y + 0.0,
         log_response_stderr=0.02 + 0.01 * y**2,
@@ -189,7 +190,7 @@ def assert_same(one: Any, other: Any, path: str) -> None:
     """Assert that two nested dataclasses hold the same, bit for bit, naming the field that does not."""
     assert type(one) is type(other), path
     if is_dataclass(one):
-        for field in fields(one):
+        for field in (one for one in fields(one) if one.name != "file"):  # bytes of what was issued here alone
             assert_same(getattr(one, field.name), getattr(other, field.name), f"{path}.{field.name}")
     elif isinstance(one, np.ndarray):
         assert (one.dtype, one.shape, one.tobytes()) == (other.dtype, other.shape, other.tobytes()), path

@@ -5,7 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 import pytest
-from calibration_samples import assert_same, sample_force
+from calibration_samples import sample_force
 from stored_lots import judged, measured, store_run
 from stored_runs import calibration, frames, identity, journalled, record, short_run
 
@@ -70,11 +70,8 @@ def test_results_and_calibrations_come_back(repository):
     (analysis,) = repository.analyses(run)
     assert analysis.measurements == measured
     assert analysis.verdict.reason == "close\ufffdto the limit"  # PostgreSQL holds no NUL
-    back = repository.load_calibration(
-        issued.calibration, issued.reconstruction, lambda *_: replace(model, log_response=0 * model.log_response)
-    )
-    assert_same(back, issued, "calibration")
-    assert stamped(back).digest == issued.digest
+    file, digest = repository.calibration_file(issued.calibration)
+    assert (file, digest) == (issued.file, issued.digest)
     later = calibration(repository.new_id(), run, "S-9")
     repository.save_result(RunResult(repository.load_run(run), None, measured, verdict, later, ""))
     held = {c.calibration: c.superseded_by for c in repository.calibrations("S-9")}

@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from calibration_samples import assert_same
-from stored_runs import MATERIAL, calibration, journalled, reconstruction, short_run
+from stored_runs import calibration, journalled, short_run
 
-from cbsr_qa.calibration.file import verify_calibration, write_calibration
+from cbsr_qa.calibration.file import calibration_of, write_calibration
 from cbsr_qa.domain import CalibrationError, StoreError
 from cbsr_qa.domain.results import (
     BaselineConductance,
@@ -17,9 +17,7 @@ from cbsr_qa.domain.results import (
     Limit,
     Measurement,
     Outcome,
-    ParameterChoice,
     RunResult,
-    Validity,
     Verdict,
 )
 from cbsr_qa.store import open_store
@@ -105,74 +103,52 @@ def test_numpy_numbers_are_stored_as_plain_ones(repository, run):
     assert type(back.trial) is int
 
 
-@pytest.mark.rest
-def test_a_calibration_comes_back_as_it_was_issued(repository, run):
+def test_a_calibration_comes_back_as_it_was_issued_to_the_byte(repository, run, tmp_path):
     issued = calibration(repository.new_id(), run)
     repository.save_result(result(repository, run, calibration=issued, calibration_why=""))
     assert repository.analyses(run)[0].calibration == issued.calibration
-    np.testing.assert_array_equal(repository.used_readings(issued.calibration), issued.reconstruction.problem.used)
-    back = repository.load_calibration(issued.calibration, issued.reconstruction)
-    assert_same(back, issued, "calibration")
-
-
-@pytest.mark.parametrize(
-    "changes",
-    [
-        {},
-        {"relaxations": (), "size_ratio": None, "noise_figure": None, "settling": (), "overlap_bands": ()},
-        {"against_stress": MATERIAL.against_stress, "validity": Validity(None, (0.2, 0.2), (20.5, 21.0), 0.0)},
-        {"baseline": (BaselineConductance("L0", -0.0, 1 / 3, 0.1 + 0.2, 5e-324, 1),), "scale": -7.1},
-    ],
-)
-def test_the_file_is_an_export_of_the_rows(repository, run, tmp_path, changes):
-    issued = calibration(repository.new_id(), run, **changes)
-    repository.save_result(result(repository, run, calibration=issued))
-    at_issue = write_calibration(tmp_path / "issued.h5", issued)
-    back = repository.load_calibration(issued.calibration, reconstruction())
-    again = write_calibration(tmp_path / "exported.h5", back)
-    assert at_issue == again == verify_calibration(tmp_path / "issued.h5").digest
-    assert (tmp_path / "exported.h5").read_bytes() == (tmp_path / "issued.h5").read_bytes()
+    file, digest = repository.calibration_file(issued.calibration)
+    write_calibration(tmp_path / "issued.h5", issued)
+    assert (file, digest) == ((tmp_path / "issued.h5").read_bytes(), issued.digest)
+    assert_same(calibration_of(file, issued=digest), issued, "calibration")
     with sqlite3.connect(tmp_path / "runs.db") as other:
-        stored = other.execute("select content_sha256, record_sha256 from calibrations").fetchone()
-    assert stored == (at_issue, verify_calibration(tmp_path / "exported.h5").record_digest)
+        searched = other.execute("select content_sha256, record_sha256, run, serial from calibrations").fetchone()
+        places = other.execute("select location, value from calibration_baselines order by number").fetchall()
+    assert searched == (issued.digest, issued.record_digest, run, "S-1")
+    assert places == [(place.location, place.value) for place in issued.baseline]
 
 
-def test_a_matrix_prepared_again_elsewhere_keeps_the_record_and_is_exported(repository, run, tmp_path):
-    issued = calibration(repository.new_id(), run)
-    repository.save_result(result(repository, run, calibration=issued))
-    here = reconstruction()
-    there = replace(
-        here, matrix=np.nextafter(here.matrix, 2.0), choice=replace(here.choice, value=0.02 * (1 + 1e-9), how="again")
-    )
-    back = repository.load_calibration(issued.calibration, there)
-    assert back.reconstruction.choice == issued.reconstruction.choice
-    assert write_calibration(tmp_path / "exported.h5", back) != issued.digest
-    assert verify_calibration(tmp_path / "exported.h5").record_digest == issued.record_digest
-
-
-@pytest.mark.rest
 @pytest.mark.parametrize(
-    "edit",
+    ("edit", "said"),
     [
-        "update calibration_baselines set value = 2.0 where number = 0",
-        "update calibration_relaxations set amplitude_2 = -0.06 where number = 0",
-        "delete from calibration_relaxations where number = 2",
-        "update calibrations set stress_covariance = 0",
+        ("update calibrations set file = substr(file, 1, length(file) - 1)", "its file is not what was stored"),
+        ("update calibrations set file = null", "its file is not what was stored"),
+        ("update calibrations set file_sha256 = null", "was changed"),
+        ("update calibrations set file = null, file_sha256 = null", "was changed"),
+        ("update calibrations set content_sha256 = record_sha256", "was changed"),
+        ("update calibration_baselines set value = 2.0 where number = 0", "was changed"),
+        ("delete from calibration_baselines where number = 1", "was changed"),
     ],
 )
-def test_edited_rows_are_not_exported(repository, run, tmp_path, edit):
+def test_a_calibration_that_was_edited_is_not_handed_out(repository, run, tmp_path, edit, said):
     issued = calibration(repository.new_id(), run)
     repository.save_result(result(repository, run, calibration=issued))
     with sqlite3.connect(tmp_path / "runs.db") as other:
         assert other.execute(edit).rowcount == 1
-    with pytest.raises(StoreError, match=r"calibration\w+ \(calibration .+\) was changed"):
-        repository.load_calibration(issued.calibration, issued.reconstruction)
-    with sqlite3.connect(tmp_path / "runs.db") as other:  # as a run of before chains
-        other.execute("delete from run_links")
-        other.execute("update runs set chain = null")
-    back = repository.load_calibration(issued.calibration, issued.reconstruction)
-    with pytest.raises(CalibrationError, match="not what was issued"):
-        write_calibration(tmp_path / "exported.h5", back)
+    with pytest.raises(StoreError, match=said):
+        repository.calibration_file(issued.calibration)
+
+
+def test_the_file_of_another_calibration_is_refused(repository, run):
+    first, other = (calibration(repository.new_id(), run, scale=scale) for scale in (7.0, 8.0))
+    assert first.digest != other.digest
+    with pytest.raises(CalibrationError, match=f"holds another calibration.* {first.digest} was issued"):
+        calibration_of(other.file, issued=first.digest)
+
+
+def test_there_is_no_file_of_a_calibration_that_is_not_there(repository):
+    with pytest.raises(StoreError, match="there is no calibration 'nothing'"):
+        repository.calibration_file("nothing")
 
 
 def test_a_calibration_that_was_never_issued_is_not_stored(repository, run):
@@ -180,19 +156,6 @@ def test_a_calibration_that_was_never_issued_is_not_stored(repository, run):
     with pytest.raises(StoreError, match="never issued"):
         repository.save_result(result(repository, run, calibration=made))
     assert repository.analyses(run) == ()
-
-
-def test_what_was_assumed_is_flagged_parameter_by_parameter(repository, run, tmp_path):
-    issued = calibration(repository.new_id(), run)
-    repository.save_result(result(repository, run, calibration=issued))
-    with sqlite3.connect(tmp_path / "runs.db") as other:
-        rows = dict(other.execute("select name, assumed from calibration_parameters"))
-    assert rows == {
-        "against_stress.slope": 1,
-        "against_stress.intercept": 1,
-        "against_strain.slope": 0,
-        "against_strain.intercept": 0,
-    }
 
 
 @pytest.mark.rest
@@ -210,30 +173,12 @@ def test_a_new_calibration_supersedes_only_the_same_sensors_earlier_ones(reposit
 
 
 def test_a_number_that_is_not_finite_stores_nothing_at_all(repository, run):
-    bad = calibration(repository.new_id(), run, scale=float("nan"))
+    place = BaselineConductance("L0", 0.0, 0.0, float("nan"), None, 1)
+    bad = calibration(repository.new_id(), run, baseline=(place,))
     with pytest.raises(StoreError, match="not a finite number"):
         repository.save_result(result(repository, run, calibration=bad))
     assert repository.analyses(run) == ()
     assert repository.calibrations("S-1") == ()
-
-
-def test_a_matrix_of_another_making_is_refused(repository, run):
-    issued = calibration(repository.new_id(), run)
-    repository.save_result(result(repository, run, calibration=issued))
-    other = replace(reconstruction(), choice=ParameterChoice(0.5, "by hand", 2.0))
-    with pytest.raises(StoreError, match=r"share kept = 0\.02, not with .* λ = 0\.5"):
-        repository.load_calibration(issued.calibration, other)
-
-
-def test_a_matrix_for_other_readings_is_refused(repository, run):
-    issued = calibration(repository.new_id(), run)
-    repository.save_result(result(repository, run, calibration=issued))
-    whole = reconstruction()
-    problem, fewer = whole.problem, whole.problem.used.copy()
-    fewer[0, 2] = False
-    less = replace(problem, used=fewer, jacobian=problem.jacobian[1:], reference=problem.reference[1:])
-    with pytest.raises(StoreError, match="208 readings of a disc-100mm"):
-        repository.load_calibration(issued.calibration, replace(whole, problem=less, matrix=whole.matrix[:, 1:]))
 
 
 def test_a_result_of_a_run_that_is_not_stored_is_refused(repository, run):
@@ -257,27 +202,9 @@ def test_runs_are_found_by_serial_and_by_name(repository, run):
     assert repository.counts() == {"sensors": 1, "runs": 2, "frames": 22, "samples": 80, "loads": 2}
 
 
-def test_the_parameter_is_stored_under_its_own_name(repository, run, tmp_path):
-    repository.save_result(result(repository, run, calibration=calibration(repository.new_id(), run)))
-    with sqlite3.connect(tmp_path / "runs.db") as other:
-        columns = "regularisation_name, regularisation_criterion, regularisation, regularisation_how"
-        stored = other.execute(f"select {columns} from calibrations").fetchone()
-    assert stored == ("share kept", "noise-figure", 0.02, "NF 1")
-
-
 def test_the_analysis_says_how_readings_were_weighed(repository, run):
     plain = repository.save_result(result(repository, run))
     seen = SimpleNamespace(settings=SimpleNamespace(noise_weighting="measured"), weight_ratio=3.5)
     weighed = repository.save_result(result(repository, run, observation=seen))
     stored = {a.analysis: (a.noise_weighting, a.weight_ratio) for a in repository.analyses(run)}
     assert stored == {plain: ("", None), weighed: ("measured", 3.5)}
-
-
-@pytest.mark.parametrize(("stored", "variance"), [("equal", np.ones(208)), ("measured", None)])
-def test_a_matrix_with_other_weights_is_refused(repository, run, stored, variance):
-    issued = calibration(repository.new_id(), run)
-    seen = SimpleNamespace(settings=SimpleNamespace(noise_weighting=stored), weight_ratio=1.0)
-    repository.save_result(result(repository, run, observation=seen, calibration=issued))
-    other = replace(reconstruction(), problem=replace(reconstruction().problem, noise_variance=variance))
-    with pytest.raises(StoreError, match=f"made with {stored} noise weighting"):
-        repository.load_calibration(issued.calibration, other)

@@ -9,7 +9,7 @@ from cbsr_qa.analysis.run import observe_run
 from cbsr_qa.app.run.decided_again import check_decided
 from cbsr_qa.app.run.material_output import material_path, why_no_material, write_material
 from cbsr_qa.app.run.outputs import calibration_path, report_sections
-from cbsr_qa.calibration.file import write_calibration
+from cbsr_qa.calibration.file import calibration_of, write_calibration
 from cbsr_qa.calibration.force import prepared_force
 from cbsr_qa.config import database_url, reports_folder, restore
 from cbsr_qa.domain import CalibrationError, NumericsError, StoreError
@@ -183,15 +183,19 @@ def _characterised(record: RunRecord, recipe: Recipe) -> tuple[Characterisation 
 def _calibration(
     store: Repository, stored: StoredAnalysis, observation: RunObservation | None
 ) -> tuple[Calibration | None, str]:
-    """Load the calibration an analysis issued, or say why it cannot be shown: its matrix is not stored as rows."""
+    """Load the calibration an analysis issued, or say why it cannot be shown."""
     if stored.calibration is None:
         return None, ""
-    store.check_calibration(stored.calibration)  # also where it cannot be shown
-    if observation is None:
-        return None, f"{stored.calibration} was issued, but cannot be shown without images"
+    file = store.calibration_file(stored.calibration)
+    if file is None:  # stored by rows, which are checked also where they cannot be shown
+        store.calibration_of_before(stored.calibration, None, prepared_force)
+        if observation is None:
+            return None, f"{stored.calibration} was issued, but cannot be shown without images"
     try:
-        prepared = observation.reconstruction.in_single_precision()  # as it was issued
-        return store.load_calibration(stored.calibration, prepared, prepared_force), ""
+        if file is not None:
+            return calibration_of(file[0], issued=file[1]), ""
+        prepared = None if observation is None else observation.reconstruction.in_single_precision()
+        return store.calibration_of_before(stored.calibration, prepared, prepared_force), ""
     except (StoreError, CalibrationError) as error:
         return None, f"{stored.calibration} was issued, but cannot be shown by this version: {error.reason}"
 

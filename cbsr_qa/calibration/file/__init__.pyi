@@ -1,12 +1,12 @@
-from .decoding import decode as decode
-from .digests import stamped as stamped
-from .encoding import encode as encode
+from .entries import decode as decode, encode as encode
 from .firmware import firmware_document as firmware_document, lost_by as lost_by, thinned as thinned
 from .force import as_filed as as_filed
 from .hdf5 import (
     BLOCK_BEGINS as BLOCK_BEGINS,
+    calibration_of as calibration_of,
     read_calibration as read_calibration,
     read_contained as read_contained,
+    stamped as stamped,
     verify_calibration as verify_calibration,
     write_calibration as write_calibration,
 )

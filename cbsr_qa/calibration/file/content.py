@@ -1,13 +1,6 @@
-"""The regularisation parameter among the entries of a calibration file.
+"""A calibration as named, typed values with units: what its file holds, whatever the file's format."""
 
-Files of before say only value and reason. The name is then the one their method gives it, and nobody says the
-criterion. A choice that says no more than that is written as it was then, so that what was issued before keeps its
-digests.
-
-A calibration as named, typed values with units: what its file holds, whatever the file's format.
-"""
-
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -15,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.results import ParameterChoice
 
 #: What a value may be: float64, float32, int64 or bool arrays of any shape, one text, or a list of texts.
 Value = NDArray[np.float64] | NDArray[np.float32] | NDArray[np.int64] | NDArray[np.bool_] | str | tuple[str, ...]
@@ -33,54 +25,6 @@ class Entry:
 
     units: str
     value: Value
-
-
-class Writing:
-    """Collects entries under their paths. Negative zero becomes zero: not every database tells them apart."""
-
-    def __init__(self) -> None:
-        self.entries: dict[str, Entry] = {}
-
-    def number(self, path: str, value: float | None, units: str = PURE) -> None:
-        """Keep a number; None is kept as NaN, which no number in a calibration ever is."""
-        self.entries[path] = Entry(units, np.asarray(np.nan if value is None else value + 0.0, dtype=np.float64))
-
-    def numbers(self, path: str, values: Sequence[float | None] | NDArray[np.float64], units: str = PURE) -> None:
-        """Keep numbers; None in a sequence is kept as NaN."""
-        if not isinstance(values, np.ndarray):
-            values = np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-        self.entries[path] = Entry(units, np.ascontiguousarray(values, dtype=np.float64) + 0.0)
-
-    def singles(self, path: str, values: NDArray[np.float64], units: str = PURE) -> None:
-        """Keep numbers in single precision."""
-        self.entries[path] = Entry(units, (np.ascontiguousarray(values) + 0.0).astype(np.float32))
-
-    def shortest(self, path: str, values: NDArray[np.float64], units: str = PURE) -> None:
-        """Keep numbers in single precision where each of them is one, else as they are: nothing is lost."""
-        if np.array_equal(values.astype(np.float32).astype(np.float64), values):
-            self.singles(path, values, units)
-        else:
-            self.numbers(path, values, units)
-
-    def optional(self, path: str, values: Sequence[float] | NDArray[np.float64] | None, units: str = PURE) -> None:
-        """Keep numbers that may be absent: an empty array then."""
-        self.numbers(path, () if values is None else values, units)
-
-    def integers(self, path: str, values: NDArray[np.int64] | Sequence[int] | int, units: str = INDEX) -> None:
-        """Keep indices or counts."""
-        self.entries[path] = Entry(units, np.ascontiguousarray(values, dtype=np.int64).reshape(np.shape(values)))
-
-    def flags(self, path: str, values: NDArray[np.bool_] | Sequence[bool] | bool) -> None:
-        """Keep yes and no."""
-        self.entries[path] = Entry(FLAG, np.asarray(values, dtype=np.bool_))
-
-    def text(self, path: str, value: str) -> None:
-        """Keep a text."""
-        self.entries[path] = Entry(TEXT, value)
-
-    def texts(self, path: str, values: Sequence[str]) -> None:
-        """Keep a list of texts."""
-        self.entries[path] = Entry(TEXT, tuple(values))
 
 
 class Reading:
@@ -148,6 +92,13 @@ class Reading:
             raise CalibrationError(f"{path} is {values[0]:g} to {values[1]:g}; finite numbers are expected")
         return float(values[0]), float(values[1])
 
+    def whole_pair(self, path: str) -> tuple[float, float]:
+        """Return (lowest, highest)."""
+        pair = self.pair(path)
+        if pair is None:
+            raise CalibrationError(f"{path} is empty")
+        return pair
+
     def integers(self, path: str) -> NDArray[np.int64]:
         """Return indices or counts."""
         array: NDArray[np.int64] = self._array(path, np.int64)
@@ -180,6 +131,10 @@ class Reading:
             raise CalibrationError(f"{path} is not a list of texts")
         return value
 
+    def inside(self, path: str) -> bool:
+        """Whether there is this entry, or one in this group."""
+        return any(name == path or (path.endswith("/") and name.startswith(path)) for name in self._entries)
+
     def groups(self, path: str) -> tuple[str, ...]:
         """Return the names of the groups directly inside one, sorted."""
         inside = (name.removeprefix(f"{path}/") for name in self._entries if name.startswith(f"{path}/"))
@@ -204,42 +159,3 @@ class Reading:
         if shape is None and not value.ndim:
             raise CalibrationError(f"{path} is one number where several are expected")
         return value
-
-
-_AT: Final = "reconstruction/regularisation"
-_NAME: Final = f"{_AT}_name"
-_CRITERION: Final = f"{_AT}_criterion"
-
-#: What methods call their parameter where a file does not; every other one has a λ.
-_CALLED: Final = {
-    "truncated-svd": "components kept",
-    "linear-back-projection": "no parameter",
-    "pyeit-jac": "pyEIT's lamb",
-    "pyeit-greit": "pyEIT's lamb",
-}
-
-
-def write_choice(out: Writing, method: str, choice: ParameterChoice) -> None:
-    """Keep a method's choice."""
-    out.number(_AT, choice.value)
-    out.text(f"{_AT}_how", choice.how)
-    out.number("reconstruction/noise_figure", choice.noise_figure)
-    if choice.criterion or choice.name != _implied(method):
-        out.text(_NAME, choice.name)
-        out.text(_CRITERION, choice.criterion)
-
-
-def read_choice(read: Reading, method: str) -> ParameterChoice:
-    """Return a method's choice; CalibrationError where an entry is missing or of another type."""
-    named = read.has(_NAME) or read.has(_CRITERION)
-    return ParameterChoice(
-        read.number(_AT),
-        read.text(f"{_AT}_how"),
-        read.number("reconstruction/noise_figure"),
-        read.text(_NAME) if named else _implied(method),
-        criterion=read.text(_CRITERION) if named else "",
-    )
-
-
-def _implied(method: str) -> str:
-    return _CALLED.get(method, "λ")

@@ -18,49 +18,24 @@ A digest tells damage and careless editing; it is not a signature.
 
 import hashlib
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.calibration.file.content import Entry, Value
-from cbsr_qa.calibration.file.encoding import encode
+from cbsr_qa.domain import tabulated
 from cbsr_qa.domain.results import Calibration
 
 FORMAT: Final = "cbsr-qa calibration"
-SCHEMA_VERSION: Final = 3
-#: Version of what holds matrix and Jacobian in double precision: it is written as it was when that was all there was.
-DOUBLE_MATRIX: Final = 2
-#: Version of what, besides, holds nothing about force.
-WITHOUT_FORCE: Final = 1
+#: Version of what holds matrix and Jacobian in single precision; in double precision they are written as before.
+_SINGLE_MATRIX: Final = 3
 
+_TABLE: Final = tuple(tabulated(Calibration))
 #: Paths, or beginnings of paths, of what is prepared again from the rest.
-PREPARED: Final = (
-    "force/fits",
-    "force/lattice/",
-    "force/log_size",
-    "force/node",
-    "force/size_slope",
-    "force/templates",
-    "force/turning",
-    "mesh/",
-    "reconstruction/jacobian",
-    "reconstruction/matrix",
-    "reconstruction/noise_variance",
-    "reconstruction/reference",
-)
-
-
-def stamped(calibration: Calibration) -> Calibration:
-    """Return a calibration with its digests filled in.
-
-    Raises
-    ------
-    CalibrationError
-        If it contradicts itself.
-    """
-    entries = encode(calibration)
-    return replace(calibration, digest=content_digest(entries), record_digest=record_digest(entries))
+PREPARED: Final = tuple(path for path, field in _TABLE if field.kept.prepared)
+#: The same of what later versions added, with the version.
+_SINCE: Final = tuple((path, field.kept.since) for path, field in _TABLE if field.kept.since > 1)
+SCHEMA_VERSION: Final = max([_SINGLE_MATRIX, *(since for _, since in _SINCE)])
 
 
 def schema_version(entries: Mapping[str, Entry]) -> int:
@@ -68,13 +43,13 @@ def schema_version(entries: Mapping[str, Entry]) -> int:
     for path in ("reconstruction/matrix", "reconstruction/jacobian"):
         value = entries[path].value if path in entries else None
         if isinstance(value, np.ndarray) and value.dtype == np.float32:
-            return SCHEMA_VERSION
+            return max(_SINGLE_MATRIX, _record_version(entries))
     return _record_version(entries)
 
 
 def _record_version(entries: Mapping[str, Entry]) -> int:
     """Return the version of what is not prepared again: how that is kept says nothing of the record."""
-    return DOUBLE_MATRIX if any(path.startswith("force/") for path in entries) else WITHOUT_FORCE
+    return max([1, *(since for part, since in _SINCE if any(path.startswith(part) for path in entries))])
 
 
 def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> str:

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import Entry
-from cbsr_qa.calibration.file.encoding import encode
+from cbsr_qa.calibration.file.entries import encode
 from cbsr_qa.calibration.file.json import dataset
 from cbsr_qa.calibration.runtime import Flag, ForceInverse, Matches, TemplateFilter, map_tables
-from cbsr_qa.domain import CalibrationError
-from cbsr_qa.domain.results import NUMBERS, Calibration, ForceModel, Lattice
+from cbsr_qa.domain import CalibrationError, kept_fields
+from cbsr_qa.domain.results import Calibration, ForceModel, Lattice
 
 Array = NDArray[np.float64]
 
@@ -113,23 +113,15 @@ def thinned(model: ForceModel, stride: int) -> ForceModel:
     part = model.node[first[1] :: stride, first[0] :: stride]
     kept = part[part >= 0]
     steps = np.round(model.templates[kept] * _STEPS) / _STEPS
-    return ForceModel(
-        lattice=Lattice(
-            lattice.x_mm + first[0] * lattice.spacing_mm,
-            lattice.y_mm + first[1] * lattice.spacing_mm,
-            stride * lattice.spacing_mm,
-            part.shape[1],
-            part.shape[0],
-        ),
+    x_mm, y_mm = (at + k * lattice.spacing_mm for at, k in zip(lattice.origin_mm, first, strict=True))
+    of_nodes = (field.name for field in kept_fields(ForceModel) if field.kept.dims.startswith("nodes"))
+    return replace(
+        model,
+        lattice=Lattice((x_mm, y_mm), stride * lattice.spacing_mm, part.shape[1], part.shape[0]),
         node=np.where(part >= 0, np.cumsum(part >= 0).reshape(part.shape) - 1, -1),
-        merging=model.merging,
-        templates=steps,
-        **{
-            name: getattr(model, name)[kept]
-            for name in ("log_size", "size_slope", "slopes", "fits", "log_response", "log_response_stderr")
-        },
-        stress_kPa=model.stress_kPa,
-        **{name: getattr(model, name) for name in NUMBERS},
+        **{name: getattr(model, name)[kept] for name in of_nodes} | {"templates": steps},
+        loading=None,
+        unloading=None,
     )
 
 

@@ -25,9 +25,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import Entry
-from cbsr_qa.calibration.file.decoding import decode
 from cbsr_qa.calibration.file.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest, schema_version
-from cbsr_qa.calibration.file.encoding import encode
+from cbsr_qa.calibration.file.entries import decode, encode
 from cbsr_qa.calibration.file.hdf5_content import attribute, members, texts
 from cbsr_qa.domain import CalibrationError, RefusedError
 from cbsr_qa.domain.results import Calibration, VerifiedFile
@@ -49,6 +48,20 @@ _NOT_WHOLE: Final = "not a whole HDF5 file (truncated, damaged or something else
 _COPY_AGAIN: Final = "copy it again from where it was issued"
 
 
+def stamped(calibration: Calibration) -> Calibration:
+    """Return a calibration with its digests and the bytes of its file filled in.
+
+    Raises
+    ------
+    CalibrationError
+        If it contradicts itself, or holds a text that HDF5 cannot.
+    """
+    entries = encode(calibration)
+    digest = content_digest(entries)
+    file = _whole_file(entries, digest)
+    return replace(calibration, digest=digest, record_digest=record_digest(entries), file=file)
+
+
 def write_calibration(path: Path, calibration: Calibration) -> str:
     """Write a calibration file; either the whole file appears under its name or nothing does.
 
@@ -63,20 +76,26 @@ def write_calibration(path: Path, calibration: Calibration) -> str:
         ``record_digest`` that its content does not have.
     """
     entries = _as_issued(calibration)
+    digest = content_digest(entries)
+    data = calibration.file if calibration.file and digest == calibration.digest else _whole_file(entries, digest)
     try:
-        digest = content_digest(entries)
-        image = _in_memory(entries, digest)
         path.parent.mkdir(parents=True, exist_ok=True)
         with written_whole(path) as file:
-            file.write(_block(image) + image)
+            file.write(data)
     except OSError as error:
         raise CalibrationError(
             f"the calibration file {path} cannot be written: {error.strerror or error}",
             remedy="give a folder that exists and may be written, with room for some megabytes",
         ) from error
+    return digest
+
+
+def _whole_file(entries: Mapping[str, Entry], digest: str) -> bytes:
+    try:
+        image = _in_memory(entries, digest)
     except ValueError as error:
         raise CalibrationError(f"the calibration holds a text that cannot be written: {error}") from error
-    return digest
+    return _block(image) + image
 
 
 def _in_memory(entries: Mapping[str, Entry], digest: str) -> bytes:
@@ -96,8 +115,21 @@ def read_calibration(path: Path) -> Calibration:
         If it is not there, truncated, edited since it was issued, of a later version, or not a calibration.
     """
     with _naming(path):
-        entries, digest, _ = _read(path)
-        return replace(decode(entries), digest=digest, record_digest=record_digest(entries))
+        return calibration_of(file_bytes(path))
+
+
+def calibration_of(data: bytes, *, issued: str = "") -> Calibration:
+    """Return the calibration in the bytes of a file.
+
+    Raises
+    ------
+    CalibrationError
+        As :func:`read_calibration`, and if its digest is not that which was issued.
+    """
+    entries, digest, _ = _read(data)
+    if issued and digest != issued:
+        raise CalibrationError(f"its file holds another calibration: its SHA-256 is {digest}, {issued} was issued")
+    return replace(decode(entries), digest=digest, record_digest=record_digest(entries), file=data)
 
 
 def read_contained(path: Path) -> Calibration:
@@ -120,7 +152,7 @@ def verify_calibration(path: Path) -> VerifiedFile:
         As :func:`read_calibration`.
     """
     with _naming(path):
-        entries, digest, checked = _read(path)
+        entries, digest, checked = _read(file_bytes(path))
         decode(entries)
         return VerifiedFile(path, schema_version(entries), digest, record_digest(entries), len(entries), checked)
 
@@ -162,9 +194,8 @@ def _packing(path: str, data: NDArray[Any]) -> dict[str, Any]:
     return packing
 
 
-def _read(path: Path) -> tuple[dict[str, Entry], str, bool]:
+def _read(data: bytes) -> tuple[dict[str, Entry], str, bool]:
     """Return what a file holds, its digest, and whether its bytes were held against a digest of theirs."""
-    data = file_bytes(path)
     checked = _check_bytes(data)
     try:
         with h5py.File(h5py.h5f.open_file_image(data), "r") as file:

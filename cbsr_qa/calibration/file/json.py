@@ -18,9 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import Entry, Value
-from cbsr_qa.calibration.file.decoding import decode
 from cbsr_qa.calibration.file.digests import FORMAT, SCHEMA_VERSION, content_digest, record_digest, schema_version
-from cbsr_qa.calibration.file.encoding import encode
+from cbsr_qa.calibration.file.entries import decode, encode
 from cbsr_qa.calibration.file.hdf5 import file_bytes, printable
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.results import Calibration

@@ -1,6 +1,6 @@
 """A force model's templates, worked out again from what a calibration's record holds."""
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,16 +8,13 @@ from numpy.typing import NDArray
 from cbsr_qa.calibration.file import as_filed
 from cbsr_qa.calibration.force.learning import unlearned_model
 from cbsr_qa.calibration.force.templates import template_bank
-from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain import CalibrationError, kept_fields
 from cbsr_qa.domain.results import ForceModel
 from cbsr_qa.domain.run import Indenter
 from cbsr_qa.domain.sensor import SensorType
 from cbsr_qa.eit.estimate import MergedReadings, load_model
 
 Array = NDArray[np.float64]
-
-#: What is prepared; everything else of a model is learned.
-_PREPARED = frozenset({"lattice", "node", "templates", "log_size", "size_slope", "slopes", "fits"})
 
 
 def prepared_force(
@@ -64,5 +61,5 @@ def prepared_again(
     Parameters and errors as of :func:`prepared_force`.
     """
     prepared = prepared_force(sensor_type, used, model.merging, reference, head)
-    learned = {field.name: getattr(model, field.name) for field in fields(model) if field.name not in _PREPARED}
+    learned = {field.name: getattr(model, field.name) for field in kept_fields(ForceModel) if not field.kept.prepared}
     return replace(prepared, **learned)

@@ -142,7 +142,7 @@ def _lattice(model: RoundLoadModel) -> Lattice:
     # About the middle, so that a symmetric sheet has a symmetric lattice.
     half = [ceil((high - low) / 2 / spacing) for low, high in ((low_x, high_x), (low_y, high_y))]
     x, y = (low_x + high_x) / 2, (low_y + high_y) / 2
-    return Lattice(x - half[0] * spacing, y - half[1] * spacing, spacing, 2 * half[0] + 1, 2 * half[1] + 1)
+    return Lattice((x - half[0] * spacing, y - half[1] * spacing), spacing, 2 * half[0] + 1, 2 * half[1] + 1)
 
 
 def _templates(readings: MergedReadings, found: _Pressed) -> tuple[Array, Array, Array, Array]:

@@ -51,7 +51,7 @@ class SizeError:
         if size == 1:
             return np.zeros(len(places_mm))
         lattice = self._model.lattice
-        at = (np.nan_to_num(places_mm) - np.array([lattice.x_mm, lattice.y_mm])) / lattice.spacing_mm
+        at = (np.nan_to_num(places_mm) - np.array(lattice.origin_mm)) / lattice.spacing_mm
         column, row = np.clip(np.rint(at), 0, [lattice.columns - 1, lattice.rows - 1]).astype(np.int64).T
         beside = (self._radius_mm / self._clearance_mm[row, column]) ** 3
         error: Array = (size - 1) ** 2 * (_EVERYWHERE + _BESIDE_EDGES * beside)

@@ -73,7 +73,7 @@ class TemplateFilter:
         grown = model.templates + (size - 1) * model.size_slope
         length = np.linalg.norm(grown, axis=1)
         self.templates: Array = np.ascontiguousarray(grown / length[:, None])
-        self._tables = np.column_stack([model.log_size + np.log(length), model.slopes])
+        self._tables = np.column_stack([model.log_size + np.log(length), model.log_size_gradient, model.turning])
         self._stencil = stencils(model.node)
         self._whole: Mask = np.logical_and.reduce(self._stencil >= 0, axis=1)
         self._node_of = model.node.ravel()
@@ -183,8 +183,8 @@ class TemplateFilter:
         j, i = np.divmod(cell, self.lattice.columns)
         h = self.lattice.spacing_mm
         place = np.empty((len(cell), 2))
-        place[:, 0] = self.lattice.x_mm + h * (i + offset[:, 0])
-        place[:, 1] = self.lattice.y_mm + h * (j + offset[:, 1])
+        place[:, 0] = self.lattice.origin_mm[0] + h * (i + offset[:, 0])
+        place[:, 1] = self.lattice.origin_mm[1] + h * (j + offset[:, 1])
         return Matches(place, strength, covariance, gain, np.einsum("nr,nr->n", rows, rows))
 
     def _about(self, cell: Indices, rows: Array) -> Array:
@@ -264,7 +264,7 @@ class TemplateFilter:
     def _cells(self, places_mm: Array) -> tuple[Indices, Array]:
         """Nodes (n, 16) about places, and the places' offsets from the cells' corners, in cells."""
         h = self.lattice.spacing_mm
-        at = (places_mm - np.array([self.lattice.x_mm, self.lattice.y_mm])) / h
+        at = (places_mm - np.array(self.lattice.origin_mm)) / h
         last = np.array([self.lattice.columns - 2, self.lattice.rows - 2])
         inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # a place that is no number is not
         at = np.where(inside[:, None], at, 0.0)
@@ -310,7 +310,7 @@ def interpolated(model: ForceModel, values: Array, places_mm: Array) -> Array:
     """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN where a node is missing."""
     lattice = model.lattice
     last = np.array([lattice.columns - 2, lattice.rows - 2])
-    at = (places_mm - np.array([lattice.x_mm, lattice.y_mm])) / lattice.spacing_mm
+    at = (places_mm - np.array(lattice.origin_mm)) / lattice.spacing_mm
     inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # a place that is no number is not
     at = np.where(inside[:, None], at, 0.0)
     cell = np.minimum(at.astype(np.int64), last)

@@ -1,6 +1,5 @@
 from . import calibration as calibration
 from .calibration import (
-    NUMBERS as NUMBERS,
     BaselineConductance as BaselineConductance,
     Calibration as Calibration,
     ForceModel as ForceModel,

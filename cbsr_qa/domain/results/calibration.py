@@ -1,15 +1,18 @@
-"""What a passed run issues for its sensor.
+"""What a passed run issues for its sensor: its fields, and how each is kept (:class:`~cbsr_qa.domain.kept.Kept`).
+
+A field that is added here is written, read, digested, exported, stored and shown.
 
 What turns a sensor's readings into newtons: fields of its head by place, and how strongly each place answers.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.domain.kept import FROM_ABOVE, NOT_KEPT, Kept
 from cbsr_qa.domain.results.image import LinearReconstruction
 from cbsr_qa.domain.results.relaxation import RelaxationFit, RelaxationKernel, SettlingTime
 from cbsr_qa.domain.run import Indenter
@@ -18,17 +21,18 @@ from cbsr_qa.domain.sensor import QuasiStatic, Response, SensorIdentity, SensorT
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
 
-#: Plain numbers of a force model, by the names of its fields.
-NUMBERS: Final = (
-    "scatter",
-    "threshold",
-    "misfit",
-    "residue_share",
-    "residue_stderr",
-    "residue_strength",
-    "steady_s",
-    "place_scatter_mm",
-)
+#: More than any number of a force model is, so that its square is a number, and more than any logarithm in one is.
+_LARGEST: Final = 1e12
+_LARGEST_LOG: Final = 50.0
+#: Nodes along an axis: more than any lattice has, and few enough for their product to be a number.
+_MOST_NODES: Final = 10_000
+#: Steps of a template, whose length is one, and of its slope with the size of the head. Errors of a template add up
+#: to 7e-8 of a strength; those of the slope to four times as much for a head of twice the area.
+_TEMPLATE_STEP: Final = 2.0**-22
+_SLOPE_STEP: Final = 2.0**-20
+
+_Positive = Annotated[float, Kept(least=0, most=_LARGEST)]
+_Count = Annotated[int, Kept(least=2, most=_MOST_NODES)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,21 +41,20 @@ class Lattice:
 
     Parameters
     ----------
-    x_mm, y_mm : x₀ and y₀, from the sheet's centre.
+    origin_mm : (x₀, y₀), from the sheet's centre.
     spacing_mm : h.
     columns, rows : how many along x and y.
     """
 
-    x_mm: float
-    y_mm: float
-    spacing_mm: float
-    columns: int
-    rows: int
+    origin_mm: Annotated[tuple[float, float], Kept(most=_LARGEST)]
+    spacing_mm: Annotated[float, Kept(most=_LARGEST)]
+    columns: _Count
+    rows: _Count
 
     def places_mm(self) -> Array:
         """All places, (rows · columns, 2), a row after the other [mm]."""
-        x = self.x_mm + self.spacing_mm * np.arange(self.columns)
-        y = self.y_mm + self.spacing_mm * np.arange(self.rows)
+        x = self.origin_mm[0] + self.spacing_mm * np.arange(self.columns)
+        y = self.origin_mm[1] + self.spacing_mm * np.arange(self.rows)
         return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
@@ -74,8 +77,9 @@ class ForceModel:
     log_size : (n,) logarithm of a change per strength, in standard errors of one frame.
     size_slope : (n, r) by which a template grows with q − 1, q the head's squared radius over that of the calibrated
         one, at the same strength × area.
-    slopes : (n, 5) of ``log_size`` along x and y [1/mm], and products xx, xy, yy of the slopes of a template of unit
-        length, how fast it turns with place [1/mm²].
+    log_size_gradient : (n, 2) slopes of ``log_size`` along x and y [1/mm].
+    turning : (n, 3) products xx, xy, yy of the slopes of a template of unit length, how fast it turns with place
+        [1/mm²].
     fits : (n,) whether the head is clear of edge and electrodes there; other nodes are there to interpolate from.
     log_response : (n,) ln S, the map.
     log_response_stderr : (n,) its standard error, without ``scatter``.
@@ -92,27 +96,32 @@ class ForceModel:
     loading, unloading : how loads get there, and how they fade; None where it was not learned.
     """
 
-    lattice: Lattice
-    node: Indices
-    merging: Array
-    templates: Array
-    log_size: Array
-    size_slope: Array
-    slopes: Array
-    fits: NDArray[np.bool_]
-    log_response: Array
-    log_response_stderr: Array
-    scatter: float
-    stress_kPa: tuple[float, float]
-    threshold: float
-    misfit: float
-    residue_share: float
-    residue_stderr: float
-    residue_strength: float = 0.0
-    steady_s: float = 0.0
-    place_scatter_mm: float = 0.0
-    loading: RelaxationKernel | None = None
-    unloading: RelaxationKernel | None = None
+    lattice: Annotated[Lattice, Kept(prepared=True)]
+    node: Annotated[Indices, Kept(prepared=True, dims="rows columns")]
+    merging: Annotated[Array, Kept(units="1/V", dims="merged readings", most=_LARGEST)]
+    templates: Annotated[
+        Array, Kept(prepared=True, single=True, step=_TEMPLATE_STEP, dims="nodes merged", most=_LARGEST)
+    ]
+    log_size: Annotated[Array, Kept(prepared=True, single=True, dims="nodes", most=_LARGEST_LOG)]
+    size_slope: Annotated[
+        Array, Kept(prepared=True, single=True, step=_SLOPE_STEP, dims="nodes merged", most=_LARGEST)
+    ]
+    log_size_gradient: Annotated[Array, Kept(units="1/mm", prepared=True, single=True, dims="nodes 2", most=_LARGEST)]
+    turning: Annotated[Array, Kept(units="1/mm^2", prepared=True, single=True, dims="nodes 3", most=_LARGEST)]
+    fits: Annotated[NDArray[np.bool_], Kept(prepared=True, dims="nodes")]
+    log_response: Annotated[Array, Kept(dims="nodes", most=_LARGEST_LOG)]
+    log_response_stderr: Annotated[Array, Kept(dims="nodes", least=0, most=_LARGEST_LOG)]
+    scatter: _Positive
+    stress_kPa: Annotated[tuple[float, float], Kept(most=_LARGEST)]
+    threshold: _Positive
+    misfit: _Positive
+    residue_share: _Positive
+    residue_stderr: _Positive
+    residue_strength: _Positive = 0.0
+    steady_s: _Positive = 0.0
+    place_scatter_mm: _Positive = 0.0
+    loading: Annotated[RelaxationKernel | None, Kept(given=(("loading", True),))] = None
+    unloading: Annotated[RelaxationKernel | None, Kept(given=(("loading", False),))] = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,15 +181,15 @@ class LoadRelaxation:
     """
 
     location: str
-    trial: int
-    signal: str
+    trial: Annotated[int, Kept(units="index")]
+    signal: Annotated[str, FROM_ABOVE]
     loading: bool
-    fit: RelaxationFit
-    settling: SettlingTime
+    fit: Annotated[RelaxationFit, Kept("")]
+    settling: Annotated[SettlingTime, Kept("settling_")]
     phase: str = ""
-    load: int | None = None
+    load: Annotated[int | None, Kept(units="index")] = None
     strain: float | None = None
-    unit: str = "1"
+    unit: Annotated[str, FROM_ABOVE] = "1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,9 +215,9 @@ class Validity:
 class OverlapBand:
     """One band of the area-overlap scale, [lower, upper) percent."""
 
-    name: str
-    lower: float
-    upper: float
+    name: Annotated[str, Kept("band")]
+    lower: Annotated[float, Kept(units="%")]
+    upper: Annotated[float, Kept(units="%")]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,37 +250,41 @@ class Calibration:
     no_force : why there is none; empty where there is one.
     digest : SHA-256 of everything above, as :mod:`cbsr_qa.calibration.file` describes it; empty before it is issued.
     record_digest : the same without what is prepared again from the rest: mesh, Jacobian, model frame and matrix.
+    file : bytes of its file as it was issued; empty where it was read from something else.
     """
 
-    calibration: str
-    run: str
-    issued_at: str
-    sensor: SensorIdentity
-    sensor_type: SensorType
-    indenter: Indenter
-    reference: NDArray[np.float64]
-    current_A: float
-    scale: float
+    calibration: Annotated[str, Kept("identity/calibration")]
+    run: Annotated[str, Kept("identity/run", source="record.identity.run")]
+    issued_at: Annotated[str, Kept("identity/issued_at")]
+    sensor: Annotated[SensorIdentity, Kept("identity/", source="record.identity.sensor")]
+    sensor_type: Annotated[SensorType, Kept(source="record.sensor_type")]
+    indenter: Annotated[Indenter, Kept(source="record.indenter")]
+    reference: Annotated[Array, Kept("reference/voltages", "V", source="reference")]
+    current_A: Annotated[float, Kept("reference/current")]
+    scale: Annotated[float, Kept("reference/scale", "A.Ohm", source="scale")]
     reconstruction: LinearReconstruction
-    response: Response
-    noise_floor: float
-    mask: float
-    baseline: tuple[BaselineConductance, ...]
-    against_stress: QuasiStatic
-    against_strain: QuasiStatic
+    response: Annotated[Response, Kept("image/response", source="response")]
+    noise_floor: Annotated[float, Kept("image/noise_floor", source="noise_floor")]
+    mask: Annotated[float, Kept("image/mask", source="main_mask")]
+    baseline: Annotated[tuple[BaselineConductance, ...], Kept("baseline_conductance/")]
+    against_stress: Annotated[QuasiStatic, Kept("quasi_static/against_stress/", "1/kPa")]
+    against_strain: Annotated[QuasiStatic, Kept("quasi_static/against_strain/", "1")]
     assumed: tuple[str, ...]
-    settling: tuple[SettlingSummary, ...]
-    overlap_bands: tuple[OverlapBand, ...]
-    overlap_threshold: float
+    settling: Annotated[tuple[SettlingSummary, ...], Kept("settling/")]
+    overlap_bands: Annotated[tuple[OverlapBand, ...], Kept("area_overlap/", source="settings.overlap_bands")]
+    overlap_threshold: Annotated[float, Kept("area_overlap/threshold", "%")]
     validity: Validity
-    simulated: tuple[str, ...] = ()
-    relaxations: tuple[LoadRelaxation, ...] = ()
-    size_ratio: tuple[float, float] | None = None
-    noise_figure: float | None = None
-    force: ForceModel | None = None
-    no_force: str = ""
-    digest: str = ""
-    record_digest: str = ""
+    simulated: Annotated[tuple[str, ...], Kept("identity/simulated", source="record.identity.simulated")] = ()
+    relaxations: Annotated[tuple[LoadRelaxation, ...], Kept("relaxation/")] = ()
+    size_ratio: Annotated[
+        tuple[float, float] | None, Kept("area_overlap/size_ratio", source="settings.size_ratio")
+    ] = None
+    noise_figure: Annotated[float | None, Kept("image/measured_noise_figure")] = None
+    force: Annotated[ForceModel | None, Kept(since=2)] = None
+    no_force: Annotated[str, FROM_ABOVE] = ""  # a text of the group ``force``, which encoding and decoding see to
+    digest: Annotated[str, NOT_KEPT] = ""
+    record_digest: Annotated[str, NOT_KEPT] = ""
+    file: Annotated[bytes, NOT_KEPT] = field(default=b"", repr=False)
 
 
 @dataclass(frozen=True, slots=True)

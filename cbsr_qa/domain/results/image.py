@@ -5,12 +5,13 @@ What a reconstruction is given and what a linear one becomes.
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Protocol, Self
+from typing import Annotated, Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import NumericsError, RefusedError
+from cbsr_qa.domain.kept import FROM_ABOVE, NOT_KEPT, Kept
 from cbsr_qa.domain.numbers import real_numbers
 from cbsr_qa.domain.sensor import Mesh, SensorType
 
@@ -128,15 +129,15 @@ class ImagingProblem:
         absolute images. None where only differences are known.
     """
 
-    sensor_type: SensorType
-    mesh: Mesh
-    jacobian: NDArray[np.float64]
-    reference: NDArray[np.float64]
+    sensor_type: Annotated[SensorType, FROM_ABOVE]
+    mesh: Annotated[Mesh, Kept("/mesh/", prepared=True)]
+    jacobian: Annotated[NDArray[np.float64], Kept(units="V/(A.Ohm)", prepared=True, shortest=True)]
+    reference: Annotated[NDArray[np.float64], Kept(units="V/(A.Ohm)", prepared=True)]
     used: NDArray[np.bool_]
-    noise_variance: NDArray[np.float64] | None = None
-    nominal: Self | None = None
-    sample: NDArray[np.float64] | None = None
-    measured: NDArray[np.float64] | None = None
+    noise_variance: Annotated[NDArray[np.float64] | None, Kept(prepared=True)] = None
+    nominal: Annotated[Self | None, NOT_KEPT] = None
+    sample: Annotated[NDArray[np.float64] | None, NOT_KEPT] = None
+    measured: Annotated[NDArray[np.float64] | None, NOT_KEPT] = None
 
     def __post_init__(self) -> None:
         count = int(self.used.sum())
@@ -203,12 +204,12 @@ class ParameterChoice:
         ``"given"``, ``"none"`` where there is nothing to choose); empty where nobody says.
     """
 
-    value: float
-    how: str
+    value: Annotated[float, Kept("regularisation")]
+    how: Annotated[str, Kept("regularisation_how")]
     noise_figure: float
-    name: str = "λ"
-    curve: ParameterCurve | None = field(default=None, compare=False)
-    criterion: str = ""
+    name: Annotated[str, Kept("regularisation_name")] = "λ"
+    curve: Annotated[ParameterCurve | None, NOT_KEPT] = field(default=None, compare=False)
+    criterion: Annotated[str, Kept("regularisation_criterion")] = ""
 
 
 class PreparedReconstruction(Protocol):
@@ -253,9 +254,9 @@ class LinearReconstruction:
     """
 
     method: str
-    problem: ImagingProblem
-    matrix: NDArray[np.float64]
-    choice: ParameterChoice
+    problem: Annotated[ImagingProblem, Kept("")]
+    matrix: Annotated[NDArray[np.float64], Kept(units="A.Ohm/V", prepared=True, shortest=True)]
+    choice: Annotated[ParameterChoice, Kept("")]
 
     def images(self, changes: NDArray[np.float64]) -> NDArray[np.float64]:
         """Reconstruct relative conductance changes.

@@ -2,9 +2,12 @@
 
 from dataclasses import dataclass
 from enum import StrEnum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
+
+from cbsr_qa.domain.kept import FROM_ABOVE, OWN, Kept
 
 
 class FitStatus(StrEnum):
@@ -33,11 +36,11 @@ class RelaxationFit:
     """
 
     status: FitStatus
-    offset: float
-    amplitudes: tuple[float, ...]
+    offset: Annotated[float, Kept(units=OWN)]
+    amplitudes: Annotated[tuple[float, ...], Kept(units=OWN)]
     time_constants_s: tuple[float, ...]
-    offset_stderr: float
-    time_constant_stderr_s: tuple[float, ...]
+    offset_stderr: Annotated[float, Kept(units=OWN)]
+    time_constant_stderr_s: Annotated[tuple[float, ...], Kept("time_constants_stderr")]
     r_squared: float
     why: str
 
@@ -55,9 +58,9 @@ class SettlingTime:
     why : in words, where there is no plain number.
     """
 
-    value_s: float | None
+    value_s: Annotated[float | None, Kept("time")]
     censored: bool
-    band: float
+    band: Annotated[float, Kept(units=OWN)]
     why: str
 
 
@@ -81,11 +84,11 @@ class RelaxationKernel:
     why : there is none, for this reason; empty where there is one.
     """
 
-    loading: bool
-    weights: NDArray[np.float64]
-    time_constants_s: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    scatter: NDArray[np.float64]
+    loading: Annotated[bool, FROM_ABOVE]
+    weights: Annotated[NDArray[np.float64], Kept(dims="k", most=np.inf)]
+    time_constants_s: Annotated[NDArray[np.float64], Kept(dims="k", most=np.inf)]
+    covariance: Annotated[NDArray[np.float64], Kept(dims="2k 2k", most=np.inf)]
+    scatter: Annotated[NDArray[np.float64], Kept(dims="k", least=0)]
     scatter_freedom: float
     loads: int
     start_s: float = 0.0

@@ -2,11 +2,12 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 
 from cbsr_qa.domain.geometry import Footprint, PolygonFootprint, RoundFootprint
+from cbsr_qa.domain.kept import Kept
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,7 +21,7 @@ class Indenter:
     """
 
     diameter_mm: float
-    outline_mm: tuple[tuple[float, float], ...] = ()
+    outline_mm: Annotated[tuple[tuple[float, float], ...], Kept(omitted=True)] = ()
 
     @classmethod
     def with_outline(cls, corners_mm: Iterable[tuple[float, float]]) -> Self:

@@ -6,13 +6,14 @@ Whether electrodes fit a sheet: inside it or on its edge, and clear of each othe
 from collections.abc import Iterator
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Final
+from typing import Annotated, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.geometry import Disc, SheetOutline
+from cbsr_qa.domain.kept import Kept
 
 
 class ElectrodeKind(StrEnum):
@@ -102,7 +103,7 @@ class PlacedElectrodes:
     """
 
     kind: ElectrodeKind
-    places_mm: tuple[tuple[float, float], ...]
+    places_mm: Annotated[tuple[tuple[float, float], ...], Kept("positions")]
     width_mm: float
 
     def __post_init__(self) -> None:

@@ -2,10 +2,11 @@
 
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Self
+from typing import Annotated, Self
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.geometry import Disc, Polygon, SheetOutline
+from cbsr_qa.domain.kept import OWN, Kept
 from cbsr_qa.domain.sensor.electrodes import Electrodes
 from cbsr_qa.domain.sensor.mesh import Mesh, mesh_digest
 from cbsr_qa.domain.sensor.patterns import DrivePattern
@@ -65,7 +66,7 @@ class SensorType:
     electrodes: Electrodes
     pattern: DrivePattern
     response: Response
-    polygon: Polygon | None = None
+    polygon: Annotated[Polygon | None, Kept("outline/")] = None
     mesh: GivenMesh | None = None
 
     def __post_init__(self) -> None:
@@ -114,9 +115,9 @@ class Parameter:
     source : a citation, or "chosen by us" with the reason.
     """
 
-    value: float
-    stderr: float | None
-    source: str
+    value: Annotated[float, Kept("", OWN)]
+    stderr: Annotated[float | None, Kept("_stderr", OWN)]
+    source: Annotated[str, Kept("_source")]
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,9 +131,9 @@ class QuasiStatic:
     covariance : of slope and intercept, in the product of their units; None where nobody stated one.
     """
 
-    slope: Parameter
-    intercept: Parameter
-    covariance: float | None = None
+    slope: Annotated[Parameter, Kept("slope", OWN)]
+    intercept: Annotated[Parameter, Kept("intercept", "1")]
+    covariance: Annotated[float | None, Kept(units=OWN)] = None  # β has the unit 1
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-from . import analyses as analyses, calibrations as calibrations
+from . import analyses as analyses, calibrations as calibrations, calibrations_of_before as calibrations_of_before
 from .analyses import StoredAnalysis as StoredAnalysis, analysis_outcome as analysis_outcome
-from .calibration_rows import PrepareForce as PrepareForce
 from .calibrations import CalibrationSummary as CalibrationSummary
+from .calibrations_of_before import PrepareForce as PrepareForce

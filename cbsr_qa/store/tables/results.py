@@ -71,10 +71,7 @@ class MeasurementRow(Base):
 
 
 class CalibrationRow(Base):
-    """What a passed run issued for its sensor.
-
-    The HDF5 file is an export of it and its lists, with the imaging matrix and the head's templates added.
-    """
+    """What a passed run issued for its sensor: its file, and what is searched."""
 
     __tablename__ = "calibrations"
     __table_args__ = (Index(None, "serial", "calibration"), Index(None, "run"))
@@ -85,42 +82,46 @@ class CalibrationRow(Base):
     serial: Mapped[str] = mapped_column(String(64), ForeignKey("sensors.serial"))
     issued_at: Mapped[datetime]
     superseded_by: Mapped[str | None] = mapped_column(Identifier, ForeignKey("calibrations.calibration"))
-    response: Mapped[str] = mapped_column(String(16))
-    current_a: Mapped[float]
-    scale: Mapped[float]
-    noise_floor: Mapped[float]
-    mask: Mapped[float]
+    content_sha256: Mapped[str] = mapped_column(String(64))  #: of the issued file's content, as the file states it
+    record_sha256: Mapped[str] = mapped_column(String(64))  #: the same without what is prepared again: the matrix
+    file: Mapped[bytes | None]  #: HDF5, as it was issued
+    file_sha256: Mapped[str | None] = mapped_column(String(64))  #: of these bytes
+    # Up to schema 0011 there was no file: it was put together from the columns that follow, the rows of the tables
+    # below, and the run. All of them are empty of later calibrations, but for baselines.
+    response: Mapped[str | None] = mapped_column(String(16))
+    current_a: Mapped[float | None]
+    scale: Mapped[float | None]
+    noise_floor: Mapped[float | None]
+    mask: Mapped[float | None]
     measured_noise_figure: Mapped[float | None]  #: of this sensor with its own matrix
-    method: Mapped[str]  #: of the imaging matrix
-    regularisation: Mapped[float]
-    regularisation_name: Mapped[str]  #: what ``regularisation`` is, e.g. "λ"
-    regularisation_criterion: Mapped[str]  #: what it was chosen by; empty where nobody said
-    regularisation_how: Mapped[str]
-    noise_figure: Mapped[float]  #: of the matrix on the nominal model
-    drives: Mapped[int]
-    measures: Mapped[int]
-    reference: Mapped[bytes]  #: float64 little-endian (drives, measures) [V]
-    used: Mapped[bytes]  #: uint8 (drives, measures), readings that are imaged
-    reference_sha256: Mapped[str] = mapped_column(String(64))
-    no_force: Mapped[str]  #: why there is no force model; empty where there is one, or nobody said
-    overlap_threshold: Mapped[float]
+    method: Mapped[str | None]  #: of the imaging matrix
+    regularisation: Mapped[float | None]
+    regularisation_name: Mapped[str | None]  #: what ``regularisation`` is, e.g. "λ"
+    regularisation_criterion: Mapped[str | None]  #: what it was chosen by; empty where nobody said
+    regularisation_how: Mapped[str | None]
+    noise_figure: Mapped[float | None]  #: of the matrix on the nominal model
+    drives: Mapped[int | None]
+    measures: Mapped[int | None]
+    reference: Mapped[bytes | None]  #: float64 little-endian (drives, measures) [V]
+    used: Mapped[bytes | None]  #: uint8 (drives, measures), readings that are imaged
+    reference_sha256: Mapped[str | None] = mapped_column(String(64))
+    no_force: Mapped[str | None]  #: why there is no force model; empty where there is one, or nobody said
+    overlap_threshold: Mapped[float | None]
     size_ratio_low: Mapped[float | None]
     size_ratio_high: Mapped[float | None]
     stress_covariance: Mapped[float | None]  #: of α and β against stress [1/kPa]
     strain_covariance: Mapped[float | None]  #: of α and β against strain
     force_low_n: Mapped[float | None]
     force_high_n: Mapped[float | None]
-    strain_low: Mapped[float]
-    strain_high: Mapped[float]
+    strain_low: Mapped[float | None]
+    strain_high: Mapped[float | None]
     temperature_low_c: Mapped[float | None]
     temperature_high_c: Mapped[float | None]
-    radius_mm: Mapped[float]
-    reduced: Mapped[list[Any]]  #: reasons why the range is smaller than intended
-    assumed: Mapped[list[Any]]  #: names of what was not measured on this sensor
-    simulated: Mapped[list[Any]]
-    setting: Mapped[dict[str, Any]]  #: sensor type and indenter, see runs/codec.py
-    content_sha256: Mapped[str] = mapped_column(String(64))  #: of the issued file's content, as the file states it
-    record_sha256: Mapped[str] = mapped_column(String(64))  #: the same without what is prepared again: the matrix
+    radius_mm: Mapped[float | None]
+    reduced: Mapped[list[Any] | None]  #: reasons why the range is smaller than intended
+    assumed: Mapped[list[Any] | None]  #: names of what was not measured on this sensor
+    simulated: Mapped[list[Any] | None]
+    setting: Mapped[dict[str, Any] | None]  #: sensor type and indenter, see runs/codec.py
 
 
 class ForceRow(Base):

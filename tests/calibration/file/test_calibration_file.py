@@ -15,8 +15,7 @@ from calibration_samples import (
     sparse_calibration,
 )
 
-from cbsr_qa.calibration.file.digests import stamped
-from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration, write_calibration
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration, write_calibration
 from cbsr_qa.domain import CalibrationError
 from cbsr_qa.domain.sensor import Mesh
 

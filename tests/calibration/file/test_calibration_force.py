@@ -1,28 +1,24 @@
-"""The force model in a calibration: its way through file and database, and refusal of what cannot be worked with."""
+"""The force model in a calibration: its way through the file, and refusal of what cannot be worked with."""
 
 import dataclasses
 import hashlib
-import sqlite3
 from dataclasses import replace
 
 import h5py
 import numpy as np
 import pytest
 from calibration_samples import (
-    assert_same,
     edited,
     old_calibration,
     sample_calibration,
     sample_force,
     sparse_calibration,
 )
-from stored_runs import calibration, journalled, short_run
 
-from cbsr_qa.calibration.file.digests import PREPARED, stamped
-from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration, write_calibration
-from cbsr_qa.domain import CalibrationError, StoreError
-from cbsr_qa.domain.results import ForceModel, Outcome, RunResult, Verdict
-from cbsr_qa.store import open_store
+from cbsr_qa.calibration.file.digests import PREPARED
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, verify_calibration, write_calibration
+from cbsr_qa.domain import CalibrationError
+from cbsr_qa.domain.results import ForceModel
 
 
 @pytest.fixture
@@ -120,14 +116,17 @@ _HOSTILE = {
     "template NaN": ({"force/templates": np.full((52, 7), np.nan)}, "force/templates holds what is not a finite"),
     "templates long": ({"force/templates": np.ones((52, 7))}, "not of the length one"),
     "templates flat": ({"force/templates": np.ones(52)}, "force/templates has the shape"),
-    "fewer templates": ({"force/templates": np.ones((9, 7)) / np.sqrt(7)}, "does not fit 9 templates"),
-    "map too short": ({"force/log_response": np.zeros(5)}, r"force/log_response of \(5,\) does not fit"),
+    "fewer templates": ({"force/templates": np.ones((9, 7)) / np.sqrt(7)}, "does not fit 9 nodes"),
+    "map too short": ({"force/log_response": np.zeros(5)}, r"force/log_response of \(5,\) does not fit 52 nodes"),
     "map infinite": ({"force/log_response": np.full(52, np.inf)}, "force/log_response holds"),
     "error negative": ({"force/log_response_stderr": np.full(52, -1.0)}, "log_response_stderr is negative"),
     "merging of others": ({"force/merging": np.ones((7, 5))}, "force/merging is for 5 readings, 18 are used"),
-    "merging of fewer": ({"force/merging": np.ones((6, 18))}, "does not make the 7 rows"),
+    "merging of fewer": ({"force/merging": np.ones((6, 18))}, "does not fit 6 merged"),
     "merging NaN": ({"force/merging": np.full((7, 18), np.nan)}, "force/merging holds"),
-    "gradient in one axis": ({"force/log_size_gradient": np.zeros((52, 1))}, r"log_size_gradient \(52, 1\)"),
+    "gradient in one axis": (
+        {"force/log_size_gradient": np.zeros((52, 1))},
+        r"log_size_gradient of \(52, 1\) does not fit 2 columns",
+    ),
     "nowhere": ({"force/fits": np.zeros(52)}, "allows a head nowhere"),
     "threshold zero": ({"force/threshold": 0.0}, "out of range"),
     "scatter negative": ({"force/scatter": -0.1}, "force/scatter is negative"),
@@ -184,80 +183,3 @@ def test_templates_prepared_on_another_computer_change_the_digest_but_not_that_o
     learned = replace(sample.force, log_response=sample.force.log_response + 1e-6)
     assert stamped(replace(sample, force=learned)).record_digest != issued.record_digest
     assert not any("force/log_response".startswith(path) for path in PREPARED)
-
-
-# --- the database --------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def stored(tmp_path):
-    """A database with one run and a calibration that has a force model."""
-    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as repository:
-        run = repository.new_id()
-        journalled(repository, short_run(run))
-        made = calibration(repository.new_id(), run)
-        readings = int(made.reconstruction.problem.used.sum())
-        made = stamped(replace(made, force=sample_force(readings), digest="", record_digest=""))
-        result = RunResult(repository.load_run(run), None, (), Verdict(Outcome.PASS, "why"), made, "")
-        repository.save_result(result)
-        yield repository, made
-
-
-def _prepares(made):
-    """What prepares templates, told what it was asked for."""
-    asked = []
-
-    def prepare(*about):
-        asked.append(about)
-        empty = np.zeros(len(made.force.log_response))
-        return replace(made.force, log_response=empty, log_response_stderr=empty, scatter=0.0, loading=None)
-
-    return prepare, asked
-
-
-def test_a_force_model_comes_back_from_the_database_as_it_was_issued(stored, tmp_path):
-    repository, made = stored
-    prepare, asked = _prepares(made)
-    back = repository.load_calibration(made.calibration, made.reconstruction, prepare)
-    assert_same(back, made, "calibration")
-    assert write_calibration(tmp_path / "again.h5", back) == made.digest
-    ((sensor_type, used, merging, reference, head),) = asked
-    assert (sensor_type, head) == (made.sensor_type, made.indenter)
-    for one, other in (
-        (used, made.reconstruction.problem.used),
-        (merging, made.force.merging),
-        (reference, made.reference),
-    ):
-        np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.rest
-def test_a_force_model_without_its_templates_is_not_loaded(stored):
-    repository, made = stored
-    with pytest.raises(StoreError, match="whose templates nobody prepares"):
-        repository.load_calibration(made.calibration, made.reconstruction)
-    prepare, _ = _prepares(replace(made, force=replace(made.force, templates=made.force.templates[:50])))
-    with pytest.raises(StoreError, match="a map of 52 places; this version prepares templates for 50"):
-        repository.load_calibration(made.calibration, made.reconstruction, prepare)
-
-
-def test_a_map_changed_in_the_database_is_not_loaded_and_a_number_not_exported(stored, tmp_path):
-    repository, made = stored
-    prepare, _ = _prepares(made)
-    with sqlite3.connect(tmp_path / "runs.db") as other:
-        other.execute("update calibration_forces set scatter = 0.5")
-    with pytest.raises(StoreError, match=r"calibration_forces .* was changed"):
-        repository.load_calibration(made.calibration, made.reconstruction, prepare)
-    with sqlite3.connect(tmp_path / "runs.db") as other:  # as of a run from before chains
-        other.execute("delete from run_links")
-        other.execute("update runs set chain = null")
-    with pytest.raises(CalibrationError, match="not what was issued"):
-        write_calibration(
-            tmp_path / "x.h5", repository.load_calibration(made.calibration, made.reconstruction, prepare)
-        )
-    with sqlite3.connect(tmp_path / "runs.db") as other:
-        other.execute("update calibration_forces set log_response = log_response_stderr")
-    with pytest.raises(StoreError, match="its force model is not what was stored"):
-        repository.load_calibration(made.calibration, made.reconstruction, prepare)
-    with pytest.raises(StoreError, match="its force model is not what was stored"):
-        repository.check_calibration(made.calibration)

@@ -10,8 +10,8 @@ from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cbsr_qa.calibration.file.content import Entry
-from cbsr_qa.calibration.file.digests import content_digest, stamped
-from cbsr_qa.calibration.file.hdf5 import read_calibration, write_calibration
+from cbsr_qa.calibration.file.digests import content_digest
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, write_calibration
 from cbsr_qa.calibration.file.json import _entry, dataset, json_document, read_json_calibration
 from cbsr_qa.domain import CalibrationError
 

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from calibration_samples import assert_same, sample_calibration
 
-from cbsr_qa.calibration.file.digests import stamped
-from cbsr_qa.calibration.file.hdf5 import read_calibration, write_calibration
+from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, write_calibration
 from cbsr_qa.config import load_sensor_type, load_station
 from cbsr_qa.domain import ConfigError
 from cbsr_qa.domain.plan import SheetDesign

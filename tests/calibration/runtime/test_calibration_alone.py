@@ -253,7 +253,8 @@ def test_single_precision_changes_no_force_by_more_than_a_millionth(calibration)
         templates=bank.templates,
         log_size=bank.log_size,
         size_slope=bank.size_slope,
-        slopes=bank.slopes,
+        log_size_gradient=bank.slopes[:, :2],
+        turning=bank.slopes[:, 2:],
     )
     assert np.abs(double.templates - issued.force.templates).max() > 1e-10
     seen = frames(_PLACES, _FORCES)

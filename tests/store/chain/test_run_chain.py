@@ -131,11 +131,11 @@ EDITS = {
     "no measurement": ("delete from measurements", "measurements .* was removed"),
     "a verdict": ("update analyses set outcome = 'marginal'", "analyses .* was changed"),
     "a warning": ("update warnings set text = '' where number = 0", "warnings .* was changed"),
-    "a calibration": ("update calibrations set scale = 7.25", "calibrations .* was changed"),
-    "a force model": ("update calibration_forces set scatter = 0.5", "calibration_forces .* was changed"),
-    "a parameter": (
-        "update calibration_parameters set value = 1 where name like '%strain.slope'",
-        "calibration_parameters .* was changed",
+    "a calibration": ("update calibrations set record_sha256 = content_sha256", "calibrations .* was changed"),
+    "a calibration's file": ("update calibrations set file_sha256 = content_sha256", "calibrations .* was changed"),
+    "a baseline": (
+        "update calibration_baselines set value = 1 where number = 0",
+        "calibration_baselines .* was changed",
     ),
     "an override": ("update verdict_overrides set outcome = 'pass'", "verdict_overrides .* was changed"),
     "no override": ("delete from verdict_overrides", "verdict_overrides .* was removed"),
@@ -183,7 +183,7 @@ READERS = {
     "analyses": (VALUE, lambda store, run, _: store.analyses(run)),
     "calibration": (
         "update calibrations set scale = 1",
-        lambda store, _, issued: store.load_calibration(issued, None),
+        lambda store, _, issued: store.calibration_file(issued),
     ),
     "override": (VALUE, lambda store, run, _: store.override_verdict(run, Outcome.PASS, operator="Zoë", why="so")),
     "figures": (VALUE, lambda store, *_: store.run_figures(store.run_lines(RunFilter(serials=("S-1",))))),

@@ -79,7 +79,7 @@ def merged(decades: float) -> Answer:
 
 def force_model(log_response: float, log_size: float = 0.0) -> ForceModel:
     """Build an even sheet whose templates turn with place, (cos, sin) of x and y over 8 mm."""
-    lattice = Lattice(-6.0, -6.0, 1.0, _SIDE, _SIDE)
+    lattice = Lattice((-6.0, -6.0), 1.0, _SIDE, _SIDE)
     x, y = lattice.places_mm().T / 8
     count = _SIDE**2
     templates = np.column_stack([np.cos(x), np.sin(x), np.cos(y), np.sin(y)]) / np.sqrt(2)
@@ -91,7 +91,8 @@ def force_model(log_response: float, log_size: float = 0.0) -> ForceModel:
         templates,
         np.full(count, log_size),
         np.zeros((count, 4)),
-        np.column_stack([flat, flat, turn, flat, turn]),
+        np.zeros((count, 2)),
+        np.column_stack([turn, flat, turn]),
         np.ones(count, dtype=np.bool_),
         np.full(count, log_response),
         np.full(count, 0.01),

@@ -1,0 +1,224 @@
+"""Any dataclass to entries and back, by the types of its fields and :class:`~cbsr_qa.domain.kept.Kept`."""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import is_dataclass
+from enum import StrEnum
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from cbsr_qa.calibration.file.content import FLAG, INDEX, PURE, TEXT, Entry, Reading, Value
+from cbsr_qa.domain import Array, Indices, Kept, KeptField, Mask, group_of, kept_fields
+
+Pairs = tuple[tuple[int, int], ...]
+Points = tuple[tuple[float, float], ...]
+
+Entries = dict[str, Entry]
+#: How a type is written and read that is not one dataset a field: both are given the path of its group.
+Irregular = tuple[Callable[[Entries, str, Any], None], Callable[[Reading, str], Any]]
+
+_INTEGERS: Final = (int, int | None, Pairs, Indices)
+#: Units of what has none in its name.
+_UNITS: Final = {bool: FLAG, Mask: FLAG, Pairs: INDEX, Indices: INDEX, str: TEXT, tuple[str, ...]: TEXT}
+
+
+class Codec:
+    """Writes and reads dataclasses.
+
+    Parameters
+    ----------
+    irregular : what has a way of its own, by type.
+    """
+
+    def __init__(self, irregular: Mapping[Any, Irregular]) -> None:
+        self._irregular = irregular
+
+    def write(self, out: Entries, value: Any, within: str, own: str = PURE) -> None:
+        """Keep a dataclass under the path of its group; ``own`` are the units of its own."""
+        for field in kept_fields(type(value)):
+            held, group = getattr(value, field.name), group_of(field.hint)
+            path, units = _place(field, within, own)
+            if field.kept.not_kept or field.is_left_out(held):
+                continue
+            if field.hint in self._irregular:
+                self._irregular[field.hint][0](out, path, held)
+            elif item_of(field.hint):
+                self.write_list(out, item_of(field.hint), held, path, units)
+            elif group is None:
+                out[path] = Entry(units, _kept(field, held))
+            elif held is not None:
+                self.write(out, held, path, units)
+
+    def write_list(self, out: Entries, of: Any, items: Sequence[Any], within: str, own: str = PURE) -> None:
+        """Keep dataclasses as a list for every field."""
+        for field in kept_fields(of):
+            path, units = _place(field, within, own)
+            held, group = [getattr(one, field.name) for one in items], group_of(field.hint)
+            if group is not None:
+                self.write_list(out, group, held, path, units)
+            elif not (field.kept.not_kept or (held and all(map(field.is_left_out, held)))):
+                out[path] = Entry(units, _kept(field, held))
+
+    def read(self, read: Reading, of: Any, within: str, above: Mapping[str, Any] | None = None) -> Any:
+        """Return a dataclass; ``above`` are the fields that what holds it has."""
+        values: dict[str, Any] = {}
+        for field in kept_fields(of):
+            path, group = _place(field, within, PURE)[0], group_of(field.hint)
+            known = {**(above or {}), **values, **dict(field.kept.given)}
+            if field.kept.from_above:
+                values[field.name] = known[field.name]
+            elif field.kept.not_kept or (field.is_left_out(field.default) and not read.inside(path)):
+                continue
+            elif field.hint in self._irregular:
+                values[field.name] = self._irregular[field.hint][1](read, path)
+            elif item_of(field.hint):
+                values[field.name] = tuple(self.read_list(read, item_of(field.hint), path, {}))
+            elif group is None:
+                values[field.name] = _value(read, field, path)
+            elif group is field.hint or read.inside(path):
+                values[field.name] = self.read(read, group, path, known)
+        return of(**values)
+
+    def read_list(self, read: Reading, of: Any, within: str, above: Mapping[str, Any]) -> Iterator[Any]:
+        """Yield dataclasses from the lists of their fields; ``above`` is what all of them share."""
+        shared = {field.name: above[field.name] for field in kept_fields(of) if field.kept.from_above}
+        columns: dict[str, Sequence[Any]] = {}
+        for field in kept_fields(of):
+            path, group = _place(field, within, PURE)[0], group_of(field.hint)
+            if group is not None:
+                columns[field.name] = list(self.read_list(read, group, path, above))
+            elif not (field.kept.not_kept or (field.is_left_out(field.default) and not read.has(path))):
+                columns[field.name] = _list(read, field, path)
+        for row in zip(*columns.values(), strict=True):
+            yield of(**shared, **dict(zip(columns, row, strict=True)))
+
+
+def item_of(hint: Any) -> Any:
+    """Return the dataclass that a field is a list of; None where it is none."""
+    item, *others = getattr(hint, "__args__", (None,))
+    return item if others == [...] and is_dataclass(item) else None
+
+
+def problems(value: Any, within: str) -> Iterator[str]:
+    """Say what is wrong with the numbers of a dataclass, by the limits and axes of its fields."""
+    lengths: dict[str, int] = {}
+    for field in kept_fields(type(value)):
+        held, path = getattr(value, field.name), _place(field, within, PURE)[0]
+        if is_dataclass(held) and not field.kept.not_kept:
+            yield from problems(held, path)
+            lengths |= {one.name: getattr(held, one.name) for one in kept_fields(type(held)) if one.hint is int}
+        elif held is not None and not field.kept.not_kept:
+            if field.kept.limited:
+                yield from _beyond(field.kept, path, np.asarray(held))
+            if field.kept.dims:
+                yield from _misshapen(field, path, np.shape(held), lengths)
+
+
+def _beyond(kept: Kept, path: str, values: NDArray[Any]) -> Iterator[str]:
+    least, most = kept.least, kept.most
+    if not np.isfinite(values).all():
+        yield f"{path} holds what is not a finite number"
+    elif least and most and not least <= values.item() <= most:
+        yield f"{path} is {values.item()}; {least:g} to {most:g} are allowed"
+    elif most is not None and (np.abs(values) > most).any():
+        yield f"{path} holds {np.abs(values).max():.3g}; {most:g} is allowed"
+    elif least is not None and (values < least).any():
+        yield f"{path} is negative somewhere"
+
+
+def _misshapen(field: KeptField, path: str, shape: tuple[int, ...], lengths: dict[str, int]) -> Iterator[str]:
+    """Compare a shape with the lengths of the axes named so far, and add those it is the first to have."""
+    names = field.kept.dims.split()
+    if len(names) != len(shape):
+        yield f"{path} has the shape {shape}; ({', '.join(names)}) is expected"
+        return
+    for name, length in zip(names, shape, strict=True):
+        axis = name.lstrip("0123456789")
+        times = int(name.removesuffix(axis) or 1)
+        expected = times * (lengths.setdefault(axis, length) if axis else 1)
+        if length != expected:
+            yield f"{path} of {shape} does not fit {expected} {axis or 'columns'}"
+
+
+def _place(field: KeptField, within: str, own: str) -> tuple[str, str]:
+    """Path and units of a field."""
+    group = group_of(field.hint) is not None
+    default = own if group else TEXT if _is_text(field.hint) else _UNITS.get(field.hint, PURE)
+    return field.path(within, group=group), field.units(own, default)
+
+
+def _is_text(hint: Any) -> bool:
+    return hint in (str, tuple[str, ...]) or (isinstance(hint, type) and issubclass(hint, StrEnum))
+
+
+def _kept(field: KeptField, held: Any) -> Value:
+    """Return what is kept of one value, or of a list of them; negative zero becomes zero."""
+    if _is_text(field.hint):
+        return str(held) if isinstance(held, str) else tuple(map(str, held))
+    if field.hint in (bool, Mask):
+        return np.array(held, dtype=np.bool_)
+    if field.hint in _INTEGERS:
+        absent = [-1 if one is None else one for one in held] if isinstance(held, list) else held
+        return np.array(absent, dtype=np.int64)
+    if field.hint == tuple[float, ...]:
+        held = _padded(held)
+    elif held is None and field.hint != float | None:
+        held = ()
+    values = np.array(held, dtype=np.float64, order="C")  # None becomes NaN
+    values += 0.0
+    single = values.astype(np.float32)
+    exact = field.kept.shortest and np.array_equal(single.astype(np.float64), values)
+    return single if field.kept.single or exact else values
+
+
+def _padded(rows: Sequence[tuple[float, ...]]) -> NDArray[np.float64]:
+    """Rows of at most two numbers as an (n, 2) array, NaN where there is none."""
+    table = np.full((len(rows), 2), np.nan)
+    for index, row in enumerate(rows):
+        table[index, : len(row)] = row
+    return table
+
+
+#: How one value is read, and how a list of them.
+_VALUES: Final[Mapping[Any, Callable[[Reading, str], Any]]] = {
+    str: Reading.text,
+    tuple[str, ...]: Reading.texts,
+    float: Reading.number,
+    float | None: Reading.maybe,
+    tuple[float, float]: Reading.whole_pair,
+    tuple[float, float] | None: Reading.pair,
+    Array: Reading.numbers,
+    Array | None: Reading.optional,
+    Points: lambda read, path: _rows(read.numbers(path)),
+    int: Reading.integer,
+    Indices: Reading.integers,
+    Pairs: lambda read, path: _rows(read.integers(path)),
+    bool: Reading.flag,
+    Mask: Reading.flags,
+}
+_LISTS: Final[Mapping[Any, Callable[[Reading, str], Sequence[Any]]]] = {
+    str: Reading.texts,
+    float: lambda read, path: read.numbers(path).tolist(),
+    float | None: Reading.maybes,
+    tuple[float, ...]: lambda read, path: [tuple(row[~np.isnan(row)].tolist()) for row in read.numbers(path)],
+    int: lambda read, path: read.integers(path).tolist(),
+    int | None: lambda read, path: [None if one < 0 else one for one in read.integers(path).tolist()],
+    bool: lambda read, path: read.flags(path).tolist(),
+}
+
+
+def _value(read: Reading, field: KeptField, path: str) -> Any:
+    if field.kept.single or field.kept.shortest:
+        return read.singles(path) if field.kept.single else read.either(path)
+    return _VALUES[field.hint](read, path) if field.hint in _VALUES else field.hint(read.text(path))
+
+
+def _list(read: Reading, field: KeptField, path: str) -> Sequence[Any]:
+    if field.hint in _LISTS:
+        return _LISTS[field.hint](read, path)
+    return [field.hint(word) for word in read.texts(path)]
+
+
+def _rows(table: NDArray[Any]) -> tuple[tuple[Any, Any], ...]:
+    return tuple((first, second) for first, second in table.tolist())

@@ -1,0 +1,137 @@
+"""How the fields of a dataclass are kept in a file: what their names and types do not say already.
+
+A field is kept as one dataset. Its path is the field's name without its unit, its unit the one the name ends with,
+its kind follows from its type: ``radius_mm: float`` is ``radius`` in mm, one float64. A field that is a dataclass is
+a group, a tuple of dataclasses a group with a list for every field. ``Annotated[type, Kept(...)]`` says the rest.
+"""
+
+import dataclasses
+from collections.abc import Iterator, Mapping
+from functools import cache
+from operator import attrgetter
+from types import UnionType
+from typing import Any, Final, get_type_hints
+
+#: Units of a field that are those of what holds it.
+OWN: Final = "own"
+_SUFFIXES: Final = {
+    **{unit: unit for unit in ("mm", "s", "A", "N", "kPa", "deg")},
+    "C": "degC",
+}
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class Kept:
+    """How a field is kept.
+
+    Parameters
+    ----------
+    path : within the group of what holds it, behind a ``/`` within the file; a group's own ends with ``/``.
+    units : of a value; of a group those its fields call their :data:`OWN`.
+    since : first version of the file that has it. Files without it are read with the field's default, and files of a
+        calibration that holds the default are written without it.
+    omitted : left out like that where it is the default, though the first version had it.
+    prepared : follows from the rest of the file.
+    single : kept in single precision; ``shortest``: where that loses nothing.
+    step : a value is rounded to multiples of this when it is issued.
+    dims : names of the axes, whose lengths are alike throughout a dataclass, e.g. ``"n r"``.
+    least, most : what is allowed; given either, numbers must be finite.
+    source : where a run's observation has it, e.g. ``"settings.size_ratio"``.
+    given : fields of a group that its path says: (name, value).
+    not_kept : a field of the program alone, or (``from_above``) one that what holds this dataclass has as well.
+    """
+
+    path: str | None = None
+    units: str = ""
+    since: int = 1
+    omitted: bool = False
+    prepared: bool = False
+    single: bool = False
+    shortest: bool = False
+    step: float = 0.0
+    dims: str = ""
+    least: float | None = None
+    most: float | None = None
+    source: str = ""
+    given: tuple[tuple[str, Any], ...] = ()
+    not_kept: bool = False
+    from_above: bool = False
+
+    @property
+    def limited(self) -> bool:
+        """Whether there are numbers that are not allowed."""
+        return self.least is not None or self.most is not None
+
+
+NOT_KEPT: Final = Kept(not_kept=True)
+FROM_ABOVE: Final = Kept(not_kept=True, from_above=True)
+
+
+@dataclasses.dataclass(frozen=True, slots=True)
+class KeptField:
+    """A field of a dataclass: its name, type and default, and how it is kept."""
+
+    name: str
+    hint: Any
+    default: Any
+    kept: Kept
+
+    def path(self, within: str, *, group: bool = False) -> str:
+        """Return the path of its dataset or group, given that of the group it is in."""
+        own = self.kept.path
+        if own is None:
+            own = self.name.removesuffix(f"_{self._suffix()}") + ("/" if group else "")
+        return own[1:] if own.startswith("/") else within + own
+
+    def units(self, of_group: str, default: str) -> str:
+        """Return its units, given those of the group it is in."""
+        found = self.kept.units or _SUFFIXES.get(self._suffix(), default)
+        return of_group if found == OWN else found
+
+    def is_left_out(self, value: object) -> bool:
+        """Whether files of before had no such field, and a value says no more than they did."""
+        optional = self.kept.omitted or self.kept.since > 1
+        return optional and (value is self.default or (type(value) is type(self.default) and value == self.default))
+
+    def _suffix(self) -> str:
+        end = self.name.rpartition("_")[2]
+        return end if end in _SUFFIXES else ""
+
+
+def kept_fields(of: Any) -> tuple[KeptField, ...]:
+    """Return the fields of a dataclass."""
+    return _kept_fields(of)
+
+
+@cache
+def _kept_fields(of: Any) -> tuple[KeptField, ...]:
+    hints = get_type_hints(of, include_extras=True)
+    return tuple(_kept_field(field, hints[field.name]) for field in dataclasses.fields(of))
+
+
+def _kept_field(field: dataclasses.Field[Any], hint: Any) -> KeptField:
+    said = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Kept)]
+    return KeptField(field.name, hint.__origin__ if said else hint, field.default, said[0] if said else Kept())
+
+
+def group_of(hint: Any) -> type | None:
+    """Return the dataclass of a field that is one, or may be None instead; None for other types."""
+    types = hint.__args__ if isinstance(hint, UnionType) else (hint,)
+    found = [one for one in types if isinstance(one, type) and dataclasses.is_dataclass(one)]
+    return found[0] if len(found) == 1 else None
+
+
+def tabulated(of: type, within: str = "") -> Iterator[tuple[str, KeptField]]:
+    """Yield every field a dataclass keeps under its path, groups before what is in them."""
+    for field in kept_fields(of):
+        group = group_of(field.hint)
+        if not field.kept.not_kept:
+            yield field.path(within, group=group is not None), field
+        if group is not None and not field.kept.not_kept:
+            yield from tabulated(group, field.path(within, group=True))
+
+
+def taken(of: type, holder: Any) -> Mapping[str, Any]:
+    """Return the fields of a dataclass that another object has, by their ``source``."""
+    sources = {field.name: field.kept.source for field in kept_fields(of)}
+    return {name: attrgetter(source)(holder) for name, source in sources.items() if source}
