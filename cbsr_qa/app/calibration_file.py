@@ -1,7 +1,7 @@
 """Looking at an issued calibration file, checking it, and converting it."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,9 +16,9 @@ from cbsr_qa.calibration.file import (
     write_calibration,
 )
 from cbsr_qa.calibration.runtime import ForceInverse, TemplateFilter, interpolated, least_force_N, map_tables
-from cbsr_qa.domain import CalibrationError, RefusedError
-from cbsr_qa.domain.results import BaselineConductance, Calibration, ForceModel, SettlingSummary
-from cbsr_qa.domain.sensor import Parameter, QuasiStatic
+from cbsr_qa.domain import CalibrationError, RefusedError, kept_fields
+from cbsr_qa.domain.results import Calibration, ForceModel, SettlingSummary
+from cbsr_qa.domain.sensor import QuasiStatic
 from cbsr_qa.system import read_untrusted, written_whole
 
 _JSON: Final = ".json"
@@ -41,23 +41,33 @@ def show_calibration(path: Path) -> dict[str, Any]:
         "digest": verified.digest,
         "record_digest": verified.record_digest,
         "schema_version": verified.schema_version,
-        "identity": _identity(calibration),
-        "simulated": list(calibration.simulated),
-        "validity": _validity(calibration),
-        "baseline_conductance": [_baseline(place) for place in calibration.baseline],
+        "identity": {
+            "calibration": calibration.calibration,
+            "run": calibration.run,
+            "issued_at": calibration.issued_at,
+            **asdict(calibration.sensor),
+        },
+        "simulated": calibration.simulated,
+        "validity": {
+            **asdict(calibration.validity),
+            "indenter_diameter_mm": calibration.indenter.diameter_mm,
+            "indenter": calibration.indenter.words(),
+        },
+        "baseline_conductance": [asdict(place) for place in calibration.baseline],
         "against_stress": _quasi_static(calibration.against_stress, "1/kPa"),
         "against_strain": _quasi_static(calibration.against_strain, "1"),
-        "assumed": list(calibration.assumed),
+        "assumed": calibration.assumed,
         "settling": [_settling(summary) for summary in calibration.settling],
         "area_overlap": {
             "threshold_percent": calibration.overlap_threshold,
-            "size_ratio": None if calibration.size_ratio is None else list(calibration.size_ratio),
+            "size_ratio": calibration.size_ratio,
             "bands": [
                 {"name": band.name, "lower_percent": band.lower, "upper_percent": band.upper}
                 for band in calibration.overlap_bands
             ],
         },
         "image": _image(calibration),
+        "values": _values(calibration),
         "force_model": _force(calibration),
         "no_force_model": _no_force(calibration),
     }
@@ -69,13 +79,13 @@ class Converted:
 
     Parameters
     ----------
-    source, output : files.
+    file, output : what was converted, and into what.
     size_bytes : of what was written.
     digest : of the content; for firmware that of the calibration it is from.
     loss : what a firmware file loses, as it says itself; None for a conversion without loss.
     """
 
-    source: Path
+    file: Path
     output: Path
     size_bytes: int
     digest: str
@@ -83,13 +93,7 @@ class Converted:
 
     def document(self) -> dict[str, Any]:
         """Return what ``--json`` prints."""
-        return {
-            "file": str(self.source),
-            "output": str(self.output),
-            "size_bytes": self.size_bytes,
-            "digest": self.digest,
-            "loss": self.loss,
-        }
+        return {**asdict(self), "file": str(self.file), "output": str(self.output)}
 
 
 def export_calibration(source: Path, output: Path, *, firmware: bool = False, stride: int | None = None) -> Converted:
@@ -233,62 +237,23 @@ def _least_force_N(
     return least_force_N(inverse, np.linalg.norm(TemplateFilter(model).template(places), axis=1), places)
 
 
-def _identity(c: Calibration) -> dict[str, Any]:
-    return {
-        "calibration": c.calibration,
-        "run": c.run,
-        "issued_at": c.issued_at,
-        "serial": c.sensor.serial,
-        "batch": c.sensor.batch,
-        "sensor_type": c.sensor.sensor_type,
-    }
-
-
-def _validity(c: Calibration) -> dict[str, Any]:
-    return {
-        "force_N": None if c.validity.force_N is None else list(c.validity.force_N),
-        "strain": list(c.validity.strain),
-        "temperature_C": None if c.validity.temperature_C is None else list(c.validity.temperature_C),
-        "radius_mm": c.validity.radius_mm,
-        "indenter_diameter_mm": c.indenter.diameter_mm,
-        "indenter": c.indenter.words(),
-        "reduced": list(c.validity.reduced),
-    }
-
-
-def _baseline(place: BaselineConductance) -> dict[str, Any]:
-    return {
-        "location": place.location,
-        "x_mm": place.x_mm,
-        "y_mm": place.y_mm,
-        "value": place.value,
-        "stderr": place.stderr,
-        "loads": place.loads,
-        "why": place.why,
-    }
+def _values(c: Calibration) -> dict[str, dict[str, Any]]:
+    """Return every single number of a calibration itself, by its path in the file."""
+    numbers = (field for field in kept_fields(Calibration) if field.hint in (float, float | None))
+    return {field.path(""): {"value": getattr(c, field.name), "units": field.units("1", "1")} for field in numbers}
 
 
 def _quasi_static(fit: QuasiStatic, slope_units: str) -> dict[str, Any]:
-    def parameter(value: Parameter, units: str) -> dict[str, Any]:
-        return {"value": value.value, "stderr": value.stderr, "units": units, "source": value.source}
-
     return {
-        "slope": parameter(fit.slope, slope_units),
-        "intercept": parameter(fit.intercept, "1"),
+        "slope": {**asdict(fit.slope), "units": slope_units},
+        "intercept": {**asdict(fit.intercept), "units": "1"},
         "covariance": fit.covariance,
     }
 
 
 def _settling(summary: SettlingSummary) -> dict[str, Any]:
-    return {
-        "signal": summary.signal,
-        "direction": "loading" if summary.loading else "unloading",
-        "mean_s": summary.mean_s,
-        "deviation_s": summary.deviation_s,
-        "accepted": summary.accepted,
-        "censored": summary.censored,
-        "rejected": summary.rejected,
-    }
+    said = asdict(summary)
+    return {"signal": said.pop("signal"), "direction": "loading" if said.pop("loading") else "unloading", **said}
 
 
 def _image(c: Calibration) -> dict[str, Any]:

@@ -146,6 +146,7 @@ def _summary(document: dict[str, Any]) -> Iterable[str]:
     chosen_by = image["regularisation_criterion"] or "not said"
     yield f"  {image['regularisation_name']} = {image['regularisation']:.4g}, chosen by {chosen_by}: "
     yield f"  {image['regularisation_how']}; noise floor {image['noise_floor']:.3g}; response: {image['response']}"
+    yield from ("", "Values", *(_number(path, held) for path, held in document["values"].items()))
     yield f"SHA-256 {document['digest']}"
 
 
@@ -155,6 +156,11 @@ _IDENTITY = (
     ("run", "run"),
     ("calibration", "calibration"),
 )
+
+
+def _number(path: str, held: dict[str, Any]) -> str:
+    units = "" if held["units"] == "1" else f" {held['units']}"
+    return f"  {path:<28}" + ("not measured" if held["value"] is None else f"{held['value']:.6g}{units}")
 
 
 def _validity(validity: dict[str, Any]) -> Iterable[str]:

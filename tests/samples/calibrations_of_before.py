@@ -1,6 +1,9 @@
 """Calibrations as programs up to schema 0011 stored them: in rows, without their file."""
 
+import hashlib
 from datetime import datetime
+
+import numpy as np
 
 from cbsr_qa.store import writing
 from cbsr_qa.store.chain import add_rows
@@ -14,7 +17,6 @@ from cbsr_qa.store.tables import (
     RelaxationRow,
     SettlingRow,
 )
-from cbsr_qa.store.types import digest, packed, packed_flags
 
 _PARAMETERS = (
     ("against_stress.slope", "1/kPa", "α against stress"),
@@ -37,6 +39,21 @@ def store_as_rows(repository, calibration, analysis):
             add_rows(connection, run, table, [name | row for row in rows])
         if calibration.force is not None:
             add_rows(connection, run, ForceRow, [name | force_values(calibration.force)])
+
+
+def packed(values):
+    return np.ascontiguousarray(values, dtype="<f8").tobytes()
+
+
+def packed_flags(values):
+    return np.ascontiguousarray(values, dtype=np.uint8).tobytes()
+
+
+def digest(header, parts):
+    total = hashlib.sha256(header.encode())
+    for part in parts:
+        total.update(len(part).to_bytes(8, "little") + part)
+    return total.hexdigest()
 
 
 def list_rows(calibration):

@@ -59,7 +59,7 @@ def test_name_and_type_say_path_units_and_kind():
 @pytest.mark.parametrize(
     "sheet",
     [
-        SHEET,
+        Sheet("a", 2.5, (Place("L0", 0.5, 3), Place("L1", 7.0, 1))),
         Sheet("b", 1.0, (), 4.0, 55.0),
         Sheet("c", 1.0, (Place("L0", 1.0, 2, 0.0), Place("L1", 1.0, 2, 4.5))),
     ],
