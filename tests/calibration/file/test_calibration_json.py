@@ -10,7 +10,7 @@ from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cbsr_qa.calibration.file.content import Entry
-from cbsr_qa.calibration.file.digests import content_digest
+from cbsr_qa.calibration.file.digests import SCHEMA_VERSION, content_digest
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamped, write_calibration
 from cbsr_qa.calibration.file.json import _entry, dataset, json_document, read_json_calibration
 from cbsr_qa.domain import CalibrationError
@@ -73,7 +73,10 @@ def test_what_is_no_calibration_is_refused_by_name(tmp_path, what):
 
 
 _EDITED = {
-    "future": (lambda d: d.update(schema_version=4), "version 4; this program knows versions up to 3"),
+    "future": (
+        lambda d: d.update(schema_version=99),
+        f"version 99; this program knows versions up to {SCHEMA_VERSION}",
+    ),
     "boolean version": (lambda d: d.update(schema_version="2"), "version '2'"),
     "value": (lambda d: d["datasets"]["image/mask"].update(values=[0.9]), "changed after it was written"),
     "unit": (lambda d: d["datasets"]["image/mask"].update(units="mm"), "changed after it was written"),
