@@ -155,8 +155,8 @@ class UnconcludedError(CbsrError):
 
     def __init__(self, run: str, again: str, by: str) -> None:
         super().__init__(
-            f"run {run}: stopped by {by} while its result was worked out; all that was measured is stored",
-            remedy=f"this goes on: {again}",
+            f"run {run}: stopped by {by} while computing its result; all measured data is stored",
+            remedy=f"to continue: {again}",
         )
         self.run = run
 

@@ -55,7 +55,7 @@ def finite_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
     bad = np.flatnonzero(~np.isfinite(array))
     if bad.size:
         raise NumericsError(
-            f"{what}: number {bad[0]} (from 0) is {array.flat[bad[0]]}, not a finite number",
+            f"{what}: value {bad[0]} (from 0) is {array.flat[bad[0]]}, not a finite number",
             remedy="leave such values out",
         )
     return array
@@ -95,7 +95,7 @@ def check_encodable(what: str, *texts: str) -> None:
             text.encode()
         except UnicodeEncodeError:
             raise RefusedError(
-                f"{what} holds {text[:60]!r}, which is no text that can be written", remedy="write it in UTF-8"
+                f"{what} is {text[:60]!r}, which cannot be encoded as text", remedy="write it in UTF-8"
             ) from None
 
 

@@ -106,7 +106,7 @@ class Chain:
             except BaseException as error:
                 raise _failed(name, error, f" at {moment.time_s:.6g} s") from error
             if not finite:
-                what = f"effect {name!r} leaves {' or '.join(_CHANGED[stage])} that is no finite number"
+                what = f"effect {name!r} leaves {' or '.join(_CHANGED[stage])} with non-finite values"
                 raise PluginError(f"{what} at {moment.time_s:.6g} s", remedy="give it smaller parameters")
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
@@ -156,7 +156,7 @@ def _blaming(name: str) -> Iterator[None]:
 def _failed(name: str, error: BaseException, when: str = "") -> PluginError:
     return PluginError(
         f"effect {name!r} failed{when}: {failure(error)}",
-        remedy="tell its author, or take it out of the scene",
+        remedy="report it to its author, or remove it from the scene",
     )
 
 
@@ -180,7 +180,7 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
     made: dict[str, AnyEffect] = {}
     for choice in scene.effects:
         if choice.name in made:
-            raise ConfigError(f"scene {scene.name!r} has effect {choice.name!r} twice", remedy="keep one of them")
+            raise ConfigError(f"scene {scene.name!r} lists effect {choice.name!r} twice", remedy="remove one of them")
         effect = _make(scene.name, choice, setting, effect_factory(choice.name))
         _check_needs(scene, choice.name, effect, made)
         made[choice.name] = effect
@@ -195,18 +195,18 @@ def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Call
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r}: {error.reason}", remedy=error.remedy) from error
     except BaseException as error:
         what = str(error) if isinstance(error, TypeError | ValueError) else failure(error)
-        raise ConfigError(f"scene {scene!r}, effect {choice.name!r} cannot be made: {what}") from error
+        raise ConfigError(f"scene {scene!r}, effect {choice.name!r} cannot be created: {what}") from error
     _check_names(choice.name, effect)
     if effect.perturbs not in STAGES:
         raise ConfigError(
             f"effect {choice.name!r} perturbs {effect.perturbs!r}",
-            remedy=f"an effect perturbs one of {', '.join(STAGES)}",
+            remedy=f"allowed: {', '.join(STAGES)}",
         )
     method, protocol = _OWN_METHODS.get(effect.perturbs, ("apply(moment)", Effect))
     if not isinstance(effect, protocol):
         raise ConfigError(
-            f"effect {choice.name!r} perturbs {effect.perturbs!r} and lacks the method for it",
-            remedy=f"an effect that perturbs {effect.perturbs!r} has {method}",
+            f"effect {choice.name!r} perturbs {effect.perturbs!r} but lacks the method for it",
+            remedy=f"add {method}",
         )
     return effect
 
@@ -217,12 +217,12 @@ def _check_names(name: str, effect: Any) -> None:
     if not isinstance(perturbs, str):
         raise ConfigError(
             f"effect {name!r} perturbs {shown(perturbs)}",
-            remedy=f"an effect perturbs one of {', '.join(STAGES)}",
+            remedy=f"allowed: {', '.join(STAGES)}",
         )
     for which, names in (("needs", getattr(effect, "needs", None)), ("after", getattr(effect, "after", ()))):
         if not isinstance(names, tuple | list) or not all(isinstance(each, str) for each in names):
             raise ConfigError(
-                f"effect {name!r} has {which} = {shown(names)}", remedy="it is a tuple of effects' names"
+                f"effect {name!r} has {which} = {shown(names)}", remedy="it must be a tuple of effect names"
             )
 
 
@@ -235,7 +235,7 @@ def _check_parameters(scene: str, choice: PluginChoice, factory: Callable[..., A
         return
     known = {p.name: p for p in parameters}
     where = f"scene {scene!r}, effect {choice.name!r}"
-    allowed = f"its parameters are {', '.join(known)}" if known else "it has no parameters"
+    allowed = f"parameters: {', '.join(known)}" if known else "it takes no parameters"
     for key in choice.options:
         if key not in known:
             near = get_close_matches(key, known, n=1)
@@ -243,7 +243,7 @@ def _check_parameters(scene: str, choice: PluginChoice, factory: Callable[..., A
             raise ConfigError(f"{where} has no parameter {shown(key)}", remedy=meant + allowed)
     for name, parameter in known.items():
         if parameter.default is parameter.empty and name not in choice.options:
-            raise ConfigError(f"{where} lacks its parameter {name!r}", remedy=allowed)
+            raise ConfigError(f"{where} lacks parameter {name!r}", remedy=allowed)
 
 
 def _check_needs(scene: Scene, name: str, effect: AnyEffect, before: Iterable[str]) -> None:
@@ -251,18 +251,18 @@ def _check_needs(scene: Scene, name: str, effect: AnyEffect, before: Iterable[st
     for need in effect.needs:
         if need not in on:
             raise ConfigError(
-                f"scene {scene.name!r} has effect {name!r} without {need!r}",
-                remedy=f'add [[effects]] name = "{need}" before it, or take {name!r} out',
+                f"scene {scene.name!r} uses effect {name!r} without {need!r}",
+                remedy=f'add [[effects]] name = "{need}" before it, or remove {name!r}',
             )
         if need not in before:
             raise ConfigError(
-                f"scene {scene.name!r} has effect {name!r} before {need!r}, which it needs",
+                f"scene {scene.name!r} lists effect {name!r} before {need!r}, which it needs",
                 remedy=f"move {need!r} above {name!r}",
             )
     for earlier in getattr(effect, "after", ()):
         if earlier in on and earlier not in before:
             raise ConfigError(
-                f"scene {scene.name!r} has effect {name!r} before {earlier!r}, which it acts on",
+                f"scene {scene.name!r} lists effect {name!r} before {earlier!r}, which it acts on",
                 remedy=f"move {earlier!r} above {name!r}",
             )
 

@@ -260,7 +260,7 @@ class SimulatedHead:
             self._role,
             f"({x_mm:g}, {y_mm:g}) mm",
             reason,
-            remedy="look whether a sheet is in place; a simulated one needs the effect 'elastic-stress'",
+            remedy="check whether a sheet is in place; a simulated one needs the effect 'elastic-stress'",
         )
 
     def _surface_mm(self) -> float:

@@ -85,7 +85,7 @@ def press_loads(world: SimulatedWorld, plan: ScenePlan, end_s: float) -> tuple[P
             raise RefusedError(
                 f"loads[{one.index + 1}] would strain the sheet by {100 * one.true_strain:.0f} %: where it is pressed"
                 " the sheet lies higher or is thinner than nominal",
-                remedy="press it less deep, or take effects on the sheet and the head that leave more",
+                remedy="press less deep, or use effects on sheet and head that leave more thickness",
             )
     return tuple(sorted(pressed, key=lambda one: one.index))
 

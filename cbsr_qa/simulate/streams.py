@@ -70,7 +70,7 @@ class RandomStream:
 def _counter(index: int) -> NDArray[np.uint64]:
     """Counter of an index: its last word, so that each index has 2¹⁹² blocks before the next one's begin."""
     if not 0 <= index < _INDICES:
-        raise RefusedError(f"random numbers are addressed by whole numbers from 0 to 2^64 - 1, not by {index}")
+        raise RefusedError(f"random stream index is {index}; it must be a whole number from 0 to 2^64 - 1")
     return np.array([0, 0, 0, index], dtype=np.uint64)
 
 

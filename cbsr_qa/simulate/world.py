@@ -106,7 +106,7 @@ class SimulatedWorld:
         if scene.sheet_mesh_size_mm < finest_mm:
             raise ConfigError(
                 f"scene {scene.name!r}: sheet_mesh_size_mm is {scene.sheet_mesh_size_mm:g}",
-                remedy=f"on this sheet it is at least {finest_mm:g}",
+                remedy=f"it must be at least {finest_mm:g} on this sheet",
             )
         design = SheetDesign.plain(self.setting.sensor_type, self.setting.indenter, contact_length_mm)
         self.chain.design(design)

@@ -141,7 +141,7 @@ def means_and_ranges(
     if len(sizes) != 1:
         raise NumericsError(f"{what}: sizes {', '.join(map(str, sizes)) or 'none'}; a chart of ranges needs one size")
     if sizes[0] < 2:
-        raise NumericsError(f"{what}: subgroups of one value have no range", remedy="chart individuals")
+        raise NumericsError(f"{what}: subgroups of one value have no range", remedy="use a chart of individuals")
     table = np.array([sample(group, f"{what}, number {index}") for index, group in enumerate(subgroups)])
     d2, _ = d2_d3(sizes[0])
     means, ranges = table.mean(axis=1), np.ptp(table, axis=1)
@@ -215,7 +215,7 @@ def cusum(
         A slack or threshold that is none, or as :func:`individuals`.
     """
     if not (slack >= 0 and threshold > 0):
-        raise NumericsError(f"{what}: slack {slack:g}, threshold {threshold:g}; allowed are 0 and above, and above 0")
+        raise NumericsError(f"{what}: slack {slack:g}, threshold {threshold:g}; allowed: slack ≥ 0, threshold > 0")
     array = sample(values, what)
     standard, count = _standard(array, reference, what)
     above, below = (_sums(sign * (array - standard.mean), slack * standard.deviation, count) for sign in (1, -1))
@@ -245,20 +245,20 @@ def _standard(array: Array, reference: Reference, what: str) -> tuple[Standard, 
     count = _counted(reference, len(array), 2, what)
     period = array[:count]
     if constant(period):
-        raise NumericsError(f"{what}: all {count} values of the reference period are {period[0]:.6g}: no limits")
+        raise NumericsError(f"{what}: all {count} values of the reference period are {period[0]:.6g}: no spread")
     return Standard(centred(period)[0], float(np.abs(np.diff(period)).mean()) / d2_d3(2)[0]), count
 
 
 def _counted(reference: int | None, count: int, least: int, what: str) -> int:
     period = count if reference is None else reference
     if not least <= period <= count:
-        raise NumericsError(f"{what}: a reference period of {period} points; allowed are {least} to {count}")
+        raise NumericsError(f"{what}: reference period is {period} points; allowed are {least} to {count}")
     return period
 
 
 def _check_deviation(deviation: float, what: str) -> None:
     if not 0 < deviation < float("inf"):
-        raise NumericsError(f"{what}: a deviation of {deviation:g} sets no limits")
+        raise NumericsError(f"{what}: deviation is {deviation:g}; limits need a positive one")
 
 
 def _judged(

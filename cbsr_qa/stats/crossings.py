@@ -100,7 +100,7 @@ class Crossing:
             raise NumericsError(
                 f"{first} and {second} cannot be compared: {_listed(parts[one].groups)} ran on "
                 f"{_listed(parts[one].stations)} only and {_listed(parts[two].groups)} on "
-                f"{_listed(parts[two].stations)} only, so that their difference may be the stations'",
+                f"{_listed(parts[two].stations)} only, so stations may cause the difference",
                 remedy=f"measure some sensors of both on one station, e.g. of {second} on {parts[one].stations[0]}",
             )
 
@@ -108,7 +108,7 @@ class Crossing:
         """Return the index of a ``"group"`` or ``"station"``; refuse an unknown name."""
         names = self.groups if kind == "group" else self.stations
         if name not in names:
-            raise NumericsError(f"{kind} {name!r} has no runs that were used; those of {_listed(names)} were")
+            raise NumericsError(f"no used run has {kind} {name!r}; used are {_listed(names)}")
         return names.index(name)
 
 
@@ -128,11 +128,11 @@ def crossing(groups: Sequence[str], stations: Sequence[str], sensors: Sequence[s
     lengths = {len(column) for column in columns.values()}
     if len(lengths) > 1 or not groups:
         counts = ", ".join(f"{len(column)} {kind}s" for kind, column in columns.items())
-        raise NumericsError(f"design: {counts}; every run needs one of each, and there must be runs")
+        raise NumericsError(f"design: {counts}; there must be at least one run, and every run needs one of each")
     for kind, column in columns.items():
         if not all(column):
             run = next(index for index, name in enumerate(column) if not name)
-            raise NumericsError(f"design: the run at index {run} has no {kind}", remedy="leave it out, and say so")
+            raise NumericsError(f"design: the run at index {run} has no {kind}", remedy="leave it out, and report it")
     return _crossing([_coded(column) for column in columns.values()])
 
 
@@ -150,7 +150,7 @@ def _used(names: tuple[str, ...], codes: IntArray) -> tuple[tuple[str, ...], Int
 def _crossing(coded: Sequence[tuple[tuple[str, ...], IntArray]]) -> Crossing:
     (groups, group), (stations, station), (sensors, sensor) = coded
     if not len(group):
-        raise NumericsError("design: no runs are left")
+        raise NumericsError("design: no runs remain")
     nodes = len(groups) + len(stations)
     edges = sparse.coo_array((np.ones(len(group)), (group, len(groups) + station)), shape=(nodes, nodes))
     labels = connected_components(edges.tocsr(), directed=False)[1].astype(np.intp)

@@ -221,7 +221,7 @@ def _nothing_to_go_by(runs: Runs) -> str:
         return f"values below {1 / _LARGEST:g} are too small to be squared"
     parts = components(runs)
     if parts.between**0.5 <= _LEAST_SPREAD * abs(parts.mean):
-        return f"every sensor has {parts.mean:.6g}: without spread there is nothing to go by"
+        return f"every sensor has {parts.mean:.6g}: limits cannot be derived without spread"
     return ""
 
 
@@ -270,7 +270,7 @@ def _ordered(runs: Runs, ask: Ask, sign: int, fits: list[tuple[Distribution, Fit
     outside = spacings_outside(len(worst), ask.coverage, ask.confidence)
     if outside < ask.sides:
         needed = count_needed(ask.coverage, ask.confidence, ask.sides)
-        return f"{_why_ordered(fits)}limits without a distribution need {needed} sensors instead of {len(worst)}"
+        return f"{_why_ordered(fits)}distribution-free limits need {needed} sensors; there are {len(worst)}"
     scale, limit = Scale(sign, False), sign * worst[-(outside // ask.sides)]
     parts = components([[sign * x for x in sensor] for sensor in runs])
     return _rounded(Bound(limit, Distribution.ANY, 1, tuple(fits), scale, parts, None), runs)

@@ -216,12 +216,12 @@ def predicted(values: Sequence[float], *, confidence: float) -> Prediction:
     given = np.asarray(values, dtype=np.float64)
     if len(given) < FEWEST_VALUES:
         raise NumericsError(
-            f"{len(given)} values predict nothing", remedy=f"wait until there are {FEWEST_VALUES} or more"
+            f"{len(given)} values are too few to predict the next", remedy=f"at least {FEWEST_VALUES} are needed"
         )
     if not np.isfinite(given).all():
         raise NumericsError("a value is not a finite number")
     if not 0 < confidence < 1:
-        raise NumericsError(f"a confidence of {confidence:g} is none", remedy="it lies between 0 and 1")
+        raise NumericsError(f"confidence is {confidence:g}", remedy="it must lie between 0 and 1")
     count, mean = len(given), float(given.mean())
     deviation = float(given.std(ddof=1))
     reach = float(stats.t.ppf((1 + confidence) / 2, count - 1)) * deviation * float(np.sqrt(1 + 1 / count))

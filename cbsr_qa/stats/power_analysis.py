@@ -96,7 +96,7 @@ def sensors_needed(size: float, *, wanted: float = 0.8, level: float = 0.05) -> 
     """
     _check_wanted(wanted, level)
     if not abs(size) > 0:
-        raise NumericsError(f"power: no number of sensors finds a difference of {size:g} deviations")
+        raise NumericsError(f"power: no number of sensors detects a difference of {size:g} deviations")
     return _fewest(lambda count: power(size, count, count, level=level) >= wanted, size)
 
 
@@ -124,14 +124,14 @@ def _test(size: float, first: int, second: int, level: float) -> tuple[int, floa
     """Return degrees of freedom, and δ: the size in standard errors of the groups' difference."""
     share(level, "level")
     if min(first, second) < 1 or first + second < 3:
-        raise NumericsError(f"power: groups of {first} and {second} sensors have no t test")
+        raise NumericsError(f"power: groups of {first} and {second} sensors are too small for a t test")
     return first + second - 2, abs(size) * sqrt(first * second / (first + second))
 
 
 def _check_wanted(wanted: float, level: float) -> None:
     share(wanted, "power"), share(level, "level")
     if wanted <= level:
-        raise NumericsError(f"power: {wanted:g} is not above the level {level:g}, which a guess already has")
+        raise NumericsError(f"power: {wanted:g} is not above the level {level:g}, which chance alone reaches")
 
 
 def _fewest(enough: Callable[[int], bool], size: float) -> int:

@@ -169,14 +169,14 @@ def capability_of(
     _check_limits(lower, upper, "values")
     share(confidence, "confidence")
     if count < 2 or not deviation > 0:
-        raise NumericsError(f"capability: {count} values with a deviation of {deviation:g} have no index")
+        raise NumericsError(f"capability: {count} values with a deviation of {deviation:g} have no capability index")
     spread = _Spread(deviation, count - 1, count)
     return _both(spread, lower, upper, confidence), _nearest(spread, mean, lower, upper, confidence)
 
 
 def _check_limits(lower: float | None, upper: float | None, what: str) -> None:
     if lower is None and upper is None:
-        raise NumericsError(f"{what}: there is no limit, and so no capability")
+        raise NumericsError(f"{what}: capability needs at least one limit")
     if not (-inf if lower is None else lower) < (inf if upper is None else upper):
         raise NumericsError(f"{what}: the lower limit {lower} is not below the upper one {upper}")
 
@@ -188,7 +188,7 @@ def _within(arrays: Sequence["np.ndarray[tuple[int, ...], np.dtype[np.float64]]"
     if freedom < 1:
         raise NumericsError(f"{what}: every subgroup has one value", remedy="give all values as one subgroup")
     if all(constant(array) for array in arrays):
-        raise NumericsError(f"{what}: values within the subgroups do not differ, which leaves no short-term spread")
+        raise NumericsError(f"{what}: values within the subgroups do not differ: there is no short-term spread")
     squares = fsum(square for array in arrays for square in centred(array)[1] ** 2)
     return _Spread(sqrt(squares / freedom), freedom, count)
 
@@ -264,7 +264,7 @@ def passed_share(passed: int, count: int, *, confidence: float = 0.95) -> Yield:
     """
     share(confidence, "confidence")
     if count < 1 or not 0 <= passed <= count:
-        raise NumericsError(f"yield: {passed} of {count} is no share", remedy="count at least one sensor")
+        raise NumericsError(f"yield: {passed} of {count} is not a yield", remedy="count at least one sensor")
     value = passed / count
     return Yield(passed, count, value, _wilson(passed, count, confidence))
 

@@ -76,7 +76,7 @@ class FileLock:
             if self._file is not None:
                 break
         else:
-            raise OSError(errno.ENOENT, "a file that is made there is gone at once", str(path))
+            raise OSError(errno.ENOENT, "a file created there disappears at once", str(path))
         try:
             os.ftruncate(self._file, 0)
             os.lseek(self._file, 0, os.SEEK_SET)

@@ -297,13 +297,13 @@ def _result(path: Path, parts: list[bytearray], limits: Limits, refusal: type[Re
     if kind == "second":
         other = "another file" if told[0] is None else f"the file {shortened(told[0])}"
         raise refusal(
-            f"reading {path.name} opens {other} beside it, which no recording and no calibration needs",
-            remedy="the file is damaged or leads to other files; a format's plugin imports its modules beforehand",
+            f"reading {path.name} opens {other} beside it, which no recording or calibration needs",
+            remedy="the file is damaged or links to other files; a plugin must import its modules beforehand",
         )
     if kind == "strange":
         raise refusal(
-            f"{path.name}: its format's plugin returned something other than a recording: {told[0]}",
-            remedy="plugins return dataclasses of cbsr_qa.domain, numpy arrays, numbers and texts",
+            f"{path.name}: its format plugin did not return a recording: {told[0]}",
+            remedy="plugins return dataclasses of cbsr_qa.domain, numpy arrays, numbers and strings",
         )
     raise RuntimeError(f"reading {path.name}: {told[0]}")
 

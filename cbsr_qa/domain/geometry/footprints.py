@@ -81,7 +81,7 @@ class RoundFootprint:
 
     def __post_init__(self) -> None:
         if not 0 < self.radius_mm < float("inf"):
-            raise NumericsError(f"the radius of a circle is {self.radius_mm} mm; it must be a positive number")
+            raise NumericsError(f"circle radius is {self.radius_mm} mm; it must be positive and finite")
 
     @property
     def centre_mm(self) -> tuple[float, float]:

@@ -143,7 +143,7 @@ def polygon_problems(corners_mm: Sequence[Sequence[float]]) -> Iterator[tuple[in
     crossing = _crossing(corners)
     if crossing is not None:
         first, second = crossing
-        yield None, f"crosses itself: the edges behind corners {first + 1} and {second + 1} meet"
+        yield None, f"crosses itself: the edges after corners {first + 1} and {second + 1} meet"
         return
     yield from _shape_problems(corners)
 
@@ -161,7 +161,7 @@ def rounding_problems(corners_mm: Sequence[Sequence[float]], corner_radius_mm: f
         curve = polygon_curve(corners if _signed_area(corners) > 0 else corners[::-1], radius)
         sampled = curve.at((curve.begins[:-1, None] + curve.length[:, None] * np.arange(8) / 8).ravel())
         if _crossing(sampled) is not None:
-            yield f"is {radius:g}; a rounded corner would cut another part of the edge"
+            yield f"is {radius:g}; a rounded corner would cut another edge"
 
 
 def _repeats(corners: Points) -> Iterator[tuple[int, str]]:
@@ -173,7 +173,7 @@ def _repeats(corners: Points) -> Iterator[tuple[int, str]]:
             remedy = (
                 "the last edge closes the outline by itself: leave the corner out" if closing else "leave one out"
             )
-            yield index, f"is corner {same[0] + 1} again; {remedy}"
+            yield index, f"repeats corner {same[0] + 1}; {remedy}"
 
 
 def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
@@ -188,7 +188,7 @@ def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
         yield (
             None,
             (
-                f"is only {width:.3g} mm wide between the edges behind corners {first + 1} and {second + 1};"
+                f"is only {width:.3g} mm wide between the edges after corners {first + 1} and {second + 1};"
                 f" at least {_NARROWEST * size:.3g} mm are needed"
             ),
         )

@@ -68,15 +68,11 @@ class FrameBlock:
 
     def __post_init__(self) -> None:
         if self.voltages.ndim != 3 or self.voltages.shape[0] != self.time_s.shape[0]:
-            raise RefusedError(
-                f"a block of {self.time_s.shape[0]} times cannot hold voltages of shape {self.voltages.shape}"
-            )
+            raise RefusedError(f"{self.time_s.shape[0]} times do not match voltages of shape {self.voltages.shape}")
         if self.flags.shape != self.voltages.shape:
-            raise RefusedError(f"flags of shape {self.flags.shape} do not fit voltages of {self.voltages.shape}")
+            raise RefusedError(f"flags {self.flags.shape} do not match voltages {self.voltages.shape}")
         if not np.isfinite(self.voltages).all():
-            raise RefusedError(
-                "a frame holds a voltage that is not a finite number", remedy="flag it as missing instead"
-            )
+            raise RefusedError("a frame holds a non-finite voltage", remedy="flag it as missing instead")
         self._check_sizes()
 
     def _check_sizes(self) -> None:
@@ -159,7 +155,7 @@ def join_frames(blocks: list[FrameBlock]) -> FrameBlock:
         If there are none, or they differ in unit, shape or current.
     """
     if not blocks:
-        raise RefusedError("there are no frames to join")
+        raise RefusedError("no frames to join")
     if len({(b.unit, b.current_A, b.voltages.shape[1:]) for b in blocks}) > 1:
         raise RefusedError("blocks of frames differ in unit, drive current or shape")
     own = [b.reading_time_s for b in blocks if b.reading_time_s is not None]
@@ -182,7 +178,7 @@ def join_samples(blocks: list[SampleBlock]) -> SampleBlock:
         If there are none, or they differ in channel or unit.
     """
     if len({(b.channel, b.unit) for b in blocks}) != 1:
-        raise RefusedError("sample blocks of one channel and one unit are needed to join them")
+        raise RefusedError("sample blocks can be joined only if channel and unit are the same")
     return SampleBlock(
         blocks[0].channel,
         blocks[0].unit,

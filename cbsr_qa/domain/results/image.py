@@ -32,7 +32,7 @@ class Image:
         if self.values.shape != (len(self.mesh.elements),):
             raise RefusedError(f"an image of {self.values.shape} does not fit {len(self.mesh.elements)} elements")
         if not np.isfinite(self.values).all():
-            raise RefusedError("an image holds values that are not finite numbers")
+            raise RefusedError("an image holds non-finite values")
 
 
 class Region(Protocol):
@@ -142,7 +142,7 @@ class ImagingProblem:
         count = int(self.used.sum())
         if self.jacobian.shape != (count, len(self.mesh.elements)) or self.reference.shape != (count,):
             raise RefusedError(
-                f"a Jacobian of {self.jacobian.shape} and a reference of {self.reference.shape} do not fit"
+                f"Jacobian {self.jacobian.shape} and reference {self.reference.shape} do not match"
                 f" {count} used readings on {len(self.mesh.elements)} elements"
             )
 
@@ -320,7 +320,7 @@ def linear(prepared: PreparedReconstruction) -> LinearReconstruction:
     """
     if not isinstance(prepared, LinearReconstruction):
         raise NumericsError(
-            f"reconstruction {prepared.method!r} is not one matrix, which a run's calibration must hold",
-            remedy="take a linear method in a recipe; this one can be used by `cbsr-qa analyse`",
+            f"reconstruction {prepared.method!r} is not a single matrix, which a run's calibration needs",
+            remedy="use a linear method in a recipe; `cbsr-qa analyse` can use this one",
         )
     return prepared

@@ -86,7 +86,7 @@ class Limit:
 
     def __post_init__(self) -> None:
         if self.lower is None and self.upper is None:
-            raise RefusedError(f"limit of {self.measurement}: neither lower nor upper is given")
+            raise RefusedError(f"limit of {self.measurement}: give lower, upper or both")
         if self.lower is not None and self.upper is not None and self.lower > self.upper:
             raise RefusedError(f"limit of {self.measurement}: lower {self.lower} is above upper {self.upper}")
 

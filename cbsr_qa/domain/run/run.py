@@ -17,7 +17,7 @@ from cbsr_qa.domain.run.loads import Indenter, LoadRecord
 from cbsr_qa.domain.sensor import Material, SensorIdentity, SensorType
 
 _NONE: Final = (
-    "no chain: from before version 0011 of the database, or the chain was removed; changed rows cannot be told"
+    "no chain: from before version 0011 of the database, or the chain was removed; changes cannot be detected"
 )
 
 
@@ -45,7 +45,7 @@ class ChainState:
             return "chained, not signed"
         if self.verified:
             return f"chained and signed (key {self.key_id})"
-        return f"chained; signatures not checked, key {self.key_id} is not set here"
+        return f"chained; signatures not checked: key {self.key_id} is not set here"
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -206,7 +206,7 @@ class RunRecord:
             if phase.name == name:
                 return phase
         known = ", ".join(phase.name for phase in self.phases) or "none"
-        raise RefusedError(f"run {self.identity.run} has no phase {name!r}; it has {known}")
+        raise RefusedError(f"run {self.identity.run} has no phase {name!r}; phases: {known}")
 
 
 @dataclass(frozen=True, slots=True)

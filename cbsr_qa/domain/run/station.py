@@ -54,7 +54,7 @@ class CheckResult:
 
     def __post_init__(self) -> None:
         if self.value is not None and not abs(self.value) < float("inf"):
-            raise RefusedError(f"check {self.name}: {self.value} is not a finite number")
+            raise RefusedError(f"check {self.name}: value is {self.value}; it must be finite")
 
 
 @dataclass(frozen=True, slots=True)

@@ -107,11 +107,11 @@ class PlacedElectrodes:
 
     def __post_init__(self) -> None:
         if self.count < 2:
-            raise RefusedError(f"electrodes.positions_mm has {self.count} electrodes; at least 2 are needed")
+            raise RefusedError(f"electrodes.positions_mm has {self.count} positions; at least 2 are needed")
         if not 0 < self.width_mm < float("inf"):
-            raise RefusedError(f"the width of electrodes is {self.width_mm} mm; it must be a positive number")
+            raise RefusedError(f"electrode width is {self.width_mm} mm; it must be positive and finite")
         if not np.isfinite(self.places_mm).all():
-            raise RefusedError("the position of an electrode is not a finite number")
+            raise RefusedError("an electrode position is not finite")
 
     @property
     def count(self) -> int:
@@ -173,7 +173,7 @@ def placement_problems(electrodes: Electrodes, outline: SheetOutline) -> Iterato
         yield from check(electrodes, outline)
     elif not isinstance(outline, Disc):
         if electrodes.kind is ElectrodeKind.ARC:
-            yield None, "equally spaced arcs lie on a disc; on another outline each electrode needs a position"
+            yield None, "equally spaced arcs need a disc; on another outline give the position of each electrode"
         else:
             yield from _pins(electrodes, outline)
 
@@ -196,7 +196,7 @@ def width_problem(electrodes: Electrodes, radius_mm: float) -> str | None:
         return None
     return (
         f"is {width:g}; electrodes whose centres are {apart:.4g} mm apart are at most {apart / (1 + room):.6g} mm"
-        f" wide, with {room:g} of that between them"
+        f" wide, with a gap of {room:g} of the width"
     )
 
 
@@ -238,7 +238,7 @@ def _strips(electrodes: PlacedElectrodes, outline: SheetOutline) -> Iterator[tup
     along, off = curve.nearest(electrodes.positions_mm())
     for number, distance in enumerate(off):
         if distance > _OFF_EDGE * width:
-            yield number, f"lies {distance:.4g} mm from the edge, on which the centre of a strip belongs"
+            yield number, f"lies {distance:.4g} mm from the edge, where its centre must be"
     for number, place in enumerate(along):
         apart = np.abs(along[:number] - place)
         apart = np.minimum(apart, curve.perimeter - apart)
@@ -256,4 +256,4 @@ def _strips(electrodes: PlacedElectrodes, outline: SheetOutline) -> Iterator[tup
                 f" of {width:g} mm need {needed:g} mm",
             )
     if width >= curve.perimeter / 2:
-        yield 0, f"is {width:g} mm long, half the edge or more"
+        yield 0, f"is {width:g} mm long; it must be less than half the edge"

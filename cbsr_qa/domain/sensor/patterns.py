@@ -217,21 +217,21 @@ def named_pairs(name: str, electrode_count: int) -> Pairs:
     """
     if not is_rule(name):
         raise RefusedError(
-            f"there is no pattern {name!r}", remedy="there are 'adjacent', 'opposite', 'skip-1', 'skip-2' and so on"
+            f"unknown pattern {name!r}", remedy="allowed: 'adjacent', 'opposite', 'skip-1', 'skip-2' and so on"
         )
     widest = (electrode_count - 1) // 2 - 1
     if name == "opposite":
         half = electrode_count // 2
         if electrode_count % 2:
             raise RefusedError(
-                f"of {electrode_count} electrodes none are opposite each other", remedy=f"use 'skip-{widest}'"
+                f"no two of {electrode_count} electrodes are opposite each other", remedy=f"use 'skip-{widest}'"
             )
         return tuple((k, k + half) for k in range(half))
     skipped = 0 if name == "adjacent" else int(name.removeprefix("skip-"))
     # Half way round is 'opposite'; further round come the same pairs reversed.
     if skipped > max(widest, 0):
         raise RefusedError(
-            f"skipping {skipped} reaches half way round {electrode_count} electrodes or further",
+            f"skipping {skipped} spans half of {electrode_count} electrodes or more",
             remedy=f"use 'skip-{widest}' or less" + (", or 'opposite'" if electrode_count % 2 == 0 else ""),
         )
     return tuple((k, (k + skipped + 1) % electrode_count) for k in range(electrode_count))
@@ -250,15 +250,15 @@ def pair_problems(pairs: Sequence[Sequence[int]], electrode_count: int) -> Itera
     for index, pair in enumerate(pairs):
         uncounted = [electrode for electrode in pair if not is_whole(electrode)]
         if uncounted:
-            yield index, f"names electrode {uncounted[0]!r}; electrodes are counted by whole numbers"
+            yield index, f"names electrode {uncounted[0]!r}; electrodes have whole numbers"
             continue
         missing = [electrode for electrode in pair if not 0 <= electrode < electrode_count]
         if len(pair) != 2:
             yield index, f"has {len(pair)} electrodes instead of two"
         elif missing:
-            yield index, f"names electrode {missing[0]}; there are 0 to {electrode_count - 1}"
+            yield index, f"names electrode {missing[0]}; allowed: 0 to {electrode_count - 1}"
         elif pair[0] == pair[1]:
-            yield index, f"joins electrode {pair[0]} with itself"
+            yield index, f"pairs electrode {pair[0]} with itself"
         first = seen.setdefault(tuple(pair), index)
         if first != index:
             yield index, f"repeats pair {first + 1}"

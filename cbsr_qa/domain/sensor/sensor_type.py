@@ -83,7 +83,7 @@ class SensorType:
             raise RefusedError(
                 f"sensor type {self.name!r}: radius_mm is {self.radius_mm}; the disc of equal area has"
                 f" {self.polygon.radius_mm}",
-                remedy="use polygon_sensor, which works it out",
+                remedy="use polygon_sensor, which computes it",
             )
 
     @property

@@ -114,7 +114,7 @@ class LoadEstimator:
         changes = np.asarray(changes, dtype=np.float64)
         if changes.ndim != 2 or changes.shape[1] != int(self.readings.used.sum()):
             raise NumericsError(
-                f"changes of shape {changes.shape} do not fit {int(self.readings.used.sum())} used readings"
+                f"changes of shape {changes.shape} do not match the {int(self.readings.used.sum())} used readings"
             )
         if not np.isfinite(changes).all():
             raise NumericsError("a reading is not a finite number", remedy="leave its channel out of the readings")
@@ -224,11 +224,11 @@ class LoadEstimator:
             return "no load stands out of the noise of the readings"
         seen, place = float(found.detectability[number]), float(found.place_stderr_mm[number])
         if not found.fits.converged[number]:
-            return "the fit of a round load did not settle: more than one load, or no load at all"
+            return "the fit of a round load did not converge: there is more than one load, or none"
         allowed = _SHARE * self.expected_radius_mm
         factor = max(10 / max(seen, 1e-3), place / allowed)
         return (
-            f"a load is there (d′ {seen:.1f}), but its place is known to no better than {place:.2g} mm;"
+            f"a load is there (d′ {seen:.1f}), but its position is uncertain by {place:.2g} mm;"
             f" averaging {ceil(factor**2)} times as many frames would resolve it"
         )
 

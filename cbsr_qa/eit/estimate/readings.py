@@ -88,7 +88,7 @@ def merged_readings(pattern: DrivePattern, used: NDArray[np.bool_], variance: Ar
     """
     if used.shape != pattern.shape or variance.shape != pattern.shape:
         raise NumericsError(
-            f"a mask of {used.shape} and variances of {variance.shape} do not fit frames of {pattern.shape}"
+            f"mask {used.shape} and variances {variance.shape} do not match frames of shape {pattern.shape}"
         )
     if not (np.isfinite(variance[used]) & (variance[used] > 0)).all():
         raise NumericsError(
@@ -99,8 +99,8 @@ def merged_readings(pattern: DrivePattern, used: NDArray[np.bool_], variance: Ar
     _, first, row = np.unique(groups[used], return_index=True, return_inverse=True)
     if len(first) < FEWEST_ROWS:
         raise NumericsError(
-            f"only {len(first)} independent readings are left; a load's estimate needs {FEWEST_ROWS}",
-            remedy="mend the channels that were masked",
+            f"only {len(first)} independent readings are left; estimating a load needs at least {FEWEST_ROWS}",
+            remedy="repair the masked channels",
         )
     precision = 1 / variance[used]
     total, sign = np.bincount(row, precision), signs[used]

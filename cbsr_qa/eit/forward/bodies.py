@@ -44,8 +44,8 @@ def check_strip(sensor_type: SensorType) -> None:
     pattern = sensor_type.pattern
     if sensor_type.electrodes.count != 2 or pattern.drive[0] != pattern.measure[0]:
         raise NumericsError(
-            f"sensor type {sensor_type.name!r} is no strip: a material is characterised between two pins that carry"
-            " the current and are read themselves",
+            f"sensor type {sensor_type.name!r} is not a strip: a material is measured between two pins that carry"
+            " the current and are also measured",
             remedy="use a sensor type of two electrodes, such as strip-40x20mm",
         )
 
@@ -118,9 +118,9 @@ class StripModel:
         lowest, highest = self._range
         if apparent.size and not lowest <= float(apparent.min()) <= float(apparent.max()) <= highest:
             raise NumericsError(
-                f"the conductance between the pins changes by {apparent.min():.3g} to {apparent.max():.3g} of itself;"
-                f" what lies under the head can change it by {lowest:.3g} to {highest:.3g}",
-                remedy="look for a loose pin: its contact changes, not the material",
+                f"the conductance between the pins changed by {apparent.min():.3g} to {apparent.max():.3g};"
+                f" the material under the head can change it by only {lowest:.3g} to {highest:.3g}",
+                remedy="check for a loose pin: its contact has changed, not the material",
             )
         return np.asarray(np.expm1(self._local(np.log1p(apparent))), dtype=np.float64)
 

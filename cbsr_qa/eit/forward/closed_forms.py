@@ -236,10 +236,10 @@ def ring_impedance(resistances_ohm: Sequence[float] | Array) -> Array:
     """
     ohm = np.asarray(resistances_ohm, dtype=np.float64)
     if ohm.ndim != 1 or len(ohm) < FEWEST_RESISTORS:
-        raise NumericsError(f"resistors of shape {ohm.shape} are no ring", remedy="give three or more")
+        raise NumericsError(f"resistors of shape {ohm.shape} do not form a ring", remedy="give three or more")
     if not (np.isfinite(ohm).all() and (ohm > 0).all()):
         bad = int(np.flatnonzero(~(np.isfinite(ohm) & (ohm > 0)))[0])
-        raise NumericsError(f"resistor {bad} of the ring has {ohm[bad]:g} Ω", remedy="it is above zero and finite")
+        raise NumericsError(f"resistor {bad} of the ring has {ohm[bad]:g} Ω", remedy="it must be positive and finite")
     along = np.concatenate([[0.0], np.cumsum(ohm[:-1])])
     arc = np.abs(along[:, None] - along)
     impedance: Array = -arc * (1 - arc / ohm.sum()) / 2
@@ -259,7 +259,7 @@ def ring_readings(resistances_ohm: Sequence[float] | Array, pattern: DrivePatter
     impedance = ring_impedance(resistances_ohm)
     if len(impedance) != pattern.electrode_count:
         raise NumericsError(
-            f"a ring of {len(impedance)} resistors does not fit a pattern of {pattern.electrode_count} electrodes",
+            f"a ring of {len(impedance)} resistors does not match a pattern of {pattern.electrode_count} electrodes",
             remedy="give one for each pair of neighbouring electrodes",
         )
     readings: Array = pattern.drive_currents().T @ impedance @ pattern.measure_matrix()

@@ -138,7 +138,7 @@ class LocalUpdate:
         model = self.model
         shape = elements.shape if change.ndim == 1 else (*elements.shape, len(model.elements.shapes.points), 2, 2)
         if elements.ndim != 1 or change.shape != shape:
-            raise NumericsError(f"{change.shape} conductance changes do not fit {elements.shape} elements")
+            raise NumericsError(f"conductance changes {change.shape} do not match elements {elements.shape}")
         model.check_elements(elements)
         unique, total = elements, change
         if not (elements[1:] > elements[:-1]).all():

@@ -56,7 +56,7 @@ class ForwardModel:
             elements = FiniteElements(mesh, order)
             prepared = PreparedSheet(elements, edge_contacts(elements))
         elif prepared.elements.mesh is not mesh:
-            raise NumericsError("the sheet was prepared for another mesh", remedy="prepare each mesh for itself")
+            raise NumericsError("the sheet was prepared for another mesh", remedy="prepare the model for this mesh")
         self.mesh = mesh
         self.pattern = pattern
         self.prepared = prepared

@@ -95,7 +95,7 @@ def refined(
             break
     if not left <= _LOST:
         raise NumericsError(
-            "the sheet's potentials cannot be refined: its conductances and contacts are too far apart",
+            "the sheet's potentials cannot be refined: conductances and contact impedances span too wide a range",
             remedy="bring conductances and contact impedances closer to each other",
         )
     return high, low

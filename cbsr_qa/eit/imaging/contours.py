@@ -128,7 +128,7 @@ def masked_contours(image: Image, fractions: Sequence[float]) -> tuple[tuple[Con
         If a fraction is outside (0, 1).
     """
     if max(fractions, default=0.5) == 1:
-        raise NumericsError("a contour at the maximum itself encloses nothing", remedy="take a mask below 100 %")
+        raise NumericsError("a contour at the maximum itself encloses nothing", remedy="use a mask below 100 %")
     nodal = nodal_values(image.mesh, image.values)
     levels = np.array([threshold(nodal, fraction) for fraction in fractions])
     if not levels.size or levels[0] <= 0:

@@ -42,7 +42,7 @@ def split_blobs(blobs: Sequence[Blob], prominence: float) -> tuple[Blob, ...]:
     """
     if not 0 < prominence < 1:
         raise NumericsError(
-            f"a prominence of {prominence:g} is outside (0, 1)", remedy="give it as a share of the peak, e.g. 0.05"
+            f"prominence is {prominence:g}; allowed: above 0, below 1", remedy="as a fraction of the peak, e.g. 0.05"
         )
     if not blobs:
         return ()
@@ -154,7 +154,7 @@ def assign_regions(regions: Sequence[Region], loads: Sequence[Footprint], *, gat
         If the gate is not a positive number.
     """
     if not 0 < gate_mm < float("inf"):
-        raise NumericsError(f"a gate of {gate_mm} mm assigns nothing", remedy="take the diameter of the head")
+        raise NumericsError(f"gate is {gate_mm} mm; it must be positive", remedy="use the diameter of the head")
     distance, covered = _relations(regions, loads)
     possible = covered | (distance <= gate_mm)
     # A column of its own lets every load stay without region; of two equal costs, a region is better than none.
@@ -247,7 +247,7 @@ def two_touch_resolution(
     width = float(np.ptp(indenter.at(0.0, 0.0).drawn_mm() @ along))
     if not (step_mm > 0 and width + step_mm <= furthest_mm):
         raise NumericsError(
-            f"two heads {width:.3g} mm wide do not move apart up to {furthest_mm:.3g} mm in steps of {step_mm:g} mm",
+            f"two heads {width:.3g} mm wide are not told apart up to {furthest_mm:.3g} mm in steps of {step_mm:g} mm",
             remedy="try larger distances, in positive steps",
         )
     tried = step_mm * np.arange(np.ceil(width / step_mm), np.floor(furthest_mm / step_mm + 1e-9) + 1)

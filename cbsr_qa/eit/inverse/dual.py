@@ -73,8 +73,8 @@ def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, va
 
 def _too_small(hyperparameter: float) -> NumericsError:
     return NumericsError(
-        f"hyperparameter {hyperparameter:.3g} is too small: the readings do not determine the image to rounding",
-        remedy="raise the hyperparameter, or ask for a noise figure",
+        f"hyperparameter {hyperparameter:.3g} is too small: the system is singular to rounding",
+        remedy="raise the hyperparameter, or give a noise figure",
     )
 
 
@@ -143,8 +143,8 @@ class _System:
         seen = white @ prior.free
         if np.linalg.norm(seen, axis=0).min() <= _UNSEEN * np.linalg.norm(white) * np.linalg.norm(prior.free):
             raise NumericsError(
-                "the readings do not see the image the prior leaves free: it cannot be determined",
-                remedy="mend the masked channels, or take a prior that leaves nothing free (gauss-newton-noser)",
+                "the readings do not respond to the image component that the prior leaves free",
+                remedy="repair the masked channels, or use a prior of full rank (gauss-newton-noser)",
             )
         return cls._without_free(white, prior, seen, prior.free, root)
 
@@ -193,7 +193,7 @@ def check_hyperparameter(value: float) -> None:
     if not 0 <= value <= _LARGEST:
         raise NumericsError(
             f"hyperparameter λ is {value}; it must be a finite number, zero or above, up to {_LARGEST:.0e}",
-            remedy="give a λ in that range, or ask for a noise figure",
+            remedy="give a λ in that range, or give a noise figure",
         )
 
 

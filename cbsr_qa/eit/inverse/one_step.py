@@ -130,7 +130,7 @@ def noise_level(evidence: Evidence, readings: int) -> float:
     """
     if evidence.variance is None:
         raise NumericsError(
-            "the discrepancy principle needs the noise, and no readings are there twice to tell it",
+            "the discrepancy principle needs the noise, and no reading is repeated to estimate it from",
             remedy="choose by another criterion",
         )
     return evidence.variance * readings * len(evidence.changes)

@@ -51,5 +51,5 @@ def shown(value: object) -> str:
     try:
         words = repr(value)
     except ValueError:  # Python writes no whole number of more than 4300 digits
-        words = f"a {type(value).__name__} too long to show"
+        words = f"a {type(value).__name__} too large to show"
     return words if len(words) <= _SHOWN else words[:_SHOWN] + "…"

@@ -205,16 +205,16 @@ def _nominal(sensor_type: SensorType, image_size_mm: float) -> _Nominal:
 def _check_used(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
     if used.shape != pattern.shape:
         raise NumericsError(
-            f"a mask of {used.shape} readings does not fit frames of {pattern.shape}",
-            remedy="say of every reading, by drive and measure pair, whether it is used",
+            f"mask of shape {used.shape} does not match frames of shape {pattern.shape}",
+            remedy="give one boolean for each drive and measure pair",
         )
     _check_number(pattern, used)
     masked = masked_electrodes(pattern, used)
     if len(masked) > MOST_MASKED:
         raise NumericsError(
             f"electrodes {', '.join(map(str, masked))} are masked, {len(masked)} of {pattern.electrode_count};"
-            f" at most {MOST_MASKED} may be: what lies between the others would be guessed",
-            remedy="mend their contacts",
+            f" at most {MOST_MASKED} may be: the area between the others would be guessed",
+            remedy="repair their contacts",
         )
 
 
@@ -226,9 +226,9 @@ def _check_number(pattern: DrivePattern, used: NDArray[np.bool_]) -> None:
     left_out = int((pattern.usable() & ~used).sum())
     if left_out:
         raise NumericsError(
-            f"only {independent} independent readings are left to image from, with {left_out} masked; at least"
-            f" {FEWEST_INDEPENDENT} are needed",
-            remedy="mend the channels that were masked",
+            f"only {independent} independent readings remain with {left_out} masked; at least"
+            f" {FEWEST_INDEPENDENT} are needed to image",
+            remedy="repair the masked channels",
         )
     raise NumericsError(
         f"the pattern gives {independent} independent readings; at least {FEWEST_INDEPENDENT} are needed to image",
@@ -249,7 +249,7 @@ def _relative_variance(variance: Array, used: NDArray[np.bool_]) -> Array:
     variance = variance[used] if variance.shape == used.shape else variance
     if variance.shape != (count,):
         raise NumericsError(
-            f"noise variances of shape {variance.shape} are not one for each of {count} used readings",
+            f"noise variances have shape {variance.shape}; there are {count} used readings",
             remedy=f"give {count} of them, or {used.shape} by drive and measure pair",
         )
     wrong = np.flatnonzero(~(np.isfinite(variance) & (variance > 0)))
@@ -267,7 +267,7 @@ def _relative_variance(variance: Array, used: NDArray[np.bool_]) -> Array:
         raise NumericsError(
             f"the noise variance of {_pair(used, extreme)} is {variance[extreme]:g}; its reciprocal is beyond the"
             " range of numbers",
-            remedy="give variances in a larger or smaller unit: only their ratios count",
+            remedy="give variances in a larger or smaller unit; only their ratios matter",
         )
     relative: Array = variance * mean
     return relative
@@ -300,9 +300,9 @@ def _readings(what: str, values: Array, used: NDArray[np.bool_], axes: int) -> A
         values = values[..., used]
     if values.ndim != axes or values.shape[-1] != count or not values.size:
         raise NumericsError(
-            f"a {what} of shape {values.shape} does not fit {count} used readings",
+            f"a {what} of shape {values.shape} does not match {count} used readings",
             remedy=f"give {'frames' if axes > 1 else 'one frame'} of {count} readings, or of {used.shape}",
         )
     if not np.isfinite(values).all():
-        raise NumericsError(f"a {what} holds a reading that is not a finite number", remedy="leave its channel out")
+        raise NumericsError(f"a {what} holds a non-finite reading", remedy="leave its channel out")
     return values

@@ -167,22 +167,22 @@ def reading_noise(readings: Array, time_s: Array) -> ReadingNoise:
     count = len(readings)
     if count < FEWEST_FRAMES:
         raise NumericsError(
-            f"{count} unloaded frames are too few to weigh readings by their noise; {FEWEST_FRAMES} are needed",
+            f"{count} unloaded frames are too few to weight readings by their noise; {FEWEST_FRAMES} are needed",
             remedy=f"take more unloaded frames, {_REMEDY}",
         )
     bad = ~np.isfinite(readings)
     if bad.any():
         raise NumericsError(
-            f"{int(bad.any(axis=0).sum())} readings are not finite numbers in the unloaded frames",
-            remedy=f"have the driver flag such readings as missing, {_REMEDY}",
+            f"{int(bad.any(axis=0).sum())} readings are non-finite in the unloaded frames",
+            remedy=f"make the driver flag such readings as missing, {_REMEDY}",
         )
     rounding = _ROUNDING * float(np.abs(readings).max())
     silent = np.ptp(readings, axis=0) <= rounding
     if silent.mean() > _MOST_SILENT:
         raise NumericsError(
             f"{int(silent.sum())} of {len(silent)} readings are the same in all {count} unloaded frames: there is no"
-            " noise to weigh readings by",
-            remedy=f"measure with a finer converter step, {_REMEDY}",
+            " noise to weight readings by",
+            remedy=f"measure with a finer resolution, {_REMEDY}",
         )
     step = _converter_step(readings[:, ~silent], rounding)
     own = np.maximum(_scatter(readings[:, ~silent], time_s, step), step**2 / 12)

@@ -48,12 +48,12 @@ class Correlation:
         if not self.frames >= 0:
             raise NumericsError(
                 f"correlation_frames is {self.frames}; it must be zero, a positive number or infinite",
-                remedy="give a number of frames, 0 for images that know nothing of each other",
+                remedy="give a number of frames, or 0 for independent images",
             )
         if self.lag is not None and self.lag < 0:
             raise NumericsError(
                 f"lag is {self.lag}; it must be zero or a number of frames",
-                remedy="give 0 for live images, or leave it out to look at all frames of a block",
+                remedy="give 0 for live images, or leave it out to use all frames of a block",
             )
 
     @property

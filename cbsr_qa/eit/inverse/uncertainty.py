@@ -39,7 +39,7 @@ def image_variance(matrix: Array, covariance: Array | None = None) -> Array:
     covariance = np.ones(count) if covariance is None else np.asarray(covariance, dtype=np.float64)
     variances = np.diag(covariance) if covariance.ndim == 2 else covariance
     if covariance.shape not in ((count,), (count, count)) or not np.isfinite(covariance).all() or variances.min() < 0:
-        raise NumericsError(f"a covariance of shape {covariance.shape} does not fit {count} readings, or is none")
+        raise NumericsError(f"a covariance of shape {covariance.shape} for {count} readings, or not a valid one")
     if covariance.ndim == 1:
         of_channels: Array = matrix**2 @ covariance
         return of_channels

@@ -44,9 +44,9 @@ class MeshedSheet:
 
     def __init__(self, model: ForwardModel, radius_mm: float) -> None:
         if model.conductance.ndim > 1 or not np.allclose(model.conductance, 1.0, rtol=1e-12):
-            raise NumericsError("fields are expanded about places on a sheet of unit conductance only")
+            raise NumericsError("fields can be expanded only on a sheet of unit conductance")
         if not np.isfinite(model.prepared.contacts.lengths_mm).all():
-            raise NumericsError("point electrodes have no edge that a field could be read from")
+            raise NumericsError("point electrodes have no edge to evaluate a field on")
         self.model = model
         self.radius_mm = radius_mm
         edges = model.mesh.outline

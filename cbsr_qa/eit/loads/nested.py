@@ -64,7 +64,7 @@ class NestedCover:
             raise NumericsError(
                 f"a relative change of {worst} leaves no positive conductance where a head presses"
                 f" {self.levels.max():.3g} times as hard as on average",
-                remedy="press less deep, or take a head's pressure that is more even",
+                remedy="press less deep, or use a head with a more even pressure",
             )
         along = (self.layers @ raised[..., None])[..., 0]
         less = (self.layers @ (raised / (1 + raised))[..., None])[..., 0]  # of the resistance

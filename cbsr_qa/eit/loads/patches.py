@@ -266,7 +266,7 @@ def check_change(model: ForwardModel, elements: Indices, change: Array) -> None:
         raise NumericsError(
             f"the change of element {elements[wrong[0]]} leaves it with a conductance of {new[wrong[0]].tolist()}"
             " S; it must stay a positive finite number, in every direction",
-            remedy="give changes above minus the conductance there is; what is to insulate keeps 1e-8 of it",
+            remedy="give changes that leave it positive; for an insulator leave 1e-8 of the conductance",
         )
 
 

@@ -180,7 +180,7 @@ class RoundLoadModel:
         if not np.isfinite(each).all():
             raise NumericsError(
                 "a load's place, strength or size is not a finite number",
-                remedy="a head that conducts perfectly has a strength of its squared radius",
+                remedy="for a perfect conductor use the squared radius as strength",
             )
         outside = np.flatnonzero(self.surroundings.clearance_mm(loads.place_mm) <= 0)
         if outside.size:

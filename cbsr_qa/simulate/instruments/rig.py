@@ -179,7 +179,7 @@ class Emulation:
         if spec.driver not in EMULATORS:
             raise ConfigError(
                 f"instrument {spec.role!r} has address {EMULATED!r}, but driver {spec.driver!r} has no emulator",
-                remedy=f"emulated are: {', '.join(sorted(EMULATORS))}",
+                remedy=f"emulated drivers: {', '.join(sorted(EMULATORS))}",
             )
         module, name, stream = EMULATORS[spec.driver]
         make: Callable[[EmulatedRig, Mapping[str, Any], Callable[[bytes], None]], Served]

@@ -202,7 +202,7 @@ def _check_balance(
             raise NumericsError(
                 f"gauge study: sensor {sensor} has {len(found)} run{'s' * (len(found) != 1)} {on(appraiser)} "
                 f"{of_kind(appraiser, station)}, others have {trials}",
-                remedy=f"a crossed study has every sensor {on(appraiser)} every {appraiser} equally often: add the "
+                remedy=f"a crossed study has every sensor equally often {on(appraiser)} every {appraiser}: add the "
                 "missing runs, or leave that sensor out",
             )
     sizes = (("sensor", "", len(rows)), (appraiser, "", len(columns)), ("run", f" a sensor and {appraiser}", trials))
@@ -211,7 +211,7 @@ def _check_balance(
             raise NumericsError(f"gauge study: {count} {one}{'s' * (count != 1)}{of} instead of at least 2")
     if all(constant(np.array(found)) for found in cells.values()):
         raise NumericsError(
-            "gauge study: repeated runs do not differ at all, which leaves no repeatability to estimate",
+            "gauge study: repeated runs do not differ at all, so repeatability cannot be estimated",
             remedy="record more digits",
         )
 

@@ -77,14 +77,14 @@ def straight_line(x: Iterable[float], y: Iterable[float], what: str = "line") ->
     if len(xs) != len(ys):
         raise NumericsError(f"{what}: {len(xs)} values of x for {len(ys)} of y")
     if constant(xs):
-        raise NumericsError(f"{what}: all {len(xs)} points are at {xs[0]:.6g}, which leaves no slope")
+        raise NumericsError(f"{what}: all {len(xs)} points are at {xs[0]:.6g}, so there is no slope")
     (centre, across), (level, along) = centred(xs), centred(ys)
     squares = fsum(across**2)
     slope = fsum(across * along) / squares
     rest = fsum((along - slope * across) ** 2)
     residual, total = sqrt(rest / (len(xs) - 2)), fsum(along**2)
     if residual <= LEAST_SPREAD * max(abs(level), sqrt(total)):
-        raise NumericsError(f"{what}: the points lie on a line of slope {slope:.6g}, which leaves no variance")
+        raise NumericsError(f"{what}: the points lie on a line of slope {slope:.6g}, so there is no variance")
     checked(slope, residual / sqrt(squares), len(xs) - 2, what)
     return Line(len(xs), centre, level, slope, residual, squares, 1 - rest / total)
 
@@ -199,7 +199,7 @@ def linearity(
     values = sample(references, f"{what}, reference values")
     distinct = tuple(float(value) for value in np.unique(values))
     if len(distinct) < 2:
-        raise NumericsError(f"{what}: all readings are of one reference", remedy="measure references over the range")
+        raise NumericsError(f"{what}: all readings have one reference", remedy="measure references over the range")
     biases = sample(readings, what, least=3)
     if len(values) != len(biases):
         raise NumericsError(f"{what}: {len(values)} reference values for {len(biases)} readings")

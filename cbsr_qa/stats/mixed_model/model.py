@@ -101,7 +101,7 @@ class Fit:
     def _contrast(self, weights: Array, what: str) -> Contrast:
         inner = weights[self.design.kept()]
         if not inner.any() and not weights.any():
-            raise NumericsError(f"{what}: there is nothing to compare with itself")
+            raise NumericsError(f"{what}: it cannot be compared with itself")
         freedom = self.small.freedom(inner) if self.small else self.freedom
         return checked(float(weights @ self.effects), sqrt(float(inner @ self.covariance @ inner)), freedom, what)
 
@@ -154,7 +154,7 @@ def _reduce(design: Crossing, array: Array, what: str) -> _Reduced:
     origin, away = centred(array)
     scale = float(np.abs(away).max())
     if scale <= LEAST_SPREAD * float(np.abs(array).max()):
-        raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}, which leaves no variance")
+        raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}: there is no variance")
     matrix = design.columns()
     if matrix.shape[0] == matrix.shape[1]:
         raise _nothing_left(what, len(design.sensors), matrix.shape[1])
@@ -162,13 +162,13 @@ def _reduce(design: Crossing, array: Array, what: str) -> _Reduced:
     start: Array = linalg.solve(normal, right, assume_a="pos")
     rest = away / scale - matrix @ start
     if float(np.abs(rest).max()) * scale <= LEAST_SPREAD * max(float(np.abs(array).max()), scale):
-        raise NumericsError(f"{what}: values do not differ within groups and stations, which leaves no variance")
+        raise NumericsError(f"{what}: values do not differ within groups and stations: there is no variance")
     return _Reduced(sensor_sums(matrix, rest, design.sensor), origin, scale, start)
 
 
 def _nothing_left(what: str, sensors: int, effects: int) -> NumericsError:
     return NumericsError(
-        f"{what}: sensors are {sensors}, which leaves nothing to judge {effects} effects of groups and stations by",
+        f"{what}: {sensors} sensors are too few to judge {effects} effects of groups and stations",
         remedy="measure more sensors of each group",
     )
 
@@ -176,9 +176,9 @@ def _nothing_left(what: str, sensors: int, effects: int) -> NumericsError:
 def _inseparable(sums: SensorSums) -> str:
     """Say why sensor and run cannot be told apart; empty where they can."""
     if sums.runs == sums.total_sensors:
-        return "no sensor has more than one run, so that sensors and runs cannot be told apart"
+        return "no sensor has more than one run, so variances of sensors and runs cannot be separated"
     if _repeats(sums) < 1:
-        return "the sensors' repeated runs are used up by the stations' differences: first runs only"
+        return "the stations' differences use up the repeated runs of sensors: first runs only"
     left = sums.within_rest()
     if left <= sums.runs * LEAST_SPREAD**2 or left <= 1e-12 * float(sums.products(0.0)[-1, -1]):
         return "runs of one sensor do not differ: first runs only"
@@ -241,7 +241,7 @@ def _repeats(sums: SensorSums) -> int:
 def _notes(ratio: Ratio, repeats: int) -> tuple[str, ...]:
     notes = []
     if repeats < FEWEST_REPEATS:
-        notes.append(f"{repeats} repeated runs tell sensors from runs: how their variances share is hardly known")
+        notes.append(f"{repeats} repeated runs separate sensors from runs: their variance ratio is poorly known")
     if not ratio.value:
         notes.append("sensors differ no more than runs of one sensor do: their variance is estimated as zero")
     return tuple(notes)
@@ -253,7 +253,7 @@ def _weaknesses(design: Crossing) -> tuple[str, ...]:
     for part in design.parts if len(design.parts) > 1 else ():
         notes.append(
             f"{', '.join(part.groups)} on {', '.join(part.stations)}: not compared with groups on other stations, "
-            "whose difference cannot be told from the stations'"
+            "whose difference cannot be separated from the stations'"
         )
     for index, name in enumerate(design.groups):
         seen = np.unique(design.station[design.group == index])

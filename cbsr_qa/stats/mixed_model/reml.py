@@ -220,7 +220,7 @@ def variance_ratio(sums: SensorSums, *, restricted: bool = True, confidence: flo
     values = likelihood.criterion(_GRID)
     best = int(np.argmin(values))
     if best == len(_GRID) - 1:
-        raise NumericsError("sensor variance: runs of one sensor hardly differ, and its ratio to theirs has no bound")
+        raise NumericsError("sensor variance: runs of one sensor hardly differ, so its ratio to theirs is unbounded")
     low, high = float(_GRID[max(best - 1, 0)]), float(_GRID[best + 1])
     value = _root(likelihood.slope, low, high)
     least = float(likelihood.criterion(np.array([value]))[0])

@@ -224,7 +224,7 @@ def test_a_damaged_file_is_refused(tmp_path, content, said):
 
 def test_a_file_is_never_executed_and_must_hold_the_arrays(tmp_path):
     np.savez(tmp_path / "objects.npz", nodes_mm=np.array([print], dtype=object), elements=np.zeros((1, 3)))
-    with pytest.raises(NumericsError, match=r"no \.npz file of numbers"):
+    with pytest.raises(NumericsError, match=r"not an \.npz file of numbers"):
         read_mesh(tmp_path / "objects.npz")
     np.savez(tmp_path / "other.npz", points=np.zeros((3, 2)))
     with pytest.raises(NumericsError, match="holds no nodes_mm") as caught:
@@ -241,8 +241,8 @@ def test_a_file_is_never_executed_and_must_hold_the_arrays(tmp_path):
         (lambda nodes: nodes + 1j, "nodes are of type complex128, not real numbers"),
         (lambda nodes: nodes.astype(str), "not real numbers"),
         (lambda nodes: [[0.0, 1.0], [2.0]], "rows of different lengths"),
-        (lambda nodes: nodes * 1e150, "is no sheet's; allowed are 1e-09 to 1e"),
-        (lambda nodes: nodes * 1e-150, "is no sheet's; allowed are 1e-09 to 1e"),
+        (lambda nodes: nodes * 1e150, "from its origin; allowed are 1e-09 to 1e"),
+        (lambda nodes: nodes * 1e-150, "from its origin; allowed are 1e-09 to 1e"),
     ],
 )
 def test_places_that_are_no_places_are_refused_not_cast(change, said):

@@ -30,8 +30,8 @@ def test_one_sensor_and_no_variance_are_named(url):
     document = json_of(compared(url))
     assert "41 has only one sensor, which does not show how sensors differ" in document["warnings"]
     reasons = {m["name"]: m["warnings"][0] for m in document["metrics"]}
-    assert "sensors are 2, which leaves nothing to judge 2 effects" in reasons["drift"]
-    assert "all 2 values are 0, which leaves no variance" in reasons["missed_loads"]
+    assert "2 sensors are too few to judge 2 effects" in reasons["drift"]
+    assert "all 2 values are 0, so there is no variance" in reasons["missed_loads"]
 
 
 def test_missing_values_lower_bounds_and_mixed_units_are_named_and_left_out(two):

@@ -76,7 +76,7 @@ class GreitRows:
         if rows is None or not np.isfinite(rows).all():
             raise NumericsError(
                 f"greit: hyperparameter {hyperparameter:.3g} is too small: the targets do not determine the image",
-                remedy=f"give a hyperparameter above {least:.1e}, or ask for a noise figure",
+                remedy=f"give a hyperparameter above {least:.1e}, or give a noise figure",
             )
         return rows
 

@@ -291,7 +291,7 @@ class _Search:
             raise NumericsError(
                 f"noise figure {target} cannot be reached by greit; this problem allows"
                 f" {reached[0]:.3g} to {reached[1]:.3g}",
-                remedy="ask for a noise figure in that range, or give the hyperparameter itself",
+                remedy="give a noise figure in that range, or the hyperparameter itself",
             )
 
         low, high = (float(np.log(end)) for end in ends)

@@ -110,8 +110,8 @@ def matern(mesh: Mesh, length_mm: float) -> Array:
     """
     if len(mesh.elements) > _MOST_ELEMENTS:
         raise NumericsError(
-            f"absolute images keep a dense covariance; {len(mesh.elements)} elements are more than {_MOST_ELEMENTS}",
-            remedy="image on larger elements",
+            f"absolute images use a dense covariance: {len(mesh.elements)} elements; at most {_MOST_ELEMENTS}",
+            remedy="use larger image elements",
         )
     distance = cdist(mesh.centroids_mm, mesh.centroids_mm) * (np.sqrt(3) / length_mm)
     correlation: Array = (1 + distance) * np.exp(-distance)
