@@ -143,7 +143,7 @@ class Bench:
         for one in self.mounted:
             for role in one.spec.provides:
                 if role in filled:
-                    raise ConfigError(f"role {role!r} is provided by {filled[role].name} and by {one.name}")
+                    raise ConfigError(f"both {filled[role].name} and {one.name} provide role {role!r}")
                 filled[role] = _checked(one, role)
         self.frame_source: FrameSource = _filled(filled, FRAME_SOURCE)
         self.force_applicator: ForceApplicator = _filled(filled, FORCE_APPLICATOR)
@@ -260,8 +260,8 @@ def _recognise(spec: InstrumentSpec, said: InstrumentIdentity) -> None:
             raise InstrumentError(
                 spec.role,
                 spec.address,
-                f"it says its {what} is {found!r}; the station file expects {expected!r}",
-                remedy=f"connect the instrument that is meant, or mend address or {what} in the station file",
+                f"its {what} is {found!r}; the station file expects {expected!r}",
+                remedy=f"connect the expected instrument, or correct address or {what} in the station file",
             )
 
 
@@ -294,7 +294,7 @@ def _checked(one: Mounted, role: str) -> Mounted:
         near = get_close_matches(role, filter(None, (*_PROTOCOLS, channel)), n=1)
         hint = f"did you mean {near[0]!r}? " if near else ""
         raise ConfigError(
-            f"instrument {one.name} is said to provide {role!r}, which is neither a role nor what it samples:"
+            f"instrument {one.name} is configured to provide {role!r}, which is neither a role nor what it samples:"
             f" {f'it samples {channel!r}' if channel else 'it samples nothing'}",
             remedy=f"{hint}roles: {', '.join(_PROTOCOLS)}, and what an instrument samples, such as 'force'",
         )
@@ -302,9 +302,9 @@ def _checked(one: Mounted, role: str) -> Mounted:
     if not isinstance(one.instrument, protocol):
         lacking = sorted(name for name in _members(protocol) if not hasattr(one.instrument, name))
         raise ConfigError(
-            f"instrument {one.name} is said to provide {role!r} but is no {protocol.__name__}:"
-            f" it has no {', '.join(lacking)}",
-            remedy="mend 'provides' in the station file, or use another driver",
+            f"instrument {one.name} is configured to provide {role!r} but is not a {protocol.__name__}:"
+            f" it lacks {', '.join(lacking)}",
+            remedy="correct 'provides' in the station file, or use another driver",
         )
     return one
 
@@ -327,6 +327,6 @@ def _samplers(mounted: list[Mounted]) -> tuple[Sampler, ...]:
     if all(one.channel != FORCE_CHANNEL for one in samplers):
         raise ConfigError(
             f"no instrument of the station samples {FORCE_CHANNEL!r}",
-            remedy="a head must not press without it: name a load cell's role in 'provides'",
+            remedy="pressing requires a load cell: add its role to 'provides'",
         )
     return samplers

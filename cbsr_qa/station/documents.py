@@ -101,7 +101,7 @@ class Documents:
             except BaseException as error:  # noqa: BLE001 - a stranger's code may raise anything
                 said = failure(error)
                 self._listeners.remove(listener)
-                self._warn(f"{_name(listener)} failed and is not told more: {said}")
+                self._warn(f"{_name(listener)} failed and receives no further events: {said}")
 
 
 def _unstored(event: RunEnded, error: SafetyError) -> str:

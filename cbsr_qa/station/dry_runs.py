@@ -100,7 +100,7 @@ class DryRun:
         if self.violations:
             listed = "\n".join(f"  {violation}" for violation in self.violations)
             raise RefusedError(
-                f"the recipe asks for what this station does not allow:\n{listed}",
+                f"the recipe exceeds what this station allows:\n{listed}",
                 remedy="change the recipe's options, or the station's [safety] limits if the bench can take it",
             )
 
@@ -256,10 +256,10 @@ class _Walk:
                 self._take(count, Kind.FRAMES)
             case MarkUnloaded():
                 if self.depth_mm is not None:
-                    yield Violation("order", "the head is down, the sheet is not unloaded")
+                    yield Violation("order", "the head is down, so the sheet is not unloaded")
             case Prompt():
                 if not self.answered:
-                    yield Violation("order", "nobody is there to answer")
+                    yield Violation("order", "no operator is present to answer")
             case _:
                 yield Violation("order", f"this runner does not know steps of type {type(step).__name__}")
 
@@ -299,7 +299,7 @@ class _Walk:
     def _hold(self, step: Hold) -> Iterator[Violation]:
         kind = Kind.REST if self.depth_mm is None else Kind.HOLD
         if not 0 <= step.hold_s < float("inf"):
-            yield Violation("order", f"{step.hold_s} s is not a duration")
+            yield Violation("order", f"hold_s is {step.hold_s}; it must be finite and at least 0")
         elif not step.acquire:
             self.spent.add(kind, step.hold_s)
         else:

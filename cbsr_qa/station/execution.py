@@ -88,7 +88,7 @@ def _remedy(error: BaseException) -> str:
 def _during_retreat(error: BaseException) -> str:
     if isinstance(error, AbortedError | KeyboardInterrupt):
         return "a second signal ended it at once"
-    return f"the head was not lifted in order: {_what(error)}"
+    return f"lifting the head failed: {_what(error)}"
 
 
 def execute(

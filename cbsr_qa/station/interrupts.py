@@ -51,10 +51,10 @@ _NAMES: Final = ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT")
 
 #: Said on the first signal and on the second.
 FIRST: Final = (
-    "{}: the run stops in order. What is under way is completed and stored, the head comes up at its press speed,"
-    " the bench is made safe. A second signal makes it safe at once."
+    "{}: the run stops in order: the current step is completed and stored, the head is lifted at its press speed,"
+    " the bench is made safe. A second signal makes the bench safe at once."
 )
-SECOND: Final = "{}: everything is made safe at once. Further signals are ignored until it is."
+SECOND: Final = "{}: making the bench safe at once. Further signals are ignored until it is safe."
 
 
 class Stopped(KeyboardInterrupt):

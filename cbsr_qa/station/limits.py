@@ -139,11 +139,10 @@ def check_samplers(plan: Plan, samplers: tuple[Sampler, ...]) -> None:
     """
     unit = {one.channel: one.unit for one in samplers}.get(TEMPERATURE_CHANNEL)
     if plan.safety.temperature_C is not None and unit != TEMPERATURE_UNIT:
-        found = "no instrument samples it" if unit is None else f"it is sampled in {unit!r}"
+        found = "no instrument samples it" if unit is None else f"its unit is {unit!r}"
         raise ConfigError(
             f"[safety] temperature_C limits the temperature, but {found}",
-            remedy=f"add a thermometer that samples {TEMPERATURE_CHANNEL!r} in {TEMPERATURE_UNIT!r}, or leave the key"
-            " out",
+            remedy=f"add a thermometer that samples {TEMPERATURE_CHANNEL!r} in {TEMPERATURE_UNIT!r}, or drop the key",
         )
 
 

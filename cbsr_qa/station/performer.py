@@ -294,10 +294,10 @@ class Performer:
         expected = (1, *self._plan.sensor_type.pattern.shape)
         if block.voltages.shape != expected:
             raise InstrumentError(
-                FRAME_SOURCE, "the bench", f"frames of shape {block.voltages.shape} came; {expected} was asked for"
+                FRAME_SOURCE, "the bench", f"received frames of shape {block.voltages.shape}; requested {expected}"
             )
         if not took_s > 0:  # a hold would never end
-            raise InstrumentError(FRAME_SOURCE, "the bench", "a frame took no time on the station's clock")
+            raise InstrumentError(FRAME_SOURCE, "the bench", "a frame took zero time on the station's clock")
 
     def _look(self) -> None:
         self._watch.look(self._at.phase)

@@ -116,7 +116,7 @@ def describe(step: Step) -> str:
         case AcquireFrames(count=count):
             said = f"taking {count} frames"
         case MarkUnloaded():
-            said = "calling the sheet rested"
+            said = "marking the sheet as rested"
         case Prompt(text=text):
             said = f"asking: {text}"
     return said
@@ -251,7 +251,7 @@ def schedule(
         If a sequence's role is none.
     """
     if not plan.phases:
-        raise RefusedError("the recipe has no phase", remedy="give it at least one [[phases]] table")
+        raise RefusedError("the recipe has no phase", remedy="add at least one [[phases]] table")
     return tuple(_scheduled(plan, index, phase, done, index in ended) for index, phase in enumerate(plan.phases))
 
 
@@ -259,7 +259,7 @@ def _scheduled(plan: Plan, index: int, phase: PlannedPhase, done: frozenset[Load
     steps = tuple(islice(phase.steps(plan.context), MOST_STEPS + 1))
     if not 0 < len(steps) <= MOST_STEPS:
         found = "no step" if not steps else f"more than {MOST_STEPS} steps"
-        raise RefusedError(f"sequence {phase.sequence_name!r} of phase {phase.name!r} makes {found}")
+        raise RefusedError(f"sequence {phase.sequence_name!r} of phase {phase.name!r} yields {found}")
     if index == 0 and not isinstance(steps[0], Home):
         steps = tuple(chain([Home()], steps))
     numbered = tuple(_numbered(index, steps))
@@ -278,8 +278,8 @@ def _role(phase: PlannedPhase) -> Role:
     role = getattr(phase.sequence, "role", Role.OTHER)
     if not isinstance(role, Role):
         raise PluginError(
-            f"sequence {phase.sequence_name!r} of phase {phase.name!r} has role {role!r}, which is no Role",
-            remedy=f"a role is one of {', '.join(f'Role.{known.name}' for known in Role)} (cbsr_qa.domain.plan)",
+            f"sequence {phase.sequence_name!r} of phase {phase.name!r} has role {role!r}, which is not a Role",
+            remedy=f"allowed roles: {', '.join(f'Role.{known.name}' for known in Role)} (cbsr_qa.domain.plan)",
         )
     return role
 

@@ -52,7 +52,7 @@ class RunProgress:
             case StepStarted():
                 self._step(event)
             case StepRetried(attempt=attempt, why=why):
-                self._say(f"attempt {attempt} failed, trying again: {why}")
+                self._say(f"attempt {attempt} failed, retrying: {why}")
             case RunEnded():
                 self._close()
 

@@ -108,7 +108,7 @@ class Interlock:
             self.to(State.UNSAFE)
             raise SafetyError(
                 "safe start",
-                f"the bench could not be brought to its safe state before the run: {'; '.join(failed)}",
+                f"the bench could not be brought to a safe state before the run: {'; '.join(failed)}",
                 remedy="nothing was moved or stored; look at the bench before touching it",
             )
         self.to(State.ARMED)
@@ -192,7 +192,7 @@ class Watch:
 
     def _drain(self, phase: int, number: int, sampler: Sampler) -> None:
         who = self._bench.name_of(sampler)
-        block = self._attempt(partial(sampler.samples_since, self._drained_s[number]), f"{who}: its samples")
+        block = self._attempt(partial(sampler.samples_since, self._drained_s[number]), f"{who}: reading its samples")
         if len(block):
             self._drained_s[number] = float(block.time_s[-1])
             self._documents.emit(SamplesTaken(phase, block))
@@ -201,7 +201,7 @@ class Watch:
     def _ask_all(self) -> None:
         for instrument in self._alive:
             try:
-                self._attempt(instrument.alive, f"{self._bench.name_of(instrument)}: whether it is there")
+                self._attempt(instrument.alive, f"{self._bench.name_of(instrument)}: checking that it responds")
             except InstrumentError as error:
                 raise SafetyError("heartbeat", error.reason, remedy=error.remedy) from error
         self._asked_s = self._clock.now()

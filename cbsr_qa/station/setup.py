@@ -165,7 +165,7 @@ def _emulation(configuration: Configuration, plugins: Plugins, clock: Clock, res
     if station.clock != "virtual" or not isinstance(clock, WatchedClock):
         raise ConfigError(
             f"station {station.name!r} emulates instruments on a real clock",
-            remedy='set clock = "virtual": their world moves on by commands, and nobody waits for it',
+            remedy='set clock = "virtual": emulated time advances by commands, without waiting',
         )
     world = SimulatedWorld(
         load_scene(station.emulated_scene).value,

@@ -117,7 +117,7 @@ class Watchdog:
         self._raise_late()
 
     def _between(self) -> _Call:
-        return _Call("the journal, or whoever listens,", self._clock.now(), 0.0)
+        return _Call("the journal or an event listener", self._clock.now(), 0.0)
 
     def _raise_late(self) -> None:
         if self._late is not None:
@@ -136,8 +136,8 @@ class Watchdog:
         took_s = self._clock.now() - call.since_s
         late = self._late = SafetyError(
             "no answer",
-            f"{call.what} has not come back for {took_s:.3g} s",
-            remedy="look what hangs, and at its cable",
+            f"{call.what} has not returned for {took_s:.3g} s",
+            remedy="check what hangs, and its cable",
         )
         self._break_in(BrokenInto(late))
         if not self._ended.wait(REACTION_S) and self._call is call:

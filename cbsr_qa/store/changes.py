@@ -196,7 +196,7 @@ def _judged(connection: Connection, run: str) -> tuple[str, Outcome]:
     if end != EndReason.FINISHED:
         raise StoreError(
             f"run {run} has not finished ({end}): there is no verdict to override",
-            remedy=f"cbsr-qa run --resume {run} goes on with it",
+            remedy=f"cbsr-qa run --resume {run} continues it",
         )
     latest = select(func.max(AnalysisRow.analysis)).where(AnalysisRow.run == run).scalar_subquery()
     query = select(AnalysisRow.analysis, AnalysisRow.outcome).where(AnalysisRow.analysis == latest)
@@ -204,6 +204,6 @@ def _judged(connection: Connection, run: str) -> tuple[str, Outcome]:
     if found is None:
         raise StoreError(
             f"run {run} has no result yet: there is no verdict to override",
-            remedy=f"cbsr-qa run --resume {run} works it out",
+            remedy=f"cbsr-qa run --resume {run} computes it",
         )
     return found.analysis, analysis_outcome(found)

@@ -22,24 +22,24 @@ _KNOWN = (
     ("file is not a database", "is not a database", "name another file, or restore it from a copy"),
     ("malformed", "is damaged or cut off", "restore it from a copy; the damaged file is left as it is"),
     ("unable to open database file", "cannot be opened", "check that its folder exists and may be written to"),
-    ("readonly database", "is read-only", "make the file and its folder writable, or name another database"),
-    ("read-only transaction", "is read-only", "connect as a user who may write, or name another database"),
+    ("readonly database", "is read-only", "make the file and its folder writable, or use another database"),
+    ("read-only transaction", "is read-only", "connect as a user with write access, or use another database"),
     ("permission denied", "refuses this user", "grant the user the right to read and write its tables"),
     ("database is locked", "is in use by another program", "end that program, or try again"),
     ("disk is full", "cannot grow: the disk is full", "free space; everything committed so far is kept"),
     ("no space left", "cannot grow: the disk is full", "free space; everything committed so far is kept"),
     (
         "disk i/o error",
-        "cannot be read or written: the disk fails, or a quota or a limit on the size of files is reached",
-        "check the disk and the limits (quota, ulimit -f); what is committed is kept as long as the disk keeps it",
+        "cannot be read or written: the disk fails, or a quota or file size limit is reached",
+        "check the disk and the limits (quota, ulimit -f); committed data is kept unless the disk loses it",
     ),
     ("authentication failed", "refuses the user or the password", "check both in the database URL"),
     ("does not exist", "does not exist", "create it, or correct its name in the database URL"),
     ("connection refused", "does not answer", "start the server, or correct its address in the database URL"),
     ("could not translate host", "has an unknown host", "correct its address in the database URL"),
     ("failed to resolve host", "has an unknown host", "correct its address in the database URL"),
-    ("server closed the connection", "hung up", "check the server; everything committed so far is kept"),
-    ("terminating connection", "hung up", "check the server; everything committed so far is kept"),
+    ("server closed the connection", "closed the connection", "check the server; all committed data is kept"),
+    ("terminating connection", "closed the connection", "check the server; everything committed so far is kept"),
 )
 
 
@@ -63,9 +63,8 @@ def stored(words: type[_Word], value: Any, column: str, row: str) -> _Word:
         return words(value)
     except ValueError:
         raise StoreError(
-            f"the database is damaged: {row} states {column} {str(value)[:64]!r}, which is none of"
-            f" {', '.join(words)}",
-            remedy="restore the database from a copy; the row is left as it is",
+            f"the database is damaged: {row} has {column} {str(value)[:64]!r}; allowed: {', '.join(words)}",
+            remedy="restore the database from a copy; the row is left unchanged",
         ) from None
 
 
@@ -144,7 +143,7 @@ def parsed_url(text: str) -> URL:
         # The text is not repeated: it may hold a password.
         raise StoreError(
             "the database URL cannot be read",
-            remedy="it looks like sqlite:///folder/file.db or postgresql://user:password@host:5432/name",
+            remedy="expected: sqlite:///folder/file.db or postgresql://user:password@host:5432/name",
         ) from None
     name = url.get_backend_name()
     if name not in _DRIVERS:
@@ -279,8 +278,8 @@ def _refuse_lost_file(connection: Connection) -> None:
     what = "was deleted or moved away" if found is None else "was replaced by another file"
     raise StoreError(
         f"{shown(url)} {what} while it was in use",
-        remedy="put it back under its name, with its files ending in -wal and -shm, or a copy of it; what was stored"
-        " in a file that is gone is lost",
+        remedy="put it back under its name, with its files ending in -wal and -shm, or a copy of it; data stored"
+        " in a deleted file is lost",
     )
 
 

@@ -95,8 +95,8 @@ def _check_recipe(connection: Connection, recipe: str) -> None:
     if known and recipe not in known:
         near = get_close_matches(recipe, known, n=1)
         raise RefusedError(
-            f"no stored run is of recipe {recipe[:64]!r}",
-            remedy=(f"did you mean {near[0]!r}? " if near else "") + f"there are: {', '.join(known)}",
+            f"no stored run uses recipe {recipe[:64]!r}",
+            remedy=(f"did you mean {near[0]!r}? " if near else "") + f"recipes: {', '.join(known)}",
         )
 
 
@@ -213,9 +213,9 @@ def _meant(
     told = said.split(BETWEEN)
     if len(told) != len(JOINED):
         raise StoreError(
-            f"the database is damaged: {_first(connection, said)} states {said[:64]!r}, with the control character"
+            f"the database is damaged: {_first(connection, said)} has {said[:64]!r} with the control character"
             " U+001F in it",
-            remedy="restore the database from a copy; the row is left as it is",
+            remedy="restore the database from a copy; the row is left unchanged",
         )
     name, phase, qualifier, unit, location, outcome, bound = told
     if (outcome, bound) not in _STATES:

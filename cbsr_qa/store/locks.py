@@ -44,7 +44,7 @@ def writing_alone(engine: Engine, run: str, who: str) -> Iterator[None]:
     if isinstance(release, str):
         raise StoreError(
             f"run {run} is being written by {release} ({shown(engine.url)})",
-            remedy="wait until it has ended, or stop it first: cbsr-qa run --resume then goes on",
+            remedy="wait for it to end, or stop it and continue with cbsr-qa run --resume",
         )
     try:
         yield
@@ -128,7 +128,7 @@ def _file_lock(engine: Engine, path: Path, who: str) -> Callable[[], None] | str
         return _named(error.who)
     except OSError as error:  # a full disk will not hold the run either
         raise StoreError(
-            f"{shown(engine.url)}: no lock can be written beside it ({error.strerror})",
+            f"{shown(engine.url)}: cannot create a lock file beside it ({error.strerror})",
             remedy="make its folder writable, free space, or name another database; everything committed is kept",
         ) from error
 

@@ -123,13 +123,13 @@ def refusal(engine: Engine, version: SchemaVersion) -> StoreError:
             )
         case Age.NEWER:
             return StoreError(
-                f"{shown(engine.url)} has schema {version.revision}, which this program ({HEAD}) does not know",
+                f"{shown(engine.url)} has schema {version.revision}, unknown to this program ({HEAD})",
                 remedy="use the newer version of cbsr-qa that made it",
             )
         case Age.FOREIGN:
             return StoreError(
-                f"{shown(engine.url)} belongs to another program: it has tables, but no schema version of ours",
-                remedy="name another database",
+                f"{shown(engine.url)} belongs to another program: it has tables but no schema version of cbsr-qa",
+                remedy="use another database",
             )
         case _:
             return StoreError(f"{shown(engine.url)} does not exist or is empty", remedy="test a sensor first")
@@ -161,8 +161,8 @@ def _make_folder(engine: Engine) -> None:
         file.parent.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise StoreError(
-            f"{shown(engine.url)}: its folder cannot be made: {error.strerror}",
-            remedy="free it, or name another database with --database or CBSR_QA_DATABASE",
+            f"{shown(engine.url)}: its folder cannot be created: {error.strerror}",
+            remedy="free the path, or use another database with --database or CBSR_QA_DATABASE",
         ) from error
 
 

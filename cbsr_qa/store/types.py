@@ -136,7 +136,7 @@ class FiniteDouble(TypeDecorator[float]):
             return None
         number = float(value)
         if not abs(number) < float("inf"):
-            raise ValueError(f"{number} is not a finite number and is not stored")
+            raise ValueError(f"{number} is not a finite number; it is not stored")
         return number
 
 
@@ -173,7 +173,7 @@ class Instant(TypeDecorator[datetime]):
         if value is None:
             return None
         if not isinstance(value, datetime) or value.tzinfo is None:
-            raise ValueError(f"{value!r} is not a time with a zone and is not stored")
+            raise ValueError(f"{value!r} has no time zone; it is not stored")
         instant = value.astimezone(UTC)
         return instant.replace(tzinfo=None) if dialect.name == "sqlite" else instant
 

@@ -29,7 +29,7 @@ RESULTS: Final = frozenset(
 )
 IDENTITY: Final = frozenset({"runs", "instruments"})
 ALL_KINDS: Final = frozenset({*KEYS, PHASE_END, FIGURES})
-_REMEDY: Final = "restore the database from a copy; nothing is concluded from this run as it is"
+_REMEDY: Final = "restore the database from a copy; this run is not evaluated as it is"
 
 
 def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> ChainState:
@@ -54,9 +54,9 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
         select(RunRow.chain, RunRow.configuration, RunRow.configuration_digest).where(RunRow.run == run)
     ).one_or_none()
     if row is None:
-        raise StoreError(f"there is no run {run[:64]!r} in this database")
+        raise StoreError(f"no run {run[:64]!r} in this database")
     if hashlib.sha256(row.configuration.encode()).hexdigest() != row.configuration_digest:
-        raise _broken(run, "its configuration is not the one it was begun with: the digest in its row does not fit")
+        raise _broken(run, "its configuration is not the one it was begun with: the digest in its row does not match")
     links = _links(connection, run, kinds)
     if row.chain is None:
         if links:
@@ -110,7 +110,7 @@ def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked
                 if said is None:
                     raise _broken(run, f"{shown(kind, document)} was added: no link covers it")
                 if said != content:
-                    raise _broken(run, f"{shown(kind, document)} was changed: it does not fit its digest")
+                    raise _broken(run, f"{shown(kind, document)} was changed: it does not match its digest")
             for kind, document in links:
                 raise _broken(run, f"{shown(kind, document)} was removed: its link is there, the row is not")
     except (KeyError, TypeError, ValueError) as error:  # a value that its column cannot hold

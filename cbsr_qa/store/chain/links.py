@@ -156,12 +156,12 @@ def key_to_continue(connection: Connection, run: str, chain: str | None) -> Sign
             return None
         raise StoreError(
             f"run {run} {'has no chain' if chain is None else 'is not signed'}, and a signing key is set: nothing is"
-            " added to it",
-            remedy=f"unset {VARIABLE} to go on with this run, knowing that no key vouches for its rows",
+            " appended",
+            remedy=f"unset {VARIABLE} to continue this run without signatures",
         )
     if key is None or key.key_id != needed:
-        found = "no key is set" if key is None else f"the key that is set is {key.key_id}"
+        found = "no key is set" if key is None else f"the key set here is {key.key_id}"
         raise StoreError(
-            f"run {run} is signed with key {needed}, and {found}", remedy=f"set {VARIABLE} to the key it began with"
+            f"run {run} is signed with key {needed}, and {found}", remedy=f"set {VARIABLE} to the run's key"
         )
     return key

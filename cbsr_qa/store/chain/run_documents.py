@@ -169,7 +169,7 @@ def shown(kind: str, key: str) -> str:
         return f"phases.ended_s (phase {key})"
     names = ("analysis",) if kind == FIGURES else KEYS.get(kind, ("document",))
     found = ", ".join(f"{name} {value}" for name, value in zip(names, key.split("/"), strict=False))
-    return f"{'figures of runs and measurements' if kind == FIGURES else kind}{f' ({found})' if names else ''}"
+    return f"{'run and measurement values' if kind == FIGURES else kind}{f' ({found})' if names else ''}"
 
 
 #: Stands between words that the database joins: no text has it.

@@ -245,7 +245,7 @@ def stored_force(
         return None
     check_force(row)
     if prepare is None:
-        raise StoreError(f"calibration {calibration} holds a force model, whose templates nobody prepares")
+        raise StoreError(f"calibration {calibration} needs `prepare` for the templates of its force model")
     merging = unpacked(row.merging, (row.merged, row.readings))
     prepared = prepare(sensor_type, used, merging, reference, head)
     if len(prepared.templates) != row.nodes:
@@ -270,7 +270,7 @@ def check_force(row: ForceRow) -> None:
     arrays = (row.merging, row.log_response, row.log_response_stderr)
     if digest(f"{row.merged}x{row.readings}|1/V|{row.nodes}", arrays) != row.force_sha256:
         raise StoreError(
-            f"calibration {row.calibration}: its force model is not what was stored",
+            f"calibration {row.calibration}: its force model does not match its digest",
             remedy="restore the database from a copy",
         )
 

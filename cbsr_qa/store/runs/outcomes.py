@@ -33,7 +33,7 @@ def latest_outcome(url: str, run: str) -> Outcome | None:
     parsed = parsed_url(url)
     file = sqlite_file(parsed)
     if file is not None and not file.exists():  # SQLite would make an empty one
-        raise StoreError(f"{shown(parsed)} is not there")
+        raise StoreError(f"{shown(parsed)} does not exist")
     engine = open_engine(parsed)
     try:
         with reading(engine) as connection:
@@ -147,13 +147,13 @@ def whole_run(engine: Engine, run: str) -> RunRecord:
         of_file = error.reason.startswith(shown(engine.url))  # says again what the check of the file said
         of_run = "" if of_file else f": {error.reason}"
         raise StoreError(
-            f"{problem}, and this run with it{of_run}",
-            remedy="restore the database from a copy; what was measured after that copy is lost",
+            f"{problem}, including this run{of_run}",
+            remedy="restore the database from a copy; data measured after that copy is lost",
         ) from error
     if problem:
         file = address(engine.url)
         raise StoreError(
-            f"{problem}; every row and frame of this run was checked and is whole",
+            f"{problem}; every row and frame of this run was checked and is intact",
             remedy=f"restore the database from a copy, or recover the file: sqlite3 {file} .recover | sqlite3 NEW",
         )
     return record

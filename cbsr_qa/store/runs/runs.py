@@ -179,7 +179,7 @@ def resolve(engine: Engine, run_or_serial: str) -> str:
     if found is None:
         raise StoreError(
             f"there is no run and no sensor {run_or_serial[:64]!r} in this database",
-            remedy="cbsr-qa db status shows which database is used; --database names another",
+            remedy="cbsr-qa db status shows the database in use; --database selects another",
         )
     return str(found)
 

@@ -130,7 +130,7 @@ def explain_scene(
 def _measured(
     setup: SceneSetup, plugins: Plugins, tell: Callable[[str], None], progress: Callable[[int, int], None]
 ) -> Costs:
-    tell("measuring what effects cost")
+    tell("measuring the cost of effects")
     return measured_costs(setup, effects_of(plugins), progress=progress)
 
 
@@ -140,7 +140,7 @@ def _measured_with(setup: SceneSetup) -> str:
     if plan.sensor_type is None:
         sensor += " (the scene leaves the sensor to a station)"
     if plan.duration_s is None and not plan.loads:
-        sensor += ", one load in the middle (the scene has none)"
+        sensor += ", one central load (the scene has none)"
     return sensor
 
 

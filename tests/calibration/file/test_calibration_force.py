@@ -257,7 +257,7 @@ def test_a_map_changed_in_the_database_is_not_loaded_and_a_number_not_exported(s
         )
     with sqlite3.connect(tmp_path / "runs.db") as other:
         other.execute("update calibration_forces set log_response = log_response_stderr")
-    with pytest.raises(StoreError, match="its force model is not what was stored"):
+    with pytest.raises(StoreError, match="its force model does not match its digest"):
         repository.load_calibration(made.calibration, made.reconstruction, prepare)
-    with pytest.raises(StoreError, match="its force model is not what was stored"):
+    with pytest.raises(StoreError, match="its force model does not match its digest"):
         repository.check_calibration(made.calibration)

@@ -105,7 +105,7 @@ def test_an_empty_database_and_runs_that_do_not_fit_are_refused(url):
     with pytest.raises(RefusedError, match="no stored run fits"):
         compared(url)
     fleet(url, sensors=2, both=0)
-    with pytest.raises(RefusedError, match="no stored run is of recipe 'shrot'") as raised:
+    with pytest.raises(RefusedError, match="no stored run uses recipe 'shrot'") as raised:
         compared(url, choice=RunChoice(recipe="shrot"))
     assert "did you mean 'short'? there are: short" in raised.value.remedy
     with pytest.raises(RefusedError, match="no stored run fits"):
