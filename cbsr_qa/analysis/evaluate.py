@@ -112,11 +112,11 @@ def calibrated(
     The calibration and an empty reason, or None and why there is none.
     """
     if recipe.characterisation is not None:
-        return None, "a strip of the material gets no calibration"
+        return None, "a material strip gets no calibration"
     if conclusion.observation is None:
         return None, conclusion.verdict.reason
     if not recipe.calibrate_phases:
-        return None, f"the recipe {recipe.name!r} names no phase to calibrate from"
+        return None, f"the recipe {recipe.name!r} has no phase to calibrate from"
     force = run_force(conclusion.observation)
     try:
         issued = issue_calibration(

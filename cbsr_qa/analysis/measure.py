@@ -36,7 +36,7 @@ def answered(answer: Iterable[Measurement]) -> list[Measurement]:
         Naming measurement, field, what was found and what is allowed. What the metric's own code raises passes.
     """
     if isinstance(answer, Measurement) or not isinstance(answer, Iterable):
-        raise PluginError(f"it returned {with_type(answer)}; allowed is a tuple of Measurement")
+        raise PluginError(f"it returned {with_type(answer)}; it must return a tuple of Measurement")
     taken = list(islice(answer, MOST_ANSWERS + 1))
     if len(taken) > MOST_ANSWERS:
         raise PluginError(f"it returned more than {MOST_ANSWERS} measurements")
@@ -45,14 +45,14 @@ def answered(answer: Iterable[Measurement]) -> list[Measurement]:
 
 def _checked(number: int, one: object) -> Measurement:
     if type(one) is not Measurement:
-        raise PluginError(f"measurement {number} is {with_type(one)}; allowed is a Measurement")
+        raise PluginError(f"measurement {number} is {with_type(one)}; it must be a Measurement")
     plain: dict[str, Any] = {}
     for name in (field.name for field in fields(Measurement)):
         said = getattr(one, name, None)
         check, allowed = _FIELDS[name]
         plain[name] = check(said)
         if plain[name] is _WRONG:
-            raise PluginError(f"measurement {number}: {name} is {with_type(said)}; allowed is {allowed}")
+            raise PluginError(f"measurement {number}: {name} is {with_type(said)}; it must be {allowed}")
     return replace(one, **plain)
 
 
@@ -156,7 +156,7 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
         for number in same_unit:
             judged[number] = _stricter(judged[number], judged[number].judged(limit))
         if not fitting:
-            judged.append(_unmeasured(limit, "no metric of this recipe measured it: enable one, or remove the limit"))
+            judged.append(_unmeasured(limit, "no metric of this recipe measures it: enable one, or remove the limit"))
         elif not same_unit:
             found = judged[fitting[0]].unit
             judged.append(_unmeasured(limit, f"the limit is in {limit.unit}, the measurement in {found}"))

@@ -68,7 +68,7 @@ def text_of(item: h5py.Group | h5py.Dataset, name: str, longest: int = _LONGEST_
     """Return an attribute that is one text. RefusedError where it is missing, something else or too long."""
     value = attribute(item, name)
     if not isinstance(value, str):
-        raise RefusedError(f"attribute {name} of {item.name} is missing or not one text of UTF-8")
+        raise RefusedError(f"attribute {name} of {item.name} is missing or is not a single UTF-8 string")
     return _text(f"attribute {name} of {item.name}", value, longest)
 
 
@@ -131,7 +131,7 @@ class Described:
 
     def texts(self, key: str) -> tuple[str, ...]:
         """A list of texts."""
-        return texts(f"{self._where}.{key}", self._take(key, list, "a list of texts"))
+        return texts(f"{self._where}.{key}", self._take(key, list, "a list of strings"))
 
     def flag(self, key: str) -> bool:
         """True or false."""
@@ -165,7 +165,7 @@ class Described:
             return PlacedElectrodes(ElectrodeKind(kind), self._places("places_mm"), self.real("width_mm"))
         known = {field.name for field in fields(ElectrodeLayout)}
         if unknown := sorted(set(self._said) - known):
-            raise RefusedError(f"{self._where}.{echo(unknown[0])} is not known; allowed: {', '.join(sorted(known))}")
+            raise RefusedError(f"{self._where}.{echo(unknown[0])} is unknown; allowed: {', '.join(sorted(known))}")
         return ElectrodeLayout(
             self.whole("count", _MOST_ELECTRODES),
             ElectrodeKind(kind),
@@ -195,13 +195,13 @@ class Described:
 def texts(where: str, said: Any) -> tuple[str, ...]:
     """Check that something is a list of texts, and return it."""
     if not isinstance(said, list) or not all(isinstance(one, str) for one in said):
-        raise RefusedError(f"{where} is not a list of texts")
+        raise RefusedError(f"{where} is not a list of strings")
     return tuple(_text(where, one, _LONGEST_NOTE) for one in said)
 
 
 def _text(where: str, value: str, longest: int = _LONGEST_TEXT) -> str:
     if len(value) > longest:
-        raise RefusedError(f"{where} is a text of {len(value)} characters; at most {longest} are allowed")
+        raise RefusedError(f"{where} has {len(value)} characters; at most {longest} are allowed")
     return value
 
 

@@ -73,9 +73,9 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
     """
     frames = ring.frames
     if len(frames) < 2:
-        raise NumericsError("one frame of a ring says nothing of noise", remedy="take two or more")
+        raise NumericsError("one frame of a ring does not show noise", remedy="take two or more")
     if frames.current_A == 0:
-        raise NumericsError("the frames were taken without a current", remedy="see that the source is on")
+        raise NumericsError("the frames were taken without a current", remedy="check that the source is on")
     flags = np.bitwise_or.reduce(frames.flags, axis=0)
     used = (flags & _BAD) == 0
     closed = ring_readings(ring.resistances_ohm, pattern)
@@ -144,7 +144,7 @@ def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) ->
             return found, count > 2, count > 1
     raise NumericsError(
         f"{int(used.sum())} of {used.size} readings of the ring are without a flag, too few to fit a gain",
-        remedy="see that the ring is connected, and lower the drive current where it is at compliance",
+        remedy="check that the ring is connected, and lower the drive current where it is at compliance",
     )
 
 
@@ -209,7 +209,7 @@ def _flagged(fit: RingFit, pattern: DrivePattern) -> CheckResult:
         unit="1",
         allowed="0",
         said=said,
-        remedy="see that the ring is connected; lower the drive current or the ring's resistance" if count else "",
+        remedy="check that the ring is connected; lower the drive current or the ring's resistance" if count else "",
         subject=RING,
     )
 
@@ -232,7 +232,7 @@ def _gain(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
 
 def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
     if fit.offset is None:
-        why = "the pattern cannot tell an offset from the gain"
+        why = "the pattern cannot separate offset and gain"
         return CheckResult("offset", CheckOutcome.NOT_DONE, said=why, subject=RING)
     if fit.gain_error is None:
         return CheckResult("offset", CheckOutcome.OK, value=fit.offset, unit=unit, said=_UNKNOWN, subject=RING)
@@ -251,7 +251,7 @@ def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
 
 def _leads(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     if fit.lead_ohm is None:
-        why = _UNKNOWN if fit.gain_error is None else "the pattern cannot tell leads from the ring"
+        why = _UNKNOWN if fit.gain_error is None else "the pattern cannot separate leads and ring"
         return CheckResult("lead resistance", CheckOutcome.NOT_DONE, said=why, subject=RING)
     worst = int(np.argmax(np.abs(fit.lead_ohm)))
     ok = abs(fit.lead_ohm[worst]) <= allowed.lead_ohm
@@ -280,7 +280,7 @@ def _worst(fit: RingFit, ring: RingReadings, pattern: DrivePattern, allowed: Ref
         value=100 * residual,
         unit="%",
         allowed=_within(100 * limit, "%"),
-        said=f"{said}; gain, offset and leads are taken out",
+        said=f"{said}; gain, offset and leads are removed",
         remedy="" if ok else _cause(fit, ring, pattern, limit),
         subject=RING,
     )
@@ -291,13 +291,13 @@ def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float
     swapped = exchanged(ring, pattern, within=limit)
     if swapped is not None:
         first, second = swapped
-        return f"electrodes {first} and {second} are exchanged: all readings fit then; put their leads right"
+        return f"electrodes {first} and {second} are exchanged: swapping them fits all readings; correct their leads"
     # Half of what is driven across a bad resistor is off by far more than what is driven elsewhere.
     off = np.abs(np.median(fit.residual, axis=1))
     worst = int(np.argmax(off))
     if off[worst] > max(limit, _STANDS_OUT * float(np.median(off))):
         source, sink = pattern.drive[worst]
-        return f"what is driven across electrodes {source} and {sink} is off: check the resistor between them"
+        return f"readings driven across electrodes {source} and {sink} are off: check the resistor between them"
     return "check the resistors and the wiring of these electrodes"
 
 
@@ -325,7 +325,7 @@ def _less_noise(rms: float, allowed: ReferenceRing) -> str:
     """What to do about noise: also small readings make it large, where it is the same in volts whatever is read."""
     enough_ohm = float(f"{1.05 * float(np.mean(allowed.resistance_ohm)) * rms / allowed.noise:.1e}")
     return (
-        "look for loose plugs and mains hum; average longer; in the larger readings of a ring of"
+        "look for loose plugs and mains hum; average longer; with a ring of"
         f" {enough_ohm:g} Ω and more the same noise would be allowed"
     )
 

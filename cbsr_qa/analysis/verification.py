@@ -85,16 +85,16 @@ def recheck(run: RunObservation, calibration: Calibration) -> Recheck:
 def _check(run: RunObservation, calibration: Calibration) -> None:
     issued, serial = calibration.issued, run.record.identity.sensor.serial
     if issued.sensor.serial != serial:
-        raise CalibrationError(f"the calibration is of sensor {issued.sensor.serial}, the run of {serial}")
+        raise CalibrationError(f"the calibration is for sensor {issued.sensor.serial}, the run for {serial}")
     if issued.reference.shape != run.reference.shape:
         raise CalibrationError(
-            f"the calibration is of frames of {issued.reference.shape}, the run of {run.reference.shape}"
+            f"the calibration has frames of shape {issued.reference.shape}, the run {run.reference.shape}"
         )
     gone = issued.reconstruction.problem.used & ~run.usable
     if gone.any():
         raise CalibrationError(
-            f"{int(gone.sum())} readings that the calibration needs cannot be used any more",
-            remedy="see the report's contacts: mend the electrode, or calibrate the sensor again",
+            f"{int(gone.sum())} readings that the calibration needs are no longer usable",
+            remedy="see the report's contacts: repair the electrode, or calibrate the sensor again",
         )
 
 

@@ -88,7 +88,7 @@ class TestRefused:
         run = checked[1.0]
         usable = run.usable.copy()
         usable[tuple(np.argwhere(usable)[0])] = False
-        with pytest.raises(CalibrationError, match="1 readings that the calibration needs cannot be used"):
+        with pytest.raises(CalibrationError, match="1 readings that the calibration needs are no longer usable"):
             recheck(replace(run, usable=usable), calibration)
 
     def test_no_force(self, calibration, checked):

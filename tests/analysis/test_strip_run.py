@@ -118,7 +118,7 @@ def test_without_readings_of_the_rested_strip_there_is_no_change(run):
         flags = np.where(frames.time_s < first, np.uint8(ReadingFlag.MISSING), np.uint8(0))[:, None, None]
         return replace(frames, flags=flags)
 
-    with pytest.raises(NumericsError, match="no reading of the rested strip can be used"):
+    with pytest.raises(NumericsError, match="no usable reading of the rested strip"):
         characterise_run(with_frames(run, lost), SETTINGS)
 
 
@@ -191,7 +191,7 @@ def test_a_spike_after_the_release_moves_nothing_but_what_it_covers():
 def test_a_run_without_force_says_so(run):
     (phase,) = run.phases
     found = characterise_run(replace(run, phases=(replace(phase, samples=()),)), SETTINGS)
-    assert found.reduced[0] == "no force was recorded: nothing is known of the stress"
+    assert found.reduced[0] == "no force was recorded: the stress is unknown"
     assert found.refused
 
 

@@ -57,7 +57,7 @@ def test_a_document_says_what_there_is_and_why_not(folder):
     assert said["outcome"] == "not measured"
     assert said["material"] is None
     assert "slope and intercept need two" in said["material_why"]
-    assert said["calibration_why"] == "a strip of the material gets no calibration"
+    assert said["calibration_why"] == "a material strip gets no calibration"
     assert {"settling_time", "conductance_change"} <= {m["name"] for m in said["measurements"]}
     assert not list((folder / "var" / "materials").glob("S-2*"))
 

@@ -54,7 +54,7 @@ def test_frames_of_another_shape_are_refused():
     bench.frame_source.acquire = lambda count: inner(2)
     ended = execute(plan, example_identity(), bench, script.clock, [lambda event: None])
     assert ended.end is EndReason.BROKEN
-    assert "frames of shape (2, 16, 16) came; (1, 16, 16) was asked for" in ended.detail
+    assert "received frames of shape (2, 16, 16); requested (1, 16, 16)" in ended.detail
 
 
 def _without_time(script, acquire, count):

@@ -199,7 +199,7 @@ def image_events(
         made.append(_event(scene, one, images.of(one, _name(scene, number, one.peak_s))))
 
     def together(numbers: Sequence[int]) -> Array:
-        tell(f"imaging event {numbers[0] + 1} together with those beside it with {chosen.name}")
+        tell(f"imaging event {numbers[0] + 1} and its neighbours with {chosen.name}")
         return images.together([sightings[k] for k in numbers])
 
     fated = with_fates(made, sheet.radius_mm, together=None if images.superposes else together)
@@ -249,10 +249,10 @@ def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
     """Say what a method could not be given."""
     said = []
     if alone:
-        said.append(f"{name} images consecutive frames; this recording has none, each event is an image by itself")
+        said.append(f"{name} needs consecutive frames; this recording has none, so each event is imaged alone")
     if unknown:
         said.append(
-            f"{name} starts from the nominal sheet: the readings are counts with an offset nobody states, so those of"
+            f"{name} starts from the nominal sheet: readings are counts with an unknown offset, so those of"
             " the unloaded sensor itself are not known"
         )
     return said

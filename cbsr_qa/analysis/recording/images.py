@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 #: Told of each step, in words.
 Tell = Callable[[str], None]
 
-_REMEDY: Final = "choose other options, or another reconstruction; without one gauss-newton-noser is taken"
+_REMEDY: Final = "use other options or another reconstruction; the default is gauss-newton-noser"
 _MOST_FRAMES: Final = 256  #: of a hold, and of what is before it, that a method of sequences is handed
 
 
@@ -194,7 +194,7 @@ def _prepared(
             prepared = reconstruction.prepare(replace(problem, sample=None))
         except NumericsError:
             raise refused from None
-        said = f"the parameter of {name} is not chosen on this recording's changes: {refused.reason}"
+        said = f"cannot choose the parameter of {name} from this recording: {refused.reason}"
         return prepared, (said,)
 
 
@@ -206,9 +206,9 @@ def _with_measured(
     plain = plain_model(unloaded, problem)
     if plain is None:
         raise NumericsError(
-            f"{name} cannot be used for this recording: it needs the unloaded readings themselves, and one scale does"
-            " not take these to the model's (channels of unequal gain, another geometry, or no sheet at all)",
-            remedy="name the sensor type that was measured, or take a reconstruction of changes",
+            f"{name} cannot be used for this recording: it needs absolute unloaded readings, and a single scale does"
+            " not map these to the model's (channels of unequal gain, another geometry, or no sheet)",
+            remedy="name the sensor type of the recording, or use a difference reconstruction",
         )
     assert problem.sample is not None
     gain = plain.gain / model.gain
@@ -229,7 +229,7 @@ def _by_name(where: str) -> Iterator[None]:
 def _checked(images: object, shape: tuple[int, int]) -> Array:
     values = np.asarray(images, dtype=np.float64)
     if values.shape != shape:
-        raise NumericsError(f"it gave images of shape {values.shape}, not {shape}")
+        raise NumericsError(f"it returned images of shape {values.shape} instead of {shape}")
     if not np.isfinite(values).all():
-        raise NumericsError("it gave an image that is not a finite number everywhere")
+        raise NumericsError("it returned an image with non-finite values")
     return values

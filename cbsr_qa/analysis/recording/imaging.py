@@ -167,7 +167,7 @@ def unit_model(reference: Array, problem: ImagingProblem, *, offset: bool) -> Un
     correlation = abs(slope) * float(np.linalg.norm(centred)) / spread if spread else 0.0
     if correlation < _LEAST_CORRELATION:
         raise NumericsError(
-            f"the readings do not look like those of a sheet driven and measured at adjacent pairs"
+            f"the readings do not match a sheet driven and measured at adjacent pairs"
             f" (correlation with the model {correlation:.2f}, at least {_LEAST_CORRELATION} is needed)",
             remedy="check the electrode order, and whether readings are clipped",
         )

@@ -61,7 +61,7 @@ def recognised(path: Path, asked: str | None, plugins: Plugins) -> tuple[Recordi
             failed.append(f"{name}: {type(error).__name__}: {error}")
     known = ", ".join(plugins.names(Kind.RECORDING))
     raise RecordingError(
-        f"{path.name} is in no format that is known here",
+        f"{path.name} has no known format",
         remedy="; ".join([f"formats: {known}; name one with --format", *failed]),
     )
 
@@ -74,14 +74,14 @@ def _head(path: Path) -> bytes:
     if not there:
         raise RecordingError(f"there is no file {path}", remedy="check its name and folder")
     if not path.is_file():
-        raise RecordingError(f"{path} is not a file", remedy="name the files in it")
+        raise RecordingError(f"{path} is not a file", remedy="name a file in it")
     try:
         with path.open("rb") as file:
             head = file.read(_HEAD_BYTES)
     except OSError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror or error}") from error
     if not head.strip():
-        raise RecordingError(f"{path.name} is empty", remedy="record again, or analyse another file")
+        raise RecordingError(f"{path.name} is empty", remedy="record it again, or analyse another file")
     return head
 
 
@@ -105,5 +105,5 @@ def _refusing(path: Path, name: str, work: Callable[[], _Read]) -> _Read:
     except (Exception, SystemExit) as error:
         raise RecordingError(
             f"{path.name} cannot be read as {name}: {type(error).__name__}: {error}",
-            remedy="the file is damaged, or of another format: name it with --format",
+            remedy="the file is damaged, or has another format: give it with --format",
         ) from error

@@ -127,8 +127,8 @@ class ReadyReadings:
         said = []
         if self.spikes:
             said.append(
-                f"glitches: {self.spikes} of the readings (in {self.spiky_frames} of the frames) jumped for a frame"
-                " or so, but not with drive and measurement exchanged; replaced by their neighbours in time"
+                f"glitches: {self.spikes} of the readings (in {self.spiky_frames} of the frames) jumped for about a"
+                " frame, and their reciprocals did not; they were replaced by their neighbours in time"
             )
         partly = (self.faults.stuck_from > 0) & ~self.faults.saturated
         if partly.any():
@@ -136,7 +136,7 @@ class ReadyReadings:
             listed = ", ".join(f"[{i}, {j}]" for i, j in np.argwhere(partly)[:_MOST_LISTED])
             more = int(partly.sum()) - _MOST_LISTED
             said.append(
-                f"stuck from {first:.1f} s on: channels {listed}{f' and {more} more' if more > 0 else ''};"
+                f"stuck after {first:.1f} s: channels {listed}{f' and {more} more' if more > 0 else ''};"
                 " they were left out"
             )
         return said

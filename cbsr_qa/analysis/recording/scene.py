@@ -139,7 +139,7 @@ class RecordedScene:
                 return on_sheet, why, ()
             ball, conducts = tank.ball_of(found, sheet, changes[0])
         remark = (
-            f"the reference frame falls off like that of a tank {tank.depth:.2f} radii deep, not like a sheet's:"
+            f"the reference frame decays like that of a tank {tank.depth:.2f} radii deep, not like a sheet's:"
             f" places are those of balls in it, of {ball:.2f} radii or more"
         )
         return found, why, (remark,)
@@ -170,7 +170,7 @@ class RecordedScene:
                 times.append(time_s)
                 electrodes |= set(suspect.electrodes)
                 said.append(
-                    f"{suspect.name}: its readings changed together at {time_s:.1f} s: a contact or a cable,"
+                    f"{suspect.name}: its readings changed together at {time_s:.1f} s: a contact or cable fault,"
                     " not a load; they were left out"
                 )
             left = scene.readings.shape[1] - int(bad.sum())
@@ -178,7 +178,7 @@ class RecordedScene:
                 break
             scene = scene.without(bad)
         why = searched.why or (
-            "" if searched.sightings else "no change is a load's: " + "; ".join([*said, *searched.remarks])
+            "" if searched.sightings else "no change is a load: " + "; ".join([*said, *searched.remarks])
         )
         return replace(
             searched, why=why, remarks=(*said, *searched.remarks), suspect_electrodes=tuple(sorted(electrodes))
@@ -203,7 +203,7 @@ class RecordedScene:
         why = _rejected(found, times) if seen else _quiet(white @ match.patterns)
         if not (why or sightings or remarks):
             at = ", ".join(f"{times[change.frame]:.1f} s" for change in seen[:_MOST_LISTED])
-            why = f"what changes (at {at}) leads back to the state the recording begins in: no load is put on"
+            why = f"the changes (at {at}) only return to the initial state: no load is applied"
         return Searched(sightings, why, remarks, scene=self), suspects
 
     def _no_loads(self, match: Matcher) -> NoLoads:
@@ -263,7 +263,7 @@ def _quiet(scores: Array) -> str:
 
 
 def _rejected(found: Found, times: Array) -> str:
-    said = [f"a change at {times[frame]:.1f} s is no event: {why}" for frame, why in sorted(found.rejected)]
+    said = [f"a change at {times[frame]:.1f} s is not an event: {why}" for frame, why in sorted(found.rejected)]
     more = f"; and {len(said) - _MOST_LISTED} more like these" if len(said) > _MOST_LISTED else ""
     return "; ".join(said[:_MOST_LISTED]) + more
 
@@ -283,14 +283,14 @@ def _signs(sightings: tuple[Sighting, ...], unclear: list[Press], times: Array) 
     if len({one.sign for one in sightings}) > 1:
         listed = ", ".join(f"{one.start_s:.1f} s {'more' if one.sign > 0 else 'less'}" for one in sightings)
         said.append(
-            f"the loads disagree about the sign (conducts {listed}): one sheet answers alike to all loads, so one"
-            " of them may be a release, or not a load"
+            f"the loads disagree about the sign (conducts {listed}): one sheet responds with one sign, so one"
+            " of them may be a release or another disturbance"
         )
     for press in unclear:
         at = float(np.interp(press.start, np.arange(len(times)), times))
         less = press.places[0].score > 0
         said.append(
-            f"the change at {at:.1f} s is never taken back: it may as well be the release of a load held from the"
-            f" beginning, which then conducts {'less' if less else 'more'}"
+            f"the change at {at:.1f} s is never reversed: it may be the release of a load held from the"
+            f" start, which then conducts {'less' if less else 'more'}"
         )
     return said

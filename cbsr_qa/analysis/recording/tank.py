@@ -84,7 +84,7 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
     if not places or abs(places[0].score) < _DETECTED or explained < _EXPLAINED:
         score = abs(places[0].score) if places else 0.0
         return (), (
-            f"nothing stands out of what is not reciprocal: the best place scores {score:.1f}"
+            f"nothing stands out from the reciprocity error: the best place scores {score:.1f}"
             f" (at least {_DETECTED:g} is needed) and explains {explained:.0%} of the change"
             f" (at least {_EXPLAINED:.0%})"
         )

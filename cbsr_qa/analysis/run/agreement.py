@@ -81,7 +81,7 @@ def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     """
     strip = run.record.material.strip_relaxation
     if strip is None:
-        why = f"material {run.record.material.name} carries no relaxation of a strip; characterise one of its batch"
+        why = f"material {run.record.material.name} has no strip relaxation; characterise a strip of its batch"
         return tuple(_without(loading, why) for loading in (True, False))
     force = run_force(run)
     if force.learned is None:
@@ -95,10 +95,10 @@ def _against(
 ) -> DirectedAgreement:
     window = _window_s(run, force.used, loading)
     if kernel is None or window is None:
-        return _without(loading, "the loads of the sheet do not tell how it relaxes: held too short, or too weak")
+        return _without(loading, "the sheet's loads do not show its relaxation: held too short, or too weak")
     expected = _expected(strip, loading, _hold_s(force.used))
     if expected is None:
-        return _without(loading, "the material file carries no relaxation of a strip in this direction")
+        return _without(loading, "the material file has no strip relaxation in this direction")
     found = compare_relaxations(
         expected, KernelCurve.of_sheet(kernel, *window), tolerance=run.settings.settling_tolerance
     )

@@ -85,7 +85,7 @@ def farthest_first(places_mm: Array, count: int, *, first: int | None = None) ->
         If there are fewer places than asked for.
     """
     if count > len(places_mm):
-        raise NumericsError(f"{count} places cannot be chosen from {len(places_mm)}")
+        raise NumericsError(f"cannot choose {count} places from {len(places_mm)}")
     chosen = [int(np.hypot(*places_mm.T).argmin()) if first is None else first]
     while len(chosen) < count:
         apart = np.hypot(*(places_mm[:, None] - places_mm[chosen]).transpose(2, 0, 1)).min(axis=1)

@@ -235,7 +235,7 @@ def _usable_transients(what: str, kernel: RelaxationKernel | None, loads: int | 
         of = "the longest holds" if loads is None else f"the {loads} longest holds"
         why = f": {kernel.why}" if kernel is not None else ""
         raise NumericsError(
-            f"{of} do not say how the {what} relaxes{why}: no hold can be predicted from its first part",
+            f"{of} do not determine how the {what} relaxes{why}: no hold can be predicted from its start",
             remedy='hold some loads for 1.5 settling times, or set transients = "averaged" in the recipe',
         )
     return kernel

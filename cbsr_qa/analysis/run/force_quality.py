@@ -203,7 +203,7 @@ def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -
     matches = Matches(places_mm, strength, np.zeros((len(places_mm), 3, 3)), nothing, nothing)
     force, stderr = ForceInverse(model, learned.line, head.area_mm2, map_tables(model)).force(matches)
     if not (np.isfinite(force).all() and (force > 0).all()):
-        raise NumericsError("the intercept of the line alone counts as a load: no least force follows")
+        raise NumericsError("the line's intercept alone exceeds the threshold: there is no least force")
     at = (tuple(map(float, place)) for place in places_mm)
     return tuple(Detectable(float(f), float(e), (p[0], p[1])) for f, e, p in zip(force, stderr, at, strict=True))
 

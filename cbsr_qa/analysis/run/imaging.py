@@ -82,12 +82,12 @@ def decide_response(
     voted = Response.INCREASE if rising >= falling else Response.DECREASE
     counts = f"{rising} loads raise the conductance, {falling} lower it"
     if configured is not Response.AUTO:
-        against = f"the sensor type says its response is {configured}, but {counts}"
+        against = f"the sensor type sets its response to {configured}, but {counts}"
         disagree = bool(clear) and voted is not configured
         return configured, "configured in the sensor type", (against,) if disagree else ()
     if not clear:
         return voted, "not decided: no load stands out of the noise", ("no load stands out of the noise",)
-    warnings = (f"the loads disagree about the sign of the response: {counts}",) if rising and falling else ()
+    warnings = (f"the loads disagree on the sign of the response: {counts}",) if rising and falling else ()
     return voted, f"decided from {len(clear)} loads: {counts}", warnings
 
 

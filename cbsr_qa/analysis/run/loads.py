@@ -43,7 +43,7 @@ def stood_at_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
     rest = samples.between(record.unloaded_s, record.rest_end_s).values
     if len(rest) < _FEWEST or len(np.unique(rest)) < 2:
         return ""
-    return f"the load cell stood at {highest:.4g} N, its highest reading, all through the hold: it is saturated"
+    return f"the load cell read {highest:.4g} N, its highest reading, throughout the hold: it is saturated"
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -142,12 +142,12 @@ def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tupl
     if early:
         words.append(
             f"in {early} of {len(loads)} holds the last frames were taken before {multiple:g} settling times had"
-            " passed: their images are of a sheet still relaxing"
+            " passed: their images show a sheet that is still relaxing"
         )
     unknown = sum(load.settled is None for load in loads)
     if unknown:
         words.append(
-            f"for {unknown} of {len(loads)} holds no settling time is known (no blob, or no fit): whether their last"
-            " frames are settled is not known either"
+            f"for {unknown} of {len(loads)} holds no settling time is known (no blob, or no fit): their last frames may not be"
+            " settled"
         )
     return tuple(words)

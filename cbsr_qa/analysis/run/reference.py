@@ -112,7 +112,7 @@ def unloaded_frames(record: RunRecord) -> FrameBlock:
             return frames
     raise NumericsError(
         f"run {record.identity.run} has no frames of the unloaded sheet",
-        remedy="begin the recipe with a sequence that rests and takes unloaded frames, such as noise-figure",
+        remedy="start the recipe with a sequence that rests and takes unloaded frames, such as noise-figure",
     )
 
 
@@ -126,8 +126,8 @@ def split_unloaded(frames: FrameBlock, noise_floor_frames: int) -> tuple[FrameBl
     """
     if len(frames) <= noise_floor_frames:
         raise NumericsError(
-            f"{len(frames)} unloaded frames are too few: {noise_floor_frames} set the noise floor and at least one"
-            " more is the reference",
+            f"{len(frames)} unloaded frames are too few: the noise floor needs {noise_floor_frames}, the reference at"
+            " least one more",
             remedy="take more unloaded frames, or lower analysis.noise_floor_frames in the recipe",
         )
     return frames.select(slice(0, noise_floor_frames)), frames.select(slice(noise_floor_frames, None))
@@ -168,13 +168,13 @@ def usable_data(record: RunRecord) -> UsableData:
     constant = np.ptp(kept, axis=0) == 0 if len(kept) else np.zeros_like(pattern)
     stuck = constant & pattern & ~left_out if not constant[pattern].all() else np.zeros_like(pattern)
     words = [
-        f"{int(channels.sum())} readings are left out of every image because they are {why}:"
+        f"{int(channels.sum())} readings are excluded from all images because they are {why}:"
         f" {named_readings(channels)}"
         for channels, why in ((left_out, "saturated or missing in many frames"), (stuck, "stuck at one value"))
         if channels.any()
     ]
     if lost.any():
-        words.append(f"{int(lost.sum())} of {len(frames)} frames are left out: readings in them are missing")
+        words.append(f"{int(lost.sum())} of {len(frames)} frames are excluded: they have missing readings")
     return UsableData(_without(record, frames.time_s[lost]), pattern & ~left_out & ~stuck, tuple(words))
 
 
@@ -229,8 +229,8 @@ def check_weighing(reconstruction: Reconstruction, method: str, settings: Analys
     """
     if settings.noise_weighting == "measured" and not getattr(reconstruction, "weighs_noise", True):
         raise NumericsError(
-            f'analysis.noise_weighting is "measured", but reconstruction {method!r} lets all readings count alike',
-            remedy='take another method, or set analysis.noise_weighting = "equal" in the recipe',
+            f'analysis.noise_weighting is "measured", but reconstruction {method!r} weights all readings equally',
+            remedy='use another method, or set analysis.noise_weighting = "equal" in the recipe',
         )
 
 
@@ -263,7 +263,7 @@ def weighed_problem(
     silent = np.zeros_like(used)
     silent[used] = noise.silent
     words = (
-        f"{int(silent.sum())} readings are the same in all {len(unloaded)} unloaded frames, so that nobody knows"
-        f" their noise; they are weighed like a common one: {named_readings(silent)}"
+        f"{int(silent.sum())} readings are the same in all {len(unloaded)} unloaded frames: their noise is unknown"
+        f" and a typical value is used for them: {named_readings(silent)}"
     )
     return problem, (words,)

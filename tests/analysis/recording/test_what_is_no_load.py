@@ -201,7 +201,7 @@ def test_a_channel_that_stands_still_from_some_frame_on_is_stuck():
     faults = find_faults(block(voltages), ScanKind.FULL)
     assert np.argwhere(faults.stuck).tolist() == [[3, 8]]
     assert faults.stuck_from[3, 8] == 69
-    assert any("stuck from 17.2 s on: channels [3, 8]" in w for w in analysed(voltages).warnings)
+    assert any("stuck after 17.2 s: channels [3, 8]" in w for w in analysed(voltages).warnings)
 
 
 def test_quiet_channels_that_repeat_by_chance_are_not_stuck():
